@@ -1,0 +1,53 @@
+"""Casting rays against triangles: one protocol, several casters, and the culling of beams that can reach nothing."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+
+from ..errors import MissingExtraError, unknown_name
+from .protocol import Caster, Hits
+
+CASTERS = ("bvh", "embree", "exact")
+
+_MODULES = {"bvh": ("bpy", "blender"), "embree": ("embreex", "fast"), "exact": (None, None)}
+
+__all__ = ["CASTERS", "Caster", "Hits", "caster_class", "is_available", "resolve"]
+
+
+def is_available(name: str) -> bool:
+    """Whether the library that the caster `name` stands on can be imported here."""
+    library, _ = _MODULES[name]
+    return library is None or importlib.util.find_spec(library) is not None
+
+
+def resolve(name: str, where: str = "") -> str:
+    """The caster that `name` asks for: itself, or for "auto" `embree` when importable, else `bvh`.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    MissingExtraError
+        When the library of the caster is not installed, naming the extra that brings it.
+    """
+    if name == "auto":
+        for candidate in ("embree", "bvh"):
+            if is_available(candidate):
+                return candidate
+        raise MissingExtraError(
+            'no caster is installed; install one of: pip install "blender_lidar[fast]" (Embree) or '
+            '"blender_lidar[blender]" (Blender)'
+        )
+    if name not in CASTERS:
+        raise unknown_name(name, ("auto", *CASTERS), "caster", where)
+    if not is_available(name):
+        library, extra = _MODULES[name]
+        raise MissingExtraError(f'the caster {name!r} needs {library}: pip install "blender_lidar[{extra}]"')
+    return name
+
+
+def caster_class(name: str) -> type[Caster]:
+    """The class behind a caster's name; `name` as from `resolve`."""
+    module = importlib.import_module(f".{name}", __package__)
+    return getattr(module, f"{name.capitalize()}Caster")

@@ -1,0 +1,112 @@
+"""Which beams can reach a vehicle at all: the others need not be cast when only vehicles count.
+
+Seen from the sensor, a box covers a range of elevations and a range of azimuths; on the (ring, azimuth slot) lattice of a rotating
+LiDAR that is a rectangle. Boxes are cut along their length into pieces first, so that the rectangles of a long or a near
+vehicle hug it. The bounds are exact for each piece: no beam that meets a vehicle is ever left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..sensors.beams import BeamLattice
+from ..sensors.pose import Pose
+from ..world.triangles import place
+
+PIECE_LENGTH_M = 1.2
+_MARGIN_RAD = 1e-9  # above float64 rounding of the bounds, below anything a beam could notice
+
+_CORNERS = np.array([(x, y, z) for x in (0.0, 1.0) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1])
+
+
+@dataclass(frozen=True, slots=True)
+class BoxPieces:
+    """Vehicle boxes cut along their length: corners (p, 8, 3) [m, road frame], middles (p, 3), bounding radii (p,) [m]."""
+
+    corners: np.ndarray
+    middle: np.ndarray
+    radius: np.ndarray
+
+
+def box_pieces(centre: np.ndarray, size: np.ndarray, heading: np.ndarray) -> BoxPieces:
+    """Cut each box (centre, size (n, 3) [m]; heading (n,) [rad]) into pieces of at most `PIECE_LENGTH_M`."""
+    pieces = np.maximum(np.ceil(size[:, 0] / PIECE_LENGTH_M), 1).astype(int)
+    box = np.repeat(np.arange(len(size)), pieces)
+    number = np.arange(len(box)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    unit = np.broadcast_to(_CORNERS, (len(box), 8, 3)).copy()
+    unit[..., 0] = (number[:, None] + unit[..., 0]) / pieces[box][:, None] - 0.5
+    corners = place(unit, centre[box], size[box], heading[box])
+    middle = corners.mean(axis=1)
+    return BoxPieces(corners, middle, np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1, initial=0.0))
+
+
+def reachable_beams(lattice: BeamLattice, pieces: BoxPieces, pose: Pose, max_range: float) -> np.ndarray:
+    """Beams that may meet one of the boxes within `max_range` [m].
+
+    Returns
+    -------
+    ndarray of int64, (k,)
+        Flat indices into the lattice, ``ring * columns + slot``, ascending.
+    """
+    near = np.linalg.norm(pieces.middle - pose.position, axis=1) - pieces.radius <= max_range
+    corners = pose.to_sensor(pieces.corners[near])
+    low, high, first, last = _angular_bounds(corners)
+    columns = lattice.columns
+    ring_from = np.searchsorted(lattice.elevation_rad, low - _MARGIN_RAD, side="left")
+    ring_to = np.searchsorted(lattice.elevation_rad, high + _MARGIN_RAD, side="right")
+    # Slot s of a ring lies at an azimuth in [s, s + 1) steps.
+    slot_from = np.ceil((first - _MARGIN_RAD) / lattice.step_rad).astype(np.int64) - 1
+    slot_to = np.floor((last + _MARGIN_RAD) / lattice.step_rad).astype(np.int64) + 1
+    whole = slot_to - slot_from >= columns
+    slot_from[whole], slot_to[whole] = 0, columns
+    turn = slot_from // columns * columns
+    slot_from, slot_to = slot_from - turn, slot_to - turn
+
+    mask = np.zeros((lattice.rings, columns), dtype=bool)
+    seen = ring_to > ring_from
+    bounds = np.stack([ring_from, ring_to, slot_from, slot_to], axis=1)[seen]
+    for r0, r1, s0, s1 in bounds.tolist():
+        mask[r0:r1, s0:s1] = True
+        if s1 > columns:  # across azimuth zero
+            mask[r0:r1, : s1 - columns] = True
+    return np.flatnonzero(mask)
+
+
+def _angular_bounds(corners: np.ndarray):
+    """Lowest and highest elevation, first and last azimuth of each piece (p, 8, 3) in the sensor frame [rad].
+
+    The last azimuth is at least the first and may exceed a turn. A piece that holds the sensor, or that its axis passes
+    through, gets all directions.
+    """
+    x, y, z = corners[..., 0], corners[..., 1], corners[..., 2]
+    centre = np.arctan2(x.mean(axis=1), y.mean(axis=1))  # clockwise from +y, Eq. 1
+    off_centre = (np.arctan2(x, y) - centre[:, None] + np.pi) % (2.0 * np.pi) - np.pi
+    first, last = off_centre.min(axis=1), off_centre.max(axis=1)
+    slope = _slope_bounds(corners)
+    low, high = np.arctan(slope[0]), np.arctan(slope[1])
+    # The corners surround the sensor's axis, or one of them is the sensor itself.
+    around = ~(last - first < np.pi) | np.isnan(low) | np.isnan(high)
+    first, last = np.where(around, 0.0, first + centre), np.where(around, 2.0 * np.pi, last + centre)
+    low, high = np.where(around, -0.5 * np.pi, low), np.where(around, 0.5 * np.pi, high)
+    return low, high, first, last
+
+
+def _slope_bounds(corners: np.ndarray):
+    """Least and greatest z / sqrt(x^2 + y^2) over the edges of each piece.
+
+    Along an edge the slope has one stationary point at most; a box off the axis takes its extremes on its edges.
+    """
+    start, step = corners[:, _EDGES[:, 0]], corners[:, _EDGES[:, 1]] - corners[:, _EDGES[:, 0]]
+    a = start[..., 0] ** 2 + start[..., 1] ** 2
+    b = start[..., 0] * step[..., 0] + start[..., 1] * step[..., 1]
+    c = step[..., 0] ** 2 + step[..., 1] ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = (start[..., 2] * b - step[..., 2] * a) / (step[..., 2] * b - start[..., 2] * c)
+        at = np.where(np.isfinite(at), np.clip(at, 0.0, 1.0), 0.0)
+        turning = (start[..., 2] + at * step[..., 2]) / np.sqrt(np.maximum(a + 2.0 * at * b + at * at * c, 0.0))
+        ends = corners[..., 2] / np.hypot(corners[..., 0], corners[..., 1])
+    slopes = np.concatenate([turning, ends], axis=1)
+    return slopes.min(axis=1), slopes.max(axis=1)

@@ -1,0 +1,48 @@
+"""The errors a user can cause. Each text says what was given, what is allowed, and where it came from."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class BlenderLidarError(Exception):
+    """Base of every error that is the input's fault; the command line prints it as one line and exits with 2."""
+
+
+class InputError(BlenderLidarError, ValueError):
+    """A value, key or table that cannot be used."""
+
+
+class MissingFileError(BlenderLidarError, FileNotFoundError):
+    """A file or folder that is not there."""
+
+
+class MissingExtraError(BlenderLidarError, ImportError):
+    """An optional library that is not installed."""
+
+
+class OutputError(BlenderLidarError, OSError):
+    """A file or folder that cannot be written."""
+
+
+def unknown_name(given: object, allowed: Iterable[str], what: str, where: str = "") -> InputError:
+    """An error for a name that is not one of `allowed`, with the nearest known one.
+
+    Parameters
+    ----------
+    given : object
+        What the user wrote.
+    allowed : iterable of str
+        The names that would have been accepted.
+    what : str
+        The kind of thing named: ``"sensor"``, ``"key"``.
+    where : str
+        ``file:key`` or the option it came from; left out when empty.
+    """
+    names = [str(name) for name in allowed]
+    by_lower = {name.lower(): name for name in names}
+    near = difflib.get_close_matches(str(given).lower(), list(by_lower), n=1, cutoff=0.5)
+    hint = f"did you mean {by_lower[near[0]]!r}? " if near else ""
+    prefix = f"{where}: " if where else ""
+    return InputError(f"{prefix}unknown {what} {given!r}; {hint}allowed: {', '.join(names)}")

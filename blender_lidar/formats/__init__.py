@@ -1,0 +1,1 @@
+"""Files: clouds and tables, written whole or not at all."""

@@ -1,0 +1,95 @@
+"""The objective's arithmetic: which vehicles count as detectable (Eq. 11) and what each adds to the sum (Eq. 10)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..errors import InputError, unknown_name
+from .checks import check_number
+from .readings import check_reading
+
+VIEWS = ("mean", "max", "min")
+
+
+def detectable(occupancy: np.ndarray, threshold: float = 0.005, view: str = "mean") -> np.ndarray:
+    """Whether enough of a vehicle is seen: ``1(P >= delta)``, Eq. 11.
+
+    The paper does not say which of the three views P is. For a car at 0.005, ``"max"`` asks for about 6 points,
+    ``"mean"`` for about 9 and ``"min"`` for about 17.
+
+    Parameters
+    ----------
+    occupancy : array_like, (..., 3)
+        Shares of occupied cells in the top, side and front view (Eq. 8), zero or more.
+    threshold : float
+        delta, zero or more.
+    view : {"mean", "max", "min"}
+        How the three views become one P.
+
+    Returns
+    -------
+    ndarray of bool, (...)
+
+    Raises
+    ------
+    InputError
+        If the last axis is not 3 long, a share is negative or NaN, or the threshold or view is not one of the above.
+    """
+    if view not in VIEWS:
+        raise unknown_name(view, VIEWS, "view")
+    threshold = check_number(threshold, 0.0, math.inf, "threshold")
+    occupancy = np.asarray(occupancy, dtype=float)
+    if occupancy.shape[-1:] != (3,):
+        raise InputError(f"occupancy: shape {occupancy.shape}; allowed: (..., 3), one column per view")
+    if not (occupancy >= 0.0).all():
+        raise InputError("occupancy: negative or NaN; allowed: shares, 0 or more")
+    if view == "mean":
+        share = occupancy.mean(axis=-1)
+    elif view == "max":
+        share = occupancy.max(axis=-1)
+    else:
+        share = occupancy.min(axis=-1)
+    return share >= threshold  # Eq. 11
+
+
+def vehicle_score(
+    entropy_bits: np.ndarray, detectable: np.ndarray, loss: float = -1.0, reading: str = "corrected"
+) -> np.ndarray:
+    """What each vehicle adds to the objective: one summand of Eq. 10.
+
+    Parameters
+    ----------
+    entropy_bits : array_like, (...)
+        E, a vehicle's PE-VGOP [bit] (Eq. 9).
+    detectable : array_like of bool, (...)
+        Eq. 11.
+    loss : float
+        The constant C [bit]; the paper takes -1.
+    reading : {"corrected", "paper"}
+        ``"corrected"``: a missed vehicle costs ``abs(C)``, whichever sign C is given. ``"paper"``: ``-C`` as printed,
+        so that with the paper's C = -1 a missed vehicle *earns* 1 bit, more than most detectable ones.
+
+    Returns
+    -------
+    ndarray, (...)
+        [bit]; the objective is its sum over a fixed list of vehicles.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ, an entropy or the loss is not finite, or the reading is unknown.
+    """
+    check_reading(reading)
+    loss = check_number(loss, -math.inf, math.inf, "loss")
+    entropy_bits = np.asarray(entropy_bits, dtype=float)
+    detectable = np.asarray(detectable, dtype=bool)
+    if entropy_bits.shape != detectable.shape:
+        raise InputError(
+            f"entropy_bits has shape {entropy_bits.shape}, detectable {detectable.shape}; allowed: the same"
+        )
+    if not np.isfinite(entropy_bits).all():
+        raise InputError("entropy_bits: infinite or NaN; allowed: finite bits")
+    missed = -abs(loss) if reading == "corrected" else -loss
+    return np.where(detectable, entropy_bits, missed)  # Eq. 10

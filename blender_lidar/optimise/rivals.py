@@ -1,0 +1,124 @@
+"""The plain rivals that DE-PSO has to beat: an exhaustive grid and uniform random points."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..errors import InputError
+from .checks import check_bounds, check_whole
+from .recorded import RecordedSearch
+from .sampling import generator, uniform
+
+
+class _ListSearch(RecordedSearch):
+    """A fixed list of candidates, asked for in chunks; a chunk is an "iteration" of the record."""
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, budget: int, chunk: int) -> None:
+        super().__init__(lower, upper, budget=budget, per_iteration=check_whole(chunk, 1, "chunk"))
+
+    @abstractmethod
+    def _rows(self, start: int, stop: int) -> np.ndarray:
+        """Candidates `start` to `stop` of the list, (stop - start, d)."""
+
+    def _candidates(self) -> np.ndarray:
+        return self._rows(self.evaluations, min(self.evaluations + self._per_iteration, self.budget))
+
+
+class GridSearch(_ListSearch):
+    """Every node of a full factorial grid that includes both bounds; the last variable changes fastest.
+
+    Parameters
+    ----------
+    lower, upper : array_like, (d,)
+        Bounds of each variable.
+    points : sequence of int, (d,)
+        Nodes along each variable, 2 or more: ``(26, 26)`` is 0.1 m by 1 degree on the paper's bounds. See
+        `grid_points` for the finest grid within a budget.
+    chunk : int
+        Candidates per `ask`; it does not change the result.
+
+    Raises
+    ------
+    InputError
+        If the bounds cannot be used, or there is not one whole number of at least 2 points per variable.
+    """
+
+    name: ClassVar[str] = "grid"
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, points: Sequence[int], chunk: int = 20) -> None:
+        lower, upper = check_bounds(lower, upper)
+        if np.shape(points) != lower.shape:
+            raise InputError(
+                f"grid points: {points!r}; allowed: one whole number for each of the {lower.size} variables"
+            )
+        self._points = tuple(check_whole(count, 2, "grid points") for count in points)
+        self._axes = [np.linspace(*axis) for axis in zip(lower, upper, self._points, strict=True)]
+        super().__init__(lower, upper, budget=math.prod(self._points), chunk=chunk)
+
+    def _rows(self, start: int, stop: int) -> np.ndarray:
+        nodes = np.unravel_index(np.arange(start, stop), self._points)
+        return np.column_stack([axis[node] for axis, node in zip(self._axes, nodes, strict=True)])
+
+    def _arguments(self) -> dict[str, Any]:
+        return {"points": list(self._points), "chunk": self._per_iteration}
+
+
+class RandomSearch(_ListSearch):
+    """Independent uniform candidates.
+
+    Parameters
+    ----------
+    lower, upper : array_like, (d,)
+        Bounds of each variable.
+    seed : int
+        Same seed, same candidates.
+    evaluations : int
+        Their number, 1 or more.
+    chunk : int
+        Candidates per `ask`; it does not change the result.
+
+    Raises
+    ------
+    InputError
+        If the bounds, the seed or a number cannot be used.
+    """
+
+    name: ClassVar[str] = "random"
+
+    def __init__(
+        self, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int = 2000, chunk: int = 20
+    ) -> None:
+        super().__init__(lower, upper, budget=check_whole(evaluations, 1, "evaluations"), chunk=chunk)
+        self._seed = check_whole(seed, 0, "seed")
+        self._list = uniform(generator(self._seed), self.budget, self._lower, self._upper)
+
+    def _rows(self, start: int, stop: int) -> np.ndarray:
+        return self._list[start:stop]
+
+    def _arguments(self) -> dict[str, Any]:
+        return {"seed": self._seed, "evaluations": self.budget, "chunk": self._per_iteration}
+
+
+def grid_points(evaluations: int, variables: int) -> tuple[int, ...]:
+    """The finest near-cubic grid of at most `evaluations` nodes: points along each of `variables` variables.
+
+    Raises
+    ------
+    InputError
+        If the budget does not reach for both bounds of every variable, ``2 ** variables``.
+    """
+    evaluations = check_whole(evaluations, 2**variables, f"evaluations of a grid over {variables} variables")
+    even = 2
+    while (even + 1) ** variables <= evaluations:
+        even += 1
+    points = [even] * variables
+    for variable in range(variables):
+        finer = math.prod(points) // even * (even + 1)
+        if finer <= evaluations:
+            points[variable] = even + 1
+    return tuple(points)

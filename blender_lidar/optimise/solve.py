@@ -1,0 +1,153 @@
+"""Searches in one call: an objective in, its best point out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .build import make_search
+from .protocol import Search
+from .swarm import DePso, DePsoSettings
+
+Objective = Callable[[np.ndarray], np.ndarray]
+"""Takes candidates, (s, d), and returns their values, (s,): the higher the better, ``-inf`` for an infeasible one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchResult:
+    """What a search found.
+
+    Parameters
+    ----------
+    x : ndarray, (d,)
+        The best point; the first of equals.
+    value : float
+        Its value; ``-inf`` if no candidate was feasible.
+    evaluations : int
+        Candidates evaluated.
+    history : ndarray, (evaluations, d + 5)
+        Per evaluation: evaluation, iteration, particle (all from 1), x, value, best so far.
+    """
+
+    x: np.ndarray
+    value: float
+    evaluations: int
+    history: np.ndarray
+
+
+def run(search: Search, objective: Objective, callback: Callable[[Search], None] | None = None) -> SearchResult:
+    """Run `search` from where it is to its end.
+
+    Parameters
+    ----------
+    search : Search
+        Fresh, or restored from a stored state.
+    objective : callable
+        See `Objective`.
+    callback : callable, optional
+        Called with the search after every batch of values: to show progress, or to store ``search.state()``.
+
+    Returns
+    -------
+    SearchResult
+
+    Raises
+    ------
+    InputError
+        If the objective returns anything but one finite number or ``-inf`` per candidate.
+    """
+    while not search.done:
+        search.tell(objective(search.ask()))
+        if callback is not None:
+            callback(search)
+    return SearchResult(search.best_x, search.best_value, search.evaluations, search.history)
+
+
+def de_pso(
+    objective: Objective,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    seed: int,
+    particles: int = 20,
+    iterations: int = 100,
+    inertia: float = 0.7,
+    differential_weight: float = 0.5,
+    cognitive: float = 0.3,
+    social: float = 0.2,
+    differential_threshold: float = 0.1,
+    reading: str = "corrected",
+    callback: Callable[[Search], None] | None = None,
+) -> SearchResult:
+    """Maximise `objective` with DE-PSO, the paper's Algorithm 1; see `DePsoSettings` for the settings.
+
+    Parameters
+    ----------
+    objective : callable
+        See `Objective`. It gets the whole swarm at once, (particles, d); with ``reading="paper"`` one candidate at a
+        time, (1, d), as Algorithm 1 updates its best inside the loop.
+    lower, upper : array_like, (d,)
+        Bounds of each variable, in any unit.
+    seed : int
+        Same seed, same answer.
+    callback : callable, optional
+        Called with the `Search` after every batch of values.
+
+    Returns
+    -------
+    SearchResult
+        After ``particles * iterations`` evaluations.
+
+    Raises
+    ------
+    InputError
+        If the bounds, a setting or a value of the objective cannot be used.
+    """
+    settings = DePsoSettings(
+        particles=particles,
+        iterations=iterations,
+        inertia=inertia,
+        differential_weight=differential_weight,
+        cognitive=cognitive,
+        social=social,
+        differential_threshold=differential_threshold,
+        reading=reading,
+    )
+    return run(DePso(lower, upper, seed=seed, settings=settings), objective, callback)
+
+
+def maximise(
+    objective: Objective,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    seed: int,
+    evaluations: int = 2000,
+    search: str = "de-pso",
+) -> SearchResult:
+    """Maximise `objective` over a box with the search of that name.
+
+    Parameters
+    ----------
+    objective : callable
+        See `Objective`.
+    lower, upper : array_like, (d,)
+        Bounds of each variable.
+    seed : int
+        Same seed, same answer.
+    evaluations : int
+        The budget, never exceeded; a grid, or a swarm in whole iterations, may use less.
+    search : {"de-pso", "grid", "random"}
+
+    Returns
+    -------
+    SearchResult
+
+    Raises
+    ------
+    InputError
+        If the bounds, the budget, the name or a value of the objective cannot be used.
+    """
+    return run(make_search(search, lower, upper, seed=seed, evaluations=evaluations), objective)

@@ -1,0 +1,72 @@
+"""Where the LiDAR hangs and where it looks: position, tilt and yaw (Eqs. 2 to 5)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+
+def rotation_matrix(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
+    """The sensor's orientation, for row vectors: ``world = sensor @ R``.
+
+    Parameters
+    ----------
+    tilt_x, tilt_y : float
+        Tilt about the x axis (Eq. 3) and the y axis (Eq. 4) [rad]. Positive `tilt_x` looks down towards +y,
+        positive `tilt_y` raises +x.
+    yaw : float
+        Rotation about the vertical [rad], counter-clockwise seen from above.
+
+    Returns
+    -------
+    ndarray, (3, 3)
+        ``Rx(tilt_x) @ Ry(tilt_y) @ Rz(yaw)``: Eq. 5, and the yaw that the paper leaves out because it matters only
+        to a tilted sensor.
+    """
+    cx, sx = math.cos(tilt_x), math.sin(tilt_x)
+    cy, sy = math.cos(tilt_y), math.sin(tilt_y)
+    cz, sz = math.cos(yaw), math.sin(yaw)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_z = np.array([[cz, sz, 0.0], [-sz, cz, 0.0], [0.0, 0.0, 1.0]])
+    return about_x @ about_y @ about_z
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """One mounting of the LiDAR in the road frame.
+
+    Attributes
+    ----------
+    x_m, y_m, height_m : float
+        Position of the optical centre [m]; `height_m` above the road surface.
+    tilt_x, tilt_y, yaw : float
+        Orientation [rad], as in `rotation_matrix`.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    height_m: float = 2.0
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+    yaw: float = 0.0
+
+    @property
+    def position(self) -> np.ndarray:
+        """Optical centre, (3,) [m, road frame]."""
+        return np.array([self.x_m, self.y_m, self.height_m])
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Orientation, (3, 3): ``world = sensor @ rotation``."""
+        return rotation_matrix(self.tilt_x, self.tilt_y, self.yaw)
+
+    def to_world(self, directions: np.ndarray) -> np.ndarray:
+        """Directions (n, 3) from the sensor frame into the road frame."""
+        return directions @ self.rotation
+
+    def to_sensor(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) [m] from the road frame into the sensor frame."""
+        return (points - self.position) @ self.rotation.T

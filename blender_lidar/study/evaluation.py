@@ -1,0 +1,196 @@
+"""Many mountings over many frames: the work, and its spreading over processes.
+
+A frame's result does not depend on which process computed it nor on what else was asked, so the number of workers changes the
+time that a run takes and nothing else.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import BlenderLidarError
+from ..metrics.vgop import entropy
+from ..optimise.objective import detectable, vehicle_score
+from ..sensors.pose import Pose
+from ..traffic.vehicles import Vehicles
+from .frame_scorer import FrameScorer, Observation
+
+_TASKS_PER_WORKER = 2  # few enough to amortise a task, enough to even out uneven frames
+
+
+@dataclass(frozen=True, slots=True)
+class CountedFrame:
+    """A frame, and which of its vehicles count; the others hide and are not scored."""
+
+    vehicles: Vehicles
+    counted: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Scoring:
+    """What is made of what a mounting sees: the settings of Eqs. 10 and 11."""
+
+    threshold: float
+    view: str
+    loss: float
+    reading: str
+
+
+class Totals(NamedTuple):
+    """Sums over the counted vehicles of each frame, for each mounting.
+
+    Attributes
+    ----------
+    objective : ndarray, (s, f)
+        Eq. 10 [bits].
+    detectable : ndarray of int64, (s, f)
+        Vehicles at or above the threshold.
+    vehicles : ndarray of int64, (f,)
+        Vehicles that count.
+    """
+
+    objective: np.ndarray
+    detectable: np.ndarray
+    vehicles: np.ndarray
+
+    def per_vehicle(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Objective per counted vehicle over the chosen frames, (s,) [bits]."""
+        return self.objective[:, frames].sum(axis=1) / self.vehicles[frames].sum()
+
+    def detectable_share(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Share of counted vehicles at or above the threshold over the chosen frames, (s,)."""
+        return self.detectable[:, frames].sum(axis=1) / self.vehicles[frames].sum()
+
+
+class Evaluator:
+    """Scores mountings over a fixed list of frames.
+
+    Parameters
+    ----------
+    frames : sequence of CountedFrame
+        The frames; their trees are built once, in each process that needs them, and kept.
+    observation : Observation
+        Sensor, range, caster and detail.
+    scoring : Scoring
+        Settings of Eqs. 10 and 11.
+    workers : int
+        Processes; 1 works in this one.
+
+    Use it as a context manager: leaving it ends the processes.
+    """
+
+    def __init__(self, frames: Sequence[CountedFrame], observation: Observation, scoring: Scoring, workers: int = 1) -> None:
+        self._work = _Work(tuple(frames), observation, scoring)
+        self.vehicles = np.array([int(frame.counted.sum()) for frame in frames], dtype=np.int64)
+        self._workers = max(1, min(workers, len(frames)))
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Evaluator:
+        if self._workers > 1:
+            with _single_threaded_children():
+                self._pool = ProcessPoolExecutor(
+                    self._workers,
+                    mp_context=multiprocessing.get_context("spawn"),  # forking a process that has loaded Blender is unsafe
+                    initializer=_start_worker,
+                    initargs=(self._work,),
+                )
+                # Start every process while the environment says so.
+                list(self._pool.map(_ready, range(self._workers)))
+        return self
+
+    def __exit__(self, *exception) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+    def totals(self, poses: Sequence[Pose]) -> Totals:
+        """Score s mountings on every frame."""
+        tasks = self._tasks(len(poses))
+        if self._pool is None:
+            parts = [self._work.totals(frames, poses) for frames in tasks]
+        else:
+            try:
+                parts = list(self._pool.map(_worker_totals, tasks, [tuple(poses)] * len(tasks)))
+            except BrokenProcessPool as error:
+                raise BlenderLidarError("a worker process ended abruptly, perhaps for want of memory; try --workers 1") from error
+        objective = np.concatenate([part[0] for part in parts], axis=1)
+        found = np.concatenate([part[1] for part in parts], axis=1)
+        return Totals(objective, found, self.vehicles)
+
+    def _tasks(self, poses: int) -> list[range]:
+        frames = len(self.vehicles)
+        tasks = min(frames, self._workers * _TASKS_PER_WORKER) if self._pool is not None else 1
+        bounds = np.linspace(0, frames, tasks + 1).astype(int).tolist()
+        return [range(start, stop) for start, stop in zip(bounds[:-1], bounds[1:], strict=True)]
+
+
+class _Work:
+    """Frames and settings, with the scorers built so far."""
+
+    def __init__(self, frames, observation, scoring) -> None:
+        self._frames, self._observation, self._scoring = frames, observation, scoring
+        self._scorers: dict[int, FrameScorer] = {}
+
+    def __getstate__(self):
+        return {"_frames": self._frames, "_observation": self._observation, "_scoring": self._scoring, "_scorers": {}}
+
+    def totals(self, frames, poses):
+        """Objective and number of detectable vehicles, (s, frames) each."""
+        objective = np.empty((len(poses), len(frames)))
+        found = np.empty((len(poses), len(frames)), dtype=np.int64)
+        for column, frame in enumerate(frames):
+            seen = self._scorer(frame).see(poses)
+            noticed = detectable(seen.occupancy, self._scoring.threshold, self._scoring.view)
+            bits = entropy(seen.occupancy).sum(axis=-1)
+            score = vehicle_score(bits, noticed, self._scoring.loss, self._scoring.reading)
+            objective[:, column], found[:, column] = score.sum(axis=1), noticed.sum(axis=1)
+        return objective, found
+
+    def _scorer(self, frame) -> FrameScorer:
+        if frame not in self._scorers:
+            chosen = self._frames[frame]
+            self._scorers[frame] = FrameScorer(chosen.vehicles, chosen.counted, self._observation)
+        return self._scorers[frame]
+
+
+_work: _Work | None = None  # of this worker process
+
+
+def _start_worker(work: _Work) -> None:
+    global _work
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    _work = work
+
+
+def _ready(_: int) -> None:
+    """Nothing: its return tells that a process has started."""
+
+
+def _worker_totals(frames, poses):
+    return _work.totals(frames, poses)
+
+
+@contextmanager
+def _single_threaded_children() -> Iterator[None]:
+    """Let processes started here multiply their small matrices with one thread each."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

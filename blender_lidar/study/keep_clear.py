@@ -1,0 +1,73 @@
+"""A pole stands beside the traffic, never in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..errors import InputError
+from ..scenario import Scenario
+from ..traffic.vehicles import Vehicles
+
+
+def check_mount_is_clear(scenario: Scenario, frames: Iterable[Vehicles]) -> None:
+    """Refuse a mount that could stand on the carriageway or inside a vehicle.
+
+    Raises
+    ------
+    InputError
+        Naming the place, and the lane's edges or the vehicle and frame.
+    """
+    places = {"[deployment]": _searched_rectangle(scenario), "[baseline]": _baseline_point(scenario)}
+    right, left = scenario.road.carriageway_y
+    for table, (low, high) in places.items():
+        if low[1] < left and high[1] > right:
+            raise InputError(
+                f"{scenario.source}: {table} y_m: the mount at {_span(low[1], high[1])} m stands on the carriageway; "
+                f"allowed: at most {right:g} or at least {left:g} m"
+            )
+    for vehicles in frames:
+        for table, (low, high) in places.items():
+            inside = np.flatnonzero(boxes_meet_rectangle(vehicles, low, high))
+            if len(inside):
+                raise InputError(
+                    f"{scenario.source}: {table} x_m, y_m: the mount at x {_span(low[0], high[0])} m, y "
+                    f"{_span(low[1], high[1])} m stands inside vehicle {vehicles.vehicle_id[inside[0]]} of frame "
+                    f"{vehicles.frame}; move it, or leave that frame out with [traffic] frame_ids"
+                )
+
+
+def boxes_meet_rectangle(vehicles: Vehicles, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Which footprints overlap the axis-parallel rectangle from `low` to `high` (2,) [m], (n,) bool.
+
+    Two rectangles are apart if and only if a direction of one of their sides tells them apart.
+    """
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    apart = vehicles.centre_m[:, :2] - middle
+    cos, sin = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)
+    length, width = 0.5 * vehicles.size_m[:, 0], 0.5 * vehicles.size_m[:, 1]
+    reach = [
+        (np.abs(apart[:, 0]), half[0] + length * np.abs(cos) + width * np.abs(sin)),
+        (np.abs(apart[:, 1]), half[1] + length * np.abs(sin) + width * np.abs(cos)),
+        (np.abs(cos * apart[:, 0] + sin * apart[:, 1]), length + half[0] * np.abs(cos) + half[1] * np.abs(sin)),
+        (np.abs(cos * apart[:, 1] - sin * apart[:, 0]), width + half[0] * np.abs(sin) + half[1] * np.abs(cos)),
+    ]
+    return np.all([gap <= sum_of_halves for gap, sum_of_halves in reach], axis=0)
+
+
+def _searched_rectangle(scenario):
+    bounds = []
+    for key in ("x_m", "y_m"):
+        fixed = scenario.deployment.fixed.get(key)
+        bounds.append((fixed, fixed) if fixed is not None else scenario.deployment.bounds[key])
+    return tuple(np.array(corner) for corner in zip(*bounds, strict=True))
+
+
+def _baseline_point(scenario):
+    point = np.array([scenario.baseline["x_m"], scenario.baseline["y_m"]])
+    return point, point
+
+
+def _span(low, high):
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

@@ -1,0 +1,161 @@
+"""A scene made ready: sensor, traffic, which frames are searched and which are held out, and which vehicles count."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..casting import resolve
+from ..errors import InputError
+from ..scenario import Scenario
+from ..sensors.beams import beam_lattice
+from ..sensors.model import LidarModel, load_model
+from ..traffic import FramePlan, Recording, Vehicles, plan_frames, read_traffic
+from ..traffic.vehicles import unknown_frame
+from .evaluation import CountedFrame, Evaluator, Scoring
+from .frame_scorer import Observation
+from .keep_clear import check_mount_is_clear
+
+_VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Site:
+    """Everything that a mounting is judged on.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        The settings.
+    model : LidarModel
+        The sensor.
+    observation : Observation
+        Sensor, range, caster and detail.
+    scoring : Scoring
+        Settings of Eqs. 10 and 11.
+    recording : Recording
+        The traffic.
+    plan : FramePlan
+        Searched and held-out frames.
+    search, holdout : tuple of CountedFrame
+        The frames of both; a vehicle counted in the search is never counted in the hold-out.
+    """
+
+    scenario: Scenario
+    model: LidarModel
+    observation: Observation
+    scoring: Scoring
+    recording: Recording
+    plan: FramePlan
+    search: tuple[CountedFrame, ...]
+    holdout: tuple[CountedFrame, ...]
+
+    @property
+    def workers(self) -> int:
+        """Processes to use: as set, or one for each processor that this process may use."""
+        return self.scenario.model.workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (
+            self.scenario.model.workers or os.cpu_count() or 1
+        )
+
+    def evaluator(self, frames: tuple[CountedFrame, ...]) -> Evaluator:
+        """Something that scores mountings on `frames`."""
+        return Evaluator(frames, self.observation, self.scoring, self.workers)
+
+
+def prepare(scenario: Scenario) -> Site:
+    """Read what a scene names and check that mountings can be judged on it.
+
+    Raises
+    ------
+    BlenderLidarError
+        When a file cannot be read, no vehicle is in the region, or the mount would stand in traffic.
+    """
+    model = load_model(scenario.sensor.name)
+    objective = scenario.objective
+    observation = Observation(
+        lattice=beam_lattice(model, scenario.sensor.rotation_hz),
+        max_range_m=scenario.sensor.range_gate_m,
+        min_range_m=model.range_min_m,
+        caster=resolve(scenario.model.caster, "caster"),
+        detail=scenario.model.detail,
+        cell_m=objective.cell_m,
+    )
+    recording = read_recording(scenario)
+    region = Region(scenario.deployment.nominal_xy, scenario.sensor.range_gate_m)
+    settings = scenario.traffic
+    plan = plan_frames(
+        recording,
+        region.holds,
+        count=settings.frames,
+        ids=settings.frame_ids,
+        spacing_s=settings.spacing_s,
+        holdout=settings.holdout,
+        block_s=settings.block_s,
+    )
+    reach = scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario)
+    searched = tuple(_counted(recording.vehicles(frame), region, reach) for frame in plan.search)
+    held_out = tuple(_counted(recording.vehicles(frame), region, reach, plan.searched_ids) for frame in plan.holdout)
+    if not sum(int(frame.counted.sum()) for frame in searched):
+        x, y = region.centre_xy
+        raise InputError(
+            f"{recording.source}: no vehicle within {region.radius_m:g} m of the mount at x {x:g} m, y {y:g} m in the "
+            f"{len(plan.search)} searched frames; check [road] and [deployment]"
+        )
+    check_mount_is_clear(scenario, [frame.vehicles for frame in (*searched, *held_out)])
+    scoring = Scoring(objective.threshold, objective.view, objective.loss, objective.reading)
+    return Site(scenario, model, observation, scoring, recording, plan, searched, held_out)
+
+
+def read_recording(scenario: Scenario) -> Recording:
+    """The traffic that a scene names."""
+    settings = scenario.traffic
+    return read_traffic(
+        settings.path,
+        format=settings.format,
+        road=scenario.road,
+        period=settings.period,
+        location=settings.location,
+        height_m=settings.height_m,
+        origin_m=settings.origin_m,
+        heading_deg=settings.heading_deg,
+    )
+
+
+def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:
+    """One frame of a recording; an unknown number is refused with the option that gave it."""
+    if frame not in recording.frames:
+        raise InputError(f"{option}: {unknown_frame(frame, recording)}")
+    return recording.vehicles(frame)
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """The region of interest: a disc about the nominal mount, the same for every mounting that is tried."""
+
+    centre_xy: tuple[float, float]
+    radius_m: float
+
+    def distance(self, vehicles: Vehicles) -> np.ndarray:
+        """Horizontal distance of each box centre from the middle, (n,) [m]."""
+        return np.hypot(*(vehicles.centre_m[:, :2] - self.centre_xy).T)
+
+    def holds(self, vehicles: Vehicles) -> np.ndarray:
+        """Which box centres lie inside, (n,) bool."""
+        return self.distance(vehicles) <= self.radius_m
+
+
+def _counted(vehicles, region, reach, not_counted=()) -> CountedFrame:
+    near = vehicles.select(region.distance(vehicles) <= reach)
+    counted = region.holds(near) & ~np.isin(near.vehicle_id, not_counted)
+    return CountedFrame(near, counted)
+
+
+def _travel(scenario: Scenario) -> float:
+    """How far a searched mount, or the baseline, may be from the nominal one [m]."""
+    far = 0.0
+    for key, middle in zip(("x_m", "y_m"), scenario.deployment.nominal_xy, strict=True):
+        low, high = scenario.deployment.bounds.get(key, (middle, middle))
+        far = max(far, high - middle, middle - low, abs(scenario.baseline[key] - middle))
+    return far * np.sqrt(2.0)

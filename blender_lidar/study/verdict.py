@@ -1,0 +1,77 @@
+"""The mounting that was found against the baseline: on the frames that chose it, and on frames that did not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..sensors.pose import Pose
+from .evaluation import Evaluator, Totals
+from .site import Site
+from .statistics import block_sums, ratio_interval_90
+
+
+def judge(site: Site, optimised: Pose, baseline: Pose, evaluator: Evaluator, seed: int) -> dict:
+    """Both mountings' scores on the searched and on the held-out frames.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+        Scores the searched frames.
+    seed : int
+        For the resampling of blocks.
+
+    Returns
+    -------
+    dict
+        ``optimised`` and ``baseline``: each ``objective`` [bits], ``objective_per_vehicle`` [bits], ``detectable_share`` and
+        ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` [bits per vehicle] and its ``interval_90``.
+        ``holdout`` is None where nothing was held out; ``interval_90`` where there are too few blocks.
+    """
+    searched = evaluator.totals([optimised, baseline])
+    held_out = None
+    if len(site.holdout) and sum(int(frame.counted.sum()) for frame in site.holdout):
+        with site.evaluator(site.holdout) as judge_evaluator:
+            held_out = judge_evaluator.totals([optimised, baseline])
+    return {
+        name: {
+            "objective": float(searched.objective[row].sum()),
+            **_per_vehicle(searched, row),
+            "holdout": None if held_out is None else _held_out(held_out, row, site.plan.holdout_block, seed),
+        }
+        for row, name in enumerate(("optimised", "baseline"))
+    }
+
+
+
+
+def distance_bands(table: dict[str, np.ndarray], width_m: float = 10.0) -> list[tuple[str, np.ndarray]]:
+    """Names of the distance bands that hold vehicles, and which rows of a vehicle table each holds."""
+    band = (table["distance_m"] // width_m).astype(int)
+    return [(f"{number * width_m:g}-{(number + 1) * width_m:g} m", band == number) for number in range(band.max() + 1)]
+
+
+def lanes(table: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Names of the lanes that hold vehicles, and which rows of a vehicle table each holds."""
+    return [(f"lane {number}" if number else "no lane", table["lane"] == number) for number in np.unique(table["lane"])]
+
+
+def _per_vehicle(totals: Totals, row: int) -> dict:
+    return {
+        "objective_per_vehicle": float(totals.per_vehicle()[row]),
+        "detectable_share": float(totals.detectable_share()[row]),
+    }
+
+
+def _held_out(totals: Totals, row: int, block: Sequence[int], seed: int) -> dict:
+    gain = totals.objective[row] - totals.objective[1]
+    interval = ratio_interval_90(block_sums(gain, block), block_sums(totals.vehicles, block), seed)
+    return {
+        **_per_vehicle(totals, row),
+        "gain_over_baseline": float(gain.sum() / totals.vehicles.sum()),
+        "interval_90": None if interval is None else list(interval),
+        "vehicles": int(totals.vehicles.sum()),
+        "frames": len(totals.vehicles),
+        "blocks": len(np.unique(block)),
+    }

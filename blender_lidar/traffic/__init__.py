@@ -1,0 +1,102 @@
+"""Traffic: recordings of any kind into one `Vehicles` per frame, in metres and in the road frame.
+
+NGSIM files need pandas, which is imported when one is read; everything else needs numpy alone.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..errors import InputError, MissingExtraError, unknown_name
+from .frames import FramePlan, plan_frames
+from .instants import instants, well_populated_frames
+from .overlaps import overlapping_pairs
+from .report import RepairReport
+from .road import RoadFrame
+from .source import head_lines
+from .table import is_table_header, read_table
+from .vehicles import CLASSES, Recording, Vehicles
+
+__all__ = [
+    "CLASSES",
+    "FORMATS",
+    "FramePlan",
+    "Recording",
+    "RepairReport",
+    "RoadFrame",
+    "Vehicles",
+    "instants",
+    "overlapping_pairs",
+    "plan_frames",
+    "read_table",
+    "read_traffic",
+    "well_populated_frames",
+]
+
+FORMATS = ("auto", "ngsim", "table")
+
+
+def read_traffic(
+    path: str | Path,
+    *,
+    format: str = "auto",
+    road: RoadFrame | None = None,
+    period: int | str | None = None,
+    location: str | None = None,
+    height_m: Mapping[str, float] | None = None,
+    x_range_m: tuple[float, float] | None = None,
+    origin_m: tuple[float, float] | None = None,
+    heading_deg: float | None = None,
+    time_step_s: float | None = None,
+) -> Recording:
+    """Read a recording, whatever its format.
+
+    Parameters
+    ----------
+    path : path
+        Plain or gzip.
+    format : {"auto", "ngsim", "table"}
+        ``"auto"`` looks at the file's header.
+    road, period, location, height_m
+        For NGSIM; see `ngsim.read_ngsim`. `road` is I-80's if left out.
+    origin_m, heading_deg, time_step_s
+        For tables; see `table.read_table`.
+    x_range_m : (float, float), optional
+        Keep boxes whose centre has its x [m, road frame] in this range.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If the file, one of its values or a setting cannot be used, or a setting is given that the format does not
+        have.
+    MissingExtraError
+        If an NGSIM file is to be read without pandas.
+    """
+    if format not in FORMATS:
+        raise unknown_name(format, FORMATS, "traffic format")
+    if format == "auto":
+        format = _sniff(path)
+    ngsim = {"period": period, "location": location, "height_m": height_m or None}
+    table = {"origin_m": origin_m, "heading_deg": heading_deg, "time_step_s": time_step_s}
+    for name, value in (table if format == "ngsim" else ngsim).items():
+        if value is not None:
+            raise InputError(f"{path}: {name} = {value!r} does not apply to traffic of format {format!r}")
+    if format == "table":
+        given = {name: value for name, value in table.items() if value is not None}
+        return read_table(path, x_range_m=x_range_m, **given)
+    try:
+        from .ngsim import read_ngsim
+    except ImportError as error:
+        if error.name != "pandas":
+            raise
+        raise MissingExtraError(
+            f"{path}: NGSIM files need pandas (pip install pandas); a table of boxes can be read without"
+        ) from error
+    return read_ngsim(path, road=road or RoadFrame(), x_range_m=x_range_m, **ngsim)
+
+
+def _sniff(path: str | Path) -> str:
+    first = next((line for line in head_lines(path) if line.strip() and not line.startswith("#")), "")
+    return "table" if is_table_header(next(csv.reader([first]), [])) else "ngsim"

@@ -1,0 +1,248 @@
+"""Choosing the frames that a mounting is searched on and the later ones that judge it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from .instants import instants, well_populated_frames
+from .vehicles import Recording, Vehicles, unknown_frame
+
+Counted = Callable[[Vehicles], np.ndarray]
+"""Marks the vehicles of a frame that score, (n,) bool: those inside the region."""
+
+DEFAULT_COUNT = 30
+_SHORTEST_BLOCK_S = 5.0
+_TRANSIT_PERCENTILE = 95
+_FEWEST_HOLDOUT_BLOCKS = 2
+_LARGEST_HOLDOUT = 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePlan:
+    """Frames to search on and frames to judge by, in blocks of time longer than a transit of the site.
+
+    Attributes
+    ----------
+    search, holdout : ndarray, (k,) and (m,) int64
+        Frame numbers, ascending; `holdout` may be empty.
+    search_block, holdout_block : ndarray, (k,) and (m,) int64
+        Block of each frame, from 0 without gaps; each half counts its own.
+    block_s : float
+        Length of a block [s]; the last one of each half may be longer.
+    searched_ids : ndarray, (j,) int64
+        Vehicles that count in any search frame, ascending. What chose a mounting never judges it: leave them out when
+        held-out frames are scored.
+    notes : tuple of str
+        What could not be had, as sentences.
+    """
+
+    search: np.ndarray
+    holdout: np.ndarray
+    search_block: np.ndarray
+    holdout_block: np.ndarray
+    block_s: float
+    searched_ids: np.ndarray
+    notes: tuple[str, ...]
+
+
+def plan_frames(
+    recording: Recording,
+    counted: Counted,
+    *,
+    count: int | None = None,
+    ids: Iterable[int] | None = None,
+    spacing_s: float | None = None,
+    holdout: float = 0.4,
+    block_s: float | None = None,
+) -> FramePlan:
+    """Divide a recording: its first part is searched, a gap of one block is left, the rest is held out.
+
+    Parameters
+    ----------
+    recording : Recording
+    counted : callable
+        Marks the vehicles of a frame that score.
+    count : int, optional
+        Number of search frames, spread evenly; `DEFAULT_COUNT` if nothing else is asked for.
+    ids : iterable of int, optional
+        The search frames themselves, instead of `count` and `spacing_s`. What is held out then lies after the last of
+        them or, if that is too short, before the first.
+    spacing_s : float, optional
+        Time between search frames [s]; with `count`, that many from the start.
+    holdout : float
+        Share of the recording's time that is held out, from 0 to 0.9.
+    block_s : float, optional
+        Length of a block [s]; by default the 95th percentile of the time that vehicles count, in whole seconds, at
+        least 5.
+
+    Raises
+    ------
+    InputError
+        For a frame that the recording does not have, or a number outside its range.
+    """
+    ids = None if ids is None else _known_frames(recording, ids)
+    _check(count, ids, spacing_s, holdout, block_s)
+    whole = instants(recording)
+    candidates = _Frames.of(recording, well_populated_frames(recording, whole))
+    if block_s is None:
+        block_s = _transit_block_s(recording, candidates, counted)
+    notes: list[str] = []
+    if ids is None:
+        notes += _skipped(recording, whole, candidates)
+        searched, rest = _divided(candidates, holdout, block_s)
+        search = _spread(searched, count, spacing_s, notes)
+    else:
+        searched = search = _Frames.of(recording, ids, candidates.spacing_s)
+        rest = _beside(searched, candidates, block_s) if holdout else None
+    judged = None if rest is None else _judging(rest, search, searched, holdout, block_s)
+    if judged is None and holdout:
+        notes.append(_too_short(candidates, holdout, block_s, ids is not None))
+    return FramePlan(
+        search=search.frames,
+        holdout=judged.frames if judged else np.zeros(0, dtype=np.int64),
+        search_block=_blocks(search, searched, block_s),
+        holdout_block=_blocks(judged, rest, block_s) if judged else np.zeros(0, dtype=np.int64),
+        block_s=float(block_s),
+        searched_ids=_counted_ids(recording, search.frames, counted),
+        notes=tuple(notes),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frames:
+    """Some frames, their times, and the time from one to the next."""
+
+    frames: np.ndarray
+    time_s: np.ndarray
+    spacing_s: float
+
+    @classmethod
+    def of(cls, recording: Recording, frames: np.ndarray, spacing_s: float | None = None) -> _Frames:
+        time_s = recording.frame_time_s[np.searchsorted(recording.frames, frames)]
+        if spacing_s is None:
+            spacing_s = float(np.median(np.diff(time_s))) if len(frames) > 1 else recording.time_step_s
+        return cls(frames, time_s, spacing_s)
+
+    @property
+    def length_s(self) -> float:
+        """From the first instant to the end of the last, which stands for the time up to the next."""
+        return float(self.time_s[-1] - self.time_s[0]) + self.spacing_s if len(self.frames) else 0.0
+
+    def where(self, which: np.ndarray) -> _Frames:
+        return _Frames(self.frames[which], self.time_s[which], self.spacing_s)
+
+
+def _known_frames(recording: Recording, ids: Iterable[int]) -> np.ndarray:
+    frames = np.array(list(ids), dtype=np.int64)
+    if not len(frames):
+        raise InputError(f"{recording.source}: no frame ids given; at least one is needed")
+    unknown = frames[~np.isin(frames, recording.frames)]
+    if len(unknown):
+        raise unknown_frame(unknown[0], recording)
+    return np.unique(frames)
+
+
+def _check(
+    count: int | None, ids: np.ndarray | None, spacing_s: float | None, holdout: float, block_s: float | None
+) -> None:
+    if ids is not None and (count is not None or spacing_s is not None):
+        raise InputError("frame ids are given together with a number or spacing of frames; one of them is needed")
+    if count is not None and count < 1:
+        raise InputError(f"{count} frames asked for; at least 1 is needed")
+    for name, value in (("the spacing of frames", spacing_s), ("the length of a block", block_s)):
+        if value is not None and not 0 < value < math.inf:
+            raise InputError(f"{name} is {value} s; more than 0 is needed")
+    if not 0 <= holdout <= _LARGEST_HOLDOUT:
+        raise InputError(f"holdout is {holdout}; allowed: 0 to {_LARGEST_HOLDOUT}")
+
+
+def _counted_ids(recording: Recording, frames: np.ndarray, counted: Counted) -> np.ndarray:
+    ids = [vehicles.vehicle_id[counted(vehicles)] for vehicles in map(recording.vehicles, frames)]
+    return np.unique(np.concatenate(ids))
+
+
+def _transit_block_s(recording: Recording, candidates: _Frames, counted: Counted) -> float:
+    """A block longer than most transits: from a vehicle's first counted instant to the end of its last [s]."""
+    ids = [vehicles.vehicle_id[counted(vehicles)] for vehicles in map(recording.vehicles, candidates.frames)]
+    time_s = np.repeat(candidates.time_s, [len(some) for some in ids])
+    seen = np.concatenate(ids)
+    if not len(seen):
+        return _SHORTEST_BLOCK_S
+    entered = time_s[np.unique(seen, return_index=True)[1]]
+    left = time_s[::-1][np.unique(seen[::-1], return_index=True)[1]]
+    stay_s = left - entered + candidates.spacing_s
+    whole = (entered > candidates.time_s[0]) & (left < candidates.time_s[-1])
+    typical = np.percentile(stay_s[whole] if whole.any() else stay_s, _TRANSIT_PERCENTILE)
+    return max(_SHORTEST_BLOCK_S, float(math.ceil(typical - 1e-6)))
+
+
+def _divided(candidates: _Frames, holdout: float, block_s: float) -> tuple[_Frames, _Frames | None]:
+    """The part to search and, unless it would be too short, the part to hold out, one block later."""
+    since = candidates.time_s - candidates.time_s[0]
+    end = (1 - holdout) * candidates.length_s
+    rest = candidates.where(since >= end + block_s - 1e-9)
+    if not holdout or rest.length_s < _FEWEST_HOLDOUT_BLOCKS * block_s:
+        return candidates, None
+    return candidates.where(since < end), rest
+
+
+def _beside(searched: _Frames, candidates: _Frames, block_s: float) -> _Frames | None:
+    """What lies at least a block after the given frames, or else before them, if it is long enough."""
+    later = candidates.where(candidates.time_s >= searched.time_s[-1] + searched.spacing_s + block_s - 1e-9)
+    earlier = candidates.where(candidates.time_s <= searched.time_s[0] - searched.spacing_s - block_s + 1e-9)
+    enough = [part for part in (later, earlier) if part.length_s >= _FEWEST_HOLDOUT_BLOCKS * block_s]
+    return enough[0] if enough else None
+
+
+def _spread(part: _Frames, count: int | None, spacing_s: float | None, notes: list[str]) -> _Frames:
+    """The search frames: evenly by number, or nearest to the multiples of a spacing."""
+    if spacing_s is None:
+        chosen = _evenly(part, min(count or DEFAULT_COUNT, len(part.frames)))
+    else:
+        target = np.arange(part.time_s[0], part.time_s[-1] + 1e-9, spacing_s)[:count]
+        chosen = part.where(np.unique(np.abs(part.time_s - target[:, None]).argmin(axis=1)))
+    if count is not None and len(chosen.frames) < count:
+        notes.append(f"{len(chosen.frames)} frames instead of {count}: the searched part of the recording has no more")
+    return chosen
+
+
+def _evenly(part: _Frames, count: int) -> _Frames:
+    return part.where(((np.arange(count) + 0.5) * len(part.frames) / count).astype(int))
+
+
+def _judging(rest: _Frames, search: _Frames, searched: _Frames, holdout: float, block_s: float) -> _Frames | None:
+    """Held-out frames as far apart as the search frames, at least one a block; none if they fill a single block."""
+    spacing_s = searched.length_s / len(search.frames)
+    share = math.ceil(len(search.frames) * holdout / (1 - holdout))
+    count = max(int(rest.length_s // block_s), min(round(rest.length_s / spacing_s), share))
+    judged = _evenly(rest, min(count, len(rest.frames)))
+    return judged if len(np.unique(_blocks(judged, rest, block_s))) >= _FEWEST_HOLDOUT_BLOCKS else None
+
+
+def _blocks(chosen: _Frames, part: _Frames, block_s: float) -> np.ndarray:
+    """Block of each chosen frame within its part, from 0 without gaps; what is left over joins the last one."""
+    last = max(int((part.length_s + 1e-9) // block_s) - 1, 0)
+    number = np.minimum((chosen.time_s - part.time_s[0] + 1e-9) // block_s, last)
+    return np.unique(number, return_inverse=True)[1].reshape(-1).astype(np.int64)
+
+
+def _skipped(recording: Recording, whole: np.ndarray, candidates: _Frames) -> list[str]:
+    time_s = _Frames.of(recording, whole).time_s
+    first, last = candidates.time_s[0] - time_s[0], time_s[-1] - candidates.time_s[-1]
+    if not first and not last:
+        return []
+    return [f"the first {first:.0f} s and the last {last:.0f} s are skipped: less than half the median traffic"]
+
+
+def _too_short(candidates: _Frames, holdout: float, block_s: float, listed: bool) -> str:
+    has = f"the recording has {candidates.length_s:.0f} s"
+    if listed:
+        needs = f"{(1 + _FEWEST_HOLDOUT_BLOCKS) * block_s:.0f} s after or before the given frames are needed"
+    else:
+        needs = f"{(1 + _FEWEST_HOLDOUT_BLOCKS) * block_s / holdout:.0f} s are needed"
+    return f"nothing is held out: {has}, {needs} (blocks of {block_s:.0f} s, longer than a transit)"

@@ -1,0 +1,240 @@
+"""A table of boxes: the plain CSV for traffic from anywhere else, read with numpy alone.
+
+One row per vehicle and frame under a header; columns in any order, further ones ignored:
+
+=========================  ==========================================================
+``frame``                  whole number
+``vehicle_id``             whole number, the same vehicle in every frame
+``class``                  car, van, truck, bus or motorcycle
+``x_m``, ``y_m``           box centre [m]
+``length_m``, ``width_m``  box size [m], more than 0
+``height_m``               box height [m], more than 0
+``heading_deg``            counter-clockwise from the table's x axis
+``z_m`` (optional)         box centre above the road [m]; half the height if left out
+``time_s`` (optional)      time of the frame [s]
+``lane`` (optional)        whole number
+=========================  ==========================================================
+
+``vehicles.csv`` of a run is such a table. It may be packed with gzip, and begin with lines that start with ``#``.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError, unknown_name
+from .overlaps import with_overlaps_reported
+from .report import RepairReport
+from .road import within_x
+from .source import MAX_ROWS, head_lines, open_bytes
+from .tracks import drop_repeats
+from .vehicles import CLASSES, Recording
+
+NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", "length_m", "width_m", "height_m", "heading_deg")
+OPTIONAL = ("z_m", "time_s", "lane")
+_WHOLE = {"frame": 2**53, "vehicle_id": 2**53, "lane": 2**15 - 1}
+_POSITIVE = ("length_m", "width_m", "height_m")
+_ASSUMED_TIME_STEP_S = 0.1
+_CHUNK_ROWS = 100_000
+
+
+def read_table(
+    path: str | Path,
+    *,
+    origin_m: tuple[float, float] = (0.0, 0.0),
+    heading_deg: float = 0.0,
+    time_step_s: float | None = None,
+    x_range_m: tuple[float, float] | None = None,
+) -> Recording:
+    """Read a table of boxes.
+
+    Parameters
+    ----------
+    path : path
+    origin_m : (float, float)
+        The road frame's origin in the table's coordinates [m].
+    heading_deg : float
+        Direction of the road's x axis in the table's frame [degrees], counter-clockwise.
+    time_step_s : float, optional
+        Time between consecutive frame numbers [s], instead of a column ``time_s``; 0.1 s if there is neither.
+    x_range_m : (float, float), optional
+        Keep boxes whose centre has its x [m, road frame] in this range.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If the file or one of its values cannot be used; the text names the line and the column.
+    """
+    _check_placing(origin_m, heading_deg, time_step_s)
+    columns = _columns(path)
+    rows_read = len(columns["frame"])
+    values = np.column_stack([column for name, column in columns.items() if name not in ("frame", "vehicle_id")])
+    kept, duplicates, repeated = drop_repeats(columns["vehicle_id"], columns["frame"], values)
+    columns = {name: column[kept] for name, column in columns.items()}
+    time_s, step_s, notes = _times(path, columns, time_step_s)
+    turn = math.radians(heading_deg)
+    centre = _centres(columns, origin_m, turn)
+    heading = np.radians(columns["heading_deg"]) - turn
+    inside = within_x(centre, x_range_m, str(path))
+    recording = Recording.from_rows(
+        frame=columns["frame"][inside],
+        time_s=time_s[inside],
+        vehicle_id=columns["vehicle_id"][inside],
+        class_index=columns["class"][inside],
+        centre_m=centre[inside],
+        size_m=np.column_stack([columns[name] for name in _POSITIVE])[inside],
+        heading_rad=np.arctan2(np.sin(heading), np.cos(heading))[inside],
+        lane=columns.get("lane", np.zeros(len(centre)))[inside],
+        time_step_s=step_s,
+        source=str(path),
+        report=RepairReport(
+            rows_read=rows_read,
+            rows_used=int(inside.sum()),
+            duplicates=duplicates,
+            repeated=repeated,
+            notes=notes,
+        ),
+    )
+    return with_overlaps_reported(recording)
+
+
+def is_table_header(fields: list[str]) -> bool:
+    """Whether a file's first fields are those of a table of boxes, complete or not."""
+    return len({field.strip().lower() for field in fields} & {"x_m", "y_m", "heading_deg", "length_m"}) > 1
+
+
+def _check_placing(origin_m: tuple[float, float], heading_deg: float, time_step_s: float | None) -> None:
+    if len(origin_m) != 2 or not all(math.isfinite(value) for value in origin_m):
+        raise InputError(f"origin_m is {origin_m!r}; two finite numbers are needed")
+    if not math.isfinite(heading_deg):
+        raise InputError(f"heading_deg is {heading_deg}; a finite number is needed")
+    if time_step_s is not None and not 0 < time_step_s < math.inf:
+        raise InputError(f"time_step_s is {time_step_s}; more than 0 is needed")
+
+
+def _columns(path: str | Path) -> dict[str, np.ndarray]:
+    """The columns that are used, by name: classes as indices, the others as float64."""
+    header, header_line = _header(path)
+    wanted = [name for name in (*NEEDED, *OPTIONAL) if name in header]
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
+    rows_read = 0
+    for line, rows in _chunks(path, header_line):
+        used = [row for row in rows if row]
+        rows_read += len(used)
+        if rows_read > MAX_ROWS:
+            raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
+        for number, row in enumerate(rows, start=line):
+            if row and len(row) != len(header):
+                raise InputError(f"{path}:{number}: {len(row)} fields; the header has {len(header)}")
+        lines = [number for number, row in enumerate(rows, start=line) if row]
+        by_name = dict(zip(header, zip(*used, strict=True), strict=True)) if used else {}
+        for name in wanted if used else ():
+            read = _class_indices if name == "class" else _numbers
+            parts[name].append(read(path, name, by_name[name], lines))
+    if not rows_read:
+        raise InputError(f"{path}: no rows below the header in line {header_line}")
+    return {name: np.concatenate(part) for name, part in parts.items()}
+
+
+def _header(path: str | Path) -> tuple[list[str], int]:
+    for number, line in enumerate(head_lines(path), start=1):
+        if line.strip() and not line.startswith("#"):
+            header = [field.strip().lower() for field in next(csv.reader([line]))]
+            break
+    else:
+        raise InputError(f"{path}: no rows; a table of boxes is needed")
+    missing = [name for name in NEEDED if name not in header]
+    if missing:
+        raise InputError(f"{path}:{number}: no column {', '.join(missing)}; needed: {', '.join(NEEDED)}")
+    twice = [name for name in (*NEEDED, *OPTIONAL) if header.count(name) > 1]
+    if twice:
+        raise InputError(f"{path}:{number}: column {twice[0]} is there twice")
+    return header, number
+
+
+def _chunks(path: str | Path, header_line: int) -> Iterator[tuple[int, list[list[str]]]]:
+    """Rows below the header, a chunk at a time, with the line number of each chunk's first; blank lines are empty."""
+    with io.TextIOWrapper(open_bytes(path), encoding="utf-8", errors="replace", newline="") as text:
+        reader = csv.reader(line for line in islice(text, header_line, None))
+        line = header_line + 1
+        try:
+            while rows := list(islice(reader, _CHUNK_ROWS)):
+                yield line, [row if len(row) > 1 or "".join(row).strip() else [] for row in rows]
+                line += len(rows)
+        except csv.Error as error:
+            raise InputError(f"{path}:{header_line + reader.line_num}: {error}") from error
+
+
+def _numbers(path: str | Path, name: str, texts: tuple[str, ...], lines: list[int]) -> np.ndarray:
+    try:
+        values = np.array(texts, dtype=np.float64)
+        good = _accepted(name, values)
+    except ValueError:
+        good = np.array([_is_accepted(name, text) for text in texts])
+    if not good.all():
+        at = int(good.argmin())
+        allowed = "a whole number" if name in _WHOLE else "more than 0" if name in _POSITIVE else "a finite number"
+        raise InputError(f"{path}:{lines[at]}: {name} is {texts[at]!r}; allowed: {allowed}")
+    return values
+
+
+def _accepted(name: str, values: np.ndarray) -> np.ndarray:
+    if name in _WHOLE:
+        return (np.abs(values) <= _WHOLE[name]) & (np.rint(values) == values)
+    return np.isfinite(values) & (values > 0) if name in _POSITIVE else np.isfinite(values)
+
+
+def _is_accepted(name: str, text: str) -> bool:
+    try:
+        return bool(_accepted(name, np.array([float(text)]))[0])
+    except ValueError:
+        return False
+
+
+def _class_indices(path: str | Path, name: str, texts: tuple[str, ...], lines: list[int]) -> np.ndarray:
+    distinct = {text: text.strip().lower() for text in set(texts)}
+    if not set(distinct.values()) <= set(CLASSES):
+        at = next(row for row, text in enumerate(texts) if distinct[text] not in CLASSES)
+        raise unknown_name(texts[at], CLASSES, name, f"{path}:{lines[at]}")
+    index = {text: CLASSES.index(known) for text, known in distinct.items()}
+    return np.array([index[text] for text in texts], dtype=np.int8)
+
+
+def _centres(columns: dict[str, np.ndarray], origin_m: tuple[float, float], turn: float) -> np.ndarray:
+    """Box centres in the road frame, (n, 3) [m]."""
+    x = columns["x_m"] - origin_m[0]
+    y = columns["y_m"] - origin_m[1]
+    along = x * math.cos(turn) + y * math.sin(turn)
+    across = y * math.cos(turn) - x * math.sin(turn)
+    return np.column_stack([along, across, columns.get("z_m", columns["height_m"] / 2)])
+
+
+def _times(
+    path: str | Path, columns: dict[str, np.ndarray], time_step_s: float | None
+) -> tuple[np.ndarray, float, tuple[str, ...]]:
+    """Time of every row [s], time per frame number [s], and what had to be assumed."""
+    frame = columns["frame"]
+    if time_step_s is not None:
+        return frame * time_step_s, time_step_s, ()
+    if "time_s" not in columns:
+        note = f"neither a column time_s nor a time step was given: {_ASSUMED_TIME_STEP_S} s per frame is assumed"
+        return frame * _ASSUMED_TIME_STEP_S, _ASSUMED_TIME_STEP_S, (note,)
+    time_s = columns["time_s"]
+    frames, first, of_row = np.unique(frame, return_index=True, return_inverse=True)
+    at = time_s[first]
+    astray = np.flatnonzero(np.abs(time_s - at[of_row]) > 1e-6)
+    if len(astray):
+        raise InputError(f"{path}: frame {frame[astray[0]]:.0f} has more than one time_s")
+    if len(frames) == 1:
+        return time_s, _ASSUMED_TIME_STEP_S, ()
+    if (np.diff(at) <= 0).any():
+        late = frames[1:][np.diff(at) <= 0][0]
+        raise InputError(f"{path}: time_s of frame {late:.0f} is not later than that of the frame before")
+    return time_s, float(np.median(np.diff(at) / np.diff(frames))), ()

@@ -1,0 +1,156 @@
+"""Vehicle shapes: closed triangle meshes that fill their length x width x height box exactly and never leave it.
+
+A shape lives in the unit box, x forward, y left, z up, each from -0.5 to 0.5, and is scaled to a vehicle's own box. Bodies are
+lofted: a few cross-sections along the length, each a hexagon (sill, belt line and roof edge on both sides), joined by
+quads and closed by two caps. So every shape is closed and its faces point outwards by construction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from ..errors import unknown_name
+
+SURFACES = ("paint", "glass", "road")  # what a triangle is made of; its index is stored per triangle
+PAINT, GLASS, ROAD = range(3)
+
+DETAILS = ("box", "body")
+SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
+LONG_TRUCK_M = 9.0  # from this length on a truck is an articulated one
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A closed triangle mesh in the unit box.
+
+    Attributes
+    ----------
+    vertices : ndarray, (n, 3)
+        Corners, each coordinate in [-0.5, 0.5].
+    faces : ndarray of int, (m, 3)
+        Corners of each triangle, counter-clockwise seen from outside.
+    surface : ndarray of uint8, (m,)
+        Index into `SURFACES`.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    surface: np.ndarray
+
+
+def shape_of(vehicle_class: str, length_m: float) -> str:
+    """Name of the shape that stands for a vehicle: its class, and for trucks whether they are articulated."""
+    if vehicle_class == "truck" and length_m >= LONG_TRUCK_M:
+        return "long_truck"
+    return vehicle_class
+
+
+@cache
+def shape(name: str, detail: str = "body") -> Shape:
+    """The shape `name` of `SHAPES` at a level of detail of `DETAILS`.
+
+    Returns
+    -------
+    Shape
+        Shared and read-only: scale it, do not change it.
+    """
+    if detail not in DETAILS:
+        raise unknown_name(detail, DETAILS, "level of detail")
+    if name not in SHAPES:
+        raise unknown_name(name, SHAPES, "vehicle shape")
+    made = _box() if detail == "box" else _loft(_BODIES[name])
+    for array in (made.vertices, made.faces, made.surface):
+        array.setflags(write=False)
+    return made
+
+
+# Cross-sections from tail to nose. Each: position along the length (0 tail, 1 nose), half-width at the sill, at the belt line
+# and at the roof edge (0.5 = half the box), height of the belt line and of the top (0 ground, 1 roof), and whether the upper
+# band that leads to the next cross-section is glass on its sides and on its top. Proportions by eye from common vehicles;
+# sills reach the ground, so that the box is filled to its floor.
+_BODIES = {
+    "car": (
+        (0.00, 0.44, 0.46, 0.42, 0.45, 0.62, False, False),
+        (0.12, 0.47, 0.50, 0.44, 0.50, 0.66, True, True),
+        (0.28, 0.48, 0.50, 0.36, 0.54, 0.98, True, False),
+        (0.52, 0.48, 0.50, 0.36, 0.54, 1.00, True, True),
+        (0.72, 0.48, 0.50, 0.43, 0.50, 0.64, False, False),
+        (1.00, 0.42, 0.45, 0.38, 0.35, 0.46, False, False),
+    ),
+    "van": (
+        (0.00, 0.45, 0.48, 0.40, 0.48, 0.90, True, True),
+        (0.06, 0.48, 0.50, 0.41, 0.52, 0.99, True, False),
+        (0.58, 0.48, 0.50, 0.41, 0.52, 1.00, True, True),
+        (0.76, 0.48, 0.50, 0.44, 0.48, 0.60, False, False),
+        (1.00, 0.44, 0.47, 0.42, 0.38, 0.50, False, False),
+    ),
+    "truck": (
+        (0.00, 0.48, 0.50, 0.50, 0.50, 1.00, False, False),
+        (0.70, 0.48, 0.50, 0.50, 0.50, 1.00, False, False),
+        (0.71, 0.42, 0.45, 0.40, 0.42, 0.74, True, False),
+        (0.84, 0.44, 0.46, 0.40, 0.46, 0.74, True, True),
+        (0.91, 0.45, 0.46, 0.42, 0.42, 0.50, False, False),
+        (1.00, 0.44, 0.46, 0.40, 0.30, 0.42, False, False),
+    ),
+    "long_truck": (
+        (0.00, 0.48, 0.50, 0.50, 0.50, 1.00, False, False),
+        (0.80, 0.48, 0.50, 0.50, 0.50, 1.00, False, False),
+        (0.81, 0.40, 0.40, 0.30, 0.22, 0.28, False, False),
+        (0.86, 0.40, 0.40, 0.30, 0.22, 0.28, False, False),
+        (0.87, 0.46, 0.48, 0.45, 0.45, 0.94, True, False),
+        (0.96, 0.46, 0.48, 0.45, 0.45, 0.90, True, True),
+        (1.00, 0.45, 0.47, 0.45, 0.40, 0.55, False, False),
+    ),
+    "bus": (
+        (0.00, 0.48, 0.49, 0.46, 0.40, 0.97, True, False),
+        (0.03, 0.49, 0.50, 0.48, 0.40, 1.00, True, False),
+        (0.94, 0.49, 0.50, 0.48, 0.40, 1.00, True, True),
+        (1.00, 0.47, 0.49, 0.45, 0.36, 0.88, False, False),
+    ),
+    "motorcycle": (
+        (0.00, 0.08, 0.12, 0.08, 0.25, 0.40, False, False),
+        (0.25, 0.15, 0.30, 0.20, 0.40, 0.62, False, False),
+        (0.38, 0.20, 0.38, 0.22, 0.62, 1.00, False, False),
+        (0.55, 0.18, 0.50, 0.20, 0.60, 0.98, False, False),
+        (0.70, 0.14, 0.45, 0.16, 0.58, 0.68, False, False),
+        (1.00, 0.06, 0.10, 0.06, 0.22, 0.40, False, False),
+    ),
+}
+
+
+def _loft(stations) -> Shape:
+    """Join hexagonal cross-sections into a closed mesh."""
+    table = np.array([station[:6] for station in stations], dtype=float)
+    along, sill, belt, roof, belt_height, top_height = table.T
+    half = np.stack([sill, belt, roof], axis=1)
+    level = np.stack([np.zeros_like(along), belt_height, top_height], axis=1) - 0.5
+    y = np.concatenate([half, -half[:, ::-1]], axis=1)  # left sill, belt, roof, then right roof, belt, sill
+    z = np.concatenate([level, level[:, ::-1]], axis=1)
+    x = np.broadcast_to(along[:, None] - 0.5, y.shape)
+    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+
+    faces, surface = [], []
+    for station in range(len(stations) - 1):
+        glass_sides, glass_top = stations[station][6:]
+        # Sides of the hexagon: left lower, left upper, top, right upper, right lower, floor.
+        glazed = (False, glass_sides, glass_top, glass_sides, False, False)
+        for side in range(6):
+            here, there = 6 * station + side, 6 * station + (side + 1) % 6
+            faces += [(here, there, there + 6), (here, there + 6, here + 6)]
+            surface += [GLASS if glazed[side] else PAINT] * 2
+    nose = 6 * (len(stations) - 1)
+    for corner in range(1, 5):
+        faces += [(0, corner + 1, corner), (nose, nose + corner, nose + corner + 1)]
+        surface += [PAINT, PAINT]
+    return Shape(vertices, np.array(faces), np.array(surface, dtype=np.uint8))
+
+
+def _box() -> Shape:
+    """The box itself: twelve triangles."""
+    vertices = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))])
+    return Shape(vertices, faces, np.full(len(faces), PAINT, dtype=np.uint8))

@@ -1,0 +1,75 @@
+"""One frame's triangles, with the vehicle that owns each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..traffic.vehicles import Vehicles
+from .shapes import shape, shape_of
+
+STATIC = -1  # owner of what belongs to no vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class Triangles:
+    """Triangles in the road frame.
+
+    Attributes
+    ----------
+    corners : ndarray, (m, 3, 3)
+        Corners of each triangle [m], counter-clockwise seen from outside.
+    owner : ndarray of int32, (m,)
+        Row of the vehicle that a triangle belongs to, or `STATIC`.
+    surface : ndarray of uint8, (m,)
+        Index into `shapes.SURFACES`.
+    """
+
+    corners: np.ndarray
+    owner: np.ndarray
+    surface: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.corners)
+
+
+def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
+    """Every vehicle of a frame as triangles at the level of detail `detail` ("box" or "body")."""
+    names = np.array([shape_of(name, length) for name, length in zip(vehicles.class_name, vehicles.size_m[:, 0], strict=True)])
+    corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
+    for name in sorted(set(names.tolist())):
+        rows = np.flatnonzero(names == name)
+        unit = shape(name, detail)
+        placed = place(unit.vertices, vehicles.centre_m[rows], vehicles.size_m[rows], vehicles.heading_rad[rows])
+        corners.append(placed[:, unit.faces].reshape(-1, 3, 3))
+        owner.append(np.repeat(rows.astype(np.int32), len(unit.faces)))
+        surface.append(np.tile(unit.surface, len(rows)))
+    return Triangles(np.concatenate(corners), np.concatenate(owner), np.concatenate(surface))
+
+
+def place(unit_points: np.ndarray, centre: np.ndarray, size: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    """Points of the unit box, scaled, turned and moved into each of several vehicles' boxes.
+
+    Parameters
+    ----------
+    unit_points : ndarray, (p, 3) or (n, p, 3)
+        Points with coordinates in [-0.5, 0.5], the same for all vehicles or of each.
+    centre, size : ndarray, (n, 3)
+        Box centres and length, width, height [m].
+    heading : ndarray, (n,)
+        Counter-clockwise from +x [rad].
+
+    Returns
+    -------
+    ndarray, (n, p, 3)
+        Points in the frame of `centre` [m].
+    """
+    local = unit_points * size[:, None, :]
+    cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    placed = np.empty_like(local)
+    placed[..., 0] = cos * local[..., 0] - sin * local[..., 1]
+    placed[..., 1] = sin * local[..., 0] + cos * local[..., 1]
+    placed[..., 2] = local[..., 2]
+    placed += centre[:, None, :]
+    return placed

@@ -1,0 +1,324 @@
+"""DE-PSO against a plain-loop Algorithm 1, and the properties that tell its two readings apart."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from search_landscapes import LOWER, OPTIMUM, UPPER, ackley, sphere, terraces
+
+from blender_lidar.optimise import READINGS, DePso, DePsoSettings, de_pso, run, search_from_state
+
+SHORT = {"particles": 6, "iterations": 9}
+
+
+def algorithm_1(objective, seed, use):
+    """The paper's Algorithm 1 in plain Python floats: every x and value, in order of evaluation.
+
+    Shares with the search only the initial positions and the stream of uniform numbers, five to a particle and move.
+    """
+    n, d = use.particles, len(LOWER)
+    lower, upper = LOWER.tolist(), UPPER.tolist()
+    search = DePso(LOWER, UPPER, seed=seed, settings=use)
+    p = [x.tolist() for x in search._position]
+    rng = np.random.Generator(np.random.PCG64(seed))
+    rng.permuted(np.zeros((d, n)), axis=1)
+    rng.random((n, d))
+    v = [[0.0] * d for _ in range(n)]
+    p_best, p_value = [list(x) for x in p], [float("-inf")] * n
+    g_best, g_value = None, float("-inf")
+    trace = []
+
+    def evaluate(i):
+        nonlocal g_best, g_value
+        value = float(objective(np.array([p[i]]))[0])
+        trace.append((list(p[i]), value))
+        if value > p_value[i]:
+            p_best[i], p_value[i] = list(p[i]), value
+        if value > g_value:
+            g_best, g_value = list(p[i]), value
+
+    for i in range(n):
+        evaluate(i)
+    for _ in range(1, use.iterations):
+        before, guide = [list(x) for x in p], g_best
+        for i in range(n):
+            r1, r2, r3, u_j, u_k = (rng.random() for _ in range(5))
+            if use.reading == "paper":
+                before, guide = [list(x) for x in p], g_best
+                j = list(range(n))[int(u_j * n)]
+                k = [other for other in range(n) if other != j][int(u_k * (n - 1))]
+            else:
+                j = [other for other in range(n) if other != i][int(u_j * (n - 1))]
+                k = [other for other in range(n) if other not in (i, j)][int(u_k * (n - 2))]
+            for a in range(d):
+                own = before[i][a]
+                v[i][a] = (
+                    use.inertia * v[i][a]
+                    + use.cognitive * r1 * (p_best[i][a] - own)
+                    + use.social * r2 * (guide[a] - own)
+                )
+                if r3 < use.differential_threshold:
+                    v[i][a] = use.differential_weight * (before[j][a] - before[k][a])
+                    if use.reading == "paper":
+                        v[i][a] = own + v[i][a]
+                p[i][a] = min(max(own + v[i][a], lower[a]), upper[a])
+            if use.reading == "paper":
+                evaluate(i)
+        if use.reading == "corrected":
+            for i in range(n):
+                evaluate(i)
+    return trace
+
+
+def points_of(history):
+    return history[:, 3:-2]
+
+
+def share_on_a_bound(points, lower=LOWER, upper=UPPER):
+    return ((points == lower) | (points == upper)).any(axis=1).mean()
+
+
+@pytest.mark.parametrize("reading", READINGS)
+@pytest.mark.parametrize("objective", [sphere, ackley, terraces])
+@pytest.mark.parametrize("differential_threshold", [0.0, 0.1, 1.0])
+def test_the_trace_is_algorithm_1_to_the_last_bit(reading, objective, differential_threshold):
+    use = DePsoSettings(particles=5, iterations=12, differential_threshold=differential_threshold, reading=reading)
+    history = run(DePso(LOWER, UPPER, seed=3, settings=use), objective).history
+    trace = algorithm_1(objective, 3, use)
+    assert points_of(history).tolist() == [x for x, _ in trace]
+    assert history[:, -2].tolist() == [value for _, value in trace]
+
+
+def test_one_step_worked_by_hand():
+    """Two jumps of known partners: w2 (Pj - Pk) is a quarter of a metre and half a metre."""
+    use = DePsoSettings(particles=3, iterations=2, differential_threshold=1.0)
+    search = DePso([0.0], [10.0], seed=0, settings=use)
+    search._position = np.array([[4.0], [5.0], [5.5]])
+    search.tell(np.zeros(3))
+    moves = (search.ask() - [[4.0], [5.0], [5.5]]).ravel()
+    assert np.abs(moves).tolist() == [0.25, 0.75, 0.5]
+
+
+@given(st.integers(3, 12), st.integers(0, 2**32))
+def test_partners_are_distinct_and_in_the_corrected_reading_never_the_particle_itself(particles, seed):
+    u_j, u_k = np.random.default_rng(seed).random((2, particles))
+    i = np.arange(particles)
+    search = DePso([0.0], [1.0], seed=0, settings=DePsoSettings(particles=particles))
+    j, k = search._partners(i, u_j, u_k)
+    assert (i != j).all()
+    assert (i != k).all()
+    assert (j != k).all()
+    literal = DePso([0.0], [1.0], seed=0, settings=DePsoSettings(particles=particles, reading="paper"))
+    j_literal, k_literal = literal._partners(i, u_j, u_k)
+    assert (j_literal != k_literal).all()
+    for partner in (j, k, j_literal, k_literal):
+        assert partner.min() >= 0
+        assert partner.max() < particles
+
+
+def test_every_pair_of_partners_is_drawn_equally_often():
+    draws = np.random.default_rng(0).random((2, 60_000))
+    search = DePso([0.0], [1.0], seed=0, settings=DePsoSettings(particles=4))
+    j, k = search._partners(np.full(60_000, 1), *draws)
+    pairs, counts = np.unique(4 * j + k, return_counts=True)
+    assert pairs.size == 6
+    assert counts == pytest.approx(10_000, rel=0.05)
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_the_same_seed_gives_the_same_trace_and_another_seed_another(reading):
+    first, again, other = (de_pso(ackley, LOWER, UPPER, seed=s, reading=reading, **SHORT) for s in (5, 5, 6))
+    assert np.array_equal(first.history, again.history)
+    assert not np.array_equal(first.history, other.history)
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_a_run_stored_and_restored_at_any_point_ends_the_same(reading):
+    use = DePsoSettings(reading=reading, **SHORT)
+    whole = run(DePso(LOWER, UPPER, seed=2, settings=use), terraces)
+    states = [DePso(LOWER, UPPER, seed=2, settings=use).state()]
+    run(DePso(LOWER, UPPER, seed=2, settings=use), terraces, lambda search: states.append(search.state()))
+    for state in states:
+        text = json.dumps(state, allow_nan=False)
+        restored = search_from_state(json.loads(text))
+        assert restored.state() == state
+        result = run(restored, terraces)
+        assert np.array_equal(result.history, whole.history)
+        assert np.array_equal(result.x, whole.x)
+        assert result.value == whole.value
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_infeasible_candidates_survive_storing(reading):
+    def feasible_high_up(x):
+        return np.where(x[:, 0] > 4.3, sphere(x), -np.inf)
+
+    use = DePsoSettings(reading=reading, **SHORT)
+    whole = run(DePso(LOWER, UPPER, seed=1, settings=use), feasible_high_up)
+    assert np.isneginf(whole.history[:, -2]).any()
+    search = DePso(LOWER, UPPER, seed=1, settings=use)
+    while not search.done:
+        search = search_from_state(json.loads(json.dumps(search.state(), allow_nan=False)))
+        search.tell(feasible_high_up(search.ask()))
+    assert np.array_equal(search.history, whole.history)
+
+
+def test_a_search_that_finds_nothing_feasible_says_so():
+    result = de_pso(lambda x: np.full(len(x), -np.inf), LOWER, UPPER, seed=0, **SHORT)
+    assert result.value == -np.inf
+    assert np.array_equal(result.x, points_of(result.history)[0])
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_asking_twice_changes_nothing(reading):
+    use = DePsoSettings(reading=reading, **SHORT)
+    search = DePso(LOWER, UPPER, seed=4, settings=use)
+    while not search.done:
+        before = search.state()
+        candidates = search.ask()
+        candidates[:] = np.nan
+        assert np.isfinite(search.ask()).all()
+        assert search.state() == before
+        search.tell(sphere(search.ask()))
+    assert np.array_equal(search.history, de_pso(sphere, LOWER, UPPER, seed=4, reading=reading, **SHORT).history)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32), st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=2))
+def test_moving_the_origin_moves_the_corrected_trace_along(seed, shift):
+    def moved(x):
+        return sphere(x - shift)
+
+    here = de_pso(sphere, LOWER, UPPER, seed=seed, **SHORT)
+    there = de_pso(moved, LOWER + shift, UPPER + shift, seed=seed, **SHORT)
+    np.testing.assert_allclose(points_of(there.history) - shift, points_of(here.history), rtol=0.0, atol=1e-9)
+
+
+def test_moving_the_origin_changes_the_literal_trace():
+    shift = np.array([-3.0, -12.0])
+    here = de_pso(sphere, LOWER, UPPER, seed=0, reading="paper")
+    there = de_pso(lambda x: sphere(x - shift), LOWER + shift, UPPER + shift, seed=0, reading="paper")
+    assert np.abs(points_of(there.history) - shift - points_of(here.history)).max() > 1.0
+
+
+@pytest.mark.parametrize("scale", [[4.0, 0.125], [1024.0, 1.0]])
+@pytest.mark.parametrize("reading", READINGS)
+def test_scaling_a_variable_scales_the_trace(reading, scale):
+    """By powers of two, which rounding does not touch: equal to the last bit, in both readings."""
+    here = de_pso(ackley, LOWER, UPPER, seed=7, reading=reading, **SHORT)
+    scaled = de_pso(lambda x: ackley(x / scale), LOWER * scale, UPPER * scale, seed=7, reading=reading, **SHORT)
+    assert np.array_equal(points_of(scaled.history), points_of(here.history) * scale)
+
+
+@pytest.mark.parametrize("rising", [lambda f: 8.0 * f, lambda f: -f * f, lambda f: f - 3.0], ids=["x8", "square", "-3"])
+@pytest.mark.parametrize("reading", READINGS)
+def test_a_rising_function_of_the_objective_leaves_the_trace_as_it_is(reading, rising):
+    here = de_pso(terraces, LOWER, UPPER, seed=11, reading=reading, **SHORT)
+    there = de_pso(lambda x: rising(terraces(x)), LOWER, UPPER, seed=11, reading=reading, **SHORT)
+    assert np.array_equal(points_of(there.history), points_of(here.history))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 5), st.sampled_from(READINGS), st.floats(0.0, 1.0))
+def test_every_candidate_lies_within_the_bounds(seed, variables, reading, differential_threshold):
+    rng = np.random.default_rng(seed)
+    lower = rng.normal(0.0, 100.0, variables)
+    upper = lower + rng.exponential(10.0, variables) + 1e-6
+    history = de_pso(
+        lambda x: rng.normal(size=len(x)),
+        lower,
+        upper,
+        seed=seed,
+        reading=reading,
+        differential_threshold=differential_threshold,
+        **SHORT,
+    ).history
+    assert (points_of(history) >= lower).all()
+    assert (points_of(history) <= upper).all()
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_personal_and_global_bests_never_fall(reading):
+    search = DePso(LOWER, UPPER, seed=9, settings=DePsoSettings(reading=reading, **SHORT))
+    personal = search._personal_best_value.copy()
+    while not search.done:
+        search.tell(ackley(search.ask()))
+        assert (search._personal_best_value >= personal).all()
+        personal = search._personal_best_value.copy()
+        assert search.best_value == personal.max()
+    assert np.array_equal(ackley(search._personal_best), personal)
+    assert (np.diff(search.history[:, -1]) >= 0.0).all()
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_history_numbers_every_evaluation(reading):
+    result = de_pso(ackley, LOWER, UPPER, seed=1, reading=reading, **SHORT)
+    evaluation, iteration, particle, *_, value, best = result.history.T
+    assert evaluation.tolist() == list(range(1, 55))
+    assert iteration.tolist() == [t for t in range(1, 10) for _ in range(6)]
+    assert particle.tolist() == list(range(1, 7)) * 9
+    assert np.array_equal(value, ackley(points_of(result.history)))
+    assert np.array_equal(best, np.maximum.accumulate(value))
+    row = int(np.argmax(value))
+    assert np.array_equal(result.x, points_of(result.history)[row])
+    assert result.value == value[row]
+
+
+@pytest.mark.parametrize(("reading", "batch"), [("corrected", 20), ("paper", 1)])
+def test_the_papers_settings_make_2000_evaluations_in_batches_that_fit_the_reading(reading, batch):
+    shapes = []
+
+    def objective(x):
+        shapes.append(x.shape)
+        return sphere(x)
+
+    result = de_pso(objective, LOWER, UPPER, seed=0, reading=reading)
+    assert result.evaluations == len(result.history) == 2000
+    assert set(shapes) == {(batch, 2)}
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_the_first_iteration_is_a_latin_hypercube(reading):
+    history = de_pso(sphere, LOWER, UPPER, seed=0, reading=reading, particles=20, iterations=1).history
+    slices = np.floor(20 * (points_of(history) - LOWER) / (UPPER - LOWER)).astype(int)
+    for variable in slices.T:
+        assert sorted(variable) == list(range(20))
+
+
+def test_progress_is_reported_after_every_batch():
+    seen = []
+    de_pso(sphere, LOWER, UPPER, seed=0, callback=lambda s: seen.append((s.iteration, s.evaluations)), **SHORT)
+    assert seen == [(t, 6 * t) for t in range(1, 10)]
+
+
+@pytest.mark.parametrize(("objective", "regret"), [(sphere, 1e-5), (ackley, 0.02), (terraces, 1e-9)])
+def test_the_corrected_reading_finds_an_off_centre_optimum(objective, regret):
+    results = [de_pso(objective, LOWER, UPPER, seed=seed) for seed in range(11)]
+    best = objective(OPTIMUM[None])[0]
+    assert np.median([best - result.value for result in results]) <= regret
+
+
+def test_the_literal_reading_spends_far_more_on_the_bounds():
+    shares = {
+        reading: np.median(
+            [
+                share_on_a_bound(points_of(de_pso(sphere, LOWER, UPPER, seed=seed, reading=reading).history))
+                for seed in range(5)
+            ]
+        )
+        for reading in READINGS
+    }
+    assert shares["corrected"] < 0.05
+    assert shares["paper"] > 0.3
+
+
+def test_the_defaults_of_the_function_are_those_of_the_settings():
+    parameters = inspect.signature(de_pso).parameters
+    for field in fields(DePsoSettings):
+        assert parameters[field.name].default == field.default
