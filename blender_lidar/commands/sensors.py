@@ -118,7 +118,7 @@ def _json(content: object) -> str:
 
 
 def _listing(models: Sequence[LidarModel]) -> str:
-    header = ("name", "rings", "elevation", "columns", "points/s", "range", "confidence", "also called")
+    header = ("name", "rings", "elevation", "columns", "points/s", "range [m]", "confidence", "also called")
     rows = [_listing_row(model) for model in models]
     widths = [max(map(len, cells)) for cells in zip(header, *rows, strict=True)]
     # Numbers to the right, words to the left.
@@ -139,10 +139,10 @@ def _listing_row(model: LidarModel) -> tuple[str, ...]:
     return (
         model.name,
         str(model.rings),
-        f"{low:+.4g} to {high:+.4g}",
+        f"{low:+.3g} to {high:+.3g}",
         str(model.columns()),
         f"{_points_per_second(model):,}",
-        f"{model.range_min_m:g} to {model.range_max_m:g} m",
+        f"{model.range_min_m:g}-{model.range_max_m:g}",
         model.confidence.partition(":")[0],
         ", ".join(model.aliases),
     )

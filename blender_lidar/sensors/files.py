@@ -258,7 +258,7 @@ def _list(value: object, where: str) -> list[Any]:
 def _text(value: object, where: str) -> str:
     if not isinstance(value, str):
         raise InputError(f"{where}: {_given(value)} is not text")
-    return value.strip()
+    return " ".join(value.split())  # one line, however the file wraps it
 
 
 def _parsed(cell: str, where: str) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -11,28 +11,45 @@ from ..scenario import Scenario
 from ..traffic.vehicles import Vehicles
 
 
-def check_mount_is_clear(scenario: Scenario, frames: Iterable[Vehicles]) -> None:
+def check_mount_is_clear(
+    scenario: Scenario, frames: Iterable[Vehicles], mounts: Mapping[str, Mapping[str, float]] | None = None
+) -> None:
     """Refuse a mount that could stand on the carriageway or inside a vehicle.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The road.
+    frames : iterable of Vehicles
+        The traffic.
+    mounts : mapping of str to coordinates, optional
+        Mounts to check, by the option that gave them; the scene's searched places and baseline if left out.
 
     Raises
     ------
     InputError
         Naming the place, and the lane's edges or the vehicle and frame.
     """
-    places = {"[deployment]": _searched_rectangle(scenario), "[baseline]": _baseline_point(scenario)}
+    if mounts is None:
+        places = {
+            f"{scenario.source}: [deployment] x_m, y_m": _searched_rectangle(scenario),
+            f"{scenario.source}: [baseline] x_m, y_m": _point(scenario.baseline),
+        }
+    else:
+        places = {option: _point(mount) for option, mount in mounts.items()}
     right, left = scenario.road.carriageway_y
-    for table, (low, high) in places.items():
+    for where, (low, high) in places.items():
         if low[1] < left and high[1] > right:
             raise InputError(
-                f"{scenario.source}: {table} y_m: the mount at {_span(low[1], high[1])} m stands on the carriageway; "
+                f"{where}: the mount at y {_span(low[1], high[1])} m stands on the carriageway; "
                 f"allowed: at most {right:g} or at least {left:g} m"
             )
     for vehicles in frames:
-        for table, (low, high) in places.items():
+        for where, (low, high) in places.items():
             inside = np.flatnonzero(boxes_meet_rectangle(vehicles, low, high))
             if len(inside):
                 raise InputError(
-                    f"{scenario.source}: {table} x_m, y_m: the mount at x {_span(low[0], high[0])} m, y "
+                    f"{where}: the mount at x {_span(low[0], high[0])} m, y "
                     f"{_span(low[1], high[1])} m stands inside vehicle {vehicles.vehicle_id[inside[0]]} of frame "
                     f"{vehicles.frame}; move it, or leave that frame out with [traffic] frame_ids"
                 )
@@ -64,8 +81,8 @@ def _searched_rectangle(scenario):
     return tuple(np.array(corner) for corner in zip(*bounds, strict=True))
 
 
-def _baseline_point(scenario):
-    point = np.array([scenario.baseline["x_m"], scenario.baseline["y_m"]])
+def _point(mount):
+    point = np.array([mount["x_m"], mount["y_m"]])
     return point, point
 
 

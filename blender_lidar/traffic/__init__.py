@@ -15,7 +15,7 @@ from .instants import instants, well_populated_frames
 from .overlaps import overlapping_pairs
 from .report import RepairReport
 from .road import RoadFrame
-from .source import head_lines
+from .source import table_lines
 from .table import is_table_header, read_table
 from .vehicles import CLASSES, Recording, Vehicles
 
@@ -98,5 +98,5 @@ def read_traffic(
 
 
 def _sniff(path: str | Path) -> str:
-    first = next((line for line in head_lines(path) if line.strip() and not line.startswith("#")), "")
+    _, first = next(table_lines(path), (0, ""))
     return "table" if is_table_header(next(csv.reader([first]), [])) else "ngsim"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from ..errors import InputError
 from .ngsim_layout import NEEDED, Layout, shown
 from .source import open_bytes
 
+EMPTY = ("", "NULL", "null")
+"""What stands for a missing number; the text ``nan`` does not."""
 _LARGEST_WHOLE = 2.0**53
 
 
@@ -76,14 +79,12 @@ def unreadable(path: str | Path, layout: Layout, reason: str) -> InputError:
 
 def bad_value(path: str | Path, layout: Layout, row: int) -> InputError:
     """The error for a row, counting from 0, that was read but holds a value against `RULES`."""
-    for number, (line, fields) in enumerate(_rows(path, layout)):
-        if number == row:
-            break
+    line, fields = next(islice(_rows(path, layout), row, None))
     if len(fields) != len(layout.columns):
         return _wrong_count(path, layout, line, fields)
     for column, rule in RULES.items():
         text = fields[layout.columns.index(column)]
-        value = float(text.replace(",", "")) if text not in ("", "NULL", "null") else np.nan
+        value = float(text.replace(",", "")) if text not in EMPTY else np.nan
         if not rule.accepts(np.array([value]))[0]:
             return _unusable(path, line, column, text)
     return InputError(f"{path}:{line}: cannot be read as an NGSIM row")
@@ -109,7 +110,7 @@ def _rows(path: str | Path, layout: Layout) -> Iterator[tuple[int, list[str]]]:
 
 
 def _is_number_or_empty(text: str) -> bool:
-    if text in ("", "NULL", "null"):
+    if text in EMPTY:
         return True
     try:
         float(text.replace(",", ""))

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from ..errors import InputError
-from .source import head_lines
+from .source import table_lines
 
 NEEDED = (
     "vehicle_id",
@@ -28,14 +29,14 @@ NEEDED = (
 _SHOWN = dict(
     zip(
         NEEDED,
-        "Vehicle_ID Frame_ID Global_Time Local_X Local_Y v_Length v_Width v_Class Lane_ID".split(),
+        ["Vehicle_ID", "Frame_ID", "Global_Time", "Local_X", "Local_Y", "v_Length", "v_Width", "v_Class", "Lane_ID"],
         strict=True,
     )
 )
-_FIRST_14 = (
-    "vehicle_id frame_id total_frames global_time local_x local_y global_x global_y "
-    "v_length v_width v_class v_vel v_acc lane_id"
-).split()
+_FIRST_14 = [
+    *("vehicle_id", "frame_id", "total_frames", "global_time", "local_x", "local_y", "global_x", "global_y"),
+    *("v_length", "v_width", "v_class", "v_vel", "v_acc", "lane_id"),
+]
 _LAST_4 = ["preceding", "following", "space_headway", "time_headway"]
 _ARTERIAL = ["o_zone", "d_zone", "int_id", "section_id", "direction", "movement"]
 # The six columns of arterials come after column 14 or 16; none of them, nor what they shift, is used.
@@ -98,11 +99,7 @@ def sniff_layout(path: str | Path) -> Layout:
         If the file is empty, is not text, has a header without one of the needed columns, or has no header and
         neither 18, 24 nor 25 columns.
     """
-    lines = [
-        (number, line)
-        for number, line in enumerate(head_lines(path), start=1)
-        if line.strip() and not line.startswith("#")
-    ]
+    lines = list(islice(table_lines(path), 2))
     if not lines:
         raise InputError(f"{path}: no rows; a file of vehicles is needed")
     number, line = lines[0]

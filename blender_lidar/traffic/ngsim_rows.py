@@ -6,20 +6,19 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pandas as pd
 
 from ..errors import InputError, unknown_name
-from .ngsim_faults import RULES, bad_value, short_row, unreadable
+from .ngsim_faults import EMPTY, RULES, bad_value, short_row, unreadable
 from .ngsim_layout import NEEDED, Layout
 from .source import MAX_ROWS, open_bytes
 from .tracks import TrackRows
 
 FOOT_M = 0.3048
 """International foot, exactly; 0.3084 circulates."""
-EMPTY = ("", "NULL", "null")
-"""What stands for a missing number; the text ``nan`` does not."""
 _CHUNK_ROWS = 400_000
 
 
@@ -102,44 +101,47 @@ def read_rows(path: str | Path, layout: Layout, location: str | None = None) -> 
 
 
 def _tables(path: str | Path, layout: Layout) -> Iterator[pd.DataFrame]:
+    with open_bytes(path) as stream:
+        for _ in range(layout.first_line - 1):
+            stream.readline()
+        reader = None
+        while True:
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
+                    reader = _reader(stream, layout) if reader is None else reader
+                    table = next(reader)
+            except (StopIteration, pd.errors.EmptyDataError):
+                return
+            except InputError:
+                raise
+            except (ValueError, pd.errors.ParserWarning) as error:
+                raise unreadable(path, layout, str(error)) from error
+            yield table
+
+
+def _reader(stream: BinaryIO, layout: Layout) -> Iterator[pd.DataFrame]:
     # Unused columns are read too, under numbers, so that the parser notices rows that are too long.
     names = [
         name if name in NEEDED or name == "location" else f"unused {number}"
         for number, name in enumerate(layout.columns)
     ]
     types = {name: "category" if name == "location" else np.float64 for name in names if not name.startswith("unused")}
-    with open_bytes(path) as stream:
-        for _ in range(layout.first_line - 1):
-            stream.readline()
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", pd.errors.ParserWarning)  # rows longer than the header
-                reader = pd.read_csv(
-                    stream,
-                    sep=layout.delimiter or r"\s+",
-                    header=None,
-                    names=names,
-                    index_col=False,
-                    dtype=types,
-                    thousands="," if layout.delimiter else None,
-                    keep_default_na=False,
-                    na_values=list(EMPTY),
-                    skipinitialspace=True,
-                    chunksize=_CHUNK_ROWS,
-                    low_memory=False,
-                    encoding="utf-8",
-                    encoding_errors="replace",
-                )
-                while True:
-                    yield next(reader)
-        except StopIteration:
-            return
-        except pd.errors.EmptyDataError:
-            return
-        except InputError:
-            raise
-        except (ValueError, pd.errors.ParserWarning) as error:
-            raise unreadable(path, layout, str(error)) from error
+    return pd.read_csv(
+        stream,
+        sep=layout.delimiter or r"\s+",
+        header=None,
+        names=names,
+        index_col=False,
+        dtype=types,
+        thousands="," if layout.delimiter else None,
+        keep_default_na=False,
+        na_values=list(EMPTY),
+        skipinitialspace=True,
+        chunksize=_CHUNK_ROWS,
+        low_memory=False,
+        encoding_errors="replace",
+    )
 
 
 def _locations(table: pd.DataFrame) -> pd.Categorical:

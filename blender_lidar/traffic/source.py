@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import InputError, MissingFileError
@@ -78,14 +79,20 @@ def open_bytes(path: str | Path) -> io.BufferedReader:
     return io.BufferedReader(guarded, buffer_size=2**20)
 
 
-def head_lines(path: str | Path) -> list[str]:
-    """The first lines of a text file, without line ends and byte-order mark.
+def table_lines(path: str | Path) -> Iterator[tuple[int, str]]:
+    """The first lines of a table and their numbers from 1, without blank lines and comments that start with ``#``.
 
     Raises
     ------
     MissingFileError, InputError
         As `open_bytes`; and if the file is empty or not text.
     """
+    for number, line in enumerate(_head(path).split("\n"), start=1):
+        if line.strip() and not line.startswith("#"):
+            yield number, line.rstrip("\r")
+
+
+def _head(path: str | Path) -> str:
     with open_bytes(path) as stream:
         head = stream.read(_HEAD_BYTES)
     if not head.strip():
@@ -100,4 +107,4 @@ def head_lines(path: str | Path) -> list[str]:
         raise InputError(f"{path}: not a text file (UTF-8)") from error
     if "\0" in text:
         raise InputError(f"{path}: not a text file (it holds zero bytes)")
-    return [line.rstrip("\r") for line in text.split("\n")]
+    return text

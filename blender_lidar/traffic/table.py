@@ -33,7 +33,7 @@ from ..errors import InputError, unknown_name
 from .overlaps import with_overlaps_reported
 from .report import RepairReport
 from .road import within_x
-from .source import MAX_ROWS, head_lines, open_bytes
+from .source import MAX_ROWS, open_bytes, table_lines
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Recording
 
@@ -144,12 +144,11 @@ def _columns(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def _header(path: str | Path) -> tuple[list[str], int]:
-    for number, line in enumerate(head_lines(path), start=1):
-        if line.strip() and not line.startswith("#"):
-            header = [field.strip().lower() for field in next(csv.reader([line]))]
-            break
-    else:
+    """The column names, in lower case, and the number of their line."""
+    number, line = next(table_lines(path), (0, ""))
+    if not line:
         raise InputError(f"{path}: no rows; a table of boxes is needed")
+    header = [field.strip().lower() for field in next(csv.reader([line]))]
     missing = [name for name in NEEDED if name not in header]
     if missing:
         raise InputError(f"{path}:{number}: no column {', '.join(missing)}; needed: {', '.join(NEEDED)}")

@@ -1,0 +1,68 @@
+"""blender-lidar doctor: what is installed, and does it work?"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from .. import __version__
+from ..casting import CASTERS, caster_class, is_available
+from ..sensors.beams import beam_lattice
+from ..sensors.model import load_model
+from ..sensors.pose import Pose
+
+_OPTIONAL = {"pandas": "", "bpy": "blender", "embreex": "fast", "matplotlib": "plots", "tqdm": "plots", "eclipse-sumo": "sumo"}
+_TOLERANCE_M = 1e-4
+
+
+def add_parser(subparsers) -> None:
+    """Describe the verb to argparse."""
+    parser = subparsers.add_parser(
+        "doctor", help="check the installation", description="Show what is installed and scan a wall with each caster."
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry it out; 0 if a fast caster works, else 1."""
+    print(f"blender_lidar {__version__}, Python {platform.python_version()} ({sys.platform}), NumPy {np.__version__}")
+    for name, extra in _OPTIONAL.items():
+        try:
+            found = version(name)
+        except PackageNotFoundError:
+            found = f'not installed (pip install "blender_lidar[{extra}]")' if extra else "not installed (pip install pandas)"
+        print(f"  {name:<13} {found}")
+    verdicts = {name: _check(name) for name in CASTERS}
+    for name, verdict in verdicts.items():
+        print(f"caster {name:<7} {verdict}")
+    works = any(verdicts[name].startswith("works") for name in ("embree", "bvh"))
+    print("All is well." if works else 'No fast caster works: pip install "blender_lidar[fast]" or "blender_lidar[blender]"')
+    return 0 if works else 1
+
+
+def _check(name: str) -> str:
+    """Scan a wall 10 m away with an RS-16 and compare with the plane's equation."""
+    if not is_available(name):
+        return "not installed"
+    wall = np.array([[[-50.0, 10.0, -50.0], [50.0, 10.0, -50.0], [50.0, 10.0, 50.0]], [[-50.0, 10.0, -50.0], [50.0, 10.0, 50.0], [-50.0, 10.0, 50.0]]])
+    lattice = beam_lattice(load_model("RS-16"), stride=8)
+    pose = Pose(height_m=2.0, tilt_x=0.1)
+    rays = pose.to_world(lattice.directions.reshape(-1, 3))
+    with np.errstate(divide="ignore"):
+        distance = np.where(rays[:, 1] > 0, 10.0 / rays[:, 1], np.inf)
+    point = pose.position + np.where(np.isfinite(distance), distance, 0.0)[:, None] * rays
+    expected = np.where((np.abs(point[:, 0]) < 50) & (np.abs(point[:, 2]) < 50) & np.isfinite(distance), distance, np.inf)
+    try:
+        found = caster_class(name)(wall).cast(pose.position, rays).distance
+    except Exception as error:  # whatever a broken library raises is what the user needs to see
+        return f"fails: {type(error).__name__}: {error}"
+    wrong = int((np.isfinite(found) != np.isfinite(expected)).sum())
+    both = np.isfinite(found) & np.isfinite(expected)
+    error = float(np.abs(found[both] - expected[both]).max())
+    if wrong or error > _TOLERANCE_M:
+        return f"fails: {wrong} of {len(rays)} rays differ, ranges by up to {error:.2g} m"
+    return f"works: {len(rays)} rays at a wall, ranges within {error:.1g} m"

@@ -1,0 +1,42 @@
+"""blender-lidar evaluate: one mounting, scored."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..errors import InputError
+from ..results import RunFolder
+from ..study.keep_clear import check_mount_is_clear
+from ..study.run import evaluate_site
+from ..study.site import prepare
+from .options import SEARCH_OPTIONS, add_pose, add_scene, default_folder, mounting_from, scenario_from
+from .optimise import report, say
+from .report import describe_site
+
+
+def add_parser(subparsers) -> None:
+    """Describe the verb to argparse."""
+    parser = subparsers.add_parser(
+        "evaluate",
+        help="score one mounting",
+        description="Score one mounting against the scene's baseline, on the searched and the held-out frames.",
+    )
+    add_scene(parser, leave_out=SEARCH_OPTIONS)
+    add_pose(parser)
+    parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
+    parser.add_argument("--json", action="store_true", help="print the content of result.json, and nothing else, on stdout")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry it out; returns the exit code."""
+    scenario = scenario_from(args)
+    mount = mounting_from(args, scenario)
+    site = prepare(scenario)
+    check_mount_is_clear(scenario, [frame.vehicles for frame in (*site.search, *site.holdout)], {"--x, --y": mount})
+    folder = RunFolder(args.out if args.out is not None else default_folder(scenario))
+    if folder.holds_run():
+        raise InputError(f"--out: {folder.path}: holds a run already; give another folder")
+    with folder.locked():
+        say(args, describe_site(site) + "\n")
+        return report(args, site, evaluate_site(site, folder, mount), folder)

@@ -1,0 +1,109 @@
+"""Options that several verbs share, and how they replace a scene's settings."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from ..casting import CASTERS
+from ..errors import InputError
+from ..optimise import READINGS, SEARCHES
+from ..scenario import COORDINATES, METRICS, Scenario, load_scenario
+from ..world.shapes import DETAILS
+
+_MOST_FRAMES = 1_000_000
+# option, table, key, type, choices, help
+_SETTINGS = (
+    ("--sensor", "sensor", "name", str, None, "sensor model or the path of a beam table; see `blender-lidar sensors`"),
+    ("--traffic", "traffic", "path", str, None, "trajectory file in place of the scene's"),
+    ("--period", "traffic", "period", str, None, "recording period of an NGSIM file: 1, 2 ... or 0400-0415"),
+    ("--location", "traffic", "location", str, None, "site of a file that mixes several: i-80"),
+    ("--frames", "traffic", "frames", int, None, "number of searched frames, spread evenly"),
+    ("--caster", "model", "caster", str, ("auto", *CASTERS), "what casts the rays"),
+    ("--detail", "world", "detail", str, DETAILS, "level of detail of the vehicles"),
+    ("--metric", "objective", "metric", str, METRICS, "what is maximised"),
+    ("--reading", "objective", "reading", str, READINGS, "the paper's equations as corrected, or as printed"),
+    ("--workers", "model", "workers", int, None, "processes; 0 takes one for each processor"),
+    ("--search", "search", "method", str, SEARCHES, "how the best mounting is looked for"),
+    ("--seed", "search", "seed", int, None, "seed of everything random"),
+    ("--particles", "search", "particles", int, None, "particles of DE-PSO"),
+    ("--iterations", "search", "iterations", int, None, "iterations of DE-PSO; grid and random get particles x iterations"),
+)
+SEARCH_OPTIONS = ("--search", "--particles", "--iterations")
+_POSE_OPTIONS = tuple(f"--{key.removesuffix('_m').removesuffix('_deg').replace('_', '-')}" for key in COORDINATES)
+
+
+def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
+    """The scene file, and the options that replace its settings but for those left out."""
+    parser.add_argument("scene", metavar="SCENE.toml", help="the scene file")
+    for option, _, _, kind, choices, text in _SETTINGS:
+        if option not in leave_out:
+            parser.add_argument(option, type=kind, choices=choices, metavar=None if choices else option[2:].upper(), help=text)
+    if "--frame-ids" not in leave_out:
+        parser.add_argument("--frame-ids", metavar="IDS", help="the searched frames: 100,150 or 100:160:5, its end included")
+    parser.set_defaults(left_out=leave_out)
+
+
+def add_pose(parser: argparse.ArgumentParser) -> None:
+    """The six coordinates of one mounting."""
+    group = parser.add_argument_group("mounting", "metres and degrees; what is left out is the scene's baseline")
+    for option, key in zip(_POSE_OPTIONS, COORDINATES, strict=True):
+        group.add_argument(option, type=float, metavar=key.rsplit("_", 1)[1].upper(), dest=f"pose_{key}")
+
+
+def scenario_from(args: argparse.Namespace) -> Scenario:
+    """The scene with the options given in place of its settings."""
+    overrides = {}
+    for option, table, key, _, _, _ in _SETTINGS:
+        value = getattr(args, option[2:].replace("-", "_"), None)
+        if value is not None and option not in args.left_out:
+            overrides[table, key] = (value, option)
+    if getattr(args, "frame_ids", None) is not None:
+        overrides["traffic", "frame_ids"] = (parse_frames(args.frame_ids, "--frame-ids"), "--frame-ids")
+    return load_scenario(args.scene, overrides)
+
+
+def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, float]:
+    """The mounting that the options name, in metres and degrees."""
+    mount = dict(scenario.baseline)
+    for option, key in zip(_POSE_OPTIONS, COORDINATES, strict=True):
+        value = getattr(args, f"pose_{key}")
+        if value is None:
+            continue
+        if not abs(value) < 1e6 or (key == "height_m" and not value > 0):
+            allowed = "more than 0" if key == "height_m" else "a number"
+            raise InputError(f"{option}: is {value:g}; allowed: {allowed}")
+        mount[key] = value
+    return mount
+
+
+def checked_number(value: float, option: str, *, low: float) -> float:
+    """`value`, if it is finite and at least `low`."""
+    if not low <= value < math.inf:
+        raise InputError(f"{option}: is {value:g}; allowed: at least {low:g}")
+    return value
+
+
+def parse_frames(text: str, option: str) -> list[int]:
+    """Frame numbers from "100,150" or "100:160:5" or both mixed; the end of a range is included."""
+    frames: list[int] = []
+    for part in text.split(","):
+        try:
+            numbers = [int(number) for number in part.split(":")]
+            if len(numbers) > 3:
+                raise ValueError
+            first, last, step = [*numbers, *([numbers[0], 1][len(numbers) - 1 :])]
+        except ValueError:
+            raise InputError(f"{option}: {part!r}; allowed: frame numbers such as 100,150 or 100:160:5") from None
+        if step < 1 or last < first or (last - first) // step >= _MOST_FRAMES:
+            raise InputError(f"{option}: {part!r}; allowed: a range from:to:step with to not below from and step 1 or more")
+        frames += range(first, last + 1, step)
+    return frames
+
+
+def default_folder(scenario: Scenario) -> Path:
+    """A folder under runs/ that is not there yet, named after scene and sensor."""
+    stem = f"{Path(scenario.source).stem}_{Path(scenario.sensor.name).stem}".lower()
+    candidates = (Path("runs") / (stem if number == 1 else f"{stem}_{number}") for number in range(1, 1_000_000))
+    return next(path for path in candidates if not path.exists())

@@ -1,0 +1,113 @@
+"""blender-lidar score: PE-VGOP of any labelled cloud, no simulation."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import numpy as np
+
+from ..errors import InputError
+from ..formats.clouds import read_points
+from ..formats.tables import write_columns
+from ..metrics.assignment import NO_BOX, points_in_boxes
+from ..metrics.vgop import DEFAULT_CELL_M, entropy, occupancy, to_vehicle_frame
+from ..optimise import VIEWS, detectable
+from ..traffic import read_table
+from ..traffic.vehicles import Vehicles
+from .options import checked_number
+
+
+def add_parser(subparsers) -> None:
+    """Describe the verb to argparse."""
+    parser = subparsers.add_parser(
+        "score",
+        help="score the vehicles of a labelled cloud",
+        description="Score a point cloud by boxes that are known: PE-VGOP of each vehicle.",
+    )
+    parser.add_argument("--points", required=True, metavar="CLOUD", help="the cloud: .npz with xyz, or .pcd")
+    parser.add_argument("--boxes", required=True, metavar="BOXES.csv", help="the boxes, in the columns of vehicles.csv and the frame of the cloud")
+    parser.add_argument("--frame", type=int, metavar="K", help="frame of the boxes, where they come from several")
+    parser.add_argument(
+        "--assign",
+        choices=("id", "box"),
+        default="id",
+        help="a point belongs to the vehicle that its vehicle_id names, or to the box it lies in",
+    )
+    parser.add_argument(
+        "--ground-clearance",
+        type=float,
+        default=0.1,
+        metavar="M",
+        help="with --assign box, points this little above a box's floor are ground (default 0.1)",
+    )
+    parser.add_argument("--cell", type=float, default=DEFAULT_CELL_M, metavar="M", help="side of a cell (default 0.05)")
+    parser.add_argument("--threshold", type=float, default=0.005, help="least occupancy that counts as detectable (default 0.005)")
+    parser.add_argument("--view", choices=VIEWS, default="mean", help="which of the three occupancies the threshold asks for")
+    parser.add_argument("--out", metavar="CSV", help="write one row for each vehicle")
+    parser.add_argument("--json", action="store_true", help="print the scores as JSON, and nothing else, on stdout")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry it out; returns the exit code."""
+    clearance = checked_number(args.ground_clearance, "--ground-clearance", low=0.0)
+    cell_m = checked_number(args.cell, "--cell", low=0.001)
+    threshold = checked_number(args.threshold, "--threshold", low=0.0)
+    points, vehicle_id = read_points(args.points)
+    vehicles = _boxes(args)
+    row = _assigned(args, points, vehicle_id, vehicles, clearance)
+    mine = row != NO_BOX
+    local = to_vehicle_frame(points[mine], vehicles.centre_m, vehicles.heading_rad, row[mine])
+    shares = occupancy(local, row[mine], vehicles.size_m, cell_m)
+    table = {
+        "frame": np.full(len(vehicles), vehicles.frame),
+        "vehicle_id": vehicles.vehicle_id,
+        "class": vehicles.class_name,
+        "points": np.bincount(row[mine], minlength=len(vehicles)),
+        **dict(zip(("p_top", "p_side", "p_front"), shares.T, strict=True)),
+        "entropy_bits": entropy(shares).sum(axis=1),
+        "detectable": detectable(shares, threshold, args.view),
+    }
+    if args.out:
+        write_columns(args.out, table, dict.fromkeys(("p_top", "p_side", "p_front", "entropy_bits"), 6))
+    _print(args, table, len(points))
+    return 0
+
+
+def _boxes(args) -> Vehicles:
+    recording = read_table(args.boxes)
+    if args.frame is not None:
+        return recording.vehicles(args.frame)
+    if len(recording.frames) > 1:
+        raise InputError(
+            f"{args.boxes}: holds {len(recording.frames)} frames, {recording.frames[0]} to {recording.frames[-1]}; name one with --frame"
+        )
+    return recording.vehicles(int(recording.frames[0]))
+
+
+def _assigned(args, points, vehicle_id, vehicles, clearance):
+    """Row of the box of each point."""
+    if args.assign == "box":
+        return points_in_boxes(points, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, clearance)
+    if vehicle_id is None:
+        raise InputError(f"--points: {args.points}: does not say which vehicle a point belongs to; use --assign box")
+    order = np.argsort(vehicles.vehicle_id)
+    at = np.clip(np.searchsorted(vehicles.vehicle_id, vehicle_id, sorter=order), 0, len(order) - 1)
+    return np.where(vehicles.vehicle_id[order[at]] == vehicle_id, order[at], NO_BOX)
+
+
+def _print(args, table, points):
+    mean = float(table["entropy_bits"].mean())
+    share = float(table["detectable"].mean())
+    if args.json:
+        rows = [dict(zip(table, values, strict=True)) for values in zip(*(column.tolist() for column in table.values()), strict=True)]
+        print(json.dumps({"points": points, "entropy_bits_per_vehicle": mean, "detectable_share": share, "vehicles": rows}, indent=2))
+        return
+    print("vehicle  class       points   p_top  p_side p_front  entropy  detectable")
+    for number, name, count, top, side, front, bits, found in zip(
+        *(table[key].tolist() for key in ("vehicle_id", "class", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable")),
+        strict=True,
+    ):
+        print(f"{number:<8} {name:<10} {count:>7} {top:7.4f} {side:7.4f} {front:7.4f} {bits:8.4f}  {'yes' if found else 'no'}")
+    print(f"{len(table['vehicle_id'])} vehicles, {points} points: {mean:.4f} bits per vehicle, {100 * share:.1f} % detectable")

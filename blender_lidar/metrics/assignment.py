@@ -1,0 +1,48 @@
+"""Which box each point of a cloud belongs to, where the cloud does not say."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .vgop import to_vehicle_frame
+
+NO_BOX = -1
+
+
+def points_in_boxes(
+    points: np.ndarray, centre: np.ndarray, size: np.ndarray, heading: np.ndarray, ground_clearance_m: float = 0.0
+) -> np.ndarray:
+    """Row of the box that each point lies in, or `NO_BOX`.
+
+    Parameters
+    ----------
+    points : ndarray, (k, 3)
+        Points in the frame of the boxes [m].
+    centre, size : ndarray, (n, 3)
+        Box centres; length, width and height [m].
+    heading : ndarray, (n,)
+        Counter-clockwise from +x [rad].
+    ground_clearance_m : float
+        Points less than this above a box's floor are left out: they are returns from the ground [m].
+
+    Returns
+    -------
+    ndarray of int64, (k,)
+        Where boxes overlap, the one whose centre is nearest.
+    """
+    row = np.full(len(points), NO_BOX, dtype=np.int64)
+    nearest = np.full(len(points), np.inf)
+    order = np.argsort(points[:, 0], kind="stable")  # so that each box looks at a stretch of x alone
+    x = points[order, 0]
+    reach = 0.5 * np.linalg.norm(size[:, :2], axis=1)
+    first = np.searchsorted(x, centre[:, 0] - reach, side="left")
+    last = np.searchsorted(x, centre[:, 0] + reach, side="right")
+    for box in range(len(centre)):
+        near = order[first[box] : last[box]]
+        local = to_vehicle_frame(points[near], centre[box], float(heading[box]))
+        inside = (np.abs(local) <= 0.5 * size[box]).all(axis=1)
+        inside &= local[:, 2] >= ground_clearance_m - 0.5 * size[box, 2]
+        distance = np.einsum("ij,ij->i", local, local)
+        taken = inside & (distance < nearest[near])
+        row[near[taken]], nearest[near[taken]] = box, distance[taken]
+    return row

@@ -1,0 +1,201 @@
+"""A whole run: search the best mounting of a scene, or take one as given, judge it, and leave a folder of results."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..optimise import DePsoSettings, Search, make_search, search_from_state
+from ..results import SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity, versions
+from ..scenario import Scenario, pose_at
+from .evaluation import Evaluator
+from .installation import installation_text
+from .score_map import POINTS, ScoreMap, map_scores
+from .site import Site
+from .vehicle_table import join_tables, vehicle_table
+from .verdict import judge
+
+_CHECKPOINT_EVERY_S = 2.0
+
+
+class Listener(Protocol):
+    """Told how a run comes along; every method may do nothing."""
+
+    def searching(self, search: Search) -> None:
+        """After each batch of evaluations, and once before the first."""
+
+    def mapping(self, points: int) -> None:
+        """After `points` more of the score map's grid points."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What a run came to.
+
+    Attributes
+    ----------
+    result : dict
+        The content of result.json.
+    optimised, baseline : dict of str to ndarray
+        Vehicle tables of both mountings, searched and held-out frames.
+    score_map : ScoreMap or None
+        The landscape over height and tilt, where both were searched.
+    history : ndarray or None
+        Every evaluation, where there was a search.
+    """
+
+    result: dict
+    optimised: dict[str, np.ndarray]
+    baseline: dict[str, np.ndarray]
+    score_map: ScoreMap | None
+    history: np.ndarray | None
+
+
+def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: bool = False) -> Outcome:
+    """Search the best mounting, storing the search as it goes, and write the results.
+
+    Parameters
+    ----------
+    site : Site
+        The scene made ready.
+    folder : RunFolder
+        Where the results go; locked by the caller.
+    listener : Listener
+        Is told of progress.
+    resume : bool
+        Go on from what the folder holds. The result is the same as that of a run that was never stopped.
+
+    Raises
+    ------
+    InputError
+        When the folder holds a run with other settings.
+    """
+    started = time.perf_counter()
+    scenario = site.scenario
+    identity = run_identity(scenario, site.observation.caster)
+    stored = folder.read_checkpoint(identity) if resume else None
+    search = _fresh_search(scenario) if stored is None else search_from_state(stored)
+    folder.write_scene(scenario)
+    with site.evaluator(site.search) as evaluator:
+        _search(search, evaluator, scenario, folder, identity, listener)
+        best = scenario.deployment.coordinates(search.best_x)
+        score_map = map_scores(evaluator, scenario.deployment, best, site.plan.search_block, listener.mapping)
+        verdict = judge(site, pose_at(best), scenario.baseline_pose, evaluator, scenario.search.seed)
+    searched = {
+        "search": scenario.search.method,
+        "seed": scenario.search.seed,
+        "evaluations": search.evaluations,
+        "map": None if score_map is None else _map_summary(score_map, scenario, verdict),
+    }
+    result = _result(site, identity, best, verdict, searched, time.perf_counter() - started)
+    return _finish(site, folder, result, best, score_map, search.history)
+
+
+def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float]) -> Outcome:
+    """Score one mounting, its six `coordinates` in metres and degrees, and write the results."""
+    started = time.perf_counter()
+    scenario = site.scenario
+    folder.write_scene(scenario)
+    with site.evaluator(site.search) as evaluator:
+        verdict = judge(site, pose_at(coordinates), scenario.baseline_pose, evaluator, scenario.search.seed)
+    searched = {"search": None, "seed": scenario.search.seed, "evaluations": 1, "map": None}
+    identity = run_identity(scenario, site.observation.caster)
+    result = _result(site, identity, coordinates, verdict, searched, time.perf_counter() - started)
+    return _finish(site, folder, result, coordinates, None, None)
+
+
+def _fresh_search(scenario: Scenario) -> Search:
+    settings = scenario.search
+    return make_search(
+        settings.method,
+        np.array(scenario.deployment.lower),
+        np.array(scenario.deployment.upper),
+        seed=settings.seed,
+        settings=DePsoSettings(
+            particles=settings.particles,
+            iterations=settings.iterations,
+            inertia=settings.inertia,
+            differential_weight=settings.differential_weight,
+            cognitive=settings.cognitive,
+            social=settings.social,
+            differential_threshold=settings.differential_threshold,
+            reading=scenario.objective.reading,
+        ),
+    )
+
+
+def _search(search, evaluator: Evaluator, scenario, folder, identity, listener):
+    deployment = scenario.deployment
+    listener.searching(search)
+    stored_at = -np.inf
+    while not search.done:
+        poses = [deployment.pose(x) for x in search.ask()]
+        search.tell(evaluator.totals(poses).objective.sum(axis=1))
+        if time.monotonic() - stored_at >= _CHECKPOINT_EVERY_S or search.done:
+            folder.write_checkpoint(identity, search.state())
+            stored_at = time.monotonic()
+        listener.searching(search)
+
+
+def _map_summary(score_map: ScoreMap, scenario, verdict) -> dict:
+    height, tilt, value = score_map.best
+    base = verdict["baseline"]["objective_per_vehicle"]
+    found = verdict["optimised"]["objective_per_vehicle"]
+    gain = max(value, found) - base
+    intervals = score_map.optimum_intervals_90(scenario.search.seed)
+    return {
+        "points": list(POINTS),
+        "best": {"height_m": height, "tilt_x_deg": tilt, "objective_per_vehicle": value},
+        "search_regret": max(0.0, value - found) / gain if gain > 0 else None,
+        "optimum_interval_90": None if intervals is None else {key: list(pair) for key, pair in intervals.items()},
+        "share_within_1_percent": float((score_map.per_vehicle >= found - 0.01 * gain).mean()),
+    }
+
+
+def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
+    scenario = site.scenario
+    return {
+        "schema": SCHEMA,
+        "sensor": site.model.name,
+        "range_gate_m": scenario.sensor.range_gate_m,
+        "caster": site.observation.caster,
+        "detail": site.observation.detail,
+        "metric": scenario.objective.metric,
+        "reading": scenario.objective.reading,
+        **searched,
+        "frames": len(site.search),
+        "frame_ids": [int(frame) for frame in site.plan.search],
+        "holdout_frame_ids": [int(frame) for frame in site.plan.holdout],
+        "block_s": site.plan.block_s,
+        "vehicles": sum(int(frame.counted.sum()) for frame in site.search),
+        "deployment": dict(best),
+        **verdict["optimised"],
+        "baseline": {"deployment": dict(scenario.baseline), **verdict["baseline"]},
+        "notes": list(site.plan.notes),
+        "traffic_report": site.recording.report.as_dict(),
+        "identity": identity,
+        "seconds": round(seconds, 3),
+        "versions": versions(site.observation.caster),
+    }
+
+
+def _finish(site: Site, folder: RunFolder, result, best, score_map, history) -> Outcome:
+    tables = [_both_splits(site, pose_at(best)), _both_splits(site, site.scenario.baseline_pose)]
+    if history is not None:
+        folder.write_history(history, site.scenario.deployment.variables)
+    if score_map is not None:
+        folder.write_score_map(score_map)
+    folder.write_vehicles(VEHICLES, tables[0])
+    folder.write_vehicles(VEHICLES_BASELINE, tables[1])
+    folder.write_text("installation.txt", installation_text(site, result))
+    folder.finish(result)
+    return Outcome(result, tables[0], tables[1], score_map, history)
+
+
+def _both_splits(site: Site, pose):
+    settings = (pose, site.observation, site.scoring)
+    return join_tables(vehicle_table(site.search, *settings, "search"), vehicle_table(site.holdout, *settings, "holdout"))

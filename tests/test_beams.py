@@ -1,0 +1,211 @@
+"""Eq. 1 and the lattice of one turn, against a slow loop over (ring, firing column)."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from blender_lidar.errors import InputError
+from blender_lidar.sensors.beams import BeamLattice, beam_directions, beam_lattice
+from blender_lidar.sensors.model import LidarModel, load_model, model_names
+
+TURN = 2.0 * math.pi
+
+
+def small_model(offsets_rad: list[float], columns: int, fire_s: list[float] | None = None) -> LidarModel:
+    rings = len(offsets_rad)
+    return LidarModel(
+        name="small",
+        description="",
+        source="",
+        confidence="",
+        aliases=(),
+        elevation_rad=np.linspace(-0.4, 0.2, rings),
+        azimuth_offset_rad=np.array(offsets_rad),
+        fire_time_s=np.full(rings, np.nan) if fire_s is None else np.array(fire_s),
+        rotation_hz=(10.0,),
+        default_rotation_hz=10.0,
+        block_time_s=0.1 / columns,
+        range_min_m=0.4,
+        range_max_m=100.0,
+        range_noise_m=0.02,
+    )
+
+
+def assert_equals_slow_loop(lattice: BeamLattice, phase_rad: float = 0.0) -> None:
+    """Every (ring, firing column) must stand in the lattice once, with its direction, azimuth and time."""
+    model, columns = lattice.model, lattice.columns
+    slot_of = np.full((lattice.rings, columns), -1)
+    for ring in range(lattice.rings):
+        column = lattice.column(ring, np.arange(columns))
+        slot_of[ring, column] = np.arange(columns)
+    assert np.all(slot_of >= 0)
+    ring_index = np.arange(lattice.rings)[:, None]
+    directions = lattice.directions[ring_index, slot_of]
+    azimuths = lattice.azimuth_rad(ring_index, slot_of)
+    times = lattice.time_s(ring_index, slot_of)
+    for ring in range(lattice.rings):
+        elevation = float(model.elevation_rad[ring])
+        offset = float(model.azimuth_offset_rad[ring])
+        fire = float(model.fire_time_s[ring])
+        for column in range(columns):
+            azimuth = phase_rad + column * TURN / columns + offset
+            x = math.sin(azimuth) * math.cos(elevation)
+            y = math.cos(azimuth) * math.cos(elevation)
+            z = math.sin(elevation)
+            found = directions[ring, column]
+            assert abs(found[0] - x) + abs(found[1] - y) + abs(found[2] - z) < 1e-12
+            turns = (azimuths[ring, column] - azimuth) / TURN
+            assert abs(turns - round(turns)) < 1e-12
+            time = column / (lattice.rotation_hz * columns) + (0.0 if math.isnan(fire) else fire)
+            assert abs(times[ring, column] - time) < 1e-12
+
+
+def assert_sorted_by_azimuth(lattice: BeamLattice) -> None:
+    assert np.all(lattice.slot_azimuth0_rad >= 0.0)
+    assert np.all(lattice.slot_azimuth0_rad < lattice.step_rad)
+    azimuth = lattice.azimuth_rad(np.arange(lattice.rings)[:, None], np.arange(lattice.columns))
+    assert np.all(azimuth >= 0.0)
+    assert np.all(azimuth < TURN)
+    assert np.all(np.diff(azimuth, axis=1) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "elevation_deg", "direction"),
+    [(0, 0, (0, 1, 0)), (90, 0, (1, 0, 0)), (180, 0, (0, -1, 0)), (270, 0, (-1, 0, 0)), (0, 90, (0, 0, 1))],
+)
+def test_azimuth_runs_from_plus_y_clockwise_towards_plus_x(azimuth_deg, elevation_deg, direction):
+    found = beam_directions(math.radians(azimuth_deg), math.radians(elevation_deg))
+    np.testing.assert_allclose(found, direction, atol=1e-15)
+
+
+def test_directions_broadcast_and_have_unit_length():
+    directions = beam_directions(np.linspace(0.0, 7.0, 5), np.linspace(-1.5, 1.5, 3)[:, None])
+    assert directions.shape == (3, 5, 3)
+    assert directions.flags.c_contiguous
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1.0)
+    np.testing.assert_allclose(
+        np.arctan2(directions[..., 2], np.hypot(directions[..., 0], directions[..., 1]))[:, 0],
+        np.linspace(-1.5, 1.5, 3),
+    )
+
+
+@pytest.mark.parametrize("name", model_names())
+def test_the_lattice_of_every_model_equals_a_slow_loop(name):
+    model = load_model(name)
+    lattice = beam_lattice(model)
+    assert lattice.columns == model.columns()
+    assert lattice.step_rad == TURN / lattice.columns
+    assert lattice.directions.shape == (model.rings, lattice.columns, 3)
+    assert lattice.directions.dtype == np.float64
+    assert lattice.directions.flags.c_contiguous
+    assert_sorted_by_azimuth(lattice)
+    assert_equals_slow_loop(lattice)
+
+
+@given(
+    offsets=st.lists(st.floats(-math.pi, math.pi), min_size=1, max_size=5),
+    columns=st.integers(1, 40),
+    phase=st.floats(-100.0, 100.0),
+)
+def test_any_lattice_equals_a_slow_loop(offsets, columns, phase):
+    lattice = beam_lattice(small_model(offsets, columns), phase_rad=phase)
+    assert lattice.columns == columns
+    assert_sorted_by_azimuth(lattice)
+    assert_equals_slow_loop(lattice, phase)
+
+
+@given(offset=st.sampled_from([-1e-300, -1e-17, -1e-16, 0.0, 1e-16, math.pi, -math.pi]), columns=st.integers(1, 4000))
+def test_offsets_on_the_edge_of_a_slot_or_of_the_turn_stay_in_range(offset, columns):
+    lattice = beam_lattice(small_model([offset], columns))
+    assert_sorted_by_azimuth(lattice)
+    assert 0 <= lattice.shift[0] < columns
+
+
+@pytest.mark.parametrize("name", ["RS-80", "RS-LiDAR-32", "HDL-64E-S2"])
+def test_an_interval_of_azimuths_is_a_contiguous_range_of_slots_in_every_ring(name):
+    lattice = beam_lattice(load_model(name))
+    azimuth = np.arctan2(lattice.directions[..., 0], lattice.directions[..., 1]) % TURN
+    inside = (azimuth > 1.0) & (azimuth < 1.5)
+    assert np.all(np.abs(np.diff(inside.astype(int), axis=1)).sum(axis=1) == 2)
+
+
+def test_the_beams_of_one_firing_column_look_where_their_offsets_say():
+    model = load_model("RS-80")
+    lattice = beam_lattice(model)
+    ring = np.arange(model.rings)
+    slot = (300 + lattice.shift) % lattice.columns
+    np.testing.assert_array_equal(lattice.column(ring, slot), 300)
+    expected = 300 * lattice.step_rad + model.azimuth_offset_rad
+    np.testing.assert_allclose(lattice.azimuth_rad(ring, slot), expected, atol=1e-12)
+
+
+def test_time_is_the_columns_plus_the_rings_own():
+    lattice = beam_lattice(small_model([0.0, 0.0], 100, fire_s=[2e-6, math.nan]))
+    np.testing.assert_allclose(lattice.time_s(np.array([0, 1]), np.array([50, 50])), [0.05 + 2e-6, 0.05])
+
+
+def test_times_of_a_turn_fill_the_turn():
+    lattice = beam_lattice(load_model("RS-16"), 20.0)
+    times = lattice.time_s(np.arange(16)[:, None], np.arange(lattice.columns))
+    assert times.min() == 0.0
+    assert 1 / 20 - 55.5e-6 < times.max() < 1 / 20
+
+
+@pytest.mark.parametrize("name", ["RS-80", "RS-LiDAR-32"])
+def test_a_phase_turns_every_beam_clockwise(name):
+    model = load_model(name)
+    plain, turned = beam_lattice(model), beam_lattice(model, phase_rad=0.3)
+    ring = np.arange(model.rings)[:, None]
+    column = np.arange(plain.columns)
+    before = plain.azimuth_rad(ring, (column + plain.shift[:, None]) % plain.columns)
+    after = turned.azimuth_rad(ring, (column + turned.shift[:, None]) % turned.columns)
+    np.testing.assert_allclose((after - before) % TURN, 0.3, atol=1e-12)
+
+
+def test_a_stride_keeps_every_kth_firing_column():
+    model = load_model("RS-80")
+    whole, coarse = beam_lattice(model), beam_lattice(model, stride=4)
+    assert coarse.columns * 4 == whole.columns
+    ring, column = np.arange(model.rings)[:, None], np.arange(coarse.columns)
+    kept = whole.directions[ring, (4 * column + whole.shift[:, None]) % whole.columns]
+    found = coarse.directions[ring, (column + coarse.shift[:, None]) % coarse.columns]
+    np.testing.assert_allclose(found, kept, atol=1e-12)
+    same_time = whole.time_s(ring, (4 * column + whole.shift[:, None]) % whole.columns)
+    np.testing.assert_allclose(coarse.time_s(ring, (column + coarse.shift[:, None]) % coarse.columns), same_time)
+
+
+def test_a_stride_that_does_not_divide_the_turn_still_covers_it_evenly():
+    lattice = beam_lattice(load_model("RS-16"), stride=4)  # 1802 columns
+    assert lattice.columns == 450
+    assert_sorted_by_azimuth(lattice)
+    assert_equals_slow_loop(lattice)
+
+
+@pytest.mark.parametrize("stride", [0, -1, 1803, 1.5, math.nan])
+def test_a_stride_out_of_range_is_refused(stride):
+    with pytest.raises(InputError, match=r"stride is .*; allowed: whole numbers from 1 to the 1802 columns"):
+        beam_lattice(load_model("RS-16"), stride=stride)
+
+
+@pytest.mark.parametrize("phase", [math.nan, math.inf])
+def test_a_phase_that_is_no_angle_is_refused(phase):
+    with pytest.raises(InputError, match="phase_rad is"):
+        beam_lattice(load_model("RS-16"), phase_rad=phase)
+
+
+def test_a_rate_the_sensor_does_not_have_is_refused():
+    with pytest.raises(InputError, match="does not turn at 15"):
+        beam_lattice(load_model("RS-80"), 15)
+
+
+def test_a_lattice_cannot_be_changed_and_survives_pickling():
+    lattice = beam_lattice(load_model("RS-16"))
+    with pytest.raises(ValueError, match="read-only"):
+        lattice.directions[0, 0, 0] = 1.0
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(lattice)).directions, lattice.directions)

@@ -1,0 +1,256 @@
+"""NGSIM's known defects, made on purpose: what is repaired, what is reported, what must be chosen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import traffic_samples as samples
+
+from blender_lidar.errors import InputError
+from blender_lidar.traffic import read_traffic
+
+pytest.importorskip("pandas")
+
+FOOT_M = 0.3048
+
+
+def read(tmp_path, columns, **settings):
+    path = tmp_path / "recording.txt"
+    path.write_text(samples.native(columns))
+    return read_traffic(path, **settings)
+
+
+def changed(columns, row, **values):
+    """One row again, with other values."""
+    again = samples.picked(columns, np.array([row]))
+    return again | {name: np.array([value]) for name, value in values.items()}
+
+
+# ---- periods -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def three_periods():
+    return samples.joined(
+        samples.columns(vehicles=7, seed=1),
+        samples.columns(vehicles=8, seed=2, origin_ms=samples.P2_ORIGIN_MS),
+        samples.columns(vehicles=9, seed=3, origin_ms=samples.P3_ORIGIN_MS),
+    )
+
+
+def test_periods_are_never_merged_and_the_first_is_used_unless_chosen(tmp_path, three_periods):
+    recording = read(tmp_path, three_periods)
+    assert recording.report.periods == ("0400-0415", "0500-0515", "0515-0530")
+    assert recording.report.period == "0400-0415"
+    assert len(np.unique(recording.vehicle_id)) == 7
+    assert any("3 periods found" in line for line in recording.report.lines())
+    assert recording.report.repeated == recording.report.duplicates == 0
+
+
+@pytest.mark.parametrize("period", [3, "3", "0515-0530", "05:15-05:30"])
+def test_a_period_is_chosen_by_number_or_name(tmp_path, three_periods, period):
+    recording = read(tmp_path, three_periods, period=period)
+    alone = read(tmp_path, samples.columns(vehicles=9, seed=3, origin_ms=samples.P3_ORIGIN_MS))
+    np.testing.assert_array_equal(recording.centre_m, alone.centre_m)
+    assert recording.report.period == alone.report.period == "0515-0530"
+    assert not recording.report.notes
+
+
+def test_periods_that_overlap_in_time_are_told_apart_by_their_clocks(tmp_path):
+    late_in_p2 = samples.columns(vehicles=3, first_frame=9000, origin_ms=samples.P2_ORIGIN_MS)
+    early_in_p3 = samples.columns(vehicles=3, first_frame=1020, origin_ms=samples.P3_ORIGIN_MS)
+    assert set(late_in_p2["Global_Time"]) & set(early_in_p3["Global_Time"])
+    both = samples.joined(early_in_p3, late_in_p2)
+    assert read(tmp_path, both).frames[0] == 9000
+    assert read(tmp_path, both, period=2).frames[0] == 1020
+
+
+def test_a_clock_that_wanders_by_seconds_is_still_one_period(tmp_path):
+    columns = samples.columns()
+    columns["Global_Time"] = columns["Global_Time"] + np.where(columns["Vehicle_ID"] > 6, 20_000, 0)
+    assert read(tmp_path, columns).report.periods == ("0400-0415",)
+
+
+def test_times_without_a_date_get_numbers_for_names(tmp_path):
+    """Peachtree's Global_Time has ten digits."""
+    columns = samples.joined(
+        samples.columns(origin_ms=1_163_030_300), samples.columns(origin_ms=1_163_030_300 + 11_000_000)
+    )
+    assert read(tmp_path, columns).report.periods == ("1", "2")
+
+
+def test_unknown_period_names_the_known_ones(tmp_path, three_periods):
+    with pytest.raises(InputError, match=r"recording.txt: no period 4; .*1 \(0400-0415\), 2 \(0500-0515\), 3"):
+        read(tmp_path, three_periods, period=4)
+    with pytest.raises(InputError, match=r"no period '0750-0805'"):
+        read(tmp_path, three_periods, period="0750-0805")
+
+
+# ---- locations -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def mixed_sites(tmp_path):
+    path = tmp_path / "portal.csv"
+    body = samples.portal(samples.columns(vehicles=4, seed=5), "us-101", header=False)
+    path.write_text(samples.portal(samples.columns(vehicles=3, seed=6), "i-80") + body, encoding="utf-8", newline="")
+    return path
+
+
+def test_of_several_locations_one_must_be_chosen(mixed_sites):
+    with pytest.raises(InputError, match=r"portal.csv: holds 2 locations; choose one of: i-80, us-101"):
+        read_traffic(mixed_sites)
+    recording = read_traffic(mixed_sites, location="US-101")
+    assert len(np.unique(recording.vehicle_id)) == 4
+    assert recording.report.location == "us-101"
+    assert recording.report.rows_read == 7 * 120
+    assert "location us-101" in recording.report.lines()[0]
+
+
+def test_unknown_location_names_the_nearest(mixed_sites):
+    with pytest.raises(InputError, match=r"unknown location 'us101'; did you mean 'us-101'\?"):
+        read_traffic(mixed_sites, location="us101")
+
+
+def test_values_of_other_locations_do_not_matter(mixed_sites):
+    text = mixed_sites.read_text(encoding="utf-8")
+    line = next(line for line in text.splitlines() if line.endswith("us-101"))
+    fields = line.split(",")
+    fields[8] = "-3"
+    mixed_sites.write_text(text.replace(line, ",".join(fields)), encoding="utf-8", newline="")
+    assert len(read_traffic(mixed_sites, location="i-80")) == 3 * 120
+    with pytest.raises(InputError, match="v_Length is '-3'"):
+        read_traffic(mixed_sites, location="us-101")
+
+
+def test_a_location_that_cannot_be_checked_is_noted(tmp_path):
+    recording = read(tmp_path, samples.columns(), location="i-80")
+    assert recording.report.notes == ("the file has no Location column: taken to be i-80",)
+
+
+# ---- rows ----------------------------------------------------------------------------------------------------------
+
+
+def test_exact_duplicates_and_contradicting_rows_are_dropped_and_counted_apart(tmp_path):
+    columns = samples.columns()
+    clean = read(tmp_path, columns)
+    spoilt = samples.joined(
+        columns,
+        samples.picked(columns, np.arange(0, 200, 2)),
+        changed(columns, 7, Local_X=30.0),
+        changed(columns, 8, v_Length=99.0),
+    )
+    recording = read(tmp_path, spoilt)
+    assert (recording.report.duplicates, recording.report.repeated) == (100, 2)
+    np.testing.assert_array_equal(recording.centre_m, clean.centre_m)
+
+
+def test_rows_far_off_the_map_are_dropped_and_counted(tmp_path):
+    columns = samples.columns()
+    columns["Local_Y"][5] = 1e7
+    columns["Local_X"][700] = -1e6
+    recording = read(tmp_path, columns)
+    assert recording.report.off_map == 2
+    assert recording.report.interpolated == 2, "a single lost row is a short gap"
+    columns["Local_Y"][:] = 1e7
+    with pytest.raises(InputError, match="no vehicles left"):
+        read(tmp_path, columns)
+
+
+@pytest.mark.parametrize(("lost", "filled"), [(1, 1), (4, 4), (5, 5), (6, 0), (20, 0)])
+def test_gaps_up_to_half_a_second_are_interpolated_and_longer_ones_split_the_track(tmp_path, lost, filled):
+    columns = samples.columns()
+    whole = read(tmp_path, columns)
+    gap = (columns["Vehicle_ID"] == 3) & (columns["Frame_ID"] >= 150) & (columns["Frame_ID"] < 150 + lost)
+    recording = read(tmp_path, samples.picked(columns, ~gap))
+    assert recording.report.interpolated == filled
+    assert recording.report.tracks_split == (0 if filled else 1)
+    assert len(recording) == len(whole) - lost + filled
+    assert recording.report.rows_used == len(whole) - lost
+    if filled:
+        np.testing.assert_allclose(recording.centre_m, whole.centre_m, atol=1e-3)
+
+
+def test_headings_are_held_while_a_vehicle_stands(tmp_path):
+    columns = samples.columns(vehicles=2, frames=600)
+    t = (columns["Frame_ID"] - 100) * 0.1
+    moved = np.minimum(t, 20) + np.maximum(t - 40, 0)  # stands from 20 s to 40 s, then leaves in another direction
+    noise = np.random.default_rng(0).normal(0, 0.3, len(t))
+    columns["Local_Y"] = 100 + 20 * moved + noise
+    columns["Local_X"] = 30 - 1.0 * np.minimum(t, 20) + 1.0 * np.maximum(t - 40, 0) + noise
+    recording = read(tmp_path, columns)
+    one = recording.vehicle_id == 1
+    heading = recording.heading_rad[one]
+    before, after = np.arctan2(1, 20), np.arctan2(-1, 20)
+    np.testing.assert_allclose(heading[20:180], before, atol=0.02)
+    assert len(np.unique(heading[220:380])) == 1, "one heading throughout the stop"
+    assert 0.2 * before < heading[300] < np.radians(6) + 1e-9
+    np.testing.assert_allclose(heading[-180:-20], after, atol=0.02)
+    assert 2 * 160 <= recording.report.headings_held <= 2 * 200
+
+
+def test_a_vehicle_that_never_moves_points_along_the_road(tmp_path):
+    columns = samples.columns(vehicles=6)
+    columns["Local_Y"] = 300 + np.random.default_rng(0).normal(0, 0.5, len(columns["Local_Y"]))
+    recording = read(tmp_path, columns)
+    assert (recording.heading_rad == 0).all()
+    assert recording.report.headings_held == len(recording)
+
+
+def test_headings_are_limited_more_tightly_away_from_lane_changes(tmp_path):
+    columns = samples.columns(vehicles=1, frames=300)
+    t = (columns["Frame_ID"] - 100) * 0.1
+    columns["Local_Y"] = 100 + 20 * t
+    columns["Local_X"] = 60 - 20 * np.tan(np.radians(10)) * t
+    recording = read(tmp_path, columns)
+    np.testing.assert_allclose(recording.heading_rad, np.radians(6))
+    assert recording.report.headings_clamped == 300
+    columns["Lane_ID"] = np.where(t < 15, 5, 4)
+    heading = read(tmp_path, columns).heading_rad
+    np.testing.assert_allclose(heading[np.abs(t - 15) < 2.9], np.radians(10), atol=1e-6)
+    np.testing.assert_allclose(heading[np.abs(t - 15) > 3.2], np.radians(6))
+
+
+def test_absurd_sizes_are_brought_into_range_and_missing_ones_get_the_default(tmp_path):
+    columns = samples.columns(vehicles=8, frames=2)
+    number = columns["Vehicle_ID"] - 1
+    columns["v_Class"] = np.array([2, 2, 2, 3, 3, 1, 1, 2])[number]
+    columns["v_Length"] = np.array([3.0, 60.0, 0.0, 200.0, 0.0, 5.9, 0.0, 14.5])[number]
+    columns["v_Width"] = np.array([6.0, 20.0, 0.0, 8.5, 0.0, 5.1, 2.5, 6.8])[number]
+    recording = read(tmp_path, columns)
+    length, width = recording.vehicles(100).size_m[:, :2].T
+    np.testing.assert_allclose(length, [2.5, 7.0, 4.5, 25.0, 12.7, 5.9 * FOOT_M, 2.1, 14.5 * FOOT_M])
+    np.testing.assert_allclose(width, [6 * FOOT_M, 2.6, 2.05, 8.5 * FOOT_M, 2.59, 0.8, 2.5 * FOOT_M, 6.8 * FOOT_M])
+    assert recording.report.sizes_repaired == 7, "vehicles, not rows"
+
+
+def test_empty_sizes_and_lanes_are_missing_ones(tmp_path):
+    path = tmp_path / "portal.csv"
+    columns = samples.columns(vehicles=1, frames=3)
+    rows = samples.api(columns).splitlines()
+    fields = rows[2].split(",")
+    fields[8], fields[9], fields[13] = "", "NULL", ""
+    rows[2] = ",".join(fields)
+    path.write_text("\n".join(rows))
+    recording = read_traffic(path)
+    np.testing.assert_allclose(recording.vehicles(101).size_m, [[4.5, 2.05, 1.5]])
+    assert recording.lane.tolist() == [1, 0, 1]
+
+
+def test_overlaps_are_reported_and_left_alone(tmp_path):
+    columns = samples.columns(vehicles=12)
+    clean = read(tmp_path, columns)
+    assert clean.report.overlaps == 0
+    columns["Local_X"][columns["Vehicle_ID"] == 2] = 8.0  # two feet beside vehicle 1
+    columns["Local_Y"][columns["Vehicle_ID"] == 2] = columns["Local_Y"][columns["Vehicle_ID"] == 1]
+    recording = read(tmp_path, columns)
+    assert recording.report.overlaps == recording.report.overlap_frames == 60
+    assert len(recording) == len(clean)
+
+
+def test_the_report_only_tells_what_happened(tmp_path):
+    recording = read(tmp_path, samples.columns())
+    assert recording.report.lines() == ["1,440 of 1,440 rows used"]
+    as_dict = recording.report.as_dict()
+    assert as_dict["rows_read"] == as_dict["rows_used"] == 1440
+    assert as_dict["periods"] == ["0400-0415"]

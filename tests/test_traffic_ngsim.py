@@ -1,0 +1,205 @@
+"""NGSIM's dialects all give the same boxes, in metres and in the road frame."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pytest
+import traffic_samples as samples
+
+from blender_lidar.errors import InputError
+from blender_lidar.traffic import CLASSES, RoadFrame, read_traffic
+
+pytest.importorskip("pandas")
+
+FOOT_M = 0.3048
+
+
+@pytest.fixture
+def columns():
+    return samples.columns()
+
+
+@pytest.fixture
+def expected(columns, tmp_path):
+    path = tmp_path / "expected.txt"
+    path.write_text(samples.native(columns))
+    return read_traffic(path)
+
+
+def assert_same_boxes(given, expected):
+    for name in ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "frame_time_s"):
+        np.testing.assert_array_equal(getattr(given, name), getattr(expected, name), err_msg=name)
+    assert given.time_step_s == expected.time_step_s
+
+
+def _api_with_empty_cells(columns):
+    return samples.api(columns).replace("NULL", "")
+
+
+def _header_tabs(columns):
+    return "\t".join(samples.NATIVE_COLUMNS) + "\n" + samples.native(columns, separator="\t", line_end="\n")
+
+
+def _header_extras(columns):
+    body = samples.native(columns, separator=",", line_end=",1\n")
+    return ",".join([*samples.NATIVE_COLUMNS, "x_imputed"]) + "\n" + body
+
+
+DIALECTS = {
+    "tabs": lambda c: samples.native(c, separator="\t", line_end="\n"),
+    "tabs at the line's end": lambda c: samples.native(c, separator="\t", line_end="\t\r\n"),
+    "mixed spaces and tabs": lambda c: samples.native(c, separator=" \t", line_end=" \n"),
+    "CRLF": lambda c: samples.native(c, line_end=" \r\n"),
+    "commas": lambda c: samples.native(c, separator=",", line_end="\n"),
+    "commas at the line's end": lambda c: samples.native(c, separator=",", line_end=",\n"),
+    "portal": samples.portal,
+    "portal without header": lambda c: samples.portal(c, header=False),
+    "API": samples.api,
+    "API with empty cells": _api_with_empty_cells,
+    "header and tabs": _header_tabs,
+    "header and extra columns": _header_extras,
+    "comment before the rows": lambda c: "# made up\n\n" + samples.native(c),
+    "comment before the header": lambda c: "# made up\n" + samples.api(c),
+    "blank lines between": lambda c: samples.native(c).replace("\n", "\n\n"),
+    "no line end at the end": lambda c: samples.native(c).rstrip("\n"),
+}
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_every_dialect_gives_the_same_boxes(dialect, columns, expected, tmp_path):
+    path = tmp_path / "recording.dat"
+    path.write_text(DIALECTS[dialect](columns), newline="", encoding="utf-8")
+    assert_same_boxes(read_traffic(path), expected)
+
+
+def test_gzip_is_told_by_content_whatever_the_name(columns, expected, tmp_path):
+    path = tmp_path / "recording.txt"
+    path.write_bytes(gzip.compress(samples.native(columns).encode()))
+    assert_same_boxes(read_traffic(path), expected)
+    path.with_suffix(".gz").write_text(samples.native(columns))
+    assert_same_boxes(read_traffic(path.with_suffix(".gz")), expected)
+
+
+def test_order_of_rows_does_not_matter(columns, expected, tmp_path):
+    path = tmp_path / "shuffled.txt"
+    order = np.random.default_rng(1).permutation(len(columns["Frame_ID"]))
+    path.write_text(samples.native(samples.picked(columns, order)))
+    assert_same_boxes(read_traffic(path), expected)
+
+
+def test_chunks_do_not_show(columns, expected, tmp_path, monkeypatch):
+    from blender_lidar.traffic import ngsim_rows
+
+    monkeypatch.setattr(ngsim_rows, "_CHUNK_ROWS", 97)
+    path = tmp_path / "recording.csv"
+    path.write_text(samples.portal(columns), encoding="utf-8", newline="")
+    assert_same_boxes(read_traffic(path), expected)
+
+
+def test_front_centre_in_feet_becomes_box_centre_in_the_road_frame(columns, tmp_path):
+    path = tmp_path / "recording.txt"
+    path.write_text(samples.native(columns))
+    road = RoadFrame(station_m=40.0, right_edge_m=25.0, setback_m=3.0)
+    recording = read_traffic(path, road=road)
+    order = np.lexsort((columns["Vehicle_ID"], columns["Frame_ID"]))
+    front_x = columns["Local_Y"][order] * FOOT_M - 40.0
+    length = columns["v_Length"][order] * FOOT_M
+    np.testing.assert_allclose(recording.size_m[:, 0], length, atol=1e-12)
+    np.testing.assert_allclose(recording.centre_m[:, 0], front_x - length / 2, atol=1e-9)
+    np.testing.assert_allclose(recording.centre_m[:, 1], 3.0 + 25.0 - columns["Local_X"][order] * FOOT_M, atol=1e-9)
+    np.testing.assert_allclose(recording.centre_m[:, 2], recording.size_m[:, 2] / 2)
+    np.testing.assert_allclose(recording.heading_rad, 0.0, atol=1e-9)
+
+
+def test_left_lane_lies_left_and_traffic_moves_forward(expected):
+    lane_y = [np.median(expected.centre_m[expected.lane == lane, 1]) for lane in range(1, 7)]
+    assert (np.diff(lane_y) < 0).all()
+    low, high = RoadFrame().carriageway_y
+    assert low < min(lane_y)
+    assert max(lane_y) < high
+    first, last = expected.vehicles(expected.frames[0]), expected.vehicles(expected.frames[-1])
+    assert (last.centre_m[:, 0] > first.centre_m[:, 0]).all()
+
+
+def test_time_step_and_frame_times_are_inferred(columns, expected, tmp_path):
+    assert expected.time_step_s == 0.1
+    np.testing.assert_allclose(np.diff(expected.frame_time_s), 0.1)
+    columns["Global_Time"] = samples.P1_ORIGIN_MS + 40 * columns["Frame_ID"]
+    path = tmp_path / "at_25_hz.txt"
+    path.write_text(samples.native(columns))
+    assert read_traffic(path).time_step_s == 0.04
+
+
+def test_instants_with_neighbours_keep_frame_numbers_times_and_headings(tmp_path):
+    columns = samples.columns(frames=1000)
+    columns["Local_X"] = columns["Local_X"] - 0.05 * (columns["Local_Y"] - 100)
+    columns = samples.picked(columns, np.isin(columns["Frame_ID"] % 100, (45, 50, 55)))
+    path = tmp_path / "instants.txt"
+    path.write_text(samples.native(columns))
+    recording = read_traffic(path)
+    assert recording.frames[:4].tolist() == [145, 150, 155, 245]
+    np.testing.assert_allclose(np.diff(recording.frame_time_s)[:3], [0.5, 0.5, 9.0])
+    np.testing.assert_allclose(recording.heading_rad, np.arctan(0.05), atol=1e-3)
+    assert recording.report.tracks_split == recording.report.interpolated == recording.report.headings_held == 0
+
+
+def test_classes_and_heights_follow_from_class_and_length(tmp_path):
+    columns = samples.columns(vehicles=6, frames=2)
+    number = columns["Vehicle_ID"]
+    columns["v_Class"] = np.array([0, 2, 2, 3, 3, 1, 2])[number]
+    columns["v_Length"] = np.array([0, 14.0, 17.0, 26.0, 50.0, 7.0, 16.0])[number]
+    path = tmp_path / "classes.txt"
+    path.write_text(samples.native(columns))
+    vehicles = read_traffic(path).vehicles(100)
+    assert vehicles.class_name.tolist() == ["car", "van", "truck", "truck", "motorcycle", "car"]
+    assert vehicles.size_m[:, 2].tolist() == [1.5, 1.9, 3.0, 3.8, 1.4, 1.5]
+    own = read_traffic(path, height_m={"car": 1.6, "long_truck": 4.0}).vehicles(100)
+    assert own.size_m[:, 2].tolist() == [1.6, 1.9, 3.0, 4.0, 1.4, 1.6]
+    assert set(vehicles.class_index) <= set(range(len(CLASSES)))
+
+
+def test_vehicles_of_a_frame_and_selection(expected, columns):
+    vehicles = expected.vehicles(150)
+    assert vehicles.frame == 150
+    assert vehicles.time_s == pytest.approx(15.0)
+    assert len(vehicles) == expected.counts[50] == 12
+    assert vehicles.vehicle_id.tolist() == list(range(1, 13))
+    trucks = vehicles.select(vehicles.class_name == "truck")
+    assert trucks.vehicle_id.tolist() == [10]
+    assert trucks.centre_m.shape == trucks.size_m.shape == (1, 3)
+    with pytest.raises(InputError, match=r"no frame 99; the recording has 120 frames from 100 to 219"):
+        expected.vehicles(99)
+
+
+def test_recording_is_read_only(expected):
+    with pytest.raises(ValueError, match="read-only"):
+        expected.vehicles(100).centre_m[0] = 0.0
+
+
+def test_x_range_keeps_boxes_by_their_centre(columns, expected, tmp_path):
+    path = tmp_path / "recording.txt"
+    path.write_text(samples.native(columns))
+    near = read_traffic(path, x_range_m=(-200.0, -150.0))
+    inside = (expected.centre_m[:, 0] >= -200) & (expected.centre_m[:, 0] <= -150)
+    np.testing.assert_array_equal(near.centre_m, expected.centre_m[inside])
+    assert near.report.rows_used == inside.sum()
+    with pytest.raises(InputError, match=r"no vehicles between x = 5000\.0 m"):
+        read_traffic(path, x_range_m=(5000.0, 6000.0))
+
+
+def test_native_text_of_arterials_has_free_headings(tmp_path):
+    columns = samples.columns()
+    columns["Local_Y"] = 2000.0 - columns["Local_Y"]  # oncoming
+    path = tmp_path / "lankershim.txt"
+    path.write_text(samples.native(columns, arterial=True))
+    recording = read_traffic(path)
+    np.testing.assert_allclose(np.abs(recording.heading_rad), np.pi, atol=1e-9)
+    front_x = columns["Local_Y"][columns["Vehicle_ID"] == 1] * FOOT_M - 250.0
+    one = recording.vehicle_id == 1
+    np.testing.assert_allclose(recording.centre_m[one, 0], front_x + recording.size_m[one, 0] / 2, atol=1e-9)
+    path.write_text(samples.portal(columns, "peachtree"), encoding="utf-8")
+    np.testing.assert_allclose(np.abs(read_traffic(path).heading_rad), np.pi, atol=1e-9)
+    path.write_text(samples.native(columns))
+    np.testing.assert_allclose(np.abs(read_traffic(path).heading_rad), np.radians(6.0), atol=1e-9)
