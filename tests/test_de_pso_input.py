@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from search_landscapes import LOWER, UPPER, sphere
+from tests.search_landscapes import LOWER, UPPER, sphere
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import DePso, DePsoSettings, de_pso, run

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from search_landscapes import LOWER, UPPER, ackley, sphere, terraces
+from tests.search_landscapes import LOWER, UPPER, ackley, sphere, terraces
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import (

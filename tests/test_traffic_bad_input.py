@@ -6,10 +6,10 @@ import gzip
 
 import numpy as np
 import pytest
-import traffic_samples as samples
 
 from blender_lidar.errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError
 from blender_lidar.traffic import RoadFrame, read_traffic, source
+from tests import traffic_samples as samples
 
 pytest.importorskip("pandas")
 
@@ -38,7 +38,7 @@ def with_field(text, line, field, value, separator=None):
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(MissingFileError, match="nowhere.txt: no such file"):
+    with pytest.raises(MissingFileError, match=r"nowhere\.txt: no such file"):
         read_traffic(tmp_path / "nowhere.txt")
 
 
@@ -176,7 +176,6 @@ def test_a_wrong_number_of_fields(tmp_path, columns, monkeypatch, line, chunk, f
     lines[line - 1] = " ".join([*lines[line - 1].split(), "7"][kept])
     path.write_text("\n".join(lines) + "\n")
     assert refused(path) == f"FILE:{line}: {fields} fields; the other rows have 18"
-    path.write_text("\n".join(lines).replace(" ", ",").replace(",,", ",") + "\n")
 
 
 @pytest.mark.parametrize("line", [2, 30, 61])

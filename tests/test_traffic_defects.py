@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import traffic_samples as samples
 
 from blender_lidar.errors import InputError
 from blender_lidar.traffic import read_traffic
+from tests import traffic_samples as samples
 
 pytest.importorskip("pandas")
 

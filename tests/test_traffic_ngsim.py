@@ -6,10 +6,10 @@ import gzip
 
 import numpy as np
 import pytest
-import traffic_samples as samples
 
 from blender_lidar.errors import InputError
 from blender_lidar.traffic import CLASSES, RoadFrame, read_traffic
+from tests import traffic_samples as samples
 
 pytest.importorskip("pandas")
 

@@ -37,10 +37,10 @@ def columns(
     number = np.repeat(np.arange(vehicles), frames)
     frame = np.tile(first_frame + frame_step * np.arange(frames), vehicles)
     elapsed_s = (frame - first_frame) * 0.1
-    speed = rng.uniform(15.0, 45.0, vehicles)
     lane = np.arange(vehicles) % 6 + 1
+    speed = rng.uniform(15.0, 45.0, 6)[lane - 1]
     v_class = np.where(np.arange(vehicles) % 10 == 9, 3, 2)
-    length = np.where(v_class == 3, rng.uniform(25, 70, vehicles), rng.uniform(13, 18, vehicles)).round(1)
+    length = np.where(v_class == 3, rng.uniform(25, 50, vehicles), rng.uniform(13, 18, vehicles)).round(1)
     zero = np.zeros(len(number))
     return {
         "Vehicle_ID": number + 1,

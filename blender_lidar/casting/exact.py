@@ -59,6 +59,6 @@ class ExactCaster(Caster):
             u = np.einsum("ij,ij->i", s, p) / determinant
             v = np.einsum("ij,ij->i", directions, q) / determinant
             distance = np.einsum("ij,ij->i", edge_2, q) / determinant
-        low = -_EDGE_TOLERANCE
-        meets = (u >= low) & (v >= low) & (u + v <= 1.0 - low) & (distance >= 0.0)
+            low = -_EDGE_TOLERANCE
+            meets = (u >= low) & (v >= low) & (u + v <= 1.0 - low) & (distance >= 0.0)
         return np.where(meets, distance, np.inf)

@@ -20,7 +20,7 @@ import numpy as np
 from ..errors import InputError
 
 MISS = -1
-LEAK_PROBE_RAD = 3e-6  # wider than float32 rounding seen from a few metres, far narrower than any beam spacing
+LEAK_PROBE_RAD = 6e-6  # wider than float32 rounding seen from a few metres, far narrower than any beam spacing
 # Added to a direction, the corners of a tetrahedron surround it whatever way it points; turned off the axes, where mesh edges
 # tend to lie.
 _PROBES = LEAK_PROBE_RAD * (

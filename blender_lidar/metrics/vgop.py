@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
+from .readings import check_reading
 
 VIEWS = ("top", "side", "front")
 DEFAULT_CELL_M = 0.05
@@ -89,7 +90,11 @@ def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
 
 
 def occupancy(
-    points: np.ndarray, vehicle: np.ndarray, size: np.ndarray, cell_m: float = DEFAULT_CELL_M
+    points: np.ndarray,
+    vehicle: np.ndarray,
+    size: np.ndarray,
+    cell_m: float = DEFAULT_CELL_M,
+    reading: str = "corrected",
 ) -> np.ndarray:
     """Share of occupied cells of each vehicle's top, side and front view (Eqs. 6 to 8).
 
@@ -105,11 +110,14 @@ def occupancy(
         Length, width and height of each vehicle's box [m].
     cell_m : float
         Side of a square cell [m].
+    reading : {"corrected", "paper"}
+        ``"corrected"`` divides by the number of whole cells; ``"paper"`` by Eq. 8 as printed, the area of the view over
+        that of a cell, so that P can exceed 1.
 
     Returns
     -------
     ndarray, (n, 3)
-        P of the top, side and front view, each in [0, 1].
+        P of the top, side and front view, each in [0, 1] as corrected.
 
     Raises
     ------
@@ -121,24 +129,31 @@ def occupancy(
     vehicle = _rows(vehicle, len(points), len(size))
     if not np.isfinite(points).all():
         raise InputError("points holds a coordinate that is not finite")
-    flat, vehicle = _view_cells(points, vehicle, size, cells, cell_m)
-    occupied = np.empty((len(size), 3))
-    for view, (row, column) in enumerate(_VIEW_AXES):
-        occupied[:, view] = _distinct_cells(flat[view], vehicle, cells[:, row] * cells[:, column])
-    return occupied / (cells[:, [0, 0, 1]] * cells[:, [1, 2, 2]])
+    check_reading(reading)
+    sides = cells if reading == "corrected" else size / cell_m
+    return _occupied_cells(points, vehicle, size, cells, cell_m) / (sides[:, [0, 0, 1]] * sides[:, [1, 2, 2]])  # Eqs. 7, 8
 
 
 def entropy(p: np.ndarray) -> np.ndarray:
-    """-p log2 p of each occupancy, 0 where p is 0: one summand of Eq. 9 [bits], in the shape of `p`."""
+    """-p log2 p of each occupancy, 0 where p is 0: one summand of Eq. 9 [bits], in the shape of `p`.
+
+    Below 0 for the p above 1 that only the literal reading of Eq. 8 gives.
+    """
     p = np.asarray(p, dtype=float)
-    if not ((p >= 0) & (p <= 1)).all():
-        raise InputError("an occupancy lies outside [0, 1]")
-    return -p * np.log2(np.where(p > 0, p, 1.0))
+    if not ((p >= 0) & (p < np.inf)).all():
+        raise InputError("an occupancy is negative or not finite; allowed: 0 or more")
+    return p * np.log2(1.0 / np.where(p > 0, p, 1.0))
 
 
-def pe_vgop(points: np.ndarray, vehicle: np.ndarray, size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
+def pe_vgop(
+    points: np.ndarray,
+    vehicle: np.ndarray,
+    size: np.ndarray,
+    cell_m: float = DEFAULT_CELL_M,
+    reading: str = "corrected",
+) -> np.ndarray:
     """PE-VGOP of each vehicle (Eq. 9) [bits], (n,); parameters as in `occupancy`."""
-    return entropy(occupancy(points, vehicle, size, cell_m)).sum(axis=1)
+    return entropy(occupancy(points, vehicle, size, cell_m, reading)).sum(axis=1)
 
 
 def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> dict[str, np.ndarray]:
@@ -159,77 +174,77 @@ def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAUL
     points, size = _triples(points, "points"), np.asarray(size, dtype=float).reshape(1, 3)
     cells = cell_counts(size, cell_m)
     index, kept = _cell_index(points, np.zeros(len(points), dtype=np.int64), size, cells, cell_m)
+    index = index[:, kept].astype(np.int64)
     views = {}
     for name, (row, column) in zip(VIEWS, _VIEW_AXES, strict=True):
         views[name] = np.zeros((cells[0, row], cells[0, column]), dtype=bool)
-        views[name][index[row][kept], index[column][kept]] = True
+        views[name][index[row], index[column]] = True
     return views
 
 
 def _cell_index(points, vehicle, size, cells, cell_m):
-    """Cell of every kept point along each axis, and which points are kept."""
+    """Cell of every point along each axis, (3, k) whole floats, pulled to the rim from beyond it, and which are kept (k,)."""
+    index = np.empty((3, len(points)))
     kept = np.ones(len(points), dtype=bool)
-    index = []
-    for axis in range(3):
-        cell = points[:, axis] + np.take(0.5 * size[:, axis], vehicle)
+    for axis, cell in enumerate(index):
+        np.add(points[:, axis], np.take(0.5 * size[:, axis], vehicle), out=cell)
         cell /= cell_m
-        last = np.take(cells[:, axis], vehicle)
-        kept &= (cell >= -1.0) & (cell < last + 1.0)
-        # Dropped points are clipped as well: they may lie beyond what an integer holds.
-        index.append(np.clip(np.floor(cell, out=cell), 0, last - 1, out=cell).astype(np.int64))
+        np.floor(cell, out=cell)
+        last = np.take(cells[:, axis].astype(float), vehicle)
+        kept &= cell >= -1.0
+        kept &= cell <= last
+        np.minimum(cell, last - 1.0, out=cell)
+        np.maximum(cell, 0.0, out=cell)
     return index, kept
 
 
-def _view_cells(points, vehicle, size, cells, cell_m):
-    """Number of each kept point's cell within its vehicle's top, side and front view, (3, k), and its vehicle, (k,)."""
-    flats, vehicles = [], []
-    for start in range(0, max(len(points), 1), _CHUNK_POINTS):
-        owner = vehicle[start : start + _CHUNK_POINTS]
-        index, kept = _cell_index(points[start : start + _CHUNK_POINTS], owner, size, cells, cell_m)
-        flat = np.empty((3, len(owner)), dtype=np.int64)
-        for view, (row, column) in enumerate(_VIEW_AXES):
-            np.multiply(index[row], np.take(cells[:, column], owner), out=flat[view])
-            flat[view] += index[column]
-        if not kept.all():
-            flat, owner = flat[:, kept], owner[kept]
-        flats.append(flat)
-        vehicles.append(owner)
-    return np.concatenate(flats, axis=1), np.concatenate(vehicles)
-
-
-def _distinct_cells(flat, vehicle, view_cells):
-    """How many different cells of one view each vehicle's points fall into, (n,).
+def _occupied_cells(points, vehicle, size, cells, cell_m):
+    """How many cells of each vehicle's top, side and front view hold a point, (n, 3).
 
     Vehicles are taken in groups whose lattices fit the memory that is set aside; there is one group but for huge input.
     """
-    ends = np.cumsum(view_cells)
+    ends = np.cumsum(cells[:, 0] * cells[:, 1] + cells[:, 0] * cells[:, 2] + cells[:, 1] * cells[:, 2])
     if len(ends) == 0 or ends[-1] <= _MAX_LATTICE_CELLS:
-        return _distinct_cells_at_once(flat, vehicle, view_cells)
-    counts = np.zeros(len(ends), dtype=np.int64)
+        return _distinct_cells(points, vehicle, size, cells, cell_m)
+    counts = np.zeros((len(ends), 3), dtype=np.int64)
     first = 0
     while first < len(ends):
         before = ends[first - 1] if first else 0
         last = max(int(np.searchsorted(ends, before + _MAX_LATTICE_CELLS, side="right")), first + 1)
         mine = (vehicle >= first) & (vehicle < last)
-        counts[first:last] = _distinct_cells_at_once(flat[mine], vehicle[mine] - first, view_cells[first:last])
+        group = slice(first, last)
+        counts[group] = _distinct_cells(points[mine], vehicle[mine] - first, size[group], cells[group], cell_m)
         first = last
     return counts
 
 
-def _distinct_cells_at_once(flat, vehicle, view_cells):
-    """Distinct cells per vehicle without sorting the points or clearing a lattice.
+def _distinct_cells(points, vehicle, size, cells, cell_m):
+    """`_occupied_cells` of one group, without sorting the points or clearing a lattice.
 
-    Every point writes its own number into its cell of an uninitialised lattice; of the points that share a cell, the one
+    Every point writes its own number into its cells of an uninitialised lattice; of the points that share a cell, the one
     whose number is read back stands for the cell.
     """
-    ends = np.cumsum(view_cells)
-    cell = np.take(ends - view_cells, vehicle)
-    cell += flat
-    lattice = np.empty(ends[-1] if len(ends) else 0, dtype=np.int32)
-    number = np.arange(len(cell), dtype=np.int32)
-    lattice[cell] = number
-    stands = np.take(lattice, cell) == number
-    return np.bincount(vehicle[stands], minlength=len(ends))
+    vehicles = len(size)
+    view_cells = np.stack([cells[:, row] * cells[:, column] for row, column in _VIEW_AXES])
+    ends = np.cumsum(view_cells.ravel())
+    starts = ends.reshape(3, vehicles) - view_cells
+    flat = np.empty((3, len(points)), dtype=np.int64)
+    kept = np.empty(len(points), dtype=bool)
+    for start in range(0, len(points), _CHUNK_POINTS):
+        chunk = slice(start, start + _CHUNK_POINTS)
+        owner = vehicle[chunk]
+        index, kept[chunk] = _cell_index(points[chunk], owner, size, cells, cell_m)
+        for view, (row, column) in enumerate(_VIEW_AXES):
+            cell = index[row] * np.take(cells[:, column].astype(float), owner)  # floats hold these numbers exactly
+            cell += index[column]
+            np.add(np.take(starts[view], owner), cell, out=flat[view, chunk], casting="unsafe")
+    if not kept.all():
+        flat, vehicle = flat[:, kept], vehicle[kept]
+    lattice = np.empty(ends[-1] if vehicles else 0, dtype=np.int32)
+    number = np.arange(flat.size, dtype=np.int32).reshape(flat.shape)
+    lattice[flat] = number
+    stands = np.take(lattice, flat) == number
+    return np.stack([np.bincount(vehicle[stands[view]], minlength=vehicles) for view in range(3)], axis=1)
 
 
 def _triples(values, name):

@@ -3,7 +3,7 @@
 from .build import SEARCHES, make_search, search_from_state
 from .objective import VIEWS, detectable, vehicle_score
 from .protocol import Search
-from .readings import READINGS
+from ..metrics.readings import READINGS
 from .rivals import GridSearch, RandomSearch
 from .solve import Objective, SearchResult, de_pso, maximise, run
 from .swarm import DePso, DePsoSettings

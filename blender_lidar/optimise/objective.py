@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from .checks import check_number
-from .readings import check_reading
+from ..metrics.readings import check_reading
 
 VIEWS = ("mean", "max", "min")
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..errors import InputError
 from .checks import check_number, check_whole
-from .readings import check_reading
+from ..metrics.readings import check_reading
 from .recorded import RecordedSearch, stored_array
 from .sampling import generator, latin_hypercube
 

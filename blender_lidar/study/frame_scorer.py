@@ -16,8 +16,6 @@ from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from ..world.triangles import vehicle_triangles
 
-_RAYS_AT_A_TIME = 1 << 16  # rays of several mountings are cast together, as many as stay in cache
-
 
 @dataclass(frozen=True, slots=True)
 class Observation:
@@ -37,6 +35,8 @@ class Observation:
         Level of detail of the vehicles' shapes.
     cell_m : float
         Side of an occupancy cell [m].
+    reading : str
+        How Eq. 8 is read: see `metrics.vgop.occupancy`.
     """
 
     lattice: BeamLattice
@@ -45,6 +45,7 @@ class Observation:
     caster: str
     detail: str
     cell_m: float
+    reading: str = "corrected"
 
 
 class Seen(NamedTuple):
@@ -90,49 +91,27 @@ class FrameScorer:
 
     def see(self, poses: Sequence[Pose]) -> Seen:
         """What each of s mountings sees of the n counted vehicles."""
-        found: list[Seen] = []
-        waiting: list[tuple[Pose, np.ndarray]] = []
-        rays = 0
-        for pose in poses:
-            beams = reachable_beams(self._observation.lattice, self._pieces, pose, self._observation.max_range_m)
-            if waiting and rays + len(beams) > _RAYS_AT_A_TIME:
-                found.append(self._cast(waiting))
-                waiting, rays = [], 0
-            waiting.append((pose, beams))
-            rays += len(beams)
-        if waiting:
-            found.append(self._cast(waiting))
-        if not found:
-            return Seen(np.empty((0, len(self)), dtype=np.int64), np.empty((0, len(self), 3)))
-        return Seen(np.concatenate([f.points for f in found]), np.concatenate([f.occupancy for f in found]))
+        points = np.zeros((len(poses), len(self)), dtype=np.int64)
+        shares = np.zeros((len(poses), len(self), 3))
+        seen = self._observation
+        for number, pose in enumerate(poses):
+            local, row = self.vehicle_points(pose)
+            points[number] = np.bincount(row, minlength=len(self))
+            shares[number] = occupancy(local, row, self._vehicles.size_m, seen.cell_m, seen.reading)
+        return Seen(points, shares)
 
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
-        beams = reachable_beams(self._observation.lattice, self._pieces, pose, self._observation.max_range_m)
-        local, row = self._points([(pose, beams)])
-        return local, row
-
-    def _cast(self, batch) -> Seen:
-        """Cast the beams of several mountings together; vehicle i of mounting j is row ``j * n + i``."""
-        local, row = self._points(batch)
-        mountings, vehicles = len(batch), len(self)
-        size = np.tile(self._vehicles.size_m, (mountings, 1))
-        shares = occupancy(local, row, size, self._observation.cell_m)
-        points = np.bincount(row, minlength=mountings * vehicles)
-        return Seen(points.reshape(mountings, vehicles), shares.reshape(mountings, vehicles, 3))
-
-    def _points(self, batch):
-        flat = self._observation.lattice.directions.reshape(-1, 3)
-        directions = np.concatenate([pose.to_world(np.take(flat, beams, axis=0)) for pose, beams in batch])
-        rays = [len(beams) for _, beams in batch]
-        origins = np.repeat([pose.position for pose, _ in batch], rays, axis=0) if len(batch) > 1 else batch[0][0].position
-        hits = self._tree.cast(origins, directions, self._observation.max_range_m)
+        seen = self._observation
+        beams = reachable_beams(seen.lattice, self._pieces, pose, seen.max_range_m)
+        directions = pose.to_world(np.take(seen.lattice.directions.reshape(-1, 3), beams, axis=0))
+        hits = self._tree.cast(pose.position, directions, seen.max_range_m)
         met = np.flatnonzero(hits.distance < np.inf)
-        row = np.take(self._counted_row, hits.triangle[met])
-        wanted = (row >= 0) & (hits.distance[met] >= self._observation.min_range_m)
-        met, row = met[wanted], row[wanted]
-        points = hits.distance[met, None] * directions[met]
-        points += origins if origins.ndim == 1 else origins[met]
-        local = to_vehicle_frame(points, self._vehicles.centre_m, self._vehicles.heading_rad, row)
-        mounting = np.repeat(np.arange(len(batch)), rays)[met]
-        return local, row + mounting * len(self)
+        row, distance = np.take(self._counted_row, hits.triangle[met]), hits.distance[met]
+        wanted = (row >= 0) & (distance >= seen.min_range_m)
+        if not wanted.all():
+            met, row, distance = met[wanted], row[wanted], distance[wanted]
+        points = np.take(directions, met, axis=0)
+        points *= distance[:, None]
+        points += pose.position
+        return to_vehicle_frame(points, self._vehicles.centre_m, self._vehicles.heading_rad, row), row

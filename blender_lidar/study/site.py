@@ -81,6 +81,7 @@ def prepare(scenario: Scenario) -> Site:
         caster=resolve(scenario.model.caster, "caster"),
         detail=scenario.model.detail,
         cell_m=objective.cell_m,
+        reading=objective.reading,
     )
     recording = read_recording(scenario)
     region = Region(scenario.deployment.nominal_xy, scenario.sensor.range_gate_m)

@@ -186,7 +186,7 @@ def _divided(candidates: _Frames, holdout: float, block_s: float) -> tuple[_Fram
     since = candidates.time_s - candidates.time_s[0]
     end = (1 - holdout) * candidates.length_s
     rest = candidates.where(since >= end + block_s - 1e-9)
-    if not holdout or rest.length_s < _FEWEST_HOLDOUT_BLOCKS * block_s:
+    if not holdout or not _is_enough(rest, block_s):
         return candidates, None
     return candidates.where(since < end), rest
 
@@ -195,8 +195,14 @@ def _beside(searched: _Frames, candidates: _Frames, block_s: float) -> _Frames |
     """What lies at least a block after the given frames, or else before them, if it is long enough."""
     later = candidates.where(candidates.time_s >= searched.time_s[-1] + searched.spacing_s + block_s - 1e-9)
     earlier = candidates.where(candidates.time_s <= searched.time_s[0] - searched.spacing_s - block_s + 1e-9)
-    enough = [part for part in (later, earlier) if part.length_s >= _FEWEST_HOLDOUT_BLOCKS * block_s]
-    return enough[0] if enough else None
+    return next((part for part in (later, earlier) if _is_enough(part, block_s)), None)
+
+
+def _is_enough(part: _Frames, block_s: float) -> bool:
+    """Whether some frames are worth holding out: two blocks long, with frames in two."""
+    if part.length_s < _FEWEST_HOLDOUT_BLOCKS * block_s:
+        return False
+    return len(np.unique(_blocks(part, part, block_s))) >= _FEWEST_HOLDOUT_BLOCKS
 
 
 def _spread(part: _Frames, count: int | None, spacing_s: float | None, notes: list[str]) -> _Frames:

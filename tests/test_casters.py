@@ -1,0 +1,303 @@
+"""One suite for all casters: analytic ranges, agreement with the float64 oracle, leaks, and bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.casting import CASTERS, caster_class, is_available, resolve
+from blender_lidar.casting.protocol import MISS
+from blender_lidar.errors import InputError, MissingExtraError
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.world.shapes import DETAILS, SHAPES, shape
+from blender_lidar.world.triangles import place, vehicle_triangles
+from tests.sample_traffic import dense_traffic
+
+FAST = [
+    pytest.param(name, marks=pytest.mark.skipif(not is_available(name), reason=f"the library of {name} is not installed"))
+    for name in ("bvh", "embree")
+]
+EVERY = [*FAST, "exact"]
+FLOOR = np.array([[[-50, -50, 0], [50, -50, 0], [50, 50, 0]], [[-50, -50, 0], [50, 50, 0], [-50, 50, 0]]], dtype=float)
+
+
+def box(low, high):
+    unit = shape("car", "box")
+    low, high = np.array(low, dtype=float), np.array(high, dtype=float)
+    return (0.5 * (low + high) + unit.vertices * (high - low))[unit.faces]
+
+
+def unit_rows(vectors):
+    return vectors / np.linalg.norm(vectors, axis=1)[:, None]
+
+
+def slab_distance(origin, directions, low, high):
+    """Distance to an axis-parallel box by the slab method: another algorithm than any caster's."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, last = (low - origin) / directions, (high - origin) / directions
+    near, far = np.fmin(first, last).max(axis=1), np.fmax(first, last).min(axis=1)
+    return np.where((near <= far) & (near >= 0), near, np.inf)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_distance_to_a_floor_is_height_over_the_sine_of_the_angle(name):
+    rng = np.random.default_rng(0)
+    rays = unit_rows(np.column_stack([rng.normal(size=(500, 2)), -rng.uniform(0.2, 2, 500)]))
+    hits = caster_class(name)(FLOOR).cast(np.array([1.0, 2.0, 3.0]), rays)
+    np.testing.assert_allclose(hits.distance, 3.0 / -rays[:, 2], rtol=1e-12)
+    assert set(hits.triangle.tolist()) <= {0, 1}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_distance_to_a_box_equals_the_slab_method(name):
+    low, high = np.array([-2.25, 8.0, 0.0]), np.array([2.25, 9.8, 1.5])
+    rng = np.random.default_rng(1)
+    aim = rng.uniform(low - 1, high + 1, (3000, 3))
+    origin = np.array([0.5, -1.0, 4.0])
+    rays = unit_rows(aim - origin)
+    expected = slab_distance(origin, rays, low, high)
+    found = caster_class(name)(box(low, high)).cast(origin, rays).distance
+    assert 1000 < np.isfinite(expected).sum() < 2900
+    np.testing.assert_array_equal(np.isfinite(found), np.isfinite(expected))
+    np.testing.assert_allclose(found[np.isfinite(found)], expected[np.isfinite(expected)], rtol=1e-10)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_the_nearest_of_several_boxes_is_met(name):
+    boxes = np.concatenate([box([-1, y, 0], [1, y + 1, 2]) for y in (30.0, 10.0, 20.0)])
+    hits = caster_class(name)(boxes).cast(np.array([0.0, 0.0, 1.0]), np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]))
+    assert hits.distance.tolist() == [pytest.approx(10.0), np.inf]
+    assert 12 <= hits.triangle[0] < 24
+    assert hits.triangle[1] == MISS
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_hit_counts_up_to_the_range_and_no_farther(name):
+    caster = caster_class(name)(FLOOR)
+    down = np.array([[0.0, 0.0, -1.0]])
+    height = np.array([0.3, 0.4, 12.5])
+    for max_range, met in ((12.5, True), (12.5 - 1e-9, False), (12.5 + 1e-9, True), (np.inf, True), (0.0, False)):
+        assert np.isfinite(caster.cast(height, down, max_range).distance[0]) == met, max_range
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_one_origin_for_all_rays_and_one_for_each_agree(name):
+    triangles = vehicle_triangles(dense_traffic(vehicles=30, length_m=120.0)).corners
+    caster = caster_class(name)(triangles)
+    rng = np.random.default_rng(2)
+    origins = np.repeat(rng.uniform([-5, -1, 2], [5, 0, 5], (4, 3)), 200, axis=0)
+    rays = unit_rows(rng.uniform([-30, 3, 0], [30, 25, 2], (800, 3)) - origins)
+    together = caster.cast(origins, rays, 60.0)
+    for start in range(0, 800, 200):
+        alone = caster.cast(origins[start], rays[start : start + 200], 60.0)
+        np.testing.assert_array_equal(alone.distance, together.distance[start : start + 200])
+        np.testing.assert_array_equal(alone.triangle, together.triangle[start : start + 200])
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_permuting_rays_permutes_hits(name):
+    caster = caster_class(name)(vehicle_triangles(dense_traffic(vehicles=30, length_m=120.0)).corners)
+    rng = np.random.default_rng(3)
+    origin = np.array([0.0, 0.0, 4.0])
+    rays = unit_rows(rng.uniform([-30, 3, 0], [30, 25, 2], (500, 3)) - origin)
+    order = rng.permutation(500)
+    np.testing.assert_array_equal(caster.cast(origin, rays[order]).distance, caster.cast(origin, rays).distance[order])
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_adding_an_object_never_lengthens_a_range(name):
+    triangles = vehicle_triangles(dense_traffic(vehicles=30, length_m=120.0))
+    origin = np.array([0.0, 0.0, 4.0])
+    rays = unit_rows(np.random.default_rng(4).uniform([-30, 3, 0], [30, 25, 2], (1000, 3)) - origin)
+    few = caster_class(name)(triangles.corners[triangles.owner < 15]).cast(origin, rays).distance
+    all_of_them = caster_class(name)(triangles.corners).cast(origin, rays).distance
+    assert (all_of_them <= few + 1e-9).all()
+
+
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("shift", [0.0, 1e3, 1e6])
+def test_a_scene_far_from_the_origin_is_cast_as_well_as_near_it(name, shift):
+    triangles = vehicle_triangles(dense_traffic(vehicles=30, length_m=120.0)).corners
+    origin = np.array([0.0, 0.0, 4.0])
+    rays = unit_rows(np.random.default_rng(5).uniform([-30, 3, 0], [30, 25, 2], (1000, 3)) - origin)
+    here = caster_class(name)(triangles).cast(origin, rays, 100.0).distance
+    away = np.array([shift, -shift, 0.0])
+    there = caster_class(name)(triangles + away).cast(origin + away, rays, 100.0).distance
+    same = np.isfinite(here) == np.isfinite(there)
+    assert same.mean() >= 0.999
+    both = np.isfinite(here) & np.isfinite(there) & same
+    assert (np.abs(here[both] - there[both]) < 1e-4).mean() >= 0.999
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(CASTERS))
+def test_triangle_soup_is_met_where_the_oracle_meets_it(seed, name):
+    if not is_available(name):
+        pytest.skip(f"the library of {name} is not installed")
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform(-20, 20, (60, 1, 3))
+    soup = middle + rng.normal(size=(60, 3, 3))
+    soup[::10, 2] = soup[::10, 1]  # some without area
+    origin = np.array([0.0, 0.0, 30.0])
+    rays = unit_rows(middle[:, 0] + rng.normal(scale=0.5, size=(60, 3)) - origin)
+    found, expected = (caster_class(which)(soup).cast(origin, rays) for which in (name, "exact"))
+    # Soup is open: a back that is met is as good as a front.
+    np.testing.assert_array_equal(found.triangle, expected.triangle)
+    np.testing.assert_allclose(found.distance, expected.distance, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", FAST)
+@pytest.mark.parametrize(("sensor", "height", "tilt", "gate"), [("RS-16", 4.1, 19.0, 50.0), ("RS-80", 4.4, 9.0, 150.0)])
+def test_on_dense_traffic_at_most_one_ray_in_ten_thousand_differs_from_the_oracle(name, sensor, height, tilt, gate):
+    triangles = vehicle_triangles(dense_traffic(vehicles=130)).corners
+    pose = Pose(height_m=height, tilt_x=np.radians(tilt))
+    rays = pose.to_world(beam_lattice(load_model(sensor)).directions.reshape(-1, 3))
+    rays = rays[(rays[:, 1] > -0.2) & (rays[:, 2] < 0.05)]  # the others meet nothing
+    expected = caster_class("exact")(triangles).cast(pose.position, rays, gate)
+    found = caster_class(name)(triangles).cast(pose.position, rays, gate)
+    both = np.isfinite(found.distance) & np.isfinite(expected.distance)
+    neither = np.isinf(found.distance) & np.isinf(expected.distance)
+    apart = np.abs(np.where(both, found.distance, 0.0) - np.where(both, expected.distance, 0.0))
+    same = neither | (both & (apart <= 1e-4))  # so a neighbour at a shared edge is no error
+    assert both.sum() > 1000
+    assert (~same).sum() <= len(rays) / 10_000
+    assert apart[found.triangle == expected.triangle].max() <= 1e-4
+
+
+def placed(name, detail, centre=(7.0, 12.0), heading=0.13):
+    unit = shape(name, detail)
+    size = np.array([[9.5, 2.5, 3.4] if "truck" in name or name == "bus" else [4.5, 1.8, 1.5]])
+    vertices = place(unit.vertices, np.array([[*centre, size[0, 2] / 2]]), size, np.array([heading]))[0]
+    return vertices, unit.faces
+
+
+@pytest.mark.parametrize("caster", FAST)
+@pytest.mark.parametrize("detail", DETAILS)
+@pytest.mark.parametrize("name", SHAPES)
+def test_no_ray_leaks_at_a_vertex_or_an_edge(caster, detail, name):
+    """A ray may miss only where a ray 1e-5 rad beside it misses in float64 too."""
+    leaks, aimed = 0, 0
+    for heading in (0.0, 0.13):  # along the axes, where trees leak most, and off them
+        vertices, faces = placed(name, detail, heading=heading)
+        corners = vertices[faces]
+        middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
+        targets = np.unique(np.concatenate([vertices, middles.reshape(-1, 3)]).round(12), axis=0)
+        fast, exact = caster_class(caster)(corners), caster_class("exact")(corners)
+        for origin in ([0.0, 0.0, 4.1], [7.0, 0.0, 2.0], [-40.0, -1.0, 4.5], [7.0, 12.0, 9.0]):
+            origin = np.array(origin)
+            rays = unit_rows(targets - origin)
+            found, truth = fast.cast(origin, rays), exact.cast(origin, rays)
+            farthest = truth.distance
+            for offset in 1e-5 * unit_rows(np.random.default_rng(7).normal(size=(12, 3))):
+                farthest = np.maximum(farthest, exact.cast(origin, unit_rows(rays + offset)).distance)
+            aimed += np.isfinite(farthest).sum()
+            # Through the front and onto the back from inside is a leak as well, so distances are compared.
+            leaks += (np.isfinite(farthest) & ~(found.distance <= farthest + 1e-3)).sum()
+    assert aimed > 50
+    assert leaks == 0
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_no_azimuth_column_is_lost_when_the_sensor_stands_on_a_mesh_line(name):
+    lines = np.arange(-50.0, 51.0, 2.5)
+    x, y = np.meshgrid(lines, lines, indexing="ij")
+    grid = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    floor = np.concatenate([np.stack([a, b, c], axis=2).reshape(-1, 3, 3), np.stack([a, c, d], axis=2).reshape(-1, 3, 3)])
+    azimuth = np.radians(np.arange(0, 360, 0.2))
+    for elevation in np.radians([-15.0, -35.0]):
+        rays = np.column_stack(
+            [np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.full(len(azimuth), np.sin(elevation))]
+        )
+        hits = caster_class(name)(floor).cast(np.array([2.5, 2.5, 4.0]), rays)
+        np.testing.assert_allclose(hits.distance, 4.0 / -rays[:, 2], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_a_sensor_inside_a_closed_mesh_meets_its_inside(name):
+    hits = caster_class(name)(box([-1, -1, 0], [1, 1, 2])).cast(np.array([0.1, 0.2, 1.0]), np.array([[0.0, 1.0, 0.0]]))
+    assert hits.distance[0] == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_no_triangles_no_rays_and_no_area_are_fine(name):
+    cast = caster_class(name)
+    down = np.array([[0.0, 0.0, -1.0]])
+    assert cast(np.empty((0, 3, 3))).cast(np.zeros(3), down).distance.tolist() == [np.inf]
+    assert len(cast(FLOOR).cast(np.zeros(3), np.empty((0, 3))).distance) == 0
+    needle = np.array([[[0, 0, 0], [1, 0, 0], [2, 0, 0]]], dtype=float)
+    assert cast(needle).cast(np.array([0.5, 0, 1.0]), down).triangle.tolist() == [MISS]
+    mixed = cast(np.concatenate([needle, FLOOR - [0, 0, 1]])).cast(np.array([0.5, 0.2, 1.0]), down)
+    assert mixed.triangle[0] in (1, 2)
+    assert mixed.distance[0] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_normals_are_those_of_the_triangles_that_were_met(name):
+    soup = np.random.default_rng(9).normal(size=(30, 3, 3)) * 5
+    soup[4] = 0.0
+    caster = caster_class(name)(soup)
+    hits = caster.cast(np.array([0, 0, 40.0]), unit_rows(soup.mean(axis=1) - [0, 0, 40.0]))
+    met = hits.triangle[hits.triangle != MISS]
+    expected = np.cross(soup[met, 1] - soup[met, 0], soup[met, 2] - soup[met, 0])
+    np.testing.assert_allclose(caster.normals(met), unit_rows(expected), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize(
+    ("origin", "ray", "says"),
+    [
+        ([0, 0, 1], [[0, 0, 0]], "unit length"),
+        ([0, 0, 1], [[0, 0, -2]], "unit length"),
+        ([0, 0, 1], [[0, np.nan, -1]], "unit length"),
+        ([0, 0, np.inf], [[0, 0, -1]], "origin is not finite"),
+        ([0, 0], [[0, 0, -1]], "origins have shape"),
+        ([0, 0, 1], [0, 0, -1], "directions have shape"),
+    ],
+)
+def test_rays_that_a_tree_would_miss_silently_are_refused(name, origin, ray, says):
+    with pytest.raises(InputError, match=says):
+        caster_class(name)(FLOOR).cast(np.array(origin, dtype=float), np.array(ray, dtype=float))
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_triangles_that_are_not_finite_are_refused(name):
+    with pytest.raises(InputError, match="not finite"):
+        caster_class(name)(FLOOR * np.nan)
+    with pytest.raises(InputError, match="shape"):
+        caster_class(name)(FLOOR[:, :2])
+
+
+def test_the_cure_is_what_closes_the_leaks():
+    """Without the second chance a grid of triangles loses rays: the test above would mean nothing otherwise."""
+    if not is_available("bvh"):
+        pytest.skip("the library of bvh is not installed")
+    lines = np.arange(-10.0, 10.1, 2.5)
+    grid = np.stack([*np.meshgrid(lines, lines, indexing="ij"), np.zeros((len(lines), len(lines)))], axis=-1)
+    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+    floor = np.concatenate([np.stack([a, b, c], axis=2).reshape(-1, 3, 3), np.stack([a, c, d], axis=2).reshape(-1, 3, 3)])
+    rng = np.random.default_rng(11)
+    origins = rng.uniform([-9, -9, 2], [9, 9, 6], (4000, 3))
+    aims = grid[1:-1, 1:-1].reshape(-1, 3)[rng.integers(0, (len(lines) - 2) ** 2, 4000)]
+    rays = unit_rows(aims - origins)
+    caster = caster_class("bvh")(floor)
+    leaks = (caster._first(origins - caster._origin, rays, 1e6) == MISS).sum()
+    assert leaks > 20
+    assert np.isinf(caster.cast(origins, rays).distance).sum() <= 0.01 * leaks
+
+
+def test_casters_are_resolved_by_name_and_never_guessed_silently(monkeypatch):
+    assert resolve("exact") == "exact"
+    with pytest.raises(InputError, match="unknown caster 'embre'; did you mean 'embree'"):
+        resolve("embre")
+    monkeypatch.setattr("blender_lidar.casting.is_available", lambda name: name == "bvh")
+    assert resolve("auto") == "bvh"
+    with pytest.raises(MissingExtraError, match=r"blender_lidar\[fast\]"):
+        resolve("embree")
+    monkeypatch.setattr("blender_lidar.casting.is_available", lambda name: False)
+    with pytest.raises(MissingExtraError, match=r"blender_lidar\[fast\].*blender_lidar\[blender\]"):
+        resolve("auto")

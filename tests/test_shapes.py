@@ -1,0 +1,111 @@
+"""Vehicle shapes: closed, outward, and exactly as large as their box."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.errors import InputError
+from blender_lidar.traffic.vehicles import CLASSES
+from blender_lidar.world.shapes import DETAILS, GLASS, SHAPES, SURFACES, shape, shape_of
+from blender_lidar.world.triangles import STATIC, vehicle_triangles
+from tests.sample_traffic import dense_traffic, one_vehicle
+
+ALL = [(name, detail) for name in SHAPES for detail in DETAILS]
+
+
+@pytest.mark.parametrize(("name", "detail"), ALL)
+def test_every_edge_joins_exactly_two_faces_that_turn_the_same_way(name, detail):
+    faces = shape(name, detail).faces
+    edges = Counter((a, b) for face in faces.tolist() for a, b in zip(face, face[1:] + face[:1], strict=True))
+    assert set(edges.values()) == {1}
+    assert all((b, a) in edges for a, b in edges)
+
+
+@pytest.mark.parametrize(("name", "detail"), ALL)
+def test_faces_point_outwards_and_have_area(name, detail):
+    made = shape(name, detail)
+    corners = made.vertices[made.faces]
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    assert 0.3 < volume <= 1.0 + 1e-12
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    assert area.min() > 1e-5
+
+
+@pytest.mark.parametrize(("name", "detail"), ALL)
+def test_a_shape_fills_its_box_exactly(name, detail):
+    vertices = shape(name, detail).vertices
+    np.testing.assert_array_equal(vertices.min(axis=0), [-0.5] * 3)
+    np.testing.assert_array_equal(vertices.max(axis=0), [0.5] * 3)
+
+
+@pytest.mark.parametrize(("name", "detail"), ALL)
+def test_a_shape_is_the_same_on_both_sides(name, detail):
+    vertices = {tuple(vertex) for vertex in shape(name, detail).vertices.round(9).tolist()}
+    assert {(x, -y, z) for x, y, z in vertices} == vertices
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_bodies_are_a_few_dozen_triangles_and_boxes_twelve(name):
+    assert len(shape(name, "box").faces) == 12
+    assert 36 <= len(shape(name, "body").faces) <= 96
+
+
+@pytest.mark.parametrize("name", ["car", "van", "truck", "long_truck", "bus"])
+def test_bodies_have_windows_above_their_belt_line(name):
+    made = shape(name, "body")
+    glass = made.vertices[made.faces[made.surface == GLASS]]
+    assert len(glass) > 0
+    assert glass[..., 2].max() > 0.2
+    assert glass[..., 2].min() > -0.5
+    assert made.surface.max() < len(SURFACES)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.sampled_from(CLASSES),
+    st.sampled_from(DETAILS),
+    st.tuples(st.floats(1, 25), st.floats(0.5, 3), st.floats(1, 4.5)),
+    st.floats(-10, 10),
+)
+def test_a_placed_vehicle_spans_its_box_and_never_leaves_it(name, detail, size, heading):
+    vehicles = one_vehicle(name, (12.0, 34.0), heading, size)
+    corners = vehicle_triangles(vehicles, detail).corners.reshape(-1, 3) - vehicles.centre_m[0]
+    cos, sin = np.cos(heading), np.sin(heading)
+    local = np.column_stack([cos * corners[:, 0] + sin * corners[:, 1], cos * corners[:, 1] - sin * corners[:, 0], corners[:, 2]])
+    np.testing.assert_allclose(local.max(axis=0), np.array(size) / 2, atol=1e-12)
+    np.testing.assert_allclose(local.min(axis=0), -np.array(size) / 2, atol=1e-12)
+
+
+def test_triangles_of_a_frame_carry_their_vehicle_and_stand_on_the_ground():
+    vehicles = dense_traffic(vehicles=40)
+    for detail in DETAILS:
+        triangles = vehicle_triangles(vehicles, detail)
+        assert set(triangles.owner.tolist()) == set(range(40))
+        assert STATIC not in triangles.owner
+        for row in range(40):
+            mine = triangles.corners[triangles.owner == row].reshape(-1, 3)
+            assert mine[:, 2].min() == pytest.approx(0.0, abs=1e-12)
+            np.testing.assert_allclose(0.5 * (mine.min(axis=0) + mine.max(axis=0)), vehicles.centre_m[row], atol=0.05)
+
+
+def test_a_frame_without_vehicles_has_no_triangles():
+    vehicles = dense_traffic(vehicles=3)
+    assert len(vehicle_triangles(vehicles.select(np.zeros(3, bool)))) == 0
+
+
+def test_trucks_of_nine_metres_and_more_are_articulated():
+    assert shape_of("truck", 8.99) == "truck"
+    assert shape_of("truck", 9.0) == "long_truck"
+    assert shape_of("car", 12.0) == "car"
+
+
+def test_unknown_shapes_and_details_are_refused_by_name():
+    with pytest.raises(InputError, match="body"):
+        shape("car", "fine")
+    with pytest.raises(InputError, match="motorcycle"):
+        shape("tram")

@@ -1,0 +1,203 @@
+"""The plain CSV of boxes: where they are placed, what may be left out, what is refused."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import BlenderLidarError, InputError
+from blender_lidar.traffic import read_table, read_traffic, table
+
+HEADER = "frame,vehicle_id,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg"
+ROWS = [
+    "10,1,car,5.0,6.0,0.75,4.5,1.9,1.5,2.0",
+    "10,2,truck,-20.0,10.0,1.9,12.0,2.5,3.8,-1.0",
+    "20,1,car,15.0,6.5,0.75,4.5,1.9,1.5,1.0",
+]
+
+
+def write(tmp_path, header=HEADER, rows=ROWS, name="boxes.csv"):
+    path = tmp_path / name
+    path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+def refused(path, **settings):
+    with pytest.raises(BlenderLidarError) as caught:
+        read_table(path, **settings)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text.replace(str(path), "FILE")
+
+
+def test_boxes_are_read_as_they_are_written(tmp_path):
+    recording = read_table(write(tmp_path))
+    assert recording.frames.tolist() == [10, 20]
+    assert recording.counts.tolist() == [2, 1]
+    vehicles = recording.vehicles(10)
+    assert vehicles.class_name.tolist() == ["car", "truck"]
+    np.testing.assert_array_equal(vehicles.centre_m, [[5.0, 6.0, 0.75], [-20.0, 10.0, 1.9]])
+    np.testing.assert_array_equal(vehicles.size_m, [[4.5, 1.9, 1.5], [12.0, 2.5, 3.8]])
+    np.testing.assert_allclose(np.degrees(vehicles.heading_rad), [2.0, -1.0])
+    assert vehicles.lane.tolist() == [0, 0]
+    assert recording.report.rows_read == recording.report.rows_used == 3
+
+
+def test_the_format_is_told_by_the_header(tmp_path):
+    assert len(read_traffic(write(tmp_path))) == 3
+    path = tmp_path / "boxes.dat"
+    path.write_bytes(b"\xef\xbb\xbf# made up\n" + write(tmp_path).read_bytes())
+    assert len(read_traffic(path)) == 3
+    with pytest.raises(InputError, match="period = 2 does not apply to traffic of format 'table'"):
+        read_traffic(path, period=2)
+
+
+def test_columns_in_any_order_and_case_with_extras_quotes_crlf_and_gzip(tmp_path):
+    expected = read_table(write(tmp_path))
+    order = [9, 3, 0, 8, 1, 2, 7, 4, 5, 6]
+    names = [HEADER.split(",")[i].upper() for i in order]
+    lines = [",".join([*names, "distance_m", "note"])]
+    for row in ROWS:
+        lines.append(",".join([*(f'"{row.split(",")[i]}"' for i in order), "33.0", '"a, b"']))
+    path = tmp_path / "other.csv.gz"
+    path.write_bytes(gzip.compress(("\ufeff" + "\r\n".join(lines) + "\r\n\r\n").encode()))
+    recording = read_table(path)
+    for name in ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad"):
+        np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name))
+
+
+def test_origin_and_heading_place_the_tables_own_frame_in_the_road_frame(tmp_path):
+    """A road that runs due north through (100, 50): what lies east of it is to its right."""
+    rows = ["1,7,car,103.0,70.0,0.75,4.5,1.9,1.5,92.0"]
+    vehicles = read_table(write(tmp_path, rows=rows), origin_m=(100.0, 50.0), heading_deg=90.0).vehicles(1)
+    np.testing.assert_allclose(vehicles.centre_m, [[20.0, -3.0, 0.75]], atol=1e-12)
+    np.testing.assert_allclose(np.degrees(vehicles.heading_rad), [2.0])
+
+
+@pytest.mark.parametrize("turn_deg", [-170.0, -30.0, 0.0, 45.0, 400.0])
+def test_moving_the_table_and_its_placing_together_changes_nothing(tmp_path, turn_deg):
+    expected = read_table(write(tmp_path))
+    turn, origin = np.radians(turn_deg), np.array([321.0, -54.0])
+    rows = []
+    for row in ROWS:
+        fields = row.split(",")
+        x, y = float(fields[3]), float(fields[4])
+        fields[3] = repr(float(x * np.cos(turn) - y * np.sin(turn) + origin[0]))
+        fields[4] = repr(float(x * np.sin(turn) + y * np.cos(turn) + origin[1]))
+        fields[9] = repr(float(fields[9]) + turn_deg)
+        rows.append(",".join(fields))
+    moved = read_table(write(tmp_path, rows=rows, name="moved.csv"), origin_m=tuple(origin), heading_deg=turn_deg)
+    np.testing.assert_allclose(moved.centre_m, expected.centre_m, atol=1e-9)
+    np.testing.assert_allclose(moved.heading_rad, expected.heading_rad, atol=1e-12)
+
+
+def test_the_centres_height_may_be_left_out(tmp_path):
+    header = HEADER.replace("z_m,", "")
+    rows = [",".join(row.split(",")[:5] + row.split(",")[6:]) for row in ROWS]
+    np.testing.assert_allclose(read_table(write(tmp_path, header, rows)).centre_m[:, 2], [0.75, 1.9, 0.75])
+
+
+def test_times_come_from_the_column_or_the_step_or_are_assumed_aloud(tmp_path):
+    timed = write(tmp_path, HEADER + ",time_s", [f"{row},{3.0 if row[0] == '1' else 5.0}" for row in ROWS], "timed.csv")
+    recording = read_table(timed)
+    assert recording.frame_time_s.tolist() == [3.0, 5.0]
+    assert recording.time_step_s == pytest.approx(0.2)
+    assert not recording.report.notes
+    plain = write(tmp_path)
+    np.testing.assert_allclose(read_table(plain, time_step_s=0.04).frame_time_s, [0.4, 0.8])
+    assumed = read_table(plain)
+    np.testing.assert_allclose(assumed.frame_time_s, [1.0, 2.0])
+    assert "0.1 s per frame is assumed" in assumed.report.notes[0]
+
+
+def test_lanes_are_kept(tmp_path):
+    path = write(tmp_path, HEADER + ",lane", [f"{row},{number}" for number, row in enumerate(ROWS, 3)])
+    assert read_table(path).lane.tolist() == [3, 4, 5]
+
+
+def test_repeated_rows_are_dropped_and_counted(tmp_path):
+    path = write(tmp_path, rows=[*ROWS, ROWS[0], ROWS[1].replace("-20.0", "-21.0")])
+    recording = read_table(path)
+    assert len(recording) == 3
+    assert (recording.report.duplicates, recording.report.repeated) == (1, 1)
+
+
+def test_chunks_do_not_show(tmp_path, monkeypatch):
+    expected = read_table(write(tmp_path))
+    monkeypatch.setattr(table, "_CHUNK_ROWS", 2)
+    np.testing.assert_array_equal(read_table(write(tmp_path)).centre_m, expected.centre_m)
+    assert refused(write(tmp_path, rows=[*ROWS, "", ROWS[0].replace("5.0", "far", 1)])).startswith("FILE:6: x_m")
+
+
+def test_x_range_keeps_boxes_by_their_centre(tmp_path):
+    assert read_table(write(tmp_path), x_range_m=(0.0, 10.0)).vehicle_id.tolist() == [1]
+    assert refused(write(tmp_path), x_range_m=(50.0, 60.0)) == "FILE: no vehicles between x = 50.0 m and x = 60.0 m"
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "text"),
+    [
+        ("frame", "1.5", "frame is '1.5'; allowed: a whole number"),
+        ("vehicle_id", "", "vehicle_id is ''; allowed: a whole number"),
+        ("class", "lorry", "unknown class 'lorry'; allowed: car, van, truck, bus, motorcycle"),
+        ("x_m", "abc", "x_m is 'abc'; allowed: a finite number"),
+        ("y_m", "nan", "y_m is 'nan'; allowed: a finite number"),
+        ("z_m", "inf", "z_m is 'inf'; allowed: a finite number"),
+        ("length_m", "-4.5", "length_m is '-4.5'; allowed: more than 0"),
+        ("width_m", "0", "width_m is '0'; allowed: more than 0"),
+        ("height_m", "nan", "height_m is 'nan'; allowed: more than 0"),
+        ("heading_deg", "north", "heading_deg is 'north'; allowed: a finite number"),
+    ],
+)
+def test_a_bad_value(tmp_path, column, value, text):
+    fields = ROWS[1].split(",")
+    fields[HEADER.split(",").index(column)] = value
+    path = write(tmp_path, rows=[ROWS[0], "", ",".join(fields), ROWS[2]])
+    assert refused(path) == f"FILE:4: {text}"
+
+
+@pytest.mark.parametrize("column", ["frame", "class", "height_m", "heading_deg"])
+def test_a_missing_column(tmp_path, column):
+    path = write(tmp_path, HEADER.replace(column, "other"))
+    assert refused(path).startswith(f"FILE:1: no column {column}; needed: frame, vehicle_id")
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        ([ROWS[0], ROWS[1] + ",7"], "FILE:3: 11 fields; the header has 10"),
+        ([ROWS[0], ROWS[1].rsplit(",", 1)[0]], "FILE:3: 9 fields; the header has 10"),
+        ([], "FILE: no rows below the header in line 1"),
+        (["", "  "], "FILE: no rows below the header in line 1"),
+    ],
+)
+def test_a_wrong_number_of_fields_or_rows(tmp_path, rows, text):
+    assert refused(write(tmp_path, rows=rows)) == text
+
+
+def test_other_files_and_settings_that_cannot_be_used(tmp_path):
+    assert refused(tmp_path).startswith("FILE: a folder")
+    path = write(tmp_path)
+    assert refused(write(tmp_path, HEADER + ",x_m", name="twice.csv")) == "FILE:1: column x_m is there twice"
+    assert "time_step_s is 0" in refused(path, time_step_s=0.0)
+    assert "origin_m" in refused(path, origin_m=(np.nan, 0.0))
+    assert "heading_deg is inf" in refused(path, heading_deg=np.inf)
+    packed = gzip.compress(path.read_bytes())
+    cut = tmp_path / "cut.csv.gz"
+    cut.write_bytes(packed[:-10])
+    assert "truncated or damaged gzip" in refused(cut)
+
+
+def test_times_that_contradict_one_another(tmp_path):
+    header = HEADER + ",time_s"
+    two = write(tmp_path, header, [f"{row},{time}" for row, time in zip(ROWS, (1, 2, 3), strict=True)])
+    assert refused(two) == "FILE: frame 10 has more than one time_s"
+    back = write(tmp_path, header, [f"{row},{time}" for row, time in zip(ROWS, (5, 5, 3), strict=True)])
+    assert refused(back) == "FILE: time_s of frame 20 is not later than that of the frame before"
+
+
+def test_too_many_rows(tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "MAX_ROWS", 2)
+    assert refused(write(tmp_path)) == "FILE: more than 2 rows; split the file"

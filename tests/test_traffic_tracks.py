@@ -1,0 +1,249 @@
+"""The arithmetic behind the boxes, on arrays: fits against a slow oracle, repeats, gaps, sizes, overlaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.traffic import CLASSES, RepairReport, Vehicles, overlapping_pairs
+from blender_lidar.traffic.headings import WINDOW_S, fitted_velocity, held_heading, lane_changing, limited
+from blender_lidar.traffic.overlaps import with_overlaps_reported
+from blender_lidar.traffic.sizes import class_index, heights, repaired_sizes
+from blender_lidar.traffic.tracks import TrackRows, drop_repeats, fill_gaps, segments, usual_step
+from blender_lidar.traffic.vehicles import Recording
+
+
+def irregular_tracks(seed, tracks=6):
+    """Segments of 1 to 60 rows at uneven times, and wandering positions."""
+    rng = np.random.default_rng(seed)
+    sizes = rng.integers(1, 60, tracks)
+    segment = np.repeat(np.arange(tracks), sizes)
+    time_s = np.concatenate([np.sort(rng.choice(3000, size, replace=False)) * 0.1 for size in sizes])
+    return segment, time_s, rng.normal(0, 5, (len(segment), 2)).cumsum(axis=0)
+
+
+# ---- fitted velocity -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_fitted_velocity_agrees_with_polyfit_row_by_row(seed):
+    segment, time_s, position = irregular_tracks(seed)
+    velocity = fitted_velocity(segment, time_s, position)
+    for row in range(len(segment)):
+        window = (segment == segment[row]) & (np.abs(time_s - time_s[row]) <= WINDOW_S / 2 + 1e-9)
+        if window.sum() < 2:
+            assert np.isnan(velocity[row]).all()
+            continue
+        slope = np.polyfit(time_s[window] - time_s[row], position[window], 1)[0]
+        np.testing.assert_allclose(velocity[row], slope, atol=1e-6 * max(1, np.abs(slope).max()))
+
+
+def test_fitted_velocity_is_exact_on_a_parabola_away_from_the_ends():
+    """Over a symmetric window the line's slope is the quadratic Savitzky-Golay filter's."""
+    t = np.arange(200) * 0.1
+    velocity = fitted_velocity(np.zeros(200, dtype=int), t, np.stack([3 * t + 0.7 * t**2, 5 - 0.2 * t**2], axis=1))
+    np.testing.assert_allclose(velocity[15:-15, 0], (3 + 1.4 * t)[15:-15], atol=1e-9)
+    np.testing.assert_allclose(velocity[15:-15, 1], (-0.4 * t)[15:-15], atol=1e-9)
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 1e6])
+def test_fitted_velocity_does_not_depend_on_when_or_where(offset_s):
+    segment, time_s, position = irregular_tracks(9)
+    np.testing.assert_allclose(
+        fitted_velocity(segment, time_s + offset_s, position + np.array([1e6, -1e5])),
+        fitted_velocity(segment, time_s, position),
+        atol=1e-3,
+    )
+
+
+def test_instants_with_two_neighbours_are_fitted_among_themselves():
+    t = np.concatenate([centre + np.array([-0.5, 0.0, 0.5]) for centre in (10.0, 20.0, 30.0)])
+    position = np.stack([t**2, -t], axis=1)
+    velocity = fitted_velocity(np.repeat([0, 1, 2], 3), t, position)
+    np.testing.assert_allclose(velocity[1::3, 0], [20.0, 40.0, 60.0], atol=1e-9)
+    np.testing.assert_allclose(velocity[:, 1], -1.0, atol=1e-9)
+
+
+# ---- holding and limiting ------------------------------------------------------------------------------------------
+
+
+def test_heading_is_held_from_before_else_taken_from_after_else_the_roads():
+    vehicle = np.array([1, 1, 1, 1, 2, 2, 2, 3])
+    slow, nan = [0.1, 0.1], [np.nan, np.nan]
+    velocity = np.array([slow, [3.0, 3.0], slow, nan, [0.0, -5.0], slow, [5.0, 0.0], slow])
+    heading, held = held_heading(vehicle, velocity)
+    quarter = np.pi / 4
+    np.testing.assert_allclose(heading, [quarter, quarter, quarter, quarter, -2 * quarter, -2 * quarter, 0, 0])
+    assert held.tolist() == [True, False, True, True, False, True, False, True]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_held_headings_agree_with_a_loop(seed):
+    rng = np.random.default_rng(seed)
+    vehicle = np.sort(rng.integers(0, 6, 40))
+    velocity = rng.normal(0, 2, (40, 2))
+    heading, _ = held_heading(vehicle, velocity)
+    for row in range(40):
+        own = np.flatnonzero((vehicle == vehicle[row]) & (np.hypot(*velocity.T) >= 2))
+        before, after = own[own <= row], own[own > row]
+        source = before[-1] if len(before) else after[0] if len(after) else None
+        assert heading[row] == (0.0 if source is None else np.arctan2(velocity[source, 1], velocity[source, 0]))
+
+
+def test_limits_are_six_degrees_and_fifteen_in_a_lane_change():
+    heading = np.radians([-170.0, -20.0, -3.0, 5.0, 8.0, 8.0, 40.0])
+    changing = np.array([False, True, False, False, False, True, True])
+    np.testing.assert_allclose(np.degrees(limited(heading, changing)), [-6, -15, -3, 5, 6, 8, 15])
+
+
+def test_lane_changes_last_three_seconds_either_way_and_stay_with_their_vehicle():
+    vehicle = np.repeat([1, 2], 100)
+    time_s = np.tile(np.arange(100) * 0.1, 2)
+    lane = np.where((vehicle == 1) & (time_s >= 5.0), 2, 1)
+    changing = lane_changing(vehicle, time_s, lane)
+    assert not changing[100:].any()
+    np.testing.assert_allclose(time_s[:100][changing[:100]][[0, -1]], [1.9, 8.0])
+
+
+# ---- rows ----------------------------------------------------------------------------------------------------------
+
+
+def test_repeats_keep_the_first_row_and_tell_duplicates_from_contradictions():
+    vehicle = np.array([2, 1, 1, 1, 2, 1])
+    frame = np.array([5, 7, 6, 7, 5, 7])
+    values = np.array([[1.0], [2.0], [3.0], [2.0], [9.0], [8.0]])
+    rows, duplicates, repeated = drop_repeats(vehicle, frame, values)
+    assert rows.tolist() == [2, 1, 0]
+    assert (duplicates, repeated) == (1, 2)
+
+
+def track_rows(vehicle, frame):
+    vehicle, frame = np.array(vehicle), np.array(frame)
+    n = len(frame)
+    return TrackRows(
+        vehicle_id=vehicle,
+        frame=frame,
+        time_ms=100.0 * frame,
+        local_m=np.stack([2.0 * frame, -frame], axis=1).astype(float),
+        size_m=np.ones((n, 2)),
+        v_class=np.full(n, 2, dtype=np.int8),
+        lane=np.arange(n, dtype=np.int16),
+    )
+
+
+def test_several_gaps_are_filled_at_once_each_in_its_vehicle():
+    rows, added = fill_gaps(track_rows([1, 1, 1, 1, 2, 2, 2, 2], [1, 2, 4, 5, 9, 10, 11, 15]), 0.1)
+    assert rows.vehicle_id.tolist() == [1] * 5 + [2] * 7
+    assert rows.frame.tolist() == [1, 2, 3, 4, 5, 9, 10, 11, 12, 13, 14, 15]
+    assert np.flatnonzero(added).tolist() == [2, 8, 9, 10]
+    np.testing.assert_allclose(rows.local_m, np.stack([2.0 * rows.frame, -rows.frame], axis=1))
+    np.testing.assert_allclose(rows.time_ms, 100.0 * rows.frame)
+    assert rows.lane.tolist() == [0, 1, 1, 2, 3, 4, 5, 6, 6, 6, 6, 7], "the lane is the one before the gap"
+
+
+def test_gaps_are_counted_in_the_recordings_own_steps():
+    rows, added = fill_gaps(track_rows([1, 1, 1, 2, 2], [95, 100, 105, 95, 105]), 0.1)
+    assert rows.frame[added].tolist() == [100]
+    assert usual_step(np.array([1, 2, 3]), np.array([1, 5, 9])) == 1
+
+
+def test_segments_break_at_vehicles_and_long_gaps_and_count_those_others_were_seen_in():
+    vehicle = np.array([1] * 5 + [2] * 12)
+    frame = np.array([1, 2, 3, 11, 12, *range(1, 13)])
+    segment, split = segments(vehicle, frame, 0.1)
+    assert segment.tolist() == [0, 0, 0, 1, 1] + [2] * 12
+    assert split == 1
+    _, split = segments(np.ones(5, dtype=int), np.array([1, 2, 3, 11, 12]), 0.1)
+    assert split == 0, "nobody was seen in between: the recording pauses"
+
+
+def test_sizes_in_range_are_left_alone():
+    size = np.array([[4.5, 1.9], [12.0, 2.5], [2.0, 0.9]])
+    repaired, changed = repaired_sizes(np.array([2, 3, 1]), size)
+    np.testing.assert_array_equal(repaired, size)
+    assert not changed.any()
+
+
+def test_heights_by_class_and_length():
+    names = ["car", "van", "truck", "truck", "bus", "motorcycle"]
+    index = np.array([CLASSES.index(name) for name in names])
+    length = np.array([4.5, 5.2, 8.99, 9.0, 12.0, 2.0])
+    assert heights(index, length).tolist() == [1.5, 1.9, 3.0, 3.8, 3.2, 1.4]
+    assert heights(index, length, {"bus": 3.0}).tolist() == [1.5, 1.9, 3.0, 3.8, 3.0, 1.4]
+    assert class_index(np.array([2, 2]), np.array([4.9, 4.91])).tolist() == [CLASSES.index("car"), CLASSES.index("van")]
+
+
+# ---- overlaps ------------------------------------------------------------------------------------------------------
+
+
+def frame_of(centre, size, heading):
+    n = len(centre)
+    return Vehicles(
+        frame=0,
+        time_s=0.0,
+        vehicle_id=np.arange(n),
+        class_index=np.zeros(n, dtype=np.int8),
+        centre_m=np.column_stack([centre, np.ones(n)]),
+        size_m=np.column_stack([size, np.full(n, 2.0)]),
+        heading_rad=np.asarray(heading, dtype=float),
+        lane=np.zeros(n, dtype=np.int16),
+    )
+
+
+def test_boxes_that_only_touch_or_only_cross_by_their_corners_circles_do_not_overlap():
+    apart = frame_of([[0, 0], [4.0, 0], [0, 2.5]], [[4, 2], [4, 2], [4, 2]], [0, 0, 0])
+    assert len(overlapping_pairs(apart)) == 0
+    beside = frame_of([[0, 0], [3.0, 1.8]], [[4, 2], [4, 2]], [0, 0])
+    assert overlapping_pairs(beside).tolist() == [[0, 1]]
+    turned = frame_of([[0, 0], [2.9, 1.9]], [[4, 2], [1, 1]], [0, np.pi / 4])
+    assert len(overlapping_pairs(turned)) == 0
+    assert len(overlapping_pairs(frame_of(np.zeros((0, 2)), np.zeros((0, 2)), []))) == 0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_overlaps_agree_with_points_sampled_in_the_boxes(seed):
+    """A point of one box inside the other proves an overlap; pairs that share no point of a fine grid barely touch."""
+    rng = np.random.default_rng(seed)
+    centre, heading = rng.uniform(-6, 6, (5, 2)), rng.uniform(-np.pi, np.pi, 5)
+    size = rng.uniform([3.0, 1.5], [8.0, 2.5], (5, 2))
+    found = {tuple(pair) for pair in overlapping_pairs(frame_of(centre, size, heading)).tolist()}
+    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 60), np.linspace(-0.5, 0.5, 60)), axis=-1).reshape(-1, 2)
+    shrunk = {tuple(pair) for pair in overlapping_pairs(frame_of(centre, size - 0.5, heading)).tolist()}
+    for i in range(5):
+        turn = np.array([[np.cos(heading[i]), np.sin(heading[i])], [-np.sin(heading[i]), np.cos(heading[i])]])
+        points = centre[i] + (grid * size[i]) @ turn
+        for j in range(5):
+            if i == j:
+                continue
+            offset = points - centre[j]
+            along = offset @ [np.cos(heading[j]), np.sin(heading[j])]
+            across = offset @ [-np.sin(heading[j]), np.cos(heading[j])]
+            inside = ((np.abs(along) < size[j, 0] / 2) & (np.abs(across) < size[j, 1] / 2)).any()
+            pair = (min(i, j), max(i, j))
+            if inside:
+                assert pair in found
+            elif pair in shrunk:
+                pytest.fail("boxes that overlap by half a metre share a point of the grid")
+
+
+def test_overlaps_are_looked_for_in_a_bounded_number_of_frames():
+    n = 500
+    recording = Recording.from_rows(
+        frame=np.repeat(np.arange(n), 2),
+        time_s=np.repeat(np.arange(n) * 0.1, 2),
+        vehicle_id=np.tile([1, 2], n),
+        class_index=np.zeros(2 * n),
+        centre_m=np.zeros((2 * n, 3)),
+        size_m=np.ones((2 * n, 3)),
+        heading_rad=np.zeros(2 * n),
+        lane=np.zeros(2 * n),
+        time_step_s=0.1,
+        source="made up",
+        report=RepairReport(),
+    )
+    report = with_overlaps_reported(recording).report
+    assert report.overlaps == report.overlap_frames == 60

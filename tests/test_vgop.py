@@ -1,0 +1,205 @@
+"""PE-VGOP against a slow loop, and the properties that the paper's equations promise or break."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.errors import InputError
+from blender_lidar.metrics import vgop
+
+CAR = np.array([[4.5, 1.8, 1.5]])
+
+
+def slow_occupancy(points, vehicle, size, cell):
+    """The rule of DESIGN.md in plain Python: one set of cells per vehicle and view."""
+    result = np.zeros((len(size), 3))
+    for row, sides in enumerate(size):
+        n = [max(1, math.ceil(side / cell - 1e-9)) for side in sides]
+        occupied = [set(), set(), set()]
+        for point in points[vehicle == row]:
+            index = [math.floor((x + side / 2) / cell) for x, side in zip(point, sides)]
+            if any(i < -1 or i > count for i, count in zip(index, n)):
+                continue
+            i, j, k = (min(max(value, 0), count - 1) for value, count in zip(index, n))
+            occupied[0].add((i, j))
+            occupied[1].add((i, k))
+            occupied[2].add((j, k))
+        areas = (n[0] * n[1], n[0] * n[2], n[1] * n[2])
+        result[row] = [len(cells) / area for cells, area in zip(occupied, areas)]
+    return result
+
+
+def cloud(rng, vehicles, points, spread=1.3):
+    size = rng.uniform([1.5, 0.5, 1.0], [12.0, 2.6, 4.0], (vehicles, 3))
+    vehicle = rng.integers(0, vehicles, points)
+    return rng.uniform(-0.5, 0.5, (points, 3)) * size[vehicle] * spread, vehicle, size
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.07, 0.2, 3.0])
+@pytest.mark.parametrize("spread", [0.9, 1.02, 1.6])
+def test_occupancy_equals_the_slow_loop(cell, spread):
+    points, vehicle, size = cloud(np.random.default_rng(3), 12, 4000, spread)
+    np.testing.assert_allclose(vgop.occupancy(points, vehicle, size, cell), slow_occupancy(points, vehicle, size, cell), rtol=1e-12)
+
+
+def test_occupancy_equals_the_slow_loop_on_clustered_points():
+    rng = np.random.default_rng(4)
+    points, vehicle, size = cloud(rng, 5, 200)
+    points, vehicle = np.repeat(points, 20, axis=0), np.repeat(vehicle, 20)
+    points += rng.normal(0, 0.01, points.shape)
+    np.testing.assert_allclose(vgop.occupancy(points, vehicle, size), slow_occupancy(points, vehicle, size, 0.05), rtol=1e-12)
+
+
+def test_vehicles_are_scored_the_same_in_groups_as_at_once(monkeypatch):
+    points, vehicle, size = cloud(np.random.default_rng(5), 30, 5000)
+    at_once = vgop.occupancy(points, vehicle, size)
+    monkeypatch.setattr(vgop, "_MAX_LATTICE_CELLS", 50_000)
+    np.testing.assert_array_equal(vgop.occupancy(points, vehicle, size), at_once)
+
+
+def test_points_are_scored_the_same_in_chunks_as_at_once(monkeypatch):
+    points, vehicle, size = cloud(np.random.default_rng(6), 30, 5000)
+    at_once = vgop.occupancy(points, vehicle, size)
+    monkeypatch.setattr(vgop, "_CHUNK_POINTS", 97)
+    np.testing.assert_array_equal(vgop.occupancy(points, vehicle, size), at_once)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.5), st.floats(0.5, 2.0))
+def test_occupancy_is_a_share_and_ignores_the_order_of_points(seed, cell, spread):
+    rng = np.random.default_rng(seed)
+    points, vehicle, size = cloud(rng, 4, 300, spread)
+    p = vgop.occupancy(points, vehicle, size, cell)
+    assert ((p >= 0) & (p <= 1)).all()
+    order = rng.permutation(len(points))
+    np.testing.assert_array_equal(vgop.occupancy(points[order], vehicle[order], size, cell), p)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_adding_points_never_lowers_an_occupancy(seed):
+    points, vehicle, size = cloud(np.random.default_rng(seed), 3, 400)
+    some = vgop.occupancy(points[:200], vehicle[:200], size)
+    assert (vgop.occupancy(points, vehicle, size) >= some).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-7, 7), st.floats(-500, 500), st.floats(-500, 500), st.integers(0, 2**32 - 1))
+def test_moving_vehicle_and_points_together_changes_nothing(heading, x, y, seed):
+    rng = np.random.default_rng(seed)
+    local = rng.uniform(-0.49, 0.49, (200, 3)) * CAR
+    local = (np.floor(local / 0.05) + 0.5) * 0.05  # cell centres: rounding cannot move them across a border
+    centre = np.array([x, y, 0.75])
+    cos, sin = math.cos(heading), math.sin(heading)
+    world = local @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + centre
+    rows = np.zeros(len(local), dtype=int)
+    back = vgop.to_vehicle_frame(world, centre, heading)
+    np.testing.assert_allclose(back, local, atol=1e-9)
+    np.testing.assert_array_equal(vgop.occupancy(back, rows, CAR), vgop.occupancy(local, rows, CAR))
+
+
+def test_a_heading_of_a_quarter_turn_puts_a_point_ahead_of_the_vehicle_on_its_x_axis():
+    np.testing.assert_allclose(vgop.to_vehicle_frame(np.array([[1.0, 5.0, 0.0]]), np.array([1.0, 2.0, 0.0]), math.pi / 2), [[3, 0, 0]], atol=1e-12)
+
+
+def test_the_three_ways_to_give_centres_and_headings_agree():
+    rng = np.random.default_rng(1)
+    points, vehicle = rng.normal(size=(50, 3)), rng.integers(0, 4, 50)
+    centre, heading = rng.normal(size=(4, 3)), rng.normal(size=4)
+    by_row = vgop.to_vehicle_frame(points, centre, heading, vehicle)
+    np.testing.assert_array_equal(by_row, vgop.to_vehicle_frame(points, centre[vehicle], heading[vehicle]))
+    for row in range(4):
+        np.testing.assert_array_equal(by_row[vehicle == row], vgop.to_vehicle_frame(points[vehicle == row], centre[row], heading[row]))
+
+
+def test_a_vehicle_covered_with_points_has_occupancy_one_and_no_entropy_as_corrected():
+    size = np.array([[4.53, 1.77, 1.5]])
+    grid = np.stack(np.meshgrid(*(np.arange(-side / 2 + 0.01, side / 2, 0.02) for side in size[0]), indexing="ij"), axis=-1).reshape(-1, 3)
+    rows = np.zeros(len(grid), dtype=int)
+    np.testing.assert_array_equal(vgop.occupancy(grid, rows, size), [[1.0, 1.0, 1.0]])
+    assert vgop.pe_vgop(grid, rows, size)[0] == 0.0
+    literal = vgop.occupancy(grid, rows, size, reading="paper")
+    assert literal[0, 0] == pytest.approx(91 * 36 / (4.53 * 1.77 / 0.0025))  # 1.021: Eq. 8 as printed exceeds 1
+    assert literal[0, 0] > 1.0
+    assert vgop.pe_vgop(grid, rows, size, reading="paper")[0] < 0.0
+
+
+def test_points_on_all_faces_stay_inside_the_lattice():
+    corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * CAR
+    p = vgop.occupancy(corners, np.zeros(8, dtype=int), CAR)
+    np.testing.assert_allclose(p, [[4 / (90 * 36), 4 / (90 * 30), 4 / (36 * 30)]])
+
+
+def test_a_point_one_cell_beyond_the_rim_counts_and_one_farther_does_not():
+    rows = np.zeros(1, dtype=int)
+    assert vgop.occupancy(np.array([[2.25 + 0.04, 0, 0]]), rows, CAR)[0, 0] > 0
+    assert vgop.occupancy(np.array([[2.25 + 0.06, 0, 0]]), rows, CAR)[0, 0] == 0
+    assert vgop.occupancy(np.array([[-2.25 - 0.04, 0, 0]]), rows, CAR)[0, 0] > 0
+    assert vgop.occupancy(np.array([[-2.25 - 0.06, 0, 0]]), rows, CAR)[0, 0] == 0
+    assert vgop.occupancy(np.array([[1e300, 0, 0]]), rows, CAR)[0, 0] == 0
+
+
+def test_entropy_peaks_at_one_over_e_and_vanishes_at_both_ends():
+    assert vgop.entropy(np.array([0.0, 1.0])).tolist() == [0.0, 0.0]
+    assert not np.signbit(vgop.entropy(np.array([0.0, 1.0]))).any()
+    assert vgop.entropy(vgop.PEAK_OCCUPANCY) == pytest.approx(math.log2(math.e) / math.e)
+    p = np.linspace(0.001, 0.999, 999)
+    np.testing.assert_allclose(vgop.entropy(p), -p * np.log2(p), rtol=1e-12)
+    assert p[np.argmax(vgop.entropy(p))] == pytest.approx(1 / math.e, abs=1e-3)
+
+
+def test_a_view_that_is_three_quarters_full_scores_less_than_one_a_third_full():
+    assert vgop.entropy(0.75) < vgop.entropy(1 / 3)  # the flaw of Eq. 9, kept and shown
+
+
+@pytest.mark.parametrize(("view", "cells"), [("top", 17), ("side", 14), ("front", 6)])
+def test_cells_of_a_car_that_one_view_needs_to_reach_the_papers_threshold(view, cells):
+    total = {"top": 90 * 36, "side": 90 * 30, "front": 36 * 30}[view]
+    assert (cells - 1) / total < 0.005 <= cells / total
+
+
+def test_the_views_to_be_drawn_hold_the_same_occupancy():
+    rng = np.random.default_rng(8)
+    points = rng.uniform(-0.52, 0.52, (300, 3)) * CAR
+    views = vgop.occupancy_views(points, CAR[0])
+    p = vgop.occupancy(points, np.zeros(300, dtype=int), CAR)[0]
+    assert [views[name].mean() for name in vgop.VIEWS] == pytest.approx(p.tolist())
+    assert views["top"].shape == (90, 36)
+
+
+def test_no_points_and_no_vehicles_are_fine():
+    assert vgop.occupancy(np.empty((0, 3)), np.empty(0, dtype=int), CAR).tolist() == [[0, 0, 0]]
+    assert vgop.occupancy(np.empty((0, 3)), np.empty(0, dtype=int), np.empty((0, 3))).shape == (0, 3)
+    assert vgop.pe_vgop(np.empty((0, 3)), np.empty(0, dtype=int), CAR).tolist() == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("points", "vehicle", "size", "cell", "says"),
+    [
+        (np.zeros((2, 2)), np.zeros(2, int), CAR, 0.05, "points has shape"),
+        (np.zeros((2, 3)), np.zeros(3, int), CAR, 0.05, "vehicle has shape"),
+        (np.zeros((2, 3)), np.array([0, 1]), CAR, 0.05, "rows 0 to 1"),
+        (np.zeros((2, 3)), np.array([-1, 0]), CAR, 0.05, "rows -1 to 0"),
+        (np.zeros((2, 3)), np.array([0.0, 0.5]), CAR, 0.05, "float64"),
+        (np.full((1, 3), np.nan), np.zeros(1, int), CAR, 0.05, "not finite"),
+        (np.zeros((1, 3)), np.zeros(1, int), -CAR, 0.05, "positive"),
+        (np.zeros((1, 3)), np.zeros(1, int), CAR * np.nan, 0.05, "positive"),
+        (np.zeros((1, 3)), np.zeros(1, int), CAR, 0.0, "cell_m"),
+    ],
+)
+def test_bad_input_is_named(points, vehicle, size, cell, says):
+    with pytest.raises(InputError, match=says):
+        vgop.occupancy(points, vehicle, size, cell)
+
+
+def test_an_unknown_reading_and_an_impossible_occupancy_are_refused():
+    with pytest.raises(InputError, match="corrected, paper"):
+        vgop.occupancy(np.zeros((1, 3)), np.zeros(1, int), CAR, reading="literal")
+    for p in (-0.1, np.nan, np.inf):
+        with pytest.raises(InputError, match="occupancy"):
+            vgop.entropy(p)
