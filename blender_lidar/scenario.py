@@ -86,9 +86,7 @@ class Deployment:
     @property
     def nominal_xy(self) -> tuple[float, float]:
         """Where the region of interest is centred [m]: the mount's place, or the middle of where it may be."""
-        return tuple(
-            0.5 * sum(self.bounds[key]) if key in self.bounds else self.fixed[key] for key in ("x_m", "y_m")
-        )
+        return tuple(0.5 * sum(self.bounds[key]) if key in self.bounds else self.fixed[key] for key in ("x_m", "y_m"))
 
     def coordinates(self, x) -> dict[str, float]:
         """All six coordinates (metres, degrees) at the point `x` (d,) of the search space."""
@@ -159,7 +157,9 @@ class Scenario:
         traffic = asdict(self.traffic)
         for key in ("frame_ids", "origin_m"):
             traffic[key] = None if traffic[key] is None else list(traffic[key])
-        deployment = {key: self.deployment.fixed.get(key, list(self.deployment.bounds.get(key, ()))) for key in COORDINATES}
+        deployment = {
+            key: self.deployment.fixed.get(key, list(self.deployment.bounds.get(key, ()))) for key in COORDINATES
+        }
         return {
             "traffic": traffic,
             "road": asdict(self.road),

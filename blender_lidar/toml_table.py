@@ -31,7 +31,9 @@ def read_toml(path: str | Path) -> dict:
             raise InputError(f"{path}: is larger than {_MAX_BYTES} bytes; allowed: a TOML file of settings")
         return tomllib.loads(path.read_bytes().decode("utf-8"))
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}); allowed: a TOML file") from error
+        raise InputError(
+            f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}); allowed: a TOML file"
+        ) from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{path}: is not TOML: {str(error).splitlines()[0]}") from error
     except OSError as error:
@@ -110,7 +112,9 @@ class TomlTable:
             raise InputError(f"{self.where(key)}: is {list(value)!r}; allowed: a number, or a pair [low, high]")
         first, last = (self._checked_number(entry, key, low, high, -math.inf) for entry in value)
         if not first < last:
-            raise InputError(f"{self.where(key)}: is [{first:g}, {last:g}]; allowed: the lower bound first, below the upper")
+            raise InputError(
+                f"{self.where(key)}: is [{first:g}, {last:g}]; allowed: the lower bound first, below the upper"
+            )
         return first, last
 
     def whole_numbers(self, key, default=_REQUIRED):
@@ -126,7 +130,10 @@ class TomlTable:
     def table(self, key) -> TomlTable:
         """A table within this one; empty where the key is missing."""
         self._known.append(key)
-        return TomlTable(self._values.get(key, {}), f"{self._where[:-1]}.{key}]" if self._where.endswith("]") else f"{self._where} [{key}]")
+        return TomlTable(
+            self._values.get(key, {}),
+            f"{self._where[:-1]}.{key}]" if self._where.endswith("]") else f"{self._where} [{key}]",
+        )
 
     def tables(self) -> dict[str, TomlTable]:
         """All tables within this one, whatever their names."""
@@ -167,7 +174,11 @@ def to_toml(tables: Mapping[str, Mapping]) -> str:
 
 def _append_table(lines, name, table):
     lines += ["", f"[{name}]"]
-    lines += [f"{_key(key)} = {_value(value)}" for key, value in table.items() if value is not None and not isinstance(value, Mapping)]
+    lines += [
+        f"{_key(key)} = {_value(value)}"
+        for key, value in table.items()
+        if value is not None and not isinstance(value, Mapping)
+    ]
     for key, value in table.items():
         if isinstance(value, Mapping):
             _append_table(lines, f"{name}.{_key(key)}", value)

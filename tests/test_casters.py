@@ -18,7 +18,9 @@ from blender_lidar.world.triangles import place, vehicle_triangles
 from tests.sample_traffic import dense_traffic
 
 FAST = [
-    pytest.param(name, marks=pytest.mark.skipif(not is_available(name), reason=f"the library of {name} is not installed"))
+    pytest.param(
+        name, marks=pytest.mark.skipif(not is_available(name), reason=f"the library of {name} is not installed")
+    )
     for name in ("bvh", "embree")
 ]
 EVERY = [*FAST, "exact"]
@@ -207,11 +209,17 @@ def test_no_azimuth_column_is_lost_when_the_sensor_stands_on_a_mesh_line(name):
     x, y = np.meshgrid(lines, lines, indexing="ij")
     grid = np.stack([x, y, np.zeros_like(x)], axis=-1)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    floor = np.concatenate([np.stack([a, b, c], axis=2).reshape(-1, 3, 3), np.stack([a, c, d], axis=2).reshape(-1, 3, 3)])
+    floor = np.concatenate(
+        [np.stack([a, b, c], axis=2).reshape(-1, 3, 3), np.stack([a, c, d], axis=2).reshape(-1, 3, 3)]
+    )
     azimuth = np.radians(np.arange(0, 360, 0.2))
     for elevation in np.radians([-15.0, -35.0]):
         rays = np.column_stack(
-            [np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.full(len(azimuth), np.sin(elevation))]
+            [
+                np.sin(azimuth) * np.cos(elevation),
+                np.cos(azimuth) * np.cos(elevation),
+                np.full(len(azimuth), np.sin(elevation)),
+            ]
         )
         hits = caster_class(name)(floor).cast(np.array([2.5, 2.5, 4.0]), rays)
         np.testing.assert_allclose(hits.distance, 4.0 / -rays[:, 2], rtol=1e-9)
@@ -279,7 +287,9 @@ def test_the_cure_is_what_closes_the_leaks():
     lines = np.arange(-10.0, 10.1, 2.5)
     grid = np.stack([*np.meshgrid(lines, lines, indexing="ij"), np.zeros((len(lines), len(lines)))], axis=-1)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    floor = np.concatenate([np.stack([a, b, c], axis=2).reshape(-1, 3, 3), np.stack([a, c, d], axis=2).reshape(-1, 3, 3)])
+    floor = np.concatenate(
+        [np.stack([a, b, c], axis=2).reshape(-1, 3, 3), np.stack([a, c, d], axis=2).reshape(-1, 3, 3)]
+    )
     rng = np.random.default_rng(11)
     origins = rng.uniform([-9, -9, 2], [9, 9, 6], (4000, 3))
     aims = grid[1:-1, 1:-1].reshape(-1, 3)[rng.integers(0, (len(lines) - 2) ** 2, 4000)]

@@ -76,7 +76,9 @@ def test_a_placed_vehicle_spans_its_box_and_never_leaves_it(name, detail, size, 
     vehicles = one_vehicle(name, (12.0, 34.0), heading, size)
     corners = vehicle_triangles(vehicles, detail).corners.reshape(-1, 3) - vehicles.centre_m[0]
     cos, sin = np.cos(heading), np.sin(heading)
-    local = np.column_stack([cos * corners[:, 0] + sin * corners[:, 1], cos * corners[:, 1] - sin * corners[:, 0], corners[:, 2]])
+    local = np.column_stack(
+        [cos * corners[:, 0] + sin * corners[:, 1], cos * corners[:, 1] - sin * corners[:, 0], corners[:, 2]]
+    )
     np.testing.assert_allclose(local.max(axis=0), np.array(size) / 2, atol=1e-12)
     np.testing.assert_allclose(local.min(axis=0), -np.array(size) / 2, atol=1e-12)
 

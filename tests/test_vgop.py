@@ -44,7 +44,9 @@ def cloud(rng, vehicles, points, spread=1.3):
 @pytest.mark.parametrize("spread", [0.9, 1.02, 1.6])
 def test_occupancy_equals_the_slow_loop(cell, spread):
     points, vehicle, size = cloud(np.random.default_rng(3), 12, 4000, spread)
-    np.testing.assert_allclose(vgop.occupancy(points, vehicle, size, cell), slow_occupancy(points, vehicle, size, cell), rtol=1e-12)
+    np.testing.assert_allclose(
+        vgop.occupancy(points, vehicle, size, cell), slow_occupancy(points, vehicle, size, cell), rtol=1e-12
+    )
 
 
 def test_occupancy_equals_the_slow_loop_on_clustered_points():
@@ -52,7 +54,9 @@ def test_occupancy_equals_the_slow_loop_on_clustered_points():
     points, vehicle, size = cloud(rng, 5, 200)
     points, vehicle = np.repeat(points, 20, axis=0), np.repeat(vehicle, 20)
     points += rng.normal(0, 0.01, points.shape)
-    np.testing.assert_allclose(vgop.occupancy(points, vehicle, size), slow_occupancy(points, vehicle, size, 0.05), rtol=1e-12)
+    np.testing.assert_allclose(
+        vgop.occupancy(points, vehicle, size), slow_occupancy(points, vehicle, size, 0.05), rtol=1e-12
+    )
 
 
 def test_vehicles_are_scored_the_same_in_groups_as_at_once(monkeypatch):
@@ -104,7 +108,11 @@ def test_moving_vehicle_and_points_together_changes_nothing(heading, x, y, seed)
 
 
 def test_a_heading_of_a_quarter_turn_puts_a_point_ahead_of_the_vehicle_on_its_x_axis():
-    np.testing.assert_allclose(vgop.to_vehicle_frame(np.array([[1.0, 5.0, 0.0]]), np.array([1.0, 2.0, 0.0]), math.pi / 2), [[3, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(
+        vgop.to_vehicle_frame(np.array([[1.0, 5.0, 0.0]]), np.array([1.0, 2.0, 0.0]), math.pi / 2),
+        [[3, 0, 0]],
+        atol=1e-12,
+    )
 
 
 def test_the_three_ways_to_give_centres_and_headings_agree():
@@ -114,12 +122,16 @@ def test_the_three_ways_to_give_centres_and_headings_agree():
     by_row = vgop.to_vehicle_frame(points, centre, heading, vehicle)
     np.testing.assert_array_equal(by_row, vgop.to_vehicle_frame(points, centre[vehicle], heading[vehicle]))
     for row in range(4):
-        np.testing.assert_array_equal(by_row[vehicle == row], vgop.to_vehicle_frame(points[vehicle == row], centre[row], heading[row]))
+        np.testing.assert_array_equal(
+            by_row[vehicle == row], vgop.to_vehicle_frame(points[vehicle == row], centre[row], heading[row])
+        )
 
 
 def test_a_vehicle_covered_with_points_has_occupancy_one_and_no_entropy_as_corrected():
     size = np.array([[4.53, 1.77, 1.5]])
-    grid = np.stack(np.meshgrid(*(np.arange(-side / 2 + 0.01, side / 2, 0.02) for side in size[0]), indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = np.stack(
+        np.meshgrid(*(np.arange(-side / 2 + 0.01, side / 2, 0.02) for side in size[0]), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
     rows = np.zeros(len(grid), dtype=int)
     np.testing.assert_array_equal(vgop.occupancy(grid, rows, size), [[1.0, 1.0, 1.0]])
     assert vgop.pe_vgop(grid, rows, size)[0] == 0.0

@@ -36,7 +36,9 @@ class BvhCaster(Caster):
             ends = np.flatnonzero((origins[1:] != origins[:-1]).any(axis=1)) + 1
             bounds = np.concatenate([[0], ends, [len(origins)]])
             shared = [Vector(origin) for origin in origins[bounds[:-1]].tolist()]
-            starts = [start for start, n in zip(shared, np.diff(bounds).tolist(), strict=True) for start in repeat(start, n)]
+            starts = [
+                start for start, n in zip(shared, np.diff(bounds).tolist(), strict=True) for start in repeat(start, n)
+            ]
         with _collector_paused():
             met = list(map(_triangle_of, map(ray_cast, starts, rays, repeat(float(reach)))))
         return np.array([MISS if index is None else index for index in met], dtype=np.int64)

@@ -15,7 +15,14 @@ from ..sensors.beams import beam_lattice
 from ..sensors.model import load_model
 from ..sensors.pose import Pose
 
-_OPTIONAL = {"pandas": "", "bpy": "blender", "embreex": "fast", "matplotlib": "plots", "tqdm": "plots", "eclipse-sumo": "sumo"}
+_OPTIONAL = {
+    "pandas": "",
+    "bpy": "blender",
+    "embreex": "fast",
+    "matplotlib": "plots",
+    "tqdm": "plots",
+    "eclipse-sumo": "sumo",
+}
 _TOLERANCE_M = 1e-4
 
 
@@ -34,13 +41,21 @@ def run(args: argparse.Namespace) -> int:
         try:
             found = version(name)
         except PackageNotFoundError:
-            found = f'not installed (pip install "blender_lidar[{extra}]")' if extra else "not installed (pip install pandas)"
+            found = (
+                f'not installed (pip install "blender_lidar[{extra}]")'
+                if extra
+                else "not installed (pip install pandas)"
+            )
         print(f"  {name:<13} {found}")
     verdicts = {name: _check(name) for name in CASTERS}
     for name, verdict in verdicts.items():
         print(f"caster {name:<7} {verdict}")
     works = any(verdicts[name].startswith("works") for name in ("embree", "bvh"))
-    print("All is well." if works else 'No fast caster works: pip install "blender_lidar[fast]" or "blender_lidar[blender]"')
+    print(
+        "All is well."
+        if works
+        else 'No fast caster works: pip install "blender_lidar[fast]" or "blender_lidar[blender]"'
+    )
     return 0 if works else 1
 
 
@@ -48,14 +63,21 @@ def _check(name: str) -> str:
     """Scan a wall 10 m away with an RS-16 and compare with the plane's equation."""
     if not is_available(name):
         return "not installed"
-    wall = np.array([[[-50.0, 10.0, -50.0], [50.0, 10.0, -50.0], [50.0, 10.0, 50.0]], [[-50.0, 10.0, -50.0], [50.0, 10.0, 50.0], [-50.0, 10.0, 50.0]]])
+    wall = np.array(
+        [
+            [[-50.0, 10.0, -50.0], [50.0, 10.0, -50.0], [50.0, 10.0, 50.0]],
+            [[-50.0, 10.0, -50.0], [50.0, 10.0, 50.0], [-50.0, 10.0, 50.0]],
+        ]
+    )
     lattice = beam_lattice(load_model("RS-16"), stride=8)
     pose = Pose(height_m=2.0, tilt_x=0.1)
     rays = pose.to_world(lattice.directions.reshape(-1, 3))
     with np.errstate(divide="ignore"):
         distance = np.where(rays[:, 1] > 0, 10.0 / rays[:, 1], np.inf)
     point = pose.position + np.where(np.isfinite(distance), distance, 0.0)[:, None] * rays
-    expected = np.where((np.abs(point[:, 0]) < 50) & (np.abs(point[:, 2]) < 50) & np.isfinite(distance), distance, np.inf)
+    expected = np.where(
+        (np.abs(point[:, 0]) < 50) & (np.abs(point[:, 2]) < 50) & np.isfinite(distance), distance, np.inf
+    )
     try:
         found = caster_class(name)(wall).cast(pose.position, rays).distance
     except Exception as error:  # whatever a broken library raises is what the user needs to see

@@ -24,7 +24,9 @@ def add_parser(subparsers) -> None:
     add_scene(parser, leave_out=SEARCH_OPTIONS)
     add_pose(parser)
     parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
-    parser.add_argument("--json", action="store_true", help="print the content of result.json, and nothing else, on stdout")
+    parser.add_argument(
+        "--json", action="store_true", help="print the content of result.json, and nothing else, on stdout"
+    )
     parser.set_defaults(run=run)
 
 

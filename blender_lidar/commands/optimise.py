@@ -28,7 +28,9 @@ def add_parser(subparsers) -> None:
     add_scene(parser)
     parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out DIR that was stopped")
-    parser.add_argument("--json", action="store_true", help="print the content of result.json, and nothing else, on stdout")
+    parser.add_argument(
+        "--json", action="store_true", help="print the content of result.json, and nothing else, on stdout"
+    )
     parser.set_defaults(run=run)
 
 
@@ -36,7 +38,9 @@ def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     scenario = scenario_from(args)
     if not scenario.deployment.bounds:
-        raise InputError(f"{args.scene}: [deployment] fixes every coordinate; give at least one a pair [low, high], or use evaluate")
+        raise InputError(
+            f"{args.scene}: [deployment] fixes every coordinate; give at least one a pair [low, high], or use evaluate"
+        )
     folder = _folder(args, scenario)
     with folder.locked():
         site = prepare(scenario)
@@ -105,7 +109,11 @@ class _TerminalListener:
 
     def searching(self, search: Search) -> None:
         if self._search is None:
-            self._bar, self._search, self._done = Progress(search.budget, "search", search.evaluations), search, search.evaluations
+            self._bar, self._search, self._done = (
+                Progress(search.budget, "search", search.evaluations),
+                search,
+                search.evaluations,
+            )
             return
         self._bar.advance(search.evaluations - self._done, self._best(search))
         self._done = search.evaluations
@@ -117,7 +125,9 @@ class _TerminalListener:
         self._bar.advance(points)
 
     def _best(self, search):
-        mount = ", ".join(f"{key} {value:.2f}" for key, value in zip(self._deployment.variables, search.best_x, strict=True))
+        mount = ", ".join(
+            f"{key} {value:.2f}" for key, value in zip(self._deployment.variables, search.best_x, strict=True)
+        )
         return f"best {search.best_value:.1f} bits at {mount}"
 
     def _close(self):

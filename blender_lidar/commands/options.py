@@ -28,7 +28,14 @@ _SETTINGS = (
     ("--search", "search", "method", str, SEARCHES, "how the best mounting is looked for"),
     ("--seed", "search", "seed", int, None, "seed of everything random"),
     ("--particles", "search", "particles", int, None, "particles of DE-PSO"),
-    ("--iterations", "search", "iterations", int, None, "iterations of DE-PSO; grid and random get particles x iterations"),
+    (
+        "--iterations",
+        "search",
+        "iterations",
+        int,
+        None,
+        "iterations of DE-PSO; grid and random get particles x iterations",
+    ),
 )
 SEARCH_OPTIONS = ("--search", "--particles", "--iterations")
 _POSE_OPTIONS = tuple(f"--{key.removesuffix('_m').removesuffix('_deg').replace('_', '-')}" for key in COORDINATES)
@@ -39,9 +46,13 @@ def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = (
     parser.add_argument("scene", metavar="SCENE.toml", help="the scene file")
     for option, _, _, kind, choices, text in _SETTINGS:
         if option not in leave_out:
-            parser.add_argument(option, type=kind, choices=choices, metavar=None if choices else option[2:].upper(), help=text)
+            parser.add_argument(
+                option, type=kind, choices=choices, metavar=None if choices else option[2:].upper(), help=text
+            )
     if "--frame-ids" not in leave_out:
-        parser.add_argument("--frame-ids", metavar="IDS", help="the searched frames: 100,150 or 100:160:5, its end included")
+        parser.add_argument(
+            "--frame-ids", metavar="IDS", help="the searched frames: 100,150 or 100:160:5, its end included"
+        )
     parser.set_defaults(left_out=leave_out)
 
 
@@ -97,7 +108,9 @@ def parse_frames(text: str, option: str) -> list[int]:
         except ValueError:
             raise InputError(f"{option}: {part!r}; allowed: frame numbers such as 100,150 or 100:160:5") from None
         if step < 1 or last < first or (last - first) // step >= _MOST_FRAMES:
-            raise InputError(f"{option}: {part!r}; allowed: a range from:to:step with to not below from and step 1 or more")
+            raise InputError(
+                f"{option}: {part!r}; allowed: a range from:to:step with to not below from and step 1 or more"
+            )
         frames += range(first, last + 1, step)
     return frames
 

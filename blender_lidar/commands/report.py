@@ -20,15 +20,27 @@ def describe_site(site: Site) -> str:
     scenario, lattice, plan = site.scenario, site.observation.lattice, site.plan
     counted = sum(int(frame.counted.sum()) for frame in site.search)
     lines = [
-        ("Sensor", f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz, range gate "
-         f"{site.observation.max_range_m:g} m"),
-        ("Traffic", f"{scenario.traffic.path}: {len(site.recording.frames)} frames, "
-         f"{np.median(site.recording.counts):.0f} vehicles in the median one"),
+        (
+            "Sensor",
+            f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz, range gate "
+            f"{site.observation.max_range_m:g} m",
+        ),
+        (
+            "Traffic",
+            f"{scenario.traffic.path}: {len(site.recording.frames)} frames, "
+            f"{np.median(site.recording.counts):.0f} vehicles in the median one",
+        ),
         *(("", line) for line in site.recording.report.lines()),
-        ("Searched", f"{len(site.search)} frames, {counted} vehicles within the gate, in {_blocks(plan.search_block)} of {plan.block_s:g} s"),
+        (
+            "Searched",
+            f"{len(site.search)} frames, {counted} vehicles within the gate, in {_blocks(plan.search_block)} of {plan.block_s:g} s",
+        ),
         ("Held out", _held_out(site)),
         *(("", note) for note in plan.notes),
-        ("Casting", f"{site.observation.caster}, detail {site.observation.detail}, {site.workers} worker{'s' * (site.workers != 1)}"),
+        (
+            "Casting",
+            f"{site.observation.caster}, detail {site.observation.detail}, {site.workers} worker{'s' * (site.workers != 1)}",
+        ),
         ("Searching", _search_text(scenario)),
     ]
     return "\n".join(f"{name:<10} {text}" for name, text in lines)
@@ -39,7 +51,10 @@ def comparison(site: Site, outcome: Outcome) -> str:
     result, base = outcome.result, outcome.result["baseline"]
     rows = [
         ("Mounting", "baseline", "optimised" if result["search"] else "given"),
-        *((name, f"{base['deployment'][key]:.2f}", f"{result['deployment'][key]:.2f}") for name, key in _coordinates(result)),
+        *(
+            (name, f"{base['deployment'][key]:.2f}", f"{result['deployment'][key]:.2f}")
+            for name, key in _coordinates(result)
+        ),
         ("Searched frames", "", ""),
         ("  objective [bits]", f"{base['objective']:.1f}", f"{result['objective']:.1f}"),
         *_score_rows(base, result),
@@ -58,8 +73,10 @@ def comparison(site: Site, outcome: Outcome) -> str:
 
 def files(folder: RunFolder, charts: Sequence[str]) -> str:
     """Where the results are."""
-    return f"Results in {folder.path}: result.json, vehicles.csv, installation.txt and {len(charts)} charts" if charts else (
-        f"Results in {folder.path}: result.json, vehicles.csv, installation.txt"
+    return (
+        f"Results in {folder.path}: result.json, vehicles.csv, installation.txt and {len(charts)} charts"
+        if charts
+        else (f"Results in {folder.path}: result.json, vehicles.csv, installation.txt")
     )
 
 
@@ -79,7 +96,11 @@ def _coordinates(result):
 
 def _score_rows(base, found):
     return [
-        ("  objective per vehicle [bits]", f"{base['objective_per_vehicle']:.4f}", f"{found['objective_per_vehicle']:.4f}"),
+        (
+            "  objective per vehicle [bits]",
+            f"{base['objective_per_vehicle']:.4f}",
+            f"{found['objective_per_vehicle']:.4f}",
+        ),
         ("  detectable share [%]", f"{100 * base['detectable_share']:.1f}", f"{100 * found['detectable_share']:.1f}"),
     ]
 
@@ -88,7 +109,13 @@ def _group_rows(title, groups, outcome):
     """Detectable share of each group, on the searched and the held-out frames, before and after."""
     splits = [split for split in ("search", "holdout") if (outcome.optimised["split"] == split).any()]
     names = {"search": "searched", "holdout": "held out"}
-    rows = [(f"{title}: detectable [%]", *(f"{names[split]} {which}" for split in splits for which in ("before", "after")), "vehicles")]
+    rows = [
+        (
+            f"{title}: detectable [%]",
+            *(f"{names[split]} {which}" for split in splits for which in ("before", "after")),
+            "vehicles",
+        )
+    ]
     for name, chosen in groups(outcome.baseline):
         shares = []
         for split in splits:
@@ -106,8 +133,12 @@ def _map_lines(result):
     lines = [""]
     regret = result["map"]["search_regret"]
     if regret is not None:
-        lines.append(f"Against the {result['map']['points'][0]} x {result['map']['points'][1]} grid the search falls short by {100 * regret:.2f} % of the gain.")
-    lines.append(f"{100 * result['map']['share_within_1_percent']:.1f} % of the heights and tilts lie within 1 % of the gain.")
+        lines.append(
+            f"Against the {result['map']['points'][0]} x {result['map']['points'][1]} grid the search falls short by {100 * regret:.2f} % of the gain."
+        )
+    lines.append(
+        f"{100 * result['map']['share_within_1_percent']:.1f} % of the heights and tilts lie within 1 % of the gain."
+    )
     intervals = result["map"]["optimum_interval_90"]
     if intervals:
         lines.append(
@@ -120,7 +151,10 @@ def _map_lines(result):
 def _table(rows):
     widths = [max(len(row[column]) for row in rows if len(row) > column) for column in range(max(map(len, rows)))]
     return "\n".join(
-        "  ".join(cell.ljust(width) if column == 0 else cell.rjust(width) for column, (cell, width) in enumerate(zip(row, widths, strict=False))).rstrip()
+        "  ".join(
+            cell.ljust(width) if column == 0 else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=False))
+        ).rstrip()
         for row in rows
     )
 
@@ -140,7 +174,9 @@ def _held_out(site):
 def _search_text(scenario):
     settings = scenario.search
     bounds = ", ".join(f"{key} {low:g} to {high:g}" for key, (low, high) in scenario.deployment.bounds.items())
-    budget = f"{settings.particles} particles x {settings.iterations} iterations" if settings.method == "de-pso" else (
-        f"{settings.particles * settings.iterations} evaluations"
+    budget = (
+        f"{settings.particles} particles x {settings.iterations} iterations"
+        if settings.method == "de-pso"
+        else (f"{settings.particles * settings.iterations} evaluations")
     )
     return f"{bounds or 'nothing'}; {settings.method}, {budget}, seed {settings.seed}, {scenario.objective.reading} reading"

@@ -28,7 +28,9 @@ def add_parser(subparsers) -> None:
         description="Cast one revolution over one frame and write the cloud: .npz with everything, or binary .pcd.",
     )
     add_scene(parser, leave_out=_LEFT_OUT)
-    parser.add_argument("--frame", type=int, required=True, metavar="K", help="frame number, as the recording counts them")
+    parser.add_argument(
+        "--frame", type=int, required=True, metavar="K", help="frame number, as the recording counts them"
+    )
     add_pose(parser)
     parser.add_argument("--out", required=True, metavar="CLOUD", help="the file to write: cloud.npz or cloud.pcd")
     parser.set_defaults(run=run)

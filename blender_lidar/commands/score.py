@@ -26,7 +26,12 @@ def add_parser(subparsers) -> None:
         description="Score a point cloud by boxes that are known: PE-VGOP of each vehicle.",
     )
     parser.add_argument("--points", required=True, metavar="CLOUD", help="the cloud: .npz with xyz, or .pcd")
-    parser.add_argument("--boxes", required=True, metavar="BOXES.csv", help="the boxes, in the columns of vehicles.csv and the frame of the cloud")
+    parser.add_argument(
+        "--boxes",
+        required=True,
+        metavar="BOXES.csv",
+        help="the boxes, in the columns of vehicles.csv and the frame of the cloud",
+    )
     parser.add_argument("--frame", type=int, metavar="K", help="frame of the boxes, where they come from several")
     parser.add_argument(
         "--assign",
@@ -42,8 +47,12 @@ def add_parser(subparsers) -> None:
         help="with --assign box, points this little above a box's floor are ground (default 0.1)",
     )
     parser.add_argument("--cell", type=float, default=DEFAULT_CELL_M, metavar="M", help="side of a cell (default 0.05)")
-    parser.add_argument("--threshold", type=float, default=0.005, help="least occupancy that counts as detectable (default 0.005)")
-    parser.add_argument("--view", choices=VIEWS, default="mean", help="which of the three occupancies the threshold asks for")
+    parser.add_argument(
+        "--threshold", type=float, default=0.005, help="least occupancy that counts as detectable (default 0.005)"
+    )
+    parser.add_argument(
+        "--view", choices=VIEWS, default="mean", help="which of the three occupancies the threshold asks for"
+    )
     parser.add_argument("--out", metavar="CSV", help="write one row for each vehicle")
     parser.add_argument("--json", action="store_true", help="print the scores as JSON, and nothing else, on stdout")
     parser.set_defaults(run=run)
@@ -101,13 +110,28 @@ def _print(args, table, points):
     mean = float(table["entropy_bits"].mean())
     share = float(table["detectable"].mean())
     if args.json:
-        rows = [dict(zip(table, values, strict=True)) for values in zip(*(column.tolist() for column in table.values()), strict=True)]
-        print(json.dumps({"points": points, "entropy_bits_per_vehicle": mean, "detectable_share": share, "vehicles": rows}, indent=2))
+        rows = [
+            dict(zip(table, values, strict=True))
+            for values in zip(*(column.tolist() for column in table.values()), strict=True)
+        ]
+        print(
+            json.dumps(
+                {"points": points, "entropy_bits_per_vehicle": mean, "detectable_share": share, "vehicles": rows},
+                indent=2,
+            )
+        )
         return
     print("vehicle  class       points   p_top  p_side p_front  entropy  detectable")
     for number, name, count, top, side, front, bits, found in zip(
-        *(table[key].tolist() for key in ("vehicle_id", "class", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable")),
+        *(
+            table[key].tolist()
+            for key in ("vehicle_id", "class", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable")
+        ),
         strict=True,
     ):
-        print(f"{number:<8} {name:<10} {count:>7} {top:7.4f} {side:7.4f} {front:7.4f} {bits:8.4f}  {'yes' if found else 'no'}")
-    print(f"{len(table['vehicle_id'])} vehicles, {points} points: {mean:.4f} bits per vehicle, {100 * share:.1f} % detectable")
+        print(
+            f"{number:<8} {name:<10} {count:>7} {top:7.4f} {side:7.4f} {front:7.4f} {bits:8.4f}  {'yes' if found else 'no'}"
+        )
+    print(
+        f"{len(table['vehicle_id'])} vehicles, {points} points: {mean:.4f} bits per vehicle, {100 * share:.1f} % detectable"
+    )

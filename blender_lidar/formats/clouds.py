@@ -115,7 +115,9 @@ def _read_npz(path):
     except InputError:
         raise
     except Exception as error:  # NumPy and zipfile raise many kinds for a damaged file
-        raise InputError(f"{path}: is not a readable NPZ file ({str(error).splitlines()[0] if str(error) else type(error).__name__})") from error
+        raise InputError(
+            f"{path}: is not a readable NPZ file ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+        ) from error
     return points, vehicle
 
 

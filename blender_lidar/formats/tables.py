@@ -12,7 +12,9 @@ import numpy as np
 from .atomic import write_text
 
 
-def write_columns(path: str | Path, columns: Mapping[str, np.ndarray], decimals: Mapping[str, int] | None = None) -> None:
+def write_columns(
+    path: str | Path, columns: Mapping[str, np.ndarray], decimals: Mapping[str, int] | None = None
+) -> None:
     """Write columns of equal length as CSV.
 
     Parameters

@@ -44,7 +44,11 @@ def to_vehicle_frame(
     ndarray, (k, 3)
         Points in the vehicle frame [m].
     """
-    points, centre, heading = _triples(points, "points"), np.asarray(centre, dtype=float), np.asarray(heading, dtype=float)
+    points, centre, heading = (
+        _triples(points, "points"),
+        np.asarray(centre, dtype=float),
+        np.asarray(heading, dtype=float),
+    )
     if vehicle is not None:
         centre = _triples(centre, "centre")
         if heading.shape != centre.shape[:1]:
@@ -131,7 +135,9 @@ def occupancy(
         raise InputError("points holds a coordinate that is not finite")
     check_reading(reading)
     sides = cells if reading == "corrected" else size / cell_m
-    return _occupied_cells(points, vehicle, size, cells, cell_m) / (sides[:, [0, 0, 1]] * sides[:, [1, 2, 2]])  # Eqs. 7, 8
+    return _occupied_cells(points, vehicle, size, cells, cell_m) / (
+        sides[:, [0, 0, 1]] * sides[:, [1, 2, 2]]
+    )  # Eqs. 7, 8
 
 
 def entropy(p: np.ndarray) -> np.ndarray:

@@ -89,7 +89,9 @@ class Evaluator:
     Use it as a context manager: leaving it ends the processes.
     """
 
-    def __init__(self, frames: Sequence[CountedFrame], observation: Observation, scoring: Scoring, workers: int = 1) -> None:
+    def __init__(
+        self, frames: Sequence[CountedFrame], observation: Observation, scoring: Scoring, workers: int = 1
+    ) -> None:
         self._work = _Work(tuple(frames), observation, scoring)
         self.vehicles = np.array([int(frame.counted.sum()) for frame in frames], dtype=np.int64)
         self._workers = max(1, min(workers, len(frames)))
@@ -100,7 +102,9 @@ class Evaluator:
             with _single_threaded_children():
                 self._pool = ProcessPoolExecutor(
                     self._workers,
-                    mp_context=multiprocessing.get_context("spawn"),  # forking a process that has loaded Blender is unsafe
+                    mp_context=multiprocessing.get_context(
+                        "spawn"
+                    ),  # forking a process that has loaded Blender is unsafe
                     initializer=_start_worker,
                     initargs=(self._work,),
                 )
@@ -122,7 +126,9 @@ class Evaluator:
             try:
                 parts = list(self._pool.map(_worker_totals, tasks, [tuple(poses)] * len(tasks)))
             except BrokenProcessPool as error:
-                raise BlenderLidarError("a worker process ended abruptly, perhaps for want of memory; try --workers 1") from error
+                raise BlenderLidarError(
+                    "a worker process ended abruptly, perhaps for want of memory; try --workers 1"
+                ) from error
         objective = np.concatenate([part[0] for part in parts], axis=1)
         found = np.concatenate([part[1] for part in parts], axis=1)
         return Totals(objective, found, self.vehicles)

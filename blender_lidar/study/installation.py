@@ -9,7 +9,12 @@ from .site import Site
 
 _STEPS = (
     ("tilt_x_deg", "down towards the road", "up, away from the road", "across the road: lean the sensor"),
-    ("tilt_y_deg", "up ahead, in the direction of travel", "down ahead, in the direction of travel", "along the road: point it"),
+    (
+        "tilt_y_deg",
+        "up ahead, in the direction of travel",
+        "down ahead, in the direction of travel",
+        "along the road: point it",
+    ),
 )
 
 
@@ -45,8 +50,10 @@ def installation_text(site: Site, result: dict) -> str:
 
 
 def _position(mount, right):
-    side = f"{right - mount['y_m']:.2f} m to the right of the carriageway's right edge" if mount["y_m"] < right else (
-        f"{mount['y_m'] - right:.2f} m to the left of the carriageway's right edge"
+    side = (
+        f"{right - mount['y_m']:.2f} m to the right of the carriageway's right edge"
+        if mount["y_m"] < right
+        else (f"{mount['y_m'] - right:.2f} m to the left of the carriageway's right edge")
     )
     return f"x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it ({side})"
 

@@ -198,4 +198,6 @@ def _finish(site: Site, folder: RunFolder, result, best, score_map, history) -> 
 
 def _both_splits(site: Site, pose):
     settings = (pose, site.observation, site.scoring)
-    return join_tables(vehicle_table(site.search, *settings, "search"), vehicle_table(site.holdout, *settings, "holdout"))
+    return join_tables(
+        vehicle_table(site.search, *settings, "search"), vehicle_table(site.holdout, *settings, "holdout")
+    )

@@ -29,7 +29,9 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
     """
     result = outcome.result
     mountings = tuple(mounting_text(mount) for mount in (result["baseline"]["deployment"], result["deployment"]))
-    sensor_xy = [[mount[key] for key in ("x_m", "y_m")] for mount in (result["baseline"]["deployment"], result["deployment"])]
+    sensor_xy = [
+        [mount[key] for key in ("x_m", "y_m")] for mount in (result["baseline"]["deployment"], result["deployment"])
+    ]
     about = f"{result['sensor']}, range gate {result['range_gate_m']:g} m, {result['vehicles']} vehicles in {result['frames']} frames"
     tables = (outcome.baseline, outcome.optimised)
     drawn = []
@@ -38,7 +40,10 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
     if outcome.score_map is not None:
         _draw_map(folder, drawn, outcome, about)
     plot_by_distance(
-        _file(folder, drawn, "by_distance.png"), *tables, title="What is seen, by distance", subtitle=f"{about}, and held-out frames"
+        _file(folder, drawn, "by_distance.png"),
+        *tables,
+        title="What is seen, by distance",
+        subtitle=f"{about}, and held-out frames",
     )
     plot_blind_zones(
         _file(folder, drawn, "blind_zones.png"),
@@ -105,7 +110,10 @@ def _draw_clouds(site, folder, drawn, outcome, sensor_xy, mountings):
     frame = max(site.search, key=lambda candidate: int(candidate.counted.sum()))
     vehicles = frame.vehicles.select(frame.counted)
     clouds, noticed = [], []
-    for table, mount in ((outcome.baseline, outcome.result["baseline"]["deployment"]), (outcome.optimised, outcome.result["deployment"])):
+    for table, mount in (
+        (outcome.baseline, outcome.result["baseline"]["deployment"]),
+        (outcome.optimised, outcome.result["deployment"]),
+    ):
         cloud = scan(
             frame.vehicles,
             site.observation.lattice,

@@ -59,7 +59,11 @@ class ScoreMap:
     def optimum_intervals_90(self, seed: int) -> dict[str, tuple[float, float]] | None:
         """90 % intervals of the best height and tilt under block resampling; None for too few blocks."""
         resampled = self.resampled_best(seed)
-        return None if resampled is None else {axis: interval_90(values) for axis, values in zip(AXES, resampled, strict=True)}
+        return (
+            None
+            if resampled is None
+            else {axis: interval_90(values) for axis, values in zip(AXES, resampled, strict=True)}
+        )
 
 
 def map_scores(

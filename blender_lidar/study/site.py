@@ -55,8 +55,10 @@ class Site:
     @property
     def workers(self) -> int:
         """Processes to use: as set, or one for each processor that this process may use."""
-        return self.scenario.model.workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (
-            self.scenario.model.workers or os.cpu_count() or 1
+        return (
+            self.scenario.model.workers or len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else (self.scenario.model.workers or os.cpu_count() or 1)
         )
 
     def evaluator(self, frames: tuple[CountedFrame, ...]) -> Evaluator:

@@ -46,7 +46,9 @@ def vehicle_table(
         The columns of `COLUMNS`; `distance_m` is horizontal, from the mount, and `split` repeats the argument.
     """
     tables = [_frame_table(frame, pose, observation, scoring) for frame in frames]
-    joined = {name: np.concatenate([table[name] for table in tables]) if tables else np.empty(0) for name in COLUMNS[:-1]}
+    joined = {
+        name: np.concatenate([table[name] for table in tables]) if tables else np.empty(0) for name in COLUMNS[:-1]
+    }
     joined["split"] = np.full(len(joined["frame"]), split)
     return joined
 

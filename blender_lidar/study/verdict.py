@@ -44,8 +44,6 @@ def judge(site: Site, optimised: Pose, baseline: Pose, evaluator: Evaluator, see
     }
 
 
-
-
 def distance_bands(table: dict[str, np.ndarray], width_m: float = 10.0) -> list[tuple[str, np.ndarray]]:
     """Names of the distance bands that hold vehicles, and which rows of a vehicle table each holds."""
     band = (table["distance_m"] // width_m).astype(int)

@@ -36,7 +36,9 @@ class Triangles:
 
 def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
     """Every vehicle of a frame as triangles at the level of detail `detail` ("box" or "body")."""
-    names = np.array([shape_of(name, length) for name, length in zip(vehicles.class_name, vehicles.size_m[:, 0], strict=True)])
+    names = np.array(
+        [shape_of(name, length) for name, length in zip(vehicles.class_name, vehicles.size_m[:, 0], strict=True)]
+    )
     corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
     for name in sorted(set(names.tolist())):
         rows = np.flatnonzero(names == name)
