@@ -38,6 +38,7 @@ class TrafficSettings:
     location: str | None
     origin_m: tuple[float, float] | None
     heading_deg: float | None
+    lanes: tuple[int, ...] | None
     frames: int
     frame_ids: tuple[int, ...] | None
     spacing_s: float | None
@@ -155,7 +156,7 @@ class Scenario:
     def as_tables(self) -> dict[str, dict]:
         """The scene as used, in the layout of a scene file: reading it again gives this scene."""
         traffic = asdict(self.traffic)
-        for key in ("frame_ids", "origin_m"):
+        for key in ("frame_ids", "lanes", "origin_m"):
             traffic[key] = None if traffic[key] is None else list(traffic[key])
         deployment = {
             key: self.deployment.fixed.get(key, list(self.deployment.bounds.get(key, ()))) for key in COORDINATES
@@ -246,6 +247,7 @@ def _traffic(table: TomlTable, folder: Path) -> TrafficSettings:
         location=table.text("location", None),
         origin_m=table.numbers("origin_m", None, count=2),
         heading_deg=table.number("heading_deg", None, low=-360.0, high=360.0),
+        lanes=table.whole_numbers("lanes", None),
         frames=table.whole("frames", 36, low=1),
         frame_ids=table.whole_numbers("frame_ids", None),
         spacing_s=table.number("spacing_s", None, above=0.0),

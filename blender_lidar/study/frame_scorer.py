@@ -74,6 +74,11 @@ class FrameScorer:
         Those whose occupancy is wanted.
     observation : Observation
         Sensor, range, caster and detail.
+
+    Attributes
+    ----------
+    pieces : BoxPieces
+        The counted vehicles' boxes, cut for culling.
     """
 
     def __init__(self, vehicles: Vehicles, counted: np.ndarray, observation: Observation) -> None:
@@ -84,10 +89,15 @@ class FrameScorer:
         row = np.where(counted, np.cumsum(counted) - 1, -1)
         self._counted_row = row[triangles.owner]  # of each triangle; -1 where it does not count
         # Beams that can reach only vehicles that do not count need not be cast: they hide nothing from other beams.
-        self._pieces = box_pieces(self._vehicles.centre_m, self._vehicles.size_m, self._vehicles.heading_rad)
+        self.pieces = box_pieces(self._vehicles.centre_m, self._vehicles.size_m, self._vehicles.heading_rad)
 
     def __len__(self) -> int:
         return len(self._vehicles)
+
+    @property
+    def size_m(self) -> np.ndarray:
+        """Length, width and height of the counted vehicles, (n, 3) [m]."""
+        return self._vehicles.size_m
 
     def see(self, poses: Sequence[Pose]) -> Seen:
         """What each of s mountings sees of the n counted vehicles."""
@@ -97,13 +107,13 @@ class FrameScorer:
         for number, pose in enumerate(poses):
             local, row = self.vehicle_points(pose)
             points[number] = np.bincount(row, minlength=len(self))
-            shares[number] = occupancy(local, row, self._vehicles.size_m, seen.cell_m, seen.reading)
+            shares[number] = occupancy(local, row, self.size_m, seen.cell_m, seen.reading)
         return Seen(points, shares)
 
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
         seen = self._observation
-        beams = reachable_beams(seen.lattice, self._pieces, pose, seen.max_range_m)
+        beams = reachable_beams(seen.lattice, self.pieces, pose, seen.max_range_m)
         directions = pose.to_world(np.take(seen.lattice.directions.reshape(-1, 3), beams, axis=0))
         hits = self._tree.cast(pose.position, directions, seen.max_range_m)
         met = np.flatnonzero(hits.distance < np.inf)

@@ -78,7 +78,7 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     scenario = site.scenario
     identity = run_identity(scenario, site.observation.caster)
     stored = folder.read_checkpoint(identity) if resume else None
-    search = _fresh_search(scenario) if stored is None else search_from_state(stored)
+    search = fresh_search(scenario) if stored is None else search_from_state(stored)
     folder.write_scene(scenario)
     with site.evaluator(site.search) as evaluator:
         _search(search, evaluator, scenario, folder, identity, listener)
@@ -108,7 +108,8 @@ def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float
     return _finish(site, folder, result, coordinates, None, None)
 
 
-def _fresh_search(scenario: Scenario) -> Search:
+def fresh_search(scenario: Scenario) -> Search:
+    """The search that a scene asks for, before its first evaluation."""
     settings = scenario.search
     return make_search(
         settings.method,

@@ -114,7 +114,7 @@ def prepare(scenario: Scenario) -> Site:
 def read_recording(scenario: Scenario) -> Recording:
     """The traffic that a scene names."""
     settings = scenario.traffic
-    return read_traffic(
+    recording = read_traffic(
         settings.path,
         format=settings.format,
         road=scenario.road,
@@ -124,6 +124,13 @@ def read_recording(scenario: Scenario) -> Recording:
         origin_m=settings.origin_m,
         heading_deg=settings.heading_deg,
     )
+    if settings.lanes is None:
+        return recording
+    in_lanes = np.isin(recording.lane, settings.lanes)
+    if not in_lanes.any():
+        present = ", ".join(map(str, np.unique(recording.lane)))
+        raise InputError(f"{recording.source}: no vehicle in [traffic] lanes {list(settings.lanes)}; its lanes are {present}")
+    return recording.where(in_lanes)
 
 
 def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:

@@ -135,6 +135,25 @@ class Recording:
             column.flags.writeable = False
         return cls(**columns, time_step_s=float(time_step_s), source=source, report=report)
 
+    def where(self, which: np.ndarray) -> Recording:
+        """The same recording with the rows that `which`, a (n,) mask, picks; frames left without one disappear.
+
+        Raises
+        ------
+        InputError
+            When no row is left.
+        """
+        if not which.any():
+            raise InputError(f"{self.source}: no vehicle is left of {len(self)} boxes")
+        names = ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
+        return Recording.from_rows(
+            **{name: getattr(self, name)[which] for name in names},
+            time_s=self.frame_time_s[np.searchsorted(self.frames, self.frame[which])],
+            time_step_s=self.time_step_s,
+            source=self.source,
+            report=self.report,
+        )
+
     def __len__(self) -> int:
         """Rows: boxes over all frames."""
         return len(self.frame)

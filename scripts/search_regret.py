@@ -1,0 +1,81 @@
+"""How far a search falls short of the exhaustive grid, over several seeds.
+
+    python scripts/search_regret.py [SCENE.toml] [--sensor RS-16] [--seeds 11] [--search de-pso]
+
+The exhaustive 26 x 26 grid of heights and tilts is scored once. Regret is the share of the gain over the baseline that a search
+leaves to the grid's best point, 0 where it does better; all on the searched frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from blender_lidar.errors import BlenderLidarError, InputError
+from blender_lidar.optimise import READINGS, SEARCHES, run
+from blender_lidar.scenario import load_scenario
+from blender_lidar.study.run import fresh_search
+from blender_lidar.study.score_map import map_scores
+from blender_lidar.study.site import prepare
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = _arguments(argv)
+    try:
+        return _study(args)
+    except BlenderLidarError as error:
+        print(f"search_regret: {error}", file=sys.stderr)
+        return 2
+
+
+def _arguments(argv):
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", nargs="?", default=str(Path(__file__).parents[1] / "scenes" / "i80.toml"))
+    parser.add_argument("--sensor")
+    parser.add_argument("--traffic")
+    parser.add_argument("--frames", type=int)
+    parser.add_argument("--seeds", type=int, default=11)
+    parser.add_argument("--search", choices=SEARCHES)
+    parser.add_argument("--reading", choices=READINGS)
+    return parser.parse_args(argv)
+
+
+def _study(args):
+    given = {
+        ("sensor", "name"): (args.sensor, "--sensor"),
+        ("traffic", "path"): (args.traffic, "--traffic"),
+        ("traffic", "frames"): (args.frames, "--frames"),
+        ("search", "method"): (args.search, "--search"),
+        ("objective", "reading"): (args.reading, "--reading"),
+    }
+    overrides = {key: value for key, value in given.items() if value[0] is not None}
+    regrets = []
+    site = prepare(load_scenario(args.scene, overrides))
+    with site.evaluator(site.search) as evaluator:
+        scenario = site.scenario
+        found = map_scores(evaluator, scenario.deployment, scenario.baseline, site.plan.search_block)
+        if found is None:
+            raise InputError(f"{args.scene}: [deployment] height_m and tilt_x_deg must both be pairs")
+        baseline = evaluator.totals([scenario.baseline_pose]).per_vehicle()[0]
+        height, tilt, best = found.best
+        print(f"grid: {best:.4f} bits per vehicle at {height:.1f} m, {tilt:.0f} deg; baseline {baseline:.4f}")
+
+        def objective(candidates):
+            return evaluator.totals([scenario.deployment.pose(x) for x in candidates]).per_vehicle()
+
+        for seed in range(1, args.seeds + 1):
+            seeded = load_scenario(args.scene, {**overrides, ("search", "seed"): (seed, "--seeds")})
+            result = run(fresh_search(seeded), objective)
+            regrets.append(max(0.0, best - result.value) / (best - baseline))
+            mount = ", ".join(f"{key} {value:.2f}" for key, value in zip(scenario.deployment.variables, result.x, strict=True))
+            print(f"seed {seed}: {result.value:.4f} at {mount}; regret {100 * regrets[-1]:.2f} %", flush=True)
+    low, middle, high = np.quantile(regrets, [0.0, 0.5, 1.0])
+    print(f"regret over {len(regrets)} seeds: median {100 * middle:.2f} %, from {100 * low:.2f} to {100 * high:.2f} %")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
