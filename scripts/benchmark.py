@@ -2,9 +2,9 @@
 
     python scripts/benchmark.py [SCENE.toml] [--sensor RS-80] [--repeats 15] [--json FILE]
 
-Every entry is timed once in each round, so that a busy moment of the machine falls on all of them; medians and quartiles over
-the rounds are printed, and the ratio to the first entry. The frame is the scene's most crowded one. Shared and noisy machines
-need an idle moment: the smallest time is printed as well.
+Every entry is timed once in each round, so that a busy moment of the machine falls on all of them; medians and
+quartiles over the rounds are printed, and the ratio to the first entry. The frame is the scene's most crowded one.
+Shared and noisy machines need an idle moment: the smallest time is printed as well.
 """
 
 from __future__ import annotations
@@ -49,7 +49,10 @@ def main(argv: list[str] | None = None) -> int:
     times = _measure(entries, args.repeats)
     _print(times, about)
     if args.json:
-        summary = {name: dict(zip(("minimum", "q1", "median", "q3"), _summary(values), strict=True)) for name, values in times.items()}
+        summary = {
+            name: dict(zip(("minimum", "q1", "median", "q3"), _summary(values), strict=True))
+            for name, values in times.items()
+        }
         write_text(args.json, json.dumps({"about": about, "machine": _machine(), "seconds": summary}, indent=2) + "\n")
     return 0
 
@@ -90,7 +93,9 @@ def _entries(args):
     entries["  of which: scoring"] = lambda: entropy(occupancy(local, row, scorer.size_m)).sum(axis=1)
     for name in scorers:
         caster = caster_class(name)(triangles)
-        entries[f"  of which: casting the survivors, {name}"] = lambda caster=caster: caster.cast(pose.position, every_ray[beams], gate)
+        entries[f"  of which: casting the survivors, {name}"] = lambda caster=caster: caster.cast(
+            pose.position, every_ray[beams], gate
+        )
     if "embree" in scorers:
         entries |= _raw_embree(triangles, every_ray, beams, pose, gate)
     if "bvh" in scorers:

@@ -2,9 +2,9 @@
 
     python scripts/compare_sensors.py [SCENE.toml] [--sensors RS-16,RS-32,RS-80] [--traffic FILE] [--frames N]
 
-Every sensor is scored on the whole 26 x 26 grid of heights and tilts over the same frames. Blocks of time, longer than the longest
-transit among the sensors, are resampled jointly: in each resample all sensors see the same traffic, and each takes its best grid
-point.
+Every sensor is scored on the whole 26 x 26 grid of heights and tilts over the same frames. Blocks of time, longer
+than the longest transit among the sensors, are resampled jointly: in each resample all sensors see the same traffic,
+and each takes its best grid point.
 """
 
 from __future__ import annotations
@@ -55,7 +55,10 @@ def _maps(args):
     maps = {}
     for sensor in sensors:
         site = prepare(_scenario(args, sensor, block_s))
-        print(f"{sensor}: {len(site.search)} frames in {len(np.unique(site.plan.search_block))} blocks of {block_s:g} s", file=sys.stderr)
+        print(
+            f"{sensor}: {len(site.search)} frames in {len(np.unique(site.plan.search_block))} blocks of {block_s:g} s",
+            file=sys.stderr,
+        )
         with site.evaluator(site.search) as evaluator:
             found = map_scores(evaluator, site.scenario.deployment, site.scenario.baseline, site.plan.search_block)
         if found is None:
@@ -90,7 +93,8 @@ def _print(maps):
     for first, second in itertools.combinations(maps, 2):
         above = resampled[first][1] > resampled[second][1]
         equal = resampled[first][1] == resampled[second][1]
-        print(f"tilt of {first} above that of {second}: {100 * above.mean():.1f} % of resamples, equal in {100 * equal.mean():.1f} %")
+        shares = f"{100 * above.mean():.1f} % of resamples, equal in {100 * equal.mean():.1f} %"
+        print(f"tilt of {first} above that of {second}: {shares}")
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python scripts/search_regret.py [SCENE.toml] [--sensor RS-16] [--seeds 11] [--search de-pso]
 
-The exhaustive 26 x 26 grid of heights and tilts is scored once. Regret is the share of the gain over the baseline that a search
-leaves to the grid's best point, 0 where it does better; all on the searched frames.
+The exhaustive 26 x 26 grid of heights and tilts is scored once. Regret is the share of the gain over the baseline
+that a search leaves to the grid's best point, 0 where it does better; all on the searched frames.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ def _study(args):
             seeded = load_scenario(args.scene, {**overrides, ("search", "seed"): (seed, "--seeds")})
             result = run(fresh_search(seeded), objective)
             regrets.append(max(0.0, best - result.value) / (best - baseline))
-            mount = ", ".join(f"{key} {value:.2f}" for key, value in zip(scenario.deployment.variables, result.x, strict=True))
+            mount = ", ".join(
+                f"{key} {value:.2f}" for key, value in zip(scenario.deployment.variables, result.x, strict=True)
+            )
             print(f"seed {seed}: {result.value:.4f} at {mount}; regret {100 * regrets[-1]:.2f} %", flush=True)
     low, middle, high = np.quantile(regrets, [0.0, 0.5, 1.0])
     print(f"regret over {len(regrets)} seeds: median {100 * middle:.2f} %, from {100 * low:.2f} to {100 * high:.2f} %")

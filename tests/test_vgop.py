@@ -22,15 +22,15 @@ def slow_occupancy(points, vehicle, size, cell):
         n = [max(1, math.ceil(side / cell - 1e-9)) for side in sides]
         occupied = [set(), set(), set()]
         for point in points[vehicle == row]:
-            index = [math.floor((x + side / 2) / cell) for x, side in zip(point, sides)]
-            if any(i < -1 or i > count for i, count in zip(index, n)):
+            index = [math.floor((x + side / 2) / cell) for x, side in zip(point, sides, strict=True)]
+            if any(i < -1 or i > count for i, count in zip(index, n, strict=True)):
                 continue
-            i, j, k = (min(max(value, 0), count - 1) for value, count in zip(index, n))
+            i, j, k = (min(max(value, 0), count - 1) for value, count in zip(index, n, strict=True))
             occupied[0].add((i, j))
             occupied[1].add((i, k))
             occupied[2].add((j, k))
         areas = (n[0] * n[1], n[0] * n[2], n[1] * n[2])
-        result[row] = [len(cells) / area for cells, area in zip(occupied, areas)]
+        result[row] = [len(cells) / area for cells, area in zip(occupied, areas, strict=True)]
     return result
 
 

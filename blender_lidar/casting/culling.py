@@ -1,8 +1,8 @@
 """Which beams can reach a vehicle at all: the others need not be cast when only vehicles count.
 
-Seen from the sensor, a box covers a range of elevations and a range of azimuths; on the (ring, azimuth slot) lattice of a rotating
-LiDAR that is a rectangle. Boxes are cut along their length into pieces first, so that the rectangles of a long or a near
-vehicle hug it. The bounds are exact for each piece: no beam that meets a vehicle is ever left out.
+Seen from the sensor, a box covers a range of elevations and a range of azimuths; on the (ring, azimuth slot) lattice
+of a rotating LiDAR that is a rectangle. Boxes are cut along their length into pieces first, so that the rectangles of
+a long or a near vehicle hug it. The bounds are exact for each piece: no beam that meets a vehicle is ever left out.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ 
 
 @dataclass(frozen=True, slots=True)
 class BoxPieces:
-    """Vehicle boxes cut along their length: corners (p, 8, 3) [m, road frame], middles (p, 3), bounding radii (p,) [m]."""
+    """Vehicle boxes cut along their length [m, road frame]: corners (p, 8, 3), middles (p, 3), bounding radii (p,)."""
 
     corners: np.ndarray
     middle: np.ndarray
@@ -81,7 +81,7 @@ def _angular_bounds(corners: np.ndarray):
     The last azimuth is at least the first and may exceed a turn. A piece that holds the sensor, or that its axis passes
     through, gets all directions.
     """
-    x, y, z = corners[..., 0], corners[..., 1], corners[..., 2]
+    x, y = corners[..., 0], corners[..., 1]
     centre = np.arctan2(x.mean(axis=1), y.mean(axis=1))  # clockwise from +y, Eq. 1
     off_centre = (np.arctan2(x, y) - centre[:, None] + np.pi) % (2.0 * np.pi) - np.pi
     first, last = off_centre.min(axis=1), off_centre.max(axis=1)

@@ -1,13 +1,13 @@
 """What every caster shares: the protocol, float64 ranges, and a second chance for rays that leaked.
 
 A back-end answers one question: which triangle does a ray meet first? It may answer in float32, and it may leak: near
-a shared edge both `BVHTree.ray_cast` and Embree now and then report neither neighbour. What is built on the answer is common
-to all of them, so that they differ in speed alone:
+a shared edge both `BVHTree.ray_cast` and Embree now and then report neither neighbour. What is built on the answer is
+common to all of them, so that they differ in speed alone:
 
 - the range is computed again in float64, from the plane of the triangle that was met;
-- a ray is suspected of a leak if it met nothing, or if the first thing it met was the inside of a closed mesh. Suspects are cast
-  again along four directions that surround their own. Only where all four meet an outside does the ray count as a hit, so
-  that a ray that passes by a silhouette stays a miss.
+- a ray is suspected of a leak if it met nothing, or if the first thing it met was the inside of a closed mesh.
+  Suspects are cast again along four directions that surround their own. Only where all four meet an outside does the
+  ray count as a hit, so that a ray that passes by a silhouette stays a miss.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from ..errors import InputError
 
 MISS = -1
 LEAK_PROBE_RAD = 6e-6  # wider than float32 rounding seen from a few metres, far narrower than any beam spacing
-# Added to a direction, the corners of a tetrahedron surround it whatever way it points; turned off the axes, where mesh edges
-# tend to lie.
+# Added to a direction, the corners of a tetrahedron surround it whatever way it points; turned off the axes, where
+# mesh edges tend to lie.
 _PROBES = LEAK_PROBE_RAD * (
     np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
     / np.sqrt(3.0)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError, MissingFileError
 from ..scan import PointCloud, class_names
-from .atomic import write_bytes, whole_file
+from .atomic import whole_file, write_bytes
 
 # Name, PCD type and size in bytes of each field; RoboSense's XYZIRT and what a labelled cloud adds.
 _PCD_FIELDS = (

@@ -189,7 +189,7 @@ def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAUL
 
 
 def _cell_index(points, vehicle, size, cells, cell_m):
-    """Cell of every point along each axis, (3, k) whole floats, pulled to the rim from beyond it, and which are kept (k,)."""
+    """Cell of every point along each axis, (3, k) whole floats, pulled back to the rim, and which are kept, (k,)."""
     index = np.empty((3, len(points)))
     kept = np.ones(len(points), dtype=bool)
     for axis, cell in enumerate(index):
@@ -227,8 +227,8 @@ def _occupied_cells(points, vehicle, size, cells, cell_m):
 def _distinct_cells(points, vehicle, size, cells, cell_m):
     """`_occupied_cells` of one group, without sorting the points or clearing a lattice.
 
-    Every point writes its own number into its cells of an uninitialised lattice; of the points that share a cell, the one
-    whose number is read back stands for the cell.
+    Every point writes its own number into its cells of an uninitialised lattice; of the points that share a cell, the
+    one whose number is read back stands for the cell.
     """
     vehicles = len(size)
     view_cells = np.stack([cells[:, row] * cells[:, column] for row, column in _VIEW_AXES])

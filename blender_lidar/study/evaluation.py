@@ -1,7 +1,7 @@
 """Many mountings over many frames: the work, and its spreading over processes.
 
-A frame's result does not depend on which process computed it nor on what else was asked, so the number of workers changes the
-time that a run takes and nothing else.
+A frame's result does not depend on which process computed it nor on what else was asked, so the number of workers
+changes the time that a run takes and nothing else.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -137,7 +138,7 @@ class Evaluator:
         frames = len(self.vehicles)
         tasks = min(frames, self._workers * _TASKS_PER_WORKER) if self._pool is not None else 1
         bounds = np.linspace(0, frames, tasks + 1).astype(int).tolist()
-        return [range(start, stop) for start, stop in zip(bounds[:-1], bounds[1:], strict=True)]
+        return [range(start, stop) for start, stop in pairwise(bounds)]
 
 
 class _Work:

@@ -4,100 +4,106 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..scenario import pose_at
+from ..sensors.pose import Pose
 from .site import Site
 
-_STEPS = (
-    ("tilt_x_deg", "down towards the road", "up, away from the road", "across the road: lean the sensor"),
-    (
-        "tilt_y_deg",
-        "up ahead, in the direction of travel",
-        "down ahead, in the direction of travel",
-        "along the road: point it",
-    ),
-)
+_UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
 
 
 def installation_text(site: Site, result: dict) -> str:
-    """Instructions for one mounting, as plain text."""
+    """Instructions for one mounting, as plain text; `result` is the content of result.json."""
     mount = result["deployment"]
-    right, _ = site.scenario.road.carriageway_y
     pose = pose_at(mount)
-    lines = [
-        f"Installation of one {result['sensor']} LiDAR",
-        "",
-        f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor",
-        f"Position     {_position(mount, right)}",
-        *_tilts(mount),
-        f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above"
-        + ("" if mount["yaw_deg"] else " (the sensor's zero azimuth faces across the road)"),
-        "",
-        "Directions are those of somebody who stands at the pole and looks across the carriageway; traffic passes from left to "
-        "right."
-        if mount["y_m"] < right
-        else "The pole stands at the left side of the carriageway, beyond the median.",
-        "",
-        "Check on site",
-        f"- A horizontal beam towards the road must point {_down(pose):.1f} deg below the horizon: measure with an inclinometer on "
-        "the sensor's base, once across the road and once along it.",
-        f"- {_lowest_beam(site, pose)}",
-        f"- Set the rotation rate to {site.observation.lattice.rotation_hz:g} Hz.",
-        "- Look for poles, signs, trees and barriers between the sensor and the lanes: they are not in the model.",
-        "- The scores hold for the traffic that was given; look at the interval of the gain, and at blind_zones.png.",
-        *_expected(result),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _position(mount, right):
-    side = (
-        f"{right - mount['y_m']:.2f} m to the right of the carriageway's right edge"
-        if mount["y_m"] < right
-        else (f"{mount['y_m'] - right:.2f} m to the left of the carriageway's right edge")
+    parts = (
+        [f"Installation of one {result['sensor']} LiDAR", ""],
+        _placement(site, mount),
+        ["", "Check on site"],
+        _checks(site, pose),
+        ["", "Expected, on the searched traffic"],
+        _expected(result),
     )
-    return f"x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it ({side})"
+    return "\n".join(line for part in parts for line in part) + "\n"
 
 
-def _tilts(mount):
-    lines = []
-    for key, positive, negative, axis in _STEPS:
-        angle = mount[key]
-        name = "Tilt" if key == "tilt_x_deg" else "    "
-        if abs(angle) < 0.05:
-            lines.append(f"{name}         none {axis.split(':')[0]}")
-        else:
-            lines.append(f"{name}         {abs(angle):.1f} deg {positive if angle > 0 else negative} ({axis})")
+def _placement(site, mount):
+    right, left = site.scenario.road.carriageway_y
+    across = _lean(mount["tilt_x_deg"], "down towards +y, across the road", "up towards +y, across the road")
+    along = _lean(mount["tilt_y_deg"], "up ahead, in the direction of travel", "down ahead, in the direction of travel")
+    yaw = mount["yaw_deg"]
+    lines = [
+        f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor",
+        f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it",
+        f"Tilt         {across}",
+        f"             {along}",
+        f"Yaw          {yaw:.1f} deg counter-clockwise seen from above" + _zero_azimuth(yaw),
+    ]
+    if mount["y_m"] < right:
+        lines += [
+            f"             The pole stands {right - mount['y_m']:.2f} m to the right of the carriageway: who looks",
+            "             across it, towards +y, sees the traffic pass from left to right.",
+        ]
+    else:
+        lines += [
+            f"             The pole stands {mount['y_m'] - left:.2f} m to the left of the carriageway: +y points away",
+            "             from it, and so does a positive tilt.",
+        ]
     return lines
 
 
-def _down(pose):
-    """How far the level beam that faces across the road points below the horizon [deg]."""
-    return -math.degrees(math.asin(pose.to_world([[0.0, 1.0, 0.0]])[0, 2]))
+def _lean(angle, positive, negative):
+    if abs(angle) < _UPRIGHT_DEG:
+        return f"0.0 deg {positive.split(', ')[-1]}"
+    return f"{abs(angle):.1f} deg {positive if angle > 0 else negative}"
+
+
+def _zero_azimuth(yaw):
+    return "" if yaw else ": the sensor's zero azimuth faces across the road, +y"
+
+
+def _checks(site: Site, pose: Pose):
+    dip_across, dip_along = (_dip_deg(pose, axis) for axis in ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]))
+    return [
+        f"- Inclinometer on the sensor's base: a fall of {dip_across:.1f} deg towards zero azimuth and of",
+        f"  {dip_along:.1f} deg a quarter turn clockwise from it (a negative fall is a rise).",
+        f"- {_lowest_beam(site, pose)}",
+        f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz.",
+        "- Poles, signs, trees and barriers between the sensor and the lanes are not in the model: look for them.",
+        "- The scores hold for the traffic that was given: see the interval of the gain in result.json, and",
+        "  blind_zones.png for where vehicles stay below the threshold.",
+    ]
+
+
+def _dip_deg(pose, sensor_axis):
+    """How far an axis of the sensor points below the horizon [deg]."""
+    return -math.degrees(math.asin(pose.to_world(np.array([sensor_axis]))[0, 2])) + 0.0
 
 
 def _lowest_beam(site, pose):
+    """Where the lowest ring meets the ground in the direction of zero azimuth."""
     lowest = float(site.model.elevation_rad[0])
-    ray = pose.to_world([[0.0, math.cos(lowest), math.sin(lowest)]])[0]
+    ray = pose.to_world(np.array([[0.0, math.cos(lowest), math.sin(lowest)]]))[0]
     if ray[2] >= 0:
-        return "No beam that faces across the road meets the ground."
+        return "At zero azimuth no beam of the lowest ring meets the ground."
     reach = -pose.height_m * math.hypot(ray[0], ray[1]) / ray[2]
-    return f"Across the road the lowest beam meets the ground {reach:.1f} m from the pole; nothing on the ground nearer is seen there."
+    return f"At zero azimuth the lowest ring meets the ground {reach:.1f} m from the pole: put a target there."
 
 
 def _expected(result):
+    base = result["baseline"]
     lines = [
-        "",
-        "Expected, on the searched traffic",
         f"- vehicles at or above the threshold: {100 * result['detectable_share']:.1f} % "
-        f"(baseline {100 * result['baseline']['detectable_share']:.1f} %)",
+        f"(baseline {100 * base['detectable_share']:.1f} %)",
         f"- objective per vehicle: {result['objective_per_vehicle']:.3f} bits "
-        f"(baseline {result['baseline']['objective_per_vehicle']:.3f})",
+        f"(baseline {base['objective_per_vehicle']:.3f})",
     ]
     intervals = (result["map"] or {}).get("optimum_interval_90")
     if intervals:
         height, tilt = intervals["height_m"], intervals["tilt_x_deg"]
-        lines.append(
-            f"- other traffic of this kind would have put the best height between {height[0]:.1f} and {height[1]:.1f} m and the best "
-            f"tilt between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time)"
-        )
+        lines += [
+            f"- other traffic of this kind would put the best height between {height[0]:.1f} and {height[1]:.1f} m and",
+            f"  the best tilt between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time)",
+        ]
     return lines

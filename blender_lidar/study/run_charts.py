@@ -32,7 +32,10 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
     sensor_xy = [
         [mount[key] for key in ("x_m", "y_m")] for mount in (result["baseline"]["deployment"], result["deployment"])
     ]
-    about = f"{result['sensor']}, range gate {result['range_gate_m']:g} m, {result['vehicles']} vehicles in {result['frames']} frames"
+    about = (
+        f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
+        f"{result['vehicles']} vehicles in {result['frames']} frames"
+    )
     tables = (outcome.baseline, outcome.optimised)
     drawn = []
     if outcome.history is not None:
@@ -166,5 +169,8 @@ def _draw_occupancy(site, folder, drawn, outcome, mountings):
         *views,
         mountings=mountings,
         title=f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
-        subtitle=f"{outcome.result['sensor']}, {outcome.optimised['distance_m'][searched][row]:.0f} m away; three quarters of the vehicles seen gain less",
+        subtitle=(
+            f"{outcome.result['sensor']}, {outcome.optimised['distance_m'][searched][row]:.0f} m away; "
+            "three quarters of the vehicles that both mountings see gain less"
+        ),
     )

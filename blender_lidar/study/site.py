@@ -129,7 +129,9 @@ def read_recording(scenario: Scenario) -> Recording:
     in_lanes = np.isin(recording.lane, settings.lanes)
     if not in_lanes.any():
         present = ", ".join(map(str, np.unique(recording.lane)))
-        raise InputError(f"{recording.source}: no vehicle in [traffic] lanes {list(settings.lanes)}; its lanes are {present}")
+        raise InputError(
+            f"{recording.source}: no vehicle in [traffic] lanes {list(settings.lanes)}; its lanes are {present}"
+        )
     return recording.where(in_lanes)
 
 

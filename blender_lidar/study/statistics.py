@@ -1,4 +1,4 @@
-"""Intervals that resample blocks of time: frames close in time show the same vehicles and are no independent witnesses."""
+"""Intervals that resample blocks of time: frames close in time show the same vehicles, and are no new evidence."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def block_sums(values: np.ndarray, block: np.ndarray) -> np.ndarray:
 def resampled_weights(blocks: int, rng: np.random.Generator, resamples: int = RESAMPLES) -> np.ndarray:
     """How often each block is drawn in each resample, (resamples, blocks).
 
-    One block fewer is drawn than there are: with few blocks the plain bootstrap is too narrow by the factor sqrt((b - 1) / b),
-    and this rescaling (Rao and Wu 1988) mends it.
+    One block fewer is drawn than there are: with few blocks the plain bootstrap is too narrow by the factor sqrt((b -
+    1) / b), and this rescaling (Rao and Wu 1988) mends it.
     """
     drawn = rng.integers(blocks, size=(resamples, blocks - 1))
     weights = np.zeros((resamples, blocks))

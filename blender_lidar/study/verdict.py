@@ -25,9 +25,10 @@ def judge(site: Site, optimised: Pose, baseline: Pose, evaluator: Evaluator, see
     Returns
     -------
     dict
-        ``optimised`` and ``baseline``: each ``objective`` [bits], ``objective_per_vehicle`` [bits], ``detectable_share`` and
-        ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` [bits per vehicle] and its ``interval_90``.
-        ``holdout`` is None where nothing was held out; ``interval_90`` where there are too few blocks.
+        ``optimised`` and ``baseline``: each ``objective`` [bits], ``objective_per_vehicle`` [bits],
+        ``detectable_share`` and ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` [bits per
+        vehicle] and its ``interval_90``. ``holdout`` is None where nothing was held out; ``interval_90`` where there
+        are too few blocks.
     """
     searched = evaluator.totals([optimised, baseline])
     held_out = None

@@ -1,8 +1,8 @@
 """Vehicle shapes: closed triangle meshes that fill their length x width x height box exactly and never leave it.
 
-A shape lives in the unit box, x forward, y left, z up, each from -0.5 to 0.5, and is scaled to a vehicle's own box. Bodies are
-lofted: a few cross-sections along the length, each a hexagon (sill, belt line and roof edge on both sides), joined by
-quads and closed by two caps. So every shape is closed and its faces point outwards by construction.
+A shape lives in the unit box, x forward, y left, z up, each from -0.5 to 0.5, and is scaled to a vehicle's own box.
+Bodies are lofted: a few cross-sections along the length, each a hexagon (sill, belt line and roof edge on both
+sides), joined by quads and closed by two caps. So every shape is closed and its faces point outwards by construction.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ def shape(name: str, detail: str = "body") -> Shape:
     return made
 
 
-# Cross-sections from tail to nose. Each: position along the length (0 tail, 1 nose), half-width at the sill, at the belt line
-# and at the roof edge (0.5 = half the box), height of the belt line and of the top (0 ground, 1 roof), and whether the upper
-# band that leads to the next cross-section is glass on its sides and on its top. Proportions by eye from common vehicles;
-# sills reach the ground, so that the box is filled to its floor.
+# Cross-sections from tail to nose. Each: position along the length (0 tail, 1 nose), half-width at the sill, at the
+# belt line and at the roof edge (0.5 = half the box), height of the belt line and of the top (0 ground, 1 roof), and
+# whether the upper band that leads to the next cross-section is glass on its sides and on its top. Proportions by eye
+# from common vehicles; sills reach the ground, so that the box is filled to its floor.
 _BODIES = {
     "car": (
         (0.00, 0.44, 0.46, 0.42, 0.45, 0.62, False, False),
