@@ -100,7 +100,7 @@ def scan(
         raise InputError(f"the LiDAR hangs {pose.height_m} m above the ground; allowed: more than 0 m")
     world = vehicle_triangles(vehicles, detail)
     pieces = box_pieces(vehicles.centre_m, vehicles.size_m, vehicles.heading_rad)
-    beam = reachable_beams(lattice, pieces, pose, max_range_m)
+    beam = next(reachable_beams(lattice, pieces, [pose], max_range_m))
     directions = pose.to_world(lattice.directions.reshape(-1, 3))
 
     tree = caster_class(caster)(world.corners)

@@ -87,8 +87,8 @@ def _entries(args):
             scorers[name] = FrameScorer(vehicles, counted, observation)
             entries[f"ours, {name}: cull, cast, score"] = lambda scorer=scorers[name]: _score(scorer, pose)
     scorer = next(iter(scorers.values()))
-    beams = reachable_beams(lattice, scorer.pieces, pose, gate)
-    entries["  of which: culling"] = lambda: reachable_beams(lattice, scorer.pieces, pose, gate)
+    beams = next(reachable_beams(lattice, scorer.pieces, [pose], gate))
+    entries["  of which: culling"] = lambda: next(reachable_beams(lattice, scorer.pieces, [pose], gate))
     local, row = scorer.vehicle_points(pose)
     entries["  of which: scoring"] = lambda: entropy(occupancy(local, row, scorer.size_m)).sum(axis=1)
     for name in scorers:

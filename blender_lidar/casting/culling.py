@@ -7,7 +7,9 @@ a long or a near vehicle hug it. The bounds are exact for each piece: no beam th
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,6 +18,9 @@ from ..sensors.pose import Pose
 from ..world.triangles import place
 
 PIECE_LENGTH_M = 1.2
+_PIECES_AT_A_TIME = (
+    2048  # pieces whose bounds are found together: enough to amortise NumPy's calls, few enough for the cache
+)
 _MARGIN_RAD = 1e-9  # above float64 rounding of the bounds, below anything a beam could notice
 
 _CORNERS = np.array([(x, y, z) for x in (0.0, 1.0) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
@@ -43,16 +48,32 @@ def box_pieces(centre: np.ndarray, size: np.ndarray, heading: np.ndarray) -> Box
     return BoxPieces(corners, middle, np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1, initial=0.0))
 
 
-def reachable_beams(lattice: BeamLattice, pieces: BoxPieces, pose: Pose, max_range: float) -> np.ndarray:
-    """Beams that may meet one of the boxes within `max_range` [m].
+def reachable_beams(
+    lattice: BeamLattice, pieces: BoxPieces, poses: Sequence[Pose], max_range: float
+) -> Iterator[np.ndarray]:
+    """Beams that may meet one of the boxes within `max_range` [m], for each mounting in turn.
 
-    Returns
-    -------
+    Yields
+    ------
     ndarray of int64, (k,)
         Flat indices into the lattice, ``ring * columns + slot``, ascending.
     """
-    near = np.linalg.norm(pieces.middle - pose.position, axis=1) - pieces.radius <= max_range
-    corners = pose.to_sensor(pieces.corners[near])
+    step = max(_PIECES_AT_A_TIME // max(len(pieces.radius), 1), 1)
+    for start in range(0, len(poses), step):
+        group = poses[start : start + step]
+        near = [np.linalg.norm(pieces.middle - pose.position, axis=1) - pieces.radius <= max_range for pose in group]
+        corners = np.concatenate([pose.to_sensor(pieces.corners[kept]) for pose, kept in zip(group, near, strict=True)])
+        rectangles = _lattice_rectangles(lattice, corners)
+        ends = np.cumsum([np.count_nonzero(kept) for kept in near]).tolist()
+        for first, last in pairwise([0, *ends]):
+            yield _beams_inside(lattice, rectangles[first:last])
+
+
+def _lattice_rectangles(lattice: BeamLattice, corners: np.ndarray) -> np.ndarray:
+    """Rings and slots that each piece (p, 8, 3), in the sensor frame, covers: from ring, to ring, from slot, to slot.
+
+    Ends are not included; the last slot may lie beyond the turn's end, which is then passed.
+    """
     low, high, first, last = _angular_bounds(corners)
     columns = lattice.columns
     ring_from = np.searchsorted(lattice.elevation_rad, low - _MARGIN_RAD, side="left")
@@ -62,16 +83,17 @@ def reachable_beams(lattice: BeamLattice, pieces: BoxPieces, pose: Pose, max_ran
     slot_to = np.floor((last + _MARGIN_RAD) / lattice.step_rad).astype(np.int64) + 1
     whole = slot_to - slot_from >= columns
     slot_from[whole], slot_to[whole] = 0, columns
-    turn = slot_from // columns * columns
-    slot_from, slot_to = slot_from - turn, slot_to - turn
+    turns = slot_from // columns * columns
+    return np.stack([ring_from, ring_to, slot_from - turns, slot_to - turns], axis=1)
 
-    mask = np.zeros((lattice.rings, columns), dtype=bool)
-    seen = ring_to > ring_from
-    bounds = np.stack([ring_from, ring_to, slot_from, slot_to], axis=1)[seen]
-    for r0, r1, s0, s1 in bounds.tolist():
-        mask[r0:r1, s0:s1] = True
-        if s1 > columns:  # across azimuth zero
-            mask[r0:r1, : s1 - columns] = True
+
+def _beams_inside(lattice: BeamLattice, rectangles: np.ndarray) -> np.ndarray:
+    """Flat indices of the beams in any of the rectangles."""
+    mask = np.zeros((lattice.rings, lattice.columns), dtype=bool)
+    for ring_from, ring_to, slot_from, slot_to in rectangles.tolist():
+        mask[ring_from:ring_to, slot_from:slot_to] = True
+        if slot_to > lattice.columns:  # across azimuth zero
+            mask[ring_from:ring_to, : slot_to - lattice.columns] = True
     return np.flatnonzero(mask)
 
 

@@ -179,7 +179,7 @@ def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAUL
     """
     points, size = _triples(points, "points"), np.asarray(size, dtype=float).reshape(1, 3)
     cells = cell_counts(size, cell_m)
-    index, kept = _cell_index(points, np.zeros(len(points), dtype=np.int64), size, cells, cell_m)
+    index, _, kept = _cell_index(points, np.zeros(len(points), dtype=np.int64), size, cells, cell_m)
     index = index[:, kept].astype(np.int64)
     views = {}
     for name, (row, column) in zip(VIEWS, _VIEW_AXES, strict=True):
@@ -189,19 +189,22 @@ def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAUL
 
 
 def _cell_index(points, vehicle, size, cells, cell_m):
-    """Cell of every point along each axis, (3, k) whole floats, pulled back to the rim, and which are kept, (k,)."""
-    index = np.empty((3, len(points)))
+    """Cell of every point along each axis, (3, k) whole floats, pulled back to the rim, and which are kept, (k,).
+
+    With them the last cell of each point's vehicle along each axis, (3, k) floats too.
+    """
+    index, last = np.empty((2, 3, len(points)))
     kept = np.ones(len(points), dtype=bool)
-    for axis, cell in enumerate(index):
+    for axis, (cell, end) in enumerate(zip(index, last, strict=True)):
         np.add(points[:, axis], np.take(0.5 * size[:, axis], vehicle), out=cell)
         cell /= cell_m
         np.floor(cell, out=cell)
-        last = np.take(cells[:, axis].astype(float), vehicle)
+        np.take(cells[:, axis] - 1.0, vehicle, out=end)
         kept &= cell >= -1.0
-        kept &= cell <= last
-        np.minimum(cell, last - 1.0, out=cell)
+        kept &= cell <= end + 1.0
+        np.minimum(cell, end, out=cell)
         np.maximum(cell, 0.0, out=cell)
-    return index, kept
+    return index, last, kept
 
 
 def _occupied_cells(points, vehicle, size, cells, cell_m):
@@ -239,9 +242,9 @@ def _distinct_cells(points, vehicle, size, cells, cell_m):
     for start in range(0, len(points), _CHUNK_POINTS):
         chunk = slice(start, start + _CHUNK_POINTS)
         owner = vehicle[chunk]
-        index, kept[chunk] = _cell_index(points[chunk], owner, size, cells, cell_m)
+        index, last, kept[chunk] = _cell_index(points[chunk], owner, size, cells, cell_m)
         for view, (row, column) in enumerate(_VIEW_AXES):
-            cell = index[row] * np.take(cells[:, column].astype(float), owner)  # floats hold these numbers exactly
+            cell = index[row] * (last[column] + 1.0)  # floats hold these numbers exactly
             cell += index[column]
             np.add(np.take(starts[view], owner), cell, out=flat[view, chunk], casting="unsafe")
     if not kept.all():

@@ -104,16 +104,21 @@ class FrameScorer:
         points = np.zeros((len(poses), len(self)), dtype=np.int64)
         shares = np.zeros((len(poses), len(self), 3))
         seen = self._observation
-        for number, pose in enumerate(poses):
-            local, row = self.vehicle_points(pose)
+        for number, (pose, beams) in enumerate(zip(poses, self._beams(poses), strict=True)):
+            local, row = self._returns(pose, beams)
             points[number] = np.bincount(row, minlength=len(self))
             shares[number] = occupancy(local, row, self.size_m, seen.cell_m, seen.reading)
         return Seen(points, shares)
 
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
+        return self._returns(pose, next(self._beams([pose])))
+
+    def _beams(self, poses):
+        return reachable_beams(self._observation.lattice, self.pieces, poses, self._observation.max_range_m)
+
+    def _returns(self, pose, beams):
         seen = self._observation
-        beams = reachable_beams(seen.lattice, self.pieces, pose, seen.max_range_m)
         directions = pose.to_world(np.take(seen.lattice.directions.reshape(-1, 3), beams, axis=0))
         hits = self._tree.cast(pose.position, directions, seen.max_range_m)
         met = np.flatnonzero(hits.distance < np.inf)
