@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .casting import caster_class
-from .casting.culling import box_pieces, reachable_beams
+from .casting.culling import cut_vehicles, reachable_beams
 from .errors import InputError
 from .sensors.beams import BeamLattice
 from .sensors.pose import Pose
@@ -99,8 +99,7 @@ def scan(
     if ground and not pose.height_m > 0.0:
         raise InputError(f"the LiDAR hangs {pose.height_m} m above the ground; allowed: more than 0 m")
     world = vehicle_triangles(vehicles, detail)
-    pieces = box_pieces(vehicles.centre_m, vehicles.size_m, vehicles.heading_rad)
-    beam = next(reachable_beams(lattice, pieces, [pose], max_range_m))
+    beam = next(reachable_beams(lattice, cut_vehicles(vehicles, detail), [pose], max_range_m))
     directions = pose.to_world(lattice.directions.reshape(-1, 3))
 
     tree = caster_class(caster)(world.corners)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from contextlib import contextmanager
-from itertools import repeat
+from itertools import chain, repeat
 from operator import itemgetter
 
 import bpy  # noqa: F401  (makes mathutils importable where Blender is a Python module)
@@ -28,25 +28,24 @@ class BvhCaster(Caster):
         self._tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
 
     def _first(self, origins, directions, reach):
-        ray_cast = self._tree.ray_cast
-        rays = list(map(Vector, directions.tolist()))
-        if origins.ndim == 1:
-            starts = repeat(Vector(origins.tolist()))
-        else:  # one Vector for each run of rays that share their origin
-            ends = np.flatnonzero((origins[1:] != origins[:-1]).any(axis=1)) + 1
-            bounds = np.concatenate([[0], ends, [len(origins)]])
-            shared = [Vector(origin) for origin in origins[bounds[:-1]].tolist()]
-            starts = [
-                start for start, n in zip(shared, np.diff(bounds).tolist(), strict=True) for start in repeat(start, n)
-            ]
         with _collector_paused():
-            met = list(map(_triangle_of, map(ray_cast, starts, rays, repeat(float(reach)))))
+            starts = repeat(Vector(origins.tolist())) if origins.ndim == 1 else _shared_vectors(origins)
+            rays = zip(*directions.T.tolist(), strict=True)  # tuples are parsed faster than Vectors are made
+            met = list(map(_triangle_of, map(self._tree.ray_cast, starts, rays, repeat(float(reach)))))
         return np.array([MISS if index is None else index for index in met], dtype=np.int64)
+
+
+def _shared_vectors(origins):
+    """A Vector for each ray; one for each run of rays that share their origin."""
+    ends = np.flatnonzero((origins[1:] != origins[:-1]).any(axis=1)) + 1
+    bounds = np.concatenate([[0], ends, [len(origins)]])
+    starts = map(Vector, origins[bounds[:-1]].tolist())
+    return chain.from_iterable(map(repeat, starts, np.diff(bounds).tolist()))
 
 
 @contextmanager
 def _collector_paused():
-    """Without Python's cyclic garbage collector: each result tuple would bring its next sweep nearer."""
+    """Without Python's cyclic garbage collector: each of many small objects would bring its next sweep nearer."""
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -9,47 +9,77 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
-from ..world.triangles import place
+from ..traffic.vehicles import Vehicles
+from ..world.shapes import shape
+from ..world.triangles import place, shape_names
 
-PIECE_LENGTH_M = 1.2
+PIECE_LENGTH_M = 1.8
 _PIECES_AT_A_TIME = (
     2048  # pieces whose bounds are found together: enough to amortise NumPy's calls, few enough for the cache
 )
 _MARGIN_RAD = 1e-9  # above float64 rounding of the bounds, below anything a beam could notice
 
-_CORNERS = np.array([(x, y, z) for x in (0.0, 1.0) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])  # 0 the lower bound, 1 the upper
 _EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1])
 
 
 @dataclass(frozen=True, slots=True)
-class BoxPieces:
-    """Vehicle boxes cut along their length [m, road frame]: corners (p, 8, 3), middles (p, 3), bounding radii (p,)."""
+class Pieces:
+    """Boxes about slices of vehicles [m, road frame]: corners (p, 8, 3), middles (p, 3), bounding radii (p,)."""
 
     corners: np.ndarray
     middle: np.ndarray
     radius: np.ndarray
 
 
-def box_pieces(centre: np.ndarray, size: np.ndarray, heading: np.ndarray) -> BoxPieces:
-    """Cut each box (centre, size (n, 3) [m]; heading (n,) [rad]) into pieces of at most `PIECE_LENGTH_M`."""
-    pieces = np.maximum(np.ceil(size[:, 0] / PIECE_LENGTH_M), 1).astype(int)
-    box = np.repeat(np.arange(len(size)), pieces)
-    number = np.arange(len(box)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    unit = np.broadcast_to(_CORNERS, (len(box), 8, 3)).copy()
-    unit[..., 0] = (number[:, None] + unit[..., 0]) / pieces[box][:, None] - 0.5
-    corners = place(unit, centre[box], size[box], heading[box])
+def cut_vehicles(vehicles: Vehicles, detail: str) -> Pieces:
+    """Cut each vehicle's shape at the level of detail `detail` along its length, into pieces of `PIECE_LENGTH_M`."""
+    shapes = shape_names(vehicles)
+    pieces = np.maximum(np.ceil(vehicles.size_m[:, 0] / PIECE_LENGTH_M), 1).astype(int)
+    corners = [np.empty((0, 8, 3))]
+    for name, number in sorted(set(zip(shapes.tolist(), pieces.tolist(), strict=True))):
+        rows = np.flatnonzero((shapes == name) & (pieces == number))
+        unit = _unit_corners(name, detail, number).reshape(-1, 3)
+        placed = place(unit, vehicles.centre_m[rows], vehicles.size_m[rows], vehicles.heading_rad[rows])
+        corners.append(placed.reshape(-1, 8, 3))
+    corners = np.concatenate(corners)
     middle = corners.mean(axis=1)
-    return BoxPieces(corners, middle, np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1, initial=0.0))
+    return Pieces(corners, middle, np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1, initial=0.0))
+
+
+@cache
+def _unit_corners(name: str, detail: str, pieces: int) -> np.ndarray:
+    """Corners (pieces, 8, 3) of the boxes about slices of a unit shape, equally long."""
+    made = shape(name, detail)
+    edge = made.vertices[np.concatenate([made.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])]
+    bounds = []
+    for first, last in pairwise(np.linspace(-0.5, 0.5, pieces + 1)):
+        # Within a slice the surface takes its extremes at vertices, or where an edge crosses the slice's ends.
+        inside = made.vertices[(made.vertices[:, 0] >= first) & (made.vertices[:, 0] <= last)]
+        points = np.concatenate([inside, *(_crossings(edge, x) for x in (first, last))])
+        low, high = points.min(axis=0), points.max(axis=0)
+        low[0], high[0] = first, last
+        bounds.append((low, high))
+    return np.take_along_axis(np.array(bounds), _CORNERS[None], axis=1)
+
+
+def _crossings(edge: np.ndarray, x: float) -> np.ndarray:
+    """Where edges (e, 2, 3) cross the plane at `x`."""
+    start, end = edge[:, 0], edge[:, 1]
+    crossing = (start[:, 0] < x) & (end[:, 0] > x) | (start[:, 0] > x) & (end[:, 0] < x)
+    start, end = start[crossing], end[crossing]
+    return start + ((x - start[:, 0]) / (end[:, 0] - start[:, 0]))[:, None] * (end - start)
 
 
 def reachable_beams(
-    lattice: BeamLattice, pieces: BoxPieces, poses: Sequence[Pose], max_range: float
+    lattice: BeamLattice, pieces: Pieces, poses: Sequence[Pose], max_range: float
 ) -> Iterator[np.ndarray]:
     """Beams that may meet one of the boxes within `max_range` [m], for each mounting in turn.
 

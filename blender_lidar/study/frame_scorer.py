@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..casting import caster_class
-from ..casting.culling import box_pieces, reachable_beams
+from ..casting.culling import cut_vehicles, reachable_beams
 from ..metrics.vgop import occupancy, to_vehicle_frame
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
@@ -77,8 +77,8 @@ class FrameScorer:
 
     Attributes
     ----------
-    pieces : BoxPieces
-        The counted vehicles' boxes, cut for culling.
+    pieces : Pieces
+        The counted vehicles, cut for culling.
     """
 
     def __init__(self, vehicles: Vehicles, counted: np.ndarray, observation: Observation) -> None:
@@ -89,7 +89,7 @@ class FrameScorer:
         row = np.where(counted, np.cumsum(counted) - 1, -1)
         self._counted_row = row[triangles.owner]  # of each triangle; -1 where it does not count
         # Beams that can reach only vehicles that do not count need not be cast: they hide nothing from other beams.
-        self.pieces = box_pieces(self._vehicles.centre_m, self._vehicles.size_m, self._vehicles.heading_rad)
+        self.pieces = cut_vehicles(self._vehicles, observation.detail)
 
     def __len__(self) -> int:
         return len(self._vehicles)

@@ -36,9 +36,7 @@ class Triangles:
 
 def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
     """Every vehicle of a frame as triangles at the level of detail `detail` ("box" or "body")."""
-    names = np.array(
-        [shape_of(name, length) for name, length in zip(vehicles.class_name, vehicles.size_m[:, 0], strict=True)]
-    )
+    names = shape_names(vehicles)
     corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
     for name in sorted(set(names.tolist())):
         rows = np.flatnonzero(names == name)
@@ -48,6 +46,14 @@ def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
         owner.append(np.repeat(rows.astype(np.int32), len(unit.faces)))
         surface.append(np.tile(unit.surface, len(rows)))
     return Triangles(np.concatenate(corners), np.concatenate(owner), np.concatenate(surface))
+
+
+def shape_names(vehicles: Vehicles) -> np.ndarray:
+    """Name of the shape of each vehicle, (n,) str."""
+    lengths = vehicles.size_m[:, 0].tolist()
+    return np.array(
+        [shape_of(name, length) for name, length in zip(vehicles.class_name, lengths, strict=True)], dtype=str
+    )
 
 
 def place(unit_points: np.ndarray, centre: np.ndarray, size: np.ndarray, heading: np.ndarray) -> np.ndarray:
