@@ -8,6 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 
 from . import __version__
 from .errors import BlenderLidarError
@@ -29,32 +30,52 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         0 good, 1 failed, 2 wrong input (one line on stderr says what and where).
     """
-    warnings.showwarning = _one_line_warning
-    parser = _parser()
+    with warnings.catch_warnings():  # which puts back what shows warnings
+        warnings.showwarning = _one_line_warning
+        try:
+            code = _carried_out(argv)
+            sys.stdout.flush()  # while a closed pipe or a full disk can still be told
+            return code
+        except BlenderLidarError as error:
+            return _failed(str(error), WRONG_INPUT)
+        except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
+            _drop_stdout()
+            return FAILED
+        except KeyboardInterrupt:
+            return _failed("stopped", FAILED)
+        except MemoryError:
+            return _failed("out of memory; try fewer --frames or --workers 1", FAILED)
+        except OSError as error:
+            if error.filename is not None:
+                return _failed(f"{error.filename}: {error.strerror}", WRONG_INPUT)
+            _drop_stdout()
+            return _failed(f"output cannot be written: {error.strerror or error}", FAILED)
+
+
+def _carried_out(argv: Sequence[str] | None) -> int:
     try:
-        args = parser.parse_args(argv)
+        args = _parser().parse_args(argv)
     except SystemExit as stop:  # argparse has printed what was wrong, or the help
         return GOOD if not stop.code else WRONG_INPUT
-    try:
-        return args.run(args)
-    except BlenderLidarError as error:
-        print(f"blender-lidar: {' '.join(str(error).splitlines())}", file=sys.stderr)
-        return WRONG_INPUT
-    except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
+    return args.run(args)
+
+
+def _failed(text: str, code: int) -> int:
+    print(f"blender-lidar: {' '.join(text.split())}", file=sys.stderr)
+    return code
+
+
+def _drop_stdout() -> None:
+    """Let what is still to be written, as Python ends, go nowhere."""
+    with suppress(OSError):  # no real file, as in tests
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
-    except KeyboardInterrupt:
-        print("blender-lidar: stopped", file=sys.stderr)
-        return FAILED
-    except MemoryError:
-        print("blender-lidar: out of memory; try fewer --frames or --workers 1", file=sys.stderr)
-        return FAILED
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = _OneLineParser(
         prog="blender-lidar",
-        description="Where should a LiDAR hang beside the road, how high and how tilted, so that it perceives the most vehicles?",
+        description="Where should a LiDAR hang beside the road, how high and how tilted, so that it perceives the most "
+        "vehicles?",
     )
     parser.add_argument("--version", action="version", version=f"blender_lidar {__version__}")
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=_OneLineParser)
@@ -64,12 +85,15 @@ def _parser() -> argparse.ArgumentParser:
 
 
 class _OneLineParser(argparse.ArgumentParser):
-    """An argument error is one line, like every other."""
+    """An argument error is one line, like every other; options are written out, lest a new one changes a short one."""
+
+    def __init__(self, **settings) -> None:
+        super().__init__(**settings, allow_abbrev=False)
 
     def error(self, message: str):
-        print(f"{self.prog}: {message} (see {self.prog} --help)", file=sys.stderr)
+        print(f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)", file=sys.stderr)
         raise SystemExit(WRONG_INPUT)
 
 
 def _one_line_warning(message, category, filename, lineno, file=None, line=None) -> None:
-    print(f"blender-lidar: note: {message}", file=sys.stderr)
+    print(f"blender-lidar: note: {' '.join(str(message).split())}", file=sys.stderr)

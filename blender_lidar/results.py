@@ -5,29 +5,35 @@ Every file is written whole or not at all, so that a run killed at any moment ca
 
 from __future__ import annotations
 
-import hashlib
+import csv
 import json
-import platform
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
 from . import __version__
-from .errors import InputError, MissingFileError, OutputError
+from .errors import InputError, OutputError
 from .formats.atomic import write_text
+from .formats.lock import folder_lock
 from .formats.tables import to_csv, write_columns
-from .scenario import Scenario
+from .provenance import run_identity, versions
+from .settings import Scenario
 from .study.score_map import ScoreMap
 from .study.vehicle_table import COLUMNS
 from .toml_table import to_toml
 
+__all__ = ["SCHEMA", "VEHICLES", "VEHICLES_BASELINE", "RunFolder", "run_identity", "versions"]
+
 SCHEMA = 1
 RESULT, CHECKPOINT, SCENE, HISTORY = "result.json", "checkpoint.json", "scene.toml", "history.csv"
 VEHICLES, VEHICLES_BASELINE, SCORE_MAP = "vehicles.csv", "vehicles_baseline.csv", "score_map.csv"
+INSTALLATION = "installation.txt"
+_FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION)
+_SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a run has written
 
+_BLOCK_OBJECTIVE, _BLOCK_VEHICLES = "objective_block_", "vehicles_block_"  # columns of the score map
 _DECIMALS = {
     **dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "distance_m"), 3),
     "heading_deg": 3,
@@ -36,61 +42,86 @@ _DECIMALS = {
 
 
 class RunFolder:
-    """The folder of one run.
+    """The folder of one run; it is made when `locked`.
 
     Parameters
     ----------
     path : path
-        Where it is; made if it is not there.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be made or written.
+        Where it is, or will be.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"--out: {self.path}: the folder cannot be made: {error.strerror}") from error
-        if not self.path.is_dir():
-            raise OutputError(f"--out: {self.path}: is not a folder")
 
-    @contextmanager
-    def locked(self) -> Iterator[RunFolder]:
-        """Keep other runs out of the folder while the block lasts; a killed run lets go by itself.
+    def check(self, *, resume: bool = False) -> None:
+        """Refuse a place that this run must not write to.
 
         Raises
         ------
         OutputError
-            When another run is at work there, or the folder cannot be written.
+            When there can be no folder.
+        InputError
+            When it holds a run and `resume` is False, or files of the same names that no run has written.
         """
         try:
-            stream = (self.path / ".lock").open("w")
+            there = next(place for place in (self.path, *self.path.absolute().parents) if place.exists())
+            present = [name for name in _FILES if self.file(name).exists()]
         except OSError as error:
-            raise OutputError(f"--out: {self.path}: cannot be written: {error.strerror}") from error
-        with stream:
-            _lock(stream, self.path)
-            yield self
-            (self.path / ".lock").unlink(missing_ok=True)
+            raise OutputError(f"--out: {self.path}: the folder cannot be made: {error.strerror}") from error
+        if not there.is_dir():
+            raise OutputError(f"--out: {self.path}: the folder cannot be made: {there} is a file")
+        if not present:
+            return
+        if not self._is_ours():
+            raise InputError(
+                f"--out: {self.path}: holds a file {present[0]} that no run has written; give another folder"
+            )
+        if not resume:
+            raise InputError(
+                f"--out: {self.path}: holds a run already; give another folder, or go on with it: optimise --resume"
+            )
+
+    @contextmanager
+    def locked(self) -> Iterator[RunFolder]:
+        """Make the folder and keep other runs out of it while the block lasts; a killed run lets go by itself.
+
+        Where the block ends with an error before anything was written, no folder is left.
+
+        Raises
+        ------
+        OutputError
+            When another run is at work there, or the folder cannot be made or written.
+        """
+        try:
+            missing = [place for place in (self.path, *self.path.parents) if not place.exists()]
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"--out: {self.path}: the folder cannot be made: {error.strerror}") from error
+        try:
+            with folder_lock(self.path):
+                self._sweep()
+                yield self
+        except BaseException:
+            for place in missing:  # the deepest first; what is not empty stays
+                with suppress(OSError):
+                    place.rmdir()
+            raise
 
     def file(self, name: str) -> Path:
         """Path of a file of the run."""
         return self.path / name
 
     def holds_run(self) -> bool:
-        """Whether a run was begun or ended here."""
+        """Whether a run was begun or has ended here."""
         return self.file(RESULT).exists() or self.file(CHECKPOINT).exists()
 
     def write_scene(self, scenario: Scenario) -> None:
         """Write the scene as used, every default spelt out."""
         tables = scenario.as_tables()
         tables["traffic"]["path"] = str(Path(tables["traffic"]["path"]).resolve())
-        if Path(tables["sensor"]["name"]).is_file():
+        if scenario.sensor.is_file:
             tables["sensor"]["name"] = str(Path(tables["sensor"]["name"]).resolve())
-        write_text(self.file(SCENE), f"# The scene as blender_lidar {__version__} used it.\n" + to_toml(tables))
+        write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n" + to_toml(tables))
 
     def write_checkpoint(self, identity: Mapping, state: Mapping) -> None:
         """Store how far a search has come."""
@@ -107,17 +138,16 @@ class RunFolder:
         content = self._read_json(CHECKPOINT)
         if content is None:
             return None
-        if not isinstance(content, dict) or "search" not in content:
+        if "search" not in content:
             raise InputError(f"{self.file(CHECKPOINT)}: is not the checkpoint of a run")
-        self._check_identity(content.get("identity"), identity)
+        self._check_identity(content, identity)
         return content["search"]
 
     def read_result(self, identity: Mapping) -> dict | None:
         """The result of a run that has ended, None where none has; settings are checked as for a checkpoint."""
         content = self._read_json(RESULT)
-        if content is None:
-            return None
-        self._check_identity(content.get("identity") if isinstance(content, dict) else None, identity)
+        if content is not None:
+            self._check_identity(content, identity)
         return content
 
     def finish(self, result: Mapping) -> None:
@@ -139,35 +169,86 @@ class RunFolder:
         """Write the objective over height and tilt, one row for each grid point."""
         height, tilt = np.meshgrid(score_map.height_m, score_map.tilt_deg, indexing="ij")
         columns = {
-            "height_m": height.ravel(),
-            "tilt_x_deg": tilt.ravel(),
+            "height_m": height.ravel().round(9),
+            "tilt_x_deg": tilt.ravel().round(9),
             "objective_per_vehicle": score_map.per_vehicle.ravel(),
             "detectable_share": score_map.detectable_share.ravel(),
         }
         blocks = score_map.block_objective.reshape(height.size, -1).T
-        columns |= {f"objective_block_{number}": values for number, values in enumerate(blocks)}
+        columns |= {f"{_BLOCK_OBJECTIVE}{number}": values for number, values in enumerate(blocks)}
         columns |= {
-            f"vehicles_block_{number}": np.full(height.size, int(vehicles))
+            f"{_BLOCK_VEHICLES}{number}": np.full(height.size, int(vehicles))
             for number, vehicles in enumerate(score_map.block_vehicles)
         }
-        write_columns(self.file(SCORE_MAP), columns, {"height_m": 4, "tilt_x_deg": 4})
+        write_columns(self.file(SCORE_MAP), columns)
+
+    def read_history(self) -> np.ndarray:
+        """The rows of history.csv, (evaluations, columns)."""
+        with _reading(self.file(HISTORY)) as columns:
+            return np.column_stack([*columns.values()])
+
+    def read_vehicles(self, name: str) -> dict[str, np.ndarray]:
+        """A vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
+        whole = ("frame", "vehicle_id", "points", "lane")
+        with _reading(self.file(name)) as columns:
+            table = {key: columns[key] for key in COLUMNS}
+            table |= {key: table[key].astype(np.int64) for key in whole}
+            return table | {"detectable": table["detectable"] > 0}
+
+    def read_score_map(self) -> ScoreMap | None:
+        """The objective over height and tilt, None where the run has none."""
+        if not self.file(SCORE_MAP).exists():
+            return None
+        with _reading(self.file(SCORE_MAP)) as columns:
+            height, tilt = (np.unique(columns[key]) for key in ("height_m", "tilt_x_deg"))
+            shape = (len(height), len(tilt))
+            objective = [values for name, values in columns.items() if name.startswith(_BLOCK_OBJECTIVE)]
+            vehicles = [values[0] for name, values in columns.items() if name.startswith(_BLOCK_VEHICLES)]
+            return ScoreMap(
+                height_m=height,
+                tilt_deg=tilt,
+                per_vehicle=columns["objective_per_vehicle"].reshape(shape),
+                detectable_share=columns["detectable_share"].reshape(shape),
+                block_objective=np.column_stack(objective).reshape(*shape, -1),
+                block_vehicles=np.array(vehicles),
+            )
 
     def write_text(self, name: str, text: str) -> None:
         """Write a text file of the run."""
         write_text(self.file(name), text)
+
+    def _is_ours(self):
+        """Whether a run has written its scene here, which is the first thing that a run writes."""
+        try:
+            with self.file(SCENE).open(encoding="utf-8") as stream:
+                return stream.readline().startswith(_SCENE_MARK)
+        except (OSError, ValueError):
+            return False
+
+    def _sweep(self):
+        """Remove what a killed run had not finished writing."""
+        for name in map(Path, _FILES):
+            for leftover in self.path.glob(f".{name.stem}-????????{name.suffix}"):
+                leftover.unlink(missing_ok=True)
+        for leftover in self.path.glob(".*.png.*.part"):
+            leftover.unlink(missing_ok=True)
 
     def _read_json(self, name):
         path = self.file(name)
         if not path.exists():
             return None
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: cannot be read: {error}") from error
+        if not isinstance(content, dict):
+            raise InputError(f"{path}: is no file of a run")
+        return content
 
-    def _check_identity(self, stored, identity):
+    def _check_identity(self, content, identity):
+        stored = content.get("identity")
         if not isinstance(stored, dict):
-            raise InputError(f"{self.path}: the run there does not say with which settings it was made")
+            raise InputError(f"--resume: {self.path}: the run there does not say with which settings it was made")
         for key in sorted({*stored, *identity}):
             if stored.get(key) != identity.get(key):
                 raise InputError(
@@ -176,44 +257,20 @@ class RunFolder:
                 )
 
 
-def run_identity(scenario: Scenario, caster: str) -> dict[str, object]:
-    """What must be the same for two runs to have the same result: settings and the content of the input files."""
-    tables = scenario.as_tables()
-    tables["model"] = {"caster": caster}  # the number of workers changes nothing
-    tables["traffic"]["path"] = file_digest(scenario.traffic.path)
-    if Path(scenario.sensor.name).is_file():
-        tables["sensor"]["name"] = file_digest(scenario.sensor.name)
-    flat = {f"[{table}] {key}": value for table, content in tables.items() for key, value in content.items()}
-    return json.loads(json.dumps({"blender_lidar": __version__, **flat}))
-
-
-def file_digest(path: str | Path) -> str:
-    """SHA-256 of a file's content."""
+@contextmanager
+def _reading(path: Path) -> Iterator[dict[str, np.ndarray]]:
+    """The columns of a table that a run wrote, numbers as floats; a damaged table is refused by name."""
     try:
-        with Path(path).open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        with path.open(encoding="utf-8", newline="") as stream:
+            header, *rows = csv.reader(stream)
+        columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+        yield {name: _numbers_or_texts(texts) for name, texts in columns.items()}
+    except (OSError, ValueError, LookupError, csv.Error) as error:
+        raise InputError(f"{path}: is damaged: {error}; give another --out") from error
 
 
-def versions(caster: str) -> dict[str, str]:
-    """Versions of what a result depends on."""
-    libraries = ("numpy", "pandas", *{"embree": ("embreex",), "bvh": ("bpy",)}.get(caster, ()))
-    found = {"blender_lidar": __version__, "python": platform.python_version()}
-    for library in libraries:
-        with suppress(PackageNotFoundError):
-            found[library] = version(library)
-    return found
-
-
-def _lock(stream, path):
+def _numbers_or_texts(texts: tuple[str, ...]) -> np.ndarray:
     try:
-        import fcntl
-    except ImportError:  # no such locks on this system
-        return
-    try:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        raise OutputError(f"--out: {path}: another run is at work there") from error
+        return np.array(texts, dtype=float)
+    except ValueError:
+        return np.array(texts)

@@ -1,189 +1,53 @@
 """A scene file, read and checked once: frozen settings from here on.
 
-Every table and key is described in the README. Options of the command line replace the file's values before they are checked, so both
-pass the same checks.
+Every table and key is described in the README. Options of the command line replace the file's values before they are
+checked, so both pass the same checks.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from .casting import CASTERS
 from .errors import InputError, MissingFileError
-from .optimise import READINGS, SEARCHES, VIEWS, DePsoSettings
+from .optimise import READINGS, SEARCHES, VIEWS, DePsoSettings, GridSearch
 from .sensors.model import LidarModel, load_model
-from .sensors.pose import Pose
+from .settings import (
+    COORDINATES,
+    Deployment,
+    ModelSettings,
+    ObjectiveSettings,
+    Scenario,
+    SearchSettings,
+    SensorSettings,
+    TrafficSettings,
+    is_sensor_file,
+    pose_at,
+)
 from .toml_table import TomlTable, read_toml
 from .traffic import FORMATS, RoadFrame
 from .world.shapes import DETAILS
 
-COORDINATES = ("x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg")
+__all__ = ["COORDINATES", "COORDINATE_LIMITS", "METRICS", "Deployment", "Scenario", "load_scenario", "pose_at"]
+
 TABLES = ("traffic", "road", "world", "sensor", "deployment", "baseline", "objective", "search", "model")
 METRICS = ("pe-vgop",)
 HEIGHT_KEYS = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
-_TILT_LIMIT_DEG = 90.0
+COORDINATE_LIMITS = {
+    "x_m": (-1e5, 1e5),
+    "y_m": (-1e5, 1e5),
+    "height_m": (0.1, 100.0),
+    "tilt_x_deg": (-90.0, 90.0),
+    "tilt_y_deg": (-90.0, 90.0),
+    "yaw_deg": (-360.0, 360.0),
+}
+# What an option of the key's name puts out of force in the file: frames are listed or spread evenly.
+_RIVALS = {("traffic", "frame_ids"): ("frames", "spacing_s"), ("traffic", "frames"): ("frame_ids",)}
+_FRAMES = 30
+_COEFFICIENT_LIMIT = 10.0  # of DE-PSO's coefficients; the paper's are below 1, and huge ones overflow
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
-
-
-@dataclass(frozen=True, slots=True)
-class TrafficSettings:
-    """[traffic]: where the vehicles come from and which instants are looked at."""
-
-    path: str
-    format: str
-    period: str | None
-    location: str | None
-    origin_m: tuple[float, float] | None
-    heading_deg: float | None
-    lanes: tuple[int, ...] | None
-    frames: int
-    frame_ids: tuple[int, ...] | None
-    spacing_s: float | None
-    holdout: float
-    block_s: float | None
-    height_m: Mapping[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class SensorSettings:
-    """[sensor]: the model, its rate and the range within which it is asked to see."""
-
-    name: str
-    rotation_hz: float
-    range_gate_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Deployment:
-    """[deployment]: which coordinates of the mounting are fixed, and between what bounds the others are searched.
-
-    Attributes
-    ----------
-    fixed : mapping of str to float
-        Coordinates of `COORDINATES` that stay.
-    bounds : mapping of str to (float, float)
-        The others, in the order of `COORDINATES`; metres and degrees.
-    """
-
-    fixed: Mapping[str, float]
-    bounds: Mapping[str, tuple[float, float]]
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of the searched coordinates."""
-        return tuple(self.bounds)
-
-    @property
-    def lower(self) -> tuple[float, ...]:
-        return tuple(low for low, _ in self.bounds.values())
-
-    @property
-    def upper(self) -> tuple[float, ...]:
-        return tuple(high for _, high in self.bounds.values())
-
-    @property
-    def nominal_xy(self) -> tuple[float, float]:
-        """Where the region of interest is centred [m]: the mount's place, or the middle of where it may be."""
-        return tuple(0.5 * sum(self.bounds[key]) if key in self.bounds else self.fixed[key] for key in ("x_m", "y_m"))
-
-    def coordinates(self, x) -> dict[str, float]:
-        """All six coordinates (metres, degrees) at the point `x` (d,) of the search space."""
-        free = dict(zip(self.variables, map(float, x), strict=True))
-        return {key: free[key] if key in free else self.fixed[key] for key in COORDINATES}
-
-    def pose(self, x) -> Pose:
-        """The mounting at the point `x` (d,) of the search space."""
-        return pose_at(self.coordinates(x))
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectiveSettings:
-    """[objective]: what is maximised."""
-
-    metric: str
-    reading: str
-    cell_m: float
-    threshold: float
-    view: str
-    loss: float
-
-
-@dataclass(frozen=True, slots=True)
-class SearchSettings:
-    """[search]: how the best mounting is looked for."""
-
-    method: str
-    seed: int
-    particles: int
-    iterations: int
-    inertia: float
-    differential_weight: float
-    cognitive: float
-    social: float
-    differential_threshold: float
-
-
-@dataclass(frozen=True, slots=True)
-class ModelSettings:
-    """[world] and [model]: how much of the world is modelled, and what carries it out."""
-
-    detail: str
-    caster: str
-    workers: int
-
-
-@dataclass(frozen=True, slots=True)
-class Scenario:
-    """A whole scene, checked."""
-
-    source: str
-    traffic: TrafficSettings
-    road: RoadFrame
-    sensor: SensorSettings
-    deployment: Deployment
-    baseline: Mapping[str, float]
-    objective: ObjectiveSettings
-    search: SearchSettings
-    model: ModelSettings
-
-    @property
-    def baseline_pose(self) -> Pose:
-        return pose_at(self.baseline)
-
-    def as_tables(self) -> dict[str, dict]:
-        """The scene as used, in the layout of a scene file: reading it again gives this scene."""
-        traffic = asdict(self.traffic)
-        for key in ("frame_ids", "lanes", "origin_m"):
-            traffic[key] = None if traffic[key] is None else list(traffic[key])
-        deployment = {
-            key: self.deployment.fixed.get(key, list(self.deployment.bounds.get(key, ()))) for key in COORDINATES
-        }
-        return {
-            "traffic": traffic,
-            "road": asdict(self.road),
-            "world": {"detail": self.model.detail},
-            "sensor": asdict(self.sensor),
-            "deployment": deployment,
-            "baseline": dict(self.baseline),
-            "objective": asdict(self.objective),
-            "search": asdict(self.search),
-            "model": {"caster": self.model.caster, "workers": self.model.workers},
-        }
-
-
-def pose_at(coordinates: Mapping[str, float]) -> Pose:
-    """The mounting at the six coordinates of `COORDINATES`, degrees becoming radians."""
-    return Pose(
-        x_m=coordinates["x_m"],
-        y_m=coordinates["y_m"],
-        height_m=coordinates["height_m"],
-        tilt_x=math.radians(coordinates["tilt_x_deg"]),
-        tilt_y=math.radians(coordinates["tilt_y_deg"]),
-        yaw=math.radians(coordinates["yaw_deg"]),
-    )
 
 
 def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scenario:
@@ -209,25 +73,24 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     tables = {}
     for name in TABLES:
         root.table(name)  # refuses what is no table
-        content = dict(values.get(name, {}))
-        origins = {}
-        for (table, key), (value, origin) in overrides.items():
-            if table == name:
-                content[key], origins[key] = value, origin
+        options = {key: given for (table, key), given in overrides.items() if table == name}
+        rivals = {rival for key in options for rival in _RIVALS.get((name, key), ())}
+        content = {key: value for key, value in values.get(name, {}).items() if key not in rivals}
+        content |= {key: value for key, (value, _) in options.items()}
+        origins = {key: origin for key, (_, origin) in options.items()}
         tables[name] = TomlTable(content, f"{path}: [{name}]", origins)
-    root.finish()
+    root.finish("table")
 
-    from_options = {key for table, key in overrides if table == "traffic"}
     deployment = _deployment(tables["deployment"])
     scenario = Scenario(
         source=str(path),
-        traffic=_traffic(tables["traffic"], path.parent if "path" not in from_options else Path()),
+        traffic=_traffic(tables["traffic"], path.parent),
         road=_road(tables["road"]),
         sensor=_sensor(tables["sensor"], path.parent),
         deployment=deployment,
         baseline=_baseline(tables["baseline"], deployment),
         objective=_objective(tables["objective"]),
-        search=_search(tables["search"]),
+        search=_search(tables["search"], deployment),
         model=_model(tables["world"], tables["model"]),
     )
     for table in tables.values():
@@ -236,7 +99,14 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
 
 
 def _traffic(table: TomlTable, folder: Path) -> TrafficSettings:
-    path = folder / table.text("path")
+    path = (Path() if table.overridden("path") else folder) / table.text("path")
+    frames, spacing_s = table.whole("frames", None, low=1), table.number("spacing_s", None, above=0.0)
+    frame_ids = table.whole_numbers("frame_ids", None)
+    if frame_ids is not None and (frames is not None or spacing_s is not None):
+        spread = table.where("frames" if frames is not None else "spacing_s")
+        raise InputError(
+            f"{table.where('frame_ids')}: lists the frames that {spread} spreads evenly; allowed: one of both"
+        )
     heights = table.table("height_m")
     height_m = {key: heights.number(key, None, above=0.0, high=10.0) for key in HEIGHT_KEYS}
     heights.finish()
@@ -248,9 +118,9 @@ def _traffic(table: TomlTable, folder: Path) -> TrafficSettings:
         origin_m=table.numbers("origin_m", None, count=2),
         heading_deg=table.number("heading_deg", None, low=-360.0, high=360.0),
         lanes=table.whole_numbers("lanes", None),
-        frames=table.whole("frames", 36, low=1),
-        frame_ids=table.whole_numbers("frame_ids", None),
-        spacing_s=table.number("spacing_s", None, above=0.0),
+        frames=_FRAMES if frames is None and frame_ids is None else frames,
+        frame_ids=frame_ids,
+        spacing_s=spacing_s,
         holdout=table.number("holdout", 0.4, low=0.0, high=0.9),
         block_s=table.number("block_s", None, above=0.0),
         height_m={key: value for key, value in height_m.items() if value is not None},
@@ -269,9 +139,7 @@ def _road(table: TomlTable) -> RoadFrame:
 
 
 def _sensor(table: TomlTable, folder: Path) -> SensorSettings:
-    name = table.text("name", "RS-16")
-    if name.endswith((".toml", ".csv")) and (folder / name).is_file():
-        name = str(folder / name)
+    name = _sensor_name(table.text("name", "RS-16"), Path() if table.overridden("name") else folder)
     model = _model_named(name, table.where("name"))
     keys = ("rotation_hz", "range_gate_m")
     settings = {key: table.number(key, None, above=0.0) for key in keys}
@@ -279,22 +147,26 @@ def _sensor(table: TomlTable, folder: Path) -> SensorSettings:
     for sensor, own in table.tables().items():
         found = {key: own.number(key, None, above=0.0) for key in keys}
         own.finish()
-        if sensor == name or _model_named(sensor, f"{table.where(sensor)}").name == model.name:
+        if _model_named(_sensor_name(sensor, folder), table.where(sensor)).name == model.name:
             for key in keys:
                 if found[key] is not None and not table.overridden(key):
                     settings[key], where[key] = found[key], own.where(key)
-    rate, gate = settings["rotation_hz"], settings["range_gate_m"]
     try:
-        rate = model.rotation_rate(rate)
+        rate = model.rotation_rate(settings["rotation_hz"])
     except InputError as error:
         raise InputError(f"{where['rotation_hz']}: {error}") from error
-    gate = model.range_max_m if gate is None else gate
+    gate = model.range_max_m if settings["range_gate_m"] is None else settings["range_gate_m"]
     if not model.range_min_m < gate <= model.range_max_m:
         raise InputError(
-            f"{where['range_gate_m']}: is {gate:g}; allowed for {model.name}: more than {model.range_min_m:g}, "
+            f"{where['range_gate_m']}: is {gate}; allowed for {model.name}: more than {model.range_min_m:g}, "
             f"at most {model.range_max_m:g}"
         )
-    return SensorSettings(name=name if Path(name).is_file() else model.name, rotation_hz=rate, range_gate_m=gate)
+    return SensorSettings(name=name if is_sensor_file(name) else model.name, rotation_hz=rate, range_gate_m=gate)
+
+
+def _sensor_name(name: str, folder: Path) -> str:
+    """A sensor's name as it is, the path of a beam table from `folder` on."""
+    return str(folder / name) if is_sensor_file(name) else name
 
 
 def _model_named(name: str, where: str) -> LidarModel:
@@ -307,16 +179,11 @@ def _model_named(name: str, where: str) -> LidarModel:
 
 
 def _deployment(table: TomlTable) -> Deployment:
-    limits = {
-        "height_m": {"low": 0.1, "high": 100.0},
-        "tilt_x_deg": {"low": -_TILT_LIMIT_DEG, "high": _TILT_LIMIT_DEG},
-        "tilt_y_deg": {"low": -_TILT_LIMIT_DEG, "high": _TILT_LIMIT_DEG},
-        "yaw_deg": {"low": -360.0, "high": 360.0},
-    }
     defaults = {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}  # the paper's ranges, section V.A
     fixed, bounds = {}, {}
     for key in COORDINATES:
-        value = table.number_or_pair(key, defaults.get(key, 0.0), **limits.get(key, {}))
+        low, high = COORDINATE_LIMITS[key]
+        value = table.number_or_pair(key, defaults.get(key, 0.0), low=low, high=high)
         (bounds if isinstance(value, tuple) else fixed)[key] = value
     return Deployment(fixed, bounds)
 
@@ -324,9 +191,10 @@ def _deployment(table: TomlTable) -> Deployment:
 def _baseline(table: TomlTable, deployment: Deployment) -> dict[str, float]:
     x_m, y_m = deployment.nominal_xy
     defaults = {"x_m": x_m, "y_m": y_m, "height_m": 2.0}  # height: section V.A of the paper
-    baseline = {key: table.number(key, defaults.get(key, 0.0)) for key in COORDINATES}
-    if not baseline["height_m"] > 0.0:
-        raise InputError(f"{table.where('height_m')}: is {baseline['height_m']:g}; allowed: more than 0")
+    baseline = {}
+    for key in COORDINATES:
+        low, high = COORDINATE_LIMITS[key]
+        baseline[key] = table.number(key, defaults.get(key, 0.0), low=low, high=high)
     return baseline
 
 
@@ -341,24 +209,29 @@ def _objective(table: TomlTable) -> ObjectiveSettings:
     )
 
 
-def _search(table: TomlTable) -> SearchSettings:
+def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
     paper = DePsoSettings()
-    return SearchSettings(
+    coefficients = ("inertia", "differential_weight", "cognitive", "social")
+    settings = SearchSettings(
         method=table.text("method", "de-pso", allowed=SEARCHES),
         seed=table.whole("seed", 1, low=0),
         particles=table.whole("particles", paper.particles, low=3, high=10_000),
         iterations=table.whole("iterations", paper.iterations, low=1, high=1_000_000),
-        inertia=table.number("inertia", paper.inertia, low=0.0),
-        differential_weight=table.number("differential_weight", paper.differential_weight, low=0.0),
-        cognitive=table.number("cognitive", paper.cognitive, low=0.0),
-        social=table.number("social", paper.social, low=0.0),
+        **{key: table.number(key, getattr(paper, key), low=0.0, high=_COEFFICIENT_LIMIT) for key in coefficients},
         differential_threshold=table.number("differential_threshold", paper.differential_threshold, low=0.0, high=1.0),
     )
+    corners = 2 ** len(deployment.bounds)
+    if settings.method == GridSearch.name and settings.particles * settings.iterations < corners:
+        raise InputError(
+            f"{table.where('particles')}: {settings.particles} x {settings.iterations} iterations are too few "
+            f"evaluations for a grid over {len(deployment.bounds)} coordinates; allowed: {corners} or more"
+        )
+    return settings
 
 
 def _model(world: TomlTable, model: TomlTable) -> ModelSettings:
     return ModelSettings(
         detail=world.text("detail", "body", allowed=DETAILS),
-        caster=model.text("caster", "auto", allowed=("auto", "bvh", "embree", "exact")),
+        caster=model.text("caster", "auto", allowed=("auto", *CASTERS)),
         workers=model.whole("workers", 0, low=0, high=256),
     )

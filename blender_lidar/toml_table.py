@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import reprlib
+import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from .errors import BlenderLidarError, InputError, MissingFileError, unknown_name
+from .errors import InputError, MissingFileError, unknown_name
 
 _MAX_BYTES = 1 << 20
+_LARGEST_WHOLE = 2**53  # what a float and a CSV column still hold exactly
+_LARGEST_FLOAT = sys.float_info.max
 _REQUIRED = object()
 
 
@@ -22,22 +26,25 @@ def read_toml(path: str | Path) -> dict:
         When there is no such file, or it is a folder, too large, not UTF-8 or not TOML.
     """
     path = Path(path)
-    if not path.exists():
-        raise MissingFileError(f"{path}: there is no such file")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; allowed: a TOML file")
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"{path}: is larger than {_MAX_BYTES} bytes; allowed: a TOML file of settings")
-        return tomllib.loads(path.read_bytes().decode("utf-8"))
+        with path.open("rb") as stream:
+            content = stream.read(_MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: there is no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder; allowed: a TOML file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(content) > _MAX_BYTES:
+        raise InputError(f"{path}: is larger than {_MAX_BYTES} bytes; allowed: a TOML file of settings")
+    try:
+        return tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}); allowed: a TOML file"
         ) from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
         raise InputError(f"{path}: is not TOML: {str(error).splitlines()[0]}") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 class TomlTable:
@@ -55,7 +62,7 @@ class TomlTable:
 
     def __init__(self, values: object, where: str, origins: Mapping[str, str] | None = None) -> None:
         if not isinstance(values, Mapping):
-            raise InputError(f"{where}: is {values!r}; allowed: a table")
+            raise InputError(f"{where}: is {_shown(values)}; allowed: a table")
         self._values, self._where, self._origins = dict(values), where, dict(origins or {})
         self._known: list[str] = []
 
@@ -74,22 +81,18 @@ class TomlTable:
             return None
         return self._checked_number(value, key, low, high, above)
 
-    def whole(self, key, default=_REQUIRED, *, low=-math.inf, high=math.inf):
+    def whole(self, key, default=_REQUIRED, *, low=-_LARGEST_WHOLE, high=_LARGEST_WHOLE):
         """A whole number in [low, high]."""
         value = self._get(key, default)
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise InputError(f"{self.where(key)}: is {value!r}; allowed: a whole number")
-        return int(self._checked_number(value, key, low, high, -math.inf))
+        return None if value is None else self._checked_whole(value, key, low, high)
 
     def text(self, key, default=_REQUIRED, *, allowed: Sequence[str] | None = None):
         """A text, one of `allowed` if given."""
         value = self._get(key, default)
         if value is None:
             return None
-        if not isinstance(value, str) or not value:
-            raise InputError(f"{self.where(key)}: is {value!r}; allowed: a text")
+        if not isinstance(value, str) or not value or "\0" in value:
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a text in quotes, not empty")
         if allowed is not None and value not in allowed:
             raise unknown_name(value, allowed, key, self.where(key))
         return value
@@ -100,7 +103,7 @@ class TomlTable:
         if value is None:
             return None
         if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != count:
-            raise InputError(f"{self.where(key)}: is {value!r}; allowed: a list of {count} numbers")
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a list of {count} numbers")
         return tuple(self._checked_number(entry, key, -math.inf, math.inf, -math.inf) for entry in value)
 
     def number_or_pair(self, key, default, *, low=-math.inf, high=math.inf):
@@ -109,11 +112,11 @@ class TomlTable:
         if not isinstance(value, Sequence) or isinstance(value, str):
             return self._checked_number(value, key, low, high, -math.inf)
         if len(value) != 2:
-            raise InputError(f"{self.where(key)}: is {list(value)!r}; allowed: a number, or a pair [low, high]")
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a number, or a pair [low, high]")
         first, last = (self._checked_number(entry, key, low, high, -math.inf) for entry in value)
         if not first < last:
             raise InputError(
-                f"{self.where(key)}: is [{first:g}, {last:g}]; allowed: the lower bound first, below the upper"
+                f"{self.where(key)}: is [{first}, {last}]; allowed: the lower bound first, below the upper"
             )
         return first, last
 
@@ -122,29 +125,26 @@ class TomlTable:
         value = self._get(key, default)
         if value is None:
             return None
-        good = isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 0
-        if not good or any(isinstance(entry, bool) or not isinstance(entry, int) for entry in value):
-            raise InputError(f"{self.where(key)}: is {value!r}; allowed: a list of whole numbers")
-        return tuple(value)
+        if not isinstance(value, Sequence) or isinstance(value, str) or not value:
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a list of whole numbers")
+        return tuple(self._checked_whole(entry, key, -_LARGEST_WHOLE, _LARGEST_WHOLE) for entry in value)
 
     def table(self, key) -> TomlTable:
         """A table within this one; empty where the key is missing."""
         self._known.append(key)
-        return TomlTable(
-            self._values.get(key, {}),
-            f"{self._where[:-1]}.{key}]" if self._where.endswith("]") else f"{self._where} [{key}]",
-        )
+        where = f"{self._where[:-1]}.{key}]" if self._where.endswith("]") else f"{self._where}: [{key}]"
+        return TomlTable(self._values.get(key, {}), where)
 
     def tables(self) -> dict[str, TomlTable]:
         """All tables within this one, whatever their names."""
         names = [key for key, value in self._values.items() if isinstance(value, Mapping)]
         return {name: self.table(name) for name in names}
 
-    def finish(self) -> None:
-        """Refuse the keys that nothing asked for."""
+    def finish(self, what: str = "key") -> None:
+        """Refuse the keys that nothing asked for; `what` says what they are."""
         for key in self._values:
             if key not in self._known:
-                raise unknown_name(key, self._known, "key", self._origins.get(key, self._where))
+                raise unknown_name(key, self._known, what, self._origins.get(key, self._where))
 
     def _get(self, key, default):
         self._known.append(key)
@@ -154,21 +154,40 @@ class TomlTable:
         return value
 
     def _checked_number(self, value, key, low, high, above):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise InputError(f"{self.where(key)}: is {value!r}; allowed: a number")
+        good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST_FLOAT
+        if not good:  # inf and NaN too
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a number")
         if not (low <= value <= high and value > above):
             bounds = [f"more than {above:g}"] if above > -math.inf else []
             bounds += [f"at least {low:g}"] if low > -math.inf else []
             bounds += [f"at most {high:g}"] if high < math.inf else []
-            raise InputError(f"{self.where(key)}: is {value:g}; allowed: {' and '.join(bounds)}")
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: {' and '.join(bounds)}")
         return float(value)
+
+    def _checked_whole(self, value, key, low, high):
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a whole number")
+        if not low <= value <= high:
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: {low} to {high}")
+        return value
+
+
+def _shown(value: object) -> str:
+    """`value` as an error shows it: a value of thousands of characters is cut short."""
+    return reprlib.repr(value)
 
 
 def to_toml(tables: Mapping[str, Mapping]) -> str:
-    """Tables of numbers, texts, lists and tables of those as TOML; keys whose value is None are left out."""
+    """Tables of numbers, texts, lists and tables of those as TOML; keys whose value is None are left out.
+
+    Raises
+    ------
+    InputError
+        For a value that TOML has no place for.
+    """
     lines: list[str] = []
     for name, table in tables.items():
-        _append_table(lines, name, table)
+        _append_table(lines, _key(name), table)
     return "\n".join(lines).strip() + "\n"
 
 
@@ -196,11 +215,13 @@ def _value(value):
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_value(entry) for entry in value) + "]"
     if isinstance(value, int | float):
-        return repr(value)
-    raise BlenderLidarError(f"{value!r} has no place in a TOML file")
+        return float.__repr__(value) if isinstance(value, float) else int.__repr__(value)  # NumPy's say np.float64(...)
+    raise InputError(f"{value!r}: has no place in a TOML file; allowed: a number, a text, or a list of those")
 
 
 def _escape(character):
     if character in '"\\':
         return "\\" + character
+    if 0xD800 <= ord(character) < 0xE000:  # half a character: a file name that is not UTF-8
+        raise InputError(f"{character!r}: has no place in a TOML file; allowed: whole Unicode characters")
     return f"\\u{ord(character):04x}" if ord(character) < 32 or ord(character) == 127 else character

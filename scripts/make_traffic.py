@@ -13,7 +13,10 @@ turned by the road's bearing at the entry; the road is straight, where the real 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gzip
+import importlib
+import io
 import math
 import os
 import re
@@ -23,6 +26,7 @@ import sys
 import tempfile
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +39,7 @@ LANES, LANE_M = 6, 12 * FOOT_M
 SECTION_M = 1650 * FOOT_M
 GORE_M, MERGE_END_M = 117.8, 202.3  # the Powell Street on-ramp's gore and the end of its acceleration lane
 NODES_M = {"start": -1000.0, "gore": GORE_M, "merge": MERGE_END_M, "signs": 650.0, "out": 900.0, "end": 1200.0}
+MAIN = ("run_in", "acceleration", "section", "bottleneck", "run_out")  # the edges between them
 RAMP_SPREAD = 1.27e-4  # the ramp lies this times (gore - x)^2 metres off the carriageway: a slope of 3 % at x = 0
 SPEED_LIMIT = 29.0  # 65 mph
 STEP_S = 0.1  # NGSIM's frame
@@ -47,7 +52,7 @@ BEARING = math.radians(-7.1)  # of the direction of travel, clockwise from grid 
 # By v_Class: share of the vehicles, and quantiles of length and width [m] as measured on I-80 (car widths capped at
 # 8.5 ft, as there). Motorcycles have their true width: the 1.55 m of NGSIM come from the video's blobs.
 MOTORCYCLE, CAR, TRUCK = 1, 2, 3
-SHARE = {MOTORCYCLE: 0.015, CAR: 0.945, TRUCK: 0.04}
+SHARE = {MOTORCYCLE: 0.015, CAR: 0.95, TRUCK: 0.035}
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 LENGTH_M = {
     MOTORCYCLE: (1.8, 1.9, 2.1, 2.2, 2.3, 2.4, 2.5),
@@ -64,9 +69,9 @@ SUMO_CLASS = {MOTORCYCLE: "motorcycle", CAR: "passenger", TRUCK: "truck"}
 # Lanes 1 to 6, fitted so that densities, flows and speeds come near those published for I-80 0400-0415.
 DEMAND_SHARE = (0.18, 0.17, 0.15, 0.16, 0.17, 0.17)
 HEADWAY_S = (1.51, 1.51, 1.61, 1.40, 1.33, 1.12)
-YIELDING = 0.35  # share of drivers that brake to let others in; when all do, the ramp starves lane 6
+YIELDING = 0.5  # share of drivers that brake to let others in; when all do, the ramp starves lane 6
 # SUMO's vehicles follow the lane's centre. Ours keep off it, and weave by the distance driven (never while standing).
-OFFSET_M, WEAVE_M, WEAVE_LENGTH_M, LANE_MARGIN_M = 0.3, 0.15, (60.0, 130.0), 0.1
+OFFSET_M, WEAVE_M, WEAVE_LENGTH_M, LANE_MARGIN_M = 0.3, 0.2, (40.0, 110.0), 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,26 +88,9 @@ class Level:
 
 
 LEVELS = {
-    "jammed": Level(7700, 450, 16.5, 9.0, (30.0, 14.0, 14.0, 12.5, 10.0, 4.5), warm_up_s=900),
+    "jammed": Level(7700, 400, 16.5, 9.0, (30.0, 14.5, 14.5, 13.0, 10.5, 4.7), warm_up_s=900),
     "free": Level(3000, 150, SPEED_LIMIT, 20.0, (), warm_up_s=120),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Vehicle:
-    """A driver and vehicle that wants to enter on `lane` (7: the ramp)."""
-
-    depart_s: float
-    lane: int
-    kind: int
-    length_m: float
-    width_m: float
-    headway_s: float
-    speed_factor: float
-    yields: bool
-    offset_m: float
-    weave_length_m: float
-    weave_phase: float
 
 
 class SumoError(Exception):
@@ -111,13 +99,9 @@ class SumoError(Exception):
 
 def find_tool(name: str) -> str:
     """A SUMO program's path: in the eclipse-sumo package, else in ``SUMO_HOME``, else on the path."""
-    homes = [os.environ.get("SUMO_HOME")]
-    try:
-        import sumo
-
-        homes.insert(0, getattr(sumo, "SUMO_HOME", None))
-    except ImportError:
-        pass
+    homes = [os.environ.get("SUMO_HOME", "")]
+    with contextlib.suppress(ImportError):
+        homes.insert(0, getattr(importlib.import_module("sumo"), "SUMO_HOME", ""))
     folders = [str(Path(home) / "bin") for home in homes if home]
     found = shutil.which(name, path=os.pathsep.join([*folders, os.environ.get("PATH", "")]))
     if not found:
@@ -125,36 +109,44 @@ def find_tool(name: str) -> str:
     return found
 
 
-def draw_vehicles(rng: np.random.Generator, level: Level, end_s: float) -> list[Vehicle]:
-    """The vehicles that want to enter until `end_s`, by departure."""
+def draw_vehicles(rng: np.random.Generator, level: Level, end_s: float) -> pd.DataFrame:
+    """The vehicles that want to enter until `end_s`, one a row, by departure; `lane` 7 is the ramp."""
     n_main, n_ramp = (round(flow * end_s / 3600) for flow in (level.main_per_h, level.ramp_per_h))
-    entries = [(t, int(rng.choice(LANES, p=DEMAND_SHARE)) + 1) for t in rng.uniform(0, end_s, n_main)]
-    entries += [((k + 0.6 * rng.random()) * end_s / n_ramp, LANES + 1) for k in range(n_ramp)]  # metered: evenly
-    return [draw_vehicle(rng, depart_s, lane) for depart_s, lane in sorted(entries)]
+    count = n_main + n_ramp
+    metered_s = (np.arange(n_ramp) + 0.6 * rng.random(n_ramp)) * end_s / n_ramp
+    depart_s = np.concatenate([rng.uniform(0, end_s, n_main), metered_s])
+    lane = np.concatenate([rng.choice(LANES, n_main, p=DEMAND_SHARE) + 1, np.full(n_ramp, LANES + 1)])
+    kind = rng.choice(list(SHARE), count, p=list(SHARE.values()))
+    lane = np.where(
+        (kind == TRUCK) & (lane <= 3), rng.integers(4, LANES + 1, count), lane
+    )  # 1 to 3 are closed to trucks
 
-
-def draw_vehicle(rng: np.random.Generator, depart_s: float, lane: int) -> Vehicle:
-    kind = int(rng.choice(list(SHARE), p=list(SHARE.values())))
-    if kind == TRUCK and lane <= 3:  # closed to trucks
-        lane = int(rng.integers(4, LANES + 1))
-    # Rounded as NGSIM does before SUMO sees them, so that its gaps are the file's.
-    sizes = (np.interp(rng.random(), QUANTILES, table[kind]) for table in (LENGTH_M, WIDTH_M))
-    length_m, width_m = (round(float(size) / FOOT_M, 1) * FOOT_M for size in sizes)
-    headway_s = HEADWAY_S[min(lane, LANES) - 1] * (1.2 if kind == TRUCK else 1.0) * (1 + 0.15 * rng.standard_normal())
+    length_m, width_m = draw_sizes(rng, kind, LENGTH_M), draw_sizes(rng, kind, WIDTH_M)
     room_m = (LANE_M - width_m) / 2 - LANE_MARGIN_M - WEAVE_M
-    return Vehicle(
-        depart_s=depart_s,
-        lane=lane,
-        kind=kind,
-        length_m=length_m,
-        width_m=width_m,
-        headway_s=max(0.8, headway_s),
-        speed_factor=float(np.clip(1 + 0.1 * rng.standard_normal(), 0.8, 1.2)),
-        yields=bool(lane > LANES or rng.random() < YIELDING),
-        offset_m=float(np.clip(OFFSET_M * rng.standard_normal(), -room_m, room_m)),
-        weave_length_m=float(rng.uniform(*WEAVE_LENGTH_M)),
-        weave_phase=float(rng.uniform(0, 2 * math.pi)),
+    headway_s = np.array(HEADWAY_S)[np.minimum(lane, LANES) - 1] * np.where(kind == TRUCK, 1.2, 1.0)
+    table = pd.DataFrame(
+        {
+            "depart_s": depart_s,
+            "lane": lane,
+            "kind": kind,
+            "length_m": length_m,
+            "width_m": width_m,
+            "headway_s": np.maximum(0.8, headway_s * (1 + 0.15 * rng.standard_normal(count))),
+            "speed_factor": np.clip(1 + 0.1 * rng.standard_normal(count), 0.8, 1.2),
+            "yields": (lane > LANES) | (rng.random(count) < YIELDING),
+            "offset_m": np.clip(OFFSET_M * rng.standard_normal(count), -room_m, room_m),
+            "weave_length_m": rng.uniform(*WEAVE_LENGTH_M, count),
+            "weave_phase": rng.uniform(0, 2 * math.pi, count),
+        }
     )
+    return table.sort_values("depart_s", ignore_index=True)
+
+
+def draw_sizes(rng: np.random.Generator, kind: np.ndarray, quantiles: dict[int, tuple[float, ...]]) -> np.ndarray:
+    """Sizes [m], whole in 0.1 ft as NGSIM's, so that the file's boxes are those between which SUMO keeps its gaps."""
+    level = rng.random(kind.size)
+    size_m = np.select([kind == k for k in SHARE], [np.interp(level, QUANTILES, quantiles[k]) for k in SHARE])
+    return (size_m / FOOT_M).round(1) * FOOT_M
 
 
 def write_xml(path: Path, root: str, rows: list[str]) -> None:
@@ -165,55 +157,47 @@ def write_network(folder: Path, level: Level) -> None:
     """Build the road: straight, so that no edge joint bends a path, with the carriageway's left edge on y = 0."""
     ramp_x = np.array([-300.0, -200.0, -100.0, -50.0, 0.0, 40.0, 80.0, GORE_M])
     ramp_y = -LANES * LANE_M - RAMP_SPREAD * (GORE_M - ramp_x) ** 2
-    ramp_shape = " ".join(f"{x:.2f},{y:.3f}" for x, y in zip(ramp_x, ramp_y, strict=True))
-    slow = f'<lane index="0" speed="{level.ramp_limit}"/>'
-
-    def reserved(lanes: int) -> str:  # SUMO's lane 0 is the rightmost
-        hov = f'<lane index="{lanes - 1}" allow="hov motorcycle" speed="{level.hov_limit}"/>'
-        return hov + "".join(f'<lane index="{lanes - k}" disallow="truck"/>' for k in (2, 3))
-
-    edges = [("on_ramp", "ramp", "gore", 1, slow, f'shape="{ramp_shape}"')]
-    edges += [("acceleration", "gore", "merge", LANES + 1, slow + reserved(LANES + 1), "")]
-    ends = {"run_in": "start gore", "section": "merge signs", "bottleneck": "signs out", "run_out": "out end"}
-    edges += [(name, *pair.split(), LANES, reserved(LANES), "") for name, pair in ends.items()]
-    links = [("on_ramp", 0, "acceleration", 0)]
-    for k in range(LANES):
-        links += [("run_in", k, "acceleration", k + 1), ("acceleration", k + 1, "section", k)]
-        links += [("section", k, "bottleneck", k), ("bottleneck", k, "run_out", k)]
-
+    shape = " ".join(f"{x:.2f},{y:.3f}" for x, y in zip(ramp_x, ramp_y, strict=True))
     nodes = [f'<node id="{name}" x="{x}" y="0" type="priority"/>' for name, x in NODES_M.items()]
     nodes += [f'<node id="ramp" x="{ramp_x[0]}" y="{ramp_y[0]:.3f}"/>']
+
     common = f'speed="{SPEED_LIMIT}" width="{LANE_M}" spreadType="right"'
-    edges = [
-        f'<edge id="{name}" from="{start}" to="{end}" numLanes="{lanes}" {common} {shape}>{inner}</edge>'
-        for name, start, end, lanes, inner, shape in edges
-    ]
+    slow = f'<lane index="0" speed="{level.ramp_limit}"/>'  # SUMO counts lanes from the right
+    edges = [f'<edge id="on_ramp" from="ramp" to="gore" numLanes="1" {common} shape="{shape}">{slow}</edge>']
+    for name, (start, end) in zip(MAIN, pairwise(NODES_M), strict=True):
+        lanes, limits = (LANES + 1, slow) if name == "acceleration" else (LANES, "")
+        limits += f'<lane index="{lanes - 1}" allow="hov motorcycle" speed="{level.hov_limit}"/>'
+        limits += "".join(f'<lane index="{lanes - lane}" disallow="truck"/>' for lane in (2, 3))
+        edges.append(f'<edge id="{name}" from="{start}" to="{end}" numLanes="{lanes}" {common}>{limits}</edge>')
+
+    links = [("on_ramp", 0, "acceleration", 0)]
+    for start, end in pairwise(MAIN):
+        links += [(start, k + (start == "acceleration"), end, k + (end == "acceleration")) for k in range(LANES)]
     links = [f'<connection from="{a}" fromLane="{i}" to="{b}" toLane="{j}"/>' for a, i, b, j in links]
+
     for root, rows in (("nodes", nodes), ("edges", edges), ("connections", links)):
         write_xml(folder / f"{root}.xml", root, rows)
-    inputs = ["--node-files=nodes.xml", "--edge-files=edges.xml", "--connection-files=connections.xml"]
-    options = ["--output-file=net.xml", "--offset.disable-normalization", "--no-turnarounds", "--xml-validation=never"]
-    command = [find_tool("netconvert"), *inputs, *options]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SumoError(f"netconvert failed: {last_line(done.stderr)}")
+    options = """--node-files=nodes.xml --edge-files=edges.xml --connection-files=connections.xml --output-file=net.xml
+        --offset.disable-normalization --no-turnarounds --xml-validation=never"""
+    run_tool("netconvert", folder, options)
 
 
-def write_routes(folder: Path, vehicles: list[Vehicle]) -> None:
+def write_routes(folder: Path, vehicles: pd.DataFrame) -> None:
     """One type per vehicle. Car following is the intelligent driver model with a and b of Treiber et al. (2000), which
     lets waves grow; lateral speed is bounded by the vehicle's own, so that nobody moves crabwise."""
     rest = "acceleration section bottleneck run_out"
     rows = [f'<route id="main" edges="run_in {rest}"/>', f'<route id="ramp" edges="on_ramp {rest}"/>']
-    for number, v in enumerate(vehicles):
+    for v in vehicles.itertuples():
         ramp = v.lane > LANES
         sumo_class = "hov" if v.kind == CAR and v.lane == 1 else SUMO_CLASS[v.kind]
+        accel, sideways = (0.44, 0.1) if v.kind == TRUCK else (0.73, 0.2)
         rows.append(
-            f'<vType id="t{number}" vClass="{sumo_class}" length="{v.length_m:.4f}" width="{v.width_m:.4f}" '
-            f'minGap="2.5" carFollowModel="IDM" accel="{0.44 if v.kind == TRUCK else 0.73}" decel="1.67" '
+            f'<vType id="t{v.Index}" vClass="{sumo_class}" length="{v.length_m:.4f}" width="{v.width_m:.4f}" '
+            f'minGap="2.5" carFollowModel="IDM" accel="{accel}" decel="1.67" '
             f'tau="{v.headway_s:.3f}" speedFactor="{v.speed_factor:.3f}" speedDev="0" lcKeepRight="0" '
             f'lcSpeedGain="0.3" lcCooperative="{int(v.yields)}" lcAssertive="{4 if ramp else 2}" '
-            'lcMaxSpeedLatStanding="0.4" lcMaxSpeedLatFactor="0.2"/>'
-            f'<vehicle id="{number}" type="t{number}" route="{"ramp" if ramp else "main"}" depart="{v.depart_s:.1f}" '
+            f'lcMaxSpeedLatStanding="{sideways}" lcMaxSpeedLatFactor="{sideways}"/>'
+            f'<vehicle id="{v.Index}" type="t{v.Index}" route="{"ramp" if ramp else "main"}" depart="{v.depart_s:.1f}" '
             f'departLane="{0 if ramp else LANES - v.lane}" departSpeed="avg"/>'
         )
     write_xml(folder / "routes.xml", "routes", rows)
@@ -238,39 +222,38 @@ def simulate(folder: Path, seed: int, begin_s: float, end_s: float, period_s: fl
         --time-to-teleport=-1 --collision.action=warn --step-log.period=100
         --fcd-output=fcd.xml --fcd-output.attributes=x,y,speed,acceleration --fcd-output.acceleration --precision=3
         --device.fcd.begin={begin_s:.1f} --device.fcd.period={period_s:.1f}"""
-    command = [find_tool("sumo"), *options.split()]
-    with (folder / "sumo.log").open("w+", encoding="utf-8") as log:
+    run_tool("sumo", folder, options, end_s)
+
+
+def run_tool(name: str, folder: Path, options: str, end_s: float = 0.0) -> None:
+    """Run a SUMO program in `folder`, with its progress towards `end_s`, and raise with its own reason if it fails."""
+    command = [find_tool(name), *options.split()]
+    with (folder / f"{name}.log").open("w+", encoding="utf-8") as log:
         with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=log, text=True) as process:
             for line in process.stdout:  # SUMO's progress lines end in a carriage return, a line's end in text mode
                 if step := re.match(r"Step #(\d+)", line):
                     print(f"\rsimulated {step[1]} of {end_s:.0f} s", end="", file=sys.stderr, flush=True)
-        print(file=sys.stderr)
-        log.seek(0)
         if process.returncode:
-            raise SumoError(f"sumo failed: {last_line(log.read())}")
-
-
-def last_line(text: str) -> str:
-    """The last line that gives a reason; SUMO closes with "Quitting (on error)."."""
-    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("Quitting")]
-    return lines[-1] if lines else "no reason given"
+            log.seek(0)
+            reasons = [line.strip() for line in log if line.strip() and not line.startswith("Quitting")]
+            raise SumoError(f"{name} failed: {reasons[-1] if reasons else 'it gave no reason'}")
 
 
 def read_fcd(path: Path, frames: dict[int, int]) -> np.ndarray:
-    """Rows (frame, vehicle, x, y, speed, acceleration) of the fronts inside the section, SUMO's frame [m, s].
+    """Rows (frame, vehicle, x, y, speed, acceleration) of the fronts inside the section, in SUMO's frame [m, s].
 
     `frames` maps the simulation step to the frame it becomes; other steps are skipped.
     """
-    rows, frame = [], None
-    for event, element in ET.iterparse(path, events=("start", "end")):
-        if element.tag == "timestep" and event == "start":
-            frame = frames.get(round(float(element.get("time")) / STEP_S))
-        elif element.tag == "timestep":
-            element.clear()
-        elif element.tag == "vehicle" and event == "end" and frame is not None:
-            state = [float(element.get(key)) for key in ("x", "y", "speed", "acceleration")]
+    rows = []
+    for _, element in ET.iterparse(path):
+        if element.tag != "timestep":
+            continue
+        frame = frames.get(round(float(element.get("time")) / STEP_S))
+        for vehicle in element if frame is not None else ():
+            state = [float(vehicle.get(key)) for key in ("x", "y", "speed", "acceleration")]
             if 0 <= state[0] <= SECTION_M:
-                rows.append((frame, int(element.get("id")), *state))
+                rows.append((frame, int(vehicle.get("id")), *state))
+        element.clear()
     if not rows:
         raise SumoError("sumo recorded no vehicle in the section")
     return np.array(rows)
@@ -297,15 +280,13 @@ def add_neighbours(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def to_ngsim(rows: np.ndarray, vehicles: list[Vehicle]) -> pd.DataFrame:
+def to_ngsim(rows: np.ndarray, vehicles: pd.DataFrame) -> pd.DataFrame:
     """The rows of `read_fcd` as an NGSIM table, by frame and vehicle, whose ids ascend by entry into the section."""
     rows = rows[np.lexsort((-rows[:, 2], rows[:, 0]))]
     frame, number, x_m, y_m, speed, acceleration = rows.T
-    drivers = [vehicles[int(k)] for k in number]
-    habit = np.array([(v.offset_m, v.weave_length_m, v.weave_phase, v.length_m, v.width_m, v.kind) for v in drivers])
-    offset_m, weave_length_m, weave_phase, length_m, width_m, kind = habit.T
-    y_m = y_m + offset_m + WEAVE_M * np.sin(2 * math.pi * x_m / weave_length_m + weave_phase)
-    local_x, local_y = -y_m / FOOT_M, x_m / FOOT_M
+    driver = vehicles.loc[number].reset_index(drop=True)
+    y_m = y_m + driver.offset_m + WEAVE_M * np.sin(2 * math.pi * x_m / driver.weave_length_m + driver.weave_phase)
+    local_x, local_y = -y_m / FOOT_M, pd.Series(x_m / FOOT_M)
     table = pd.DataFrame(
         {
             "Vehicle_ID": pd.factorize(number)[0] + 1,
@@ -316,9 +297,9 @@ def to_ngsim(rows: np.ndarray, vehicles: list[Vehicle]) -> pd.DataFrame:
             "Local_Y": local_y.round(2),
             "Global_X": (GLOBAL_ORIGIN_FT[0] + local_x * math.cos(BEARING) + local_y * math.sin(BEARING)).round(2),
             "Global_Y": (GLOBAL_ORIGIN_FT[1] - local_x * math.sin(BEARING) + local_y * math.cos(BEARING)).round(2),
-            "v_Length": (length_m / FOOT_M).round(1),
-            "v_Width": (width_m / FOOT_M).round(1),
-            "v_Class": kind.astype(int),
+            "v_Length": (driver.length_m / FOOT_M).round(1),
+            "v_Width": (driver.width_m / FOOT_M).round(1),
+            "v_Class": driver.kind,
             "v_Vel": (speed / FOOT_M).round(2),
             "v_Acc": (acceleration / FOOT_M).round(2),
             "Lane_ID": lane_of(local_x, local_y),
@@ -330,15 +311,21 @@ def to_ngsim(rows: np.ndarray, vehicles: list[Vehicle]) -> pd.DataFrame:
 
 
 def write_csv(table: pd.DataFrame, path: Path) -> None:
-    """Write the table whole or not at all; gzip carries no time stamp, so that equal tables give equal files."""
+    """Write the table whole or not at all; gzip carries no name or time, so that equal tables give equal files."""
     data = table.to_csv(index=False, lineterminator="\n").encode()
+    if path.suffix == ".gz":
+        packed = io.BytesIO()
+        with gzip.GzipFile(filename="", fileobj=packed, mode="wb", mtime=0) as file:
+            file.write(data)
+        data = packed.getvalue()
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        temporary.write_bytes(gzip.compress(data, mtime=0) if path.suffix == ".gz" else data)
+        temporary.write_bytes(data)
         temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def whole_steps(value_s: float, option: str) -> int:
@@ -389,10 +376,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"make_traffic: {error}", file=sys.stderr)
         return 2 if isinstance(error, BlenderLidarError) else 1
     count, speed = table.groupby("Frame_ID").size(), table["v_Vel"].mean() * FOOT_M
-    summary = (
-        f"{count.size} frames, {count.mean():.0f} vehicles a frame ({count.min()} to {count.max()}), {speed:.1f} m/s"
-    )
-    print(f"{args.out}: {summary}, {args.out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)
+    per_frame = f"{count.mean():.0f} vehicles a frame ({count.min()} to {count.max()})"
+    size_mb = args.out.stat().st_size / 1e6
+    print(f"\n{args.out}: {count.size} frames, {per_frame}, {speed:.1f} m/s, {size_mb:.2f} MB", file=sys.stderr)
     return 0
 
 

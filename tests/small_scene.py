@@ -1,26 +1,34 @@
-"""A scene so small that a whole run takes a second: a handful of vehicles driving past on two lanes."""
+"""A scene so small that a whole run takes a second: a handful of vehicles driving past on two lanes.
+
+Only the height is searched, which saves the map of heights and tilts; `MAPPED` has it.
+"""
 
 from __future__ import annotations
 
 import csv
+import sys
 from pathlib import Path
 
 import numpy as np
 
+from blender_lidar.casting import is_available
+from blender_lidar.cli import main
 from blender_lidar.toml_table import to_toml
 
 HEADER = ("frame", "vehicle_id", "class", "x_m", "y_m", "length_m", "width_m", "height_m", "heading_deg", "time_s")
 FRAME_STEP_S = 2.0
 GATE_M = 20.0
+CASTER = "embree" if is_available("embree") else "exact"
 
 SETTINGS: dict[str, dict[str, object]] = {
     "traffic": {"path": "traffic.csv", "frames": 6, "holdout": 0.4},
     "road": {"setback_m": 2.0, "lanes": 2, "lane_width_m": 3.5},
     "sensor": {"name": "RS-16", "rotation_hz": 20.0, "range_gate_m": GATE_M},
-    "deployment": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0]},
+    "deployment": {"height_m": [2.0, 4.5], "tilt_x_deg": 15.0},
     "search": {"particles": 4, "iterations": 3, "seed": 1},
-    "model": {"caster": "exact", "workers": 1},
+    "model": {"caster": CASTER, "workers": 1},
 }
+MAPPED: dict[str, dict[str, object]] = {"deployment": {"tilt_x_deg": [0.0, 25.0]}}
 
 
 def traffic_rows(frames: int = 60, vehicles: int = 40, seed: int = 1) -> list[list[object]]:
@@ -63,3 +71,21 @@ def write_scene(folder: Path, changes: dict[str, dict[str, object]] | None = Non
     path = folder / "scene.toml"
     path.write_text(to_toml(tables), encoding="utf-8")
     return path
+
+
+def without_charts(monkeypatch) -> None:
+    """Let matplotlib look as if it were not installed: charts take longer than the runs."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+
+
+def cli(capsys, *words: object) -> tuple[int, str, str]:
+    """Run the command line in this process: exit code, stdout, stderr."""
+    capsys.readouterr()
+    code = main([str(word) for word in words])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def without_times(result: dict) -> dict:
+    """A result but for what may differ between two runs that ought to agree."""
+    return {key: value for key, value in result.items() if key not in ("seconds", "versions")}

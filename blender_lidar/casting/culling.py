@@ -24,7 +24,7 @@ PIECE_LENGTH_M = 1.8
 _PIECES_AT_A_TIME = (
     2048  # pieces whose bounds are found together: enough to amortise NumPy's calls, few enough for the cache
 )
-_MARGIN_RAD = 1e-9  # above float64 rounding of the bounds, below anything a beam could notice
+_MARGIN_RAD = 1e-5  # a float32 caster may let a beam touch what it passes by this closely; far below any beam spacing
 
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])  # 0 the lower bound, 1 the upper
 _EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1])

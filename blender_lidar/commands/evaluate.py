@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from ..errors import InputError
-from ..results import RunFolder
 from ..study.keep_clear import check_mount_is_clear
 from ..study.run import evaluate_site
 from ..study.site import prepare
-from .options import SEARCH_OPTIONS, add_pose, add_scene, default_folder, mounting_from, scenario_from
-from .optimise import report, say
+from .optimise import folder_from, report, say
+from .options import SEARCH_OPTIONS, add_pose, add_scene, mounting_from, scenario_from
 from .report import describe_site
 
 
@@ -34,11 +32,10 @@ def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
+    folder = folder_from(args, scenario)
     site = prepare(scenario)
     check_mount_is_clear(scenario, [frame.vehicles for frame in (*site.search, *site.holdout)], {"--x, --y": mount})
-    folder = RunFolder(args.out if args.out is not None else default_folder(scenario))
-    if folder.holds_run():
-        raise InputError(f"--out: {folder.path}: holds a run already; give another folder")
     with folder.locked():
-        say(args, describe_site(site) + "\n")
+        folder.check()  # again: another run may have come first
+        say(args, describe_site(site, searched=False) + "\n")
         return report(args, site, evaluate_site(site, folder, mount), folder)

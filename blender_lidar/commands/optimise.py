@@ -7,14 +7,12 @@ import json
 import sys
 
 from ..errors import InputError, MissingExtraError
-from ..optimise import Search
-from ..results import RunFolder, run_identity
+from ..results import VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity
 from ..scenario import Scenario
 from ..study.run import Outcome, optimise_site
-from ..study.score_map import AXES, POINTS
 from ..study.site import Site, prepare
 from .options import add_scene, default_folder, scenario_from
-from .progress import Progress
+from .progress import RunProgress
 from .report import comparison, describe_site, files
 
 
@@ -23,7 +21,8 @@ def add_parser(subparsers) -> None:
     parser = subparsers.add_parser(
         "optimise",
         help="find the best mounting for a scene",
-        description="Find the mounting with the highest objective, judge it on held-out traffic and leave a folder of results.",
+        description="Find the mounting with the highest objective, judge it on held-out traffic and leave a folder of "
+        "results.",
     )
     add_scene(parser)
     parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
@@ -36,27 +35,37 @@ def add_parser(subparsers) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
+    if args.resume and args.out is None:
+        raise InputError("--resume: needs --out DIR, the folder of the run that was stopped")
     scenario = scenario_from(args)
     if not scenario.deployment.bounds:
         raise InputError(
             f"{args.scene}: [deployment] fixes every coordinate; give at least one a pair [low, high], or use evaluate"
         )
-    folder = _folder(args, scenario)
+    folder = folder_from(args, scenario)
+    site = prepare(scenario)
     with folder.locked():
-        site = prepare(scenario)
+        folder.check(resume=args.resume)  # again: another run may have come first
         say(args, describe_site(site) + "\n")
-        if args.resume:
-            done = folder.read_result(run_identity(scenario, site.observation.caster))
-            if done is not None:
-                say(args, f"{folder.path}: this run has ended already.")
-                return _print_json(args, done)
+        done = folder.read_result(run_identity(scenario, site.observation.caster)) if args.resume else None
+        if done is not None:
+            return report(args, site, _stored_outcome(folder, done), folder)
+        if args.resume and not folder.holds_run():
+            say(args, f"{folder.path}: nothing is stored there to go on with; the search starts from its beginning.\n")
         try:
-            with _TerminalListener(scenario) as listener:
+            with RunProgress(scenario.deployment.variables) as listener:
                 outcome = optimise_site(site, folder, listener, resume=args.resume)
         except KeyboardInterrupt:
-            print(f"\nstopped; go on with: --out {folder.path} --resume", file=sys.stderr)
+            print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
             return 1
         return report(args, site, outcome, folder)
+
+
+def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
+    """The folder that the results go to, not yet made; a place that cannot be used is refused early."""
+    folder = RunFolder(args.out if args.out is not None else default_folder(scenario))
+    folder.check(resume=getattr(args, "resume", False))
+    return folder
 
 
 def report(args: argparse.Namespace, site: Site, outcome: Outcome, folder: RunFolder) -> int:
@@ -67,18 +76,11 @@ def report(args: argparse.Namespace, site: Site, outcome: Outcome, folder: RunFo
 
         charts = draw_charts(site, outcome, folder)
     except MissingExtraError as error:
-        print(f"no charts: {error}", file=sys.stderr)
+        print(f"blender-lidar: note: no charts: {error}", file=sys.stderr)
     say(args, comparison(site, outcome) + "\n\n" + files(folder, charts))
-    return _print_json(args, outcome.result)
-
-
-def _folder(args, scenario: Scenario) -> RunFolder:
-    if args.resume and args.out is None:
-        raise InputError("--resume: needs --out DIR, the folder of the run that was stopped")
-    folder = RunFolder(args.out if args.out is not None else default_folder(scenario))
-    if folder.holds_run() and not args.resume:
-        raise InputError(f"--out: {folder.path}: holds a run already; go on with --resume, or give another folder")
-    return folder
+    if args.json:
+        print(json.dumps(outcome.result, indent=2))
+    return 0
 
 
 def say(args: argparse.Namespace, text: str) -> None:
@@ -86,50 +88,14 @@ def say(args: argparse.Namespace, text: str) -> None:
     print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
 
 
-def _print_json(args, result) -> int:
-    if args.json:
-        print(json.dumps(result, indent=2))
-    return 0
-
-
-class _TerminalListener:
-    """Shows how a run comes along: a bar for the search, one for the map."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        self._deployment = scenario.deployment
-        self._bar: Progress | None = None
-        self._search: Search | None = None
-        self._mapping = False
-
-    def __enter__(self) -> _TerminalListener:
-        return self
-
-    def __exit__(self, *exception) -> None:
-        self._close()
-
-    def searching(self, search: Search) -> None:
-        if self._search is None:
-            self._bar, self._search, self._done = (
-                Progress(search.budget, "search", search.evaluations),
-                search,
-                search.evaluations,
-            )
-            return
-        self._bar.advance(search.evaluations - self._done, self._best(search))
-        self._done = search.evaluations
-
-    def mapping(self, points: int) -> None:
-        if not self._mapping:
-            self._close()
-            self._bar, self._mapping = Progress(POINTS[0] * POINTS[1], f"map of {' and '.join(AXES)}"), True
-        self._bar.advance(points)
-
-    def _best(self, search):
-        mount = ", ".join(
-            f"{key} {value:.2f}" for key, value in zip(self._deployment.variables, search.best_x, strict=True)
-        )
-        return f"best {search.best_value:.1f} bits at {mount}"
-
-    def _close(self):
-        if self._bar is not None:
-            self._bar.close()
+def _stored_outcome(folder: RunFolder, result: dict) -> Outcome:
+    """What a run that has ended came to, from its folder."""
+    if result.get("search") is None:
+        raise InputError(f"--resume: {folder.path}: holds one mounting's evaluation, not a search; give another --out")
+    return Outcome(
+        result=result,
+        optimised=folder.read_vehicles(VEHICLES),
+        baseline=folder.read_vehicles(VEHICLES_BASELINE),
+        score_map=folder.read_score_map(),
+        history=folder.read_history(),
+    )

@@ -9,7 +9,7 @@ from pathlib import Path
 from ..casting import CASTERS
 from ..errors import InputError
 from ..optimise import READINGS, SEARCHES
-from ..scenario import COORDINATES, METRICS, Scenario, load_scenario
+from ..scenario import COORDINATE_LIMITS, COORDINATES, METRICS, Scenario, load_scenario
 from ..world.shapes import DETAILS
 
 _MOST_FRAMES = 1_000_000
@@ -37,8 +37,20 @@ _SETTINGS = (
         "iterations of DE-PSO; grid and random get particles x iterations",
     ),
 )
+_POSE_HELP = {
+    "x_m": "along the road, in the direction of travel",
+    "y_m": "across the road, to the left",
+    "height_m": "above the road",
+    "tilt_x_deg": "across the road, positive looks down towards +y",
+    "tilt_y_deg": "along the road, positive raises the side ahead",
+    "yaw_deg": "counter-clockwise seen from above",
+}
 SEARCH_OPTIONS = ("--search", "--particles", "--iterations")
-_POSE_OPTIONS = tuple(f"--{key.removesuffix('_m').removesuffix('_deg').replace('_', '-')}" for key in COORDINATES)
+
+
+def option_name(key: str) -> str:
+    """The option that gives a coordinate: ``--tilt-x`` for ``tilt_x_deg``."""
+    return f"--{key.removesuffix('_m').removesuffix('_deg').replace('_', '-')}"
 
 
 def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
@@ -59,8 +71,14 @@ def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = (
 def add_pose(parser: argparse.ArgumentParser) -> None:
     """The six coordinates of one mounting."""
     group = parser.add_argument_group("mounting", "metres and degrees; what is left out is the scene's baseline")
-    for option, key in zip(_POSE_OPTIONS, COORDINATES, strict=True):
-        group.add_argument(option, type=float, metavar=key.rsplit("_", 1)[1].upper(), dest=f"pose_{key}")
+    for key in COORDINATES:
+        group.add_argument(
+            option_name(key),
+            type=float,
+            metavar=key.rsplit("_", 1)[1].upper(),
+            dest=f"pose_{key}",
+            help=_POSE_HELP[key],
+        )
 
 
 def scenario_from(args: argparse.Namespace) -> Scenario:
@@ -78,13 +96,12 @@ def scenario_from(args: argparse.Namespace) -> Scenario:
 def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, float]:
     """The mounting that the options name, in metres and degrees."""
     mount = dict(scenario.baseline)
-    for option, key in zip(_POSE_OPTIONS, COORDINATES, strict=True):
+    for key, (low, high) in COORDINATE_LIMITS.items():
         value = getattr(args, f"pose_{key}")
         if value is None:
             continue
-        if not abs(value) < 1e6 or (key == "height_m" and not value > 0):
-            allowed = "more than 0" if key == "height_m" else "a number"
-            raise InputError(f"{option}: is {value:g}; allowed: {allowed}")
+        if not low <= value <= high:
+            raise InputError(f"{option_name(key)}: is {value}; allowed: {low:g} to {high:g}")
         mount[key] = value
     return mount
 
@@ -92,7 +109,7 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, flo
 def checked_number(value: float, option: str, *, low: float) -> float:
     """`value`, if it is finite and at least `low`."""
     if not low <= value < math.inf:
-        raise InputError(f"{option}: is {value:g}; allowed: at least {low:g}")
+        raise InputError(f"{option}: is {value}; allowed: at least {low:g}")
     return value
 
 

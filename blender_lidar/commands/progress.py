@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+
+from ..optimise import Search
+from ..study.score_map import POINTS
+from .options import option_name
 
 
 class Progress:
     """Counts up to `total`; `close` it at the end.
 
-    On a terminal it is tqdm's bar where tqdm is installed; without a terminal, or without tqdm, it is one line each tenth of the
-    way.
+    On a terminal it is tqdm's bar where tqdm is installed; without a terminal, or without tqdm, it is one line each
+    tenth of the way.
     """
 
     def __init__(self, total: int, what: str, done: int = 0) -> None:
         self._total, self._what, self._done = total, what, done
         self._bar = _terminal_bar(total, what, done)
+        if done and self._bar is None:
+            self._print("done before")
 
     def close(self) -> None:
         """Leave the terminal as it should be."""
@@ -28,7 +35,51 @@ class Progress:
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(steps)
         elif 10 * self._done // self._total > 10 * before // self._total:
-            print(f"{self._what}: {self._done} of {self._total} {note}".rstrip(), file=sys.stderr, flush=True)
+            self._print(note)
+
+    def _print(self, note):
+        print(f"{self._what}: {self._done} of {self._total} {note}".rstrip(), file=sys.stderr, flush=True)
+
+
+class RunProgress:
+    """Shows how a run comes along, first the search, then the map; a `study.run.Listener` and a context manager.
+
+    Parameters
+    ----------
+    variables : sequence of str
+        Names of the searched coordinates.
+    """
+
+    def __init__(self, variables: Sequence[str]) -> None:
+        self._names = [option_name(key).removeprefix("--") for key in variables]
+        self._search: Progress | None = None
+        self._map: Progress | None = None
+        self._evaluations = 0
+
+    def __enter__(self) -> RunProgress:
+        return self
+
+    def __exit__(self, *exception) -> None:
+        for progress in (self._search, self._map):
+            if progress is not None:
+                progress.close()
+
+    def searching(self, search: Search) -> None:
+        if self._search is None:
+            self._search = Progress(search.budget, "search", search.evaluations)
+        else:
+            self._search.advance(search.evaluations - self._evaluations, self._best(search))
+        self._evaluations = search.evaluations
+
+    def mapping(self, points: int) -> None:
+        if self._map is None:
+            self._search.close()
+            self._map = Progress(POINTS[0] * POINTS[1], "map of heights and tilts")
+        self._map.advance(points)
+
+    def _best(self, search):
+        mount = ", ".join(f"{name} {value:.2f}" for name, value in zip(self._names, search.best_x, strict=True))
+        return f"best {search.best_value:.1f} bits at {mount}"
 
 
 def _terminal_bar(total, what, done):

@@ -6,25 +6,32 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..optimise import DePso
 from ..results import RunFolder
 from ..study.run import Outcome
-from ..study.run_charts import mounting_text
 from ..study.site import Site
 from ..study.verdict import distance_bands, lanes
 
-_WIDEST_NOTE = 110
+_COORDINATES = {
+    "height_m": ("height", "m"),
+    "tilt_x_deg": ("tilt across the road", "deg"),
+    "tilt_y_deg": ("tilt along the road", "deg"),
+    "yaw_deg": ("yaw", "deg"),
+    "x_m": ("x along the road", "m"),
+    "y_m": ("y across the road", "m"),
+}
+_SMALL_REGRET = 0.01  # what a search may miss before more of it is advised
+_ALWAYS_SHOWN = ("height_m", "tilt_x_deg")
+_SPLITS = ("search", "holdout")
 
 
-def describe_site(site: Site) -> str:
-    """What a run will work on, a line for each room of the house."""
-    scenario, lattice, plan = site.scenario, site.observation.lattice, site.plan
-    counted = sum(int(frame.counted.sum()) for frame in site.search)
+def describe_site(site: Site, *, searched: bool = True) -> str:
+    """What a run will work on, a line for each room of the house; `searched` is False where a mounting is given."""
+    scenario, observation, plan = site.scenario, site.observation, site.plan
+    lattice = observation.lattice
+    sensor = f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz"
     lines = [
-        (
-            "Sensor",
-            f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz, range gate "
-            f"{site.observation.max_range_m:g} m",
-        ),
+        ("Sensor", f"{sensor}, range gate {observation.max_range_m:g} m"),
         (
             "Traffic",
             f"{scenario.traffic.path}: {len(site.recording.frames)} frames, "
@@ -32,30 +39,33 @@ def describe_site(site: Site) -> str:
         ),
         *(("", line) for line in site.recording.report.lines()),
         (
-            "Searched",
-            f"{len(site.search)} frames, {counted} vehicles within the gate, in {_blocks(plan.search_block)} of {plan.block_s:g} s",
+            "Searched" if searched else "Scored",
+            f"{_frames(site.search, plan.search_block)} of {plan.block_s:g} s; a vehicle counts in every frame",
         ),
         ("Held out", _held_out(site)),
         *(("", note) for note in plan.notes),
         (
             "Casting",
-            f"{site.observation.caster}, detail {site.observation.detail}, {site.workers} worker{'s' * (site.workers != 1)}",
+            f"{observation.caster}, detail {observation.detail}, {site.workers} worker{'s' * (site.workers != 1)}",
         ),
-        ("Searching", _search_text(scenario)),
     ]
+    if searched:
+        lines.append(("Searching", _search_text(scenario)))
     return "\n".join(f"{name:<10} {text}" for name, text in lines)
 
 
 def comparison(site: Site, outcome: Outcome) -> str:
     """The mounting and the baseline side by side: scores, then detectable shares by distance and by lane."""
     result, base = outcome.result, outcome.result["baseline"]
+    searched = result["search"] is not None
     rows = [
-        ("Mounting", "baseline", "optimised" if result["search"] else "given"),
+        ("Mounting", "baseline", "optimised" if searched else "given"),
         *(
-            (name, f"{base['deployment'][key]:.2f}", f"{result['deployment'][key]:.2f}")
-            for name, key in _coordinates(result)
+            (f"  {name} [{unit}]", f"{base['deployment'][key]:.2f}", f"{result['deployment'][key]:.2f}")
+            for key, (name, unit) in _COORDINATES.items()
+            if key in _ALWAYS_SHOWN or result["deployment"][key] or base["deployment"][key]
         ),
-        ("Searched frames", "", ""),
+        ("Searched frames" if searched else "Scored frames", "", ""),
         ("  objective [bits]", f"{base['objective']:.1f}", f"{result['objective']:.1f}"),
         *_score_rows(base, result),
     ]
@@ -65,33 +75,17 @@ def comparison(site: Site, outcome: Outcome) -> str:
         if result["holdout"]["interval_90"]:
             low, high = result["holdout"]["interval_90"]
             rows.append((f"  90 % interval, {result['holdout']['blocks']} blocks", "", f"{low:+.4f} to {high:+.4f}"))
-    text = _table(rows)
-    for title, groups in (("Distance", distance_bands), ("Lane", lanes)):
-        text += "\n\n" + _table(_group_rows(title, groups, outcome))
-    return text + "".join(f"\n{line}" for line in _map_lines(result))
+    tables = [_table(rows), _table(_group_rows("distance", distance_bands, outcome))]
+    if outcome.baseline["lane"].any():
+        tables.append(_table(_group_rows("lane", lanes, outcome)))
+    notes = _notes(result)
+    return "\n\n".join([*tables, *(["\n".join(notes)] if notes else [])])
 
 
 def files(folder: RunFolder, charts: Sequence[str]) -> str:
     """Where the results are."""
-    return (
-        f"Results in {folder.path}: result.json, vehicles.csv, installation.txt and {len(charts)} charts"
-        if charts
-        else (f"Results in {folder.path}: result.json, vehicles.csv, installation.txt")
-    )
-
-
-def _coordinates(result):
-    names = {
-        "height_m": "  height [m]",
-        "tilt_x_deg": "  tilt across the road [deg]",
-        "tilt_y_deg": "  tilt along the road [deg]",
-        "yaw_deg": "  yaw [deg]",
-        "x_m": "  x along the road [m]",
-        "y_m": "  y across the road [m]",
-    }
-    both = (result["deployment"], result["baseline"]["deployment"])
-    always = ("height_m", "tilt_x_deg")
-    return [(name, key) for key, name in names.items() if key in always or any(mount[key] for mount in both)]
+    drawn = f" and {len(charts)} charts" if charts else ""
+    return f"Results in {folder.path}: result.json, vehicles.csv, installation.txt{drawn}"
 
 
 def _score_rows(base, found):
@@ -107,19 +101,18 @@ def _score_rows(base, found):
 
 def _group_rows(title, groups, outcome):
     """Detectable share of each group, on the searched and the held-out frames, before and after."""
-    splits = [split for split in ("search", "holdout") if (outcome.optimised["split"] == split).any()]
-    names = {"search": "searched", "holdout": "held out"}
+    searched = outcome.result["search"] is not None
+    tables = {"baseline": outcome.baseline, "optimised" if searched else "given": outcome.optimised}
+    names = {"search": "searched" if searched else "scored", "holdout": "held out"}
+    splits = [split for split in _SPLITS if (outcome.optimised["split"] == split).any()]
     rows = [
-        (
-            f"{title}: detectable [%]",
-            *(f"{names[split]} {which}" for split in splits for which in ("before", "after")),
-            "vehicles",
-        )
+        ("Detectable [%]", *(cell for split in splits for cell in (names[split], "")), ""),
+        (f"by {title}", *(name for _ in splits for name in tables), "vehicles"),
     ]
     for name, chosen in groups(outcome.baseline):
         shares = []
         for split in splits:
-            for table in (outcome.baseline, outcome.optimised):
+            for table in tables.values():
                 mine = chosen & (table["split"] == split)
                 shares.append(f"{100 * table['detectable'][mine].mean():.1f}" if mine.any() else "-")
         if chosen.any():
@@ -127,25 +120,41 @@ def _group_rows(title, groups, outcome):
     return rows
 
 
-def _map_lines(result):
-    if not result["map"]:
+def _notes(result):
+    """What the search and the map say about how far to trust the optimum."""
+    if result["search"] is None:
         return []
-    lines = [""]
-    regret = result["map"]["search_regret"]
-    if regret is not None:
-        lines.append(
-            f"Against the {result['map']['points'][0]} x {result['map']['points'][1]} grid the search falls short by {100 * regret:.2f} % of the gain."
-        )
-    lines.append(
-        f"{100 * result['map']['share_within_1_percent']:.1f} % of the heights and tilts lie within 1 % of the gain."
-    )
-    intervals = result["map"]["optimum_interval_90"]
+    notes = []
+    if result["objective"] <= result["baseline"]["objective"]:
+        notes.append("No mounting that was tried is better than the baseline.")
+    if result["map"]:
+        notes += _map_notes(result["map"])
+    return notes
+
+
+def _map_notes(score_map):
+    grid = f"a grid of {score_map['points'][0]} x {score_map['points'][1]} heights and tilts"
+    regret, best = score_map["search_regret"], score_map["best"]
+    notes = []
+    if regret == 0:
+        notes.append(f"No point of {grid} is better than the mounting found.")
+    elif regret is not None and regret < _SMALL_REGRET:
+        notes.append(f"The search found all but {100 * regret:.2f} % of the gain that {grid} offers.")
+    elif regret is not None:
+        notes += [
+            f"The search missed {100 * regret:.1f} % of the gain that {grid} offers, at",
+            f"{best['height_m']:.2f} m and {best['tilt_x_deg']:.1f} deg: give it more --particles or --iterations.",
+        ]
+    share = 100 * score_map["share_within_1_percent"]
+    notes.append(f"{share:.1f} % of those heights and tilts do as well, to within 1 % of the gain.")
+    intervals = score_map["optimum_interval_90"]
     if intervals:
-        lines.append(
-            "Other traffic of this kind would put the optimum at {height_m[0]:.1f} to {height_m[1]:.1f} m and {tilt_x_deg[0]:.0f} to "
-            "{tilt_x_deg[1]:.0f} deg (90 % of resampled blocks).".format(**intervals)
-        )
-    return lines
+        height, tilt = intervals["height_m"], intervals["tilt_x_deg"]
+        notes += [
+            f"Other traffic of this kind would put the best height between {height[0]:.1f} and {height[1]:.1f} m and",
+            f"the best tilt between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time).",
+        ]
+    return notes
 
 
 def _table(rows):
@@ -159,24 +168,30 @@ def _table(rows):
     )
 
 
-def _blocks(block):
-    number = len(np.unique(block))
-    return f"{number} block{'s' * (number != 1)}"
+def _frames(frames, block):
+    """How many frames and vehicles, and in how many blocks of time."""
+    number, counted = len(np.unique(block)), sum(int(frame.counted.sum()) for frame in frames)
+    return f"{len(frames)} frames, {counted} vehicles within the gate, in {number} block{'s' * (number != 1)}"
 
 
 def _held_out(site):
     if not len(site.holdout):
         return "nothing"
-    counted = sum(int(frame.counted.sum()) for frame in site.holdout)
-    return f"{len(site.holdout)} frames, {counted} vehicles that no searched frame shows, in {_blocks(site.plan.holdout_block)}"
+    return f"{_frames(site.holdout, site.plan.holdout_block)}; none of them is in a searched frame"
 
 
 def _search_text(scenario):
-    settings = scenario.search
-    bounds = ", ".join(f"{key} {low:g} to {high:g}" for key, (low, high) in scenario.deployment.bounds.items())
+    settings, bounds = scenario.search, scenario.deployment.bounds
+    ranges = (
+        f"{name} {bounds[key][0]:g} to {bounds[key][1]:g} {unit}"
+        for key, (name, unit) in _COORDINATES.items()
+        if key in bounds
+    )
     budget = (
         f"{settings.particles} particles x {settings.iterations} iterations"
-        if settings.method == "de-pso"
-        else (f"{settings.particles * settings.iterations} evaluations")
+        if settings.method == DePso.name
+        else f"{settings.particles * settings.iterations} evaluations"
     )
-    return f"{bounds or 'nothing'}; {settings.method}, {budget}, seed {settings.seed}, {scenario.objective.reading} reading"
+    return (
+        f"{', '.join(ranges)}; {settings.method}, {budget}, seed {settings.seed}, {scenario.objective.reading} reading"
+    )

@@ -68,9 +68,9 @@ def run(args: argparse.Namespace) -> int:
         "versions": versions(caster),
     }
     write_cloud(out, cloud, header)
-    on_vehicles = cloud.vehicle_id >= 0
+    of_vehicle = cloud.vehicle_id[cloud.vehicle_id >= 0]
     print(
-        f"{out}: {len(cloud)} points, {on_vehicles.sum()} of them on {len(np.unique(cloud.vehicle_id[on_vehicles]))} of "
-        f"{len(vehicles)} vehicles ({model.name}, {caster})"
+        f"{out}: {len(cloud)} points, {len(of_vehicle)} of them on {len(np.unique(of_vehicle))} of {len(vehicles)} "
+        f"vehicles ({model.name}, {caster})"
     )
     return 0

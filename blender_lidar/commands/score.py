@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import warnings
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from ..optimise import VIEWS, detectable
 from ..traffic import read_table
 from ..traffic.vehicles import Vehicles
 from .options import checked_number
+
+_SLACK_M = 0.002  # points lie on a box's very faces, and boxes are given to the millimetre
 
 
 def add_parser(subparsers) -> None:
@@ -90,7 +93,8 @@ def _boxes(args) -> Vehicles:
         return recording.vehicles(args.frame)
     if len(recording.frames) > 1:
         raise InputError(
-            f"{args.boxes}: holds {len(recording.frames)} frames, {recording.frames[0]} to {recording.frames[-1]}; name one with --frame"
+            f"{args.boxes}: holds {len(recording.frames)} frames, {recording.frames[0]} to {recording.frames[-1]}; "
+            "name one with --frame"
         )
     return recording.vehicles(int(recording.frames[0]))
 
@@ -98,22 +102,25 @@ def _boxes(args) -> Vehicles:
 def _assigned(args, points, vehicle_id, vehicles, clearance):
     """Row of the box of each point."""
     if args.assign == "box":
-        return points_in_boxes(points, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, clearance)
+        size_m = vehicles.size_m + 2 * _SLACK_M
+        return points_in_boxes(points, vehicles.centre_m, size_m, vehicles.heading_rad, clearance + _SLACK_M)
     if vehicle_id is None:
         raise InputError(f"--points: {args.points}: does not say which vehicle a point belongs to; use --assign box")
     order = np.argsort(vehicles.vehicle_id)
     at = np.clip(np.searchsorted(vehicles.vehicle_id, vehicle_id, sorter=order), 0, len(order) - 1)
-    return np.where(vehicles.vehicle_id[order[at]] == vehicle_id, order[at], NO_BOX)
+    row = np.where(vehicles.vehicle_id[order[at]] == vehicle_id, order[at], NO_BOX)
+    if (row == NO_BOX).all() and (vehicle_id >= 0).any():
+        text = f"{args.points}: none of its vehicles is among the boxes of frame {vehicles.frame} in {args.boxes}"
+        warnings.warn(text, stacklevel=2)
+    return row
 
 
 def _print(args, table, points):
     mean = float(table["entropy_bits"].mean())
     share = float(table["detectable"].mean())
+    columns = (column.tolist() for column in table.values())
+    rows = [dict(zip(table, values, strict=True)) for values in zip(*columns, strict=True)]
     if args.json:
-        rows = [
-            dict(zip(table, values, strict=True))
-            for values in zip(*(column.tolist() for column in table.values()), strict=True)
-        ]
         print(
             json.dumps(
                 {"points": points, "entropy_bits_per_vehicle": mean, "detectable_share": share, "vehicles": rows},
@@ -122,16 +129,13 @@ def _print(args, table, points):
         )
         return
     print("vehicle  class       points   p_top  p_side p_front  entropy  detectable")
-    for number, name, count, top, side, front, bits, found in zip(
-        *(
-            table[key].tolist()
-            for key in ("vehicle_id", "class", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable")
-        ),
-        strict=True,
-    ):
+    for row in rows:
         print(
-            f"{number:<8} {name:<10} {count:>7} {top:7.4f} {side:7.4f} {front:7.4f} {bits:8.4f}  {'yes' if found else 'no'}"
+            "{vehicle_id:<8} {class:<10} {points:>7} {p_top:7.4f} {p_side:7.4f} {p_front:7.4f} "
+            "{entropy_bits:8.4f}  {noticed}".format(**row, noticed="yes" if row["detectable"] else "no")
         )
+    number = len(rows)
     print(
-        f"{len(table['vehicle_id'])} vehicles, {points} points: {mean:.4f} bits per vehicle, {100 * share:.1f} % detectable"
+        f"{number} vehicle{'s' * (number != 1)}, {points} points: {mean:.4f} bits per vehicle, "
+        f"{100 * share:.1f} % detectable"
     )

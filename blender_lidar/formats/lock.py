@@ -1,0 +1,61 @@
+"""A lock on a folder: one process at a time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+from ..errors import OutputError
+
+
+@contextmanager
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Keep other processes out of a folder while the block lasts; a process that is killed lets go by itself.
+
+    Raises
+    ------
+    OutputError
+        When another process is at work there, or the folder cannot be written.
+    """
+    path = folder / ".lock"
+    with _locked(path, folder):
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _locked(path: Path, folder: Path) -> IO[str]:
+    """The lock file, open and locked."""
+    while True:
+        try:
+            stream = path.open("w")
+        except OSError as error:
+            raise OutputError(f"--out: {folder}: cannot be written: {error.strerror}") from error
+        try:
+            _take(stream)
+            if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                return stream
+        except BlockingIOError as error:
+            stream.close()
+            raise OutputError(f"--out: {folder}: another run is at work there") from error
+        except FileNotFoundError:
+            pass
+        stream.close()  # a run that has just ended removed the file between our opening and locking it
+
+
+def _take(stream: IO[str]) -> None:
+    try:
+        import fcntl
+    except ImportError:  # a system without such locks
+        return
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:  # a file system without them
+        return

@@ -1,0 +1,187 @@
+"""The settings of a scene, frozen: what `scenario.load_scenario` makes of a scene file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+from .sensors.files import SUFFIXES
+from .sensors.pose import Pose
+from .traffic import RoadFrame
+
+COORDINATES = ("x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg")
+
+
+@dataclass(frozen=True, slots=True)
+class TrafficSettings:
+    """[traffic]: where the vehicles come from and which instants are looked at.
+
+    `frames` is None where `frame_ids` lists them.
+    """
+
+    path: str
+    format: str
+    period: str | None
+    location: str | None
+    origin_m: tuple[float, float] | None
+    heading_deg: float | None
+    lanes: tuple[int, ...] | None
+    frames: int | None
+    frame_ids: tuple[int, ...] | None
+    spacing_s: float | None
+    holdout: float
+    block_s: float | None
+    height_m: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorSettings:
+    """[sensor]: the model, its rate and the range within which it is asked to see.
+
+    `name` is that of a model, or the path of a user's own beam table.
+    """
+
+    name: str
+    rotation_hz: float
+    range_gate_m: float
+
+    @property
+    def is_file(self) -> bool:
+        """Whether the sensor is a user's own."""
+        return is_sensor_file(self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Deployment:
+    """[deployment]: which coordinates of the mounting are fixed, and between what bounds the others are searched.
+
+    Attributes
+    ----------
+    fixed : mapping of str to float
+        Coordinates of `COORDINATES` that stay.
+    bounds : mapping of str to (float, float)
+        The others, in the order of `COORDINATES`; metres and degrees.
+    """
+
+    fixed: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the searched coordinates."""
+        return tuple(self.bounds)
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        return tuple(low for low, _ in self.bounds.values())
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        return tuple(high for _, high in self.bounds.values())
+
+    @property
+    def nominal_xy(self) -> tuple[float, float]:
+        """Where the region of interest is centred [m]: the mount's place, or the middle of where it may be."""
+        return tuple(0.5 * sum(self.bounds[key]) if key in self.bounds else self.fixed[key] for key in ("x_m", "y_m"))
+
+    def coordinates(self, x) -> dict[str, float]:
+        """All six coordinates (metres, degrees) at the point `x` (d,) of the search space."""
+        free = dict(zip(self.variables, map(float, x), strict=True))
+        return {key: free[key] if key in free else self.fixed[key] for key in COORDINATES}
+
+    def pose(self, x) -> Pose:
+        """The mounting at the point `x` (d,) of the search space."""
+        return pose_at(self.coordinates(x))
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectiveSettings:
+    """[objective]: what is maximised."""
+
+    metric: str
+    reading: str
+    cell_m: float
+    threshold: float
+    view: str
+    loss: float
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """[search]: how the best mounting is looked for."""
+
+    method: str
+    seed: int
+    particles: int
+    iterations: int
+    inertia: float
+    differential_weight: float
+    cognitive: float
+    social: float
+    differential_threshold: float
+
+
+@dataclass(frozen=True, slots=True)
+class ModelSettings:
+    """[world] and [model]: how much of the world is modelled, and what carries it out."""
+
+    detail: str
+    caster: str
+    workers: int
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A whole scene, checked."""
+
+    source: str
+    traffic: TrafficSettings
+    road: RoadFrame
+    sensor: SensorSettings
+    deployment: Deployment
+    baseline: Mapping[str, float]
+    objective: ObjectiveSettings
+    search: SearchSettings
+    model: ModelSettings
+
+    @property
+    def baseline_pose(self) -> Pose:
+        return pose_at(self.baseline)
+
+    def as_tables(self) -> dict[str, dict]:
+        """The scene as used, in the layout of a scene file: reading it again gives this scene."""
+        traffic = asdict(self.traffic)
+        for key in ("frame_ids", "lanes", "origin_m"):
+            traffic[key] = None if traffic[key] is None else list(traffic[key])
+        deployment = {
+            key: self.deployment.fixed.get(key, list(self.deployment.bounds.get(key, ()))) for key in COORDINATES
+        }
+        return {
+            "traffic": traffic,
+            "road": asdict(self.road),
+            "world": {"detail": self.model.detail},
+            "sensor": asdict(self.sensor),
+            "deployment": deployment,
+            "baseline": dict(self.baseline),
+            "objective": asdict(self.objective),
+            "search": asdict(self.search),
+            "model": {"caster": self.model.caster, "workers": self.model.workers},
+        }
+
+
+def is_sensor_file(name: str) -> bool:
+    """Whether `name` is the path of a beam table, not the name of a model."""
+    return name.lower().endswith(SUFFIXES)
+
+
+def pose_at(coordinates: Mapping[str, float]) -> Pose:
+    """The mounting at the six coordinates of `COORDINATES`, degrees becoming radians."""
+    return Pose(
+        x_m=coordinates["x_m"],
+        y_m=coordinates["y_m"],
+        height_m=coordinates["height_m"],
+        tilt_x=math.radians(coordinates["tilt_x_deg"]),
+        tilt_y=math.radians(coordinates["tilt_y_deg"]),
+        yaw=math.radians(coordinates["yaw_deg"]),
+    )

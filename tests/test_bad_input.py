@@ -1,0 +1,450 @@
+"""Bad input, verb by verb: one line on stderr that names the place, exit code 2, and nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.small_scene import HEADER, cli, traffic_rows, without_charts, write_scene, write_table
+
+SCENE_VERBS = ("optimise", "evaluate", "scan")
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch, tmp_path):
+    without_charts(monkeypatch)
+    monkeypatch.chdir(tmp_path)  # where runs/ would be made
+
+
+def words_for(verb: str, scene: object, out: Path) -> list[object]:
+    return [verb, scene, *(["--frame", 30, "--out", out / "cloud.npz"] if verb == "scan" else ["--out", out / "run"])]
+
+
+def files(folder: Path) -> set[Path]:
+    return set(folder.rglob("*"))
+
+
+def refused(capsys, folder: Path, *words: object) -> str:
+    """The one line that a command is refused with; checks that it is one, and that nothing was left."""
+    before = files(folder)
+    code, out, err = cli(capsys, *words)
+    assert code == 2, err
+    assert out == ""
+    assert "Traceback" not in err
+    lines = err.splitlines()
+    assert len(lines) == 1, err
+    assert lines[0].startswith("blender-lidar")
+    assert files(folder) == before
+    return lines[0]
+
+
+@pytest.fixture(params=SCENE_VERBS)
+def verb(request):
+    return request.param
+
+
+# --- the scene file ---------------------------------------------------------------------------------------------------
+
+BAD_SCENES = {
+    "empty": (b"", "scene.toml: [traffic] path: is missing"),
+    "binary": (bytes(range(256)), "scene.toml: is not UTF-8 text"),
+    "no TOML": (b"[traffic\n", "scene.toml: is not TOML"),
+    "unknown key": (
+        b'[traffic]\npath = "traffic.csv"\nfram = 3\n',
+        "scene.toml: [traffic]: unknown key 'fram'; did you",
+    ),
+    "unknown table": (
+        b'[traffic]\npath = "traffic.csv"\n[rod]\n',
+        "scene.toml: unknown table 'rod'; did you mean 'road'",
+    ),
+    "NaN": (b'[traffic]\npath = "traffic.csv"\n[road]\nsetback_m = nan\n', "scene.toml: [road] setback_m: is nan"),
+    "text in a number": (b'[traffic]\npath = "traffic.csv"\n[road]\nlanes = "2"\n', "scene.toml: [road] lanes: is '2'"),
+    "upside down": (
+        b'[traffic]\npath = "traffic.csv"\n[deployment]\nheight_m = [4, 2]\n',
+        "scene.toml: [deployment] height_m: is [4.0, 2.0]",
+    ),
+    "unknown sensor": (
+        b'[traffic]\npath = "traffic.csv"\n[sensor]\nname = "RS-17"\n',
+        "scene.toml: [sensor] name: unknown sensor 'RS-17'",
+    ),
+    "unknown caster": (
+        b'[traffic]\npath = "traffic.csv"\n[model]\ncaster = "embre"\n',
+        "scene.toml: [model] caster: unknown caster 'embre'; did you mean 'embree'",
+    ),
+    "gate too far": (
+        b'[traffic]\npath = "traffic.csv"\n[sensor]\nrange_gate_m = 1e4\n',
+        "scene.toml: [sensor] range_gate_m: is 10000.0; allowed for RS-16",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_SCENES)
+def test_a_scene_file_that_cannot_be_used(tmp_path, capsys, verb, case):
+    write_scene(tmp_path)
+    content, expected = BAD_SCENES[case]
+    (tmp_path / "scene.toml").write_bytes(content)
+    assert expected in refused(capsys, tmp_path, *words_for(verb, tmp_path / "scene.toml", tmp_path))
+
+
+def test_a_scene_that_is_not_there_or_is_a_folder(tmp_path, capsys, verb):
+    assert "none.toml: there is no such file" in refused(capsys, tmp_path, *words_for(verb, "none.toml", tmp_path))
+    assert "is a folder" in refused(capsys, tmp_path, *words_for(verb, tmp_path, tmp_path))
+    assert "cannot be read" in refused(capsys, tmp_path, *words_for(verb, "x" * 300, tmp_path))
+
+
+# --- the traffic ------------------------------------------------------------------------------------------------------
+
+
+def changed(column: str, value: object, row: int = 3) -> list[list[object]]:
+    rows = traffic_rows()
+    rows[row][HEADER.index(column)] = value
+    return rows
+
+
+BAD_CELLS = {
+    "text in a number": ("x_m", "twelve"),
+    "NaN": ("x_m", "nan"),
+    "infinite": ("y_m", "inf"),
+    "negative size": ("length_m", -4.0),
+    "size of nothing": ("width_m", 0),
+    "half a frame": ("frame", 2.5),
+    "unknown class": ("class", "lorry"),
+    "nothing": ("height_m", ""),
+}
+
+
+@pytest.mark.parametrize("case", BAD_CELLS)
+def test_a_cell_that_cannot_be_used_is_named_by_line_and_column(tmp_path, capsys, verb, case):
+    column, value = BAD_CELLS[case]
+    write_table(tmp_path / "traffic.csv", changed(column, value))
+    line = refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
+    assert "traffic.csv:5: " in line  # the header is line 1
+    assert column in line
+
+
+@pytest.mark.parametrize("column", [name for name in HEADER if name != "time_s"])
+def test_a_missing_column_is_named(tmp_path, capsys, column):
+    kept = [name for name in HEADER if name != column]
+    rows = [[row[HEADER.index(name)] for name in kept] for row in traffic_rows()]
+    write_table(tmp_path / "traffic.csv", rows, tuple(kept))
+    line = refused(capsys, tmp_path, *words_for("optimise", write_scene(tmp_path), tmp_path))
+    assert f"traffic.csv:1: no column {column}" in line
+
+
+BAD_FILES = {
+    "empty": b"",
+    "blank": b"\n\n\n",
+    "header alone": ",".join(HEADER).encode() + b"\n",
+    "binary": bytes(range(256)) * 40,
+    "zip": b"PK\x03\x04" + bytes(100),
+    "damaged gzip": b"\x1f\x8b" + bytes(40),
+    "prose": b"These are not the vehicles you are looking for.\n" * 9,
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_traffic_file_that_is_none(tmp_path, capsys, verb, case):
+    (tmp_path / "traffic.csv").write_bytes(BAD_FILES[case])
+    assert "traffic.csv" in refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
+
+
+def test_a_traffic_file_that_is_not_there_or_is_a_folder(tmp_path, capsys, verb):
+    words = words_for(verb, write_scene(tmp_path), tmp_path)
+    assert "none.csv: no such file" in refused(capsys, tmp_path, *words, "--traffic", "none.csv")
+    assert f"{tmp_path}: a folder" in refused(capsys, tmp_path, *words, "--traffic", tmp_path)
+    assert "x" * 300 in refused(capsys, tmp_path, *words, "--traffic", "x" * 300)
+
+
+@pytest.mark.parametrize("verb", ["optimise", "evaluate"])
+def test_traffic_far_from_the_mount(tmp_path, capsys, verb):
+    rows = [[*row[:3], row[3] + 5000.0, *row[4:]] for row in traffic_rows()]
+    write_table(tmp_path / "traffic.csv", rows)
+    line = refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
+    assert "no vehicle within 20 m of the mount at x 0 m, y 0 m" in line
+    assert "[road] and [deployment]" in line
+
+
+def test_a_pole_in_a_lane_or_in_a_vehicle(tmp_path, capsys, verb):
+    on_the_road = write_scene(tmp_path, {"deployment": {"y_m": 4.0}})
+    line = refused(capsys, tmp_path, *words_for(verb, on_the_road, tmp_path))
+    assert "the mount at y 4 m stands on the carriageway; allowed: at most 2 or at least 9 m" in line
+    rows = [*traffic_rows(), *([frame, 999, "car", 0.0, 0.0, 4.0, 2.0, 1.5, 0.0, 2.0 * frame] for frame in range(60))]
+    write_table(tmp_path / "traffic.csv", rows)
+    line = refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
+    assert "stands inside vehicle 999 of frame " in line
+
+
+# --- options ----------------------------------------------------------------------------------------------------------
+
+BAD_OPTIONS = [
+    (["--sensor", "RS-17"], "--sensor: unknown sensor 'RS-17'; did you mean 'RS-16'?"),
+    (["--sensor", "none.csv"], "--sensor: none.csv: no such sensor file"),
+    (["--caster", "optix"], "argument --caster: invalid choice: 'optix'"),
+    (["--detail", "fine"], "argument --detail: invalid choice: 'fine'"),
+    (["--colour", "red"], "unrecognized arguments: --colour red"),
+    (["--sens", "RS-16"], "unrecognized arguments: --sens RS-16"),
+]
+BAD_RUN_OPTIONS = [
+    (["--frames", "0"], "--frames: is 0; allowed: 1 to "),
+    (["--frames", "many"], "argument --frames: invalid int value: 'many'"),
+    (["--frame-ids", "999"], "no frame 999"),
+    (["--frame-ids", "9,x"], "--frame-ids: 'x'; allowed: frame numbers such as 100,150 or 100:160:5"),
+    (["--frame-ids", "1:2:3:4"], "--frame-ids: '1:2:3:4'; allowed:"),
+    (["--frame-ids", "9:1"], "--frame-ids: '9:1'; allowed: a range"),
+    (["--frame-ids", "1:9:0"], "--frame-ids: '1:9:0'; allowed: a range"),
+    (["--frame-ids", "0:99999999"], "--frame-ids: '0:99999999'; allowed: a range"),
+    (["--frame-ids", "99999999999999999999"], "--frame-ids: is 99999999999999999999; allowed:"),
+    (["--frame-ids", "9", "--frames", "3"], "--frame-ids: lists the frames that --frames spreads evenly"),
+    (["--metric", "points"], "argument --metric: invalid choice"),
+    (["--reading", "literal"], "argument --reading: invalid choice"),
+    (["--seed", "-1"], "--seed: is -1; allowed: 0 to "),
+    (["--workers", "-1"], "--workers: is -1; allowed: 0 to 256"),
+]
+BAD_SEARCH_OPTIONS = [
+    (["--particles", "2"], "--particles: is 2; allowed: 3 to 10000"),
+    (["--iterations", "0"], "--iterations: is 0; allowed: 1 to "),
+    (["--search", "bayes"], "argument --search: invalid choice: 'bayes'"),
+    (["--resume", "--out", "run", "extra"], "unrecognized arguments: extra"),
+]
+
+
+@pytest.mark.parametrize(("words", "expected"), BAD_OPTIONS, ids=lambda value: " ".join(value)[:40])
+def test_options_that_cannot_be_used(tmp_path, capsys, verb, words, expected):
+    assert expected in refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path), *words)
+
+
+@pytest.mark.parametrize("verb", ["optimise", "evaluate"])
+@pytest.mark.parametrize(("words", "expected"), BAD_RUN_OPTIONS, ids=lambda value: " ".join(value)[:40])
+def test_options_of_a_run_that_cannot_be_used(tmp_path, capsys, verb, words, expected):
+    assert expected in refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path), *words)
+
+
+@pytest.mark.parametrize(("words", "expected"), BAD_SEARCH_OPTIONS, ids=lambda value: " ".join(value)[:40])
+def test_options_of_a_search_that_cannot_be_used(tmp_path, capsys, words, expected):
+    assert expected in refused(capsys, tmp_path, *words_for("optimise", write_scene(tmp_path), tmp_path), *words)
+
+
+@pytest.mark.parametrize("verb", ["evaluate", "scan"])
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--height", "0"], "--height: is 0.0; allowed: 0.1 to 100"),
+        (["--height", "nan"], "--height: is nan; allowed: 0.1 to 100"),
+        (["--height", "tall"], "argument --height: invalid float value: 'tall'"),
+        (["--tilt-x", "91"], "--tilt-x: is 91.0; allowed: -90 to 90"),
+        (["--tilt-y", "inf"], "--tilt-y: is inf; allowed: -90 to 90"),
+        (["--yaw", "361"], "--yaw: is 361.0; allowed: -360 to 360"),
+        (["--x", "1e9"], "--x: is 1000000000.0; allowed: -100000 to 100000"),
+        (["--y", "3"], "--x, --y: the mount at y 3 m stands on the carriageway"),
+    ],
+    ids=lambda value: " ".join(value)[:20],
+)
+def test_mountings_that_cannot_be(tmp_path, capsys, verb, words, expected):
+    assert expected in refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path), *words)
+
+
+def test_a_scene_that_leaves_nothing_to_search(tmp_path, capsys):
+    path = write_scene(tmp_path, {"deployment": {"height_m": 3.0}})
+    line = refused(capsys, tmp_path, "optimise", path)
+    assert "[deployment] fixes every coordinate; give at least one a pair [low, high], or use evaluate" in line
+
+
+def test_without_an_out_no_runs_folder_is_left_either(tmp_path, capsys):
+    path = write_scene(tmp_path, {"road": {"lanes": 0}})
+    refused(capsys, tmp_path, "optimise", path)
+    refused(capsys, tmp_path, "evaluate", path)
+    (tmp_path / "traffic.csv").write_text("frame\n1\n")
+    refused(capsys, tmp_path, "optimise", write_scene(tmp_path))
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("words", [[], ["optimize"], ["optimise"], ["scan", "s.toml", "--out", "c.npz"]])
+def test_incomplete_commands(tmp_path, capsys, words):
+    assert "--help" in refused(capsys, tmp_path, *words)
+
+
+# --- scan and score ---------------------------------------------------------------------------------------------------
+
+
+def test_a_frame_that_the_recording_does_not_have(tmp_path, capsys):
+    words = words_for("scan", write_scene(tmp_path), tmp_path)
+    assert "--frame: " in refused(capsys, tmp_path, *words, "--frame", 99)
+    assert "no frame 99999999999999999999" in refused(capsys, tmp_path, *words, "--frame", 10**20 - 1)
+    assert "invalid int value: '1.5'" in refused(capsys, tmp_path, *words, "--frame", 1.5)
+
+
+def test_a_cloud_of_an_unknown_format(tmp_path, capsys):
+    line = refused(capsys, tmp_path, "scan", write_scene(tmp_path), "--frame", 30, "--out", tmp_path / "cloud.xyz")
+    assert "--out: " in line
+    assert "'.xyz'; allowed: .npz, .pcd" in line
+
+
+@pytest.fixture
+def boxes(tmp_path):
+    rows = [[0, 7, "car", 0.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0], [0, 8, "car", 9.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0]]
+    return write_table(tmp_path / "boxes.csv", rows)
+
+
+@pytest.fixture
+def points(tmp_path):
+    path = tmp_path / "points.npz"
+    np.savez(path, xyz=np.array([[0.0, 4.0, 0.7], [9.0, 4.0, 0.7]]), vehicle_id=np.array([7, 8]))
+    return path
+
+
+def pcd(fields: str, sizes: str, types: str, count: int, body: bytes) -> bytes:
+    lines = ["VERSION 0.7", f"FIELDS {fields}", f"SIZE {sizes}", f"TYPE {types}", f"POINTS {count}", "DATA binary", ""]
+    return "\n".join(lines).encode() + body
+
+
+BAD_CLOUDS = {
+    "empty.npz": b"",
+    "binary.npz": bytes(range(256)),
+    "text.pcd": b"x y z\n1 2 3\n",
+    "empty.pcd": b"",
+    "short.pcd": pcd("x y z", "4 4 4", "F F F", 9, bytes(24)),
+    "two.pcd": pcd("x y", "4 4", "F F", 1, bytes(8)),
+    "negative.pcd": pcd("x y z", "4 4 4", "F F F", -5, bytes(24)),
+    "huge.pcd": pcd("x y z", "4 4 4", "F F F", 10**15, bytes(24)),
+    "nan.pcd": pcd("x y z", "4 4 4", "F F F", 1, np.full(3, np.nan, dtype="<f4").tobytes()),
+    "cloud.las": b"LASF",
+}
+
+
+@pytest.mark.parametrize("name", BAD_CLOUDS)
+def test_a_cloud_that_cannot_be_scored(tmp_path, capsys, boxes, name):
+    (tmp_path / name).write_bytes(BAD_CLOUDS[name])
+    line = refused(capsys, tmp_path, "score", "--points", tmp_path / name, "--boxes", boxes, "--assign", "box")
+    assert name in line
+
+
+BAD_ARRAYS = {
+    "no xyz": {"points": np.zeros((2, 3))},
+    "flat": {"xyz": np.zeros(6)},
+    "two columns": {"xyz": np.zeros((3, 2))},
+    "NaN": {"xyz": np.array([[0.0, np.nan, 0.0]])},
+    "text": {"xyz": np.array([["a", "b", "c"]])},
+    "ids too short": {"xyz": np.zeros((2, 3)), "vehicle_id": np.array([1])},
+    "pickled": {"xyz": np.array([[None, None, None]], dtype=object)},
+}
+
+
+@pytest.mark.parametrize("case", BAD_ARRAYS)
+def test_an_npz_that_cannot_be_scored(tmp_path, capsys, boxes, case):
+    np.savez(tmp_path / "cloud.npz", **BAD_ARRAYS[case])
+    assert "cloud.npz" in refused(capsys, tmp_path, "score", "--points", tmp_path / "cloud.npz", "--boxes", boxes)
+
+
+def test_clouds_and_boxes_that_are_not_there_or_are_folders(tmp_path, capsys, boxes, points):
+    def line(cloud, table):
+        return refused(capsys, tmp_path, "score", "--points", cloud, "--boxes", table)
+
+    assert "none.npz" in line("none.npz", boxes)
+    assert f"{tmp_path}: is a folder" in line(tmp_path, boxes)
+    assert "none.csv: no such file" in line(points, "none.csv")
+    assert f"{tmp_path}: a folder" in line(points, tmp_path)
+
+
+@pytest.mark.parametrize("case", BAD_CELLS)
+def test_boxes_that_cannot_be_used(tmp_path, capsys, points, case):
+    column, value = BAD_CELLS[case]
+    table = write_table(tmp_path / "boxes.csv", changed(column, value))
+    assert "boxes.csv:5: " in refused(capsys, tmp_path, "score", "--points", points, "--boxes", table)
+
+
+def test_a_cloud_without_vehicle_ids_asks_for_assignment_by_box(tmp_path, capsys, boxes):
+    np.savez(tmp_path / "bare.npz", xyz=np.zeros((2, 3)))
+    line = refused(capsys, tmp_path, "score", "--points", tmp_path / "bare.npz", "--boxes", boxes)
+    assert "does not say which vehicle a point belongs to; use --assign box" in line
+
+
+def test_boxes_of_several_frames_need_a_frame(tmp_path, capsys, points):
+    table = write_table(tmp_path / "boxes.csv", traffic_rows())
+    assert "name one with --frame" in refused(capsys, tmp_path, "score", "--points", points, "--boxes", table)
+    line = refused(capsys, tmp_path, "score", "--points", points, "--boxes", table, "--frame", 99)
+    assert "no frame 99" in line
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--cell", "0"], "--cell: is 0.0; allowed: at least 0.001"),
+        (["--cell", "nan"], "--cell: is nan; allowed: at least 0.001"),
+        (["--threshold", "-1"], "--threshold: is -1.0; allowed: at least 0"),
+        (["--ground-clearance", "-0.1"], "--ground-clearance: is -0.1; allowed: at least 0"),
+        (["--ground-clearance", "low"], "argument --ground-clearance: invalid float value: 'low'"),
+        (["--assign", "near"], "argument --assign: invalid choice: 'near'"),
+        (["--view", "back"], "argument --view: invalid choice: 'back'"),
+    ],
+    ids=lambda value: " ".join(value)[:24],
+)
+def test_options_of_score_that_cannot_be_used(tmp_path, capsys, boxes, points, words, expected):
+    assert expected in refused(capsys, tmp_path, "score", "--points", points, "--boxes", boxes, *words)
+
+
+# --- where nothing can be written -------------------------------------------------------------------------------------
+
+NOWHERE = ["file/run", "file", "/proc/none/run", "x" * 300]
+
+
+@pytest.mark.parametrize("out", NOWHERE)
+@pytest.mark.parametrize("verb", ["optimise", "evaluate"])
+def test_a_run_folder_that_cannot_be_made(tmp_path, capsys, verb, out):
+    (tmp_path / "file").write_text("here")
+    line = refused(capsys, tmp_path, verb, write_scene(tmp_path), "--out", out)
+    assert f"--out: {out}: the folder cannot be made: " in line
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc, a folder that nobody can write to")
+@pytest.mark.parametrize("verb", ["optimise", "evaluate"])
+def test_a_run_folder_that_is_there_but_cannot_be_written(tmp_path, capsys, verb):
+    line = refused(capsys, tmp_path, verb, write_scene(tmp_path), "--out", "/proc/self")
+    assert "--out: /proc/self: cannot be written: " in line
+
+
+@pytest.mark.parametrize("out", ["file/cloud.npz", "none/cloud.pcd", "folder.npz", "/proc/none.npz"])
+def test_a_cloud_that_cannot_be_written(tmp_path, capsys, out):
+    (tmp_path / "file").write_text("here")
+    (tmp_path / "folder.npz").mkdir()
+    line = refused(capsys, tmp_path, "scan", write_scene(tmp_path), "--frame", 30, "--out", out)
+    assert f"{out}: cannot be written: " in line
+
+
+@pytest.mark.parametrize("out", ["file/scores.csv", "none/scores.csv", "folder", "/proc/none.csv"])
+def test_scores_that_cannot_be_written(tmp_path, capsys, boxes, points, out):
+    (tmp_path / "file").write_text("here")
+    (tmp_path / "folder").mkdir()
+    line = refused(capsys, tmp_path, "score", "--points", points, "--boxes", boxes, "--out", out)
+    assert f"{out}: cannot be written: " in line
+
+
+def test_a_folder_with_a_scene_of_the_users_own_is_not_written_to(tmp_path, capsys):
+    path = write_scene(tmp_path)
+    text = path.read_text()
+    for words in (["optimise"], ["optimise", "--resume"], ["evaluate"]):
+        line = refused(capsys, tmp_path, *words, path, "--out", tmp_path)
+        assert "holds a file scene.toml that no run has written; give another folder" in line
+    assert path.read_text() == text
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no limits on the size of files")
+@pytest.mark.parametrize("verb", SCENE_VERBS)
+def test_a_disk_that_is_full_leaves_no_half_file(tmp_path, verb):
+    """A limit on the size of files stands in for the full disk."""
+    path = write_scene(tmp_path)
+    words = [str(word) for word in words_for(verb, path, tmp_path)]
+    program = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (700, 700)); sys.modules['matplotlib'] = None;"
+        f"from blender_lidar.cli import main; sys.exit(main({words!r}))"
+    )
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "cannot be written: File too large" in done.stderr
+    assert files(tmp_path) == {path, tmp_path / "traffic.csv"}

@@ -1,0 +1,292 @@
+"""Scores over many frames: the sums, the same whatever the number of processes, and clean ends when one goes wrong."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from blender_lidar.casting import is_available
+from blender_lidar.errors import BlenderLidarError
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.study.evaluation import CountedFrame, Evaluator, Scoring, Totals
+from blender_lidar.study.frame_scorer import FrameScorer, Observation
+from blender_lidar.study.vehicle_table import COLUMNS, join_tables, vehicle_table
+from blender_lidar.study.verdict import distance_bands, judge, lanes
+from tests.sample_traffic import dense_traffic
+
+SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
+SCORING = Scoring(0.005, "mean", -1.0, "corrected")
+POSES = [Pose(height_m=2.0), Pose(height_m=4.1, tilt_x=0.33), Pose(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4)]
+
+
+def frames_of(number, seed=0):
+    made = []
+    for frame in range(number):
+        vehicles = dense_traffic(seed=seed + frame, vehicles=20, length_m=80.0, frame=frame)
+        made.append(CountedFrame(vehicles, np.hypot(*vehicles.centre_m[:, :2].T) < 30.0))
+    return made
+
+
+FRAMES = frames_of(5)
+
+
+@pytest.fixture(scope="module")
+def alone() -> Totals:
+    with Evaluator(FRAMES, SEEN, SCORING) as evaluator:
+        return evaluator.totals(POSES)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
+        yield evaluator
+
+
+def test_one_worker_and_two_give_the_same_bits(alone, pair):
+    for _ in range(2):  # with trees new and kept
+        together = pair.totals(POSES)
+        for mine, theirs in zip(alone, together, strict=True):
+            assert mine.dtype == theirs.dtype
+            assert mine.tobytes() == theirs.tobytes()
+
+
+_BPY_PATH = "bpy puts its own folders first on sys.path; children inherit that and import the inner bpy, without _bpy"
+
+
+@pytest.mark.parametrize(
+    "caster", ["embree", pytest.param("bvh", marks=pytest.mark.xfail(strict=True, reason=_BPY_PATH))]
+)
+def test_one_worker_and_two_give_the_same_bits_with_every_caster(caster):
+    """The one worker comes first, so that this process has loaded the caster's library when the others start."""
+    if not is_available(caster):
+        pytest.skip(f"the library of {caster} is not installed")
+    found = []
+    for workers in (1, 2):
+        with Evaluator(FRAMES, replace(SEEN, caster=caster), SCORING, workers=workers) as evaluator:
+            found.append(evaluator.totals(POSES).objective.tobytes())
+    assert found[0] == found[1]
+
+
+def test_a_mounting_has_the_same_score_whatever_else_is_asked(alone, pair):
+    for number, pose in enumerate(POSES):
+        np.testing.assert_array_equal(pair.totals([pose]).objective[0], alone.objective[number])
+    np.testing.assert_array_equal(pair.totals(POSES[::-1]).detectable, alone.detectable[::-1])
+
+
+def test_totals_are_the_sums_of_equations_10_and_11_over_each_frame(alone):
+    for column, frame in enumerate(FRAMES):
+        seen = FrameScorer(frame.vehicles, frame.counted, SEEN).see(POSES)
+        for row in range(len(POSES)):
+            bits, found = 0.0, 0
+            for shares in seen.occupancy[row].tolist():
+                if sum(shares) / 3.0 >= 0.005:
+                    bits -= sum(p * math.log2(p) for p in shares if p > 0.0)
+                    found += 1
+                else:
+                    bits -= 1.0
+            assert alone.objective[row, column] == pytest.approx(bits, rel=1e-12)
+            assert alone.detectable[row, column] == found
+        assert alone.vehicles[column] == frame.counted.sum()
+
+
+def test_shares_per_vehicle_can_be_had_for_some_of_the_frames(alone):
+    some = np.array([0, 3])
+    vehicles = alone.vehicles[0] + alone.vehicles[3]
+    np.testing.assert_allclose(
+        alone.per_vehicle(some), (alone.objective[:, 0] + alone.objective[:, 3]) / vehicles, rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        alone.detectable_share(some), (alone.detectable[:, 0] + alone.detectable[:, 3]) / vehicles, rtol=1e-12
+    )
+    assert (alone.detectable_share() <= 1.0).all()
+    np.testing.assert_allclose(alone.per_vehicle(), alone.objective.sum(axis=1) / alone.vehicles.sum(), rtol=1e-12)
+
+
+def test_the_reading_the_threshold_the_view_and_the_loss_reach_the_score(alone):
+    def objective(**changes):
+        settings = {"threshold": 0.005, "view": "mean", "loss": -1.0, "reading": "corrected"} | changes
+        with Evaluator(FRAMES, SEEN, Scoring(**settings)) as evaluator:
+            return evaluator.totals(POSES)
+
+    missed = alone.vehicles.sum() - alone.detectable.sum(axis=1)
+    assert (missed > 0).all()
+    total = alone.objective.sum(axis=1)
+    np.testing.assert_allclose(objective(loss=-3.0).objective.sum(axis=1), total - 2.0 * missed)
+    np.testing.assert_allclose(objective(reading="paper").objective.sum(axis=1), total + 2.0 * missed)
+    assert (objective(view="min").detectable.sum(axis=1) < alone.detectable.sum(axis=1)).all()
+    assert (objective(threshold=0.0).detectable == alone.vehicles).all()
+
+
+def test_more_workers_than_frames_and_no_frames_are_fine():
+    with Evaluator(FRAMES[:1], SEEN, SCORING, workers=8) as evaluator:
+        assert evaluator.totals(POSES).objective.shape == (3, 1)
+    with Evaluator([], SEEN, SCORING, workers=2) as evaluator:
+        assert evaluator.totals(POSES).objective.shape == (3, 0)
+    nothing = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
+    with Evaluator([nothing, FRAMES[0]], SEEN, SCORING) as evaluator:
+        assert evaluator.totals(POSES).objective[:, 0].tolist() == [0.0, 0.0, 0.0]
+
+
+def leaves_ctrl_c_alone(process):
+    """Whether a process ignores or blocks SIGINT; a worker does so once it has started."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    masks = [int(line.split()[1], 16) for line in status.splitlines() if line.startswith(("SigIgn", "SigBlk"))]
+    return any(mask >> (signal.SIGINT - 1) & 1 for mask in masks)
+
+
+def stop_while_working(children):
+    """What Ctrl-C does: a terminal sends SIGINT to the parent and to its children."""
+    with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
+        children += multiprocessing.active_children()
+        for _ in range(3000):  # until both have started
+            if all(map(leaves_ctrl_c_alone, children)):
+                break
+            time.sleep(0.01)
+        assert all(map(leaves_ctrl_c_alone, children))
+        for child in children:
+            os.kill(child.pid, signal.SIGINT)
+        assert evaluator.totals(POSES[:1]).objective.shape == (1, 5)
+        raise KeyboardInterrupt
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to look at a process's signals")
+def test_workers_leave_ctrl_c_to_the_parent_and_end_with_it():
+    before = set(multiprocessing.active_children())
+    children = []
+    with pytest.raises(KeyboardInterrupt):
+        stop_while_working(children)
+    assert len(set(children) - before) == 2
+    assert not any(child.is_alive() for child in set(children) - before)
+
+
+def totals_until_refused(evaluator):
+    """The pool notices a dead worker a moment later, or when it is next asked."""
+    for _ in range(200):
+        evaluator.totals(POSES[:1])
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="has no SIGKILL")
+def test_a_worker_that_is_killed_is_one_line():
+    before = set(multiprocessing.active_children())
+    with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
+        children = set(multiprocessing.active_children()) - before
+        os.kill(next(iter(children)).pid, signal.SIGKILL)
+        with pytest.raises(BlenderLidarError, match="worker process ended abruptly") as failure:
+            totals_until_refused(evaluator)
+    assert "\n" not in str(failure.value)
+    assert not any(child.is_alive() for child in children)
+
+
+@pytest.mark.xfail(run=False, reason="hangs for ever: the start of a process waits for a child that has died")
+def test_a_worker_that_dies_while_it_starts_is_an_error_and_no_hang():
+    """Here the child cannot find the main program, which came from standard input."""
+    program = textwrap.dedent(
+        """
+        from blender_lidar.errors import BlenderLidarError
+        from blender_lidar.study.evaluation import Evaluator
+        from tests.test_evaluation import FRAMES, SCORING, SEEN
+        try:
+            with Evaluator(FRAMES, SEEN, SCORING, workers=2):
+                print("started")
+        except BlenderLidarError as error:
+            print("refused:", error)
+        """
+    )
+    root = str(Path(__file__).parents[1])
+    done = subprocess.run(
+        [sys.executable], input=program, cwd=root, capture_output=True, text=True, timeout=60, start_new_session=True
+    )
+    assert done.stdout.startswith("refused: a worker process ended abruptly")
+
+
+def test_starting_workers_leaves_the_environment_as_it_was(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with Evaluator(FRAMES, SEEN, SCORING, workers=2):
+        assert os.environ["OMP_NUM_THREADS"] == "3"
+        assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
+def test_the_vehicle_table_adds_up_to_the_totals(alone):
+    table = vehicle_table(FRAMES, POSES[1], SEEN, SCORING, "search")
+    assert tuple(table) == COLUMNS
+    assert {len(column) for column in table.values()} == {alone.vehicles.sum()}
+    score = np.where(table["detectable"], table["entropy_bits"], -1.0)
+    for column in range(len(FRAMES)):
+        mine = table["frame"] == column
+        assert score[mine].sum() == pytest.approx(alone.objective[1, column], rel=1e-12)
+        assert table["detectable"][mine].sum() == alone.detectable[1, column]
+    np.testing.assert_allclose(table["distance_m"], np.hypot(table["x_m"], table["y_m"]))
+    assert set(table["split"]) == {"search"}
+    assert set(table["class"]) <= {"car", "van", "truck", "bus", "motorcycle"}
+
+
+def test_tables_of_both_halves_join_and_empty_ones_are_left_out():
+    first = vehicle_table(FRAMES[:2], POSES[0], SEEN, SCORING, "search")
+    nobody = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
+    for empty in ([], [nobody]):
+        second = vehicle_table(empty, POSES[0], SEEN, SCORING, "holdout")
+        joined = join_tables(first, second)
+        for name in COLUMNS:
+            np.testing.assert_array_equal(joined[name], first[name])
+            assert joined[name].dtype == first[name].dtype
+    both = join_tables(first, vehicle_table(FRAMES[2:3], POSES[0], SEEN, SCORING, "holdout"))
+    assert both["split"].tolist() == ["search"] * len(first["frame"]) + ["holdout"] * FRAMES[2].counted.sum()
+
+
+def test_distances_and_lanes_sort_every_vehicle_into_one_group():
+    table = vehicle_table(FRAMES, POSES[0], SEEN, SCORING, "search")
+    for groups in (distance_bands(table), lanes(table)):
+        assert np.sum([mine for _, mine in groups], axis=0).tolist() == [1] * len(table["frame"])
+        assert len({name for name, _ in groups}) == len(groups)
+    for name, mine in distance_bands(table):
+        low, high = (float(number) for number in name.removesuffix(" m").split("-"))
+        assert ((table["distance_m"][mine] >= low) & (table["distance_m"][mine] < high)).all()
+
+
+def verdict(holdout, block):
+    site = SimpleNamespace(
+        holdout=tuple(holdout),
+        plan=SimpleNamespace(holdout_block=np.array(block, dtype=np.int64)),
+        evaluator=lambda frames: Evaluator(frames, SEEN, SCORING),
+    )
+    with Evaluator(FRAMES, SEEN, SCORING) as evaluator:
+        return judge(site, POSES[1], POSES[0], evaluator, seed=1)
+
+
+def test_the_verdict_is_the_gain_over_the_baseline_on_held_out_frames(alone):
+    held_out = frames_of(6, seed=50)
+    found = verdict(held_out, [0, 0, 1, 1, 2, 2])
+    assert found["optimised"]["objective"] == pytest.approx(alone.objective[1].sum())
+    assert found["baseline"]["objective_per_vehicle"] == pytest.approx(alone.per_vehicle()[0])
+    with Evaluator(held_out, SEEN, SCORING) as evaluator:
+        judged = evaluator.totals([POSES[1], POSES[0]])
+    mine = found["optimised"]["holdout"]
+    gain = judged.per_vehicle()[0] - judged.per_vehicle()[1]
+    assert mine["gain_over_baseline"] == pytest.approx(gain, rel=1e-12)
+    assert mine["interval_90"][0] < gain < mine["interval_90"][1]
+    assert (mine["frames"], mine["blocks"], mine["vehicles"]) == (6, 3, judged.vehicles.sum())
+    assert found["baseline"]["holdout"]["gain_over_baseline"] == 0.0
+    assert found["baseline"]["holdout"]["interval_90"] == [0.0, 0.0]
+
+
+def test_a_verdict_without_held_out_vehicles_or_with_few_blocks_says_so():
+    nobody = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
+    assert verdict([], [])["optimised"]["holdout"] is None
+    assert verdict([nobody], [0])["optimised"]["holdout"] is None
+    assert verdict(frames_of(2, seed=50), [0, 1])["optimised"]["holdout"]["interval_90"] is None

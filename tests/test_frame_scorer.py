@@ -1,0 +1,192 @@
+"""A frame's scorer against a pipeline without any short cut: all beams, the float64 caster, a loop over points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.casting import caster_class
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.study.frame_scorer import FrameScorer, Observation
+from blender_lidar.traffic.vehicles import Vehicles
+from blender_lidar.world.triangles import vehicle_triangles
+from tests.sample_traffic import dense_traffic, one_vehicle
+
+LATTICES = {name: beam_lattice(load_model(name), stride=20) for name in ("RS-16", "RS-LiDAR-32", "RS-BPearl")}
+POSE = Pose(height_m=4.1, tilt_x=math.radians(19.0))
+
+
+def observation(lattice=LATTICES["RS-16"], *, gate=50.0, near=0.4, detail="body", cell=0.05, reading="corrected"):
+    return Observation(lattice, gate, near, "exact", detail, cell, reading)
+
+
+def everyone(vehicles):
+    return np.ones(len(vehicles), dtype=bool)
+
+
+def joined(*frames: Vehicles) -> Vehicles:
+    names = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
+    return Vehicles(0, 0.0, *(np.concatenate([getattr(frame, name) for frame in frames]) for name in names))
+
+
+def slow_pipeline(vehicles, counted, seen, pose):
+    """Points and occupancies of the counted vehicles: every beam cast, every point looked at by itself."""
+    triangles = vehicle_triangles(vehicles, seen.detail)
+    rays = pose.to_world(seen.lattice.directions.reshape(-1, 3))
+    hits = caster_class("exact")(triangles.corners).cast(pose.position, rays, seen.max_range_m)
+    points = [0] * len(vehicles)
+    cells: list[tuple[set, set, set]] = [(set(), set(), set()) for _ in range(len(vehicles))]
+    for ray, distance, triangle in zip(rays, hits.distance, hits.triangle, strict=True):
+        if triangle < 0 or distance < seen.min_range_m:
+            continue
+        owner = int(triangles.owner[triangle])
+        points[owner] += 1
+        away = pose.position + distance * ray - vehicles.centre_m[owner]
+        heading, size = vehicles.heading_rad[owner], vehicles.size_m[owner]
+        forward = away[0] * math.cos(heading) + away[1] * math.sin(heading)
+        left = -away[0] * math.sin(heading) + away[1] * math.cos(heading)
+        cell = [
+            min(max(math.floor((along + 0.5 * side) / seen.cell_m), 0), math.ceil(side / seen.cell_m - 1e-9) - 1)
+            for along, side in zip((forward, left, away[2]), size, strict=True)
+        ]
+        for view, (a, b) in zip(cells[owner], ((0, 1), (0, 2), (1, 2)), strict=True):
+            view.add((cell[a], cell[b]))
+    whole = [[math.ceil(side / seen.cell_m - 1e-9) for side in size] for size in vehicles.size_m]
+    shares = [
+        [len(view) / (n[a] * n[b]) for view, (a, b) in zip(views, ((0, 1), (0, 2), (1, 2)), strict=True)]
+        for views, n in zip(cells, whole, strict=True)
+    ]
+    return np.array(points)[counted], np.array(shares).reshape(-1, 3)[counted]
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    sensor=st.sampled_from(sorted(LATTICES)),
+    detail=st.sampled_from(["box", "body"]),
+    height=st.floats(0.5, 6.0),
+    angles=st.tuples(st.floats(-0.7, 0.7), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0)),
+    near=st.sampled_from([0.0, 5.0]),
+)
+def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, detail, height, angles, near):
+    rng = np.random.default_rng(seed)
+    vehicles = dense_traffic(seed=seed, vehicles=8, length_m=30.0)
+    counted = rng.random(8) < 0.7
+    seen = observation(LATTICES[sensor], gate=20.0, near=near, detail=detail)
+    pose = Pose(0.0, 0.0, height, *angles)
+    found = FrameScorer(vehicles, counted, seen).see([pose])
+    points, shares = slow_pipeline(vehicles, counted, seen, pose)
+    np.testing.assert_array_equal(found.points[0], points)
+    np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
+
+
+def test_a_dense_frame_equals_the_slow_pipeline():
+    vehicles, seen = dense_traffic(vehicles=60, length_m=150.0), observation()
+    counted = everyone(vehicles)
+    found = FrameScorer(vehicles, counted, seen).see([POSE])
+    points, shares = slow_pipeline(vehicles, counted, seen, POSE)
+    assert points.sum() > 200
+    np.testing.assert_array_equal(found.points[0], points)
+    np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12)
+
+
+def test_a_vehicle_that_does_not_count_still_hides_another():
+    car, bus = one_vehicle("car", centre=(0.0, 12.0)), one_vehicle("bus", centre=(0.0, 7.0))
+    pose, seen = Pose(height_m=2.0, tilt_x=0.1), observation()
+    alone = FrameScorer(car, everyone(car), seen).see([pose]).points[0]
+    both = joined(car, bus)
+    behind = FrameScorer(both, np.array([True, False]), seen).see([pose]).points[0]
+    assert alone[0] > 5
+    assert behind.tolist() == [0]
+    np.testing.assert_array_equal(FrameScorer(both, everyone(both), seen).see([pose]).points[0, 0], behind[0])
+
+
+def test_what_counts_changes_nothing_for_the_others():
+    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation()
+    whole = FrameScorer(vehicles, everyone(vehicles), seen).see([POSE])
+    counted = np.random.default_rng(1).random(40) < 0.4
+    part = FrameScorer(vehicles, counted, seen)
+    assert len(part) == counted.sum()
+    np.testing.assert_array_equal(part.see([POSE]).points, whole.points[:, counted])
+    np.testing.assert_array_equal(part.see([POSE]).occupancy, whole.occupancy[:, counted])
+
+
+def test_the_order_of_the_vehicles_does_not_matter():
+    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation()
+    order = np.random.default_rng(2).permutation(40)
+    straight = FrameScorer(vehicles, everyone(vehicles), seen).see([POSE])
+    shuffled = FrameScorer(vehicles.select(order), everyone(vehicles), seen).see([POSE])
+    np.testing.assert_array_equal(shuffled.points, straight.points[:, order])
+    np.testing.assert_array_equal(shuffled.occupancy, straight.occupancy[:, order])
+
+
+def test_returns_from_too_near_are_lost_and_hide_all_the_same():
+    both = joined(one_vehicle("car", centre=(0.0, 12.0)), one_vehicle("bus", centre=(0.0, 4.0)))
+    pose = Pose(height_m=2.0, tilt_x=0.1)
+    near = FrameScorer(both, everyone(both), observation(near=0.4)).see([pose]).points[0]
+    far = FrameScorer(both, everyone(both), observation(near=9.0)).see([pose]).points[0]
+    assert near[1] > 20
+    assert far.tolist() == [0, 0]
+
+
+def test_returns_from_beyond_the_gate_are_lost():
+    bus = one_vehicle("bus", centre=(0.0, 20.0))
+    pose = Pose(height_m=2.0)
+    counts = [
+        FrameScorer(bus, everyone(bus), observation(gate=gate)).see([pose]).points[0, 0] for gate in (18.0, 19.0, 30.0)
+    ]
+    assert counts[0] == 0
+    assert 0 < counts[1] < counts[2]
+
+
+def test_mountings_together_and_one_by_one_see_the_same():
+    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation(LATTICES["RS-LiDAR-32"])
+    rng = np.random.default_rng(3)
+    poses = [Pose(0.0, 0.0, rng.uniform(2, 4.5), rng.uniform(0, 0.4)) for _ in range(12)]
+    scorer = FrameScorer(vehicles, everyone(vehicles), seen)
+    together = scorer.see(poses)
+    assert together.points.shape == (12, 40)
+    assert together.occupancy.shape == (12, 40, 3)
+    for number, pose in enumerate(poses):
+        alone = FrameScorer(vehicles, everyone(vehicles), seen).see([pose])
+        np.testing.assert_array_equal(together.points[number], alone.points[0])
+        np.testing.assert_array_equal(together.occupancy[number], alone.occupancy[0])
+    assert scorer.see([]).points.shape == (0, 40)
+
+
+def test_points_lie_on_their_vehicle_and_are_as_many_as_counted():
+    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation()
+    counted = np.random.default_rng(4).random(40) < 0.5
+    scorer = FrameScorer(vehicles, counted, seen)
+    local, row = scorer.vehicle_points(POSE)
+    np.testing.assert_array_equal(np.bincount(row, minlength=len(scorer)), scorer.see([POSE]).points[0])
+    assert (np.abs(local) <= 0.5 * vehicles.size_m[counted][row] + 1e-9).all()
+
+
+@pytest.mark.parametrize("vehicles", [0, 5])
+def test_a_frame_in_which_nothing_counts_has_no_points(vehicles):
+    frame = dense_traffic(vehicles=vehicles, length_m=40.0)
+    scorer = FrameScorer(frame, np.zeros(vehicles, dtype=bool), observation())
+    seen = scorer.see([POSE, POSE])
+    assert len(scorer) == 0
+    assert seen.points.shape == (2, 0)
+    assert seen.occupancy.shape == (2, 0, 3)
+    assert len(scorer.vehicle_points(POSE)[0]) == 0
+
+
+def test_the_literal_reading_and_the_cell_reach_the_metric():
+    vehicles = dense_traffic(vehicles=10, length_m=40.0)
+    counted = everyone(vehicles)
+    corrected, literal, coarse = (
+        FrameScorer(vehicles, counted, observation(**settings)).see([POSE]).occupancy[0]
+        for settings in ({}, {"reading": "paper"}, {"cell": 0.5})
+    )
+    assert (literal >= corrected).all()
+    assert literal.sum() > corrected.sum()
+    assert coarse.sum() > 2.0 * corrected.sum()

@@ -1,0 +1,328 @@
+"""What a run leaves: every file of the contract, the same for the same seed, and nobody else's files touched."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar.cli import main
+from blender_lidar.errors import InputError, OutputError
+from blender_lidar.results import RunFolder
+from tests.small_scene import MAPPED, cli, without_charts, without_times, write_scene
+
+VEHICLE_COLUMNS = [
+    *("frame", "vehicle_id", "class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "heading_deg"),
+    *("distance_m", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable"),
+]
+SCORES = {"objective_per_vehicle", "detectable_share"}
+RESULT_KEYS = {
+    *("sensor", "caster", "detail", "metric", "search", "reading", "seed", "frames", "vehicles", "deployment"),
+    *("objective", "holdout", "baseline", "evaluations", "seconds", "versions"),
+    *SCORES,
+}
+CHARTS = ("convergence", "score_map", "by_distance", "blind_zones", "clouds", "occupancy")
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch, tmp_path):
+    without_charts(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def mapped_run(tmp_path_factory):
+    """A run over heights and tilts with everything that it leaves, and what it printed."""
+    pytest.importorskip("matplotlib")
+    folder = tmp_path_factory.mktemp("mapped")
+    words = ["optimise", str(write_scene(folder, MAPPED)), "--detail", "box", "--out", str(folder / "run"), "--json"]
+    program = "import sys; from blender_lidar.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder / "run", done
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def result_of(folder: Path) -> dict:
+    return json.loads((folder / "result.json").read_text())
+
+
+def optimise(capsys, scene: Path, out: Path, *words: object) -> dict:
+    code, _, err = cli(capsys, "optimise", scene, "--out", out, *words)
+    assert code == 0, err
+    return result_of(out)
+
+
+# --- what is there ----------------------------------------------------------------------------------------------------
+
+
+def test_the_folder_holds_what_was_promised_and_nothing_else(mapped_run):
+    folder, _ = mapped_run
+    tables = {"vehicles.csv", "vehicles_baseline.csv", "history.csv", "score_map.csv"}
+    expected = {"result.json", "scene.toml", "installation.txt", *tables, *(f"{name}.png" for name in CHARTS)}
+    assert {path.name for path in folder.iterdir()} == expected
+    assert all(path.stat().st_size for path in folder.iterdir())
+
+
+def test_the_result_has_every_key_of_the_contract(mapped_run):
+    result = result_of(mapped_run[0])
+    assert set(result) >= RESULT_KEYS
+    assert set(result["deployment"]) == {"x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"}
+    assert SCORES | {"gain_over_baseline", "interval_90"} <= set(result["holdout"])
+    base = result["baseline"]
+    assert {"deployment", "objective", "holdout"} | SCORES <= set(base)
+    assert set(base["holdout"]) == set(result["holdout"])
+    assert {"blender_lidar", "python", "numpy"} <= set(result["versions"])
+    assert (result["sensor"], result["caster"], result["detail"]) == ("RS-16", CASTER, "box")
+    assert result["metric"] == "pe-vgop"
+    assert (result["search"], result["reading"], result["seed"]) == ("de-pso", "corrected", 1)
+    assert (result["frames"], result["evaluations"]) == (6, 12)
+
+
+def test_the_results_numbers_agree_with_each_other_and_with_the_tables(mapped_run):
+    folder, _ = mapped_run
+    result = result_of(folder)
+    for name, scores in (("vehicles.csv", result), ("vehicles_baseline.csv", result["baseline"])):
+        table = [row for row in rows(folder / name) if row["split"] == "search"]
+        assert len(table) == result["vehicles"]
+        found = np.array([int(row["detectable"]) for row in table])
+        bits = np.array([float(row["entropy_bits"]) for row in table])
+        assert scores["detectable_share"] == pytest.approx(found.mean())
+        assert scores["objective"] == pytest.approx(np.where(found, bits, -1.0).sum(), abs=1e-5)  # Eq. 10, C = -1
+        assert scores["objective_per_vehicle"] == pytest.approx(scores["objective"] / len(table))
+        held = [row for row in rows(folder / name) if row["split"] == "holdout"]
+        assert scores["holdout"]["detectable_share"] == pytest.approx(np.mean([int(row["detectable"]) for row in held]))
+    gain = result["holdout"]["objective_per_vehicle"] - result["baseline"]["holdout"]["objective_per_vehicle"]
+    assert result["holdout"]["gain_over_baseline"] == pytest.approx(gain)
+    low, high = result["holdout"]["interval_90"]
+    assert low <= gain <= high
+
+
+def test_no_vehicle_that_was_searched_is_held_out(mapped_run):
+    table = rows(mapped_run[0] / "vehicles.csv")
+    ids = {split: {row["vehicle_id"] for row in table if row["split"] == split} for split in ("search", "holdout")}
+    assert ids["search"]
+    assert ids["holdout"]
+    assert not ids["search"] & ids["holdout"]
+
+
+@pytest.mark.parametrize("name", ["vehicles.csv", "vehicles_baseline.csv"])
+def test_vehicle_tables_begin_with_the_contracts_columns_in_order(mapped_run, name):
+    folder, _ = mapped_run
+    table = rows(folder / name)
+    assert list(table[0])[: len(VEHICLE_COLUMNS)] == VEHICLE_COLUMNS
+    mount = result_of(folder)["deployment"]
+    for row in table:
+        distance = np.hypot(float(row["x_m"]) - mount["x_m"], float(row["y_m"]) - mount["y_m"])
+        assert float(row["distance_m"]) == pytest.approx(distance, abs=2e-3)
+        assert float(row["z_m"]) == pytest.approx(float(row["height_m"]) / 2, abs=1e-3)
+
+
+def test_the_history_names_every_evaluation_and_its_best_is_the_result(mapped_run):
+    folder, _ = mapped_run
+    table, result = rows(folder / "history.csv"), result_of(folder)
+    assert list(table[0]) == ["evaluation", "iteration", "particle", "height_m", "tilt_x_deg", "objective", "best"]
+    assert [int(row["evaluation"]) for row in table] == list(range(1, result["evaluations"] + 1))
+    objective = np.array([float(row["objective"]) for row in table])
+    assert [float(row["best"]) for row in table] == np.maximum.accumulate(objective).tolist()
+    best = table[int(objective.argmax())]
+    assert float(best["objective"]) == pytest.approx(result["objective"])
+    assert {key: float(best[key]) for key in ("height_m", "tilt_x_deg")} == {
+        key: result["deployment"][key] for key in ("height_m", "tilt_x_deg")
+    }
+
+
+def test_json_on_stdout_is_the_result_file_to_the_byte_and_everything_else_is_on_stderr(mapped_run):
+    folder, done = mapped_run
+    assert done.stdout == (folder / "result.json").read_text()
+    assert "Sensor     RS-16" in done.stderr
+    assert f"Results in {folder}" in done.stderr
+
+
+def test_the_score_map_is_read_back_as_it_was_written(mapped_run):
+    folder, _ = mapped_run
+    score_map, result = RunFolder(folder).read_score_map(), result_of(folder)
+    assert [*score_map.per_vehicle.shape] == result["map"]["points"]
+    assert score_map.best == pytest.approx(tuple(result["map"]["best"].values()))
+    intervals = score_map.optimum_intervals_90(result["seed"])
+    assert {key: list(pair) for key, pair in intervals.items()} == result["map"]["optimum_interval_90"]
+
+
+def test_a_run_that_has_ended_is_shown_again_by_resume_with_its_map(mapped_run, capsys):
+    folder, done = mapped_run
+    scene = folder.parent / "scene.toml"
+    code, out, err = cli(capsys, "optimise", scene, "--detail", "box", "--out", folder, "--resume")
+    assert code == 0
+    assert "search:" not in err  # nothing is searched again
+    assert out[out.index("Mounting") : out.index("Results in")] in done.stderr
+
+
+# --- the same again ---------------------------------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_the_same_result_and_another_seed_another(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    first, again = (optimise(capsys, scene, tmp_path / name) for name in ("a", "b"))
+    assert without_times(first) == without_times(again)
+    for name in ("vehicles.csv", "vehicles_baseline.csv", "history.csv", "installation.txt", "scene.toml"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    other = optimise(capsys, scene, tmp_path / "c", "--seed", 2)
+    assert other["deployment"] != first["deployment"]
+
+
+def test_the_number_of_workers_changes_nothing(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    alone = optimise(capsys, scene, tmp_path / "one", "--workers", 1)
+    shared = optimise(capsys, scene, tmp_path / "two", "--workers", 2)
+    assert without_times(alone) == without_times(shared)
+    assert (tmp_path / "one" / "history.csv").read_bytes() == (tmp_path / "two" / "history.csv").read_bytes()
+
+
+def test_the_scene_in_the_folder_makes_the_same_run_from_anywhere(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "scenes")
+    options = ["--detail", "box", "--frame-ids", "9:33:6", "--seed", 5, "--sensor", "RS-32", "--search", "random"]
+    first = optimise(capsys, Path("scenes/scene.toml"), tmp_path / "a", *options)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    again = optimise(capsys, tmp_path / "a" / "scene.toml", tmp_path / "b")
+    assert without_times(again) == without_times(first)
+    assert first["frame_ids"] == [9, 15, 21, 27, 33]
+
+
+def test_the_scene_in_the_folder_spells_out_what_the_scene_left_out(tmp_path, capsys):
+    optimise(capsys, write_scene(tmp_path), tmp_path / "run")
+    text = (tmp_path / "run" / "scene.toml").read_text()
+    written = tomllib.loads(text)
+    assert text.startswith("# The scene as blender_lidar ")
+    assert written["traffic"]["path"] == str((tmp_path / "traffic.csv").resolve())
+    assert written["objective"] == {
+        "metric": "pe-vgop",
+        "reading": "corrected",
+        "cell_m": 0.05,
+        "threshold": 0.005,
+        "view": "mean",
+        "loss": -1.0,
+    }
+
+
+def test_own_sensors_go_into_the_folders_scene_with_their_whole_path(tmp_path, capsys, monkeypatch):
+    (tmp_path / "own.csv").write_text("ring,elevation_deg\n0,-15\n1,-5\n2,0\n")
+    scene = write_scene(tmp_path, {"sensor": {"rotation_hz": None}})
+    first = optimise(capsys, scene, tmp_path / "a", "--sensor", "own.csv")
+    assert first["sensor"] == "own"
+    monkeypatch.chdir("/")
+    again = optimise(capsys, tmp_path / "a" / "scene.toml", tmp_path / "b")
+    assert without_times(again) == without_times(first)
+
+
+# --- whose folder -----------------------------------------------------------------------------------------------------
+
+
+def test_without_out_runs_are_numbered_under_runs(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    for name in ("scene_rs-16", "scene_rs-16_2"):
+        code, out, _ = cli(capsys, "optimise", scene)
+        assert code == 0
+        assert f"Results in {Path('runs') / name}: " in out
+        assert (tmp_path / "runs" / name / "result.json").exists()
+
+
+@pytest.mark.parametrize("verb", ["optimise", "evaluate"])
+def test_a_folder_that_holds_a_run_is_not_written_again(tmp_path, capsys, verb):
+    scene = write_scene(tmp_path)
+    optimise(capsys, scene, tmp_path / "run")
+    before = {path: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+    code, _, err = cli(capsys, verb, scene, "--out", tmp_path / "run")
+    assert code == 2
+    assert "holds a run already; give another folder, or go on with it: optimise --resume" in err
+    assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
+
+
+def test_a_folder_with_other_files_may_be_used_and_keeps_them(tmp_path, capsys):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "notes.txt").write_text("mine")
+    optimise(capsys, write_scene(tmp_path), tmp_path / "run")
+    assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["vehicles.csv", "scene.toml", "result.json", "history.csv", "installation.txt"])
+def test_a_file_of_the_users_own_is_never_written_over(tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    for resume in (False, True):
+        with pytest.raises(InputError, match=f"holds a file {name} that no run has written"):
+            RunFolder(tmp_path).check(resume=resume)
+
+
+def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, capsys):
+    pytest.importorskip("fcntl")
+    with RunFolder(tmp_path / "run").locked():
+        code, _, err = cli(capsys, "optimise", write_scene(tmp_path), "--out", tmp_path / "run")
+    assert code == 2
+    assert err == f"blender-lidar: --out: {tmp_path / 'run'}: another run is at work there\n"
+    assert not list((tmp_path / "run").iterdir())
+    assert main(["optimise", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run")]) == 0
+
+
+def _write_two(folder, *names):
+    for name in names:
+        folder.write_text(name, "here")
+
+
+def test_a_lock_is_let_go_of_by_an_error_and_an_empty_new_folder_with_it(tmp_path):
+    folder = RunFolder(tmp_path / "deep" / "run")
+    with pytest.raises(ValueError, match="early"), folder.locked():
+        raise ValueError("early")
+    assert not (tmp_path / "deep").exists()
+    with pytest.raises(OutputError, match="cannot be written"), folder.locked():
+        _write_two(folder, "installation.txt", "none/installation.txt")
+    assert [path.name for path in folder.path.iterdir()] == ["installation.txt"]
+    with folder.locked():
+        pass
+
+
+def test_a_folder_that_was_there_before_stays_even_if_empty(tmp_path):
+    (tmp_path / "run").mkdir()
+    with pytest.raises(ValueError, match="early"), RunFolder(tmp_path / "run").locked():
+        raise ValueError("early")
+    assert (tmp_path / "run").is_dir()
+
+
+def test_what_a_killed_run_had_not_finished_writing_is_swept_away(tmp_path):
+    leftovers = [".checkpoint-abcd1234.json", ".vehicles-abcd1234.csv", ".clouds.png.123.part", ".lock"]
+    for name in [*leftovers, ".hidden.json", "mine-abcd1234.json"]:
+        (tmp_path / name).write_text("half")
+    with RunFolder(tmp_path).locked():
+        pass
+    assert {path.name for path in tmp_path.iterdir()} == {".hidden.json", "mine-abcd1234.json"}
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "run").write_text("here")
+    with pytest.raises(OutputError, match="the folder cannot be made"):
+        RunFolder(tmp_path / "run").check()
+
+
+@pytest.mark.parametrize("name", ["history.csv", "vehicles.csv"])
+@pytest.mark.parametrize("content", [b"", b"a,b\n1\n", b"\xff\xfe", b"x,y\n1,2\n"])
+def test_a_damaged_table_is_refused_by_name(tmp_path, capsys, name, content):
+    if (name, content) == ("history.csv", b"x,y\n1,2\n"):
+        pytest.skip("any numbers are a history")
+    scene = write_scene(tmp_path)
+    optimise(capsys, scene, tmp_path / "run")
+    (tmp_path / "run" / name).write_bytes(content)
+    code, _, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume")
+    assert code == 2
+    assert f"{name}: is damaged: " in err
+    assert len(err.splitlines()) == 1

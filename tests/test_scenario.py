@@ -1,0 +1,380 @@
+"""Scene files: what they mean, what options change, and that every refusal names the file, the table and the key."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pytest
+
+from blender_lidar.errors import InputError, MissingFileError
+from blender_lidar.scenario import COORDINATES, Scenario, load_scenario
+from blender_lidar.sensors.model import load_model
+from blender_lidar.toml_table import to_toml
+from tests.small_scene import write_scene
+
+MINIMAL = '[traffic]\npath = "traffic.csv"\n'
+
+
+def scene(folder: Path, text: str) -> Path:
+    path = folder / "site.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refusal(folder: Path, text: str, overrides=None, error=InputError) -> str:
+    """What a scene file is refused with, the file's name taken off."""
+    path = scene(folder, text)
+    with pytest.raises(error) as caught:
+        load_scenario(path, overrides)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text.removeprefix(f"{path}: ")
+
+
+# --- what a scene means -----------------------------------------------------------------------------------------------
+
+
+def test_a_scene_needs_no_more_than_its_traffic(tmp_path):
+    scenario = load_scenario(scene(tmp_path, MINIMAL))
+    assert scenario.traffic.path == str(tmp_path / "traffic.csv")
+    assert scenario.sensor.name == "RS-16"
+    assert scenario.sensor.range_gate_m == load_model("RS-16").range_max_m
+    assert scenario.sensor.rotation_hz == load_model("RS-16").default_rotation_hz
+    assert scenario.deployment.bounds == {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
+    assert scenario.baseline == {**dict.fromkeys(COORDINATES, 0.0), "height_m": 2.0}
+    assert (scenario.search.particles, scenario.search.iterations, scenario.search.method) == (20, 100, "de-pso")
+    assert (scenario.objective.metric, scenario.objective.reading) == ("pe-vgop", "corrected")
+    assert scenario.traffic.frames >= 30
+
+
+def test_a_number_fixes_a_coordinate_and_a_pair_has_it_searched(tmp_path):
+    text = MINIMAL + "[deployment]\nx_m = [-4.0, 6.0]\ny_m = -1.5\nheight_m = 3\nyaw_deg = [-10, 10]\n"
+    deployment = load_scenario(scene(tmp_path, text)).deployment
+    assert deployment.variables == ("x_m", "tilt_x_deg", "yaw_deg")
+    assert deployment.lower == (-4.0, 0.0, -10.0)
+    assert deployment.upper == (6.0, 25.0, 10.0)
+    assert deployment.fixed == {"y_m": -1.5, "height_m": 3.0, "tilt_y_deg": 0.0}
+    assert deployment.nominal_xy == (1.0, -1.5)
+    pose = deployment.pose([2.0, 18.0, 5.0])
+    assert (pose.x_m, pose.y_m, pose.height_m, pose.tilt_y) == (2.0, -1.5, 3.0, 0.0)
+    assert pose.tilt_x == pytest.approx(math.radians(18.0))
+    assert pose.yaw == pytest.approx(math.radians(5.0))
+
+
+def test_the_baseline_stands_at_the_nominal_place_unless_said(tmp_path):
+    deployment = "[deployment]\nx_m = [10.0, 20.0]\ny_m = -2.0\n"
+    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline["x_m"] == 15.0
+    said = load_scenario(scene(tmp_path, MINIMAL + deployment + "[baseline]\nx_m = 0.0\nheight_m = 5\n")).baseline
+    assert (said["x_m"], said["y_m"], said["height_m"]) == (0.0, -2.0, 5.0)
+
+
+def test_a_file_with_windows_line_ends_and_byte_order_mark_is_a_scene(tmp_path):
+    path = tmp_path / "site.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.replace("\n", "\r\n").encode())
+    assert load_scenario(path).traffic.path == str(tmp_path / "traffic.csv")
+
+
+def test_a_scenario_is_frozen(tmp_path):
+    scenario = load_scenario(scene(tmp_path, MINIMAL))
+    for part in (scenario, scenario.traffic, scenario.sensor, scenario.deployment, scenario.search, scenario.model):
+        name = dataclasses.fields(part)[0].name
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(part, name, None)
+
+
+# --- paths ------------------------------------------------------------------------------------------------------------
+
+
+def test_paths_in_the_file_start_from_its_folder_and_those_of_options_from_the_working_folder(tmp_path, monkeypatch):
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    path = scene(folder, MINIMAL)
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario("scenes/site.toml").traffic.path == str(Path("scenes/traffic.csv"))
+    other = load_scenario(path, {("traffic", "path"): ("other.csv", "--traffic")})
+    assert other.traffic.path == "other.csv"
+
+
+def test_an_absolute_path_stays(tmp_path):
+    text = to_toml({"traffic": {"path": str(tmp_path / "far" / "t.csv")}})
+    assert load_scenario(scene(tmp_path, text)).traffic.path == str(tmp_path / "far" / "t.csv")
+
+
+def own_sensor(path: Path, range_max_m: float) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"range_max_m = {range_max_m}\nbeams = [[0, -10.0], [1, 0.0]]\n")
+    return path
+
+
+def test_a_beam_table_is_looked_for_beside_the_scene_and_an_optional_one_in_the_working_folder(tmp_path, monkeypatch):
+    own_sensor(tmp_path / "scenes" / "own.toml", 50.0)
+    own_sensor(tmp_path / "own.toml", 70.0)
+    path = scene(tmp_path / "scenes", MINIMAL + '[sensor]\nname = "own.toml"\n')
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario(path).sensor.range_gate_m == 50.0
+    assert load_scenario(path, {("sensor", "name"): ("own.toml", "--sensor")}).sensor.range_gate_m == 70.0
+    assert load_scenario(path).sensor.is_file
+
+
+def test_a_file_that_is_called_like_a_model_does_not_stand_in_its_way(tmp_path, monkeypatch):
+    (tmp_path / "RS-16").write_text("not a sensor")
+    monkeypatch.chdir(tmp_path)
+    sensor = load_scenario(scene(tmp_path, MINIMAL)).sensor
+    assert (sensor.name, sensor.is_file) == ("RS-16", False)
+
+
+# --- sensors ----------------------------------------------------------------------------------------------------------
+
+GATES = MINIMAL + '[sensor]\nname = "{name}"\nrange_gate_m = 30\n[sensor.RS-16]\nrange_gate_m = 50\n'
+
+
+def test_a_table_per_sensor_counts_for_that_sensor_alone_and_over_the_general_setting(tmp_path):
+    assert load_scenario(scene(tmp_path, GATES.format(name="RS-16"))).sensor.range_gate_m == 50.0
+    assert load_scenario(scene(tmp_path, GATES.format(name="RS-32"))).sensor.range_gate_m == 30.0
+
+
+def test_a_sensor_and_its_table_may_go_by_an_alias(tmp_path):
+    model = load_model("RS-32")
+    alias = model.aliases[0]
+    text = MINIMAL + f'[sensor]\nname = "rs_32"\n[sensor."{alias}"]\nrange_gate_m = 80\n'
+    sensor = load_scenario(scene(tmp_path, text)).sensor
+    assert (sensor.name, sensor.range_gate_m) == (model.name, 80.0)
+
+
+def test_a_table_may_be_that_of_a_users_own_sensor(tmp_path):
+    own_sensor(tmp_path / "own.toml", 70.0)
+    text = MINIMAL + '[sensor]\nname = "own.toml"\n[sensor."own.toml"]\nrange_gate_m = 60\n'
+    assert load_scenario(scene(tmp_path, text)).sensor.range_gate_m == 60.0
+
+
+def test_an_option_chooses_another_sensor_and_its_table(tmp_path):
+    chosen = {("sensor", "name"): ("RS-16", "--sensor")}
+    assert load_scenario(scene(tmp_path, GATES.format(name="RS-32")), chosen).sensor.range_gate_m == 50.0
+
+
+@pytest.mark.parametrize("gate", [0.1, 1000.0])
+def test_a_range_gate_outside_the_sensors_range_is_refused_where_it_stands(tmp_path, gate):
+    model = load_model("RS-16")
+    allowed = f"allowed for RS-16: more than {model.range_min_m:g}, at most {model.range_max_m:g}"
+    text = MINIMAL + f"[sensor]\nrange_gate_m = {gate}\n"
+    assert refusal(tmp_path, text) == f"[sensor] range_gate_m: is {gate}; {allowed}"
+    text = MINIMAL + f"[sensor.RS-16]\nrange_gate_m = {gate}\n"
+    assert refusal(tmp_path, text) == f"[sensor.RS-16] range_gate_m: is {gate}; {allowed}"
+
+
+def test_a_rotation_rate_that_the_sensor_lacks_is_refused_with_those_it_has(tmp_path):
+    text = refusal(tmp_path, MINIMAL + "[sensor]\nrotation_hz = 7\n")
+    assert text.startswith("[sensor] rotation_hz: RS-16 does not turn at 7")
+    assert "allowed: 5, 10, 20" in text
+
+
+def test_an_unknown_sensor_is_refused_with_the_nearest_wherever_it_is_named(tmp_path):
+    assert refusal(tmp_path, MINIMAL + '[sensor]\nname = "RS-61"\n').startswith(
+        "[sensor] name: unknown sensor 'RS-61'; did you mean "
+    )
+    assert refusal(tmp_path, MINIMAL + "[sensor.RS-61]\nrange_gate_m = 3\n").startswith(
+        "[sensor] RS-61: unknown sensor 'RS-61'; did you mean "
+    )
+    chosen = {("sensor", "name"): ("RS-61", "--sensor")}
+    path = scene(tmp_path, MINIMAL)
+    with pytest.raises(InputError, match=r"^--sensor: unknown sensor 'RS-61'"):
+        load_scenario(path, chosen)
+
+
+def test_a_beam_table_that_is_not_there_is_refused_by_name_and_key(tmp_path):
+    text = refusal(tmp_path, MINIMAL + '[sensor]\nname = "own.csv"\n', error=MissingFileError)
+    assert text == f"[sensor] name: {tmp_path / 'own.csv'}: no such sensor file"
+
+
+# --- frames -----------------------------------------------------------------------------------------------------------
+
+
+def test_frames_are_spread_evenly_or_listed(tmp_path):
+    listed = load_scenario(scene(tmp_path, MINIMAL + "frame_ids = [3, 5]\n")).traffic
+    assert (listed.frames, listed.frame_ids) == (None, (3, 5))
+    spread = load_scenario(scene(tmp_path, MINIMAL + "frames = 7\nspacing_s = 2.0\n")).traffic
+    assert (spread.frames, spread.frame_ids, spread.spacing_s) == (7, None, 2.0)
+
+
+@pytest.mark.parametrize("key", ["frames", "spacing_s"])
+def test_frames_both_listed_and_spread_evenly_are_refused(tmp_path, key):
+    text = refusal(tmp_path, MINIMAL + f"frame_ids = [3]\n{key} = 2\n")
+    assert text.startswith("[traffic] frame_ids: lists the frames that ")
+    assert f"[traffic] {key}" in text
+
+
+def test_an_option_puts_the_files_choice_of_frames_out_of_force(tmp_path):
+    path = scene(tmp_path, MINIMAL + "frames = 7\nspacing_s = 2.0\n")
+    listed = load_scenario(path, {("traffic", "frame_ids"): ([4], "--frame-ids")}).traffic
+    assert (listed.frames, listed.frame_ids, listed.spacing_s) == (None, (4,), None)
+    path = scene(tmp_path, MINIMAL + "frame_ids = [3, 5]\n")
+    spread = load_scenario(path, {("traffic", "frames"): (9, "--frames")}).traffic
+    assert (spread.frames, spread.frame_ids) == (9, None)
+
+
+def test_two_options_that_contradict_each_other_are_refused_by_their_names(tmp_path):
+    both = {("traffic", "frames"): (9, "--frames"), ("traffic", "frame_ids"): ([4], "--frame-ids")}
+    assert refusal(tmp_path, MINIMAL, both).startswith("--frame-ids: lists the frames that --frames spreads evenly")
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------------
+
+# table, key, a value of the wrong type, one out of range (None where nothing is)
+KEYS = [
+    ("traffic", "path", "3", None),
+    ("traffic", "format", "3", '"xml"'),
+    ("traffic", "period", "1", None),
+    ("traffic", "location", "true", None),
+    ("traffic", "origin_m", "[1, 2, 3]", None),
+    ("traffic", "heading_deg", '"north"', "361"),
+    ("traffic", "lanes", '"1"', None),
+    ("traffic", "frames", "2.5", "0"),
+    ("traffic", "frame_ids", "[1.5]", f"[{10**20}]"),
+    ("traffic", "spacing_s", "[1]", "0"),
+    ("traffic", "holdout", '"a"', "0.95"),
+    ("traffic", "block_s", "true", "-1"),
+    ("traffic.height_m", "car", '"tall"', "0"),
+    ("road", "station_m", '"a"', None),
+    ("road", "right_edge_m", "[1]", None),
+    ("road", "setback_m", "true", "-1"),
+    ("road", "lanes", "2.5", "0"),
+    ("road", "lane_width_m", '"3"', "0"),
+    ("world", "detail", "3", '"boxes"'),
+    ("sensor", "name", "16", '"RS-17"'),
+    ("sensor", "rotation_hz", '"10"', "0"),
+    ("sensor", "range_gate_m", '"50"', "-1"),
+    ("deployment", "x_m", '"a"', "1e9"),
+    ("deployment", "y_m", "[0, 1, 2]", "[0, 1e9]"),
+    ("deployment", "height_m", "[2.0]", "0"),
+    ("deployment", "tilt_x_deg", '["a", "b"]', "[0, 91]"),
+    ("deployment", "tilt_y_deg", "true", "-91"),
+    ("deployment", "yaw_deg", "nan", "400"),
+    ("baseline", "x_m", "[1, 2]", "1e9"),
+    ("baseline", "y_m", '"a"', "-1e9"),
+    ("baseline", "height_m", "[2.0, 4.5]", "0"),
+    ("baseline", "tilt_x_deg", "inf", "91"),
+    ("baseline", "tilt_y_deg", '"a"', "-91"),
+    ("baseline", "yaw_deg", "[0]", "361"),
+    ("objective", "metric", "3", '"pe-vgob"'),
+    ("objective", "reading", "1", '"literal"'),
+    ("objective", "cell_m", '"a"', "0"),
+    ("objective", "threshold", "true", "1.5"),
+    ("objective", "view", "[1]", '"top"'),
+    ("objective", "loss", '"-1"', None),
+    ("search", "method", "1", '"pso"'),
+    ("search", "seed", "1.5", "-1"),
+    ("search", "particles", '"20"', "2"),
+    ("search", "iterations", "true", "0"),
+    ("search", "inertia", '"a"', "-0.1"),
+    ("search", "differential_weight", "[1]", "1e300"),
+    ("search", "cognitive", "true", "-1"),
+    ("search", "social", '"a"', "11"),
+    ("search", "differential_threshold", '"a"', "1.1"),
+    ("model", "caster", "1", '"optix"'),
+    ("model", "workers", "1.5", "-1"),
+]
+WRONG = [(table, key, value) for table, key, *values in KEYS for value in values if value is not None]
+
+
+@pytest.mark.parametrize(("table", "key", "value"), WRONG, ids=[f"{t}.{k}={v}" for t, k, v in WRONG])
+def test_a_wrong_value_is_refused_with_the_file_the_table_and_the_key(tmp_path, table, key, value):
+    tables = {"traffic": 'path = "traffic.csv"\n'}
+    tables[table] = f"{key} = {value}\n" if key == "path" else tables.get(table, "") + f"{key} = {value}\n"
+    text = "".join(f"[{name}]\n{content}" for name, content in tables.items())
+    assert refusal(tmp_path, text).startswith(f"[{table}] {key}: ")
+
+
+def test_every_key_of_a_scene_is_among_those_tested(tmp_path):
+    written = load_scenario(scene(tmp_path, MINIMAL)).as_tables()
+    known = {(table, key) for table, content in written.items() for key in content} - {("traffic", "height_m")}
+    assert known <= {(table, key) for table, key, *_ in KEYS}
+
+
+@pytest.mark.parametrize("table", ["traffic", "road", "world", "sensor", "deployment", "baseline", "objective"])
+def test_an_unknown_key_is_refused_by_name(tmp_path, table):
+    text = MINIMAL + "colour = 1\n" if table == "traffic" else MINIMAL + f"[{table}]\ncolour = 1\n"
+    assert refusal(tmp_path, text).startswith(f"[{table}]: unknown key 'colour'; ")
+
+
+def test_an_unknown_key_is_refused_with_the_nearest(tmp_path):
+    text = refusal(tmp_path, MINIMAL + "[deployment]\nhight_m = 3\n")
+    assert text.startswith("[deployment]: unknown key 'hight_m'; did you mean 'height_m'? allowed: x_m, ")
+
+
+def test_an_unknown_table_is_refused_with_the_nearest(tmp_path):
+    text = refusal(tmp_path, MINIMAL + "[sensors]\n")
+    assert text.startswith("unknown table 'sensors'; did you mean 'sensor'? allowed: traffic, road, ")
+
+
+def test_a_key_outside_any_table_is_refused(tmp_path):
+    assert refusal(tmp_path, "seed = 1\n" + MINIMAL).startswith("unknown table 'seed'; ")
+
+
+def test_a_table_that_is_none_is_refused(tmp_path):
+    assert refusal(tmp_path, "road = 3\n" + MINIMAL) == "[road]: is 3; allowed: a table"
+
+
+def test_a_scene_without_traffic_is_refused(tmp_path):
+    assert refusal(tmp_path, "[road]\nlanes = 3\n") == "[traffic] path: is missing"
+
+
+def test_bounds_upside_down_are_refused(tmp_path):
+    assert refusal(tmp_path, MINIMAL + "[deployment]\nheight_m = [4.5, 2.0]\n") == (
+        "[deployment] height_m: is [4.5, 2.0]; allowed: the lower bound first, below the upper"
+    )
+
+
+def test_an_option_is_named_in_place_of_the_file(tmp_path):
+    overrides = {("search", "particles"): (1, "--particles")}
+    assert refusal(tmp_path, MINIMAL, overrides) == "--particles: is 1; allowed: 3 to 10000"
+
+
+def test_an_option_replaces_a_wrong_value_before_it_is_looked_at(tmp_path):
+    path = scene(tmp_path, MINIMAL + "[search]\nparticles = 1\n")
+    assert load_scenario(path, {("search", "particles"): (5, "--particles")}).search.particles == 5
+
+
+def test_a_grid_with_fewer_evaluations_than_corners_is_refused_when_the_scene_is_read(tmp_path):
+    search = '[search]\nmethod = "grid"\nparticles = 3\niterations = 1\n'
+    assert refusal(tmp_path, MINIMAL + search) == (
+        "[search] particles: 3 x 1 iterations are too few evaluations for a grid over 2 coordinates; allowed: 4 or more"
+    )
+
+
+# --- round trip -------------------------------------------------------------------------------------------------------
+
+FULL = {
+    "traffic": {
+        "format": "table",
+        "origin_m": [1.5, -2.0],
+        "heading_deg": 30.0,
+        "lanes": [1, 2],
+        "frames": None,
+        "frame_ids": [3, 9],
+        "block_s": 7.0,
+        "height_m": {"car": 1.4, "bus": 3.1},
+    },
+    "deployment": {"x_m": [-5.0, 5.0], "y_m": -0.5, "yaw_deg": [-1.0, 1.0]},
+    "baseline": {"height_m": 3.0, "tilt_x_deg": 5.0},
+    "objective": {"reading": "paper", "cell_m": 0.1, "view": "max", "loss": -2.0, "threshold": 0.01},
+    "search": {"method": "random", "inertia": 0.9, "seed": 2**53 - 1},
+    "world": {"detail": "box"},
+}
+
+
+@pytest.mark.parametrize("changes", [{}, FULL], ids=["small", "every kind of value"])
+def test_a_scenario_written_as_a_scene_file_is_read_as_the_same_scenario(tmp_path, changes):
+    first = load_scenario(write_scene(tmp_path, changes))
+    path = tmp_path / "again.toml"
+    path.write_text(to_toml(first.as_tables()), encoding="utf-8")
+    assert load_scenario(path) == dataclasses.replace(first, source=str(path))
+
+
+def test_writing_is_stable(tmp_path):
+    def written(scenario: Scenario) -> str:
+        return to_toml(scenario.as_tables())
+
+    first = written(load_scenario(write_scene(tmp_path, FULL)))
+    assert written(load_scenario(scene(tmp_path, first))) == first
