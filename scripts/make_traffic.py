@@ -233,6 +233,8 @@ def run_tool(name: str, folder: Path, options: str, end_s: float = 0.0) -> None:
             for line in process.stdout:  # SUMO's progress lines end in a carriage return, a line's end in text mode
                 if step := re.match(r"Step #(\d+)", line):
                     print(f"\rsimulated {step[1]} of {end_s:.0f} s", end="", file=sys.stderr, flush=True)
+        if end_s:
+            print(file=sys.stderr)
         if process.returncode:
             log.seek(0)
             reasons = [line.strip() for line in log if line.strip() and not line.startswith("Quitting")]
@@ -378,7 +380,7 @@ def main(argv: list[str] | None = None) -> int:
     count, speed = table.groupby("Frame_ID").size(), table["v_Vel"].mean() * FOOT_M
     per_frame = f"{count.mean():.0f} vehicles a frame ({count.min()} to {count.max()})"
     size_mb = args.out.stat().st_size / 1e6
-    print(f"\n{args.out}: {count.size} frames, {per_frame}, {speed:.1f} m/s, {size_mb:.2f} MB", file=sys.stderr)
+    print(f"{args.out}: {count.size} frames, {per_frame}, {speed:.1f} m/s, {size_mb:.2f} MB", file=sys.stderr)
     return 0
 
 

@@ -1,0 +1,221 @@
+"""Options: how they are read, what each changes, and that they replace the scene's settings."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from blender_lidar.commands.options import (
+    add_pose,
+    add_scene,
+    default_folder,
+    mounting_from,
+    option_name,
+    parse_frames,
+    scenario_from,
+)
+from blender_lidar.errors import InputError
+from blender_lidar.scenario import COORDINATES
+from tests.small_scene import cli, without_charts, without_times, write_scene
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch, tmp_path):
+    without_charts(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+
+
+def parsed(scene: Path, *words: object) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_scene(parser)
+    add_pose(parser)
+    return parser.parse_args([str(scene), *map(str, words)])
+
+
+# --- frame numbers ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [
+        ("7", [7]),
+        ("100,150", [100, 150]),
+        ("100:103", [100, 101, 102, 103]),
+        ("100:160:20", [100, 120, 140, 160]),
+        ("100:159:20", [100, 120, 140]),
+        ("3,10:12,7", [3, 10, 11, 12, 7]),
+        (" 3 , 4 ", [3, 4]),
+        ("-2:0", [-2, -1, 0]),
+    ],
+)
+def test_frames_are_numbers_ranges_with_their_end_or_both_mixed(text, frames):
+    assert parse_frames(text, "--frame-ids") == frames
+
+
+@pytest.mark.parametrize("text", ["", ",", "1,", "a", "1.5", "1:2:3:4", ":", "1:", ":3", "3:1", "1:9:0", "1:9:-1"])
+def test_anything_else_is_refused_with_the_forms_that_are_allowed(text):
+    with pytest.raises(InputError, match=r"^--frame-ids: '.*'; allowed: "):
+        parse_frames(text, "--frame-ids")
+
+
+def test_a_range_beyond_all_recordings_is_refused_before_it_is_spelt_out():
+    with pytest.raises(InputError, match="allowed: a range"):
+        parse_frames("0:1000000000000", "--frame-ids")
+
+
+@given(st.integers(-(10**6), 10**6), st.integers(0, 1000), st.integers(1, 50))
+def test_a_range_never_goes_beyond_its_end(first, length, step):
+    frames = parse_frames(f"{first}:{first + length}:{step}", "--frame-ids")
+    assert frames[0] == first
+    assert first + length - step < frames[-1] <= first + length
+    assert set(np.diff(frames)) <= {step}
+
+
+# --- what each option replaces ----------------------------------------------------------------------------------------
+
+REPLACED = [
+    ("--sensor", "RS-32", "sensor", "name", "RS-32"),
+    ("--period", "2", "traffic", "period", "2"),
+    ("--location", "i-80", "traffic", "location", "i-80"),
+    ("--frames", "9", "traffic", "frames", 9),
+    ("--frame-ids", "3:5", "traffic", "frame_ids", (3, 4, 5)),
+    ("--caster", "bvh", "model", "caster", "bvh"),
+    ("--workers", "3", "model", "workers", 3),
+    ("--detail", "box", "model", "detail", "box"),
+    ("--metric", "pe-vgop", "objective", "metric", "pe-vgop"),
+    ("--reading", "paper", "objective", "reading", "paper"),
+    ("--search", "grid", "search", "method", "grid"),
+    ("--seed", "7", "search", "seed", 7),
+    ("--particles", "11", "search", "particles", 11),
+    ("--iterations", "12", "search", "iterations", 12),
+]
+
+
+@pytest.mark.parametrize(("option", "value", "table", "key", "expected"), REPLACED, ids=[row[0] for row in REPLACED])
+def test_an_option_replaces_its_setting_and_no_other(tmp_path, option, value, table, key, expected):
+    scene = write_scene(tmp_path)
+    plain, changed = (scenario_from(parsed(scene, *words)) for words in ([], [option, value]))
+    assert getattr(getattr(changed, table), key) == expected
+    different = {
+        (name, field)
+        for name, content in plain.as_tables().items()
+        for field in content
+        if content[field] != changed.as_tables()[name][field]
+    }
+    # A list of frames stands in for their number; the sensor that the scene leaves out has another default.
+    assert different <= {(table, key), ("world", key), ("traffic", "frames")}
+
+
+def test_the_traffic_option_starts_from_the_working_folder(tmp_path):
+    scene = write_scene(tmp_path / "scenes")
+    assert scenario_from(parsed(scene, "--traffic", "other.csv")).traffic.path == "other.csv"
+
+
+def test_a_mounting_is_the_baseline_but_for_what_is_given(tmp_path):
+    args = parsed(write_scene(tmp_path), "--height", 4.1, "--tilt-x", -3, "--yaw", "-1.5")
+    expected = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.1, "tilt_x_deg": -3.0, "tilt_y_deg": 0.0, "yaw_deg": -1.5}
+    assert mounting_from(args, scenario_from(args)) == expected
+
+
+def test_every_coordinate_has_its_option():
+    names = ["--x", "--y", "--height", "--tilt-x", "--tilt-y", "--yaw"]
+    assert [option_name(key) for key in COORDINATES] == names
+
+
+def test_the_default_folder_is_the_first_that_is_free(tmp_path):
+    scenario = scenario_from(parsed(write_scene(tmp_path)))
+    assert default_folder(scenario) == Path("runs/scene_rs-16")
+    Path("runs/scene_rs-16").mkdir(parents=True)
+    Path("runs/scene_rs-16_2").mkdir()
+    assert default_folder(scenario) == Path("runs/scene_rs-16_3")
+
+
+# --- what each option does to a run -----------------------------------------------------------------------------------
+
+
+def run(capsys, scene: Path, out: str, *words: object, verb: str = "optimise") -> dict:
+    code, _, err = cli(capsys, verb, scene, "--out", out, *words)
+    assert code == 0, err
+    return json.loads((Path(out) / "result.json").read_text())
+
+
+def test_frames_may_be_listed_in_any_form_and_order(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    one, other, third = (
+        run(capsys, scene, f"run{number}", "--frame-ids", text)
+        for number, text in enumerate(("9,15,21,27", "9:27:6", "27,9:21:6,9"))
+    )
+    assert one["frame_ids"] == [9, 15, 21, 27]
+    assert without_times(one)["objective"] == other["objective"] == third["objective"]
+    assert one["holdout"] is not None
+
+
+def test_the_number_of_frames_is_as_asked_for(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    assert run(capsys, scene, "three", "--frames", 3)["frames"] == 3
+    many = run(capsys, scene, "many", "--frames", 999)
+    assert many["frames"] < 999
+    assert any("instead of 999" in note for note in many["notes"])
+
+
+def test_boxes_and_bodies_score_differently_and_say_which_they_are(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    mount = ("--height", 3, "--tilt-x", 15)
+    box, body = (run(capsys, scene, detail, "--detail", detail, *mount, verb="evaluate") for detail in ("box", "body"))
+    assert (box["detail"], body["detail"]) == ("box", "body")
+    assert box["objective"] != body["objective"]
+
+
+def test_the_literal_reading_differs_and_says_so(tmp_path, capsys):
+    # A threshold that every vehicle misses: the literal Eq. 10 rewards that, the corrected one charges for it.
+    scene = write_scene(tmp_path, {"objective": {"threshold": 1.0}})
+    mount = ("--height", 3, "--tilt-x", 15)
+    readings = {
+        name: run(capsys, scene, name, "--reading", name, *mount, verb="evaluate") for name in ("corrected", "paper")
+    }
+    assert readings["corrected"]["objective"] == -readings["corrected"]["vehicles"]
+    assert readings["paper"]["objective"] > 0
+    assert readings["paper"]["reading"] == "paper"
+
+
+@pytest.mark.parametrize("method", ["grid", "random", "de-pso"])
+def test_every_search_stays_within_its_budget_and_its_bounds(tmp_path, capsys, method):
+    result = run(capsys, write_scene(tmp_path), "run", "--search", method, "--particles", 5, "--iterations", 3)
+    assert result["search"] == method
+    assert result["evaluations"] == 15
+    assert 2.0 <= result["deployment"]["height_m"] <= 4.5
+    assert result["deployment"]["tilt_x_deg"] == 15.0
+
+
+def test_a_grid_holds_both_bounds(tmp_path, capsys):
+    run(capsys, write_scene(tmp_path), "run", "--search", "grid", "--particles", 5, "--iterations", 3)
+    heights = np.loadtxt("run/history.csv", delimiter=",", skiprows=1, usecols=3)
+    assert heights[[0, -1]].tolist() == [2.0, 4.5]
+
+
+@pytest.mark.parametrize("caster", ["embree", "bvh"])
+def test_casters_agree_and_the_one_used_is_named(tmp_path, capsys, caster):
+    pytest.importorskip({"embree": "embreex", "bvh": "bpy"}[caster])
+    scene = write_scene(tmp_path)
+    mount = ("--height", 3, "--tilt-x", 15)
+    fast, exact = (run(capsys, scene, name, "--caster", name, *mount, verb="evaluate") for name in (caster, "exact"))
+    assert (fast["caster"], exact["caster"]) == (caster, "exact")
+    assert fast["objective_per_vehicle"] == pytest.approx(exact["objective_per_vehicle"], rel=1e-3)
+
+
+def test_auto_names_the_caster_that_it_took(tmp_path, capsys, monkeypatch):
+    from blender_lidar import casting
+
+    scene = write_scene(tmp_path)
+    monkeypatch.setattr(casting, "is_available", lambda name: name == "exact")
+    code, _, err = cli(capsys, "evaluate", scene, "--caster", "auto")
+    assert code == 2
+    assert 'pip install "blender_lidar[fast]"' in err
+    assert '"blender_lidar[blender]"' in err
+    assert len(err.splitlines()) == 1
