@@ -108,7 +108,7 @@ def test_an_option_replaces_its_setting_and_no_other(tmp_path, option, value, ta
         for field in content
         if content[field] != changed.as_tables()[name][field]
     }
-    # A list of frames stands in for their number; the sensor that the scene leaves out has another default.
+    # The level of detail stands in [world], and a list of frames takes the place of their number.
     assert different <= {(table, key), ("world", key), ("traffic", "frames")}
 
 

@@ -2,7 +2,7 @@
 
 Seen from the sensor, a box covers a range of elevations and a range of azimuths; on the (ring, azimuth slot) lattice
 of a rotating LiDAR that is a rectangle. Boxes are cut along their length into pieces first, so that the rectangles of
-a long or a near vehicle hug it. The bounds are exact for each piece: no beam that meets a vehicle is ever left out.
+a long or a near vehicle hug it. The bounds are never too tight: no beam that meets a vehicle is left out.
 """
 
 from __future__ import annotations
@@ -21,13 +21,12 @@ from ..world.shapes import shape
 from ..world.triangles import place, shape_names
 
 PIECE_LENGTH_M = 1.8
-_PIECES_AT_A_TIME = (
-    2048  # pieces whose bounds are found together: enough to amortise NumPy's calls, few enough for the cache
-)
+_PIECES_AT_A_TIME = 2048  # whose bounds are found together: enough to amortise NumPy's calls, few enough for the cache
+_LEAST_COSINE = 0.01  # of the cone about a piece; a wider one is no bound
+_TURN = 2.0 * np.pi
 _MARGIN_RAD = 1e-5  # a float32 caster may let a beam touch what it passes by this closely; far below any beam spacing
 
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])  # 0 the lower bound, 1 the upper
-_EDGES = np.array([(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +105,9 @@ def _lattice_rectangles(lattice: BeamLattice, corners: np.ndarray) -> np.ndarray
     """
     low, high, first, last = _angular_bounds(corners)
     columns = lattice.columns
-    ring_from = np.searchsorted(lattice.elevation_rad, low - _MARGIN_RAD, side="left")
-    ring_to = np.searchsorted(lattice.elevation_rad, high + _MARGIN_RAD, side="right")
+    sine = np.sin(lattice.elevation_rad)
+    ring_from = np.searchsorted(sine, low - _MARGIN_RAD, side="left")
+    ring_to = np.searchsorted(sine, high + _MARGIN_RAD, side="right")
     # Slot s of a ring lies at an azimuth in [s, s + 1) steps.
     slot_from = np.ceil((first - _MARGIN_RAD) / lattice.step_rad).astype(np.int64) - 1
     slot_to = np.floor((last + _MARGIN_RAD) / lattice.step_rad).astype(np.int64) + 1
@@ -128,37 +128,30 @@ def _beams_inside(lattice: BeamLattice, rectangles: np.ndarray) -> np.ndarray:
 
 
 def _angular_bounds(corners: np.ndarray):
-    """Lowest and highest elevation, first and last azimuth of each piece (p, 8, 3) in the sensor frame [rad].
+    """Bounds of the directions to each piece (p, 8, 3) in the sensor frame: sine of the elevation, and azimuth [rad].
 
-    The last azimuth is at least the first and may exceed a turn. A piece that holds the sensor, or that its axis passes
-    through, gets all directions.
+    The last azimuth is at least the first and may exceed a turn. A piece about the sensor gets all directions.
     """
-    x, y = corners[..., 0], corners[..., 1]
-    centre = np.arctan2(x.mean(axis=1), y.mean(axis=1))  # clockwise from +y, Eq. 1
-    off_centre = (np.arctan2(x, y) - centre[:, None] + np.pi) % (2.0 * np.pi) - np.pi
-    first, last = off_centre.min(axis=1), off_centre.max(axis=1)
-    slope = _slope_bounds(corners)
-    low, high = np.arctan(slope[0]), np.arctan(slope[1])
-    # The corners surround the sensor's axis, or one of them is the sensor itself.
-    around = ~(last - first < np.pi) | np.isnan(low) | np.isnan(high)
-    first, last = np.where(around, 0.0, first + centre), np.where(around, 2.0 * np.pi, last + centre)
-    low, high = np.where(around, -0.5 * np.pi, low), np.where(around, 0.5 * np.pi, high)
-    return low, high, first, last
-
-
-def _slope_bounds(corners: np.ndarray):
-    """Least and greatest z / sqrt(x^2 + y^2) over the edges of each piece.
-
-    Along an edge the slope has one stationary point at most; a box off the axis takes its extremes on its edges.
-    """
-    start, step = corners[:, _EDGES[:, 0]], corners[:, _EDGES[:, 1]] - corners[:, _EDGES[:, 0]]
-    a = start[..., 0] ** 2 + start[..., 1] ** 2
-    b = start[..., 0] * step[..., 0] + start[..., 1] * step[..., 1]
-    c = step[..., 0] ** 2 + step[..., 1] ** 2
+    distance = np.sqrt(np.einsum("pci,pci->pc", corners, corners))
+    middle = corners.mean(axis=1)
+    # Every direction to a box is a sum of the directions to its corners with weights of 0 or more. Within a cone of the
+    # half-angle r those weights add up to 1 at least and to 1 / cos r at most, and so bound the direction's height.
     with np.errstate(divide="ignore", invalid="ignore"):
-        at = (start[..., 2] * b - step[..., 2] * a) / (step[..., 2] * b - start[..., 2] * c)
-        at = np.where(np.isfinite(at), np.clip(at, 0.0, 1.0), 0.0)
-        turning = (start[..., 2] + at * step[..., 2]) / np.sqrt(np.maximum(a + 2.0 * at * b + at * at * c, 0.0))
-        ends = corners[..., 2] / np.hypot(corners[..., 0], corners[..., 1])
-    slopes = np.concatenate([turning, ends], axis=1)
-    return slopes.min(axis=1), slopes.max(axis=1)
+        sine = corners[..., 2] / distance
+        along = np.einsum("pci,pi->pc", corners, middle) / distance
+        cosine = along.min(axis=1) / np.sqrt(np.einsum("pi,pi->p", middle, middle))
+        low, high = sine.min(axis=1), sine.max(axis=1)
+        low, high = np.where(low < 0.0, low / cosine, low), np.where(high > 0.0, high / cosine, high)
+    centre = np.arctan2(middle[:, 0], middle[:, 1])  # clockwise from +y, Eq. 1
+    off_centre = np.arctan2(corners[..., 0], corners[..., 1]) - centre[:, None]
+    off_centre -= _TURN * np.round(off_centre / _TURN)
+    first, last = off_centre.min(axis=1), off_centre.max(axis=1)
+    about_axis = ~(last - first < np.pi)
+    first, last = np.where(about_axis, 0.0, first + centre), np.where(about_axis, _TURN, last + centre)
+    about_sensor = ~(cosine > _LEAST_COSINE)
+    return (
+        np.where(about_sensor, -1.0, low),
+        np.where(about_sensor, 1.0, high),
+        np.where(about_sensor, 0.0, first),
+        np.where(about_sensor, _TURN, last),
+    )

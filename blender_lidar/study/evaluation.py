@@ -26,7 +26,7 @@ from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from .frame_scorer import FrameScorer, Observation
 
-_TASKS_PER_WORKER = 2  # few enough to amortise a task, enough to even out uneven frames
+_TASKS_PER_WORKER = 8  # few enough to amortise a task, enough to even out uneven frames
 
 
 @dataclass(frozen=True, slots=True)

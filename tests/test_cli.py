@@ -1,0 +1,361 @@
+"""The command line as a whole: verbs, exit codes, what goes to stdout and stderr, and that the verbs agree."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import subprocess
+import sys
+import tomllib
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar import __version__, cli
+from blender_lidar.commands.progress import Progress
+from blender_lidar.formats.clouds import read_points
+from tests.small_scene import CASTER, without_charts, without_times, write_scene, write_table
+from tests.small_scene import cli as run
+
+VERBS = ("optimise", "evaluate", "scan", "score", "sensors", "doctor")
+MOUNT = ("--height", 3.3, "--tilt-x", 12.5, "--tilt-y", 2.0, "--yaw", 3.0, "--x", -1.5, "--y", 0.5)
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch, tmp_path):
+    without_charts(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+
+
+def process(*words: object, **settings) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "blender_lidar", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **settings)
+
+
+def piped(*words: object, reads: int) -> tuple[int, str]:
+    """Exit code and stderr where a reader of stdout leaves after some bytes."""
+    command = [sys.executable, "-m", "blender_lidar", *map(str, words)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        child.stdout.read(reads)
+        child.stdout.close()
+        error = child.stderr.read().decode()
+        return child.wait(), error
+
+
+# --- help and versions ------------------------------------------------------------------------------------------------
+
+
+def test_help_names_every_verb(capsys):
+    code, out, err = run(capsys, "--help")
+    assert (code, err) == (0, "")
+    assert all(f"\n    {verb} " in out for verb in VERBS)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help_that_explains_every_option(capsys, verb):
+    code, out, err = run(capsys, verb, "--help")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    for number, line in enumerate(lines):
+        if line.startswith("  --"):
+            explained = len(line.split("  ")) > 2 or lines[number + 1].startswith(" " * 20)
+            assert explained, line
+
+
+def test_python_m_is_the_command_line():
+    done = process("--version")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"blender_lidar {__version__}\n", "")
+
+
+def test_help_needs_no_library_that_is_heavy():
+    program = (
+        "import sys; from blender_lidar.cli import main; main(['--help']);"
+        "heavy = {'bpy', 'matplotlib', 'embreex', 'tqdm', 'pandas'} & set(sys.modules); sys.exit(bool(heavy))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+
+
+def test_doctor_finds_what_is_installed_and_scans_a_wall(capsys):
+    code, out, err = run(capsys, "doctor")
+    assert err == ""
+    assert out.startswith(f"blender_lidar {__version__}, Python 3.")
+    assert "caster exact   works: " in out
+    works = any(f"caster {name:<7} works: " in out for name in ("bvh", "embree"))
+    assert code == (0 if works else 1)
+    assert ("All is well." in out) == works
+
+
+def test_doctor_without_a_fast_caster_fails_and_says_what_to_install(capsys, monkeypatch):
+    from blender_lidar.commands import doctor
+
+    monkeypatch.setattr(doctor, "is_available", lambda name: name == "exact")
+    code, out, _ = run(capsys, "doctor")
+    assert code == 1
+    assert out.splitlines()[-1].startswith('No fast caster works: pip install "blender_lidar[fast]"')
+
+
+def test_doctor_shows_what_a_broken_caster_raises(capsys, monkeypatch):
+    from blender_lidar.commands import doctor
+
+    class Broken:
+        def __init__(self, corners) -> None:
+            raise OSError("libembree4.so is missing")
+
+    monkeypatch.setattr(doctor, "caster_class", lambda name: Broken)
+    code, out, _ = run(capsys, "doctor")
+    assert code == 1
+    assert "caster exact   fails: OSError: libembree4.so is missing" in out
+
+
+# --- streams ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes close differently there")
+@pytest.mark.parametrize("words", [["sensors"], ["sensors", "RS-80", "--json"], ["optimise", "--help"]])
+@pytest.mark.parametrize("reads", [0, 1])
+def test_a_reader_that_leaves_early_is_no_error_to_talk_about(words, reads):
+    code, error = piped(*words, reads=reads)
+    assert error == ""
+    assert code in (0, 1)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_a_disk_that_is_full_is_one_line():
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "blender_lidar", "sensors"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "blender-lidar: output cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize("caster", ["embree", "bvh"])
+def test_stdout_holds_the_json_and_nothing_else_whatever_casts(tmp_path, caster):
+    pytest.importorskip({"embree": "embreex", "bvh": "bpy"}[caster])
+    done = process("evaluate", write_scene(tmp_path), "--caster", caster, "--out", "run", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == Path("run/result.json").read_text()
+    assert "Error" not in done.stderr
+
+
+def test_without_json_what_is_for_people_is_on_stdout_and_progress_on_stderr(tmp_path, capsys):
+    code, out, err = run(capsys, "optimise", write_scene(tmp_path), "--out", "run")
+    assert code == 0
+    titles = [line.split()[0] for line in out.splitlines() if line and not line.startswith(" ")]
+    assert titles[:7] == ["Sensor", "Traffic", "Searched", "Held", "Casting", "Searching", "Mounting"]
+    assert titles[-1] == "Results"
+    assert "search: 12 of 12 best " in err
+    assert max(map(len, out.replace(str(tmp_path), "").splitlines())) <= 120
+
+
+def test_a_printed_mounting_is_that_of_the_result_with_units(tmp_path, capsys):
+    _, out, _ = run(capsys, "evaluate", write_scene(tmp_path), *MOUNT, "--out", "run")
+    lines = {cells[0]: cells[1:] for cells in (re.split(r"\s{2,}", line.strip()) for line in out.splitlines())}
+    assert lines["height [m]"] == ["2.00", "3.30"]
+    assert lines["tilt across the road [deg]"] == ["0.00", "12.50"]
+    assert lines["tilt along the road [deg]"] == ["0.00", "2.00"]
+    assert lines["yaw [deg]"] == ["0.00", "3.00"]
+    assert lines["x along the road [m]"] == ["0.00", "-1.50"]
+    assert lines["Mounting"] == ["baseline", "given"]
+    assert "Searching" not in out  # nothing is searched
+
+
+def test_without_matplotlib_a_run_succeeds_and_one_line_says_how_to_get_charts(tmp_path, capsys):
+    code, out, err = run(capsys, "optimise", write_scene(tmp_path), "--out", "run")
+    assert code == 0
+    assert [line for line in err.splitlines() if "matplotlib" in line] == [
+        'blender-lidar: note: no charts: charts need matplotlib: pip install "blender_lidar[plots]"'
+    ]
+    assert out.splitlines()[-1] == "Results in run: result.json, vehicles.csv, installation.txt"
+    assert not list(Path("run").glob("*.png"))
+
+
+def test_a_warning_is_one_line_and_python_is_left_as_it_was(capsys, monkeypatch, tmp_path):
+    def warn(_):
+        warnings.warn("two\nlines", stacklevel=2)
+        return 0
+
+    from blender_lidar.commands import doctor
+
+    before = warnings.showwarning
+    monkeypatch.setattr(doctor, "run", warn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert run(capsys, "doctor") == (0, "", "blender-lidar: note: two lines\n")
+    assert warnings.showwarning is before
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (KeyboardInterrupt(), 1, "stopped"),
+        (MemoryError(), 1, "out of memory; try fewer --frames or --workers 1"),
+        (OSError(36, "File name too long", "x.csv"), 2, "x.csv: File name too long"),
+        (OSError(28, "No space left on device"), 1, "output cannot be written: No space left on device"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, BaseException) else "",
+)
+def test_what_may_happen_to_any_verb_is_one_line(capsys, monkeypatch, error, code, line):
+    def fail(_):
+        raise error
+
+    from blender_lidar.commands import doctor
+
+    monkeypatch.setattr(doctor, "run", fail)
+    assert run(capsys, "doctor") == (code, "", f"blender-lidar: {line}\n")
+
+
+def test_a_mistake_of_ours_is_not_hidden(monkeypatch):
+    def fail(_):
+        raise ZeroDivisionError
+
+    from blender_lidar.commands import doctor
+
+    monkeypatch.setattr(doctor, "run", fail)
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["doctor"])
+
+
+def test_progress_without_a_terminal_is_a_line_each_tenth_of_the_way(capsys):
+    progress = Progress(200, "search")
+    for _ in range(200):
+        progress.advance(1, "best 3 bits")
+    progress.close()
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"search: {done} of 200 best 3 bits" for done in range(20, 201, 20)]
+
+
+def test_progress_that_goes_on_says_from_where(capsys):
+    Progress(200, "search", 60)
+    assert capsys.readouterr().err == "search: 60 of 200 done before\n"
+
+
+# --- the verbs agree --------------------------------------------------------------------------------------------------
+
+
+def rows(path: str) -> list[dict[str, str]]:
+    with Path(path).open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_evaluate_gives_what_optimise_reports_for_the_same_mounting(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    assert run(capsys, "optimise", scene, "--out", "found")[0] == 0
+    found = json.loads(Path("found/result.json").read_text())
+    height = repr(found["deployment"]["height_m"])
+    assert run(capsys, "evaluate", scene, "--height", height, "--tilt-x", 15, "--out", "given")[0] == 0
+    given = json.loads(Path("given/result.json").read_text())
+    differ = {key for key in found if without_times(found).get(key) != without_times(given).get(key)}
+    assert differ == {"search", "evaluations"}
+    assert (given["search"], given["evaluations"]) == (None, 1)
+    for name in ("vehicles.csv", "vehicles_baseline.csv"):
+        assert Path("found", name).read_bytes() == Path("given", name).read_bytes()
+
+
+def test_evaluate_without_a_mounting_is_the_baseline(tmp_path, capsys):
+    assert run(capsys, "evaluate", write_scene(tmp_path), "--out", "run")[0] == 0
+    result = json.loads(Path("run/result.json").read_text())
+    assert result["deployment"] == result["baseline"]["deployment"]
+    assert result["objective"] == result["baseline"]["objective"]
+    assert result["holdout"]["gain_over_baseline"] == 0.0
+
+
+@pytest.fixture
+def scored(tmp_path, capsys):
+    """A scene, one mounting's vehicles.csv by frame, with a truck and a car that hides."""
+    scene = write_scene(tmp_path, {"traffic": {"frames": 3, "holdout": 0.0}})
+    assert run(capsys, "evaluate", scene, *MOUNT, "--out", "run")[0] == 0
+    table = {}
+    for row in rows("run/vehicles.csv"):
+        table.setdefault(int(row["frame"]), {})[int(row["vehicle_id"])] = row
+    return scene, table
+
+
+@pytest.mark.parametrize("suffix", ["npz", "pcd"])
+def test_a_scan_has_the_points_that_evaluate_counts(scored, capsys, suffix):
+    scene, table = scored
+    for frame, vehicles in table.items():
+        code, out, _ = run(capsys, "scan", scene, "--frame", frame, *MOUNT, "--out", f"cloud.{suffix}")
+        assert code == 0
+        points, vehicle_id = read_points(f"cloud.{suffix}")
+        assert out.startswith(f"cloud.{suffix}: {len(points)} points, {(vehicle_id >= 0).sum()} of them on ")
+        for number, row in vehicles.items():
+            assert (vehicle_id == number).sum() == int(row["points"])
+
+
+@pytest.mark.parametrize(("suffix", "within"), [("npz", 1e-6), ("pcd", 2e-3)])  # PCD keeps single precision
+def test_score_by_id_gives_back_what_evaluate_wrote(scored, capsys, suffix, within):
+    scene, table = scored
+    for frame, vehicles in table.items():
+        run(capsys, "scan", scene, "--frame", frame, *MOUNT, "--out", f"cloud.{suffix}")
+        words = ["--points", f"cloud.{suffix}", "--boxes", "run/vehicles.csv", "--frame", frame]
+        code, _, err = run(capsys, "score", *words, "--assign", "id", "--out", "scores.csv")
+        assert (code, err) == (0, "")
+        scores = rows("scores.csv")
+        assert {int(row["vehicle_id"]) for row in scores} == set(vehicles)
+        for row in scores:
+            expected = vehicles[int(row["vehicle_id"])]
+            assert (row["points"], row["detectable"]) == (expected["points"], expected["detectable"])
+            for key in ("p_top", "p_side", "p_front"):
+                assert float(row[key]) == pytest.approx(float(expected[key]), abs=within)
+
+
+def test_score_by_box_is_near_what_evaluate_wrote(scored, capsys):
+    scene, table = scored
+    for frame, vehicles in table.items():
+        run(capsys, "scan", scene, "--frame", frame, *MOUNT, "--out", "cloud.npz")
+        words = ["--points", "cloud.npz", "--boxes", "run/vehicles.csv", "--frame", frame, "--assign", "box", "--json"]
+        scores = {
+            clearance: json.loads(run(capsys, "score", *words, "--ground-clearance", clearance)[1])["vehicles"]
+            for clearance in (0.005, 0.1)
+        }
+        for bare, clear in zip(*scores.values(), strict=True):
+            expected = vehicles[bare["vehicle_id"]]
+            assert bare["points"] == pytest.approx(int(expected["points"]), rel=0.01, abs=2)
+            for key in ("p_top", "p_side", "p_front"):
+                assert bare[key] == pytest.approx(float(expected[key]), abs=0.005)
+                assert clear[key] <= bare[key] + 1e-12  # what is near the ground is left out
+
+
+def test_scores_as_json_csv_and_text_are_the_same(tmp_path, capsys):
+    boxes = write_table(tmp_path / "boxes.csv", [[0, 7, "car", 0.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0]])
+    np.savez("cloud.npz", xyz=np.array([[0.0, 4.0, 0.7], [0.5, 4.0, 0.7], [9.0, 9.0, 9.0]]))
+    words = ["score", "--points", "cloud.npz", "--boxes", boxes, "--assign", "box", "--out", "scores.csv"]
+    code, out, _ = run(capsys, *words, "--json")
+    assert code == 0
+    scores = json.loads(out)
+    (row,) = rows("scores.csv")
+    assert scores["points"] == 3
+    (vehicle,) = scores["vehicles"]
+    assert (vehicle["points"], vehicle["class"], vehicle["detectable"]) == (2, "car", False)
+    for key in ("p_top", "p_side", "p_front", "entropy_bits"):
+        assert float(row[key]) == pytest.approx(vehicle[key], abs=1e-6)
+    _, text, _ = run(capsys, *words)
+    assert text.splitlines()[1].split()[:3] == ["7", "car", "2"]
+    assert text.splitlines()[-1].startswith("1 vehicle, 3 points: ")
+
+
+def test_labels_that_fit_no_box_are_pointed_out(tmp_path, capsys):
+    boxes = write_table(tmp_path / "boxes.csv", [[0, 7, "car", 0.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0]])
+    np.savez("cloud.npz", xyz=np.zeros((2, 3)), vehicle_id=np.array([8, -1]))
+    code, _, err = run(capsys, "score", "--points", "cloud.npz", "--boxes", boxes)
+    assert code == 0
+    assert err.startswith("blender-lidar: note: cloud.npz: none of its vehicles is among the boxes of frame 0 in ")
+
+
+def test_the_clouds_header_tells_how_it_was_made(tmp_path, capsys):
+    run(capsys, "scan", write_scene(tmp_path), "--frame", 30, *MOUNT, "--out", "cloud.npz")
+    with np.load("cloud.npz") as content:
+        header = json.loads(str(content["header"]))
+    assert (header["sensor"], header["frame"], header["caster"]) == ("RS-16", 30, CASTER)
+    assert header["pose"]["tilt_x_deg"] == 12.5
+    assert len(header["ring_elevation_deg"]) == 16
+
+
+def test_the_scene_of_an_evaluation_is_a_scene(tmp_path, capsys):
+    run(capsys, "evaluate", write_scene(tmp_path), *MOUNT, "--out", "run")
+    assert tomllib.loads(Path("run/scene.toml").read_text())["deployment"]["height_m"] == [2.0, 4.5]
+    assert run(capsys, "optimise", "run/scene.toml", "--out", "again")[0] == 0
