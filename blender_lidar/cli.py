@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from . import __version__
-from .errors import BlenderLidarError
+from .errors import BlenderLidarError, WorkerError
 
 _VERBS = ("optimise", "evaluate", "scan", "score", "sensors", "doctor")
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
@@ -30,12 +30,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         0 good, 1 failed, 2 wrong input (one line on stderr says what and where).
     """
+    if argv is None:
+        _keep_stdout()
     with warnings.catch_warnings():  # which puts back what shows warnings
         warnings.showwarning = _one_line_warning
         try:
             code = _carried_out(argv)
-            sys.stdout.flush()  # while a closed pipe or a full disk can still be told
+            print(end="", flush=True)  # while a closed pipe or a full disk can still be told
             return code
+        except WorkerError as error:
+            return _failed(str(error), FAILED)
         except BlenderLidarError as error:
             return _failed(str(error), WRONG_INPUT)
         except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
@@ -63,6 +67,20 @@ def _carried_out(argv: Sequence[str] | None) -> int:
 def _failed(text: str, code: int) -> int:
     print(f"blender-lidar: {' '.join(text.split())}", file=sys.stderr)
     return code
+
+
+def _keep_stdout() -> None:
+    """Let what libraries written in C print on stdout, as Blender does when it starts, go to stderr.
+
+    It stays so until the process ends, as they may print what they have buffered only then.
+    """
+    if sys.stdout is None or sys.stderr is None:  # closed by whoever started us
+        return
+    with suppress(OSError):  # no real files
+        ours = os.dup(sys.stdout.fileno())
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+        line_by_line = 1 if sys.stdout.isatty() else -1
+        sys.stdout = os.fdopen(ours, "w", line_by_line, sys.stdout.encoding, "backslashreplace")
 
 
 def _drop_stdout() -> None:

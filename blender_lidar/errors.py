@@ -1,4 +1,4 @@
-"""The errors a user can cause. Each text says what was given, what is allowed, and where it came from."""
+"""The errors that a user meets. Each text says what was given, what is allowed, and where it came from."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class BlenderLidarError(Exception):
-    """Base of every error that is the input's fault; the command line prints it as one line and exits with 2."""
+    """Base of them all; the command line prints one as a line and exits with 2, as nearly all are the input's fault."""
 
 
 class InputError(BlenderLidarError, ValueError):
@@ -24,6 +24,10 @@ class MissingExtraError(BlenderLidarError, ImportError):
 
 class OutputError(BlenderLidarError, OSError):
     """A file or folder that cannot be written."""
+
+
+class WorkerError(BlenderLidarError, RuntimeError):
+    """A worker process that did not start or ended abruptly: no fault of the input's, so the exit code is 1."""
 
 
 def unknown_name(given: object, allowed: Iterable[str], what: str, where: str = "") -> InputError:

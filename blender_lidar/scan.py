@@ -120,7 +120,7 @@ def scan(
     of_vehicle = owner[kept] >= 0
     row = np.where(of_vehicle, owner[kept], 0)
     return PointCloud(
-        xyz=pose.position + distance[kept, None] * directions[kept],
+        xyz=pose.position + distance[kept, None] * directions[kept],  # Eqs. 2 and 3
         range_m=distance[kept],
         ring=ring.astype(np.uint16),
         azimuth_rad=lattice.azimuth_rad(ring, slot),

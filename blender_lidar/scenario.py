@@ -27,6 +27,7 @@ from .settings import (
 )
 from .toml_table import TomlTable, read_toml
 from .traffic import FORMATS, RoadFrame
+from .traffic.frames import DEFAULT_COUNT
 from .world.shapes import DETAILS
 
 __all__ = ["COORDINATES", "COORDINATE_LIMITS", "METRICS", "Deployment", "Scenario", "load_scenario", "pose_at"]
@@ -44,7 +45,6 @@ COORDINATE_LIMITS = {
 }
 # What an option of the key's name puts out of force in the file: frames are listed or spread evenly.
 _RIVALS = {("traffic", "frame_ids"): ("frames", "spacing_s"), ("traffic", "frames"): ("frame_ids",)}
-_FRAMES = 30
 _COEFFICIENT_LIMIT = 10.0  # of DE-PSO's coefficients; the paper's are below 1, and huge ones overflow
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
@@ -118,7 +118,8 @@ def _traffic(table: TomlTable, folder: Path) -> TrafficSettings:
         origin_m=table.numbers("origin_m", None, count=2),
         heading_deg=table.number("heading_deg", None, low=-360.0, high=360.0),
         lanes=table.whole_numbers("lanes", None),
-        frames=_FRAMES if frames is None and frame_ids is None else frames,
+        frames=DEFAULT_COUNT if frames is None and frame_ids is None and spacing_s is None else frames,
+        time_step_s=table.number("time_step_s", None, above=0.0),
         frame_ids=frame_ids,
         spacing_s=spacing_s,
         holdout=table.number("holdout", 0.4, low=0.0, high=0.9),

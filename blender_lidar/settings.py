@@ -17,7 +17,7 @@ COORDINATES = ("x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg")
 class TrafficSettings:
     """[traffic]: where the vehicles come from and which instants are looked at.
 
-    `frames` is None where `frame_ids` lists them.
+    `frames` is None where `frame_ids` lists them, or `spacing_s` alone spreads them.
     """
 
     path: str
@@ -26,6 +26,7 @@ class TrafficSettings:
     location: str | None
     origin_m: tuple[float, float] | None
     heading_deg: float | None
+    time_step_s: float | None
     lanes: tuple[int, ...] | None
     frames: int | None
     frame_ids: tuple[int, ...] | None

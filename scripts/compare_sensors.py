@@ -19,7 +19,7 @@ import numpy as np
 from blender_lidar.commands.options import parse_frames
 from blender_lidar.errors import BlenderLidarError, InputError
 from blender_lidar.scenario import load_scenario
-from blender_lidar.study.score_map import map_scores
+from blender_lidar.study.score_map import FINE_POINTS, map_scores
 from blender_lidar.study.site import prepare
 from blender_lidar.study.statistics import interval_90
 
@@ -60,7 +60,8 @@ def _maps(args):
             file=sys.stderr,
         )
         with site.evaluator(site.search) as evaluator:
-            found = map_scores(evaluator, site.scenario.deployment, site.scenario.baseline, site.plan.search_block)
+            scenario, block = site.scenario, site.plan.search_block
+            found = map_scores(evaluator, scenario.deployment, scenario.baseline, block, grid=FINE_POINTS)
         if found is None:
             raise InputError(f"{args.scene}: [deployment] height_m and tilt_x_deg must both be pairs")
         if found.resampled_best(SEED) is None:
@@ -95,6 +96,12 @@ def _print(maps):
         equal = resampled[first][1] == resampled[second][1]
         shares = f"{100 * above.mean():.1f} % of resamples, equal in {100 * equal.mean():.1f} %"
         print(f"tilt of {first} above that of {second}: {shares}")
+
+    for sensor in maps:
+        others = [resampled[other][1] for other in maps if other != sensor]
+        if others:
+            lowest = (resampled[sensor][1] < np.min(others, axis=0)).mean()
+            print(f"tilt of {sensor} below those of all others: {100 * lowest:.1f} % of resamples")
 
 
 if __name__ == "__main__":

@@ -16,9 +16,9 @@ import numpy as np
 
 from blender_lidar.errors import BlenderLidarError, InputError
 from blender_lidar.optimise import READINGS, SEARCHES, run
+from blender_lidar.run import fresh_search
 from blender_lidar.scenario import load_scenario
-from blender_lidar.study.run import fresh_search
-from blender_lidar.study.score_map import map_scores
+from blender_lidar.study.score_map import FINE_POINTS, map_scores
 from blender_lidar.study.site import prepare
 
 
@@ -56,11 +56,13 @@ def _study(args):
     site = prepare(load_scenario(args.scene, overrides))
     with site.evaluator(site.search) as evaluator:
         scenario = site.scenario
-        found = map_scores(evaluator, scenario.deployment, scenario.baseline, site.plan.search_block)
+        found = map_scores(evaluator, scenario.deployment, scenario.baseline, site.plan.search_block, grid=FINE_POINTS)
         if found is None:
             raise InputError(f"{args.scene}: [deployment] height_m and tilt_x_deg must both be pairs")
         baseline = evaluator.totals([scenario.baseline_pose]).per_vehicle()[0]
         height, tilt, best = found.best
+        if not best > baseline:
+            raise InputError(f"{args.scene}: no grid point is better than the baseline, so there is no gain to miss")
         print(f"grid: {best:.4f} bits per vehicle at {height:.1f} m, {tilt:.0f} deg; baseline {baseline:.4f}")
 
         def objective(candidates):

@@ -141,6 +141,27 @@ def test_stdout_holds_the_json_and_nothing_else_whatever_casts(tmp_path, caster)
     assert "Error" not in done.stderr
 
 
+def test_what_a_library_prints_behind_our_back_goes_to_stderr():
+    program = (
+        "import os, sys; sys.argv = ['blender-lidar', 'sensors', '--json']; from blender_lidar.commands import sensors;"
+        "load = sensors.model_names; sensors.model_names = lambda: (os.write(1, b'noise'), load())[1];"
+        "from blender_lidar.cli import main; sys.exit(main())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "noise")
+    assert json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr"])
+def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
+    program = (
+        f"import sys; sys.{closed} = None; sys.argv = ['blender-lidar', 'sensors'];"
+        "from blender_lidar.cli import main; sys.exit(main())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_without_json_what_is_for_people_is_on_stdout_and_progress_on_stderr(tmp_path, capsys):
     code, out, err = run(capsys, "optimise", write_scene(tmp_path), "--out", "run")
     assert code == 0
@@ -161,6 +182,23 @@ def test_a_printed_mounting_is_that_of_the_result_with_units(tmp_path, capsys):
     assert lines["x along the road [m]"] == ["0.00", "-1.50"]
     assert lines["Mounting"] == ["baseline", "given"]
     assert "Searching" not in out  # nothing is searched
+
+
+@pytest.mark.parametrize("height_m", [[2.0, 2.2], [2.0, 4.5], [4.0, 4.5]])
+def test_an_optimum_on_a_bound_is_pointed_out_and_no_other(tmp_path, capsys, height_m):
+    scene = write_scene(tmp_path, {"deployment": {"height_m": height_m}})
+    _, out, _ = run(capsys, "optimise", scene, "--search", "grid", "--particles", 11, "--iterations", 1, "--out", "run")
+    best = json.loads(Path("run/result.json").read_text())["deployment"]["height_m"]
+    pointed_out = "The best height lies on a bound of [deployment]; beyond may be better." in out
+    assert pointed_out == (best in height_m)
+
+
+def test_a_search_that_finds_nothing_better_than_the_baseline_says_so(tmp_path, capsys):
+    scene = write_scene(tmp_path, {"deployment": {"height_m": [50.0, 60.0]}})  # out of range of every vehicle
+    _, out, _ = run(capsys, "optimise", scene, "--out", "run")
+    assert "No mounting that was tried is better than the baseline." in out
+    result = json.loads(Path("run/result.json").read_text())
+    assert result["objective"] == -result["vehicles"]
 
 
 def test_without_matplotlib_a_run_succeeds_and_one_line_says_how_to_get_charts(tmp_path, capsys):

@@ -93,6 +93,16 @@ def test_a_vehicle_ahead_behind_or_across_azimuth_zero_keeps_its_beams_on_both_s
             assert slots.max() == lattice.columns - 1
 
 
+@pytest.mark.parametrize("sensor", ["RS-Helios-5515", "RS-BPearl"], ids=["down at a sill", "up at a roof edge"])
+def test_the_middle_of_a_near_edge_reaches_farther_than_its_ends(sensor):
+    """Seen from nearby a straight edge is a bow, whose beams must not be taken for beams that pass the vehicle by."""
+    vehicle, lattice = one_vehicle("bus", centre=(0.0, 3.0)), lattice_of(sensor, 2)
+    for height in np.linspace(0.2, 3.0, 15).tolist():
+        pose = Pose(height_m=height)
+        meets = meeting_beams(vehicle, lattice, pose, detail="box")
+        assert not (meets & ~kept_beams(vehicle, lattice, pose, detail="box")).any()
+
+
 @pytest.mark.parametrize("corner", [(0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (-0.5, -0.5)])
 def test_a_sensor_whose_axis_runs_along_a_side_or_an_edge_of_a_box_loses_no_beam(corner):
     vehicle, lattice = one_vehicle("van", centre=(3.0, 4.0)), lattice_of("RS-BPearl", 10)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.search_landscapes import LOWER, OPTIMUM, UPPER, ackley, sphere, terraces
 
 from blender_lidar.optimise import READINGS, DePso, DePsoSettings, de_pso, run, search_from_state
+from tests.search_landscapes import LOWER, OPTIMUM, UPPER, ackley, sphere, terraces
 
 SHORT = {"particles": 6, "iterations": 9}
 

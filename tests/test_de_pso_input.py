@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.search_landscapes import LOWER, UPPER, sphere
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import DePso, DePsoSettings, de_pso, run
+from tests.search_landscapes import LOWER, UPPER, sphere
 
 SHORT = {"particles": 6, "iterations": 9}
 

@@ -6,6 +6,15 @@ import math
 
 import numpy as np
 import pytest
+
+from blender_lidar.errors import InputError, OutputError
+from blender_lidar.plots import canvas
+from blender_lidar.plots.blind_zones import plot_blind_zones
+from blender_lidar.plots.by_distance import FEWEST_VEHICLES, plot_by_distance
+from blender_lidar.plots.clouds import plot_clouds
+from blender_lidar.plots.convergence import plot_convergence
+from blender_lidar.plots.occupancy import OccupancyViews, plot_occupancy
+from blender_lidar.plots.score_map import plot_score_map
 from tests.chart_samples import (
     CAR,
     CHARTS,
@@ -19,15 +28,6 @@ from tests.chart_samples import (
     views,
     words,
 )
-
-from blender_lidar.errors import InputError, OutputError
-from blender_lidar.plots import canvas
-from blender_lidar.plots.blind_zones import plot_blind_zones
-from blender_lidar.plots.by_distance import FEWEST_VEHICLES, plot_by_distance
-from blender_lidar.plots.clouds import plot_clouds
-from blender_lidar.plots.convergence import plot_convergence
-from blender_lidar.plots.occupancy import OccupancyViews, plot_occupancy
-from blender_lidar.plots.score_map import plot_score_map
 
 pytest.importorskip("matplotlib", reason="charts need matplotlib")
 

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from tests.chart_samples import vehicles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
 from blender_lidar.plots import binning
+from tests.chart_samples import vehicles
 
 table_rows = st.lists(
     st.tuples(

@@ -8,11 +8,11 @@ import sys
 
 import numpy as np
 import pytest
-from tests.chart_samples import CHARTS, lightness
 
 from blender_lidar.errors import MissingExtraError, OutputError
 from blender_lidar.plots import canvas
 from blender_lidar.plots.convergence import plot_convergence
+from tests.chart_samples import CHARTS, lightness
 
 
 def test_without_matplotlib_the_extra_to_install_is_named(monkeypatch, tmp_path):

@@ -35,7 +35,7 @@ from pathlib import Path
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever this process was started with
 sys.modules["matplotlib"] = None
-from blender_lidar.study import run
+from blender_lidar import run
 run._CHECKPOINT_EVERY_S = 0.0
 replace, left = Path.replace, int(sys.argv[1])
 
@@ -235,7 +235,6 @@ def test_a_run_killed_while_its_workers_start_goes_on_to_the_same_result(start, 
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed, "--workers", 2)
 
 
-@pytest.mark.xfail(strict=True, reason="workers wait for a killed parent for ever")
 @needs_proc
 def test_the_workers_of_a_killed_run_end_with_it(start, tmp_path, finished):
     process = start(finished[0], tmp_path / "run", "--workers", 2, *ENDLESS)
@@ -244,6 +243,20 @@ def test_the_workers_of_a_killed_run_end_with_it(start, tmp_path, finished):
     process.kill()
     process.wait(_WAIT_S)
     wait_for(lambda: not alive(workers), 10.0)
+
+
+@needs_proc
+def test_a_run_whose_worker_is_killed_has_failed_by_no_fault_of_its_input(start, tmp_path, finished):
+    process = start(finished[0], tmp_path / "run", "--workers", 2, *ENDLESS)
+    wait_for((tmp_path / "run" / "checkpoint.json").exists)
+    workers = [pid for pid in children(process.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    process.wait(_WAIT_S)
+    err = (tmp_path / "stderr.txt").read_text()
+    assert process.returncode == 1
+    assert err.splitlines()[-1].startswith("blender-lidar: a worker process ended abruptly")
+    assert "Traceback" not in err
 
 
 # --- stopped ----------------------------------------------------------------------------------------------------------
@@ -280,7 +293,6 @@ def test_a_stopped_run_goes_on_to_the_same_result(start, tmp_path, finished, wri
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
 
-@pytest.mark.xfail(strict=False, reason="workers that are still importing print the interrupt")
 @needs_proc
 def test_ctrl_c_while_the_workers_start_is_quiet(start, tmp_path, finished):
     process = start(finished[0], tmp_path / "run", "--workers", 2, *ENDLESS)

@@ -229,6 +229,7 @@ KEYS = [
     ("traffic", "location", "true", None),
     ("traffic", "origin_m", "[1, 2, 3]", None),
     ("traffic", "heading_deg", '"north"', "361"),
+    ("traffic", "time_step_s", '"fast"', "0"),
     ("traffic", "lanes", '"1"', None),
     ("traffic", "frames", "2.5", "0"),
     ("traffic", "frame_ids", "[1.5]", f"[{10**20}]"),

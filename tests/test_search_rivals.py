@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.search_landscapes import LOWER, UPPER, ackley, sphere, terraces
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import (
@@ -24,6 +23,7 @@ from blender_lidar.optimise import (
     search_from_state,
 )
 from blender_lidar.optimise.rivals import grid_points
+from tests.search_landscapes import LOWER, UPPER, ackley, sphere, terraces
 
 
 def points_of(history):

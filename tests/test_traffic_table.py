@@ -9,6 +9,7 @@ import pytest
 
 from blender_lidar.errors import BlenderLidarError, InputError
 from blender_lidar.traffic import read_table, read_traffic, table
+from blender_lidar.traffic.report import RepairReport
 
 HEADER = "frame,vehicle_id,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg"
 ROWS = [
@@ -140,7 +141,8 @@ def test_x_range_keeps_boxes_by_their_centre(tmp_path):
     ("column", "value", "text"),
     [
         ("frame", "1.5", "frame is '1.5'; allowed: a whole number"),
-        ("vehicle_id", "", "vehicle_id is ''; allowed: a whole number"),
+        ("vehicle_id", "", "vehicle_id is ''; allowed: a whole number of at least 0"),
+        ("vehicle_id", "-1", "vehicle_id is '-1'; allowed: a whole number of at least 0"),
         ("class", "lorry", "unknown class 'lorry'; allowed: car, van, truck, bus, motorcycle"),
         ("x_m", "abc", "x_m is 'abc'; allowed: a finite number"),
         ("y_m", "nan", "y_m is 'nan'; allowed: a finite number"),
@@ -201,3 +203,20 @@ def test_times_that_contradict_one_another(tmp_path):
 def test_too_many_rows(tmp_path, monkeypatch):
     monkeypatch.setattr(table, "MAX_ROWS", 2)
     assert refused(write(tmp_path)) == "FILE: more than 2 rows; split the file"
+
+
+def test_what_was_read_is_told_in_singular_and_plural():
+    one = RepairReport(rows_read=1, rows_used=1, duplicates=1, interpolated=1, overlaps=1, overlap_frames=1)
+    assert one.lines() == [
+        "1 of 1 row used",
+        "1 duplicate row dropped",
+        "1 box interpolated in gaps of at most 0.5 s",
+        "1 pair of overlapping boxes in 1 frame looked at",
+    ]
+    many = RepairReport(rows_read=1200, rows_used=1, duplicates=2, interpolated=3, overlaps=1000, overlap_frames=2)
+    assert many.lines() == [
+        "1 of 1,200 rows used",
+        "2 duplicate rows dropped",
+        "3 boxes interpolated in gaps of at most 0.5 s",
+        "1,000 pairs of overlapping boxes in 2 frames looked at",
+    ]

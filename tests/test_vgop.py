@@ -159,7 +159,7 @@ def test_a_point_one_cell_beyond_the_rim_counts_and_one_farther_does_not():
 def test_entropy_peaks_at_one_over_e_and_vanishes_at_both_ends():
     assert vgop.entropy(np.array([0.0, 1.0])).tolist() == [0.0, 0.0]
     assert not np.signbit(vgop.entropy(np.array([0.0, 1.0]))).any()
-    assert vgop.entropy(vgop.PEAK_OCCUPANCY) == pytest.approx(math.log2(math.e) / math.e)
+    assert vgop.entropy(1 / math.e) == pytest.approx(math.log2(math.e) / math.e)
     p = np.linspace(0.001, 0.999, 999)
     np.testing.assert_allclose(vgop.entropy(p), -p * np.log2(p), rtol=1e-12)
     assert p[np.argmax(vgop.entropy(p))] == pytest.approx(1 / math.e, abs=1e-3)

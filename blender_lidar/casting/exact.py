@@ -55,7 +55,7 @@ class ExactCaster(Caster):
         determinant = np.einsum("ij,ij->i", edge_1, p)
         s = origins - self._corners[triangle, 0]
         q = np.cross(s, edge_1)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             u = np.einsum("ij,ij->i", s, p) / determinant
             v = np.einsum("ij,ij->i", directions, q) / determinant
             distance = np.einsum("ij,ij->i", edge_2, q) / determinant

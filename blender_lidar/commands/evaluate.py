@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..study.keep_clear import check_mount_is_clear
-from ..study.run import evaluate_site
+from ..run import evaluate_site
 from ..study.site import prepare
 from .optimise import folder_from, report, say
 from .options import SEARCH_OPTIONS, add_pose, add_scene, mounting_from, scenario_from
@@ -33,8 +32,7 @@ def run(args: argparse.Namespace) -> int:
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
     folder = folder_from(args, scenario)
-    site = prepare(scenario)
-    check_mount_is_clear(scenario, [frame.vehicles for frame in (*site.search, *site.holdout)], {"--x, --y": mount})
+    site = prepare(scenario, mount)
     with folder.locked():
         folder.check()  # again: another run may have come first
         say(args, describe_site(site, searched=False) + "\n")

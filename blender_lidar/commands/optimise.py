@@ -8,8 +8,8 @@ import sys
 
 from ..errors import InputError, MissingExtraError
 from ..results import VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity
+from ..run import Outcome, optimise_site
 from ..scenario import Scenario
-from ..study.run import Outcome, optimise_site
 from ..study.site import Site, prepare
 from .options import add_scene, default_folder, scenario_from
 from .progress import RunProgress
@@ -72,7 +72,7 @@ def report(args: argparse.Namespace, site: Site, outcome: Outcome, folder: RunFo
     """Draw the charts and print what was found."""
     charts = []
     try:
-        from ..study.run_charts import draw_charts
+        from ..run_charts import draw_charts
 
         charts = draw_charts(site, outcome, folder)
     except MissingExtraError as error:

@@ -9,6 +9,8 @@ from ..optimise import Search
 from ..study.score_map import POINTS
 from .options import option_name
 
+_BAR = "{desc} {percentage:3.0f}% |{bar:8}| {remaining} left{postfix}"  # with the best so far it fits 80 columns
+
 
 class Progress:
     """Counts up to `total`; `close` it at the end.
@@ -42,7 +44,7 @@ class Progress:
 
 
 class RunProgress:
-    """Shows how a run comes along, first the search, then the map; a `study.run.Listener` and a context manager.
+    """Shows how a run comes along, first the search, then the map; a `run.Listener` and a context manager.
 
     Parameters
     ----------
@@ -89,4 +91,4 @@ def _terminal_bar(total, what, done):
         from tqdm import tqdm
     except ImportError:
         return None
-    return tqdm(total=total, initial=done, desc=what, unit="", file=sys.stderr, dynamic_ncols=True, leave=True)
+    return tqdm(total=total, initial=done, desc=what, bar_format=_BAR, file=sys.stderr, dynamic_ncols=True)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..optimise import DePso
+from ..optimise import DePso, vehicle_score
 from ..results import RunFolder
-from ..study.run import Outcome
+from ..run import Outcome
 from ..study.site import Site
 from ..study.verdict import distance_bands, lanes
 
@@ -20,7 +20,8 @@ _COORDINATES = {
     "x_m": ("x along the road", "m"),
     "y_m": ("y across the road", "m"),
 }
-_SMALL_REGRET = 0.01  # what a search may miss before more of it is advised
+_SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
+_ON_A_BOUND = 0.001  # of the width between two bounds
 _ALWAYS_SHOWN = ("height_m", "tilt_x_deg")
 _SPLITS = ("search", "holdout")
 
@@ -75,11 +76,10 @@ def comparison(site: Site, outcome: Outcome) -> str:
         if result["holdout"]["interval_90"]:
             low, high = result["holdout"]["interval_90"]
             rows.append((f"  90 % interval, {result['holdout']['blocks']} blocks", "", f"{low:+.4f} to {high:+.4f}"))
-    tables = [_table(rows), _table(_group_rows("distance", distance_bands, outcome))]
+    tables = [_table(rows), _table(_group_rows("distance", distance_bands, site, outcome))]
     if outcome.baseline["lane"].any():
-        tables.append(_table(_group_rows("lane", lanes, outcome)))
-    notes = _notes(result)
-    return "\n\n".join([*tables, *(["\n".join(notes)] if notes else [])])
+        tables.append(_table(_group_rows("lane", lanes, site, outcome)))
+    return "\n\n".join([*tables, "\n".join(_notes(site, result))]).rstrip()
 
 
 def files(folder: RunFolder, charts: Sequence[str]) -> str:
@@ -99,34 +99,49 @@ def _score_rows(base, found):
     ]
 
 
-def _group_rows(title, groups, outcome):
-    """Detectable share of each group, on the searched and the held-out frames, before and after."""
+def _group_rows(title, groups, site, outcome):
+    """Objective per vehicle and detectable share of each group, searched and held out, before and after."""
     searched = outcome.result["search"] is not None
     tables = {"baseline": outcome.baseline, "optimised" if searched else "given": outcome.optimised}
     names = {"search": "searched" if searched else "scored", "holdout": "held out"}
     splits = [split for split in _SPLITS if (outcome.optimised["split"] == split).any()]
     rows = [
-        ("Detectable [%]", *(cell for split in splits for cell in (names[split], "")), ""),
-        (f"by {title}", *(name for _ in splits for name in tables), "vehicles"),
+        ("", *(cell for split in splits for cell in (f"{names[split]}: bits", "", "detectable %", "")), ""),
+        (f"by {title}", *(name for _ in splits for _ in range(2) for name in tables), "vehicles"),
     ]
-    for name, chosen in groups(outcome.baseline):
-        shares = []
+    scores = {name: _scores(table, site.scoring) for name, table in tables.items()}
+    for group, chosen in groups(outcome.baseline):
+        if not chosen.any():
+            continue
+        cells = []
         for split in splits:
-            for table in tables.values():
-                mine = chosen & (table["split"] == split)
-                shares.append(f"{100 * table['detectable'][mine].mean():.1f}" if mine.any() else "-")
-        if chosen.any():
-            rows.append((f"  {name}", *shares, str(int(chosen.sum()))))
+            mine = {name: chosen & (table["split"] == split) for name, table in tables.items()}
+            cells += [f"{scores[name][rows_of].mean():.3f}" if rows_of.any() else "-" for name, rows_of in mine.items()]
+            found = {name: tables[name]["detectable"][rows_of] for name, rows_of in mine.items()}
+            cells += [f"{100 * flags.mean():.1f}" if len(flags) else "-" for flags in found.values()]
+        rows.append((f"  {group}", *cells, str(int(chosen.sum()))))
     return rows
 
 
-def _notes(result):
-    """What the search and the map say about how far to trust the optimum."""
-    if result["search"] is None:
-        return []
+def _scores(table, scoring):
+    return vehicle_score(table["entropy_bits"], table["detectable"], scoring.loss, scoring.reading)
+
+
+def _notes(site, result):
+    """What the numbers mean, and what the search and the map say about how far to trust the optimum."""
+    objective = site.scenario.objective
     notes = []
+    if objective.reading == "corrected":
+        loss = f"{abs(objective.loss):g} bit{'s' * (abs(objective.loss) != 1)}"
+        notes.append(f"Objective: the entropy of every detectable vehicle, less {loss} for every other one.")
+    if result["search"] is None:
+        return notes
     if result["objective"] <= result["baseline"]["objective"]:
         notes.append("No mounting that was tried is better than the baseline.")
+    for key, (low, high) in site.scenario.deployment.bounds.items():
+        slack = _ON_A_BOUND * (high - low)
+        if not low + slack < result["deployment"][key] < high - slack:
+            notes.append(f"The best {_COORDINATES[key][0]} lies on a bound of [deployment]; beyond may be better.")
     if result["map"]:
         notes += _map_notes(result["map"])
     return notes
@@ -134,19 +149,23 @@ def _notes(result):
 
 def _map_notes(score_map):
     grid = f"a grid of {score_map['points'][0]} x {score_map['points'][1]} heights and tilts"
-    regret, best = score_map["search_regret"], score_map["best"]
+    shortfall, best = score_map["search_shortfall"], score_map["best"]
     notes = []
-    if regret == 0:
+    if shortfall == 0:
         notes.append(f"No point of {grid} is better than the mounting found.")
-    elif regret is not None and regret < _SMALL_REGRET:
-        notes.append(f"The search found all but {100 * regret:.2f} % of the gain that {grid} offers.")
-    elif regret is not None:
+    elif shortfall is not None and shortfall < _SMALL_SHORTFALL:
+        notes.append(f"The search found all but {100 * shortfall:.2f} % of the gain that {grid} offers.")
+    elif shortfall is not None:
         notes += [
-            f"The search missed {100 * regret:.1f} % of the gain that {grid} offers, at",
+            f"The search missed {100 * shortfall:.1f} % of the gain that {grid} offers, at",
             f"{best['height_m']:.2f} m and {best['tilt_x_deg']:.1f} deg: give it more --particles or --iterations.",
         ]
-    share = 100 * score_map["share_within_1_percent"]
-    notes.append(f"{share:.1f} % of those heights and tilts do as well, to within 1 % of the gain.")
+    if score_map["share_within_1_percent"] is not None:
+        share = 100 * score_map["share_within_1_percent"]
+        how_many = (
+            f"{share:.1f} % of those heights and tilts come" if share else "None of those heights and tilts comes"
+        )
+        notes.append(f"{how_many} within 1 % of the gain of the best one.")
     intervals = score_map["optimum_interval_90"]
     if intervals:
         height, tilt = intervals["height_m"], intervals["tilt_x_deg"]

@@ -18,8 +18,6 @@ from ..traffic import read_table
 from ..traffic.vehicles import Vehicles
 from .options import checked_number
 
-_SLACK_M = 0.002  # points lie on a box's very faces, and boxes are given to the millimetre
-
 
 def add_parser(subparsers) -> None:
     """Describe the verb to argparse."""
@@ -102,8 +100,7 @@ def _boxes(args) -> Vehicles:
 def _assigned(args, points, vehicle_id, vehicles, clearance):
     """Row of the box of each point."""
     if args.assign == "box":
-        size_m = vehicles.size_m + 2 * _SLACK_M
-        return points_in_boxes(points, vehicles.centre_m, size_m, vehicles.heading_rad, clearance + _SLACK_M)
+        return points_in_boxes(points, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, clearance)
     if vehicle_id is None:
         raise InputError(f"--points: {args.points}: does not say which vehicle a point belongs to; use --assign box")
     order = np.argsort(vehicles.vehicle_id)

@@ -20,11 +20,13 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        When the file cannot be written.
+        When the file cannot be written, or what is there is no regular file: a folder, a device, a named pipe.
     """
     path = Path(path)
     temporary = None
     try:
+        if path.exists() and not path.is_file():
+            raise OSError("is there and is not a regular file")
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
         temporary = Path(name)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,19 +12,8 @@ import numpy as np
 
 from ..errors import InputError, MissingFileError
 from ..scan import PointCloud, class_names
-from .atomic import whole_file, write_bytes
-
-# Name, PCD type and size in bytes of each field; RoboSense's XYZIRT and what a labelled cloud adds.
-_PCD_FIELDS = (
-    ("x", "F", 4),
-    ("y", "F", 4),
-    ("z", "F", 4),
-    ("intensity", "F", 4),
-    ("ring", "U", 2),
-    ("timestamp", "F", 8),
-    ("vehicle_id", "I", 4),
-    ("class", "I", 1),
-)
+from .atomic import write_bytes
+from .pcd import read_pcd, write_pcd
 
 
 def write_npz(path: str | Path, cloud: PointCloud, header: dict) -> None:
@@ -39,33 +30,9 @@ def write_npz(path: str | Path, cloud: PointCloud, header: dict) -> None:
         "intensity": cloud.intensity,
         "header": np.array(json.dumps(header)),
     }
-    with whole_file(path) as temporary:
-        np.savez_compressed(temporary, **columns)
-
-
-def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
-    """Write a binary PCD 0.7 file in the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle."""
-    record = np.zeros(len(cloud), dtype=[(name, f"<{kind.lower()}{size}") for name, kind, size in _PCD_FIELDS])
-    for axis, name in enumerate("xyz"):
-        record[name] = cloud.xyz[:, axis]
-    record["intensity"], record["ring"], record["timestamp"] = cloud.intensity, cloud.ring, cloud.time_s
-    record["vehicle_id"], record["class"] = cloud.vehicle_id, cloud.class_index
-    names, kinds, sizes = zip(*_PCD_FIELDS, strict=True)
-    lines = [
-        "# .PCD v0.7 - Point Cloud Data file format",
-        f"# {json.dumps(header)}",
-        "VERSION 0.7",
-        f"FIELDS {' '.join(names)}",
-        f"SIZE {' '.join(map(str, sizes))}",
-        f"TYPE {' '.join(kinds)}",
-        f"COUNT {' '.join('1' for _ in names)}",
-        f"WIDTH {len(cloud)}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(cloud)}",
-        "DATA binary",
-    ]
-    write_bytes(path, ("\n".join(lines) + "\n").encode("utf-8") + record.tobytes())
+    packed = io.BytesIO()  # as a ZipFile on a full disk would complain again when it is collected
+    np.savez_compressed(packed, **columns)
+    write_bytes(path, packed.getvalue())
 
 
 WRITERS: dict[str, Callable[[str | Path, PointCloud, dict], None]] = {".npz": write_npz, ".pcd": write_pcd}
@@ -85,75 +52,68 @@ def write_cloud(path: str | Path, cloud: PointCloud, header: dict) -> None:
 
 
 def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Points (n, 3) [m] of an NPZ or PCD file, and the vehicle each belongs to (n,), None where the file does not say.
+    """The finite points of an NPZ or PCD file, and the vehicle that each belongs to.
 
     NPZ files need the array `xyz`; PCD files, binary or ascii, the fields x, y and z. `vehicle_id` is optional in both.
+
+    Returns
+    -------
+    points : ndarray, (n, 3)
+        In the frame of the file [m].
+    vehicle_id : ndarray of int64, (n,), or None
+        None where the file does not say.
+
+    Warns
+    -----
+    UserWarning
+        If points were left out because they are not finite; organised clouds have such for beams without a return.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If there is no such file, or it cannot be used.
     """
-    path = Path(path)
-    if not path.exists():
-        raise MissingFileError(f"{path}: there is no such file")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(WRITERS)}")
-    check_cloud_name(path, "cloud")
-    points, vehicle = _read_npz(path) if path.suffix.lower() == ".npz" else _read_pcd(path)
+    path = check_cloud_name(path, "cloud")
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(WRITERS)}")
+        points, vehicle_id = _read_npz(path) if path.suffix.lower() == ".npz" else read_pcd(path)
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"{path}: xyz has shape {points.shape}; allowed: (n, 3)")
-    if not np.isfinite(points).all():
-        raise InputError(f"{path}: point {int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])} is not finite")
-    if vehicle is not None and vehicle.shape != (len(points),):
-        raise InputError(f"{path}: vehicle_id has shape {vehicle.shape}; allowed: ({len(points)},)")
-    return points, vehicle
+    if vehicle_id is not None and vehicle_id.shape != (len(points),):
+        raise InputError(f"{path}: vehicle_id has shape {vehicle_id.shape}; allowed: ({len(points)},)")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        text = f"{path}: {np.count_nonzero(~finite)} of {len(points)} points left out: not finite"
+        warnings.warn(text, stacklevel=2)
+    return points[finite], None if vehicle_id is None else _whole_ids(path, vehicle_id[finite])
 
 
-def _read_npz(path):
+def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     try:
         with np.load(path, allow_pickle=False) as content:
             if "xyz" not in content:
                 raise InputError(f"{path}: has no array 'xyz'; it has {', '.join(content.files) or 'nothing'}")
             points = np.asarray(content["xyz"], dtype=float)
-            vehicle = np.asarray(content["vehicle_id"]).astype(np.int64) if "vehicle_id" in content else None
-    except InputError:
+            return points, content.get("vehicle_id")
+    except (InputError, OSError):
         raise
     except Exception as error:  # NumPy and zipfile raise many kinds for a damaged file
-        raise InputError(
-            f"{path}: is not a readable NPZ file ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
-        ) from error
-    return points, vehicle
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path}: is not a readable NPZ file ({reason})") from error
 
 
-def _read_pcd(path):
-    with path.open("rb") as stream:
-        settings, kind = {}, None
-        while kind is None:
-            line = stream.readline(65536)
-            words = line.decode("ascii", errors="replace").split()
-            if not line or (len(settings) == 0 and words and not words[0].startswith("#") and words[0] != "VERSION"):
-                raise InputError(f"{path}: is not a PCD file: no header with a DATA line")
-            if words and words[0] == "DATA":
-                kind = words[1] if len(words) > 1 else ""
-            elif words and not words[0].startswith("#"):
-                settings[words[0]] = words[1:]
-        body = stream.read()
-    try:
-        points, fields = int(settings["POINTS"][0]), settings["FIELDS"]
-        layout = [
-            (name, f"<{letter.lower()}{size}", int(count))
-            for name, letter, size, count in zip(
-                fields, settings["TYPE"], settings["SIZE"], settings.get("COUNT", ["1"] * len(fields)), strict=True
-            )
-        ]
-        dtype = np.dtype([entry[:2] if entry[2] == 1 else entry for entry in layout])
-        if kind == "binary":
-            record = np.frombuffer(body, dtype=dtype, count=points)
-        elif kind == "ascii":
-            table = np.loadtxt(body.decode("ascii").splitlines(), ndmin=2) if points else np.empty((0, len(fields)))
-            record = {name: table[:, column] for column, name in enumerate(fields)}
-        else:
-            raise InputError(f"{path}: DATA {kind} cannot be read; allowed: binary or ascii")
-        xyz = np.stack([np.asarray(record[axis], dtype=float) for axis in "xyz"], axis=1)
-        vehicle = np.asarray(record["vehicle_id"]).astype(np.int64) if "vehicle_id" in fields else None
-    except InputError:
-        raise
-    except (KeyError, ValueError, IndexError, TypeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: damaged PCD file ({type(error).__name__}: {error})") from error
-    return xyz, vehicle
+def _whole_ids(path: Path, vehicle_id: np.ndarray) -> np.ndarray:
+    """The ids as int64, if that is what they are."""
+    if vehicle_id.dtype.kind not in "iuf":
+        raise InputError(f"{path}: vehicle_id is of type {vehicle_id.dtype}; allowed: whole numbers")
+    with np.errstate(invalid="ignore"):
+        whole = vehicle_id.astype(np.int64)
+    changed = whole != vehicle_id
+    if changed.any():
+        raise InputError(f"{path}: vehicle_id is {vehicle_id[changed][0]}; allowed: whole numbers of at most 63 bits")
+    return whole

@@ -7,10 +7,17 @@ import numpy as np
 from .vgop import to_vehicle_frame
 
 NO_BOX = -1
+SLACK_M = 0.002
+"""Clouds of boxes lie on their very faces, where rounding decides; and boxes are given to the millimetre."""
 
 
 def points_in_boxes(
-    points: np.ndarray, centre: np.ndarray, size: np.ndarray, heading: np.ndarray, ground_clearance_m: float = 0.0
+    points: np.ndarray,
+    centre: np.ndarray,
+    size: np.ndarray,
+    heading: np.ndarray,
+    ground_clearance_m: float = 0.0,
+    slack_m: float = SLACK_M,
 ) -> np.ndarray:
     """Row of the box that each point lies in, or `NO_BOX`.
 
@@ -23,7 +30,9 @@ def points_in_boxes(
     heading : ndarray, (n,)
         Counter-clockwise from +x [rad].
     ground_clearance_m : float
-        Points less than this above a box's floor are left out: they are returns from the ground [m].
+        Points less than this above a box's floor are left out: they are returns from the ground [m]. 0 leaves none out.
+    slack_m : float
+        Points up to this far outside a face belong to the box as well [m].
 
     Returns
     -------
@@ -34,14 +43,16 @@ def points_in_boxes(
     nearest = np.full(len(points), np.inf)
     order = np.argsort(points[:, 0], kind="stable")  # so that each box looks at a stretch of x alone
     x = points[order, 0]
-    reach = 0.5 * np.linalg.norm(size[:, :2], axis=1)
+    half = 0.5 * size + slack_m
+    reach = np.linalg.norm(half[:, :2], axis=1)
     first = np.searchsorted(x, centre[:, 0] - reach, side="left")
     last = np.searchsorted(x, centre[:, 0] + reach, side="right")
     for box in range(len(centre)):
         near = order[first[box] : last[box]]
         local = to_vehicle_frame(points[near], centre[box], float(heading[box]))
-        inside = (np.abs(local) <= 0.5 * size[box]).all(axis=1)
-        inside &= local[:, 2] >= ground_clearance_m - 0.5 * size[box, 2]
+        inside = (np.abs(local) <= half[box]).all(axis=1)
+        if ground_clearance_m > 0.0:
+            inside &= local[:, 2] >= ground_clearance_m - 0.5 * size[box, 2]
         distance = np.einsum("ij,ij->i", local, local)
         taken = inside & (distance < nearest[near])
         row[near[taken]], nearest[near[taken]] = box, distance[taken]

@@ -1,5 +1,8 @@
 """PE-VGOP: perception entropy from a vehicle's grid occupancy (Eqs. 4 to 9 of He, Cao, Su and Liu).
 
+Equations are numbered as in the paper's source: 1 beams, 2 and 2a to 2c pose and tilt, 3 points, 4 and 5 vehicle frame,
+6 to 9 the metric, 10 and 11 the objective, 12 to 15 the search.
+
 A vehicle's points are projected onto its top, side and front view; each view is divided into square cells; the share of
 cells that hold a point is the occupancy P of that view, and the vehicle scores the sum of -P log2 P over the three.
 
@@ -15,7 +18,6 @@ from .readings import check_reading
 
 VIEWS = ("top", "side", "front")
 DEFAULT_CELL_M = 0.05
-PEAK_OCCUPANCY = 1.0 / np.e  # where -P log2 P is largest; beyond it a denser view scores less
 
 _VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
 _MAX_LATTICE_CELLS = 1 << 26  # cells held in memory at a time: 256 MB of int32
@@ -148,7 +150,7 @@ def entropy(p: np.ndarray) -> np.ndarray:
     p = np.asarray(p, dtype=float)
     if not ((p >= 0) & (p < np.inf)).all():
         raise InputError("an occupancy is negative or not finite; allowed: 0 or more")
-    return p * np.log2(1.0 / np.where(p > 0, p, 1.0))
+    return p * np.log2(1.0 / np.where(p > 0, p, 1.0))  # Eq. 9
 
 
 def pe_vgop(
@@ -252,7 +254,7 @@ def _distinct_cells(points, vehicle, size, cells, cell_m):
     lattice = np.empty(ends[-1] if vehicles else 0, dtype=np.int32)
     number = np.arange(flat.size, dtype=np.int32).reshape(flat.shape)
     lattice[flat] = number
-    stands = np.take(lattice, flat) == number
+    stands = np.take(lattice, flat) == number  # Eq. 6, each occupied cell once
     return np.stack([np.bincount(vehicle[stands[view]], minlength=vehicles) for view in range(3)], axis=1)
 
 

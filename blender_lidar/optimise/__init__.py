@@ -1,9 +1,9 @@
 """What to maximise (Eqs. 10, 11) and how: DE-PSO and its rivals. A function in, a best point out; needs numpy alone."""
 
+from ..metrics.readings import READINGS
 from .build import SEARCHES, make_search, search_from_state
 from .objective import VIEWS, detectable, vehicle_score
 from .protocol import Search
-from ..metrics.readings import READINGS
 from .rivals import GridSearch, RandomSearch
 from .solve import Objective, SearchResult, de_pso, maximise, run
 from .swarm import DePso, DePsoSettings

@@ -21,8 +21,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ..errors import InputError
-from .checks import check_number, check_whole
 from ..metrics.readings import check_reading
+from .checks import check_number, check_whole
 from .recorded import RecordedSearch, stored_array
 from .sampling import generator, latin_hypercube
 

@@ -48,7 +48,7 @@ def plot_score_map(
     optimum_value : float, optional
         That of the optimum [bits]; the largest of `value` unless given.
     region_share : float
-        The region drawn holds the mountings that lose at most this share of the gain over the baseline.
+        The region drawn holds the mountings that lose at most this share of the gain of the best one over the baseline.
     title, subtitle : str
         Headings.
 
@@ -59,7 +59,8 @@ def plot_score_map(
     """
     height_m, tilt_deg, value = (np.asarray(array, dtype=float) for array in (height_m, tilt_deg, value))
     _check_grid(height_m, tilt_deg, value)
-    best = float(np.nanmax(value)) if optimum_value is None else optimum_value
+    highest = float(np.nanmax(value))
+    best = highest if optimum_value is None else optimum_value
     shown = np.ma.masked_invalid(value)
     with sheet(path, 115.0, title, subtitle) as figure:
         axes = figure.add_subplot()
@@ -68,13 +69,13 @@ def plot_score_map(
         if shown.min() < shown.max():
             lines = axes.contour(tilt_deg, height_m, shown, levels=8, colors=INK, linewidths=0.4)
             axes.clabel(lines, fontsize=6.5)
-        threshold = near_best_threshold(best, baseline_value, region_share)
+        threshold = near_best_threshold(max(best, highest), baseline_value, region_share)
         handles = [
             _mark(axes, optimum, (height_m, tilt_deg), "*", 13.0, "optimum", best),
             _mark(axes, baseline, (height_m, tilt_deg), "s", 7.0, "baseline", baseline_value),
             _draw_region(axes, tilt_deg, height_m, shown, threshold, region_share),
         ]
-        axes.set_xlabel("Tilt about the road axis, down towards the lanes [deg]")
+        axes.set_xlabel("Tilt across the road, positive down towards +y [deg]")
         axes.set_ylabel("Mounting height above the road [m]")
         legend_below(figure, handles, columns=3)
 

@@ -30,7 +30,7 @@ def beam_directions(azimuth: np.ndarray | float, elevation: np.ndarray | float) 
     """
     azimuth, elevation = np.broadcast_arrays(azimuth, elevation)
     level = np.cos(elevation)
-    return np.stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(elevation)], axis=-1)
+    return np.stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(elevation)], axis=-1)  # Eq. 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Where the LiDAR hangs and where it looks: position, tilt and yaw (Eqs. 2 to 5)."""
+"""Where the LiDAR hangs and where it looks: position, tilt and yaw (Eq. 2 and its tilt matrices, 2a to 2c)."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ def rotation_matrix(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
     Parameters
     ----------
     tilt_x, tilt_y : float
-        Tilt about the x axis (Eq. 3) and the y axis (Eq. 4) [rad]. Positive `tilt_x` looks down towards +y,
-        positive `tilt_y` raises +x.
+        Tilt about the x axis (Eq. 2a) and the y axis (Eq. 2b) [rad]. Without yaw, positive `tilt_x` looks down towards
+        +y and positive `tilt_y` raises +x.
     yaw : float
-        Rotation about the vertical [rad], counter-clockwise seen from above.
+        Rotation about the vertical, of the tilted sensor and so of the direction it leans in [rad], counter-clockwise
+        seen from above.
 
     Returns
     -------
     ndarray, (3, 3)
-        ``Rx(tilt_x) @ Ry(tilt_y) @ Rz(yaw)``: Eq. 5, and the yaw that the paper leaves out because it matters only
+        ``Rx(tilt_x) @ Ry(tilt_y) @ Rz(yaw)``: Eq. 2c, and the yaw that the paper leaves out because it matters only
         to a tilted sensor.
     """
     cx, sx = math.cos(tilt_x), math.sin(tilt_x)
     cy, sy = math.cos(tilt_y), math.sin(tilt_y)
     cz, sz = math.cos(yaw), math.sin(yaw)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
-    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])  # Eq. 2a
+    about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])  # Eq. 2b
     about_z = np.array([[cz, sz, 0.0], [-sz, cz, 0.0], [0.0, 0.0, 1.0]])
-    return about_x @ about_y @ about_z
+    return about_x @ about_y @ about_z  # Eq. 2c
 
 
 @dataclass(frozen=True, slots=True)

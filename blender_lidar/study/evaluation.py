@@ -1,4 +1,4 @@
-"""Many mountings over many frames: the work, and its spreading over processes.
+"""Many mountings over many frames, spread over processes.
 
 A frame's result does not depend on which process computed it nor on what else was asked, so the number of workers
 changes the time that a run takes and nothing else.
@@ -6,25 +6,19 @@ changes the time that a run takes and nothing else.
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import BlenderLidarError
 from ..metrics.vgop import entropy
 from ..optimise.objective import detectable, vehicle_score
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from .frame_scorer import FrameScorer, Observation
+from .worker_pool import WorkerPool
 
 _TASKS_PER_WORKER = 8  # few enough to amortise a task, enough to even out uneven frames
 
@@ -96,26 +90,16 @@ class Evaluator:
         self._work = _Work(tuple(frames), observation, scoring)
         self.vehicles = np.array([int(frame.counted.sum()) for frame in frames], dtype=np.int64)
         self._workers = max(1, min(workers, len(frames)))
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: WorkerPool | None = None
 
     def __enter__(self) -> Evaluator:
         if self._workers > 1:
-            with _single_threaded_children():
-                self._pool = ProcessPoolExecutor(
-                    self._workers,
-                    mp_context=multiprocessing.get_context(
-                        "spawn"
-                    ),  # forking a process that has loaded Blender is unsafe
-                    initializer=_start_worker,
-                    initargs=(self._work,),
-                )
-                # Start every process while the environment says so.
-                list(self._pool.map(_ready, range(self._workers)))
+            self._pool = WorkerPool(self._work.totals, self._workers)
         return self
 
     def __exit__(self, *exception) -> None:
         if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool.close()
             self._pool = None
 
     def totals(self, poses: Sequence[Pose]) -> Totals:
@@ -124,12 +108,7 @@ class Evaluator:
         if self._pool is None:
             parts = [self._work.totals(frames, poses) for frames in tasks]
         else:
-            try:
-                parts = list(self._pool.map(_worker_totals, tasks, [tuple(poses)] * len(tasks)))
-            except BrokenProcessPool as error:
-                raise BlenderLidarError(
-                    "a worker process ended abruptly, perhaps for want of memory; try --workers 1"
-                ) from error
+            parts = self._pool.map(tasks, [tuple(poses)] * len(tasks))
         objective = np.concatenate([part[0] for part in parts], axis=1)
         found = np.concatenate([part[1] for part in parts], axis=1)
         return Totals(objective, found, self.vehicles)
@@ -158,9 +137,9 @@ class _Work:
         for column, frame in enumerate(frames):
             seen = self._scorer(frame).see(poses)
             noticed = detectable(seen.occupancy, self._scoring.threshold, self._scoring.view)
-            bits = entropy(seen.occupancy).sum(axis=-1)
+            bits = entropy(seen.occupancy).sum(axis=-1)  # Eq. 9
             score = vehicle_score(bits, noticed, self._scoring.loss, self._scoring.reading)
-            objective[:, column], found[:, column] = score.sum(axis=1), noticed.sum(axis=1)
+            objective[:, column], found[:, column] = score.sum(axis=1), noticed.sum(axis=1)  # Eq. 10
         return objective, found
 
     def _scorer(self, frame) -> FrameScorer:
@@ -168,36 +147,3 @@ class _Work:
             chosen = self._frames[frame]
             self._scorers[frame] = FrameScorer(chosen.vehicles, chosen.counted, self._observation)
         return self._scorers[frame]
-
-
-_work: _Work | None = None  # of this worker process
-
-
-def _start_worker(work: _Work) -> None:
-    global _work
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    _work = work
-
-
-def _ready(_: int) -> None:
-    """Nothing: its return tells that a process has started."""
-
-
-def _worker_totals(frames, poses):
-    return _work.totals(frames, poses)
-
-
-@contextmanager
-def _single_threaded_children() -> Iterator[None]:
-    """Let processes started here multiply their small matrices with one thread each."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

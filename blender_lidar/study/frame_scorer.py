@@ -128,5 +128,5 @@ class FrameScorer:
             met, row, distance = met[wanted], row[wanted], distance[wanted]
         points = np.take(directions, met, axis=0)
         points *= distance[:, None]
-        points += pose.position
+        points += pose.position  # Eqs. 2 and 3, the range scaling the direction alone
         return to_vehicle_frame(points, self._vehicles.centre_m, self._vehicles.heading_rad, row), row

@@ -19,60 +19,57 @@ def installation_text(site: Site, result: dict) -> str:
     pose = pose_at(mount)
     parts = (
         [f"Installation of one {result['sensor']} LiDAR", ""],
-        _placement(site, mount),
+        _placement(site, mount, pose),
         ["", "Check on site"],
         _checks(site, pose),
-        ["", "Expected, on the searched traffic"],
-        _expected(result),
+        ["", *_expected(result)],
     )
     return "\n".join(line for part in parts for line in part) + "\n"
 
 
-def _placement(site, mount):
-    right, left = site.scenario.road.carriageway_y
-    across = _lean(mount["tilt_x_deg"], "down towards +y, across the road", "up towards +y, across the road")
-    along = _lean(mount["tilt_y_deg"], "up ahead, in the direction of travel", "down ahead, in the direction of travel")
-    yaw = mount["yaw_deg"]
-    lines = [
+def _placement(site, mount, pose):
+    return [
         f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor",
-        f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it",
-        f"Tilt         {across}",
-        f"             {along}",
-        f"Yaw          {yaw:.1f} deg counter-clockwise seen from above" + _zero_azimuth(yaw),
+        f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
+        f"             {_beside(site, mount['y_m'])}",
+        f"Lean         {_lean(pose)}",
+        f"             (before yaw: {mount['tilt_x_deg']:.1f} deg across, {mount['tilt_y_deg']:.1f} deg along it)",
+        f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the zero azimuth of the",
+        "             sensor faces across the road, +y: to the left of the direction of travel",
     ]
-    if mount["y_m"] < right:
-        lines += [
-            f"             The pole stands {right - mount['y_m']:.2f} m to the right of the carriageway: who looks",
-            "             across it, towards +y, sees the traffic pass from left to right.",
-        ]
-    else:
-        lines += [
-            f"             The pole stands {mount['y_m'] - left:.2f} m to the left of the carriageway: +y points away",
-            "             from it, and so does a positive tilt.",
-        ]
-    return lines
 
 
-def _lean(angle, positive, negative):
-    if abs(angle) < _UPRIGHT_DEG:
-        return f"0.0 deg {positive.split(', ')[-1]}"
-    return f"{abs(angle):.1f} deg {positive if angle > 0 else negative}"
+def _beside(site, y_m):
+    right, left = site.scenario.road.carriageway_y
+    if y_m <= right:
+        return f"{right - y_m:.2f} m to the right of the carriageway's right edge, seen in the direction of travel"
+    return f"{y_m - left:.2f} m to the left of the carriageway's left edge, seen in the direction of travel"
 
 
-def _zero_azimuth(yaw):
-    return "" if yaw else ": the sensor's zero azimuth faces across the road, +y"
+def _lean(pose: Pose):
+    """How far and which way the sensor's upright axis leans: beams on that side look down."""
+    axis = pose.to_world(np.array([[0.0, 0.0, 1.0]]))[0]
+    angle = math.degrees(math.acos(min(axis[2], 1.0)))
+    if angle < _UPRIGHT_DEG:
+        return "none: the sensor stands upright"
+    bearing = math.degrees(math.atan2(axis[1], axis[0]))
+    names = {0: "ahead, in the direction of travel", 90: "+y, left of the direction of travel"}
+    names |= {180: "back, against the direction of travel", -90: "-y, right of the direction of travel"}
+    nearest = min(names, key=lambda name: abs((bearing - name + 180.0) % 360.0 - 180.0))
+    off = (bearing - nearest + 180.0) % 360.0 - 180.0
+    turned = "" if abs(off) < 0.5 else f", {abs(off):.0f} deg {'counter-' if off > 0 else ''}clockwise of it"
+    return f"{angle:.1f} deg forward and down towards {names[nearest]}{turned}"
 
 
 def _checks(site: Site, pose: Pose):
-    dip_across, dip_along = (_dip_deg(pose, axis) for axis in ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]))
+    dip_zero, dip_quarter = (_dip_deg(pose, axis) for axis in ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]))
     return [
-        f"- Inclinometer on the sensor's base: a fall of {dip_across:.1f} deg towards zero azimuth and of",
-        f"  {dip_along:.1f} deg a quarter turn clockwise from it (a negative fall is a rise).",
+        f"- Inclinometer on the sensor's base: a fall of {dip_zero:.1f} deg towards zero azimuth and of",
+        f"  {dip_quarter:.1f} deg a quarter turn clockwise from it (a negative fall is a rise).",
         f"- {_lowest_beam(site, pose)}",
         f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz.",
         "- Poles, signs, trees and barriers between the sensor and the lanes are not in the model: look for them.",
-        "- The scores hold for the traffic that was given: see the interval of the gain in result.json, and",
-        "  blind_zones.png for where vehicles stay below the threshold.",
+        "- blind_zones.png shows where vehicles stay below the threshold.",
     ]
 
 
@@ -86,19 +83,27 @@ def _lowest_beam(site, pose):
     lowest = float(site.model.elevation_rad[0])
     ray = pose.to_world(np.array([[0.0, math.cos(lowest), math.sin(lowest)]]))[0]
     if ray[2] >= 0:
-        return "At zero azimuth no beam of the lowest ring meets the ground."
+        return "At zero azimuth the lowest ring does not meet the ground."
     reach = -pose.height_m * math.hypot(ray[0], ray[1]) / ray[2]
     return f"At zero azimuth the lowest ring meets the ground {reach:.1f} m from the pole: put a target there."
 
 
 def _expected(result):
-    base = result["baseline"]
+    """What to expect, on the frames that did not choose the mounting where there are any."""
+    held_out = result["holdout"] is not None
+    found, base = result, result["baseline"]
+    if held_out:
+        found, base = found["holdout"], base["holdout"]
     lines = [
-        f"- vehicles at or above the threshold: {100 * result['detectable_share']:.1f} % "
+        "Expected, on held-out traffic" if held_out else "Expected, on the traffic that chose the mounting",
+        f"- vehicles at or above the threshold: {100 * found['detectable_share']:.1f} % "
         f"(baseline {100 * base['detectable_share']:.1f} %)",
-        f"- objective per vehicle: {result['objective_per_vehicle']:.3f} bits "
+        f"- objective per vehicle: {found['objective_per_vehicle']:.3f} bits "
         f"(baseline {base['objective_per_vehicle']:.3f})",
     ]
+    if held_out and found["interval_90"]:
+        low, high = found["interval_90"]
+        lines.append(f"- gain over the baseline: {low:.3f} to {high:.3f} bits per vehicle (90 % interval)")
     intervals = (result["map"] or {}).get("optimum_interval_90")
     if intervals:
         height, tilt = intervals["height_m"], intervals["tilt_x_deg"]

@@ -12,7 +12,8 @@ from .evaluation import Evaluator, Totals
 from .statistics import FEWEST_BLOCKS, block_sums, interval_90, resampled_weights
 
 AXES = ("height_m", "tilt_x_deg")
-POINTS = (26, 26)  # 0.1 m by 1 degree over the paper's ranges: the resolution in which it reports
+POINTS = (11, 26)  # a quarter metre by 1 degree over the paper's ranges: enough to see the landscape
+FINE_POINTS = (26, 26)  # 0.1 m by 1 degree: the resolution in which the paper reports
 _CHUNK = 26
 
 
@@ -28,7 +29,7 @@ class ScoreMap:
         Objective per vehicle [bits].
     detectable_share : ndarray, (h, t)
     block_objective : ndarray, (h, t, b)
-        Objective summed over each block of time [bits].
+        Objective summed over each block of time that has vehicles [bits].
     block_vehicles : ndarray, (b,)
         Vehicles of each block.
     """
@@ -72,6 +73,7 @@ def map_scores(
     optimum: dict[str, float],
     block: np.ndarray,
     progress: Callable[[int], None] = lambda points: None,
+    grid: tuple[int, int] = POINTS,
 ) -> ScoreMap | None:
     """Score a grid over the searched heights and tilts through the `optimum`; None unless both are searched.
 
@@ -87,10 +89,12 @@ def map_scores(
         Block of time of each of the evaluator's frames.
     progress : callable
         Told how many grid points have been scored since it was last called.
+    grid : (int, int)
+        Number of heights and of tilts.
     """
     if not all(axis in deployment.bounds for axis in AXES):
         return None
-    height, tilt = (np.linspace(*deployment.bounds[axis], points) for axis, points in zip(AXES, POINTS, strict=True))
+    height, tilt = (np.linspace(*deployment.bounds[axis], points) for axis, points in zip(AXES, grid, strict=True))
     poses = [pose_at({**optimum, AXES[0]: float(h), AXES[1]: float(t)}) for h in height for t in tilt]
     parts = []
     for start in range(0, len(poses), _CHUNK):
@@ -102,11 +106,13 @@ def map_scores(
         np.concatenate([part.detectable for part in parts]),
         evaluator.vehicles,
     )
+    block_vehicles = block_sums(evaluator.vehicles, block)
+    filled = block_vehicles > 0  # an empty block prefers no mounting
     return ScoreMap(
         height_m=height,
         tilt_deg=tilt,
-        per_vehicle=totals.per_vehicle().reshape(POINTS),
-        detectable_share=totals.detectable_share().reshape(POINTS),
-        block_objective=block_sums(totals.objective, block).reshape(*POINTS, -1),
-        block_vehicles=block_sums(evaluator.vehicles, block),
+        per_vehicle=totals.per_vehicle().reshape(grid),
+        detectable_share=totals.detectable_share().reshape(grid),
+        block_objective=block_sums(totals.objective, block)[:, filled].reshape(*grid, -1),
+        block_vehicles=block_vehicles[filled],
     )

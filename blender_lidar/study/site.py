@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,19 +56,24 @@ class Site:
     @property
     def workers(self) -> int:
         """Processes to use: as set, or one for each processor that this process may use."""
-        return (
-            self.scenario.model.workers or len(os.sched_getaffinity(0))
-            if hasattr(os, "sched_getaffinity")
-            else (self.scenario.model.workers or os.cpu_count() or 1)
-        )
+        if self.scenario.model.workers:
+            return self.scenario.model.workers
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
     def evaluator(self, frames: tuple[CountedFrame, ...]) -> Evaluator:
         """Something that scores mountings on `frames`."""
         return Evaluator(frames, self.observation, self.scoring, self.workers)
 
 
-def prepare(scenario: Scenario) -> Site:
+def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Site:
     """Read what a scene names and check that mountings can be judged on it.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The settings.
+    mount : mapping of str to float, optional
+        A mounting given by hand, in metres and degrees, that will be judged too.
 
     Raises
     ------
@@ -97,16 +103,19 @@ def prepare(scenario: Scenario) -> Site:
         holdout=settings.holdout,
         block_s=settings.block_s,
     )
-    reach = scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario)
-    searched = tuple(_counted(recording.vehicles(frame), region, reach) for frame in plan.search)
-    held_out = tuple(_counted(recording.vehicles(frame), region, reach, plan.searched_ids) for frame in plan.holdout)
+    frames = [recording.vehicles(frame) for frame in (*plan.search, *plan.holdout)]
+    check_mount_is_clear(scenario, frames)
+    if mount is not None:
+        check_mount_is_clear(scenario, frames, {"--x, --y": mount})
+    reach = scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, mount)
+    searched = tuple(_counted(frame, region, reach) for frame in frames[: len(plan.search)])
+    held_out = tuple(_counted(frame, region, reach, plan.searched_ids) for frame in frames[len(plan.search) :])
     if not sum(int(frame.counted.sum()) for frame in searched):
         x, y = region.centre_xy
         raise InputError(
             f"{recording.source}: no vehicle within {region.radius_m:g} m of the mount at x {x:g} m, y {y:g} m in the "
             f"{len(plan.search)} searched frames; check [road] and [deployment]"
         )
-    check_mount_is_clear(scenario, [frame.vehicles for frame in (*searched, *held_out)])
     scoring = Scoring(objective.threshold, objective.view, objective.loss, objective.reading)
     return Site(scenario, model, observation, scoring, recording, plan, searched, held_out)
 
@@ -117,6 +126,7 @@ def read_recording(scenario: Scenario) -> Recording:
     recording = read_traffic(
         settings.path,
         format=settings.format,
+        time_step_s=settings.time_step_s,
         road=scenario.road,
         period=settings.period,
         location=settings.location,
@@ -164,10 +174,10 @@ def _counted(vehicles, region, reach, not_counted=()) -> CountedFrame:
     return CountedFrame(near, counted)
 
 
-def _travel(scenario: Scenario) -> float:
-    """How far a searched mount, or the baseline, may be from the nominal one [m]."""
+def _travel(scenario: Scenario, mount: Mapping[str, float] | None) -> float:
+    """How far a searched mount, the baseline or a given one may be from the nominal place [m]."""
     far = 0.0
     for key, middle in zip(("x_m", "y_m"), scenario.deployment.nominal_xy, strict=True):
-        low, high = scenario.deployment.bounds.get(key, (middle, middle))
-        far = max(far, high - middle, middle - low, abs(scenario.baseline[key] - middle))
+        places = [*scenario.deployment.bounds.get(key, ()), scenario.baseline[key], *([mount[key]] if mount else ())]
+        far = max(far, *(abs(place - middle) for place in places))
     return far * np.sqrt(2.0)

@@ -6,6 +6,12 @@ import numpy as np
 
 RESAMPLES = 2000
 FEWEST_BLOCKS = 3  # with fewer no interval is given
+# Student's t, 95 % point, for 1 to 30 degrees of freedom (any statistics table).
+_STUDENT_T_95 = (
+    *(6.314, 2.920, 2.353, 2.132, 2.015, 1.943, 1.895, 1.860, 1.833, 1.812),
+    *(1.796, 1.782, 1.771, 1.761, 1.753, 1.746, 1.740, 1.734, 1.729, 1.725),
+    *(1.721, 1.717, 1.714, 1.711, 1.708, 1.706, 1.703, 1.701, 1.699, 1.697),
+)
 
 
 def block_sums(values: np.ndarray, block: np.ndarray) -> np.ndarray:
@@ -35,8 +41,25 @@ def interval_90(values: np.ndarray) -> tuple[float, float]:
 
 
 def ratio_interval_90(numerator: np.ndarray, denominator: np.ndarray, seed: int) -> tuple[float, float] | None:
-    """90 % interval of sum(numerator) / sum(denominator), from the sums of each block (b,); None for too few blocks."""
+    """90 % interval of sum(numerator) / sum(denominator), from the sums of each block (b,).
+
+    Student's t with b - 1 degrees of freedom times the resampled standard deviation: with few blocks, percentiles of
+    resamples cover too little (80 % instead of 90 % with five). Blocks whose denominator is 0 say nothing and are left
+    out; None for fewer than `FEWEST_BLOCKS`.
+    """
+    filled = denominator > 0
+    numerator, denominator = numerator[filled], denominator[filled]
     if len(numerator) < FEWEST_BLOCKS:
         return None
     weights = resampled_weights(len(numerator), np.random.default_rng(seed))
-    return interval_90((weights @ numerator) / (weights @ denominator))
+    spread = float(np.std((weights @ numerator) / (weights @ denominator)))
+    middle = float(numerator.sum() / denominator.sum())
+    reach = student_t_95(len(numerator) - 1) * spread
+    return middle - reach, middle + reach
+
+
+def student_t_95(degrees: int) -> float:
+    """The 95 % point of Student's t; beyond the table by the first term of its Cornish-Fisher expansion."""
+    if degrees <= len(_STUDENT_T_95):
+        return _STUDENT_T_95[degrees - 1]
+    return 1.645 + 1.524 / degrees

@@ -60,19 +60,20 @@ class RepairReport:
     def lines(self) -> list[str]:
         """A few lines for a person: only what happened."""
         happened = [
-            (self.duplicates, "duplicate rows dropped"),
-            (self.repeated, "rows dropped: their vehicle was already in that frame"),
-            (self.off_map, "rows dropped: off the map"),
-            (self.interpolated, "boxes interpolated in gaps of at most 0.5 s"),
-            (self.tracks_split, "longer gaps left open"),
-            (self.sizes_repaired, "vehicles with a missing or absurd size repaired"),
-            (self.headings_held, "headings held (slower than 2 m/s, or no neighbour in time)"),
-            (self.headings_clamped, "headings limited"),
+            (self.duplicates, "duplicate row", "dropped"),
+            (self.repeated, "row", "dropped: vehicle already in that frame"),
+            (self.off_map, "row", "dropped: off the map"),
+            (self.interpolated, "box", "interpolated in gaps of at most 0.5 s"),
+            (self.tracks_split, "longer gap", "left open"),
+            (self.sizes_repaired, "vehicle", "with a missing or absurd size repaired"),
+            (self.headings_held, "heading", "held (slower than 2 m/s, or no neighbour in time)"),
+            (self.headings_clamped, "heading", "limited"),
         ]
-        lines = [f"{self.rows_used:,} of {self.rows_read:,} rows used{self._chosen()}"]
-        lines += [f"{count:,} {text}" for count, text in happened if count]
+        lines = [f"{self.rows_used:,} of {_counted(self.rows_read, 'row')} used{self._chosen()}"]
+        lines += [f"{_counted(count, noun)} {outcome}" for count, noun, outcome in happened if count]
         if self.overlaps:
-            lines.append(f"{self.overlaps:,} pairs of overlapping boxes in {self.overlap_frames:,} frames looked at")
+            pairs, frames = _counted(self.overlaps, "pair"), _counted(self.overlap_frames, "frame")
+            lines.append(f"{pairs} of overlapping boxes in {frames} looked at")
         return [*lines, *self.notes]
 
     def as_dict(self) -> dict[str, object]:
@@ -89,3 +90,8 @@ class RepairReport:
             if value and several
         ]
         return f" ({', '.join(chosen)})" if chosen else ""
+
+
+def _counted(count: int, noun: str) -> str:
+    plural = "es" if noun.endswith("x") else "s"
+    return f"{count:,} {noun}{plural if count != 1 else ''}"

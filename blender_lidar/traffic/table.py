@@ -4,7 +4,7 @@ One row per vehicle and frame under a header; columns in any order, further ones
 
 =========================  ==========================================================
 ``frame``                  whole number
-``vehicle_id``             whole number, the same vehicle in every frame
+``vehicle_id``             whole number, 0 or more; the same vehicle in every frame
 ``class``                  car, van, truck, bus or motorcycle
 ``x_m``, ``y_m``           box centre [m]
 ``length_m``, ``width_m``  box size [m], more than 0
@@ -40,6 +40,7 @@ from .vehicles import CLASSES, Recording
 NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", "length_m", "width_m", "height_m", "heading_deg")
 OPTIONAL = ("z_m", "time_s", "lane")
 _WHOLE = {"frame": 2**53, "vehicle_id": 2**53, "lane": 2**15 - 1}
+_NOT_NEGATIVE = ("vehicle_id",)  # -1 is what is no vehicle
 _POSITIVE = ("length_m", "width_m", "height_m")
 _ASSUMED_TIME_STEP_S = 0.1
 _CHUNK_ROWS = 5_000  # more fill the processor's cache with short strings
@@ -184,14 +185,20 @@ def _numbers(path: str | Path, name: str, texts: tuple[str, ...], lines: Sequenc
         good = np.array([_is_accepted(name, text) for text in texts])
     if not good.all():
         at = int(good.argmin())
-        allowed = "a whole number" if name in _WHOLE else "more than 0" if name in _POSITIVE else "a finite number"
-        raise InputError(f"{path}:{lines[at]}: {name} is {texts[at]!r}; allowed: {allowed}")
+        raise InputError(f"{path}:{lines[at]}: {name} is {texts[at]!r}; allowed: {_allowed(name)}")
     return values
+
+
+def _allowed(name: str) -> str:
+    if name in _WHOLE:
+        return "a whole number of at least 0" if name in _NOT_NEGATIVE else "a whole number"
+    return "more than 0" if name in _POSITIVE else "a finite number"
 
 
 def _accepted(name: str, values: np.ndarray) -> np.ndarray:
     if name in _WHOLE:
-        return (np.abs(values) <= _WHOLE[name]) & (np.rint(values) == values)
+        lowest = 0 if name in _NOT_NEGATIVE else -_WHOLE[name]
+        return (values >= lowest) & (values <= _WHOLE[name]) & (np.rint(values) == values)
     return np.isfinite(values) & (values > 0) if name in _POSITIVE else np.isfinite(values)
 
 

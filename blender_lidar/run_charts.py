@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..metrics.vgop import occupancy_views
-from ..plots.blind_zones import plot_blind_zones
-from ..plots.by_distance import plot_by_distance
-from ..plots.clouds import plot_clouds
-from ..plots.convergence import plot_convergence
-from ..plots.occupancy import OccupancyViews, plot_occupancy
-from ..plots.score_map import plot_score_map
-from ..results import RunFolder
-from ..scan import scan
-from ..scenario import pose_at
-from .frame_scorer import FrameScorer
+from .metrics.vgop import occupancy_views
+from .plots.blind_zones import plot_blind_zones
+from .plots.by_distance import plot_by_distance
+from .plots.clouds import plot_clouds
+from .plots.convergence import plot_convergence
+from .plots.occupancy import OccupancyViews, plot_occupancy
+from .plots.score_map import plot_score_map
+from .results import RunFolder
 from .run import Outcome
-from .site import Site
+from .scan import scan
+from .scenario import pose_at
+from .study.frame_scorer import FrameScorer
+from .study.site import Site
 
 
 def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:

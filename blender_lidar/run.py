@@ -9,16 +9,18 @@ from typing import Protocol
 
 import numpy as np
 
-from ..optimise import DePsoSettings, Search, make_search, search_from_state
-from ..results import SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity, versions
-from ..scenario import Scenario, pose_at
-from .evaluation import Evaluator
-from .installation import installation_text
-from .score_map import POINTS, ScoreMap, map_scores
-from .site import Site
-from .vehicle_table import join_tables, vehicle_table
-from .verdict import judge
+from .optimise import DePsoSettings, Search, make_search, search_from_state
+from .plots.binning import near_best_threshold
+from .results import SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity, versions
+from .scenario import Scenario, pose_at
+from .study.evaluation import Evaluator
+from .study.installation import installation_text
+from .study.score_map import ScoreMap, map_scores
+from .study.site import Site
+from .study.vehicle_table import join_tables, vehicle_table
+from .study.verdict import judge
 
+REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
 _CHECKPOINT_EVERY_S = 2.0
 
 
@@ -143,17 +145,20 @@ def _search(search, evaluator: Evaluator, scenario, folder, identity, listener):
 
 
 def _map_summary(score_map: ScoreMap, scenario, verdict) -> dict:
+    """The landscape in numbers; shares of the gain are None where nothing is better than the baseline."""
     height, tilt, value = score_map.best
     base = verdict["baseline"]["objective_per_vehicle"]
     found = verdict["optimised"]["objective_per_vehicle"]
-    gain = max(value, found) - base
+    best = max(value, found)
+    gains = best > base
+    near_best = near_best_threshold(best, base, REGION_SHARE)
     intervals = score_map.optimum_intervals_90(scenario.search.seed)
     return {
-        "points": list(POINTS),
+        "points": list(score_map.per_vehicle.shape),
         "best": {"height_m": height, "tilt_x_deg": tilt, "objective_per_vehicle": value},
-        "search_regret": max(0.0, value - found) / gain if gain > 0 else None,
+        "search_shortfall": (best - found) / (best - base) if gains else None,
         "optimum_interval_90": None if intervals is None else {key: list(pair) for key, pair in intervals.items()},
-        "share_within_1_percent": float((score_map.per_vehicle >= found - 0.01 * gain).mean()),
+        "share_within_1_percent": float((score_map.per_vehicle >= near_best).mean()) if gains else None,
     }
 
 

@@ -1,0 +1,174 @@
+"""Processes that share the calls of one function; a pool of them starts whole or not at all, and leaves nobody behind.
+
+They are spawned: forking a process that has loaded Blender is unsafe.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from pathlib import Path
+
+from ..errors import WorkerError
+
+
+class WorkerPool:
+    """Calls one function in several processes, each of which keeps a copy of it.
+
+    Parameters
+    ----------
+    function : callable
+        What to call; it and what belongs to it can be pickled.
+    workers : int
+        Processes.
+
+    Raises
+    ------
+    WorkerError
+        When a process cannot be started or ends while it starts.
+    """
+
+    def __init__(self, function: Callable, workers: int) -> None:
+        # By way of a file: through the pipe to a process that has died, much data would be written for ever.
+        with tempfile.TemporaryDirectory(prefix="blender_lidar-") as folder:
+            path = Path(folder) / "function.pickle"
+            with path.open("wb") as file:
+                pickle.dump(function, file, pickle.HIGHEST_PROTOCOL)
+            with _failures_as_worker_errors():
+                self._executor = _started(path, workers)
+
+    def map(self, *arguments: Iterable) -> list:
+        """What the function returns for each set of arguments, in their order, as the builtin `map`.
+
+        Raises
+        ------
+        WorkerError
+            When a process has ended abruptly.
+        """
+        with _failures_as_worker_errors():
+            return list(self._executor.map(_call, *arguments))
+
+    def close(self) -> None:
+        """End the processes, after the calls that they are busy with."""
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _failures_as_worker_errors() -> Iterator[None]:
+    try:
+        yield
+    except BrokenProcessPool as error:
+        raise WorkerError("a worker process ended abruptly, perhaps for want of memory; try --workers 1") from error
+
+
+# --- in the process that starts the workers ---------------------------------------------------------------------------
+
+
+def _started(path: Path, workers: int) -> ProcessPoolExecutor:
+    """A pool whose processes have all read their function."""
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_start_worker, initargs=(path, context.Barrier(workers))
+    )
+    try:
+        with _sigint_held(), _single_threaded_children(), _no_folders_of_blender():
+            ready = executor.map(_ready, range(workers))  # starts them all, as none is idle before the last
+        list(ready)
+    except OSError as error:
+        _abandon(executor, others)
+        raise WorkerError(f"{workers} worker processes cannot be started: {error.strerror}; try --workers 1") from error
+    except BaseException:
+        _abandon(executor, others)
+        raise
+    return executor
+
+
+def _abandon(executor: ProcessPoolExecutor, others: set) -> None:
+    """End a pool that may have started in part: its processes wait for those that never came."""
+    for child in set(multiprocessing.active_children()) - others:
+        child.kill()
+    executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _sigint_held() -> Iterator[None]:
+    """Keep Ctrl-C from processes started here, from their first moment on; in this one it waits for the block's end."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # its start would let the signal through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _single_threaded_children() -> Iterator[None]:
+    """Let processes started here multiply their small matrices with one thread each."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _no_folders_of_blender() -> Iterator[None]:
+    """Let processes started here, which take over `sys.path`, find the bpy that was installed.
+
+    Once imported, bpy puts folders of its own first, where there is another bpy that works inside Blender alone.
+    """
+    before, blender = sys.path, sys.modules.get("bpy")
+    if blender is not None:
+        own = blender.utils.resource_path("LOCAL")
+        sys.path = [folder for folder in before if not Path(folder).is_relative_to(own)]
+    try:
+        yield
+    finally:
+        sys.path = before
+
+
+# --- in a worker ------------------------------------------------------------------------------------------------------
+
+_function: Callable | None = None
+
+
+def _start_worker(path: Path, all_started: threading.Barrier) -> None:
+    global _function
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _function = pickle.loads(path.read_bytes())
+    all_started.wait()  # so that no worker takes the first task of another, and the file is no longer needed
+
+
+def _end_with_parent() -> None:
+    """A parent that was killed cannot end its workers, which would wait for ever."""
+    multiprocessing.parent_process().join()
+    os._exit(1)
+
+
+def _ready(_: int) -> None:
+    """Nothing: its return tells that every process has started."""
+
+
+def _call(*arguments):
+    return _function(*arguments)

@@ -1,0 +1,221 @@
+"""Who imports what: rooms in one direction, Blender and pandas where they belong, numpy alone wherever it will do."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import textwrap
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import blender_lidar
+from tests.small_scene import write_scene
+
+PACKAGE = Path(blender_lidar.__file__).parent
+ROOT = PACKAGE.parent
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+# Third-party libraries, and the files or folders that may import them.
+LIBRARIES = {
+    "numpy": ("",),
+    "pandas": ("traffic/",),
+    "bpy": ("casting/bvh.py", "world/blender/", "addon/"),
+    "mathutils": ("casting/bvh.py", "world/blender/", "addon/"),
+    "embreex": ("casting/embree.py",),
+    "matplotlib": ("plots/",),
+    "tqdm": ("commands/progress.py",),
+}
+# Rooms, and the rooms that each may import; all may import `errors`. Traffic's frozen table of boxes is what
+# `world` makes triangles of and what `casting` culls by, so both know it.
+ROOMS = {
+    "errors": set(),
+    "toml_table": set(),
+    "metrics": set(),
+    "optimise": {"metrics"},
+    "sensors": {"toml_table"},
+    "traffic": set(),
+    "world": {"traffic"},
+    "casting": {"sensors", "traffic", "world"},
+    "scan": {"casting", "sensors", "traffic", "world"},
+    "formats": {"scan"},
+    "plots": {"metrics", "sensors"},
+    "settings": {"sensors", "traffic"},
+    "scenario": {"casting", "optimise", "sensors", "settings", "toml_table", "traffic", "world"},
+    "provenance": {"settings"},
+}
+NEAR_THE_DOOR = {
+    "study",
+    "results",
+    "run",
+    "run_charts",
+    "commands",
+    "cli",
+    "addon",
+    "__main__",
+    "__init__",
+}  # may import any but the door
+DOOR = {"commands", "cli", "addon", "__main__"}
+
+
+@cache
+def imports(path):
+    """What a file imports: (dotted name, whether it is of this package and named relatively), wherever it stands."""
+    package = ["blender_lidar", *path.relative_to(PACKAGE).parts[:-1]]
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, False) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            found.append((node.module, False))
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] + (node.module or "").split(".") * bool(node.module)
+            found += [(".".join([*base, alias.name]), True) for alias in node.names]
+    return found
+
+
+def room(path):
+    parts = path.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else path.stem
+
+
+def rooms_imported(path):
+    """The other rooms that a file takes something from."""
+    names = {name.split(".")[1] for name, ours in imports(path) if ours}
+    return {name for name in names if (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").exists()} - {room(path)}
+
+
+def named(path):
+    return path.relative_to(PACKAGE).as_posix()
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=named)
+def test_libraries_are_imported_only_where_they_belong(path):
+    for name, ours in imports(path):
+        top = name.partition(".")[0]
+        if not ours and top not in sys.stdlib_module_names:
+            assert top in LIBRARIES, f"{named(path)} imports {name}"
+            assert named(path).startswith(LIBRARIES[top]), f"{named(path)} imports {name}"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=named)
+def test_inside_the_package_imports_are_relative(path):
+    """As a Blender extension the package has another name."""
+    assert not [name for name, ours in imports(path) if not ours and name.partition(".")[0] == "blender_lidar"]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=named)
+def test_a_room_imports_only_rooms_that_it_may(path):
+    here, taken = room(path), rooms_imported(path) - {"errors"}
+    if here in NEAR_THE_DOOR:
+        assert here in DOOR or not taken & DOOR
+    else:
+        assert taken <= ROOMS[here], f"{named(path)} imports {sorted(taken - ROOMS[here])}"
+
+
+def test_every_room_is_known():
+    assert {room(path) for path in SOURCES} <= {*ROOMS, *NEAR_THE_DOOR}
+
+
+def test_rooms_do_not_import_each_other_in_a_circle():
+    taken = {here: set() for here in map(room, SOURCES)}
+    for path in SOURCES:
+        taken[room(path)] |= rooms_imported(path)
+    while free := [here for here, others in taken.items() if not others & taken.keys()]:
+        for here in free:
+            del taken[here]
+    assert taken == {}
+
+
+NUMPY_ALONE = """
+    import importlib, pkgutil, sys
+    from importlib.metadata import packages_distributions
+
+    for name in packages_distributions():
+        if name not in ("numpy", "blender_lidar"):
+            sys.modules[name] = None  # as if it were not installed
+
+    def import_all(room):
+        for module in pkgutil.walk_packages(importlib.import_module(room).__path__, room + "."):
+            importlib.import_module(module.name)
+    """
+
+
+def with_numpy_alone(body, *arguments):
+    """Run a program in a Python that has numpy and the standard library; what it prints."""
+    program = textwrap.dedent(NUMPY_ALONE) + textwrap.dedent(body)
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_metric_and_the_search_need_numpy_alone():
+    body = """
+        import_all("blender_lidar.metrics")
+        import_all("blender_lidar.optimise")
+        rooms = {name.split(".")[1] for name in sys.modules if name.startswith("blender_lidar.")}
+        assert rooms == {"metrics", "optimise", "errors"}, rooms
+        from blender_lidar.optimise import maximise
+        print(maximise(lambda x: -(x ** 2).sum(axis=1), [-1.0], [1.0], seed=1, evaluations=50).value > -0.01)
+        """
+    assert with_numpy_alone(body) == "True\n"
+
+
+def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
+    body = """
+        for room in ("casting", "commands", "formats", "optimise", "plots", "sensors", "study", "traffic", "world"):
+            package = importlib.import_module("blender_lidar." + room)
+            for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+                missing = None
+                try:
+                    importlib.import_module(module.name)
+                except ImportError as error:
+                    missing = error.name
+                if missing:
+                    print(module.name.removeprefix("blender_lidar."), missing)
+        import blender_lidar.cli, blender_lidar.scan, blender_lidar.results
+        """
+    needing = dict(line.split() for line in with_numpy_alone(body).splitlines())
+    assert needing.pop("casting.bvh") == "bpy"
+    assert needing.pop("casting.embree").startswith("embreex")
+    assert set(needing.values()) <= {"pandas"}
+    assert all(name.startswith("traffic.ngsim") for name in needing)
+
+
+def test_boxes_are_scanned_scored_and_optimised_with_numpy_alone(tmp_path):
+    scene = write_scene(tmp_path, {"model": {"caster": "exact"}})
+    body = """
+        from pathlib import Path
+        from blender_lidar.cli import main
+        scene = Path(sys.argv[1])
+        def run(*words):
+            code = main([str(word) for word in words])
+            assert code == 0, (words, code)
+        run("sensors")
+        run("scan", scene, "--frame", 20, "--out", scene.parent / "cloud.npz")
+        run("score", "--points", scene.parent / "cloud.npz", "--boxes", scene.parent / "traffic.csv", "--frame", 20)
+        run("optimise", scene, "--out", scene.parent / "run", "--workers", 1)
+        assert main(["doctor"]) in (0, 1)  # without a fast caster it says so
+        """
+    with_numpy_alone(body, scene)
+    assert (tmp_path / "run" / "result.json").exists()
+    assert (tmp_path / "cloud.npz").exists()
+
+
+def test_without_pandas_an_ngsim_file_is_refused_by_the_name_of_what_is_missing(tmp_path):
+    scene = write_scene(tmp_path, {"traffic": {"format": "ngsim"}, "model": {"caster": "exact"}})
+    body = """
+        from blender_lidar.cli import main
+        print(main(["scan", sys.argv[1], "--frame", "1", "--out", sys.argv[2]]))
+        """
+    assert with_numpy_alone(body, scene, tmp_path / "cloud.npz") == "2\n"
+    assert not (tmp_path / "cloud.npz").exists()

@@ -1,0 +1,274 @@
+"""Clouds as files: what is written is read back, and a file is written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.cli import main
+from blender_lidar.errors import InputError, MissingFileError, OutputError
+from blender_lidar.formats.atomic import whole_file, write_bytes, write_text
+from blender_lidar.formats.clouds import WRITERS, check_cloud_name, read_points, write_cloud
+from blender_lidar.scan import scan
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic.vehicles import CLASSES
+from tests.sample_traffic import dense_traffic
+
+HEADER = {"sensor": "RS-16", "pose": {"height_m": 4.1}, "frame": 7, "note": "größer, \u2265 5 m"}
+SUFFIXES = sorted(WRITERS)
+
+
+def made(vehicles=20, gate=40.0):
+    return scan(
+        dense_traffic(vehicles=vehicles, length_m=60.0),
+        beam_lattice(load_model("RS-16"), stride=20),
+        Pose(height_m=4.1, tilt_x=0.3),
+        caster="exact",
+        min_range_m=0.4,
+        max_range_m=gate,
+    )
+
+
+CLOUD, EMPTY = made(), made(0, 1.0)
+
+
+def files(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_npz_holds_the_columns_and_units_of_the_contract(tmp_path):
+    write_cloud(tmp_path / "cloud.npz", CLOUD, HEADER)
+    with np.load(tmp_path / "cloud.npz", allow_pickle=False) as content:
+        assert set(content.files) == {
+            *("xyz", "range_m", "ring", "azimuth_deg", "time_s", "vehicle_id", "class", "incidence_deg"),
+            *("intensity", "header"),
+        }
+        np.testing.assert_array_equal(content["xyz"], CLOUD.xyz)
+        for name in ("range_m", "ring", "time_s", "vehicle_id", "intensity"):
+            np.testing.assert_array_equal(content[name], getattr(CLOUD, name))
+            assert content[name].dtype == getattr(CLOUD, name).dtype
+        np.testing.assert_allclose(np.radians(content["azimuth_deg"]), CLOUD.azimuth_rad)
+        np.testing.assert_allclose(np.radians(content["incidence_deg"]), CLOUD.incidence_rad)
+        names = ["" if index < 0 else CLASSES[index] for index in CLOUD.class_index]
+        assert content["class"].tolist() == names
+        assert json.loads(str(content["header"])) == HEADER
+
+
+@pytest.mark.parametrize("suffix", [*SUFFIXES, *map(str.upper, SUFFIXES)])
+@pytest.mark.parametrize("cloud", [CLOUD, EMPTY], ids=["filled", "empty"])
+def test_points_and_vehicles_are_read_back(tmp_path, suffix, cloud):
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, cloud, HEADER)
+    assert files(tmp_path) == [path.name]
+    points, vehicle = read_points(path)
+    assert points.dtype == np.float64
+    np.testing.assert_allclose(points, cloud.xyz, rtol=1e-6, atol=1e-6)
+    assert points.shape == cloud.xyz.shape
+    np.testing.assert_array_equal(vehicle, cloud.vehicle_id)
+    assert vehicle.dtype == np.int64
+
+
+def test_score_notes_once_how_many_points_were_left_out(tmp_path, capsys):
+    np.savez(tmp_path / "cloud.npz", xyz=np.array([[0.0, 4.0, 0.7], [np.nan, 4.0, 0.7]]))
+    boxes = tmp_path / "boxes.csv"
+    boxes.write_text("frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg\n0,7,car,0,5,4,2,1.5,0\n")
+    words = ["--points", str(tmp_path / "cloud.npz"), "--boxes", str(boxes), "--assign", "box", "--json"]
+    assert main(["score", *words]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["points"] == json.loads(out)["vehicles"][0]["points"] == 1
+    assert err == f"blender-lidar: note: {tmp_path / 'cloud.npz'}: 1 of 2 points left out: not finite\n"
+
+
+def refusal(path):
+    """The one line with which a file is refused; it begins with the file's name."""
+    with pytest.raises(InputError) as error:
+        read_points(path)
+    text = str(error.value)
+    assert text.startswith(f"{path}: ")
+    assert "\n" not in text
+    return text.removeprefix(f"{path}: ")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({"points": np.zeros((2, 3))}, "has no array 'xyz'; it has points"),
+        ({"xyz": np.zeros((2, 4))}, "xyz has shape (2, 4); allowed: (n, 3)"),
+        ({"xyz": np.zeros(3)}, "xyz has shape (3,); allowed: (n, 3)"),
+        ({"xyz": np.zeros((2, 3)), "vehicle_id": np.zeros(3)}, "vehicle_id has shape (3,); allowed: (2,)"),
+        ({"xyz": np.zeros((2, 3)), "vehicle_id": np.array([1, np.nan])}, "vehicle_id is nan; allowed: whole numbers"),
+        ({"xyz": np.zeros((2, 3)), "vehicle_id": np.array([1.5, 1])}, "vehicle_id is 1.5; allowed: whole numbers"),
+        ({"xyz": np.zeros((1, 3)), "vehicle_id": np.array([1e30])}, "vehicle_id is 1e+30; allowed: whole numbers"),
+        (
+            {"xyz": np.zeros((1, 3)), "vehicle_id": np.array([2**63], dtype=np.uint64)},
+            f"vehicle_id is {2**63}; allowed: whole numbers",
+        ),
+        (
+            {"xyz": np.zeros((1, 3)), "vehicle_id": np.array(["7"])},
+            "vehicle_id is of type <U1; allowed: whole numbers",
+        ),
+        ({"xyz": np.array([["a", "b", "c"]])}, "is not a readable NPZ file"),
+        ({"xyz": np.array([[None, 1, 2]], dtype=object)}, "is not a readable NPZ file"),
+    ],
+)
+def test_an_npz_file_with_other_content_is_refused_in_one_line(tmp_path, arrays, says):
+    path = tmp_path / "cloud.npz"
+    np.savez(path, **arrays)
+    assert refusal(path).startswith(says)
+
+
+def test_a_damaged_npz_file_is_refused_in_one_line(tmp_path):
+    path = tmp_path / "cloud.npz"
+    write_cloud(path, CLOUD, HEADER)
+    whole = path.read_bytes()
+    np.save(tmp_path / "array.npy", np.zeros((2, 3)))
+    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
+        archive.writestr("xyz.npy", "no array")
+    contents = [b"", b"\0" * 100, os.urandom(500), (tmp_path / "array.npy").read_bytes()]
+    contents += [(tmp_path / "other.zip").read_bytes(), whole[:-30], whole[: len(whole) // 2]]
+    for content in contents:
+        path.write_bytes(content)
+        assert refusal(path)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(SUFFIXES), st.data())
+@pytest.mark.filterwarnings("ignore")
+def test_a_file_with_wrong_bytes_is_read_or_refused_but_never_a_crash(tmp_path, suffix, data):
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, made(2, 12.0), {"frame": 1})
+    content = bytearray(path.read_bytes())
+    first = data.draw(st.integers(0, len(content) - 1))
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(first, min(first + 8, len(content) - 1)))
+        content[at] = data.draw(st.integers(0, 255))
+    path.write_bytes(content[: data.draw(st.integers(len(content) // 2, len(content)))])
+    try:
+        outcome = read_points(path)[0].shape[1]
+    except InputError as error:
+        outcome = str(error).count("\n")
+    assert outcome in (3, 0)  # three coordinates, or one line
+
+
+def test_a_file_that_is_missing_a_folder_or_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(MissingFileError, match="there is no such file"):
+        read_points(tmp_path / "cloud.npz")
+    (tmp_path / "folder.pcd").mkdir()
+    assert refusal(tmp_path / "folder.pcd") == "is a folder; allowed: a point cloud, .npz or .pcd"
+    (tmp_path / "cloud.xyz").write_text("1 2 3\n")
+    with pytest.raises(InputError, match=r"unknown cloud format '\.xyz'; allowed: \.npz, \.pcd"):
+        read_points(tmp_path / "cloud.xyz")
+    for name in ("cloud", "cloud.las", ".npz"):
+        with pytest.raises(InputError, match=r"^--out: .*unknown cloud format"):
+            check_cloud_name(tmp_path / name, "--out")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_file_that_may_not_be_opened_is_one_line(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, EMPTY, HEADER)
+
+    def refuse(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr("builtins.open", refuse)
+    assert refusal(path) == "cannot be read (Permission denied)"
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_cloud_that_cannot_be_written_leaves_the_old_file_and_nothing_else(tmp_path, suffix, monkeypatch):
+    path = tmp_path / f"cloud{suffix}"
+    path.write_bytes(b"old")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OutputError, match="cannot be written: No space left on device"):
+        write_cloud(path, CLOUD, HEADER)
+    assert path.read_bytes() == b"old"
+    assert files(tmp_path) == [path.name]
+
+
+@pytest.mark.parametrize("failure", [ValueError("no"), KeyboardInterrupt(), OSError(5, "Input/output error")])
+def test_a_writer_that_fails_half_way_leaves_the_old_file_and_nothing_else(tmp_path, failure):
+    path = tmp_path / "table.csv"
+    path.write_text("old")
+
+    def write():
+        with whole_file(path) as temporary:
+            temporary.write_text("half")
+            assert temporary.suffix == ".csv"
+            assert temporary.parent == tmp_path
+            raise failure
+
+    with pytest.raises(OutputError if isinstance(failure, OSError) else type(failure)):
+        write()
+    assert path.read_text() == "old"
+    assert files(tmp_path) == ["table.csv"]
+
+
+def test_a_new_file_takes_the_place_of_the_old_with_the_rights_of_any_new_file(tmp_path):
+    for path, written in ((tmp_path / "a.txt", "größer\n"), (tmp_path / "a.txt", "second")):
+        write_text(path, written)
+        assert path.read_text(encoding="utf-8") == written
+    (tmp_path / "plain").touch()
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    write_bytes(tmp_path / "b.bin", b"\x00\xff")
+    assert (tmp_path / "b.bin").read_bytes() == b"\x00\xff"
+    assert files(tmp_path) == ["a.txt", "b.bin", "plain"]
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.npz").mkdir()
+    for path in (tmp_path / "missing" / "a.npz", tmp_path / "file" / "a.npz", tmp_path / "folder.npz"):
+        with pytest.raises(OutputError) as error:
+            write_cloud(path, EMPTY, HEADER)
+        assert str(error.value).startswith(f"{path}: cannot be written: ")
+        assert "\n" not in str(error.value)
+    assert files(tmp_path) == ["file", "folder.npz"]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="has no named pipes")
+def test_what_is_no_plain_file_is_not_replaced_by_one(tmp_path):
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    with pytest.raises(OutputError) as error:
+        write_text(pipe, "x")
+    assert str(error.value) == f"{pipe}: cannot be written: is there and is not a regular file"
+    assert pipe.is_fifo()
+    assert files(tmp_path) == ["pipe.csv"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no limits on the size of files")
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_full_disk_is_one_line_and_nothing_more_when_python_ends(tmp_path, suffix):
+    """A limit on the size of files stands in for the full disk."""
+    write_cloud(tmp_path / f"cloud{suffix}", CLOUD, HEADER)
+    size = (tmp_path / f"cloud{suffix}").stat().st_size
+    program = (
+        f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({size - 1}, {size - 1}))\n"
+        "from tests.test_clouds import CLOUD, HEADER, OutputError, write_cloud\n"
+        f"try: write_cloud({str(tmp_path / ('new' + suffix))!r}, CLOUD, HEADER)\n"
+        "except OutputError as error: print(error)"
+    )
+    root, environment = Path(__file__).parents[1], {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.endswith("cannot be written: File too large\n")
+    assert done.stderr == ""
+    assert files(tmp_path) == [f"cloud{suffix}"]

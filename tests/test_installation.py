@@ -1,0 +1,118 @@
+"""The installation sheet says where the sensor really looks."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from blender_lidar.scenario import load_scenario, pose_at
+from blender_lidar.study.installation import installation_text
+from blender_lidar.study.site import prepare
+from tests.small_scene import write_scene
+
+MOUNT = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 15.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
+HELD_OUT_BASE = {"detectable_share": 0.25, "objective_per_vehicle": 0.125}
+SCORES = {"detectable_share": 0.75, "objective_per_vehicle": 1.25}
+
+
+@pytest.fixture
+def sheet(tmp_path):
+    def write(changes=None, score_map=None, holdout=None, **mount):
+        site = prepare(load_scenario(write_scene(tmp_path, changes)))
+        return installation_text(
+            site,
+            {
+                "sensor": "RS-16",
+                "deployment": MOUNT | mount,
+                **SCORES,
+                "holdout": holdout,
+                "baseline": {
+                    "detectable_share": 0.5,
+                    "objective_per_vehicle": 0.5,
+                    "holdout": holdout and HELD_OUT_BASE,
+                },
+                "map": score_map,
+            },
+        )
+
+    return write
+
+
+def number_in(text, pattern):
+    return float(re.search(pattern, text)[1])
+
+
+def test_height_place_and_scores_are_those_of_the_result(sheet):
+    text = sheet(x_m=1.5)
+    assert text.startswith("Installation of one RS-16 LiDAR\n")
+    assert "4.00 m from the road surface" in text
+    assert "x 1.50 m along the road, y 0.00 m across it" in text
+    assert "2.00 m to the right of the carriageway" in text
+    assert "15.0 deg forward and down towards +y, left of the direction of travel" in text
+    assert "75.0 % (baseline 50.0 %)" in text
+    assert "1.250 bits (baseline 0.500)" in text
+    assert "20 Hz" in text
+    assert max(map(len, text.splitlines())) <= 120
+
+
+@pytest.mark.parametrize(("tilt_x", "tilt_y", "yaw"), [(15.0, 0.0, 0.0), (-5.0, 8.0, 0.0), (12.0, -3.0, 40.0)])
+def test_the_inclinometer_readings_are_the_slopes_of_the_sensors_axes(sheet, tilt_x, tilt_y, yaw):
+    text = sheet(tilt_x_deg=tilt_x, tilt_y_deg=tilt_y, yaw_deg=yaw)
+    pose = pose_at(MOUNT | {"tilt_x_deg": tilt_x, "tilt_y_deg": tilt_y, "yaw_deg": yaw})
+    ahead, aside = np.degrees(np.arcsin(-pose.to_world(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))[:, 2]))
+    assert number_in(text, r"a fall of (-?[\d.]+) deg towards zero azimuth") == pytest.approx(ahead, abs=0.051)
+    assert number_in(text, r"(-?[\d.]+) deg a quarter turn clockwise") == pytest.approx(aside, abs=0.051)
+
+
+def test_the_target_stands_where_the_lowest_ring_meets_the_ground(sheet):
+    expected = 4.0 / math.tan(math.radians(15.0 + 15.0))
+    assert number_in(sheet(), r"meets the ground ([\d.]+) m from the pole") == pytest.approx(expected, abs=0.051)
+    assert "the lowest ring does not meet the ground" in sheet(tilt_x_deg=-20.0)
+
+
+def test_the_range_of_the_optimum_is_given_where_there_is_one(sheet):
+    interval = {"height_m": [3.9, 4.4], "tilt_x_deg": [17.0, 20.0]}
+    assert "between 3.9 and 4.4 m" in sheet(score_map={"optimum_interval_90": interval})
+    assert "resampled blocks" not in sheet(score_map={"optimum_interval_90": None})
+
+
+def test_what_to_expect_comes_from_frames_that_did_not_choose_the_mounting(sheet):
+    held_out = {"detectable_share": 0.7, "objective_per_vehicle": 1.0, "interval_90": [0.5, 1.25]}
+    text = sheet(holdout=held_out)
+    assert "held-out traffic" in text
+    assert "70.0 % (baseline 25.0 %)" in text
+    assert "0.500 to 1.250 bits per vehicle" in text
+    assert "the traffic that chose the mounting" in sheet()
+
+
+@pytest.mark.parametrize(
+    ("tilts", "words"),
+    [
+        ({"tilt_x_deg": 0.0}, "stands upright"),
+        ({"tilt_x_deg": 0.0, "tilt_y_deg": -10.0}, "10.0 deg forward and down towards ahead"),
+        ({"yaw_deg": -90.0}, "down towards ahead"),
+        ({"yaw_deg": 180.0}, "down towards -y"),
+        ({"yaw_deg": 30.0}, "down towards +y, left of the direction of travel, 30 deg counter-clockwise of it"),
+    ],
+)
+def test_the_lean_is_given_in_the_road_frame_whatever_the_yaw(sheet, tilts, words):
+    assert words in sheet(**tilts)
+
+
+def test_a_pole_at_the_left_is_said_to_be_there(sheet):
+    assert "3.00 m to the left of the carriageway" in sheet(y_m=12.0)
+
+
+def test_a_pole_at_the_very_edge_is_not_beyond_the_other_one(sheet):
+    assert "to the right of the carriageway" in sheet({"road": {"setback_m": 0.0}})
+
+
+@pytest.mark.parametrize(("y_m", "yaw"), [(0.0, 90.0), (12.0, 180.0)])
+def test_a_turned_sensor_is_not_said_to_lean_the_way_it_would_unturned(sheet, y_m, yaw):
+    text = sheet(y_m=y_m, yaw_deg=yaw)
+    low = pose_at(MOUNT | {"yaw_deg": yaw}).to_world(np.array([[0.0, 1.0, 0.0]]))[0]
+    assert low[1] < 0.1  # down is not towards +y
+    assert "down towards +y" not in text
