@@ -310,7 +310,6 @@ BAD_CLOUDS = {
     "short.pcd": pcd("x y z", "4 4 4", "F F F", 9, bytes(24)),
     "two.pcd": pcd("x y", "4 4", "F F", 1, bytes(8)),
     "huge.pcd": pcd("x y z", "4 4 4", "F F F", 10**15, bytes(24)),
-    "nan.pcd": pcd("x y z", "4 4 4", "F F F", 1, np.full(3, np.nan, dtype="<f4").tobytes()),
     "cloud.las": b"LASF",
 }
 
@@ -326,7 +325,6 @@ BAD_ARRAYS = {
     "no xyz": {"points": np.zeros((2, 3))},
     "flat": {"xyz": np.zeros(6)},
     "two columns": {"xyz": np.zeros((3, 2))},
-    "NaN": {"xyz": np.array([[0.0, np.nan, 0.0]])},
     "text": {"xyz": np.array([["a", "b", "c"]])},
     "ids too short": {"xyz": np.zeros((2, 3)), "vehicle_id": np.array([1])},
     "pickled": {"xyz": np.array([[None, None, None]], dtype=object)},
@@ -434,11 +432,7 @@ def test_a_folder_with_a_scene_of_the_users_own_is_not_written_to(tmp_path, caps
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no limits on the size of files")
 @pytest.mark.parametrize(
     "verb",
-    [
-        "optimise",
-        "evaluate",
-        pytest.param("scan", marks=pytest.mark.xfail(strict=False, reason="zipfile complains as it is collected")),
-    ],
+    ["optimise", "evaluate", "scan"],
 )
 def test_a_disk_that_is_full_leaves_no_half_file(tmp_path, verb):
     """A limit on the size of files stands in for the full disk."""

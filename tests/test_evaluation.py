@@ -218,7 +218,7 @@ def test_workers_that_die_before_they_read_much_data_are_an_error_and_no_hang():
     """More than a pipe holds, so that whoever writes it to a child that has died waits for ever."""
     body = """
         try:
-            with Evaluator(frames_of(40), SEEN, SCORING, workers=2):
+            with Evaluator(frames_of(160), SEEN, SCORING, workers=2):
                 print("started")
         except WorkerError as error:
             print("refused:", error)

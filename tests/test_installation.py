@@ -14,6 +14,7 @@ from blender_lidar.study.site import prepare
 from tests.small_scene import write_scene
 
 MOUNT = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 15.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
+BASE_SCORES = {"detectable_share": 0.5, "objective_per_vehicle": 0.5}
 HELD_OUT_BASE = {"detectable_share": 0.25, "objective_per_vehicle": 0.125}
 SCORES = {"detectable_share": 0.75, "objective_per_vehicle": 1.25}
 
@@ -29,11 +30,7 @@ def sheet(tmp_path):
                 "deployment": MOUNT | mount,
                 **SCORES,
                 "holdout": holdout,
-                "baseline": {
-                    "detectable_share": 0.5,
-                    "objective_per_vehicle": 0.5,
-                    "holdout": holdout and HELD_OUT_BASE,
-                },
+                "baseline": {**BASE_SCORES, "holdout": holdout and HELD_OUT_BASE},
                 "map": score_map,
             },
         )

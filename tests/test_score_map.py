@@ -9,7 +9,7 @@ import pytest
 
 from blender_lidar.scenario import Deployment, pose_at
 from blender_lidar.study.evaluation import Totals
-from blender_lidar.study.score_map import POINTS, ScoreMap, map_scores
+from blender_lidar.study.score_map import FINE_POINTS, POINTS, ScoreMap, map_scores
 from blender_lidar.study.statistics import FEWEST_BLOCKS
 
 HEIGHT, TILT = (2.0, 4.5), (0.0, 25.0)
@@ -42,9 +42,9 @@ def tops_about(height, tilt, spread, frames, seed=0):
     return np.column_stack([rng.normal(height, spread, frames), rng.normal(tilt, 10.0 * spread, frames)])
 
 
-def mapped(hill, block=None) -> ScoreMap:
+def mapped(hill, block=None, grid=POINTS) -> ScoreMap:
     block = np.arange(len(hill.vehicles)) if block is None else np.asarray(block)
-    return map_scores(hill, DEPLOYMENT, OPTIMUM, block)
+    return map_scores(hill, DEPLOYMENT, OPTIMUM, block, grid=grid)
 
 
 def test_the_grid_reaches_from_bound_to_bound_through_the_optimums_other_coordinates():
@@ -118,7 +118,7 @@ def test_a_landscape_that_is_certain_has_an_interval_without_width():
 def test_the_interval_holds_the_optimum_and_widens_with_the_spread_of_the_blocks():
     widths = []
     for spread in (0.2, 0.5):
-        score_map = mapped(Hill(tops_about(3.2, 12.0, spread, 12)))
+        score_map = mapped(Hill(tops_about(3.2, 12.0, spread, 12)), grid=FINE_POINTS)
         height, tilt, _ = score_map.best
         intervals = score_map.optimum_intervals_90(1)
         for axis, best in (("height_m", height), ("tilt_x_deg", tilt)):

