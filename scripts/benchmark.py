@@ -3,8 +3,8 @@
     python scripts/benchmark.py [SCENE.toml] [--sensor RS-80] [--repeats 15] [--json FILE]
 
 Every entry is timed once in each round, so that a busy moment of the machine falls on all of them; medians and
-quartiles over the rounds are printed, and the ratio to the first entry. The frame is one with the median number of vehicles.
-Shared and noisy machines need an idle moment: the smallest time is printed as well.
+quartiles over the rounds are printed, and the ratio to the first entry. The frame is one with the median number of
+vehicles. Shared and noisy machines need an idle moment: the smallest time is printed as well.
 """
 
 from __future__ import annotations
