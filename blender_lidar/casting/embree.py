@@ -20,6 +20,6 @@ class EmbreeCaster(Caster):
         self._mesh = TriangleMesh(self._scene, vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))
 
     def _first(self, origins, directions, reach):
-        directions = directions.astype(np.float32)
-        origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape), dtype=np.float32)
-        return self._scene.run(origins, directions, dists=float(reach)).astype(np.int64)
+        starts = np.empty(directions.shape, dtype=np.float32)
+        starts[:] = origins
+        return self._scene.run(starts, directions.astype(np.float32), dists=float(reach)).astype(np.int64)

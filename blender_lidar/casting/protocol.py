@@ -111,7 +111,9 @@ class Caster(ABC):
         triangle = self._first(origins, directions, reach)
         distance = np.full(len(triangle), np.inf)
         met = np.flatnonzero(triangle != MISS)
-        distance[met], facing = self._range(_rows(origins, met), directions[met], triangle[met])
+        distance[met], facing = self._range(
+            _rows(origins, met), np.take(directions, met, axis=0), np.take(triangle, met)
+        )
         if self.leaks:
             outside = np.zeros(len(triangle), dtype=bool)
             outside[met] = facing < 0.0
@@ -143,10 +145,12 @@ class Caster(ABC):
         for offset in _PROBES:
             if len(suspect) == 0:
                 return
-            ray, origin = directions[suspect], _rows(origins, suspect)
+            ray, origin = np.take(directions, suspect, axis=0), _rows(origins, suspect)
             probed = self._first(origin, ray + offset, reach)
             hit = np.flatnonzero(probed != MISS)
-            along, facing = self._range(_rows(origin, hit), ray[hit], probed[hit])  # along the ray, not the probe
+            along, facing = self._range(
+                _rows(origin, hit), np.take(ray, hit, axis=0), probed[hit]
+            )  # along the ray, not the probe
             outside = hit[facing < 0.0]
             suspect, nearest, found = suspect[outside], nearest[outside], found[outside]
             along, probed = along[facing < 0.0], probed[outside]
@@ -173,7 +177,7 @@ class Caster(ABC):
 
 def _rows(origins, rows):
     """The origins of some rays; a shared one stays shared."""
-    return origins if origins.ndim == 1 else origins[rows]
+    return origins if origins.ndim == 1 else np.take(origins, rows, axis=0)
 
 
 def _dot(a, b):

@@ -122,7 +122,7 @@ class FrameScorer:
         directions = pose.to_world(np.take(seen.lattice.directions.reshape(-1, 3), beams, axis=0))
         hits = self._tree.cast(pose.position, directions, seen.max_range_m)
         met = np.flatnonzero(hits.distance < np.inf)
-        row, distance = np.take(self._counted_row, hits.triangle[met]), hits.distance[met]
+        row, distance = np.take(self._counted_row, np.take(hits.triangle, met)), np.take(hits.distance, met)
         wanted = (row >= 0) & (distance >= seen.min_range_m)
         if not wanted.all():
             met, row, distance = met[wanted], row[wanted], distance[wanted]
