@@ -217,7 +217,7 @@ def _occupied_cells(points, vehicle, size, cells, cell_m):
     ends = np.cumsum(cells[:, 0] * cells[:, 1] + cells[:, 0] * cells[:, 2] + cells[:, 1] * cells[:, 2])
     if len(ends) == 0 or ends[-1] <= _MAX_LATTICE_CELLS:
         return _distinct_cells(points, vehicle, size, cells, cell_m)
-    counts = np.zeros((len(ends), 3))
+    counts = np.zeros((len(ends), 3), dtype=np.int64)
     first = 0
     while first < len(ends):
         before = ends[first - 1] if first else 0
@@ -255,7 +255,7 @@ def _distinct_cells(points, vehicle, size, cells, cell_m):
     number = np.arange(flat.size, dtype=np.int32).reshape(flat.shape)
     lattice[flat] = number
     stands = np.take(lattice, flat) == number  # Eq. 6, each occupied cell once
-    return np.stack([np.bincount(vehicle, weights=stands[view], minlength=vehicles) for view in range(3)], axis=1)
+    return np.stack([np.bincount(vehicle[stands[view]], minlength=vehicles) for view in range(3)], axis=1)
 
 
 def _triples(values, name):
