@@ -45,6 +45,7 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
     plot_by_distance(
         _file(folder, drawn, "by_distance.png"),
         *tables,
+        names=_names(outcome),
         title="What is seen, by distance",
         subtitle=f"{about}, and held-out frames",
     )
@@ -54,6 +55,7 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
         sensor_xy,
         site.scenario.road.carriageway_y,
         (5.0, site.scenario.road.lane_width_m),
+        names=_names(outcome),
         mountings=mountings,
         title="Where vehicles stay below the threshold",
         subtitle=f"{about}, and held-out frames",
@@ -71,6 +73,10 @@ def mounting_text(mount: dict[str, float]) -> str:
     if mount["yaw_deg"]:
         parts.append(f"yaw {mount['yaw_deg']:.1f}°")
     return ", ".join(parts)
+
+
+def _names(outcome):
+    return "Baseline", "Given" if outcome.result["search"] is None else "Optimised"
 
 
 def _file(folder, drawn, name):
@@ -140,6 +146,7 @@ def _draw_clouds(site, folder, drawn, outcome, sensor_xy, mountings):
         boxes,
         tuple(noticed),
         sensor_xy,
+        names=_names(outcome),
         mountings=mountings,
         title=f"{outcome.result['sensor']}: one revolution from above, frame {vehicles.frame}",
     )
@@ -167,6 +174,7 @@ def _draw_occupancy(site, folder, drawn, outcome, mountings):
     plot_occupancy(
         _file(folder, drawn, "occupancy.png"),
         *views,
+        names=_names(outcome),
         mountings=mountings,
         title=f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
         subtitle=(

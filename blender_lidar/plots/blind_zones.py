@@ -39,6 +39,7 @@ def plot_blind_zones(
     carriageway: tuple[float, float],
     cell_m: tuple[float, float] = (5.0, 3.66),
     *,
+    names: tuple[str, str] = ("Baseline", "Optimised"),
     mountings: tuple[str, str] = ("", ""),
     title: str = "",
     subtitle: str = "",
@@ -57,8 +58,8 @@ def plot_blind_zones(
         Right and left edge of the carriageway, lower y first [m].
     cell_m : tuple of float
         Length of a cell along the road and width of a lane [m]; the carriageway is divided into whole lanes.
-    mountings : tuple of str
-        What to write behind "Baseline" and "Optimised", as "height 2.0 m, tilt 0°".
+    names, mountings : tuple of str
+        What to call the two mountings, and what to write behind it, as "height 2.0 m, tilt 0°".
     title, subtitle : str
         Headings.
 
@@ -82,9 +83,7 @@ def plot_blind_zones(
     y_edges = _lane_edges(y, low, high, lane_m)
     with sheet(path, 120.0, title, subtitle) as figure:
         panels = figure.subplots(2, 1, sharex=True, sharey=True)
-        for axes, table, sensor, name, mounting in zip(
-            panels, tables, sensors, ("Baseline", "Optimised"), mountings, strict=True
-        ):
+        for axes, table, sensor, name, mounting in zip(panels, tables, sensors, names, mountings, strict=True):
             below = table["detectable"] == 0
             share = cell_shares(table["x_m"], table["y_m"], below, x_edges, y_edges)
             mesh, empty = _draw_cells(axes, x_edges, y_edges, share)

@@ -26,6 +26,7 @@ def plot_by_distance(
     optimised_table: Mapping[str, ArrayLike],
     band_m: float = 10.0,
     *,
+    names: tuple[str, str] = ("Baseline", "Optimised"),
     title: str = "",
     subtitle: str = "",
 ) -> None:
@@ -39,6 +40,8 @@ def plot_by_distance(
         Columns ``distance_m``, ``detectable`` and ``entropy_bits`` of vehicles.csv under each mounting.
     band_m : float
         Width of a band [m].
+    names : tuple of str
+        What to call the two mountings.
     title, subtitle : str
         Headings.
 
@@ -59,7 +62,8 @@ def plot_by_distance(
             say_empty(share, "no vehicles")
             say_empty(entropy, "no vehicles")
         handles = []
-        for bands, line in ((before, BASELINE), (after, OPTIMISED)):
+        for bands, style, name in zip((before, after), (BASELINE, OPTIMISED), names, strict=True):
+            line = {**style, "label": name.lower()}
             drawn = bands.count >= FEWEST_VEHICLES
             handles += share.plot(
                 bands.centre_m, np.where(drawn, 100.0 * bands.detectable_share, np.nan), clip_on=False, zorder=3, **line

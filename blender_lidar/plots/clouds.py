@@ -61,6 +61,7 @@ def plot_clouds(
     detectable: tuple[ArrayLike, ArrayLike],
     sensor_xy: ArrayLike,
     *,
+    names: tuple[str, str] = ("Baseline", "Optimised"),
     mountings: tuple[str, str] = ("", ""),
     title: str = "",
     subtitle: str = "",
@@ -80,8 +81,8 @@ def plot_clouds(
         Which vehicles reach the threshold under each mounting.
     sensor_xy : array_like, (2,) or (2, 2)
         Where the LiDAR stands [m, road frame]; two rows when the optimised mounting stands elsewhere.
-    mountings : tuple of str
-        What to write behind "Baseline" and "Optimised", as "height 2.0 m, tilt 0°".
+    names, mountings : tuple of str
+        What to call the two mountings, and what to write behind it, as "height 2.0 m, tilt 0°".
     title, subtitle : str
         Headings.
 
@@ -95,7 +96,7 @@ def plot_clouds(
     sensors = np.broadcast_to(np.asarray(sensor_xy, dtype=float), (2, 2))
     drawn = [
         _mounting(name, *of_one, vehicles=len(corners))
-        for name, *of_one in zip(("Baseline", "Optimised"), mountings, sensors, clouds, detectable, strict=True)
+        for name, *of_one in zip(names, mountings, sensors, clouds, detectable, strict=True)
     ]
     x_edges, (low, high) = _stretches(np.concatenate([corners.reshape(-1, 2), sensors]))
     rows = len(x_edges) - 1

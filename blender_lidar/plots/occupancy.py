@@ -70,6 +70,7 @@ def plot_occupancy(
     before: OccupancyViews,
     after: OccupancyViews,
     *,
+    names: tuple[str, str] = ("Baseline", "Optimised"),
     mountings: tuple[str, str] = ("", ""),
     title: str = "",
     subtitle: str = "",
@@ -82,8 +83,8 @@ def plot_occupancy(
         The PNG to write.
     before, after : OccupancyViews
         The vehicle under the baseline and under the optimised mounting.
-    mountings : tuple of str
-        What to write behind "Baseline" and "Optimised", as "height 2.0 m, tilt 0°".
+    names, mountings : tuple of str
+        What to call the two mountings, and what to write behind it, as "height 2.0 m, tilt 0°".
     title, subtitle : str
         Headings.
     """
@@ -93,7 +94,7 @@ def plot_occupancy(
     header = header_mm(title, subtitle) + _TITLE_MM
     with sheet(path, header + drawing_mm + _PAD_MM, title, subtitle, to_scale=True) as figure:
         for left_mm, vehicle, name, mounting in zip(
-            (_PAD_MM, 0.5 * WIDTH_MM + _PAD_MM), (before, after), ("Baseline", "Optimised"), mountings, strict=True
+            (_PAD_MM, 0.5 * WIDTH_MM + _PAD_MM), (before, after), names, mountings, strict=True
         ):
             axes = place(figure, left_mm, header, _LONGEST_MM, drawing_mm)
             axes.set_axis_off()
