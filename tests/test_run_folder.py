@@ -187,7 +187,8 @@ def test_the_result_is_json_even_where_most_held_out_blocks_are_empty(tmp_path, 
     def refuse(constant):
         raise AssertionError(f"{constant} is no JSON")
 
-    json.loads((tmp_path / "run" / "result.json").read_text(), parse_constant=refuse)
+    result = json.loads((tmp_path / "run" / "result.json").read_text(), parse_constant=refuse)
+    assert result["holdout"]["vehicles"] > 0
 
 
 # --- the same again ---------------------------------------------------------------------------------------------------
