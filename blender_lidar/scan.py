@@ -102,7 +102,7 @@ def scan(
     beam = next(reachable_beams(lattice, cut_vehicles(vehicles, detail), [pose], max_range_m))
     directions = pose.to_world(lattice.directions.reshape(-1, 3))
 
-    tree = caster_class(caster)(world.corners)
+    tree = caster_class(caster)(world.corners, closed=True)
     hits = tree.cast(pose.position, directions[beam], max_range_m)
     met = hits.triangle >= 0
     distance = np.full(len(directions), np.inf)

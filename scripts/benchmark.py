@@ -93,7 +93,7 @@ def _entries(args):
     local, row = scorer.vehicle_points(pose)
     entries["  of which: scoring"] = lambda: entropy(occupancy(local, row, scorer.size_m)).sum(axis=1)
     for name in scorers:
-        caster = caster_class(name)(triangles)
+        caster = caster_class(name)(triangles, closed=True)
         entries[f"  of which: casting the survivors, {name}"] = lambda caster=caster: caster.cast(
             pose.position, every_ray[beams], gate
         )

@@ -103,7 +103,7 @@ def test_the_lattice_of_every_model_equals_a_slow_loop(name):
     assert lattice.step_rad == TURN / lattice.columns
     assert lattice.directions.shape == (model.rings, lattice.columns, 3)
     assert lattice.directions.dtype == np.float64
-    assert lattice.directions.flags.c_contiguous
+    assert lattice.components.flags.c_contiguous
     assert_sorted_by_azimuth(lattice)
     assert_equals_slow_loop(lattice)
 

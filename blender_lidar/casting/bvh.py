@@ -12,12 +12,13 @@ import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
-from .protocol import MISS, Caster
+from .protocol import MISS
+from .tree import TreeCaster
 
 _triangle_of = itemgetter(2)  # ray_cast returns (location, normal, index, distance)
 
 
-class BvhCaster(Caster):
+class BvhCaster(TreeCaster):
     """Casts with `mathutils.bvhtree.BVHTree`, one merged tree for the whole frame."""
 
     name = "bvh"

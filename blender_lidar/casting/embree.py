@@ -1,4 +1,4 @@
-"""Embree through embreex, in its robust mode."""
+"""Embree through embreex, in its fast mode: the margins of `TreeCaster` leave no gaps for its robust mode to close."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from .protocol import Caster
+from .tree import TreeCaster
 
 
-class EmbreeCaster(Caster):
+class EmbreeCaster(TreeCaster):
     """Casts with Intel's Embree: the fastest, in float32."""
 
     name = "embree"
 
     def _build(self, corners):
-        self._scene = EmbreeScene(robust=True)
+        self._scene = EmbreeScene()
         vertices = np.ascontiguousarray(corners.reshape(-1, 3), dtype=np.float32)
         self._mesh = TriangleMesh(self._scene, vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))
 
     def _first(self, origins, directions, reach):
-        starts = np.empty(directions.shape, dtype=np.float32)
-        starts[:] = origins
-        return self._scene.run(starts, directions.astype(np.float32), dists=float(reach)).astype(np.int64)
+        rays = np.empty(directions.shape, dtype=np.float32)
+        rays[:] = directions
+        starts = np.broadcast_to(origins.astype(np.float32), rays.shape)
+        return self._scene.run(starts, rays, dists=float(reach)).astype(np.int64)

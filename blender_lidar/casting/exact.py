@@ -4,49 +4,66 @@ from __future__ import annotations
 
 import numpy as np
 
-from .protocol import MISS, Caster
+from .protocol import Caster, Returns, origins_of
 
 _EDGE_TOLERANCE = 1e-12  # barycentric: a ray at an edge belongs to both neighbours, so that it slips through neither
-_BATCH = 1 << 20  # ray-triangle pairs tested at a time
+_GROUP = 4  # triangles that are passed over together; neighbours in the list tend to be neighbours in space
+_BATCH = 1 << 20  # pairs of a ray and a group tested at a time
+_SLACK = 1e-9  # relative, of squared distances: what rounding may hide when pairs are passed over
 
 
 class ExactCaster(Caster):
     """Casts in float64 without any tree: slow, and right. The judge of the others."""
 
     name = "exact"
-    leaks = False
 
-    def _build(self, corners):
+    def _prepare(self):
+        corners = self._corners
         self._edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         self._middle = corners.mean(axis=1)
         self._radius = np.linalg.norm(corners - self._middle[:, None], axis=2).max(axis=1)
+        starts = np.arange(0, len(corners), _GROUP)
+        size = np.diff(starts, append=len(corners))
+        self._group_middle = np.add.reduceat(self._middle, starts) / size[:, None]
+        to_middle = np.linalg.norm(self._middle - np.repeat(self._group_middle, size, axis=0), axis=1)
+        self._group_radius = np.maximum.reduceat(to_middle + self._radius, starts)
 
-    def _first(self, origins, directions, reach):
-        first = np.full(len(directions), MISS, dtype=np.int64)
-        nearest = np.full(len(directions), np.inf)
-        same_origin = origins.ndim == 1
-        step = max(_BATCH // max(len(directions), 1), 1)
-        for start in range(0, len(self._corners), step):
-            stop = min(start + step, len(self._corners))
-            triangle, ray = self._near_pairs(origins, directions, start, stop)
-            distance = self._distance(origins if same_origin else origins[ray], directions[ray], triangle)
-            distance[distance > reach] = np.inf
-            order = np.lexsort((triangle, distance))  # nearest first; of equals the lowest triangle
-            ray, triangle, distance = ray[order], triangle[order], distance[order]
-            ray, at = np.unique(ray, return_index=True)
-            nearer = distance[at] < nearest[ray]
-            nearest[ray[nearer]] = distance[at][nearer]
-            first[ray[nearer]] = triangle[at][nearer]
-        return first
+    def _meet(self, origins, directions, max_range):
+        step = max(_BATCH // len(self._group_middle), 1)
+        rays = np.arange(len(directions))
+        parts = [
+            self._meet_some(
+                origins_of(origins, rays[start : start + step]), directions[start : start + step], max_range
+            )
+            for start in range(0, len(rays), step)
+        ]
+        ray = [part.ray + start for start, part in zip(range(0, len(rays), step), parts, strict=True)]
+        _, triangle, distance = map(np.concatenate, zip(*parts, strict=True))
+        return Returns(np.concatenate(ray), triangle, distance)
 
-    def _near_pairs(self, origins, directions, start, stop):
-        """Pairs (triangle, ray) whose ray's line passes the triangle's bounding sphere: the others cannot meet."""
-        towards = self._middle[start:stop, None, :] - origins
-        along = np.einsum("trj,rj->tr", np.broadcast_to(towards, (stop - start, len(directions), 3)), directions)
-        square = np.einsum("trj,trj->tr", towards, towards)
-        radius = self._radius[start:stop, None] * (1.0 + 1e-9) + 1e-9
-        triangle, ray = np.nonzero((square - along * along <= radius * radius + 1e-9 * square) & (along >= -radius))
-        return triangle + start, ray
+    def _meet_some(self, origins, directions, max_range):
+        ray, triangle = self._near_pairs(origins, directions)
+        distance = self._distance(origins_of(origins, ray), directions[ray], triangle)
+        met = distance <= max_range
+        ray, triangle, distance = ray[met], triangle[met], distance[met]
+        order = np.lexsort((triangle, distance))  # nearest first; of equals the lowest triangle
+        ray, at = np.unique(ray[order], return_index=True)
+        return Returns(ray, triangle[order][at], distance[order][at])
+
+    def _near_pairs(self, origins, directions):
+        """Pairs (ray, triangle) whose ray pierces the triangle's bounding sphere: the others cannot meet."""
+        towards = self._group_middle - origins[..., None, :]  # (groups, 3) or (rays, groups, 3)
+        along = directions @ towards.T if origins.ndim == 1 else np.einsum("rgi,ri->rg", towards, directions)
+        ray, group = np.nonzero(_pierced(along, np.square(towards).sum(axis=-1), self._group_radius))
+        triangle = np.add.outer(_GROUP * group, np.arange(_GROUP)).ravel()
+        ray = np.repeat(ray, _GROUP)
+        if len(triangle) and len(self._middle) % _GROUP:
+            there = triangle < len(self._middle)
+            ray, triangle = ray[there], triangle[there]
+        towards = self._middle[triangle] - origins_of(origins, ray)
+        along = np.einsum("pi,pi->p", towards, directions[ray])
+        pierced = _pierced(along, np.square(towards).sum(axis=-1), self._radius[triangle])
+        return ray[pierced], triangle[pierced]
 
     def _distance(self, origins, directions, triangle):
         """Distance of each pair, inf where they do not meet (Moeller and Trumbore 1997, two-sided)."""
@@ -62,3 +79,9 @@ class ExactCaster(Caster):
             low = -_EDGE_TOLERANCE
             meets = (u >= low) & (v >= low) & (u + v <= 1.0 - low) & (distance >= 0.0)
         return np.where(meets, distance, np.inf)
+
+
+def _pierced(along, square, radius):
+    """Whether rays pierce spheres: `along` the ray to the point beside the middle, `square` the middle's distance."""
+    slack = _SLACK * square
+    return (square - along * along <= radius * radius + slack) & ((along >= 0.0) | (square <= radius * radius + slack))

@@ -1,14 +1,4 @@
-"""What every caster shares: the protocol, float64 ranges, and a second chance for rays that leaked.
-
-A back-end answers one question: which triangle does a ray meet first? It may answer in float32, and it may leak: near
-a shared edge both `BVHTree.ray_cast` and Embree now and then report neither neighbour. What is built on the answer is
-common to all of them, so that they differ in speed alone:
-
-- the range is computed again in float64, from the plane of the triangle that was met;
-- a ray is suspected of a leak if it met nothing, or if the first thing it met was the inside of a closed mesh.
-  Suspects are cast again along four directions that surround their own. Only where all four meet an outside does the
-  ray count as a hit, so that a ray that passes by a silhouette stays a miss.
-"""
+"""The protocol of all casters: triangles in, and for each ray the triangle that it meets first and how far away."""
 
 from __future__ import annotations
 
@@ -20,16 +10,8 @@ import numpy as np
 from ..errors import InputError
 
 MISS = -1
-LEAK_PROBE_RAD = 6e-6  # wider than float32 rounding seen from a few metres, far narrower than any beam spacing
-# Added to a direction, the corners of a tetrahedron surround it whatever way it points; turned off the axes, where
-# mesh edges tend to lie.
-_PROBES = LEAK_PROBE_RAD * (
-    np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-    / np.sqrt(3.0)
-    @ np.array([[0.36, 0.48, -0.8], [-0.8, 0.60, 0.0], [0.48, 0.64, 0.6]])
-)
-_REACH_SLACK = 1e-5  # relative: back-ends look a little farther than asked and float64 decides at the limit
 _UNIT_TOLERANCE = 1e-6
+_FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit whatever the range
 
 
 class Hits(NamedTuple):
@@ -47,6 +29,24 @@ class Hits(NamedTuple):
     triangle: np.ndarray
 
 
+class Returns(NamedTuple):
+    """The rays that met something.
+
+    Attributes
+    ----------
+    ray : ndarray of int64, (k,)
+        Their rows, ascending.
+    triangle : ndarray of int64, (k,)
+        Row of the triangle that each met first.
+    distance : ndarray, (k,)
+        Distance along each [m].
+    """
+
+    ray: np.ndarray
+    triangle: np.ndarray
+    distance: np.ndarray
+
+
 class Caster(ABC):
     """Casts rays against a fixed set of triangles.
 
@@ -55,12 +55,15 @@ class Caster(ABC):
     corners : array, (m, 3, 3)
         Corners of each triangle [m], counter-clockwise seen from outside. Triangles without area are never met.
         Any size and place: the scene is re-centred in float64 before anything becomes float32.
+    closed : bool
+        Whether the triangles bound solids, so that a ray from outside meets no inside first. It changes no result,
+        but lets leaks be told by the insides that they lead to, which is faster.
     """
 
     name: str
-    leaks: bool = True  # whether the back-end may miss a triangle at its edges
 
-    def __init__(self, corners: np.ndarray) -> None:
+    def __init__(self, corners: np.ndarray, closed: bool = False) -> None:
+        self._closed = closed
         corners = np.asarray(corners, dtype=float)
         if corners.ndim != 3 or corners.shape[1:] != (3, 3):
             raise InputError(f"triangles have shape {corners.shape}; allowed: (m, 3, 3)")
@@ -68,24 +71,23 @@ class Caster(ABC):
             raise InputError("a triangle has a corner that is not finite")
         flat = corners.reshape(-1, 3)
         self._origin = 0.5 * (flat.min(axis=0) + flat.max(axis=0)) if len(flat) else np.zeros(3)
-        self._corners = corners - self._origin
-        normal = np.cross(self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0])
+        corners = corners - self._origin
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(normal, axis=1)
         self._given = len(corners)
         self._solid = np.flatnonzero(area > 0)
-        self._corners, normal = self._corners[self._solid], normal[self._solid] / area[self._solid, None]
-        self._normal = normal
-        self._offset = _dot(normal, self._corners[:, 0])
+        self._normal = normal[self._solid] / area[self._solid, None]
+        self._corners = corners[self._solid]
         if len(self._solid):
-            self._build(self._corners)
+            self._prepare()
 
     @abstractmethod
-    def _build(self, corners: np.ndarray) -> None:
-        """Prepare for `_first`; `corners` (m, 3, 3) are re-centred and have area."""
+    def _prepare(self) -> None:
+        """Make ready to cast against `_corners` (m, 3, 3): re-centred, all with area, at least one."""
 
     @abstractmethod
-    def _first(self, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
-        """Row of the triangle that each ray meets first within `reach`, or `MISS`; float64 in, (n,) int64 out."""
+    def _meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float) -> Returns:
+        """As `meet`, with at least one ray, and origins and rows in terms of `_corners`."""
 
     def cast(self, origins: np.ndarray, directions: np.ndarray, max_range: float = np.inf) -> Hits:
         """What each ray meets first, no farther than `max_range`.
@@ -104,82 +106,46 @@ class Caster(ABC):
         InputError
             For wrong shapes, a direction that is not finite and of unit length, or an origin that is not finite.
         """
-        origins, directions = self._checked(origins, directions, max_range)
-        if len(self._solid) == 0 or len(directions) == 0:
-            return Hits(np.full(len(directions), np.inf), np.full(len(directions), MISS, dtype=np.int64))
-        reach = min(max_range * (1.0 + _REACH_SLACK) + _REACH_SLACK, 1e30)
-        triangle = self._first(origins, directions, reach)
-        distance = np.full(len(triangle), np.inf)
-        met = np.flatnonzero(triangle != MISS)
-        distance[met], facing = self._range(
-            _rows(origins, met), np.take(directions, met, axis=0), np.take(triangle, met)
-        )
-        if self.leaks:
-            outside = np.zeros(len(triangle), dtype=bool)
-            outside[met] = facing < 0.0
-            self._second_chance(origins, directions, reach, np.flatnonzero(~outside), triangle, distance)
-        beyond = ~(distance <= max_range)
-        distance[beyond], triangle[beyond] = np.inf, MISS
-        if len(self._solid) < self._given:
-            triangle[~beyond] = self._solid[triangle[~beyond]]
+        origins, directions = _checked(origins, directions, max_range)
+        found = self.meet(origins, directions, max_range)
+        distance, triangle = np.full(len(directions), np.inf), np.full(len(directions), MISS, dtype=np.int64)
+        distance[found.ray], triangle[found.ray] = found.distance, found.triangle
         return Hits(distance, triangle)
+
+    def meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float = np.inf) -> Returns:
+        """As `cast`, but only the rays that meet something, and unchecked: for rays that are known to be good.
+
+        Fastest for `directions` that hold coordinate after coordinate in memory, as `Pose.to_world` returns them.
+        """
+        if len(self._solid) == 0 or len(directions) == 0:
+            return Returns(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))
+        max_range = min(max_range, _FARTHEST)
+        found = self._meet(origins - self._origin, directions, max_range)
+        if len(self._solid) == self._given:
+            return found
+        return found._replace(triangle=self._solid[found.triangle])
 
     def normals(self, triangle: np.ndarray) -> np.ndarray:
         """Outward unit normals (n, 3) of triangles that were met, by their row in the constructor's `corners`."""
         return self._normal[np.searchsorted(self._solid, triangle)]
 
-    def _range(self, origins, directions, triangle):
-        """Distance to the plane of each ray's triangle, inf if behind, and the cosine between ray and normal."""
-        normal = np.take(self._normal, triangle, axis=0)
-        facing = _dot(normal, directions)
-        height = np.take(self._offset, triangle)
-        height -= _dot(normal, origins)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            distance = height / facing
-        return np.where(distance >= 0.0, distance, np.inf), facing  # also no number, for a ray within the plane
 
-    def _second_chance(self, origins, directions, reach, suspect, triangle, distance):
-        """Cast suspects again, four times a hair's breadth away; keep the nearest outside where all four meet one."""
-        nearest = np.full(len(suspect), np.inf)
-        found = np.full(len(suspect), MISS, dtype=np.int64)
-        for offset in _PROBES:
-            if len(suspect) == 0:
-                return
-            ray, origin = np.take(directions, suspect, axis=0), _rows(origins, suspect)
-            probed = self._first(origin, ray + offset, reach)
-            hit = np.flatnonzero(probed != MISS)
-            along, facing = self._range(
-                _rows(origin, hit), np.take(ray, hit, axis=0), probed[hit]
-            )  # along the ray, not the probe
-            outside = hit[facing < 0.0]
-            suspect, nearest, found = suspect[outside], nearest[outside], found[outside]
-            along, probed = along[facing < 0.0], probed[outside]
-            nearer = along < nearest
-            nearest, found = np.where(nearer, along, nearest), np.where(nearer, probed, found)
-        nearer = nearest < distance[suspect]
-        distance[suspect[nearer]], triangle[suspect[nearer]] = nearest[nearer], found[nearer]
-
-    def _checked(self, origins, directions, max_range):
-        origins, directions = np.asarray(origins, dtype=float), np.asarray(directions, dtype=float)
-        if directions.ndim != 2 or directions.shape[1] != 3:
-            raise InputError(f"directions have shape {directions.shape}; allowed: (n, 3)")
-        if origins.shape not in ((3,), directions.shape):
-            raise InputError(f"origins have shape {origins.shape}; allowed: (3,) or {directions.shape}")
-        length = _dot(directions, directions)
-        if not (np.abs(length - 1.0) <= _UNIT_TOLERANCE).all():  # also catches NaN, which casters would miss silently
-            raise InputError("a direction is not finite and of unit length")
-        if not np.isfinite(origins).all():
-            raise InputError("an origin is not finite")
-        if not max_range >= 0.0:
-            raise InputError(f"max_range is {max_range}; allowed: a distance of 0 m or more")
-        return origins - self._origin, directions
-
-
-def _rows(origins, rows):
+def origins_of(origins: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """The origins of some rays; a shared one stays shared."""
-    return origins if origins.ndim == 1 else np.take(origins, rows, axis=0)
+    return origins if origins.ndim == 1 else np.take(origins, rays, axis=0)
 
 
-def _dot(a, b):
-    """Row by row dot products; `b` may be one vector. Faster for three columns than einsum."""
-    return a[:, 0] * b[..., 0] + a[:, 1] * b[..., 1] + a[:, 2] * b[..., 2]
+def _checked(origins, directions, max_range):
+    origins, directions = np.asarray(origins, dtype=float), np.asarray(directions, dtype=float)
+    if directions.ndim != 2 or directions.shape[1] != 3:
+        raise InputError(f"directions have shape {directions.shape}; allowed: (n, 3)")
+    if origins.shape not in ((3,), directions.shape):
+        raise InputError(f"origins have shape {origins.shape}; allowed: (3,) or {directions.shape}")
+    length = np.einsum("ij,ij->i", directions, directions)
+    if not (np.abs(length - 1.0) <= _UNIT_TOLERANCE).all():  # also catches NaN, which casters would miss silently
+        raise InputError("a direction is not finite and of unit length")
+    if not np.isfinite(origins).all():
+        raise InputError("an origin is not finite")
+    if not max_range >= 0.0:
+        raise InputError(f"max_range is {max_range}; allowed: a distance of 0 m or more")
+    return origins, directions

@@ -6,7 +6,7 @@ Equations are numbered as in the paper's source: 1 beams, 2 and 2a to 2c pose an
 A vehicle's points are projected onto its top, side and front view; each view is divided into square cells; the share of
 cells that hold a point is the occupancy P of that view, and the vehicle scores the sum of -P log2 P over the three.
 
-All functions take every vehicle of a frame (or of many frames) at once, and none sorts the points.
+All functions take every vehicle of a frame (or of many frames) at once, and none sorts the points: see `view_grids`.
 """
 
 from __future__ import annotations
@@ -15,14 +15,9 @@ import numpy as np
 
 from ..errors import InputError
 from .readings import check_reading
+from .view_grids import DEFAULT_CELL_M, VIEW_AXES, VIEWS, ViewGrids, cell_counts
 
-VIEWS = ("top", "side", "front")
-DEFAULT_CELL_M = 0.05
-
-_VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
-_MAX_LATTICE_CELLS = 1 << 26  # cells held in memory at a time: 256 MB of int32
-_CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
-_WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
+_MAX_CELLS = 1 << 26  # a byte each: what the grids of many vehicles may take at a time
 
 
 def to_vehicle_frame(
@@ -66,33 +61,11 @@ def to_vehicle_frame(
         columns = [np.take(column, vehicle) for column in columns]
     cos, sin, cx, cy, cz = columns
     dx, dy = points[:, 0] - cx, points[:, 1] - cy
-    local = np.empty_like(points)
+    local = np.empty((3, len(points))).T
     local[:, 0] = cos * dx + sin * dy  # rows times Eq. 5: a turn by -heading
     local[:, 1] = cos * dy - sin * dx
     local[:, 2] = points[:, 2] - cz
     return local
-
-
-def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
-    """Whole cells along each side of a box: Eq. 8 with `ceil`, so that no occupancy exceeds 1.
-
-    Parameters
-    ----------
-    size : ndarray, (n, 3)
-        Length, width and height of each box [m].
-    cell_m : float
-        Side of a square cell [m].
-
-    Returns
-    -------
-    ndarray of int64, (n, 3)
-    """
-    size = _triples(size, "size")
-    if not (np.isfinite(size).all() and (size > 0).all()):
-        raise InputError("size holds a side that is not a positive, finite number of metres")
-    if not (np.isfinite(cell_m) and cell_m > 0):
-        raise InputError(f"cell_m is {cell_m}; allowed: a positive number of metres")
-    return np.maximum(np.ceil(size / cell_m - _WHOLE_CELL_TOLERANCE), 1).astype(np.int64)
 
 
 def occupancy(
@@ -131,15 +104,11 @@ def occupancy(
         When shapes disagree, a row is out of range, a side is not positive or a point is not finite.
     """
     points, size = _triples(points, "points"), _triples(size, "size")
-    cells = cell_counts(size, cell_m)
     vehicle = _rows(vehicle, len(points), len(size))
     if not np.isfinite(points).all():
         raise InputError("points holds a coordinate that is not finite")
     check_reading(reading)
-    sides = cells if reading == "corrected" else size / cell_m
-    return _occupied_cells(points, vehicle, size, cells, cell_m) / (
-        sides[:, [0, 0, 1]] * sides[:, [1, 2, 2]]
-    )  # Eqs. 7, 8
+    return _in_groups(points, vehicle, size, cell_m, reading)
 
 
 def entropy(p: np.ndarray) -> np.ndarray:
@@ -180,82 +149,29 @@ def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAUL
         ``top`` (length cells, width cells), ``side`` (length, height) and ``front`` (width, height).
     """
     points, size = _triples(points, "points"), np.asarray(size, dtype=float).reshape(1, 3)
-    cells = cell_counts(size, cell_m)
-    index, _, kept = _cell_index(points, np.zeros(len(points), dtype=np.int64), size, cells, cell_m)
-    index = index[:, kept].astype(np.int64)
+    cells = cell_counts(size, cell_m)[0]
+    index, _ = ViewGrids(size, cell_m).cells_of(points, np.zeros(len(points), dtype=np.int64))
     views = {}
-    for name, (row, column) in zip(VIEWS, _VIEW_AXES, strict=True):
-        views[name] = np.zeros((cells[0, row], cells[0, column]), dtype=bool)
+    for name, (row, column) in zip(VIEWS, VIEW_AXES, strict=True):
+        views[name] = np.zeros((cells[row], cells[column]), dtype=bool)
         views[name][index[row], index[column]] = True
     return views
 
 
-def _cell_index(points, vehicle, size, cells, cell_m):
-    """Cell of every point along each axis, (3, k) whole floats, pulled back to the rim, and which are kept, (k,).
-
-    With them the last cell of each point's vehicle along each axis, (3, k) floats too.
-    """
-    index, last = np.empty((2, 3, len(points)))
-    kept = np.ones(len(points), dtype=bool)
-    for axis, (cell, end) in enumerate(zip(index, last, strict=True)):
-        np.add(points[:, axis], np.take(0.5 * size[:, axis], vehicle), out=cell)
-        cell /= cell_m
-        np.floor(cell, out=cell)
-        np.take(cells[:, axis] - 1.0, vehicle, out=end)
-        kept &= cell >= -1.0
-        kept &= cell <= end + 1.0
-        np.minimum(cell, end, out=cell)
-        np.maximum(cell, 0.0, out=cell)
-    return index, last, kept
-
-
-def _occupied_cells(points, vehicle, size, cells, cell_m):
-    """How many cells of each vehicle's top, side and front view hold a point, (n, 3).
-
-    Vehicles are taken in groups whose lattices fit the memory that is set aside; there is one group but for huge input.
-    """
-    ends = np.cumsum(cells[:, 0] * cells[:, 1] + cells[:, 0] * cells[:, 2] + cells[:, 1] * cells[:, 2])
-    if len(ends) == 0 or ends[-1] <= _MAX_LATTICE_CELLS:
-        return _distinct_cells(points, vehicle, size, cells, cell_m)
-    counts = np.zeros((len(ends), 3), dtype=np.int64)
+def _in_groups(points, vehicle, size, cell_m, reading):
+    """`ViewGrids.occupancy` of so many vehicles that their grids are made group by group."""
+    cells = cell_counts(size, cell_m)
+    ends = np.cumsum(sum(cells[:, row] * cells[:, column] for row, column in VIEW_AXES))
+    p = np.zeros((len(size), 3))
     first = 0
     while first < len(ends):
         before = ends[first - 1] if first else 0
-        last = max(int(np.searchsorted(ends, before + _MAX_LATTICE_CELLS, side="right")), first + 1)
-        mine = (vehicle >= first) & (vehicle < last)
-        group = slice(first, last)
-        counts[group] = _distinct_cells(points[mine], vehicle[mine] - first, size[group], cells[group], cell_m)
+        last = max(int(np.searchsorted(ends, before + _MAX_CELLS, side="right")), first + 1)
+        mine = slice(None) if last - first == len(ends) else (vehicle >= first) & (vehicle < last)
+        grids = ViewGrids(size[first:last], cell_m, reading)
+        p[first:last] = grids.occupancy(points[mine], vehicle[mine] - first)
         first = last
-    return counts
-
-
-def _distinct_cells(points, vehicle, size, cells, cell_m):
-    """`_occupied_cells` of one group, without sorting the points or clearing a lattice.
-
-    Every point writes its own number into its cells of an uninitialised lattice; of the points that share a cell, the
-    one whose number is read back stands for the cell.
-    """
-    vehicles = len(size)
-    view_cells = np.stack([cells[:, row] * cells[:, column] for row, column in _VIEW_AXES])
-    ends = np.cumsum(view_cells.ravel())
-    starts = ends.reshape(3, vehicles) - view_cells
-    flat = np.empty((3, len(points)), dtype=np.int64)
-    kept = np.empty(len(points), dtype=bool)
-    for start in range(0, len(points), _CHUNK_POINTS):
-        chunk = slice(start, start + _CHUNK_POINTS)
-        owner = vehicle[chunk]
-        index, last, kept[chunk] = _cell_index(points[chunk], owner, size, cells, cell_m)
-        for view, (row, column) in enumerate(_VIEW_AXES):
-            cell = index[row] * (last[column] + 1.0)  # floats hold these numbers exactly
-            cell += index[column]
-            np.add(np.take(starts[view], owner), cell, out=flat[view, chunk], casting="unsafe")
-    if not kept.all():
-        flat, vehicle = flat[:, kept], vehicle[kept]
-    lattice = np.empty(ends[-1] if vehicles else 0, dtype=np.int32)
-    number = np.arange(flat.size, dtype=np.int32).reshape(flat.shape)
-    lattice[flat] = number
-    stands = np.take(lattice, flat) == number  # Eq. 6, each occupied cell once
-    return np.stack([np.bincount(vehicle[stands[view]], minlength=vehicles) for view in range(3)], axis=1)
+    return p
 
 
 def _triples(values, name):

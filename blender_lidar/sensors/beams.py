@@ -62,8 +62,8 @@ class BeamLattice:
         Azimuth of slot 0 [rad], in [0, step_rad).
     shift : ndarray of int, (rings,)
         Slot of firing column 0, in [0, columns).
-    directions : ndarray, (rings, columns, 3)
-        Unit vectors by (ring, slot) in the sensor frame, C-contiguous float64, read-only.
+    components : ndarray, (3, rings, columns)
+        Unit vectors by (ring, slot) in the sensor frame, coordinate by coordinate; C-contiguous float64, read-only.
     """
 
     model: LidarModel
@@ -72,7 +72,12 @@ class BeamLattice:
     step_rad: float
     slot_azimuth0_rad: np.ndarray
     shift: np.ndarray
-    directions: np.ndarray
+    components: np.ndarray
+
+    @property
+    def directions(self) -> np.ndarray:
+        """Unit vectors by (ring, slot) in the sensor frame, (rings, columns, 3): a view of `components`."""
+        return np.moveaxis(self.components, 0, -1)
 
     @property
     def rings(self) -> int:
@@ -136,7 +141,8 @@ def beam_lattice(
     shift = shift.astype(np.intp) % columns
     slot_azimuth = slot_azimuth0[:, None] + step * np.arange(columns)
     directions = beam_directions(slot_azimuth, model.elevation_rad[:, None])
-    for array in (shift, slot_azimuth0, directions):
+    components = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
+    for array in (shift, slot_azimuth0, components):
         array.setflags(write=False)
     return BeamLattice(
         model=model,
@@ -145,5 +151,5 @@ def beam_lattice(
         step_rad=step,
         slot_azimuth0_rad=slot_azimuth0,
         shift=shift,
-        directions=directions,
+        components=components,
     )

@@ -65,8 +65,8 @@ class Pose:
         return rotation_matrix(self.tilt_x, self.tilt_y, self.yaw)
 
     def to_world(self, directions: np.ndarray) -> np.ndarray:
-        """Directions (n, 3) from the sensor frame into the road frame."""
-        return directions @ self.rotation
+        """Directions (n, 3) from the sensor frame into the road frame; in memory coordinate after coordinate."""
+        return (self.rotation.T @ directions.T).T
 
     def to_sensor(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) [m] from the road frame into the sensor frame."""

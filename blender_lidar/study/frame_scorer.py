@@ -10,7 +10,8 @@ import numpy as np
 
 from ..casting import caster_class
 from ..casting.culling import cut_vehicles, reachable_beams
-from ..metrics.vgop import occupancy, to_vehicle_frame
+from ..metrics.vgop import to_vehicle_frame
+from ..metrics.view_grids import ViewGrids
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
@@ -85,11 +86,12 @@ class FrameScorer:
         self._observation = observation
         self._vehicles = vehicles.select(counted)
         triangles = vehicle_triangles(vehicles, observation.detail)
-        self._tree = caster_class(observation.caster)(triangles.corners)
+        self._tree = caster_class(observation.caster)(triangles.corners, closed=True)
         row = np.where(counted, np.cumsum(counted) - 1, -1)
         self._counted_row = row[triangles.owner]  # of each triangle; -1 where it does not count
         # Beams that can reach only vehicles that do not count need not be cast: they hide nothing from other beams.
         self.pieces = cut_vehicles(self._vehicles, observation.detail)
+        self._grids = ViewGrids(self.size_m, observation.cell_m, observation.reading)
 
     def __len__(self) -> int:
         return len(self._vehicles)
@@ -103,11 +105,10 @@ class FrameScorer:
         """What each of s mountings sees of the n counted vehicles."""
         points = np.zeros((len(poses), len(self)), dtype=np.int64)
         shares = np.zeros((len(poses), len(self), 3))
-        seen = self._observation
         for number, (pose, beams) in enumerate(zip(poses, self._beams(poses), strict=True)):
             local, row = self._returns(pose, beams)
             points[number] = np.bincount(row, minlength=len(self))
-            shares[number] = occupancy(local, row, self.size_m, seen.cell_m, seen.reading)
+            shares[number] = self._grids.occupancy(local, row)
         return Seen(points, shares)
 
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
@@ -119,14 +120,13 @@ class FrameScorer:
 
     def _returns(self, pose, beams):
         seen = self._observation
-        directions = pose.to_world(np.take(seen.lattice.directions.reshape(-1, 3), beams, axis=0))
-        hits = self._tree.cast(pose.position, directions, seen.max_range_m)
-        met = np.flatnonzero(hits.distance < np.inf)
-        row, distance = np.take(self._counted_row, np.take(hits.triangle, met)), np.take(hits.distance, met)
+        directions = pose.to_world(np.take(seen.lattice.components.reshape(3, -1), beams, axis=1).T)
+        found = self._tree.meet(pose.position, directions, seen.max_range_m)
+        row, beam, distance = np.take(self._counted_row, found.triangle), found.ray, found.distance
         wanted = (row >= 0) & (distance >= seen.min_range_m)
         if not wanted.all():
-            met, row, distance = met[wanted], row[wanted], distance[wanted]
-        points = np.take(directions, met, axis=0)
-        points *= distance[:, None]
-        points += pose.position  # Eqs. 2 and 3, the range scaling the direction alone
-        return to_vehicle_frame(points, self._vehicles.centre_m, self._vehicles.heading_rad, row), row
+            row, beam, distance = row[wanted], beam[wanted], distance[wanted]
+        points = np.take(directions.T, beam, axis=1)
+        points *= distance
+        points += pose.position[:, None]  # Eqs. 2 and 3, the range scaling the direction alone
+        return to_vehicle_frame(points.T, self._vehicles.centre_m, self._vehicles.heading_rad, row), row

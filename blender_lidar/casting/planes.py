@@ -1,0 +1,93 @@
+"""Where rays meet triangles that another has picked, in float64."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class PlaneHits(NamedTuple):
+    """Where rays meet the planes of triangles.
+
+    Attributes
+    ----------
+    distance : ndarray, (k,)
+        Along each ray [m]; below 0 where the plane lies behind, not finite for a ray along the plane.
+    facing : ndarray, (k,)
+        Cosine between ray and normal: below 0 where the ray comes from outside.
+    inside : ndarray of bool, (k,)
+        Whether the ray meets the triangle itself; False also where the distance is below 0 or not finite.
+    """
+
+    distance: np.ndarray
+    facing: np.ndarray
+    inside: np.ndarray
+
+
+class TrianglePlanes:
+    """The planes of triangles, and the place within each triangle where a ray meets its plane.
+
+    A point p lies at ``normal . p - offset`` from the plane, and the weights of the triangle's second and third corner
+    are affine in p likewise: three affine functions, whose coefficients are kept.
+
+    Parameters
+    ----------
+    corners : ndarray, (m, 3, 3)
+        Corners of each triangle [m]; all have area.
+    normal : ndarray, (m, 3)
+        Unit normals.
+    """
+
+    def __init__(self, corners: np.ndarray, normal: np.ndarray) -> None:
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        double_area = np.einsum("ti,ti->t", np.cross(first, second), normal)[:, None]
+        functions = [normal, np.cross(second, normal) / double_area, np.cross(normal, first) / double_area]
+        # (function, axis, triangle), so that what is gathered for many rays lies side by side
+        self._slope = np.ascontiguousarray(np.stack(functions).transpose(0, 2, 1))
+        self._offset = np.einsum("fit,ti->ft", self._slope, corners[:, 0])
+
+    def meet(self, origins: np.ndarray, directions: np.ndarray, triangle: np.ndarray) -> PlaneHits:
+        """Where k rays meet the planes of k triangles.
+
+        Parameters
+        ----------
+        origins : ndarray, (3,) or (3, k)
+            Start of all rays, or of each, coordinate by coordinate [m].
+        directions : ndarray, (3, k)
+            Unit directions, coordinate by coordinate.
+        triangle : ndarray of int, (k,)
+            Row of the triangle that each ray is asked about.
+        """
+        if origins.ndim == 1:
+            x, y, z = origins
+            gaps = self._offset - (self._slope[:, 0] * x + self._slope[:, 1] * y + self._slope[:, 2] * z)
+            gap, second, third = (np.take(row, triangle) for row in gaps)
+        else:
+            gap, second, third = (
+                np.take(self._offset[function], triangle) - self._along(function, origins, triangle)
+                for function in range(3)
+            )
+        facing = self._along(0, directions, triangle)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = gap
+            distance /= facing
+            inside = distance >= 0.0
+            for function, least in ((1, second), (2, third)):
+                weight = self._along(function, directions, triangle)
+                weight *= distance
+                np.subtract(weight, least, out=least)
+            inside &= np.minimum(second, third) >= 0.0
+            second += third
+            inside &= second <= 1.0
+        return PlaneHits(distance, facing, inside)
+
+    def _along(self, function, vectors, triangle):
+        """Slope of an affine function of each triangle along each vector."""
+        total = np.take(self._slope[function, 0], triangle)
+        total *= vectors[0]
+        for axis in (1, 2):
+            term = np.take(self._slope[function, axis], triangle)
+            term *= vectors[axis]
+            total += term
+        return total

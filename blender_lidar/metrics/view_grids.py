@@ -1,0 +1,135 @@
+"""The grids over a vehicle's top, side and front view, and how many of their cells hold a point (Eqs. 6 to 8).
+
+Points are not sorted: every point marks its cells in one array of bytes, in which each grid begins at a whole 64-bit
+word, and eight cells at a time are then summed as one number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import InputError
+from .readings import check_reading
+
+VIEWS = ("top", "side", "front")
+VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
+DEFAULT_CELL_M = 0.05
+
+_CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
+_WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
+_WORDS_TO_SUM = 255  # of eight bytes, each 0 or 1: the sum of so many overflows no byte
+
+
+def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
+    """Whole cells along each side of a box: Eq. 8 with `ceil`, so that no occupancy exceeds 1.
+
+    Parameters
+    ----------
+    size : ndarray, (n, 3)
+        Length, width and height of each box [m].
+    cell_m : float
+        Side of a square cell [m].
+
+    Returns
+    -------
+    ndarray of int64, (n, 3)
+    """
+    size = np.asarray(size, dtype=float)
+    if size.ndim != 2 or size.shape[1] != 3:
+        raise InputError(f"size has shape {size.shape}; allowed: (n, 3)")
+    if not (np.isfinite(size).all() and (size > 0).all()):
+        raise InputError("size holds a side that is not a positive, finite number of metres")
+    if not (np.isfinite(cell_m) and cell_m > 0):
+        raise InputError(f"cell_m is {cell_m}; allowed: a positive number of metres")
+    return np.maximum(np.ceil(size / cell_m - _WHOLE_CELL_TOLERANCE), 1).astype(np.int64)
+
+
+class ViewGrids:
+    """The three grids of each of n boxes, made once for any number of clouds.
+
+    Parameters
+    ----------
+    size : ndarray, (n, 3)
+        Length, width and height of each box [m].
+    cell_m : float
+        Side of a square cell [m].
+    reading : {"corrected", "paper"}
+        What Eq. 8 divides by: the number of whole cells, or, as printed, the area of the view over that of a cell.
+
+    Raises
+    ------
+    InputError
+        When a side or the cell is not positive and finite, or the reading is unknown.
+    """
+
+    def __init__(self, size: np.ndarray, cell_m: float = DEFAULT_CELL_M, reading: str = "corrected") -> None:
+        check_reading(reading)
+        cells = cell_counts(size, cell_m)
+        size = np.asarray(size, dtype=float)
+        self._cell_m = cell_m
+        self._half, self._cells = 0.5 * size.T, np.ascontiguousarray(cells.T)  # (3, n): one side after another
+        self._last = self._cells - 1.0
+        sides = cells if reading == "corrected" else size / cell_m
+        self._whole = np.stack([sides[:, row] * sides[:, column] for row, column in VIEW_AXES], axis=1)  # Eq. 8
+        words = -(-np.stack([cells[:, row] * cells[:, column] for row, column in VIEW_AXES]) // 8).ravel()
+        start = np.cumsum(words) - words
+        self._start = (8 * start).reshape(3, -1)  # cell at which each grid begins, by view and box
+        parts = -(-words // _WORDS_TO_SUM)
+        self._first_part = np.cumsum(parts) - parts  # of each grid
+        part = np.arange(parts.sum()) - np.repeat(self._first_part, parts)
+        self._part_start = np.repeat(start, parts) + _WORDS_TO_SUM * part
+        self._words = np.empty(words.sum(), dtype=np.uint64)
+
+    def __len__(self) -> int:
+        return len(self._whole)
+
+    def occupancy(self, points: np.ndarray, vehicle: np.ndarray) -> np.ndarray:
+        """P of the top, side and front view of each box (Eqs. 6 to 8), (n, 3).
+
+        Parameters
+        ----------
+        points : ndarray, (k, 3)
+            Points, each in the frame of its own vehicle [m]; finite, which is not checked here. On the rim, or up to
+            one cell beyond it, they fall into the rim's cell; further ones are dropped.
+        vehicle : ndarray of int64, (k,)
+            The box that each point belongs to; in range, which is not checked here either.
+        """
+        if len(self) == 0:
+            return np.zeros((0, 3))
+        self._words.fill(0)
+        for start in range(0, len(points), _CHUNK_POINTS):
+            chunk = slice(start, start + _CHUNK_POINTS)
+            self._mark(*self.cells_of(points[chunk], vehicle[chunk]))
+        return self._marked() / self._whole  # Eq. 7
+
+    def cells_of(self, points: np.ndarray, vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cell of each point along each axis, (3, j), and its vehicle, (j,), without the points that are dropped."""
+        cell = np.empty((3, len(points)))
+        kept = np.ones(len(points), dtype=bool)
+        for axis in range(3):
+            along, last = cell[axis], np.take(self._last[axis], vehicle)
+            np.add(points[:, axis], np.take(self._half[axis], vehicle), out=along)
+            along /= self._cell_m
+            np.floor(along, out=along)
+            kept &= along >= -1.0
+            np.minimum(along, last, out=last)
+            kept &= along - last <= 1.0
+            np.maximum(last, 0.0, out=along)
+        if not kept.all():
+            cell, vehicle = cell[:, kept], vehicle[kept]
+        return cell.astype(np.int64), vehicle
+
+    def _mark(self, cell, vehicle):
+        """Mark the cells that hold a point in all three views: Eq. 6, each once however many points it holds."""
+        marks = self._words.view(bool)
+        columns = {axis: np.take(self._cells[axis], vehicle) for axis in (1, 2)}
+        for view, (row, column) in enumerate(VIEW_AXES):
+            flat = cell[row] * columns[column]
+            flat += cell[column]
+            flat += np.take(self._start[view], vehicle)
+            marks[flat] = True
+
+    def _marked(self):
+        """How many cells of each box's views are marked, (n, 3)."""
+        of_part = np.add.reduceat(self._words, self._part_start).view(np.uint8).reshape(-1, 8).sum(axis=1)
+        return np.add.reduceat(of_part.astype(np.int64), self._first_part).reshape(3, -1).T
