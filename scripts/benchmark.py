@@ -1,10 +1,10 @@
-"""Time one frame, culled, cast and scored, beside plain casting of the same beams; all in one run, interleaved.
+"""Time a frame, culled, cast and scored, beside plain casting of the same beams; all in one run, interleaved.
 
-    python scripts/benchmark.py [SCENE.toml] [--sensor RS-80] [--repeats 15] [--json FILE]
+    python scripts/benchmark.py [SCENE.toml] [--sensor RS-80] [--frames 10] [--repeats 7] [--json FILE]
 
-Every entry is timed once in each round, so that a busy moment of the machine falls on all of them; medians and
-quartiles over the rounds are printed, and the ratio to the first entry. The frame is one with the median number of
-vehicles. Shared and noisy machines need an idle moment: the smallest time is printed as well.
+Every entry is timed once for each frame in each round, so that a busy moment of the machine falls on all of them. For
+each frame the median over the rounds is taken; printed are the median, the least and the most over the frames, and the
+median of the ratios to raw Embree at the same moment.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import os
 import platform
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -26,12 +27,13 @@ from blender_lidar.casting import caster_class, is_available
 from blender_lidar.casting.culling import reachable_beams
 from blender_lidar.errors import BlenderLidarError
 from blender_lidar.formats.atomic import write_text
-from blender_lidar.metrics.vgop import entropy, occupancy, pe_vgop
+from blender_lidar.metrics.vgop import entropy, pe_vgop
 from blender_lidar.scenario import load_scenario, pose_at
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.study.site import Region, read_recording
+from blender_lidar.traffic import plan_frames
 from blender_lidar.world.triangles import vehicle_triangles
 
 # The paper's Table II: height [m] and tilt [deg].
@@ -50,7 +52,7 @@ def main(argv: list[str] | None = None) -> int:
     _print(times, about)
     if args.json:
         summary = {
-            name: dict(zip(("minimum", "q1", "median", "q3"), _summary(values), strict=True))
+            name: dict(zip(("least", "median", "most"), _summary(values), strict=True))
             for name, values in times.items()
         }
         write_text(args.json, json.dumps({"about": about, "machine": _machine(), "seconds": summary}, indent=2) + "\n")
@@ -61,52 +63,63 @@ def _arguments(argv):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", default=str(Path(__file__).parents[1] / "scenes" / "i80.toml"))
     parser.add_argument("--sensor", default="RS-80", choices=sorted(MOUNTINGS))
-    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--frames", type=int, default=10)
+    parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--json", metavar="FILE")
     return parser.parse_args(argv)
 
 
 def _entries(args):
-    """What is timed: a name and a function each, and a text about the frame."""
+    """What is timed: a name and a function for each frame; and a text about the frames."""
     scenario = load_scenario(args.scene, {("sensor", "name"): (args.sensor, "--sensor")})
     recording = read_recording(scenario)
-    typical = np.argmin(np.abs(recording.counts - np.median(recording.counts)))
-    vehicles = recording.vehicles(int(recording.frames[typical]))
     gate = scenario.sensor.range_gate_m
-    counted = Region(scenario.deployment.nominal_xy, gate).holds(vehicles)
+    region = Region(scenario.deployment.nominal_xy, gate)
+    frames = plan_frames(recording, region.holds, count=args.frames).search.tolist()
     height, tilt = MOUNTINGS[args.sensor]
     pose = pose_at({**scenario.baseline, "height_m": height, "tilt_x_deg": tilt})
     lattice = beam_lattice(load_model(args.sensor))
-    triangles = vehicle_triangles(vehicles, scenario.model.detail).corners
-    every_ray = pose.to_world(lattice.directions.reshape(-1, 3))
-
-    entries = {}
-    scorers = {}
-    for name in ("embree", "bvh"):
-        if is_available(name):
-            observation = Observation(lattice, gate, 0.0, name, scenario.model.detail, scenario.objective.cell_m)
-            scorers[name] = FrameScorer(vehicles, counted, observation)
-            entries[f"ours, {name}: cull, cast, score"] = lambda scorer=scorers[name]: _score(scorer, pose)
-    scorer = next(iter(scorers.values()))
-    beams = next(reachable_beams(lattice, scorer.pieces, [pose], gate))
-    entries["  of which: culling"] = lambda: next(reachable_beams(lattice, scorer.pieces, [pose], gate))
-    local, row = scorer.vehicle_points(pose)
-    entries["  of which: scoring"] = lambda: entropy(occupancy(local, row, scorer.size_m)).sum(axis=1)
-    for name in scorers:
-        caster = caster_class(name)(triangles, closed=True)
-        entries[f"  of which: casting the survivors, {name}"] = lambda caster=caster: caster.cast(
-            pose.position, every_ray[beams], gate
-        )
-    if "embree" in scorers:
-        entries |= _raw_embree(triangles, every_ray, beams, pose, gate)
-    if "bvh" in scorers:
-        entries |= _plain_bvh(triangles, every_ray, beams, pose, gate)
-    entries[f"metric alone: {KITTI_CARS} vehicles x {POINTS_EACH} points"] = _metric()
+    every_ray = np.ascontiguousarray(pose.to_world(lattice.directions.reshape(-1, 3)))
+    entries, rows = {}, []
+    for frame in frames:
+        vehicles = recording.vehicles(frame)
+        counted = region.holds(vehicles)
+        found = {}
+        scorers = {}
+        for name in ("embree", "bvh"):
+            if is_available(name):
+                seen = Observation(lattice, gate, 0.0, name, scenario.model.detail, scenario.objective.cell_m)
+                scorers[name] = FrameScorer(vehicles, counted, seen)
+                found[f"ours, {name}: cull, cast, score"] = partial(_score, scorers[name], pose)
+        scorer = next(iter(scorers.values()))
+        beams = next(reachable_beams(lattice, scorer.pieces, [pose], gate))
+        found["  of which: culling"] = partial(_cull, lattice, scorer.pieces, pose, gate)
+        rays = pose.to_world(np.take(lattice.components.reshape(3, -1), beams, axis=1).T)
+        triangles = vehicle_triangles(vehicles, scenario.model.detail).corners
+        for name in scorers:
+            caster = caster_class(name)(triangles, closed=True)
+            found[f"  of which: casting the survivors, {name}"] = partial(caster.meet, pose.position, rays, gate)
+        points = int(scorer.see([pose]).points.sum())
+        if "embree" in scorers:
+            found |= _raw_embree(triangles, every_ray, beams, pose, gate)
+        if "bvh" in scorers:
+            found |= _plain_bvh(triangles, every_ray, beams, pose, gate)
+        for name, function in found.items():
+            entries.setdefault(name, []).append(function)
+        rows.append([len(vehicles), counted.sum(), len(triangles), len(beams), points])
+    entries[f"metric alone: {KITTI_CARS} vehicles x {POINTS_EACH} points"] = [_metric()]
+    low, middle, high = (np.quantile(rows, q, axis=0, method="nearest") for q in (0.0, 0.5, 1.0))
+    spread = [f"{b:,} ({a:,} to {c:,})" for a, b, c in zip(low, middle, high, strict=True)]
     about = (
-        f"{args.sensor}: {len(every_ray):,} beams, {len(beams):,} can reach a vehicle, {len(row):,} return from one; "
-        f"{len(vehicles)} vehicles ({len(triangles):,} triangles), {int(counted.sum())} within {gate:g} m"
+        f"{args.sensor}, {len(every_ray):,} beams, {len(frames)} frames; median (and range) of a frame:\n"
+        f"{spread[0]} vehicles, {spread[1]} within {gate:g} m, {spread[2]} triangles,\n"
+        f"{spread[3]} beams can reach a vehicle, {spread[4]} return from one"
     )
     return entries, about
+
+
+def _cull(lattice, pieces, pose, gate):
+    return next(reachable_beams(lattice, pieces, [pose], gate))
 
 
 def _score(scorer, pose):
@@ -163,20 +176,25 @@ def _metric():
 
 
 def _measure(entries, repeats):
-    times = {name: [] for name in entries}
-    for round_number in range(repeats + 1):
-        for name, function in entries.items():
-            start = time.perf_counter()
-            function()
-            if round_number:  # the first round warms up
-                times[name].append(time.perf_counter() - start)
-        print(f"round {round_number} of {repeats}", file=sys.stderr, end="\r", flush=True)
+    """Seconds of every entry, a row for each repeat and a column for each frame."""
+    times = {name: np.empty((repeats, len(functions))) for name, functions in entries.items()}
+    for turn in range(repeats):
+        for column in range(max(map(len, entries.values()))):
+            for name, functions in entries.items():
+                if column < len(functions):
+                    functions[column]()  # a search scores one frame for a whole swarm in a row: caches are warm
+                    start = time.perf_counter()
+                    functions[column]()
+                    times[name][turn, column] = time.perf_counter() - start
+        print(f"round {turn + 1} of {repeats}", file=sys.stderr, end="\r", flush=True)
     print(file=sys.stderr)
     return times
 
 
 def _summary(values):
-    return float(min(values)), *(float(value) for value in np.quantile(values, [0.25, 0.5, 0.75]))
+    """Of each frame the median over the repeats; of those the smallest, the median and the largest."""
+    each = np.median(values, axis=0)
+    return float(each.min()), float(np.median(each)), float(each.max())
 
 
 def _machine():
@@ -185,11 +203,15 @@ def _machine():
 
 def _print(times, about):
     print(f"{about}\n{_machine()}\n")
-    first = np.median(next(iter(times.values())))
-    print(f"{'milliseconds':<48} {'minimum':>9} {'quartile':>9} {'median':>9} {'quartile':>9} {'x first':>8}")
+    rival = times.get("raw Embree, all beams")
+    ratios = "" if rival is None else f"{'x raw Embree':>14}"
+    print(f"{'milliseconds':<48} {'median':>9} {'least':>9} {'most':>9}{ratios}")
     for name, values in times.items():
-        low, q1, median, q3 = (1e3 * value for value in _summary(values))
-        print(f"{name:<48} {low:9.2f} {q1:9.2f} {median:9.2f} {q3:9.2f} {median / 1e3 / first:8.2f}")
+        low, middle, high = (1e3 * value for value in _summary(values))
+        line = f"{name:<48} {middle:9.2f} {low:9.2f} {high:9.2f}"
+        if rival is not None and values.shape == rival.shape:
+            line += f"{np.median(values / rival):14.2f}"  # of pairs measured within the same moment
+        print(line)
 
 
 if __name__ == "__main__":

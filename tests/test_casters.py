@@ -97,7 +97,7 @@ def test_one_origin_for_all_rays_and_one_for_each_agree(name):
     together = caster.cast(origins, rays, 60.0)
     for start in range(0, 800, 200):
         alone = caster.cast(origins[start], rays[start : start + 200], 60.0)
-        np.testing.assert_array_equal(alone.distance, together.distance[start : start + 200])
+        np.testing.assert_allclose(alone.distance, together.distance[start : start + 200], rtol=1e-12)
         np.testing.assert_array_equal(alone.triangle, together.triangle[start : start + 200])
 
 
@@ -203,6 +203,21 @@ def test_no_ray_leaks_at_a_vertex_or_an_edge(caster, closed, detail, name):
             leaks += (np.isfinite(farthest) & ~(found.distance <= farthest + 1e-3)).sum()
     assert aimed > 50
     assert leaks == 0
+
+
+@pytest.mark.parametrize("caster", FAST)
+@pytest.mark.parametrize("origin", [[0.0, 0.0, 4.4], [-120.0, -1.0, 4.5]], ids=["amid", "at the end"])
+def test_rays_aimed_at_vertices_and_edges_of_a_whole_frame_meet_what_the_oracle_meets(caster, origin):
+    corners = vehicle_triangles(dense_traffic(vehicles=130)).corners
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
+    targets = np.unique(np.concatenate([corners, middles]).reshape(-1, 3).round(12), axis=0)
+    targets = np.random.default_rng(0).permutation(targets)[:2000]
+    origin = np.array(origin)
+    rays = unit_rows(targets - origin)
+    expected = caster_class("exact")(corners).cast(origin, rays).distance
+    for closed in (True, False):
+        found = caster_class(caster)(corners, closed).cast(origin, rays).distance
+        assert (~np.isclose(found, expected, rtol=0.0, atol=1e-6)).sum() <= 1  # 2000 knife edges
 
 
 @pytest.mark.parametrize("name", FAST)

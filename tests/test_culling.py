@@ -185,7 +185,7 @@ def test_the_pieces_of_a_vehicle_cover_its_surface_and_stay_in_its_box(name, det
     if name == "long_truck" and length < 9.0:
         pytest.skip("a truck as short as this has the other shape")
     vehicle = one_vehicle(name.removeprefix("long_"), size=[length, 2.0, 1.7])
-    pieces = cut_vehicles(vehicle, detail).corners
+    pieces = cut_vehicles(vehicle, detail).corners.T
     low, high = pieces.min(axis=1), pieces.max(axis=1)  # heading 0: the pieces lie along the axes
     half = 0.5 * vehicle.size_m[0]
     np.testing.assert_allclose(low.min(axis=0), vehicle.centre_m[0] - half, atol=1e-12)

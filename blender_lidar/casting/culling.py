@@ -24,14 +24,24 @@ PIECE_LENGTH_M = 1.8
 _PIECES_AT_A_TIME = 2048  # whose bounds are found together: enough to amortise NumPy's calls, few enough for the cache
 _LEAST_COSINE = 0.01  # of the cone about a piece; a wider one is no bound
 _TURN = 2.0 * np.pi
-_MARGIN_RAD = 1e-5  # a float32 caster may let a beam touch what it passes by this closely; far below any beam spacing
+_MARGIN_RAD = 1e-9  # for rounding; far below any beam spacing
 
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])  # 0 the lower bound, 1 the upper
 
 
 @dataclass(frozen=True, slots=True)
 class Pieces:
-    """Boxes about slices of vehicles [m, road frame]: corners (p, 8, 3), middles (p, 3), bounding radii (p,)."""
+    """Boxes about slices of vehicles, coordinate by coordinate.
+
+    Attributes
+    ----------
+    corners : ndarray, (3, 8, p)
+        Corners of each box [m, road frame].
+    middle : ndarray, (3, p)
+        Its middle [m, road frame].
+    radius : ndarray, (p,)
+        Distance from the middle to the farthest corner [m].
+    """
 
     corners: np.ndarray
     middle: np.ndarray
@@ -48,9 +58,10 @@ def cut_vehicles(vehicles: Vehicles, detail: str) -> Pieces:
         unit = _unit_corners(name, detail, number).reshape(-1, 3)
         placed = place(unit, vehicles.centre_m[rows], vehicles.size_m[rows], vehicles.heading_rad[rows])
         corners.append(placed.reshape(-1, 8, 3))
-    corners = np.concatenate(corners)
+    corners = np.ascontiguousarray(np.concatenate(corners).transpose(2, 1, 0))
     middle = corners.mean(axis=1)
-    return Pieces(corners, middle, np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1, initial=0.0))
+    radius = np.sqrt(np.square(corners - middle[:, None]).sum(axis=0).max(axis=0))
+    return Pieces(corners, middle, radius)
 
 
 @cache
@@ -90,27 +101,41 @@ def reachable_beams(
     step = max(_PIECES_AT_A_TIME // max(len(pieces.radius), 1), 1)
     for start in range(0, len(poses), step):
         group = poses[start : start + step]
-        near = [np.linalg.norm(pieces.middle - pose.position, axis=1) - pieces.radius <= max_range for pose in group]
-        corners = np.concatenate([pose.to_sensor(pieces.corners[kept]) for pose, kept in zip(group, near, strict=True)])
-        rectangles = _lattice_rectangles(lattice, corners)
-        ends = np.cumsum([np.count_nonzero(kept) for kept in near]).tolist()
+        near = [np.flatnonzero(_distance(pieces, pose) - pieces.radius <= max_range) for pose in group]
+        rectangles = _lattice_rectangles(
+            lattice,
+            np.concatenate([_in_sensor(pieces.corners, pose, kept) for pose, kept in zip(group, near, strict=True)], 2),
+        )
+        ends = np.cumsum([len(kept) for kept in near]).tolist()
         for first, last in pairwise([0, *ends]):
             yield _beams_inside(lattice, rectangles[first:last])
 
 
+def _distance(pieces: Pieces, pose: Pose) -> np.ndarray:
+    """From the sensor to the middle of each piece, (p,) [m]."""
+    return np.sqrt(np.square(pieces.middle - pose.position[:, None]).sum(axis=0))
+
+
+def _in_sensor(corners: np.ndarray, pose: Pose, kept: np.ndarray) -> np.ndarray:
+    """Corners of the pieces that are kept in the sensor frame, (3, 8, k) [m]."""
+    away = np.take(corners, kept, axis=2)
+    away -= pose.position[:, None, None]
+    return (pose.rotation @ away.reshape(3, -1)).reshape(away.shape)
+
+
 def _lattice_rectangles(lattice: BeamLattice, corners: np.ndarray) -> np.ndarray:
-    """Rings and slots that each piece (p, 8, 3), in the sensor frame, covers: from ring, to ring, from slot, to slot.
+    """Rings and slots that each piece (3, 8, p), in the sensor frame, covers: from ring, to ring, from slot, to slot.
 
     Ends are not included; the last slot may lie beyond the turn's end, which is then passed.
     """
-    low, high, first, last = _angular_bounds(corners)
-    columns = lattice.columns
+    low, high, first, last = _angular_bounds(*corners)
+    columns, step = lattice.columns, lattice.step_rad
     sine = np.sin(lattice.elevation_rad)
     ring_from = np.searchsorted(sine, low - _MARGIN_RAD, side="left")
     ring_to = np.searchsorted(sine, high + _MARGIN_RAD, side="right")
-    # Slot s of a ring lies at an azimuth in [s, s + 1) steps.
-    slot_from = np.ceil((first - _MARGIN_RAD) / lattice.step_rad).astype(np.int64) - 1
-    slot_to = np.floor((last + _MARGIN_RAD) / lattice.step_rad).astype(np.int64) + 1
+    first_azimuth, last_azimuth = lattice.slot_azimuth0_rad.min(), lattice.slot_azimuth0_rad.max()
+    slot_from = np.ceil((first - _MARGIN_RAD - last_azimuth) / step).astype(np.int64)
+    slot_to = np.floor((last + _MARGIN_RAD - first_azimuth) / step).astype(np.int64) + 1
     whole = slot_to - slot_from >= columns
     slot_from[whole], slot_to[whole] = 0, columns
     turns = slot_from // columns * columns
@@ -127,25 +152,25 @@ def _beams_inside(lattice: BeamLattice, rectangles: np.ndarray) -> np.ndarray:
     return np.flatnonzero(mask)
 
 
-def _angular_bounds(corners: np.ndarray):
-    """Bounds of the directions to each piece (p, 8, 3) in the sensor frame: sine of the elevation, and azimuth [rad].
+def _angular_bounds(x: np.ndarray, y: np.ndarray, z: np.ndarray):
+    """Bounds of the directions to each of p boxes: sine of the elevation, and azimuth [rad].
 
-    The last azimuth is at least the first and may exceed a turn. A piece about the sensor gets all directions.
+    Corners in the sensor frame, (8, p) each. The last azimuth is at least the first and may exceed a turn. A piece
+    about the sensor gets all directions.
     """
-    distance = np.sqrt(np.einsum("pci,pci->pc", corners, corners))
-    middle = corners.mean(axis=1)
+    distance = np.sqrt(x * x + y * y + z * z)
+    across, ahead, above = x.sum(axis=0), y.sum(axis=0), z.sum(axis=0)  # towards the middle, whatever the length
     # Every direction to a box is a sum of the directions to its corners with weights of 0 or more. Within a cone of the
     # half-angle r those weights add up to 1 at least and to 1 / cos r at most, and so bound the direction's height.
     with np.errstate(divide="ignore", invalid="ignore"):
-        sine = corners[..., 2] / distance
-        along = np.einsum("pci,pi->pc", corners, middle) / distance
-        cosine = along.min(axis=1) / np.sqrt(np.einsum("pi,pi->p", middle, middle))
-        low, high = sine.min(axis=1), sine.max(axis=1)
+        sine = z / distance
+        along = (x * across + y * ahead + z * above) / distance
+        cosine = along.min(axis=0) / np.sqrt(across * across + ahead * ahead + above * above)
+        low, high = sine.min(axis=0), sine.max(axis=0)
         low, high = np.where(low < 0.0, low / cosine, low), np.where(high > 0.0, high / cosine, high)
-    centre = np.arctan2(middle[:, 0], middle[:, 1])  # clockwise from +y, Eq. 1
-    off_centre = np.arctan2(corners[..., 0], corners[..., 1]) - centre[:, None]
-    off_centre -= _TURN * np.round(off_centre / _TURN)
-    first, last = off_centre.min(axis=1), off_centre.max(axis=1)
+    centre = np.arctan2(across, ahead)  # clockwise from +y, Eq. 1
+    off_centre = np.arctan2(x * ahead - y * across, x * across + y * ahead)
+    first, last = off_centre.min(axis=0), off_centre.max(axis=0)
     about_axis = ~(last - first < np.pi)
     first, last = np.where(about_axis, 0.0, first + centre), np.where(about_axis, _TURN, last + centre)
     about_sensor = ~(cosine > _LEAST_COSINE)

@@ -15,7 +15,7 @@ class EmbreeCaster(TreeCaster):
     name = "embree"
 
     def _build(self, corners):
-        self._scene = EmbreeScene()
+        self._scene = EmbreeScene(robust=False)
         vertices = np.ascontiguousarray(corners.reshape(-1, 3), dtype=np.float32)
         self._mesh = TriangleMesh(self._scene, vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))
 
@@ -23,4 +23,4 @@ class EmbreeCaster(TreeCaster):
         rays = np.empty(directions.shape, dtype=np.float32)
         rays[:] = directions
         starts = np.broadcast_to(origins.astype(np.float32), rays.shape)
-        return self._scene.run(starts, rays, dists=float(reach)).astype(np.int64)
+        return self._scene.run(starts, rays, dists=float(reach))

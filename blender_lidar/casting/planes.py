@@ -60,9 +60,7 @@ class TrianglePlanes:
             Row of the triangle that each ray is asked about.
         """
         if origins.ndim == 1:
-            x, y, z = origins
-            gaps = self._offset - (self._slope[:, 0] * x + self._slope[:, 1] * y + self._slope[:, 2] * z)
-            gap, second, third = (np.take(row, triangle) for row in gaps)
+            gap, second, third = (np.take(row, triangle) for row in self._offset - origins @ self._slope)
         else:
             gap, second, third = (
                 np.take(self._offset[function], triangle) - self._along(function, origins, triangle)

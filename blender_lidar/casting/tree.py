@@ -3,8 +3,8 @@
 Near a shared edge `BVHTree.ray_cast` and Embree now and then report neither neighbour, because their float32 tests of
 boxes and of triangles do not agree with each other. Here nothing is left to that:
 
-- the tree holds triangles that are each grown within their plane by a little more than float32 can err, so that
-  neighbours overlap and no ray slips between them;
+- the tree is made about the place where the rays start, which is where float32 is finest, of triangles that are each
+  grown within their plane by a little more than float32 can err there: neighbours overlap, and no ray slips between;
 - range and place of every hit are computed again in float64, with the triangle as it was given;
 - a ray that met nothing but such a margin is decided by the float64 caster, and so is one that met the inside of a
   closed mesh first, having leaked where a flat side is seen so nearly edge-on that the margin does not show: a few in
@@ -23,10 +23,10 @@ from .exact import ExactCaster
 from .planes import TrianglePlanes
 from .protocol import MISS, Caster, Returns, origins_of
 
-# Of the farthest coordinate and ray origin: float32 keeps 6e-8 of each, and a ray-triangle test loses a few of those.
-_MARGIN = 4e-7
+# Of a triangle's distance from where rays start: float32 keeps 6e-8 of it, and a ray-triangle test loses a few of those.
+_MARGIN = 2e-7
 _MARGIN_OPEN = 16 * _MARGIN  # where no inside tells of a leak: shows on flat sides down to a few degrees edge-on
-_HEADROOM = 1.25  # origins may move out by this much before the margin has to grow
+_ROAM = 0.05  # of the farthest triangle's distance: how far rays' starts may move before the tree is made again
 _LEAST_COSINE_SUM = 0.02  # bounds how far the tip of a needle moves: about ten margins
 _REACH_SLACK = 1e-5  # relative: back-ends look a little farther than asked and float64 decides at the limit
 
@@ -40,21 +40,20 @@ class TreeCaster(Caster):
 
     @abstractmethod
     def _first(self, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
-        """Row of the triangle that each ray meets first within `reach`, or `MISS`; float64 in, (n,) int64 out."""
+        """Row of the triangle that each ray meets first within `reach`, or `MISS`; float64 in, (n,) whole numbers out."""
 
     def _prepare(self):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
         self._planes = TrianglePlanes(self._corners, self._normal)
         self._exact = ExactCaster(self._corners)
-        self._extent = float(np.abs(self._corners).max())
-        self._built_for = 0.0  # [m]: the first rays tell how far apart everything is, and so how coarse float32 is
+        self._middle, self._reach = np.full(3, np.nan), 0.0  # of where rays may start; made at the first cast
 
     def _meet(self, origins, directions, max_range):
-        self._grow_for(self._extent + float(np.abs(origins).max()))
+        self._make_tree_for(origins)
         reach = max_range * (1.0 + _REACH_SLACK) + _REACH_SLACK
-        triangle = self._first(origins, directions, reach)
+        triangle = self._first(origins - self._middle, directions, reach)
         ray = np.flatnonzero(triangle != MISS)
-        triangle = np.take(triangle, ray)
+        triangle = np.take(triangle, ray).astype(np.int64, copy=False)
         there = self._planes.meet(origins_of(origins, ray).T, np.take(directions.T, ray, axis=1), triangle)
         distance, doubtful = there.distance, ~there.inside
         if self._closed:
@@ -74,13 +73,18 @@ class TreeCaster(Caster):
         distance[doubtful] = np.inf
         distance[doubtful[found.ray]], triangle[doubtful[found.ray]] = found.distance, found.triangle
 
-    def _grow_for(self, scale):
-        if scale > self._built_for:
-            self._built_for = _HEADROOM * scale
-            self._build(grown(self._corners, self._normal, self._margin * self._built_for))
+    def _make_tree_for(self, origins):
+        """Make the tree anew if it is not yet there or made for rays that start elsewhere."""
+        if np.abs(origins - self._middle).max() <= self._reach:
+            return
+        self._middle = origins.reshape(-1, 3).mean(axis=0)
+        away = np.abs(self._corners - self._middle).max(axis=(1, 2))
+        self._reach = float(np.abs(origins - self._middle).max() + _ROAM * away.max())
+        margin = self._margin * (away + self._reach)
+        self._build(grown(self._corners, self._normal, margin) - self._middle)
 
 
-def grown(corners: np.ndarray, normal: np.ndarray, margin: float) -> np.ndarray:
+def grown(corners: np.ndarray, normal: np.ndarray, margin: np.ndarray | float) -> np.ndarray:
     """Triangles with every side moved outwards within the plane; sharp tips by less, where their neighbours overlap.
 
     Parameters
@@ -89,8 +93,8 @@ def grown(corners: np.ndarray, normal: np.ndarray, margin: float) -> np.ndarray:
         Corners [m], counter-clockwise about the normal.
     normal : ndarray, (m, 3)
         Unit normals.
-    margin : float
-        How far each side moves [m].
+    margin : float or ndarray, (m,)
+        How far the sides of each move [m].
 
     Returns
     -------
@@ -102,4 +106,5 @@ def grown(corners: np.ndarray, normal: np.ndarray, margin: float) -> np.ndarray:
     before = np.roll(outward, 1, axis=1)
     # The corner p + d moves both of its sides by the margin: d . outward = d . before = margin.
     cosine_sum = 1.0 + np.einsum("tki,tki->tk", outward, before)
-    return corners + margin * (outward + before) / np.maximum(cosine_sum, _LEAST_COSINE_SUM)[..., None]
+    step = np.reshape(margin, (-1, 1)) / np.maximum(cosine_sum, _LEAST_COSINE_SUM)
+    return corners + step[..., None] * (outward + before)

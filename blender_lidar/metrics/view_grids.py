@@ -94,30 +94,34 @@ class ViewGrids:
         vehicle : ndarray of int64, (k,)
             The box that each point belongs to; in range, which is not checked here either.
         """
-        if len(self) == 0:
-            return np.zeros((0, 3))
-        self._words.fill(0)
+        self._clear()
         for start in range(0, len(points), _CHUNK_POINTS):
             chunk = slice(start, start + _CHUNK_POINTS)
             self._mark(*self.cells_of(points[chunk], vehicle[chunk]))
-        return self._marked() / self._whole  # Eq. 7
+        return self._marked()
 
     def cells_of(self, points: np.ndarray, vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cell of each point along each axis, (3, j), and its vehicle, (j,), without the points that are dropped."""
-        cell = np.empty((3, len(points)))
+        place = np.empty((3, len(points)))
         kept = np.ones(len(points), dtype=bool)
-        for axis in range(3):
-            along, last = cell[axis], np.take(self._last[axis], vehicle)
+        for axis, along in enumerate(place):
             np.add(points[:, axis], np.take(self._half[axis], vehicle), out=along)
             along /= self._cell_m
-            np.floor(along, out=along)
             kept &= along >= -1.0
-            np.minimum(along, last, out=last)
-            kept &= along - last <= 1.0
-            np.maximum(last, 0.0, out=along)
+            kept &= along - np.take(self._last[axis], vehicle) < 2.0
+            np.maximum(along, 0.0, out=along)
         if not kept.all():
-            cell, vehicle = cell[:, kept], vehicle[kept]
-        return cell.astype(np.int64), vehicle
+            place, vehicle = place[:, kept], vehicle[kept]
+        return self._whole_cells(place, vehicle), vehicle
+
+    def _whole_cells(self, place, vehicle):
+        """Cells (3, k) of places (3, k) that are counted in cells from a box's rear right lower corner; in place."""
+        for axis, along in enumerate(place):
+            np.minimum(along, np.take(self._last[axis], vehicle), out=along)
+        return place.astype(np.int64)  # towards zero, so that what is less than a cell below 0 falls into the rim's
+
+    def _clear(self):
+        self._words.fill(0)
 
     def _mark(self, cell, vehicle):
         """Mark the cells that hold a point in all three views: Eq. 6, each once however many points it holds."""
@@ -130,6 +134,72 @@ class ViewGrids:
             marks[flat] = True
 
     def _marked(self):
-        """How many cells of each box's views are marked, (n, 3)."""
+        """Share of the cells of each box's views that are marked, (n, 3)."""
+        if len(self) == 0:
+            return np.zeros((0, 3))
         of_part = np.add.reduceat(self._words, self._part_start).view(np.uint8).reshape(-1, 8).sum(axis=1)
-        return np.add.reduceat(of_part.astype(np.int64), self._first_part).reshape(3, -1).T
+        return np.add.reduceat(of_part.astype(np.int64), self._first_part).reshape(3, -1).T / self._whole  # Eq. 7
+
+
+class PlacedGrids(ViewGrids):
+    """The grids of boxes that stand somewhere, for returns as a LiDAR measures them: a direction and a distance.
+
+    Parameters
+    ----------
+    centre, size : ndarray, (n, 3)
+        Box centres; length, width and height [m].
+    heading : ndarray, (n,)
+        Counter-clockwise from +x [rad].
+    cell_m, reading
+        As for `ViewGrids`.
+    """
+
+    def __init__(
+        self,
+        centre: np.ndarray,
+        size: np.ndarray,
+        heading: np.ndarray,
+        cell_m: float = DEFAULT_CELL_M,
+        reading: str = "corrected",
+    ) -> None:
+        super().__init__(size, cell_m, reading)
+        self._centre = centre
+        self._cos, self._sin = np.cos(heading), np.sin(heading)
+
+    def returns_occupancy(
+        self, origin: np.ndarray, directions: np.ndarray, distance: np.ndarray, vehicle: np.ndarray
+    ) -> np.ndarray:
+        """P of the top, side and front view of each box (Eqs. 2 to 8), (n, 3).
+
+        The same as `occupancy` of the returns in their vehicles' frames, in fewer passes over them.
+
+        Parameters
+        ----------
+        origin : ndarray, (3,)
+            Optical centre, in the frame of the boxes [m].
+        directions : ndarray, (3, k)
+            Unit vectors in that frame, coordinate by coordinate.
+        distance : ndarray, (k,)
+            Distance of each return [m].
+        vehicle : ndarray of int64, (k,)
+            The box whose surface each return comes from; what rounding puts beside the box falls into the rim's cell.
+        """
+        (x, y, z), cell = (origin - self._centre).T, self._cell_m
+        turned = np.stack([self._cos * x + self._sin * y, self._cos * y - self._sin * x, z])  # Eqs. 4 and 5
+        start = (turned + self._half) / cell  # the origin, from each box's rear right lower corner
+        self._clear()
+        for first in range(0, len(vehicle), _CHUNK_POINTS):
+            chunk = slice(first, first + _CHUNK_POINTS)
+            row, (x, y, z), cells_away = vehicle[chunk], directions[:, chunk], distance[chunk] / cell
+            cos, sin = np.take(self._cos, row), np.take(self._sin, row)
+            place = np.empty((3, len(row)))
+            np.multiply(cos, x, out=place[0])
+            np.multiply(cos, y, out=place[1])
+            place[0] += np.multiply(sin, y, out=cos)
+            place[1] -= np.multiply(sin, x, out=cos)
+            place[2] = z
+            for axis, along in enumerate(place):
+                along *= cells_away
+                along += np.take(start[axis], row)
+            self._mark(self._whole_cells(place, row), row)
+        return self._marked()

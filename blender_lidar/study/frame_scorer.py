@@ -11,7 +11,7 @@ import numpy as np
 from ..casting import caster_class
 from ..casting.culling import cut_vehicles, reachable_beams
 from ..metrics.vgop import to_vehicle_frame
-from ..metrics.view_grids import ViewGrids
+from ..metrics.view_grids import PlacedGrids
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
@@ -91,7 +91,13 @@ class FrameScorer:
         self._counted_row = row[triangles.owner]  # of each triangle; -1 where it does not count
         # Beams that can reach only vehicles that do not count need not be cast: they hide nothing from other beams.
         self.pieces = cut_vehicles(self._vehicles, observation.detail)
-        self._grids = ViewGrids(self.size_m, observation.cell_m, observation.reading)
+        self._grids = PlacedGrids(
+            self._vehicles.centre_m,
+            self._vehicles.size_m,
+            self._vehicles.heading_rad,
+            observation.cell_m,
+            observation.reading,
+        )
 
     def __len__(self) -> int:
         return len(self._vehicles)
@@ -106,27 +112,26 @@ class FrameScorer:
         points = np.zeros((len(poses), len(self)), dtype=np.int64)
         shares = np.zeros((len(poses), len(self), 3))
         for number, (pose, beams) in enumerate(zip(poses, self._beams(poses), strict=True)):
-            local, row = self._returns(pose, beams)
+            directions, distance, row = self._returns(pose, beams)
             points[number] = np.bincount(row, minlength=len(self))
-            shares[number] = self._grids.occupancy(local, row)
+            shares[number] = self._grids.returns_occupancy(pose.position, directions, distance, row)
         return Seen(points, shares)
 
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
-        return self._returns(pose, next(self._beams([pose])))
+        directions, distance, row = self._returns(pose, next(self._beams([pose])))
+        points = pose.position + (directions * distance).T  # Eqs. 2 and 3, the range scaling the direction alone
+        return to_vehicle_frame(points, self._vehicles.centre_m, self._vehicles.heading_rad, row), row
 
     def _beams(self, poses):
         return reachable_beams(self._observation.lattice, self.pieces, poses, self._observation.max_range_m)
 
     def _returns(self, pose, beams):
+        """Returns from counted vehicles: directions (3, k) in the road frame, distances and vehicle rows (k,)."""
         seen = self._observation
         directions = pose.to_world(np.take(seen.lattice.components.reshape(3, -1), beams, axis=1).T)
         found = self._tree.meet(pose.position, directions, seen.max_range_m)
-        row, beam, distance = np.take(self._counted_row, found.triangle), found.ray, found.distance
-        wanted = (row >= 0) & (distance >= seen.min_range_m)
-        if not wanted.all():
-            row, beam, distance = row[wanted], beam[wanted], distance[wanted]
-        points = np.take(directions.T, beam, axis=1)
-        points *= distance
-        points += pose.position[:, None]  # Eqs. 2 and 3, the range scaling the direction alone
-        return to_vehicle_frame(points.T, self._vehicles.centre_m, self._vehicles.heading_rad, row), row
+        row = np.take(self._counted_row, found.triangle)
+        wanted = np.flatnonzero((row >= 0) & (found.distance >= seen.min_range_m))
+        directions = np.take(directions.T, np.take(found.ray, wanted), axis=1)
+        return directions, np.take(found.distance, wanted), np.take(row, wanted)
