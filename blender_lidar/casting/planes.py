@@ -59,33 +59,27 @@ class TrianglePlanes:
         triangle : ndarray of int, (k,)
             Row of the triangle that each ray is asked about.
         """
-        if origins.ndim == 1:
-            gap, second, third = (np.take(row, triangle) for row in self._offset - origins @ self._slope)
-        else:
-            gap, second, third = (
-                np.take(self._offset[function], triangle) - self._along(function, origins, triangle)
-                for function in range(3)
-            )
-        facing = self._along(0, directions, triangle)
+        distance, facing = self._along(0, origins, directions, triangle)
         with np.errstate(divide="ignore", invalid="ignore"):
-            distance = gap
             distance /= facing
             inside = distance >= 0.0
-            for function, least in ((1, second), (2, third)):
-                weight = self._along(function, directions, triangle)
-                weight *= distance
-                np.subtract(weight, least, out=least)
+            second, gain = self._along(1, origins, directions, triangle)
+            gain *= distance
+            np.subtract(gain, second, out=second)
+            third, gain = self._along(2, origins, directions, triangle)
+            gain *= distance
+            np.subtract(gain, third, out=third)
             inside &= np.minimum(second, third) >= 0.0
             second += third
             inside &= second <= 1.0
         return PlaneHits(distance, facing, inside)
 
-    def _along(self, function, vectors, triangle):
-        """Slope of an affine function of each triangle along each vector."""
-        total = np.take(self._slope[function, 0], triangle)
-        total *= vectors[0]
-        for axis in (1, 2):
-            term = np.take(self._slope[function, axis], triangle)
-            term *= vectors[axis]
-            total += term
-        return total
+    def _along(self, function, origins, directions, triangle):
+        """An affine function of each triangle: what the origin lacks to its 0, and its growth along the ray."""
+        missing, growth = np.take(self._offset[function], triangle), 0.0
+        for slope, origin, direction in zip(self._slope[function], origins, directions, strict=True):
+            slope = np.take(slope, triangle)
+            missing -= slope * origin
+            slope *= direction
+            growth += slope
+        return missing, growth

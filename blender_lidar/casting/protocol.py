@@ -115,7 +115,7 @@ class Caster(ABC):
     def meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float = np.inf) -> Returns:
         """As `cast`, but only the rays that meet something, and unchecked: for rays that are known to be good.
 
-        Fastest for `directions` that hold coordinate after coordinate in memory, as `Pose.to_world` returns them.
+        Fastest for arrays that hold coordinate after coordinate in memory, as `Pose.to_world` returns them.
         """
         if len(self._solid) == 0 or len(directions) == 0:
             return Returns(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))

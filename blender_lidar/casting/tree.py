@@ -23,7 +23,7 @@ from .exact import ExactCaster
 from .planes import TrianglePlanes
 from .protocol import MISS, Caster, Returns, origins_of
 
-# Of a triangle's distance from where rays start: float32 keeps 6e-8 of it, and a ray-triangle test loses a few of those.
+# Of a triangle's distance from where rays start: float32 keeps 6e-8 of it, and a ray-triangle test loses a few such.
 _MARGIN = 2e-7
 _MARGIN_OPEN = 16 * _MARGIN  # where no inside tells of a leak: shows on flat sides down to a few degrees edge-on
 _ROAM = 0.05  # of the farthest triangle's distance: how far rays' starts may move before the tree is made again
@@ -40,7 +40,7 @@ class TreeCaster(Caster):
 
     @abstractmethod
     def _first(self, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
-        """Row of the triangle that each ray meets first within `reach`, or `MISS`; float64 in, (n,) whole numbers out."""
+        """Row of the triangle that each ray meets first within `reach`, or `MISS`: (n,) whole numbers."""
 
     def _prepare(self):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
@@ -49,9 +49,9 @@ class TreeCaster(Caster):
         self._middle, self._reach = np.full(3, np.nan), 0.0  # of where rays may start; made at the first cast
 
     def _meet(self, origins, directions, max_range):
-        self._make_tree_for(origins)
+        away = self._from_middle(origins)
         reach = max_range * (1.0 + _REACH_SLACK) + _REACH_SLACK
-        triangle = self._first(origins - self._middle, directions, reach)
+        triangle = self._first(away, directions, reach)
         ray = np.flatnonzero(triangle != MISS)
         triangle = np.take(triangle, ray).astype(np.int64, copy=False)
         there = self._planes.meet(origins_of(origins, ray).T, np.take(directions.T, ray, axis=1), triangle)
@@ -73,15 +73,17 @@ class TreeCaster(Caster):
         distance[doubtful] = np.inf
         distance[doubtful[found.ray]], triangle[doubtful[found.ray]] = found.distance, found.triangle
 
-    def _make_tree_for(self, origins):
-        """Make the tree anew if it is not yet there or made for rays that start elsewhere."""
-        if np.abs(origins - self._middle).max() <= self._reach:
-            return
+    def _from_middle(self, origins):
+        """Where the rays start as the tree counts, which is made anew if it is not there or made for elsewhere."""
+        away = origins - self._middle
+        if np.abs(away).max() <= self._reach:
+            return away
         self._middle = origins.reshape(-1, 3).mean(axis=0)
-        away = np.abs(self._corners - self._middle).max(axis=(1, 2))
-        self._reach = float(np.abs(origins - self._middle).max() + _ROAM * away.max())
-        margin = self._margin * (away + self._reach)
-        self._build(grown(self._corners, self._normal, margin) - self._middle)
+        away = origins - self._middle
+        far = np.abs(self._corners - self._middle).max(axis=(1, 2))
+        self._reach = float(np.abs(away).max() + _ROAM * far.max())
+        self._build(grown(self._corners, self._normal, self._margin * (far + self._reach)) - self._middle)
+        return away
 
 
 def grown(corners: np.ndarray, normal: np.ndarray, margin: np.ndarray | float) -> np.ndarray:

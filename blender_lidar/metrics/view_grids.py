@@ -78,7 +78,7 @@ class ViewGrids:
         self._first_part = np.cumsum(parts) - parts  # of each grid
         part = np.arange(parts.sum()) - np.repeat(self._first_part, parts)
         self._part_start = np.repeat(start, parts) + _WORDS_TO_SUM * part
-        self._words = np.empty(words.sum(), dtype=np.uint64)
+        self._words = np.zeros((1, words.sum()), dtype=np.uint64)
 
     def __len__(self) -> int:
         return len(self._whole)
@@ -94,11 +94,11 @@ class ViewGrids:
         vehicle : ndarray of int64, (k,)
             The box that each point belongs to; in range, which is not checked here either.
         """
-        self._clear()
+        self._clear(1)
         for start in range(0, len(points), _CHUNK_POINTS):
             chunk = slice(start, start + _CHUNK_POINTS)
             self._mark(*self.cells_of(points[chunk], vehicle[chunk]))
-        return self._marked()
+        return self._marked()[0]
 
     def cells_of(self, points: np.ndarray, vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cell of each point along each axis, (3, j), and its vehicle, (j,), without the points that are dropped."""
@@ -120,25 +120,33 @@ class ViewGrids:
             np.minimum(along, np.take(self._last[axis], vehicle), out=along)
         return place.astype(np.int64)  # towards zero, so that what is less than a cell below 0 falls into the rim's
 
-    def _clear(self):
-        self._words.fill(0)
+    def _clear(self, clouds):
+        """Empty grids for some clouds."""
+        if clouds == len(self._words):
+            self._words.fill(0)
+        else:
+            self._words = np.zeros((clouds, self._words.shape[1]), dtype=np.uint64)
 
-    def _mark(self, cell, vehicle):
+    def _mark(self, cell, vehicle, cloud=None):
         """Mark the cells that hold a point in all three views: Eq. 6, each once however many points it holds."""
         marks = self._words.view(bool)
         columns = {axis: np.take(self._cells[axis], vehicle) for axis in (1, 2)}
+        first = 0 if cloud is None else cloud * marks.shape[1]
         for view, (row, column) in enumerate(VIEW_AXES):
             flat = cell[row] * columns[column]
             flat += cell[column]
             flat += np.take(self._start[view], vehicle)
-            marks[flat] = True
+            flat += first
+            marks.reshape(-1)[flat] = True
 
     def _marked(self):
-        """Share of the cells of each box's views that are marked, (n, 3)."""
+        """Share of the cells of each box's views that are marked, for each cloud, (clouds, n, 3)."""
         if len(self) == 0:
-            return np.zeros((0, 3))
-        of_part = np.add.reduceat(self._words, self._part_start).view(np.uint8).reshape(-1, 8).sum(axis=1)
-        return np.add.reduceat(of_part.astype(np.int64), self._first_part).reshape(3, -1).T / self._whole  # Eq. 7
+            return np.zeros((len(self._words), 0, 3))
+        of_part = np.add.reduceat(self._words, self._part_start, axis=1).view(np.uint8)
+        of_part = of_part.reshape(len(self._words), -1, 8).sum(axis=2, dtype=np.int64)
+        counts = np.add.reduceat(of_part, self._first_part, axis=1).reshape(len(self._words), 3, -1)
+        return counts.transpose(0, 2, 1) / self._whole  # Eq. 7
 
 
 class PlacedGrids(ViewGrids):
@@ -167,30 +175,33 @@ class PlacedGrids(ViewGrids):
         self._cos, self._sin = np.cos(heading), np.sin(heading)
 
     def returns_occupancy(
-        self, origin: np.ndarray, directions: np.ndarray, distance: np.ndarray, vehicle: np.ndarray
+        self, origins: np.ndarray, cloud: np.ndarray, directions: np.ndarray, distance: np.ndarray, vehicle: np.ndarray
     ) -> np.ndarray:
-        """P of the top, side and front view of each box (Eqs. 2 to 8), (n, 3).
+        """P of the top, side and front view of each box in each of s clouds (Eqs. 2 to 8), (s, n, 3).
 
-        The same as `occupancy` of the returns in their vehicles' frames, in fewer passes over them.
+        The same as `occupancy` of each cloud with its returns in their vehicles' frames, in fewer passes over them.
 
         Parameters
         ----------
-        origin : ndarray, (3,)
-            Optical centre, in the frame of the boxes [m].
+        origins : ndarray, (s, 3)
+            Optical centre of each cloud, in the frame of the boxes [m].
+        cloud : ndarray of int64, (k,)
+            The cloud that each return belongs to.
         directions : ndarray, (3, k)
-            Unit vectors in that frame, coordinate by coordinate.
+            Unit vectors in the frame of the boxes, coordinate by coordinate.
         distance : ndarray, (k,)
             Distance of each return [m].
         vehicle : ndarray of int64, (k,)
             The box whose surface each return comes from; what rounding puts beside the box falls into the rim's cell.
         """
-        (x, y, z), cell = (origin - self._centre).T, self._cell_m
+        x, y, z = np.moveaxis(origins[:, None] - self._centre, -1, 0)
         turned = np.stack([self._cos * x + self._sin * y, self._cos * y - self._sin * x, z])  # Eqs. 4 and 5
-        start = (turned + self._half) / cell  # the origin, from each box's rear right lower corner
-        self._clear()
+        # The origins as the grids count them, in cells from each box's rear right lower corner, (3, s n).
+        start = ((turned + self._half[:, None]) / self._cell_m).reshape(3, -1)
+        self._clear(len(origins))
         for first in range(0, len(vehicle), _CHUNK_POINTS):
             chunk = slice(first, first + _CHUNK_POINTS)
-            row, (x, y, z), cells_away = vehicle[chunk], directions[:, chunk], distance[chunk] / cell
+            row, (x, y, z), cells_away = vehicle[chunk], directions[:, chunk], distance[chunk] / self._cell_m
             cos, sin = np.take(self._cos, row), np.take(self._sin, row)
             place = np.empty((3, len(row)))
             np.multiply(cos, x, out=place[0])
@@ -198,8 +209,9 @@ class PlacedGrids(ViewGrids):
             place[0] += np.multiply(sin, y, out=cos)
             place[1] -= np.multiply(sin, x, out=cos)
             place[2] = z
+            in_start = cloud[chunk] * len(self) + row
             for axis, along in enumerate(place):
                 along *= cells_away
-                along += np.take(start[axis], row)
-            self._mark(self._whole_cells(place, row), row)
+                along += np.take(start[axis], in_start)
+            self._mark(self._whole_cells(place, row), row, cloud[chunk])
         return self._marked()

@@ -17,6 +17,8 @@ from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from ..world.triangles import vehicle_triangles
 
+_RAYS_AT_A_TIME = 1 << 14  # of several mountings: enough to amortise NumPy's calls, few enough for the cache
+
 
 @dataclass(frozen=True, slots=True)
 class Observation:
@@ -111,27 +113,53 @@ class FrameScorer:
         """What each of s mountings sees of the n counted vehicles."""
         points = np.zeros((len(poses), len(self)), dtype=np.int64)
         shares = np.zeros((len(poses), len(self), 3))
-        for number, (pose, beams) in enumerate(zip(poses, self._beams(poses), strict=True)):
-            directions, distance, row = self._returns(pose, beams)
-            points[number] = np.bincount(row, minlength=len(self))
-            shares[number] = self._grids.returns_occupancy(pose.position, directions, distance, row)
+        for group, beams in self._groups(poses):
+            members = poses[group]
+            mount, directions, distance, row = self._returns(members, beams)
+            counts = np.bincount(mount * len(self) + row, minlength=points[group].size)
+            points[group] = counts.reshape(len(members), len(self))
+            origins = np.array([pose.position for pose in members])
+            shares[group] = self._grids.returns_occupancy(origins, mount, directions, distance, row)
         return Seen(points, shares)
 
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
-        directions, distance, row = self._returns(pose, next(self._beams([pose])))
+        ((_, beams),) = self._groups([pose])
+        _, directions, distance, row = self._returns([pose], beams)
         points = pose.position + (directions * distance).T  # Eqs. 2 and 3, the range scaling the direction alone
         return to_vehicle_frame(points, self._vehicles.centre_m, self._vehicles.heading_rad, row), row
 
-    def _beams(self, poses):
-        return reachable_beams(self._observation.lattice, self.pieces, poses, self._observation.max_range_m)
-
-    def _returns(self, pose, beams):
-        """Returns from counted vehicles: directions (3, k) in the road frame, distances and vehicle rows (k,)."""
+    def _groups(self, poses):
+        """Mountings that are cast together, as a slice, with the beams of each that can reach a vehicle."""
         seen = self._observation
-        directions = pose.to_world(np.take(seen.lattice.components.reshape(3, -1), beams, axis=1).T)
-        found = self._tree.meet(pose.position, directions, seen.max_range_m)
+        first, group, rays = 0, [], 0
+        for beams in reachable_beams(seen.lattice, self.pieces, poses, seen.max_range_m):
+            if group and rays + len(beams) > _RAYS_AT_A_TIME:
+                yield slice(first, first + len(group)), group
+                first, group, rays = first + len(group), [], 0
+            group.append(beams)
+            rays += len(beams)
+        if group:
+            yield slice(first, first + len(group)), group
+
+    def _returns(self, poses, beams):
+        """Returns from counted vehicles: row of the mounting, direction (3, k), distance and row of the vehicle."""
+        seen = self._observation
+        beam = np.concatenate(beams)
+        mount = np.repeat(np.arange(len(poses)), [len(some) for some in beams])
+        directions = np.take(seen.lattice.components.reshape(3, -1), beam, axis=1)
+        ends = np.cumsum([0, *(len(some) for some in beams)]).tolist()
+        for pose, mine in zip(poses, map(slice, ends[:-1], ends[1:]), strict=True):
+            directions[:, mine] = pose.to_world(directions[:, mine].T).T
+        origins = np.array([pose.position for pose in poses])
+        origins = origins[0] if len(poses) == 1 else np.take(origins.T, mount, axis=1).T
+        found = self._tree.meet(origins, directions.T, seen.max_range_m)
         row = np.take(self._counted_row, found.triangle)
         wanted = np.flatnonzero((row >= 0) & (found.distance >= seen.min_range_m))
-        directions = np.take(directions.T, np.take(found.ray, wanted), axis=1)
-        return directions, np.take(found.distance, wanted), np.take(row, wanted)
+        ray = np.take(found.ray, wanted)
+        return (
+            np.take(mount, ray),
+            np.take(directions, ray, axis=1),
+            np.take(found.distance, wanted),
+            np.take(row, wanted),
+        )
