@@ -76,10 +76,13 @@ class TrianglePlanes:
 
     def _along(self, function, origins, directions, triangle):
         """An affine function of each triangle: what the origin lacks to its 0, and its growth along the ray."""
-        missing, growth = np.take(self._offset[function], triangle), 0.0
-        for slope, origin, direction in zip(self._slope[function], origins, directions, strict=True):
-            slope = np.take(slope, triangle)
-            missing -= slope * origin
-            slope *= direction
+        slopes, offset, shared = self._slope[function], self._offset[function], origins.ndim == 1
+        missing = np.take(offset - origins @ slopes if shared else offset, triangle)
+        growth = 0.0
+        for axis in range(3):
+            slope = np.take(slopes[axis], triangle)
+            if not shared:
+                missing -= slope * origins[axis]
+            slope *= directions[axis]
             growth += slope
         return missing, growth

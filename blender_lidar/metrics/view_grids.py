@@ -131,12 +131,13 @@ class ViewGrids:
         """Mark the cells that hold a point in all three views: Eq. 6, each once however many points it holds."""
         marks = self._words.view(bool)
         columns = {axis: np.take(self._cells[axis], vehicle) for axis in (1, 2)}
-        first = 0 if cloud is None else cloud * marks.shape[1]
+        before = None if cloud is None else cloud * marks.shape[1]  # cells of the clouds before
         for view, (row, column) in enumerate(VIEW_AXES):
             flat = cell[row] * columns[column]
             flat += cell[column]
             flat += np.take(self._start[view], vehicle)
-            flat += first
+            if before is not None:
+                flat += before
             marks.reshape(-1)[flat] = True
 
     def _marked(self):
@@ -175,7 +176,12 @@ class PlacedGrids(ViewGrids):
         self._cos, self._sin = np.cos(heading), np.sin(heading)
 
     def returns_occupancy(
-        self, origins: np.ndarray, cloud: np.ndarray, directions: np.ndarray, distance: np.ndarray, vehicle: np.ndarray
+        self,
+        origins: np.ndarray,
+        cloud: np.ndarray | None,
+        directions: np.ndarray,
+        distance: np.ndarray,
+        vehicle: np.ndarray,
     ) -> np.ndarray:
         """P of the top, side and front view of each box in each of s clouds (Eqs. 2 to 8), (s, n, 3).
 
@@ -185,8 +191,8 @@ class PlacedGrids(ViewGrids):
         ----------
         origins : ndarray, (s, 3)
             Optical centre of each cloud, in the frame of the boxes [m].
-        cloud : ndarray of int64, (k,)
-            The cloud that each return belongs to.
+        cloud : ndarray of int64, (k,), or None
+            The cloud that each return belongs to; None where there is one.
         directions : ndarray, (3, k)
             Unit vectors in the frame of the boxes, coordinate by coordinate.
         distance : ndarray, (k,)
@@ -209,9 +215,10 @@ class PlacedGrids(ViewGrids):
             place[0] += np.multiply(sin, y, out=cos)
             place[1] -= np.multiply(sin, x, out=cos)
             place[2] = z
-            in_start = cloud[chunk] * len(self) + row
+            number = None if cloud is None else cloud[chunk]
+            in_start = row if number is None else number * len(self) + row
             for axis, along in enumerate(place):
                 along *= cells_away
                 along += np.take(start[axis], in_start)
-            self._mark(self._whole_cells(place, row), row, cloud[chunk])
+            self._mark(self._whole_cells(place, row), row, number)
         return self._marked()

@@ -116,7 +116,7 @@ class FrameScorer:
         for group, beams in self._groups(poses):
             members = poses[group]
             mount, directions, distance, row = self._returns(members, beams)
-            counts = np.bincount(mount * len(self) + row, minlength=points[group].size)
+            counts = np.bincount(row if mount is None else mount * len(self) + row, minlength=points[group].size)
             points[group] = counts.reshape(len(members), len(self))
             origins = np.array([pose.position for pose in members])
             shares[group] = self._grids.returns_occupancy(origins, mount, directions, distance, row)
@@ -143,22 +143,26 @@ class FrameScorer:
             yield slice(first, first + len(group)), group
 
     def _returns(self, poses, beams):
-        """Returns from counted vehicles: row of the mounting, direction (3, k), distance and row of the vehicle."""
-        seen = self._observation
-        beam = np.concatenate(beams)
-        mount = np.repeat(np.arange(len(poses)), [len(some) for some in beams])
-        directions = np.take(seen.lattice.components.reshape(3, -1), beam, axis=1)
-        ends = np.cumsum([0, *(len(some) for some in beams)]).tolist()
-        for pose, mine in zip(poses, map(slice, ends[:-1], ends[1:]), strict=True):
-            directions[:, mine] = pose.to_world(directions[:, mine].T).T
-        origins = np.array([pose.position for pose in poses])
-        origins = origins[0] if len(poses) == 1 else np.take(origins.T, mount, axis=1).T
+        """Returns from counted vehicles: row of the mounting, direction (3, k), distance and row of the vehicle.
+
+        The row of the mounting is None where there is one.
+        """
+        seen, components = self._observation, self._observation.lattice.components.reshape(3, -1)
+        directions = [
+            pose.to_world(np.take(components, some, axis=1).T).T for pose, some in zip(poses, beams, strict=True)
+        ]
+        if len(poses) == 1:
+            mount, origins, directions = None, poses[0].position, directions[0]
+        else:
+            mount = np.repeat(np.arange(len(poses)), [len(some) for some in beams])
+            origins = np.take(np.array([pose.position for pose in poses]).T, mount, axis=1).T
+            directions = np.concatenate(directions, axis=1)
         found = self._tree.meet(origins, directions.T, seen.max_range_m)
         row = np.take(self._counted_row, found.triangle)
         wanted = np.flatnonzero((row >= 0) & (found.distance >= seen.min_range_m))
         ray = np.take(found.ray, wanted)
         return (
-            np.take(mount, ray),
+            None if mount is None else np.take(mount, ray),
             np.take(directions, ray, axis=1),
             np.take(found.distance, wanted),
             np.take(row, wanted),
