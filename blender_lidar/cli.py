@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from . import __version__
-from .errors import BlenderLidarError, WorkerError
+from .errors import BlenderLidarError
 
 _VERBS = ("optimise", "evaluate", "scan", "score", "sensors", "doctor")
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
@@ -38,10 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _carried_out(argv)
             print(end="", flush=True)  # while a closed pipe or a full disk can still be told
             return code
-        except WorkerError as error:
-            return _failed(str(error), FAILED)
         except BlenderLidarError as error:
-            return _failed(str(error), WRONG_INPUT)
+            return _failed(str(error), error.exit_code)
         except BrokenPipeError:  # the reader of our output, such as `head`, has seen enough
             _drop_stdout()
             return FAILED

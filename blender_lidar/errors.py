@@ -7,7 +7,9 @@ from collections.abc import Iterable
 
 
 class BlenderLidarError(Exception):
-    """Base of them all; the command line prints one as a line and exits with 2, as nearly all are the input's fault."""
+    """Base of them all; the command line prints one as a line and exits with the code."""
+
+    exit_code = 2
 
 
 class InputError(BlenderLidarError, ValueError):
@@ -27,7 +29,9 @@ class OutputError(BlenderLidarError, OSError):
 
 
 class WorkerError(BlenderLidarError, RuntimeError):
-    """A worker process that did not start or ended abruptly: no fault of the input's, so the exit code is 1."""
+    """A worker process that did not start or ended abruptly: no fault of the input's."""
+
+    exit_code = 1
 
 
 def unknown_name(given: object, allowed: Iterable[str], what: str, where: str = "") -> InputError:

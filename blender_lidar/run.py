@@ -86,7 +86,10 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
         _search(search, evaluator, scenario, folder, identity, listener)
         best = scenario.deployment.coordinates(search.best_x)
         score_map = map_scores(evaluator, scenario.deployment, best, site.plan.search_block, listener.mapping)
-        verdict = judge(site, pose_at(best), scenario.baseline_pose, evaluator, scenario.search.seed)
+        mountings = {"optimised": pose_at(best), "baseline": scenario.baseline_pose}
+        if score_map is not None:
+            mountings["best_of_map"] = pose_at(score_map.best_coordinates(best))
+        verdict = judge(site, mountings, evaluator, scenario.search.seed)
     searched = {
         "search": scenario.search.method,
         "seed": scenario.search.seed,
@@ -103,7 +106,8 @@ def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float
     scenario = site.scenario
     folder.write_scene(scenario)
     with site.evaluator(site.search) as evaluator:
-        verdict = judge(site, pose_at(coordinates), scenario.baseline_pose, evaluator, scenario.search.seed)
+        mountings = {"optimised": pose_at(coordinates), "baseline": scenario.baseline_pose}
+        verdict = judge(site, mountings, evaluator, scenario.search.seed)
     searched = {"search": None, "seed": scenario.search.seed, "evaluations": 1, "map": None}
     identity = run_identity(scenario, site.observation.caster)
     result = _result(site, identity, coordinates, verdict, searched, time.perf_counter() - started)
@@ -157,9 +161,17 @@ def _map_summary(score_map: ScoreMap, scenario, verdict) -> dict:
         "points": list(score_map.per_vehicle.shape),
         "best": {"height_m": height, "tilt_x_deg": tilt, "objective_per_vehicle": value},
         "search_shortfall": (best - found) / (best - base) if gains else None,
+        "holdout_regret": _regret(*(verdict[name]["holdout"] for name in ("best_of_map", "optimised"))),
         "optimum_interval_90": None if intervals is None else {key: list(pair) for key, pair in intervals.items()},
         "share_within_1_percent": float((score_map.per_vehicle >= near_best).mean()) if gains else None,
     }
+
+
+def _regret(best, found):
+    """Share of the gain of the map's best mounting that the found one lacks, on held-out frames; below 0 if better."""
+    if best is None or not best["gain_over_baseline"] > 0.0:
+        return None
+    return 1.0 - found["gain_over_baseline"] / best["gain_over_baseline"]
 
 
 def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:

@@ -47,7 +47,7 @@ def main(argv: list[str] | None = None) -> int:
         entries, about = _entries(args)
     except BlenderLidarError as error:
         print(f"benchmark: {error}", file=sys.stderr)
-        return 2
+        return error.exit_code
     times = _measure(entries, args.repeats)
     _print(times, about)
     if args.json:

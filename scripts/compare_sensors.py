@@ -32,7 +32,7 @@ def main(argv: list[str] | None = None) -> int:
         maps = _maps(args)
     except BlenderLidarError as error:
         print(f"compare_sensors: {error}", file=sys.stderr)
-        return 2
+        return error.exit_code
     _print(maps)
     return 0
 

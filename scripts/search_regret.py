@@ -3,7 +3,8 @@
     python scripts/search_regret.py [SCENE.toml] [--sensor RS-16] [--seeds 11] [--search de-pso]
 
 The exhaustive 26 x 26 grid of heights and tilts is scored once. Regret is the share of the gain over the baseline
-that a search leaves to the grid's best point, 0 where it does better; all on the searched frames.
+that a search leaves to the grid's best point: on the searched frames, 0 where it does better, and on held-out frames
+that are the same for all, where less than 0 is better than the grid's.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from blender_lidar.errors import BlenderLidarError, InputError
 from blender_lidar.optimise import READINGS, SEARCHES, run
 from blender_lidar.run import fresh_search
-from blender_lidar.scenario import load_scenario
+from blender_lidar.scenario import load_scenario, pose_at
 from blender_lidar.study.score_map import FINE_POINTS, map_scores
 from blender_lidar.study.site import prepare
 
@@ -28,7 +29,7 @@ def main(argv: list[str] | None = None) -> int:
         return _study(args)
     except BlenderLidarError as error:
         print(f"search_regret: {error}", file=sys.stderr)
-        return 2
+        return error.exit_code
 
 
 def _arguments(argv):
@@ -52,7 +53,7 @@ def _study(args):
         ("objective", "reading"): (args.reading, "--reading"),
     }
     overrides = {key: value for key, value in given.items() if value[0] is not None}
-    regrets = []
+    regrets, found_poses = [], []
     site = prepare(load_scenario(args.scene, overrides))
     with site.evaluator(site.search) as evaluator:
         scenario = site.scenario
@@ -75,10 +76,21 @@ def _study(args):
             mount = ", ".join(
                 f"{key} {value:.2f}" for key, value in zip(scenario.deployment.variables, result.x, strict=True)
             )
+            found_poses.append(scenario.deployment.pose(result.x))
             print(f"seed {seed}: {result.value:.4f} at {mount}; regret {100 * regrets[-1]:.2f} %", flush=True)
-    low, middle, high = np.quantile(regrets, [0.0, 0.5, 1.0])
-    print(f"regret over {len(regrets)} seeds: median {100 * middle:.2f} %, from {100 * low:.2f} to {100 * high:.2f} %")
+    _print_regrets("searched", regrets)
+    if len(site.holdout):
+        grid_best = pose_at(found.best_coordinates(scenario.baseline))
+        with site.evaluator(site.holdout) as evaluator:
+            values = evaluator.totals([scenario.baseline_pose, grid_best, *found_poses]).per_vehicle()
+        if values[1] > values[0]:
+            _print_regrets("held-out", (values[1] - values[2:]) / (values[1] - values[0]))
     return 0
+
+
+def _print_regrets(frames, regrets):
+    low, middle, high = (100 * value for value in np.quantile(regrets, [0.0, 0.5, 1.0]))
+    print(f"regret on {frames} frames, {len(regrets)} seeds: median {middle:.2f} %, from {low:.2f} to {high:.2f} %")
 
 
 if __name__ == "__main__":

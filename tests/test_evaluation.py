@@ -359,7 +359,7 @@ def verdict(holdout, block):
         evaluator=lambda frames: Evaluator(frames, SEEN, SCORING),
     )
     with Evaluator(FRAMES, SEEN, SCORING) as evaluator:
-        return judge(site, POSES[1], POSES[0], evaluator, seed=1)
+        return judge(site, {"optimised": POSES[1], "baseline": POSES[0]}, evaluator, seed=1)
 
 
 def test_the_verdict_is_the_gain_over_the_baseline_on_held_out_frames(alone):

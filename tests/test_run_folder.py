@@ -167,6 +167,21 @@ def test_the_score_map_is_read_back_as_it_was_written(mapped_run):
     assert {key: list(pair) for key, pair in intervals.items()} == result["map"]["optimum_interval_90"]
 
 
+def test_the_regret_on_held_out_frames_is_the_gain_that_the_maps_best_mounting_has_there(mapped_run, capsys):
+    folder, _ = mapped_run
+    result = result_of(folder)
+    best = result["map"]["best"]
+    mount = ["--height", best["height_m"], "--tilt-x", best["tilt_x_deg"]]
+    scene = folder.parent / "scene.toml"
+    code, out, err = cli(
+        capsys, "evaluate", scene, "--detail", "box", *mount, "--out", folder.parent / "best_of_map", "--json"
+    )
+    assert code == 0, err
+    gain, found = (run["holdout"]["gain_over_baseline"] for run in (json.loads(out), result))
+    assert gain > 0
+    assert result["map"]["holdout_regret"] == pytest.approx(1.0 - found / gain, abs=1e-9)
+
+
 def test_a_run_that_has_ended_is_shown_again_by_resume_with_its_map(mapped_run, capsys):
     folder, done = mapped_run
     scene = folder.parent / "scene.toml"

@@ -6,9 +6,9 @@ import argparse
 
 from ..run import evaluate_site
 from ..study.site import prepare
-from .optimise import folder_from, report, say
 from .options import SEARCH_OPTIONS, add_pose, add_scene, mounting_from, scenario_from
 from .report import describe_site
+from .run_output import add_output, folder_from, report, say
 
 
 def add_parser(subparsers) -> None:
@@ -20,10 +20,7 @@ def add_parser(subparsers) -> None:
     )
     add_scene(parser, leave_out=SEARCH_OPTIONS)
     add_pose(parser)
-    parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
-    parser.add_argument(
-        "--json", action="store_true", help="print the content of result.json, and nothing else, on stdout"
-    )
+    add_output(parser)
     parser.set_defaults(run=run)
 
 

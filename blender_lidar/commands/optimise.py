@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 
-from ..errors import InputError, MissingExtraError
+from ..errors import InputError
 from ..results import VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity
 from ..run import Outcome, optimise_site
-from ..scenario import Scenario
-from ..study.site import Site, prepare
-from .options import add_scene, default_folder, scenario_from
+from ..study.site import prepare
+from .options import add_scene, scenario_from
 from .progress import RunProgress
-from .report import comparison, describe_site, files
+from .report import describe_site
+from .run_output import add_output, folder_from, report, say
 
 
 def add_parser(subparsers) -> None:
@@ -25,11 +24,8 @@ def add_parser(subparsers) -> None:
         "results.",
     )
     add_scene(parser)
-    parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
+    add_output(parser)
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out DIR that was stopped")
-    parser.add_argument(
-        "--json", action="store_true", help="print the content of result.json, and nothing else, on stdout"
-    )
     parser.set_defaults(run=run)
 
 
@@ -59,33 +55,6 @@ def run(args: argparse.Namespace) -> int:
             print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
             return 1
         return report(args, site, outcome, folder)
-
-
-def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
-    """The folder that the results go to, not yet made; a place that cannot be used is refused early."""
-    folder = RunFolder(args.out if args.out is not None else default_folder(scenario))
-    folder.check(resume=getattr(args, "resume", False))
-    return folder
-
-
-def report(args: argparse.Namespace, site: Site, outcome: Outcome, folder: RunFolder) -> int:
-    """Draw the charts and print what was found."""
-    charts = []
-    try:
-        from ..run_charts import draw_charts
-
-        charts = draw_charts(site, outcome, folder)
-    except MissingExtraError as error:
-        print(f"blender-lidar: note: no charts: {error}", file=sys.stderr)
-    say(args, comparison(site, outcome) + "\n\n" + files(folder, charts))
-    if args.json:
-        print(json.dumps(outcome.result, indent=2))
-    return 0
-
-
-def say(args: argparse.Namespace, text: str) -> None:
-    """Print for people: on stderr where stdout is for JSON."""
-    print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
 
 
 def _stored_outcome(folder: RunFolder, result: dict) -> Outcome:

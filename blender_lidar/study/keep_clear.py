@@ -8,7 +8,10 @@ import numpy as np
 
 from ..errors import InputError
 from ..scenario import Scenario
+from ..traffic.overlaps import rectangles_overlap
 from ..traffic.vehicles import Vehicles
+
+_TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
 
 
 def check_mount_is_clear(
@@ -56,21 +59,9 @@ def check_mount_is_clear(
 
 
 def boxes_meet_rectangle(vehicles: Vehicles, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Which footprints overlap the axis-parallel rectangle from `low` to `high` (2,) [m], (n,) bool.
-
-    Two rectangles are apart if and only if a direction of one of their sides tells them apart.
-    """
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    apart = vehicles.centre_m[:, :2] - middle
-    cos, sin = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)
-    length, width = 0.5 * vehicles.size_m[:, 0], 0.5 * vehicles.size_m[:, 1]
-    reach = [
-        (np.abs(apart[:, 0]), half[0] + length * np.abs(cos) + width * np.abs(sin)),
-        (np.abs(apart[:, 1]), half[1] + length * np.abs(sin) + width * np.abs(cos)),
-        (np.abs(cos * apart[:, 0] + sin * apart[:, 1]), length + half[0] * np.abs(cos) + half[1] * np.abs(sin)),
-        (np.abs(cos * apart[:, 1] - sin * apart[:, 0]), width + half[0] * np.abs(sin) + half[1] * np.abs(cos)),
-    ]
-    return np.all([gap <= sum_of_halves for gap, sum_of_halves in reach], axis=0)
+    """Which footprints overlap the axis-parallel rectangle from `low` to `high` (2,) [m], (n,) bool."""
+    footprints = vehicles.centre_m[:, :2], 0.5 * vehicles.size_m[:, :2], vehicles.heading_rad
+    return rectangles_overlap(*footprints, 0.5 * (low + high), 0.5 * (high - low) + _TOUCHING_M, 0.0)
 
 
 def _searched_rectangle(scenario):

@@ -47,6 +47,10 @@ class ScoreMap:
         row, column = np.unravel_index(np.argmax(self.per_vehicle), self.per_vehicle.shape)
         return float(self.height_m[row]), float(self.tilt_deg[column]), float(self.per_vehicle[row, column])
 
+    def best_coordinates(self, others: dict[str, float]) -> dict[str, float]:
+        """The six coordinates of the best grid point; `others` fixes those that the grid does not span."""
+        return {**others, **dict(zip(AXES, self.best, strict=False))}
+
     def resampled_best(self, seed: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Height [m] and tilt [deg] of the best grid point in each block resample; None for too few blocks."""
         blocks = len(self.block_vehicles)

@@ -1,8 +1,8 @@
-"""The mounting that was found against the baseline: on the frames that chose it, and on frames that did not."""
+"""Mountings against the baseline: on the frames that chose them, and on frames that did not."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,11 +12,13 @@ from .site import Site
 from .statistics import block_sums, ratio_interval_90
 
 
-def judge(site: Site, optimised: Pose, baseline: Pose, evaluator: Evaluator, seed: int) -> dict:
-    """Both mountings' scores on the searched and on the held-out frames.
+def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed: int) -> dict:
+    """Scores of mountings on the searched and on the held-out frames.
 
     Parameters
     ----------
+    mountings : mapping of str to Pose
+        The mountings by name; one is the ``"baseline"`` that the others' gains are measured against.
     evaluator : Evaluator
         Scores the searched frames.
     seed : int
@@ -25,23 +27,23 @@ def judge(site: Site, optimised: Pose, baseline: Pose, evaluator: Evaluator, see
     Returns
     -------
     dict
-        ``optimised`` and ``baseline``: each ``objective`` [bits], ``objective_per_vehicle`` [bits],
-        ``detectable_share`` and ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` [bits per
-        vehicle] and its ``interval_90``. ``holdout`` is None where nothing was held out; ``interval_90`` where there
-        are too few blocks.
+        For each name ``objective`` [bits], ``objective_per_vehicle`` [bits], ``detectable_share`` and ``holdout`` with
+        the same per-vehicle scores, ``gain_over_baseline`` [bits per vehicle] and its ``interval_90``. ``holdout`` is
+        None where nothing was held out; ``interval_90`` where there are too few blocks.
     """
-    searched = evaluator.totals([optimised, baseline])
+    poses, base = list(mountings.values()), list(mountings).index("baseline")
+    searched = evaluator.totals(poses)
     held_out = None
     if len(site.holdout) and sum(int(frame.counted.sum()) for frame in site.holdout):
         with site.evaluator(site.holdout) as judge_evaluator:
-            held_out = judge_evaluator.totals([optimised, baseline])
+            held_out = judge_evaluator.totals(poses)
     return {
         name: {
             "objective": float(searched.objective[row].sum()),
             **_per_vehicle(searched, row),
-            "holdout": None if held_out is None else _held_out(held_out, row, site.plan.holdout_block, seed),
+            "holdout": None if held_out is None else _held_out(held_out, row, base, site.plan.holdout_block, seed),
         }
-        for row, name in enumerate(("optimised", "baseline"))
+        for row, name in enumerate(mountings)
     }
 
 
@@ -63,8 +65,8 @@ def _per_vehicle(totals: Totals, row: int) -> dict:
     }
 
 
-def _held_out(totals: Totals, row: int, block: Sequence[int], seed: int) -> dict:
-    gain = totals.objective[row] - totals.objective[1]
+def _held_out(totals: Totals, row: int, base: int, block: Sequence[int], seed: int) -> dict:
+    gain = totals.objective[row] - totals.objective[base]
     interval = ratio_interval_90(block_sums(gain, block), block_sums(totals.vehicles, block), seed)
     return {
         **_per_vehicle(totals, row),

@@ -22,8 +22,7 @@ def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
     Returns
     -------
     ndarray, (p, 2) int64
-        Rows of `vehicles`, the smaller first. By the separating-axis theorem: two rectangles are apart if and only if
-        they are apart along one of their four sides.
+        Rows of `vehicles`, the smaller first.
     """
     centre = vehicles.centre_m[:, :2]
     half = vehicles.size_m[:, :2] / 2
@@ -31,17 +30,51 @@ def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
     first, second = np.triu_indices(len(vehicles), k=1)
     near = np.abs(centre[second] - centre[first]).max(axis=1) < reach[first] + reach[second]
     first, second = first[near], second[near]
-    offset = centre[second] - centre[first]
-    forward = np.stack([np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)], axis=1)
-    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    together = np.ones(len(first), dtype=bool)
-    for axis in (forward[first], left[first], forward[second], left[second]):
-        extent = np.zeros(len(first))
-        for box in (first, second):
-            extent += half[box, 0] * np.abs((forward[box] * axis).sum(axis=1))
-            extent += half[box, 1] * np.abs((left[box] * axis).sum(axis=1))
-        together &= np.abs((offset * axis).sum(axis=1)) < extent
+    heading = vehicles.heading_rad
+    together = rectangles_overlap(
+        centre[first], half[first], heading[first], centre[second], half[second], heading[second]
+    )
     return np.stack([first[together], second[together]], axis=1)
+
+
+def rectangles_overlap(
+    centre: np.ndarray,
+    half: np.ndarray,
+    heading: np.ndarray,
+    other_centre: np.ndarray,
+    other_half: np.ndarray,
+    other_heading: np.ndarray | float,
+) -> np.ndarray:
+    """Which rectangles overlap another each, row by row, (n,) bool; those that only touch do not.
+
+    By the separating-axis theorem: two rectangles are apart if and only if they are apart along one of their sides.
+
+    Parameters
+    ----------
+    centre, half : ndarray, (n, 2)
+        Centres, and half the length and width [m].
+    heading : ndarray, (n,)
+        Direction of the length, counter-clockwise from +x [rad].
+    other_centre, other_half, other_heading
+        The same of the others; also those of one rectangle for all, (2,), (2,) and a number.
+    """
+    forward, other_forward = _directions(heading), _directions(other_heading)
+    left, other_left = (np.stack([-side[..., 1], side[..., 0]], axis=-1) for side in (forward, other_forward))
+    offset = other_centre - centre
+    together = np.ones(len(centre), dtype=bool)
+    for axis in (forward, left, other_forward, other_left):
+        extent = half[:, 0] * _along(forward, axis) + half[:, 1] * _along(left, axis)
+        extent += other_half[..., 0] * _along(other_forward, axis) + other_half[..., 1] * _along(other_left, axis)
+        together &= _along(offset, axis) < extent
+    return together
+
+
+def _directions(heading):
+    return np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+
+
+def _along(vectors, axis):
+    return np.abs((vectors * axis).sum(axis=-1))
 
 
 def with_overlaps_reported(recording: Recording) -> Recording:
