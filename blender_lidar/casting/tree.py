@@ -76,7 +76,7 @@ class TreeCaster(Caster):
     def _from_middle(self, origins):
         """Where the rays start as the tree counts, which is made anew if it is not there or made for elsewhere."""
         away = origins - self._middle
-        if np.abs(away).max() <= self._reach:
+        if max(away.max(), -away.min()) <= self._reach:
             return away
         self._middle = origins.reshape(-1, 3).mean(axis=0)
         away = origins - self._middle

@@ -1,0 +1,75 @@
+"""Cells counted by words, and returns scored straight from directions and distances, against the plain way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import InputError
+from blender_lidar.metrics.vgop import occupancy, to_vehicle_frame
+from blender_lidar.metrics.view_grids import PlacedGrids, ViewGrids
+
+
+def scene(rng, vehicles=9, points=6000):
+    """Boxes that stand somewhere, and two clouds of points on and about them, from two origins."""
+    size = rng.uniform([3.5, 1.6, 1.3], [14.0, 2.6, 3.9], (vehicles, 3))
+    centre = np.column_stack([rng.uniform(-40, 40, vehicles), rng.uniform(4, 25, vehicles), 0.5 * size[:, 2]])
+    heading = rng.uniform(-np.pi, np.pi, vehicles)
+    vehicle = rng.integers(0, vehicles, points)
+    local = rng.uniform(-0.5, 0.5, (points, 3)) * size[vehicle]
+    cos, sin = np.cos(heading[vehicle]), np.sin(heading[vehicle])
+    world = centre[vehicle] + np.column_stack(
+        [cos * local[:, 0] - sin * local[:, 1], sin * local[:, 0] + cos * local[:, 1], local[:, 2]]
+    )
+    return size, centre, heading, vehicle, world
+
+
+@pytest.mark.parametrize("reading", ["corrected", "paper"])
+def test_returns_score_as_their_points_do_in_their_vehicles_frames(reading):
+    rng = np.random.default_rng(1)
+    size, centre, heading, vehicle, world = scene(rng)
+    origins, cloud = np.array([[0.0, 0.0, 4.1], [5.0, -1.0, 2.5]]), rng.integers(0, 2, len(vehicle))
+    away = world - origins[cloud]
+    distance = np.linalg.norm(away, axis=1)
+    grids = PlacedGrids(centre, size, heading, 0.05, reading)
+    found = grids.returns_occupancy(origins, cloud, (away / distance[:, None]).T, distance, vehicle)
+    assert found.shape == (2, 9, 3)
+    for number in (0, 1):
+        mine = cloud == number
+        local = to_vehicle_frame(world[mine], centre, heading, vehicle[mine])
+        expected = occupancy(local, vehicle[mine], size, 0.05, reading)
+        assert expected.min() > 0.005
+        np.testing.assert_allclose(found[number], expected, rtol=1e-12)
+        alone = grids.returns_occupancy(
+            origins[[number]], None, (away[mine] / distance[mine, None]).T, distance[mine], vehicle[mine]
+        )
+        np.testing.assert_array_equal(alone[0], found[number])
+
+
+def test_grids_forget_one_cloud_before_the_next():
+    rng = np.random.default_rng(2)
+    size, _, _, vehicle, _ = scene(rng)
+    local = rng.uniform(-0.5, 0.5, (len(vehicle), 3)) * size[vehicle]
+    grids = ViewGrids(size)
+    first = grids.occupancy(local, vehicle)
+    grids.occupancy(local[:10], vehicle[:10])
+    np.testing.assert_array_equal(grids.occupancy(local, vehicle), first)
+    assert (grids.occupancy(local[:0], vehicle[:0]) == 0.0).all()
+
+
+@pytest.mark.parametrize("cells", [(1, 1, 1), (7, 1, 1), (8, 1, 1), (9, 8, 1), (255, 8, 8), (256, 8, 8), (400, 60, 80)])
+def test_every_cell_is_counted_once_however_many_words_a_grid_takes(cells):
+    """A byte that overflowed, or a word that belonged to two grids, would show as a share other than 1."""
+    size = np.array([cells, (90, 36, 30), cells]) * 0.05
+    grid = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in cells), indexing="ij"), axis=-1).reshape(-1, 3)
+    shell = grid[((grid < 1) | (grid > np.array(cells) - 1)).any(axis=1)] * 0.05 - 0.5 * size[0]
+    rows = np.concatenate([np.zeros(len(shell), dtype=np.int64), np.full(len(shell), 2)])
+    p = ViewGrids(size).occupancy(np.tile(shell, (2, 1)), rows)
+    assert p.tolist() == [[1.0] * 3, [0.0] * 3, [1.0] * 3]
+
+
+def test_a_box_without_extent_and_an_unknown_reading_are_refused():
+    with pytest.raises(InputError, match="positive"):
+        ViewGrids(np.array([[4.5, 0.0, 1.5]]))
+    with pytest.raises(InputError, match="corrected, paper"):
+        PlacedGrids(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), 0.05, "literal")
