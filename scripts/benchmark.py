@@ -63,10 +63,16 @@ def _arguments(argv):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", default=str(Path(__file__).parents[1] / "scenes" / "i80.toml"))
     parser.add_argument("--sensor", default="RS-80", choices=sorted(MOUNTINGS))
-    parser.add_argument("--frames", type=int, default=10)
-    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--frames", type=_positive, default=10)
+    parser.add_argument("--repeats", type=_positive, default=7)
     parser.add_argument("--json", metavar="FILE")
     return parser.parse_args(argv)
+
+
+def _positive(text):
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"is {text!r}; allowed: a whole number from 1")
+    return int(text)
 
 
 def _entries(args):

@@ -3,8 +3,8 @@
     python scripts/search_regret.py [SCENE.toml] [--sensor RS-16] [--seeds 11] [--search de-pso]
 
 The exhaustive 26 x 26 grid of heights and tilts is scored once. Regret is the share of the gain over the baseline
-that a search leaves to the grid's best point: on the searched frames, 0 where it does better, and on held-out frames
-that are the same for all, where less than 0 is better than the grid's.
+that a search leaves to the grid's best point, below 0 where it does better: on the searched frames, and on held-out
+frames that are the same for all.
 """
 
 from __future__ import annotations
@@ -37,11 +37,17 @@ def _arguments(argv):
     parser.add_argument("scene", nargs="?", default=str(Path(__file__).parents[1] / "scenes" / "i80.toml"))
     parser.add_argument("--sensor")
     parser.add_argument("--traffic")
-    parser.add_argument("--frames", type=int)
-    parser.add_argument("--seeds", type=int, default=11)
+    parser.add_argument("--frames", type=_positive)
+    parser.add_argument("--seeds", type=_positive, default=11)
     parser.add_argument("--search", choices=SEARCHES)
     parser.add_argument("--reading", choices=READINGS)
     return parser.parse_args(argv)
+
+
+def _positive(text):
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"is {text!r}; allowed: a whole number from 1")
+    return int(text)
 
 
 def _study(args):
@@ -72,7 +78,7 @@ def _study(args):
         for seed in range(1, args.seeds + 1):
             seeded = load_scenario(args.scene, {**overrides, ("search", "seed"): (seed, "--seeds")})
             result = run(fresh_search(seeded), objective)
-            regrets.append(max(0.0, best - result.value) / (best - baseline))
+            regrets.append((best - result.value) / (best - baseline))
             mount = ", ".join(
                 f"{key} {value:.2f}" for key, value in zip(scenario.deployment.variables, result.x, strict=True)
             )
@@ -85,6 +91,8 @@ def _study(args):
             values = evaluator.totals([scenario.baseline_pose, grid_best, *found_poses]).per_vehicle()
         if values[1] > values[0]:
             _print_regrets("held-out", (values[1] - values[2:]) / (values[1] - values[0]))
+        else:
+            print("regret on held-out frames: none, as the grid's best point gains nothing there")
     return 0
 
 

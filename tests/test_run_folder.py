@@ -14,6 +14,7 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError, OutputError
+from blender_lidar.commands.report import _map_notes
 from blender_lidar.results import RunFolder
 from tests.small_scene import (
     CASTER,
@@ -180,6 +181,16 @@ def test_the_regret_on_held_out_frames_is_the_gain_that_the_maps_best_mounting_h
     gain, found = (run["holdout"]["gain_over_baseline"] for run in (json.loads(out), result))
     assert gain > 0
     assert result["map"]["holdout_regret"] == pytest.approx(1.0 - found / gain, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("regret", "says"),
+    [(0.25, "the mounting found lacks 25.0 % of the gain that the best point of that grid has there"), (0.001, None)],
+)
+def test_a_regret_on_held_out_frames_is_told_when_it_is_not_small(mapped_run, regret, says):
+    folder, _ = mapped_run
+    notes = " ".join(_map_notes({**result_of(folder)["map"], "holdout_regret": regret}))
+    assert says in notes if says else "lacks" not in notes
 
 
 def test_a_run_that_has_ended_is_shown_again_by_resume_with_its_map(mapped_run, capsys):

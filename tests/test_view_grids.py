@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
+from blender_lidar.metrics import view_grids
 from blender_lidar.metrics.vgop import occupancy, to_vehicle_frame
 from blender_lidar.metrics.view_grids import PlacedGrids, ViewGrids
 
@@ -68,8 +69,40 @@ def test_every_cell_is_counted_once_however_many_words_a_grid_takes(cells):
     assert p.tolist() == [[1.0] * 3, [0.0] * 3, [1.0] * 3]
 
 
+def test_a_return_beside_its_vehicle_marks_no_other_vehicles_grids():
+    size, centre = (
+        np.array([[4.5, 1.8, 1.5]] * 3),
+        np.array([[0.0, 10.0, 0.75], [20.0, 10.0, 0.75], [40.0, 10.0, 0.75]]),
+    )
+    grids = PlacedGrids(centre, size, np.zeros(3))
+    for off in ([-0.3, 0, -0.3], [0.3, 0.3, 0.3], [-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]):
+        point = centre[1] + np.sign(off) * 0.5 * size[1] + off
+        distance = np.linalg.norm(point)
+        p = grids.returns_occupancy(
+            np.zeros((1, 3)), None, point[:, None] / distance, np.array([distance]), np.array([1])
+        )
+        assert (p[0, [0, 2]] == 0.0).all()
+        assert (p[0, 1] > 0.0).all()
+
+
+def test_large_grids_are_not_kept_and_score_one_cloud_at_a_time(monkeypatch):
+    rng = np.random.default_rng(3)
+    size, _, _, vehicle, _ = scene(rng)
+    local = rng.uniform(-0.5, 0.5, (len(vehicle), 3)) * size[vehicle]
+    kept = ViewGrids(size)
+    expected = kept.occupancy(local, vehicle)
+    assert kept.clouds_at_a_time > 10
+    monkeypatch.setattr(view_grids, "_KEPT_WORDS", 100)
+    assert kept.clouds_at_a_time == 1
+    for _ in range(2):
+        np.testing.assert_array_equal(kept.occupancy(local, vehicle), expected)
+        assert kept._words.nbytes == 0
+
+
 def test_a_box_without_extent_and_an_unknown_reading_are_refused():
     with pytest.raises(InputError, match="positive"):
         ViewGrids(np.array([[4.5, 0.0, 1.5]]))
+    with pytest.raises(InputError, match=r"shapes \(3, 3\) and \(2,\)"):
+        PlacedGrids(np.zeros((3, 3)), np.ones((2, 3)), np.zeros(2))
     with pytest.raises(InputError, match="corrected, paper"):
         PlacedGrids(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), 0.05, "literal")

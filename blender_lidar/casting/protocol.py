@@ -11,6 +11,7 @@ from ..errors import InputError
 
 MISS = -1
 _UNIT_TOLERANCE = 1e-6
+_LEAST_HEIGHT = 1e-12  # of a triangle, relative to its size and coordinates: what is flatter is rounding, not area
 _FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit whatever the range
 
 
@@ -53,11 +54,11 @@ class Caster(ABC):
     Parameters
     ----------
     corners : array, (m, 3, 3)
-        Corners of each triangle [m], counter-clockwise seen from outside. Triangles without area are never met.
-        Any size and place: the scene is re-centred in float64 before anything becomes float32.
+        Corners of each triangle [m], counter-clockwise seen from outside. Triangles without area, as far as float64
+        can tell, are never met. Any size and place: the scene is re-centred in float64 before anything becomes float32.
     closed : bool
         Whether the triangles bound solids, so that a ray from outside meets no inside first. It changes no result,
-        but lets leaks be told by the insides that they lead to, which is faster.
+        but lets leaks be told by the insides that they lead to: faster for rays from outside, slow for others.
     """
 
     name: str
@@ -73,9 +74,10 @@ class Caster(ABC):
         self._origin = 0.5 * (flat.min(axis=0) + flat.max(axis=0)) if len(flat) else np.zeros(3)
         corners = corners - self._origin
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.linalg.norm(normal, axis=1)
+        area = np.linalg.norm(normal, axis=1)  # twice: base times height
+        base = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
         self._given = len(corners)
-        self._solid = np.flatnonzero(area > 0)
+        self._solid = np.flatnonzero(area > _LEAST_HEIGHT * base * (base + np.abs(flat).max(initial=0.0)))
         self._normal = normal[self._solid] / area[self._solid, None]
         self._corners = corners[self._solid]
         if len(self._solid):
@@ -97,7 +99,7 @@ class Caster(ABC):
         origins : ndarray, (3,) or (n, 3)
             Start of all rays, or of each [m].
         directions : ndarray, (n, 3)
-            Unit directions.
+            Unit directions, to one in a million.
         max_range : float
             Farthest distance that counts [m], itself included.
 
@@ -148,4 +150,4 @@ def _checked(origins, directions, max_range):
         raise InputError("an origin is not finite")
     if not max_range >= 0.0:
         raise InputError(f"max_range is {max_range}; allowed: a distance of 0 m or more")
-    return origins, directions
+    return origins, directions / np.sqrt(length)[:, None]  # as float32 rounded them, say

@@ -8,9 +8,10 @@ boxes and of triangles do not agree with each other. Here nothing is left to tha
 - range and place of every hit are computed again in float64, with the triangle as it was given;
 - a ray that met nothing but such a margin is decided by the float64 caster, and so is one that met the inside of a
   closed mesh first, having leaked where a flat side is seen so nearly edge-on that the margin does not show: a few in
-  10,000 rays.
+  10,000 hits.
 
-So all casters find the same hits and ranges, and differ in speed alone.
+So all casters find the same hits and ranges, and differ in speed alone; but for rays that start within about 1e-5 m of
+a surface, which float32 cannot tell from those that start behind it.
 """
 
 from __future__ import annotations
@@ -26,8 +27,11 @@ from .protocol import MISS, Caster, Returns, origins_of
 # Of a triangle's distance from where rays start: float32 keeps 6e-8 of it, and a ray-triangle test loses a few such.
 _MARGIN = 2e-7
 _MARGIN_OPEN = 16 * _MARGIN  # where no inside tells of a leak: shows on flat sides down to a few degrees edge-on
-_ROAM = 0.05  # of the farthest triangle's distance: how far rays' starts may move before the tree is made again
-_LEAST_COSINE_SUM = 0.02  # bounds how far the tip of a needle moves: about ten margins
+# Of the farthest triangle's distance: how far rays' starts may move before the tree is made again, and how wide a
+# region of such starts it may come to serve.
+_ROAM, _REGION = 0.05, 0.25
+_MUCH_WIDER = 4.0  # than the rays need: a tree made for such wide starts is coarser than it has to be
+_LEAST_COSINE_SUM = 1e-5  # bounds how far the tip of a needle moves: a few hundred margins
 _REACH_SLACK = 1e-5  # relative: back-ends look a little farther than asked and float64 decides at the limit
 
 
@@ -46,7 +50,11 @@ class TreeCaster(Caster):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
         self._planes = TrianglePlanes(self._corners, self._normal)
         self._exact = ExactCaster(self._corners)
-        self._middle, self._reach = np.full(3, np.nan), 0.0  # of where rays may start; made at the first cast
+        self._middle, self._reach, self._far = (
+            None,
+            0.0,
+            0.0,
+        )  # where rays may start; the tree is made at the first cast
 
     def _meet(self, origins, directions, max_range):
         away = self._from_middle(origins)
@@ -75,15 +83,29 @@ class TreeCaster(Caster):
 
     def _from_middle(self, origins):
         """Where the rays start as the tree counts, which is made anew if it is not there or made for elsewhere."""
-        away = origins - self._middle
-        if max(away.max(), -away.min()) <= self._reach:
-            return away
-        self._middle = origins.reshape(-1, 3).mean(axis=0)
-        away = origins - self._middle
-        far = np.abs(self._corners - self._middle).max(axis=(1, 2))
-        self._reach = float(np.abs(away).max() + _ROAM * far.max())
-        self._build(grown(self._corners, self._normal, self._margin * (far + self._reach)) - self._middle)
-        return away
+        low, high = (origins, origins) if origins.ndim == 1 else (origins.min(axis=0), origins.max(axis=0))
+        if not self._serves(low, high):
+            self._make_tree(low, high)
+        return origins - self._middle
+
+    def _serves(self, low, high):
+        """Whether the tree was made for rays that start between two corners, and not for far wider ones."""
+        if self._middle is None or max((high - self._middle).max(), (self._middle - low).max()) > self._reach:
+            return False
+        widest = max(2.0 * (_REGION + _ROAM) * self._far, _MUCH_WIDER * (0.5 * (high - low).max() + _ROAM * self._far))
+        return self._reach <= widest
+
+    def _make_tree(self, low, high):
+        """Make the tree for rays that start between two corners, and where they have started before if that is near."""
+        if self._middle is not None:
+            both = np.minimum(low, self._middle - self._reach), np.maximum(high, self._middle + self._reach)
+            if 0.5 * (both[1] - both[0]).max() <= _REGION * self._far:
+                low, high = both
+        self._middle = 0.5 * (low + high)
+        away = np.abs(self._corners - self._middle).max(axis=(1, 2))
+        self._far = float(away.max())
+        self._reach = float(0.5 * (high - low).max() + _ROAM * self._far)
+        self._build(grown(self._corners, self._normal, self._margin * (away + self._reach)) - self._middle)
 
 
 def grown(corners: np.ndarray, normal: np.ndarray, margin: np.ndarray | float) -> np.ndarray:

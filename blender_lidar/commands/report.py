@@ -161,9 +161,10 @@ def _map_notes(score_map):
             f"The search missed {100 * shortfall:.1f} % of the gain that {grid} offers, at",
             f"{best['height_m']:.2f} m and {best['tilt_x_deg']:.1f} deg: give it more --particles or --iterations.",
         ]
-    regret = score_map["holdout_regret"]
+    regret = score_map.get("holdout_regret")  # not in the results of earlier versions
     if regret is not None and regret > _SMALL_SHORTFALL:
-        notes.append(f"On the held-out frames the best point of that grid gains {100 * regret:.1f} % more.")
+        lacks = f"lacks {100 * regret:.1f} % of the gain that the best point of that grid has there"
+        notes.append(f"On the held-out frames the mounting found {lacks}.")
     if score_map["share_within_1_percent"] is not None:
         share = 100 * score_map["share_within_1_percent"]
         how_many = (

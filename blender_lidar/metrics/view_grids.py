@@ -17,6 +17,7 @@ DEFAULT_CELL_M = 0.05
 
 _CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
 _WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
+_KEPT_WORDS = 1 << 19  # 4 MB: larger arrays are not kept from one cloud to the next
 _WORDS_TO_SUM = 255  # of eight bytes, each 0 or 1: the sum of so many overflows no byte
 
 
@@ -78,10 +79,15 @@ class ViewGrids:
         self._first_part = np.cumsum(parts) - parts  # of each grid
         part = np.arange(parts.sum()) - np.repeat(self._first_part, parts)
         self._part_start = np.repeat(start, parts) + _WORDS_TO_SUM * part
-        self._words = np.zeros((1, words.sum()), dtype=np.uint64)
+        self._words = np.zeros((0, words.sum()), dtype=np.uint64)  # made for the first cloud
 
     def __len__(self) -> int:
         return len(self._whole)
+
+    @property
+    def clouds_at_a_time(self) -> int:
+        """How many clouds can be scored together within the memory that is kept; 1 at least."""
+        return max(_KEPT_WORDS // max(self._words.shape[1], 1), 1)
 
     def occupancy(self, points: np.ndarray, vehicle: np.ndarray) -> np.ndarray:
         """P of the top, side and front view of each box (Eqs. 6 to 8), (n, 3).
@@ -109,7 +115,6 @@ class ViewGrids:
             along /= self._cell_m
             kept &= along >= -1.0
             kept &= along - np.take(self._last[axis], vehicle) < 2.0
-            np.maximum(along, 0.0, out=along)
         if not kept.all():
             place, vehicle = place[:, kept], vehicle[kept]
         return self._whole_cells(place, vehicle), vehicle
@@ -118,7 +123,8 @@ class ViewGrids:
         """Cells (3, k) of places (3, k) that are counted in cells from a box's rear right lower corner; in place."""
         for axis, along in enumerate(place):
             np.minimum(along, np.take(self._last[axis], vehicle), out=along)
-        return place.astype(np.int64)  # towards zero, so that what is less than a cell below 0 falls into the rim's
+            np.maximum(along, 0.0, out=along)
+        return place.astype(np.int64)
 
     def _clear(self, clouds):
         """Empty grids for some clouds."""
@@ -147,6 +153,8 @@ class ViewGrids:
         of_part = np.add.reduceat(self._words, self._part_start, axis=1).view(np.uint8)
         of_part = of_part.reshape(len(self._words), -1, 8).sum(axis=2, dtype=np.int64)
         counts = np.add.reduceat(of_part, self._first_part, axis=1).reshape(len(self._words), 3, -1)
+        if self._words.size > _KEPT_WORDS:
+            self._words = self._words[:0].copy()
         return counts.transpose(0, 2, 1) / self._whole  # Eq. 7
 
 
@@ -172,6 +180,12 @@ class PlacedGrids(ViewGrids):
         reading: str = "corrected",
     ) -> None:
         super().__init__(size, cell_m, reading)
+        centre, heading = np.asarray(centre, dtype=float), np.asarray(heading, dtype=float)
+        if centre.shape != (len(self), 3) or heading.shape != (len(self),):
+            raise InputError(
+                f"centre and heading have shapes {centre.shape} and {heading.shape}; "
+                f"allowed: {(len(self), 3)} and {(len(self),)}"
+            )
         self._centre = centre
         self._cos, self._sin = np.cos(heading), np.sin(heading)
 
@@ -198,7 +212,8 @@ class PlacedGrids(ViewGrids):
         distance : ndarray, (k,)
             Distance of each return [m].
         vehicle : ndarray of int64, (k,)
-            The box whose surface each return comes from; what rounding puts beside the box falls into the rim's cell.
+            The box whose surface each return comes from, which is not checked: what lies beside the box falls into the
+            rim's cell.
         """
         x, y, z = np.moveaxis(origins[:, None] - self._centre, -1, 0)
         turned = np.stack([self._cos * x + self._sin * y, self._cos * y - self._sin * x, z])  # Eqs. 4 and 5

@@ -104,11 +104,6 @@ class FrameScorer:
     def __len__(self) -> int:
         return len(self._vehicles)
 
-    @property
-    def size_m(self) -> np.ndarray:
-        """Length, width and height of the counted vehicles, (n, 3) [m]."""
-        return self._vehicles.size_m
-
     def see(self, poses: Sequence[Pose]) -> Seen:
         """What each of s mountings sees of the n counted vehicles."""
         points = np.zeros((len(poses), len(self)), dtype=np.int64)
@@ -134,7 +129,7 @@ class FrameScorer:
         seen = self._observation
         first, group, rays = 0, [], 0
         for beams in reachable_beams(seen.lattice, self.pieces, poses, seen.max_range_m):
-            if group and rays + len(beams) > _RAYS_AT_A_TIME:
+            if group and (rays + len(beams) > _RAYS_AT_A_TIME or len(group) == self._grids.clouds_at_a_time):
                 yield slice(first, first + len(group)), group
                 first, group, rays = first + len(group), [], 0
             group.append(beams)
