@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.errors import InputError, OutputError
 from blender_lidar.commands.report import _map_notes
+from blender_lidar.errors import InputError, OutputError
 from blender_lidar.results import RunFolder
 from tests.small_scene import (
     CASTER,
