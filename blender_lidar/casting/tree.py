@@ -17,12 +17,15 @@ a surface, which float32 cannot tell from those that start behind it.
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import partial
 
 import numpy as np
 
 from .exact import ExactCaster
 from .planes import TrianglePlanes
 from .protocol import MISS, Caster, Returns, origins_of
+
+_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 # Of a triangle's distance from where rays start: float32 keeps 6e-8 of it, and a ray-triangle test loses a few such.
 _MARGIN = 2e-7
@@ -61,8 +64,8 @@ class TreeCaster(Caster):
         reach = max_range * (1.0 + _REACH_SLACK) + _REACH_SLACK
         triangle = self._first(away, directions, reach)
         ray = np.flatnonzero(triangle != MISS)
-        triangle = np.take(triangle, ray).astype(np.int64, copy=False)
-        there = self._planes.meet(origins_of(origins, ray).T, np.take(directions.T, ray, axis=1), triangle)
+        triangle = _take(triangle, ray).astype(np.int64, copy=False)
+        there = self._planes.meet(origins_of(origins, ray).T, _take(directions.T, ray, axis=1), triangle)
         distance, doubtful = there.distance, ~there.inside
         if self._closed:
             doubtful |= there.facing >= 0.0

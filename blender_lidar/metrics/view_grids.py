@@ -6,10 +6,14 @@ word, and eight cells at a time are then summed as one number.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from ..errors import InputError
 from .readings import check_reading
+
+_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 VIEWS = ("top", "side", "front")
 VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
@@ -111,10 +115,10 @@ class ViewGrids:
         place = np.empty((3, len(points)))
         kept = np.ones(len(points), dtype=bool)
         for axis, along in enumerate(place):
-            np.add(points[:, axis], np.take(self._half[axis], vehicle), out=along)
+            np.add(points[:, axis], _take(self._half[axis], vehicle), out=along)
             along /= self._cell_m
             kept &= along >= -1.0
-            kept &= along - np.take(self._last[axis], vehicle) < 2.0
+            kept &= along - _take(self._last[axis], vehicle) < 2.0
         if not kept.all():
             place, vehicle = place[:, kept], vehicle[kept]
         return self._whole_cells(place, vehicle), vehicle
@@ -122,7 +126,7 @@ class ViewGrids:
     def _whole_cells(self, place, vehicle):
         """Cells (3, k) of places (3, k) that are counted in cells from a box's rear right lower corner; in place."""
         for axis, along in enumerate(place):
-            np.minimum(along, np.take(self._last[axis], vehicle), out=along)
+            np.minimum(along, _take(self._last[axis], vehicle), out=along)
             np.maximum(along, 0.0, out=along)
         return place.astype(np.int64)
 
@@ -136,12 +140,12 @@ class ViewGrids:
     def _mark(self, cell, vehicle, cloud=None):
         """Mark the cells that hold a point in all three views: Eq. 6, each once however many points it holds."""
         marks = self._words.view(bool)
-        columns = {axis: np.take(self._cells[axis], vehicle) for axis in (1, 2)}
+        columns = {axis: _take(self._cells[axis], vehicle) for axis in (1, 2)}
         before = None if cloud is None else cloud * marks.shape[1]  # cells of the clouds before
         for view, (row, column) in enumerate(VIEW_AXES):
             flat = cell[row] * columns[column]
             flat += cell[column]
-            flat += np.take(self._start[view], vehicle)
+            flat += _take(self._start[view], vehicle)
             if before is not None:
                 flat += before
             marks.reshape(-1)[flat] = True
@@ -223,7 +227,7 @@ class PlacedGrids(ViewGrids):
         for first in range(0, len(vehicle), _CHUNK_POINTS):
             chunk = slice(first, first + _CHUNK_POINTS)
             row, (x, y, z), cells_away = vehicle[chunk], directions[:, chunk], distance[chunk] / self._cell_m
-            cos, sin = np.take(self._cos, row), np.take(self._sin, row)
+            cos, sin = _take(self._cos, row), _take(self._sin, row)
             place = np.empty((3, len(row)))
             np.multiply(cos, x, out=place[0])
             np.multiply(cos, y, out=place[1])
@@ -234,6 +238,6 @@ class PlacedGrids(ViewGrids):
             in_start = row if number is None else number * len(self) + row
             for axis, along in enumerate(place):
                 along *= cells_away
-                along += np.take(start[axis], in_start)
+                along += _take(start[axis], in_start)
             self._mark(self._whole_cells(place, row), row, number)
         return self._marked()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from ..world.triangles import vehicle_triangles
+
+_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 _RAYS_AT_A_TIME = 1 << 14  # of several mountings: enough to amortise NumPy's calls, few enough for the cache
 
@@ -144,21 +147,21 @@ class FrameScorer:
         """
         seen, components = self._observation, self._observation.lattice.components.reshape(3, -1)
         directions = [
-            pose.to_world(np.take(components, some, axis=1).T).T for pose, some in zip(poses, beams, strict=True)
+            pose.to_world(_take(components, some, axis=1).T).T for pose, some in zip(poses, beams, strict=True)
         ]
         if len(poses) == 1:
             mount, origins, directions = None, poses[0].position, directions[0]
         else:
             mount = np.repeat(np.arange(len(poses)), [len(some) for some in beams])
-            origins = np.take(np.array([pose.position for pose in poses]).T, mount, axis=1).T
+            origins = _take(np.array([pose.position for pose in poses]).T, mount, axis=1).T
             directions = np.concatenate(directions, axis=1)
         found = self._tree.meet(origins, directions.T, seen.max_range_m)
-        row = np.take(self._counted_row, found.triangle)
+        row = _take(self._counted_row, found.triangle)
         wanted = np.flatnonzero((row >= 0) & (found.distance >= seen.min_range_m))
-        ray = np.take(found.ray, wanted)
+        ray = _take(found.ray, wanted)
         return (
-            None if mount is None else np.take(mount, ray),
-            np.take(directions, ray, axis=1),
-            np.take(found.distance, wanted),
-            np.take(row, wanted),
+            None if mount is None else _take(mount, ray),
+            _take(directions, ray, axis=1),
+            _take(found.distance, wanted),
+            _take(row, wanted),
         )
