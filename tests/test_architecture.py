@@ -25,6 +25,7 @@ LIBRARIES = {
     "bpy": ("casting/bvh.py", "world/blender/", "addon/"),
     "mathutils": ("casting/bvh.py", "world/blender/", "addon/"),
     "embreex": ("casting/embree.py",),
+    "laspy": ("formats/las.py",),
     "matplotlib": ("plots/",),
     "tqdm": ("commands/progress.py",),
 }

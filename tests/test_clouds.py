@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.formats.atomic import whole_file, write_bytes, write_text
-from blender_lidar.formats.clouds import WRITERS, check_cloud_name, read_points, write_cloud
+from blender_lidar.formats.clouds import READABLE, check_cloud_name, read_points, write_cloud
 from blender_lidar.scan import scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
@@ -25,8 +25,13 @@ from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES
 from tests.sample_traffic import dense_traffic
 
-HEADER = {"sensor": "RS-16", "pose": {"height_m": 4.1}, "frame": 7, "note": "größer, \u2265 5 m"}
-SUFFIXES = sorted(WRITERS)
+HEADER = {
+    "sensor": "RS-16",
+    "pose": {"x_m": 0.0, "y_m": 0.0, "height_m": 4.1, "yaw_deg": 0.0},
+    "frame": 7,
+    "note": "größer, \u2265 5 m",
+}
+SUFFIXES = sorted(READABLE)
 
 
 def made(vehicles=20, gate=40.0):
@@ -170,7 +175,7 @@ def test_a_file_that_is_missing_a_folder_or_of_another_kind_is_refused(tmp_path)
     (tmp_path / "cloud.xyz").write_text("1 2 3\n")
     with pytest.raises(InputError, match=r"unknown cloud format '\.xyz'; allowed: \.npz, \.pcd"):
         read_points(tmp_path / "cloud.xyz")
-    for name in ("cloud", "cloud.las", ".npz"):
+    for name in ("cloud", "cloud.e57", ".npz"):
         with pytest.raises(InputError, match=r"^--out: .*unknown cloud format"):
             check_cloud_name(tmp_path / name, "--out")
 

@@ -7,7 +7,7 @@ import argparse
 import numpy as np
 
 from ..casting import resolve
-from ..formats.clouds import check_cloud_name, write_cloud
+from ..formats.clouds import WRITERS, check_cloud_name, write_cloud
 from ..results import versions
 from ..scan import scan
 from ..scenario import pose_at
@@ -25,14 +25,20 @@ def add_parser(subparsers) -> None:
     parser = subparsers.add_parser(
         "scan",
         help="write the point cloud of one frame",
-        description="Cast one revolution over one frame and write the cloud: .npz with everything, or binary .pcd.",
+        description="Cast one revolution over one frame and write the cloud: .npz with everything, .pcd, .ply, .las, "
+        ".laz, or KITTI's .bin with its .label.",
     )
     add_scene(parser, leave_out=_LEFT_OUT)
     parser.add_argument(
         "--frame", type=int, required=True, metavar="K", help="frame number, as the recording counts them"
     )
     add_pose(parser)
-    parser.add_argument("--out", required=True, metavar="CLOUD", help="the file to write: cloud.npz or cloud.pcd")
+    parser.add_argument(
+        "--out",
+        required=True,
+        metavar="CLOUD",
+        help=f"the file to write; its suffix is the format: {', '.join(WRITERS)}",
+    )
     parser.set_defaults(run=run)
 
 

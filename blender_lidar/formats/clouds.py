@@ -1,11 +1,11 @@
-"""Point clouds as files: NPZ, which keeps everything, and binary PCD, which every viewer opens."""
+"""Point clouds as files: NPZ, which keeps everything, and the formats of viewers, surveyors and data sets."""
 
 from __future__ import annotations
 
 import io
 import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,10 @@ import numpy as np
 from ..errors import InputError, MissingFileError
 from ..scan import PointCloud, class_names
 from .atomic import write_bytes
+from .kitti import write_kitti
+from .las import write_las
 from .pcd import read_pcd, write_pcd
+from .ply import write_ply
 
 
 def write_npz(path: str | Path, cloud: PointCloud, header: dict) -> None:
@@ -35,14 +38,22 @@ def write_npz(path: str | Path, cloud: PointCloud, header: dict) -> None:
     write_bytes(path, packed.getvalue())
 
 
-WRITERS: dict[str, Callable[[str | Path, PointCloud, dict], None]] = {".npz": write_npz, ".pcd": write_pcd}
+WRITERS: dict[str, Callable[[str | Path, PointCloud, dict], None]] = {
+    ".npz": write_npz,
+    ".pcd": write_pcd,
+    ".ply": write_ply,
+    ".bin": write_kitti,
+    ".las": write_las,
+    ".laz": write_las,
+}
+READABLE = (".npz", ".pcd")
 
 
-def check_cloud_name(path: str | Path, option: str) -> Path:
-    """`path`, if its suffix names a format that clouds are written in."""
+def check_cloud_name(path: str | Path, option: str, formats: Iterable[str] = WRITERS) -> Path:
+    """`path`, if its suffix names one of the formats; by default those that clouds are written in."""
     path = Path(path)
-    if path.suffix.lower() not in WRITERS:
-        raise InputError(f"{option}: {path}: unknown cloud format {path.suffix!r}; allowed: {', '.join(WRITERS)}")
+    if path.suffix.lower() not in formats:
+        raise InputError(f"{option}: {path}: unknown cloud format {path.suffix!r}; allowed: {', '.join(formats)}")
     return path
 
 
@@ -75,8 +86,8 @@ def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """
     path = Path(path)
     if path.is_dir():
-        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(WRITERS)}")
-    check_cloud_name(path, "cloud")
+        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(READABLE)}")
+    check_cloud_name(path, "cloud", READABLE)
     try:
         points, vehicle_id = _read_npz(path) if path.suffix.lower() == ".npz" else read_pcd(path)
     except FileNotFoundError as error:

@@ -9,9 +9,10 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import InputError, OutputError
+from ..errors import InputError
 from ..scan import PointCloud
 from .atomic import write_bytes
+from .identifiers import check_ids_fit
 
 # Name, PCD type and size in bytes of each field; RoboSense's XYZIRT and what a labelled cloud adds.
 _FIELDS = (
@@ -37,9 +38,7 @@ def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
     OutputError
         If the file cannot be written, or a vehicle's id does not fit into its 32 bits.
     """
-    wide = cloud.vehicle_id[cloud.vehicle_id != cloud.vehicle_id.astype(np.int32)]
-    if len(wide):
-        raise OutputError(f"{path}: vehicle_id {wide[0]} does not fit into the 32 bits of a PCD file; .npz keeps it")
+    check_ids_fit(path, cloud.vehicle_id, 32)
     record = np.zeros(len(cloud), dtype=[(name, f"<{_NUMPY_KINDS[kind]}{size}") for name, kind, size in _FIELDS])
     for axis, name in enumerate("xyz"):
         record[name] = cloud.xyz[:, axis]

@@ -1,0 +1,127 @@
+"""Clouds for other programs, read back by readers that are not ours."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from blender_lidar.cli import main
+from blender_lidar.errors import MissingExtraError, OutputError
+from blender_lidar.formats.clouds import WRITERS, write_cloud
+from blender_lidar.formats.kitti import ROAD, SEMANTIC_CLASSES, levelled
+from blender_lidar.scan import PointCloud, scan
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic.vehicles import CLASSES
+from tests.sample_traffic import dense_traffic
+from tests.small_scene import write_scene
+
+HEADER = {"sensor": "RS-16", "pose": {"x_m": 1.0, "y_m": -0.5, "height_m": 4.1, "yaw_deg": 30.0}, "frame": 7}
+OTHERS = sorted(set(WRITERS) - {".npz", ".pcd"})
+
+
+def made(vehicles=20):
+    return scan(
+        dense_traffic(vehicles=vehicles, length_m=60.0),
+        beam_lattice(load_model("RS-16"), stride=20),
+        Pose(1.0, -0.5, 4.1, 0.3, 0.0, math.radians(30.0)),
+        caster="exact",
+        min_range_m=0.4,
+        max_range_m=40.0,
+    )
+
+
+CLOUD, EMPTY = made(), made(0)
+
+
+def with_ids(cloud: PointCloud, vehicle_id: int) -> PointCloud:
+    ids = np.where(cloud.vehicle_id >= 0, vehicle_id, -1)
+    return PointCloud(**{name: getattr(cloud, name) for name in PointCloud.__slots__} | {"vehicle_id": ids})
+
+
+@pytest.mark.parametrize("cloud", [CLOUD, EMPTY], ids=["traffic", "empty road"])
+def test_a_ply_file_is_what_plyfile_reads(tmp_path, cloud):
+    plyfile = pytest.importorskip("plyfile")
+    write_cloud(tmp_path / "cloud.ply", cloud, HEADER)
+    content = plyfile.PlyData.read(str(tmp_path / "cloud.ply"))
+    vertex = content["vertex"]
+    np.testing.assert_array_equal(
+        np.column_stack([vertex[name] for name in "xyz"]).reshape(-1, 3), cloud.xyz.astype(np.float32)
+    )
+    np.testing.assert_array_equal(vertex["intensity"], cloud.intensity.astype(np.float32))
+    for name, column in (("ring", cloud.ring), ("time", cloud.time_s), ("vehicle_id", cloud.vehicle_id)):
+        np.testing.assert_array_equal(vertex[name], column)
+    np.testing.assert_array_equal(vertex["class"], cloud.class_index)
+    assert json.loads(content.comments[0]) == HEADER
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize("cloud", [CLOUD, EMPTY], ids=["traffic", "empty road"])
+def test_a_las_file_is_what_laspy_reads(tmp_path, cloud, suffix):
+    laspy = pytest.importorskip("laspy")
+    write_cloud(tmp_path / f"cloud{suffix}", cloud, HEADER)
+    las = laspy.read(tmp_path / f"cloud{suffix}")
+    np.testing.assert_allclose(las.xyz.reshape(-1, 3), cloud.xyz, atol=0.5e-4 + 1e-9)
+    np.testing.assert_allclose(np.asarray(las.intensity) / 65535, cloud.intensity, atol=1e-5)
+    np.testing.assert_array_equal(las.gps_time, cloud.time_s)
+    for name in ("ring", "vehicle_id", "class_index"):
+        np.testing.assert_array_equal(las[name], getattr(cloud, name))
+    np.testing.assert_array_equal(np.asarray(las.classification) == 64, cloud.vehicle_id >= 0)
+    assert json.loads(las.vlrs.get_by_id("blender_lidar")[0].record_data) == HEADER
+
+
+def test_a_kitti_file_holds_the_levelled_sensors_frame_and_semantickittis_labels(tmp_path):
+    write_cloud(tmp_path / "000007.bin", CLOUD, HEADER)
+    rows = np.fromfile(tmp_path / "000007.bin", dtype=np.float32).reshape(-1, 4)
+    label = np.fromfile(tmp_path / "000007.label", dtype=np.uint32)
+    assert len(rows) == len(label) == len(CLOUD)
+    np.testing.assert_allclose(np.linalg.norm(rows[:, :3], axis=1), CLOUD.range_m, rtol=1e-6)
+    np.testing.assert_allclose(rows[:, 2], CLOUD.xyz[:, 2] - 4.1, atol=1e-5)
+    np.testing.assert_array_equal(rows[:, 3], CLOUD.intensity.astype(np.float32))
+    of_vehicle = CLOUD.vehicle_id >= 0
+    assert of_vehicle.sum() > 100
+    np.testing.assert_array_equal(label[of_vehicle] >> 16, CLOUD.vehicle_id[of_vehicle])
+    np.testing.assert_array_equal(label[of_vehicle] & 0xFFFF, SEMANTIC_CLASSES[CLOUD.class_index[of_vehicle]])
+    assert (label[~of_vehicle] == ROAD).all()
+    assert len(SEMANTIC_CLASSES) == len(CLASSES)
+
+
+def test_the_levelled_frame_looks_along_the_lidars_y_axis_and_turns_with_its_yaw():
+    pose = {"x_m": 2.0, "y_m": 0.0, "height_m": 4.0, "yaw_deg": 0.0}
+    ahead, left = np.array([[2.0, 10.0, 4.0]]), np.array([[-8.0, 0.0, 4.0]])  # across the road, and back along it
+    np.testing.assert_allclose(levelled(ahead, pose), [[10.0, 0.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(levelled(left, pose), [[0.0, 10.0, 0.0]], atol=1e-12)
+    turned = {**pose, "yaw_deg": 90.0}  # counter-clockwise: its +y now looks back along the road
+    np.testing.assert_allclose(levelled(left, turned), [[10.0, 0.0, 0.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("suffix", "largest"), [(".ply", 2**31 - 1), (".las", 2**31 - 1), (".bin", 2**16 - 1)])
+def test_an_id_that_a_format_cannot_hold_is_refused_and_nothing_is_left(tmp_path, suffix, largest):
+    if suffix == ".las":
+        pytest.importorskip("laspy")
+    write_cloud(tmp_path / f"fits{suffix}", with_ids(CLOUD, largest), HEADER)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(OutputError, match=rf"wide\{suffix}: vehicle_id {largest + 1} does not fit into .*npz keeps it"):
+        write_cloud(tmp_path / f"wide{suffix}", with_ids(CLOUD, largest + 1), HEADER)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_without_laspy_a_las_file_is_refused_with_the_extra_that_brings_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "laspy", None)
+    with pytest.raises(MissingExtraError, match=r"blender_lidar\[formats\]"):
+        write_cloud(tmp_path / "cloud.las", CLOUD, HEADER)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", OTHERS)
+def test_scan_writes_every_format(tmp_path, capsys, suffix):
+    if suffix in (".las", ".laz"):
+        pytest.importorskip("laspy")
+    words = ["scan", str(write_scene(tmp_path)), "--frame", "30", "--height", "4.1", "--caster", "exact"]
+    assert main([*words, "--out", str(tmp_path / f"cloud{suffix}")]) == 0
+    assert (tmp_path / f"cloud{suffix}").stat().st_size > 1000
+    assert "points" in capsys.readouterr().out
