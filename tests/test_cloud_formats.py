@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -125,3 +126,40 @@ def test_scan_writes_every_format(tmp_path, capsys, suffix):
     assert main([*words, "--out", str(tmp_path / f"cloud{suffix}")]) == 0
     assert (tmp_path / f"cloud{suffix}").stat().st_size > 1000
     assert "points" in capsys.readouterr().out
+
+
+def test_scan_writes_a_cloud_for_each_of_many_frames(tmp_path, capsys):
+    scene, mount = str(write_scene(tmp_path)), ["--height", "4.1", "--tilt-x", "10", "--caster", "exact"]
+    assert main(["scan", scene, "--frame-ids", "20:40:10", *mount, "--out", str(tmp_path / "clouds")]) == 0
+    printed = capsys.readouterr()
+    assert sorted(path.name for path in (tmp_path / "clouds").iterdir()) == ["000020.npz", "000030.npz", "000040.npz"]
+    assert "scan: 3 of 3" in printed.err
+    assert main(["scan", scene, "--frame", "30", *mount, "--out", str(tmp_path / "alone.npz")]) == 0
+    with np.load(tmp_path / "clouds" / "000030.npz") as one_of_many, np.load(tmp_path / "alone.npz") as alone:
+        assert one_of_many.files == alone.files
+        for name in alone.files:
+            np.testing.assert_array_equal(one_of_many[name], alone[name])
+        total = f"3 clouds with {sum(len(np.load(path)['xyz']) for path in (tmp_path / 'clouds').iterdir())} points"
+    assert total in printed.out
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--frame", "30", "--format", "ply", "--out", "cloud.npz"], "--format: goes with --frame-ids"),
+        (["--frame-ids", "20,20", "--out", "clouds"], "--frame-ids: names a frame twice"),
+        (["--frame-ids", "20,999", "--out", "clouds"], "--frame-ids: .*999"),
+        (["--frame-ids", "20", "--out", "scene.toml"], "is a file; allowed: a folder"),
+        (["--frame-ids", "20", "--format", "xyz", "--out", "clouds"], "--format: invalid choice: 'xyz'"),
+        (["--frame", "20", "--frame-ids", "20", "--out", "clouds"], "not allowed with"),
+        (["--out", "cloud.npz"], "--frame --frame-ids is required"),
+    ],
+)
+def test_bad_choices_of_frames_and_formats_are_one_line(tmp_path, monkeypatch, capsys, words, says):
+    scene = write_scene(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert main(["scan", str(scene), "--caster", "exact", *words]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert re.search(says, err)
+    assert not (tmp_path / "clouds").exists()

@@ -1,82 +1,135 @@
-"""blender-lidar scan: one frame's whole cloud, ground included."""
+"""blender-lidar scan: the whole clouds of one frame or of many, ground included."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from ..casting import resolve
+from ..errors import InputError
 from ..formats.clouds import WRITERS, check_cloud_name, write_cloud
 from ..results import versions
-from ..scan import scan
-from ..scenario import pose_at
-from ..sensors.beams import beam_lattice
+from ..scan import PointCloud, scan
+from ..scenario import Scenario, pose_at
+from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import load_model
 from ..study.keep_clear import check_mount_is_clear
 from ..study.site import frame_of, read_recording
-from .options import SEARCH_OPTIONS, add_pose, add_scene, mounting_from, scenario_from
+from ..traffic.vehicles import Vehicles
+from .options import SEARCH_OPTIONS, add_pose, add_scene, mounting_from, parse_frames, scenario_from
+from .progress import Progress
 
 _LEFT_OUT = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--reading", "--workers", "--seed")
+_FORMATS = [suffix.removeprefix(".") for suffix in WRITERS]
 
 
 def add_parser(subparsers) -> None:
     """Describe the verb to argparse."""
     parser = subparsers.add_parser(
         "scan",
-        help="write the point cloud of one frame",
-        description="Cast one revolution over one frame and write the cloud: .npz with everything, .pcd, .ply, .las, "
-        ".laz, or KITTI's .bin with its .label.",
+        help="write the point clouds of frames",
+        description="Cast one revolution over a frame and write the cloud: .npz with everything, .pcd, .ply, .las, "
+        ".laz, or KITTI's .bin with its .label. With --frame-ids a folder of clouds, one for each frame.",
     )
     add_scene(parser, leave_out=_LEFT_OUT)
-    parser.add_argument(
-        "--frame", type=int, required=True, metavar="K", help="frame number, as the recording counts them"
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--frame", type=int, metavar="K", help="frame number, as the recording counts them")
+    which.add_argument(
+        "--frame-ids", dest="sequence", metavar="IDS", help="many frames: 100,150 or 100:160:5, its end included"
     )
     add_pose(parser)
     parser.add_argument(
         "--out",
         required=True,
         metavar="CLOUD",
-        help=f"the file to write; its suffix is the format: {', '.join(WRITERS)}",
+        help="the file to write, whose suffix is the format; the folder to write to with --frame-ids",
     )
+    parser.add_argument("--format", choices=_FORMATS, help="format of the files in the folder; npz unless said")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    out = check_cloud_name(args.out, "--out")
+    one = args.sequence is None
+    if one and args.format is not None:
+        raise InputError("--format: goes with --frame-ids; the suffix of --out says what one cloud is written as")
+    numbers, option = ([args.frame], "--frame") if one else (parse_frames(args.sequence, "--frame-ids"), "--frame-ids")
+    paths = [check_cloud_name(args.out, "--out")] if one else _paths(Path(args.out), numbers, args.format or "npz")
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
     model = load_model(scenario.sensor.name)
-    lattice = beam_lattice(model, scenario.sensor.rotation_hz)
-    caster = resolve(scenario.model.caster)
-    vehicles = frame_of(read_recording(scenario), args.frame, "--frame")
-    check_mount_is_clear(scenario, [vehicles], {"--x, --y": mount})
-    cloud = scan(
-        vehicles,
-        lattice,
-        pose_at(mount),
-        caster=caster,
-        detail=scenario.model.detail,
-        min_range_m=model.range_min_m,
-        max_range_m=scenario.sensor.range_gate_m,
+    scanner = _Scanner(
+        scenario, mount, beam_lattice(model, scenario.sensor.rotation_hz), resolve(scenario.model.caster)
     )
-    header = {
-        "sensor": model.name,
-        "pose": mount,
-        "frame": args.frame,
-        "caster": caster,
-        "detail": scenario.model.detail,
-        "ring_elevation_deg": np.degrees(lattice.elevation_rad).round(6).tolist(),
-        "azimuth_step_deg": float(np.degrees(lattice.step_rad)),
-        "rotation_hz": lattice.rotation_hz,
-        "range_m": [model.range_min_m, scenario.sensor.range_gate_m],
-        "versions": versions(caster),
-    }
-    write_cloud(out, cloud, header)
-    of_vehicle = cloud.vehicle_id[cloud.vehicle_id >= 0]
-    print(
-        f"{out}: {len(cloud)} points, {len(of_vehicle)} of them on {len(np.unique(of_vehicle))} of {len(vehicles)} "
-        f"vehicles ({model.name}, {caster})"
-    )
+    recording = read_recording(scenario)
+    frames = [frame_of(recording, number, option) for number in numbers]
+    check_mount_is_clear(scenario, frames, {"--x, --y": mount})
+    if one:
+        cloud = scanner.write(paths[0], frames[0])
+        of_vehicle = cloud.vehicle_id[cloud.vehicle_id >= 0]
+        print(
+            f"{paths[0]}: {len(cloud)} points, {len(of_vehicle)} of them on {len(np.unique(of_vehicle))} of "
+            f"{len(frames[0])} vehicles ({model.name}, {scanner.caster})"
+        )
+        return 0
+    Path(args.out).mkdir(parents=True, exist_ok=True)
+    progress, points = Progress(len(frames), "scan"), 0
+    try:
+        for path, vehicles in zip(paths, frames, strict=True):
+            points += len(scanner.write(path, vehicles))
+            progress.advance(1)
+    finally:
+        progress.close()
+    print(f"{args.out}: {len(frames)} clouds with {points} points ({model.name}, {scanner.caster})")
     return 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Scanner:
+    """A mounted sensor: scans frames and writes their clouds."""
+
+    scenario: Scenario
+    mount: Mapping[str, float]
+    lattice: BeamLattice
+    caster: str
+
+    def write(self, path: Path, vehicles: Vehicles) -> PointCloud:
+        """Scan one frame and write its cloud, which is returned."""
+        model, detail = self.lattice.model, self.scenario.model.detail
+        near, far = model.range_min_m, self.scenario.sensor.range_gate_m
+        cloud = scan(
+            vehicles,
+            self.lattice,
+            pose_at(self.mount),
+            caster=self.caster,
+            detail=detail,
+            min_range_m=near,
+            max_range_m=far,
+        )
+        header = {
+            "sensor": model.name,
+            "pose": self.mount,
+            "frame": vehicles.frame,
+            "caster": self.caster,
+            "detail": detail,
+            "ring_elevation_deg": np.degrees(self.lattice.elevation_rad).round(6).tolist(),
+            "azimuth_step_deg": float(np.degrees(self.lattice.step_rad)),
+            "rotation_hz": self.lattice.rotation_hz,
+            "range_m": [near, far],
+            "versions": versions(self.caster),
+        }
+        write_cloud(path, cloud, header)
+        return cloud
+
+
+def _paths(folder: Path, numbers: list[int], cloud_format: str) -> list[Path]:
+    """A file in the folder for each frame, named by its number."""
+    if len(set(numbers)) < len(numbers):
+        raise InputError("--frame-ids: names a frame twice")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"--out: {folder}: is a file; allowed: a folder for the clouds of --frame-ids")
+    return [folder / f"{number:06d}.{cloud_format}" for number in numbers]
