@@ -41,7 +41,7 @@ ROOMS = {
     "world": {"traffic"},
     "casting": {"sensors", "traffic", "world"},
     "scan": {"casting", "sensors", "traffic", "world"},
-    "formats": {"scan"},
+    "formats": {"scan", "traffic"},
     "plots": {"metrics", "sensors"},
     "settings": {"sensors", "traffic"},
     "scenario": {"casting", "optimise", "sensors", "settings", "toml_table", "traffic", "world"},

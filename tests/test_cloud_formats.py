@@ -11,8 +11,9 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.errors import MissingExtraError, OutputError
-from blender_lidar.formats.clouds import WRITERS, write_cloud
+from blender_lidar.formats.clouds import WRITERS, read_points, write_cloud
 from blender_lidar.formats.kitti import ROAD, SEMANTIC_CLASSES, levelled
+from blender_lidar.formats.sustechpoints import write_sustechpoints
 from blender_lidar.scan import PointCloud, scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
@@ -128,6 +129,29 @@ def test_scan_writes_every_format(tmp_path, capsys, suffix):
     assert "points" in capsys.readouterr().out
 
 
+def test_labels_of_sustechpoints_hold_the_points_of_their_vehicles(tmp_path):
+    """Each point of a vehicle lies within the box that its label gives, in the frame of the cloud beside it."""
+    vehicles = dense_traffic(vehicles=20, length_m=60.0)
+    write_sustechpoints(tmp_path, CLOUD, vehicles, HEADER)
+    name = f"{vehicles.frame:06d}"
+    points, vehicle_id = read_points(tmp_path / "lidar" / f"{name}.pcd")
+    labels = json.loads((tmp_path / "label" / f"{name}.json").read_text())
+    assert {label["obj_id"] for label in labels} == {str(number) for number in set(vehicle_id.tolist()) - {-1}}
+    assert len(labels) > 3
+    for label in labels:
+        position, rotation, scale = (
+            np.array([label["psr"][part][axis] for axis in "xyz"]) for part in ("position", "rotation", "scale")
+        )
+        mine = points[vehicle_id == int(label["obj_id"])] - position
+        cos, sin = math.cos(rotation[2]), math.sin(rotation[2])
+        inside = np.column_stack([cos * mine[:, 0] + sin * mine[:, 1], cos * mine[:, 1] - sin * mine[:, 0], mine[:, 2]])
+        assert (np.abs(inside) <= 0.5 * scale + 1e-4).all()
+        assert np.abs(inside).max() > 0.3 * scale.min()
+        assert rotation[:2].tolist() == [0.0, 0.0]
+        row = np.flatnonzero(vehicles.vehicle_id == int(label["obj_id"]))[0]
+        assert label["obj_type"].lower() == vehicles.class_name[row]
+
+
 def test_scan_writes_a_cloud_for_each_of_many_frames(tmp_path, capsys):
     scene, mount = str(write_scene(tmp_path)), ["--height", "4.1", "--tilt-x", "10", "--caster", "exact"]
     assert main(["scan", scene, "--frame-ids", "20:40:10", *mount, "--out", str(tmp_path / "clouds")]) == 0
@@ -163,3 +187,10 @@ def test_bad_choices_of_frames_and_formats_are_one_line(tmp_path, monkeypatch, c
     assert err.count("\n") == 1
     assert re.search(says, err)
     assert not (tmp_path / "clouds").exists()
+
+
+def test_scan_writes_a_folder_for_sustechpoints(tmp_path):
+    words = ["scan", str(write_scene(tmp_path)), "--height", "4.1", "--caster", "exact", "--frame-ids", "20,30"]
+    assert main([*words, "--format", "sustechpoints", "--out", str(tmp_path / "scene")]) == 0
+    found = sorted(path.relative_to(tmp_path / "scene").as_posix() for path in (tmp_path / "scene").rglob("*.*"))
+    assert found == ["label/000020.json", "label/000030.json", "lidar/000020.pcd", "lidar/000030.pcd"]

@@ -12,6 +12,7 @@ import numpy as np
 from ..casting import resolve
 from ..errors import InputError
 from ..formats.clouds import WRITERS, check_cloud_name, write_cloud
+from ..formats.sustechpoints import write_sustechpoints
 from ..results import versions
 from ..scan import PointCloud, scan
 from ..scenario import Scenario, pose_at
@@ -24,7 +25,8 @@ from .options import SEARCH_OPTIONS, add_pose, add_scene, mounting_from, parse_f
 from .progress import Progress
 
 _LEFT_OUT = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--reading", "--workers", "--seed")
-_FORMATS = [suffix.removeprefix(".") for suffix in WRITERS]
+_SUSTECHPOINTS = "sustechpoints"
+_FORMATS = [*(suffix.removeprefix(".") for suffix in WRITERS), _SUSTECHPOINTS]
 
 
 def add_parser(subparsers) -> None:
@@ -48,7 +50,11 @@ def add_parser(subparsers) -> None:
         metavar="CLOUD",
         help="the file to write, whose suffix is the format; the folder to write to with --frame-ids",
     )
-    parser.add_argument("--format", choices=_FORMATS, help="format of the files in the folder; npz unless said")
+    parser.add_argument(
+        "--format",
+        choices=_FORMATS,
+        help="format of the files in the folder; npz unless said, sustechpoints adds labels",
+    )
     parser.set_defaults(run=run)
 
 
@@ -62,9 +68,8 @@ def run(args: argparse.Namespace) -> int:
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
     model = load_model(scenario.sensor.name)
-    scanner = _Scanner(
-        scenario, mount, beam_lattice(model, scenario.sensor.rotation_hz), resolve(scenario.model.caster)
-    )
+    lattice, caster = beam_lattice(model, scenario.sensor.rotation_hz), resolve(scenario.model.caster)
+    scanner = _Scanner(scenario, mount, lattice, caster, args.format == _SUSTECHPOINTS)
     recording = read_recording(scenario)
     frames = [frame_of(recording, number, option) for number in numbers]
     check_mount_is_clear(scenario, frames, {"--x, --y": mount})
@@ -96,9 +101,10 @@ class _Scanner:
     mount: Mapping[str, float]
     lattice: BeamLattice
     caster: str
+    labelled_folder: bool
 
     def write(self, path: Path, vehicles: Vehicles) -> PointCloud:
-        """Scan one frame and write its cloud, which is returned."""
+        """Scan one frame and write its cloud, which is returned; with `labelled_folder` into SUSTechPOINTS's folder."""
         model, detail = self.lattice.model, self.scenario.model.detail
         near, far = model.range_min_m, self.scenario.sensor.range_gate_m
         cloud = scan(
@@ -122,14 +128,19 @@ class _Scanner:
             "range_m": [near, far],
             "versions": versions(self.caster),
         }
-        write_cloud(path, cloud, header)
+        if self.labelled_folder:
+            write_sustechpoints(path, cloud, vehicles, header)
+        else:
+            write_cloud(path, cloud, header)
         return cloud
 
 
 def _paths(folder: Path, numbers: list[int], cloud_format: str) -> list[Path]:
-    """A file in the folder for each frame, named by its number."""
+    """A file in the folder for each frame, named by its number; the folder itself where a format orders it."""
     if len(set(numbers)) < len(numbers):
         raise InputError("--frame-ids: names a frame twice")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out: {folder}: is a file; allowed: a folder for the clouds of --frame-ids")
+    if cloud_format == _SUSTECHPOINTS:
+        return [folder] * len(numbers)
     return [folder / f"{number:06d}.{cloud_format}" for number in numbers]
