@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import sys
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,6 +22,9 @@ def run_identity(scenario: Scenario, caster: str) -> dict[str, object]:
     tables["traffic"]["path"] = f"file with SHA-256 {file_digest(scenario.traffic.path)}"
     if scenario.sensor.is_file:
         tables["sensor"]["name"] = f"file with SHA-256 {file_digest(scenario.sensor.name)}"
+    for key, path in (("blend", scenario.world.blend), ("mesh", scenario.world.mesh)):
+        if path is not None:
+            tables["world"][key] = f"file with SHA-256 {file_digest(path)}"
     flat = {f"[{table}] {key}": value for table, content in tables.items() for key, value in content.items()}
     return json.loads(json.dumps({"blender_lidar": __version__, **flat}))
 
@@ -43,4 +47,6 @@ def versions(caster: str) -> dict[str, str]:
     for library in libraries:
         with suppress(PackageNotFoundError):
             found[library] = version(library)
+    if caster == "bvh" and "bpy" not in found:  # within a real Blender
+        found["bpy"] = sys.modules["bpy"].app.version_string
     return found

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from . import __version__
-from .errors import InputError, OutputError
+from .errors import InputError, MissingFileError, OutputError
 from .formats.atomic import write_text
 from .formats.lock import folder_lock
 from .formats.tables import to_csv, write_columns
@@ -121,6 +121,9 @@ class RunFolder:
         tables["traffic"]["path"] = str(Path(tables["traffic"]["path"]).resolve())
         if scenario.sensor.is_file:
             tables["sensor"]["name"] = str(Path(tables["sensor"]["name"]).resolve())
+        for key in ("blend", "mesh"):
+            if tables["world"][key] is not None:
+                tables["world"][key] = str(Path(tables["world"][key]).resolve())
         write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n" + to_toml(tables))
 
     def write_checkpoint(self, identity: Mapping, state: Mapping) -> None:
@@ -149,6 +152,28 @@ class RunFolder:
         if content is not None:
             self._check_identity(content, identity)
         return content
+
+    def ended_result(self) -> dict:
+        """The result of a run that has ended here.
+
+        Raises
+        ------
+        MissingFileError, InputError
+            When there is none, or it is damaged.
+        """
+        content = self._read_json(RESULT)
+        if content is None:
+            raise MissingFileError(
+                f"{self.file(RESULT)}: there is no such file; allowed: the folder of a run that ended"
+            )
+        if not isinstance(content.get("deployment"), dict) or not isinstance(content.get("baseline"), dict):
+            raise InputError(f"{self.file(RESULT)}: is not the result of a run")
+        return content
+
+    @property
+    def scene(self) -> Path:
+        """The scene as the run used it."""
+        return self.file(SCENE)
 
     def finish(self, result: Mapping) -> None:
         """Write the result, which ends the run, and drop the checkpoint."""

@@ -131,6 +131,8 @@ def _draw_clouds(site, folder, drawn, outcome, sensor_xy, mountings):
             detail=site.observation.detail,
             min_range_m=site.observation.min_range_m,
             max_range_m=site.observation.max_range_m,
+            ground=site.scenario.world.ground,
+            scenery=site.observation.scenery,
         )
         clouds.append({"xyz": cloud.xyz, "vehicle_id": cloud.vehicle_id})
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")

@@ -8,6 +8,7 @@ import numpy as np
 
 from .casting import caster_class
 from .casting.culling import cut_vehicles, reachable_beams
+from .casting.standing import StandingScenery
 from .errors import InputError
 from .sensors.beams import BeamLattice
 from .sensors.pose import Pose
@@ -16,8 +17,9 @@ from .world.shapes import ROAD
 from .world.triangles import STATIC, vehicle_triangles
 
 NO_CLASS = -1
-# Diffuse reflectivity at 905 nm by surface class (paint, glass, road): round numbers for display, not measurements.
-REFLECTIVITY = np.array([0.5, 0.1, 0.2])
+# Diffuse reflectivity at 905 nm by surface class (paint, glass, road, structure): round numbers for display, not
+# measurements.
+REFLECTIVITY = np.array([0.5, 0.1, 0.2, 0.3])
 FULL_INTENSITY_M = 10.0  # up to here a surface that faces the sensor returns its full reflectivity
 
 
@@ -71,6 +73,7 @@ def scan(
     min_range_m: float = 0.0,
     max_range_m: float,
     ground: bool = True,
+    scenery: StandingScenery | None = None,
 ) -> PointCloud:
     """Cast one revolution over one frame.
 
@@ -90,6 +93,8 @@ def scan(
         Returns nearer or farther are lost [m].
     ground : bool
         Whether the road, the plane z = 0, returns.
+    scenery : StandingScenery, optional
+        What stands still: it returns, and hides what is behind it.
 
     Raises
     ------
@@ -112,6 +117,8 @@ def scan(
     beam, triangle = beam[met], hits.triangle[met]
     distance[beam], owner[beam], surface[beam] = hits.distance[met], world.owner[triangle], world.surface[triangle]
     cosine[beam] = np.abs(np.einsum("ij,ij->i", tree.normals(triangle), directions[beam]))
+    if scenery is not None:
+        _add_scenery(scenery, pose.position, directions, max_range_m, distance, owner, surface, cosine)
     if ground:
         _add_ground(pose.height_m, directions[:, 2], max_range_m, distance, owner, surface, cosine)
 
@@ -135,6 +142,15 @@ def scan(
 def class_names(class_index: np.ndarray) -> np.ndarray:
     """Class of each point as text: a name of `CLASSES`, or "" for what is no vehicle."""
     return np.array([*CLASSES, ""])[class_index]
+
+
+def _add_scenery(scenery, position, directions, max_range_m, distance, owner, surface, cosine):
+    """Let beams that reach something that stands still before a vehicle return from it."""
+    found = scenery.tree.meet(position, directions, max_range_m)
+    first = found.distance < distance[found.ray]
+    beam, triangle = found.ray[first], found.triangle[first]
+    distance[beam], owner[beam], surface[beam] = found.distance[first], STATIC, scenery.scenery.surface[triangle]
+    cosine[beam] = np.abs(np.einsum("ij,ij->i", scenery.tree.normals(triangle), directions[beam]))
 
 
 def _add_ground(height_m, vertical, max_range_m, distance, owner, surface, cosine):

@@ -124,8 +124,49 @@ class SearchSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class BoxSettings:
+    """An entry of [[world.boxes]]: something that stands still, in the road frame."""
+
+    name: str
+    centre_m: tuple[float, float, float]
+    size_m: tuple[float, float, float]
+    heading_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class BarrierSettings:
+    """An entry of [[world.barriers]]: a barrier along the line y = `y_m` between two x."""
+
+    kind: str
+    y_m: float
+    x_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class WorldSettings:
+    """[world]: what there is besides vehicles.
+
+    `ground` is whether the plane z = 0 returns. `blend` and `mesh` are files of scenery in a frame of their own, in
+    which the road frame's origin lies at `origin_m` and its x axis points along `heading_deg`.
+    """
+
+    ground: bool
+    blend: str | None
+    mesh: str | None
+    origin_m: tuple[float, float, float]
+    heading_deg: float
+    boxes: tuple[BoxSettings, ...]
+    barriers: tuple[BarrierSettings, ...]
+
+    @property
+    def has_scenery(self) -> bool:
+        """Whether anything stands still and hides vehicles."""
+        return bool(self.blend or self.mesh or self.boxes or self.barriers)
+
+
+@dataclass(frozen=True, slots=True)
 class ModelSettings:
-    """[world] and [model]: how much of the world is modelled, and what carries it out."""
+    """[world] detail and [model]: how finely vehicles are modelled, and what carries it out."""
 
     detail: str
     caster: str
@@ -139,6 +180,7 @@ class Scenario:
     source: str
     traffic: TrafficSettings
     road: RoadFrame
+    world: WorldSettings
     sensor: SensorSettings
     deployment: Deployment
     baseline: Mapping[str, float]
@@ -155,13 +197,14 @@ class Scenario:
         traffic = asdict(self.traffic)
         for key in ("frame_ids", "lanes", "origin_m"):
             traffic[key] = None if traffic[key] is None else list(traffic[key])
+        world = asdict(self.world)
         deployment = {
             key: self.deployment.fixed.get(key, list(self.deployment.bounds.get(key, ()))) for key in COORDINATES
         }
         return {
             "traffic": traffic,
             "road": asdict(self.road),
-            "world": {"detail": self.model.detail},
+            "world": {"detail": self.model.detail, **world},
             "sensor": asdict(self.sensor),
             "deployment": deployment,
             "baseline": dict(self.baseline),

@@ -86,6 +86,13 @@ class TomlTable:
         value = self._get(key, default)
         return None if value is None else self._checked_whole(value, key, low, high)
 
+    def boolean(self, key, default=_REQUIRED):
+        """true or false."""
+        value = self._get(key, default)
+        if not isinstance(value, bool):
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: true or false")
+        return value
+
     def text(self, key, default=_REQUIRED, *, allowed: Sequence[str] | None = None):
         """A text, one of `allowed` if given."""
         value = self._get(key, default)
@@ -140,6 +147,13 @@ class TomlTable:
         names = [key for key, value in self._values.items() if isinstance(value, Mapping)]
         return {name: self.table(name) for name in names}
 
+    def table_list(self, key) -> list[TomlTable]:
+        """A list of tables within this one; empty where the key is missing."""
+        values = self._get(key, [])
+        if not isinstance(values, Sequence) or isinstance(values, str):
+            raise InputError(f"{self.where(key)}: is {_shown(values)}; allowed: a list of tables")
+        return [TomlTable(value, f"{self.where(key)} {number}") for number, value in enumerate(values, start=1)]
+
     def finish(self, what: str = "key") -> None:
         """Refuse the keys that nothing asked for; `what` says what they are."""
         for key in self._values:
@@ -178,7 +192,7 @@ def _shown(value: object) -> str:
 
 
 def to_toml(tables: Mapping[str, Mapping]) -> str:
-    """Tables of numbers, texts, lists and tables of those as TOML; keys whose value is None are left out.
+    """Tables of numbers, texts, lists (also of tables) and tables of those as TOML; keys that hold None are left out.
 
     Raises
     ------
@@ -214,6 +228,8 @@ def _value(value):
         return '"' + "".join(_escape(c) for c in value) + '"'
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_value(entry) for entry in value) + "]"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(key)} = {_value(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, int | float):
         return float.__repr__(value) if isinstance(value, float) else int.__repr__(value)  # NumPy's say np.float64(...)
     raise InputError(f"{value!r}: has no place in a TOML file; allowed: a number, a text, or a list of those")

@@ -39,6 +39,7 @@ ROOMS = {
     "sensors": {"toml_table"},
     "traffic": set(),
     "world": {"traffic"},
+    "world/blender": {"formats", "scan", "sensors", "traffic", "world"},
     "casting": {"sensors", "traffic", "world"},
     "scan": {"casting", "sensors", "traffic", "world"},
     "formats": {"scan", "traffic"},
@@ -49,6 +50,7 @@ ROOMS = {
 }
 NEAR_THE_DOOR = {
     "study",
+    "moments",
     "results",
     "run",
     "run_charts",
@@ -79,12 +81,17 @@ def imports(path):
 
 def room(path):
     parts = path.relative_to(PACKAGE).parts
-    return parts[0] if len(parts) > 1 else path.stem
+    return named_room(parts) if len(parts) > 1 else path.stem
+
+
+def named_room(parts):
+    """A folder of the package; the one that knows Blender is a room of its own within its neighbour."""
+    return "/".join(parts[:2]) if "/".join(parts[:2]) in ROOMS else parts[0]
 
 
 def rooms_imported(path):
     """The other rooms that a file takes something from."""
-    names = {name.split(".")[1] for name, ours in imports(path) if ours}
+    names = {named_room(name.split(".")[1:]) for name, ours in imports(path) if ours}
     return {name for name in names if (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").exists()} - {room(path)}
 
 

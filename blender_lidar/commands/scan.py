@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..casting import resolve
 from ..errors import InputError
 from ..formats.clouds import WRITERS, check_cloud_name, write_cloud
 from ..formats.sustechpoints import write_sustechpoints
+from ..moments import MountedSensor, mounted_sensor
 from ..results import versions
-from ..scan import PointCloud, scan
-from ..scenario import Scenario, pose_at
-from ..sensors.beams import BeamLattice, beam_lattice
-from ..sensors.model import load_model
+from ..scan import PointCloud
 from ..study.keep_clear import check_mount_is_clear
 from ..study.site import frame_of, read_recording
 from ..traffic.vehicles import Vehicles
@@ -67,9 +63,7 @@ def run(args: argparse.Namespace) -> int:
     paths = [check_cloud_name(args.out, "--out")] if one else _paths(Path(args.out), numbers, args.format or "npz")
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
-    model = load_model(scenario.sensor.name)
-    lattice, caster = beam_lattice(model, scenario.sensor.rotation_hz), resolve(scenario.model.caster)
-    scanner = _Scanner(scenario, mount, lattice, caster, args.format == _SUSTECHPOINTS)
+    scanner = _Scanner(mounted_sensor(scenario, mount), args.format == _SUSTECHPOINTS)
     recording = read_recording(scenario)
     frames = [frame_of(recording, number, option) for number in numbers]
     check_mount_is_clear(scenario, frames, {"--x, --y": mount})
@@ -78,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
         of_vehicle = cloud.vehicle_id[cloud.vehicle_id >= 0]
         print(
             f"{paths[0]}: {len(cloud)} points, {len(of_vehicle)} of them on {len(np.unique(of_vehicle))} of "
-            f"{len(frames[0])} vehicles ({model.name}, {scanner.caster})"
+            f"{len(frames[0])} vehicles ({scanner.named})"
         )
         return 0
     Path(args.out).mkdir(parents=True, exist_ok=True)
@@ -89,44 +83,37 @@ def run(args: argparse.Namespace) -> int:
             progress.advance(1)
     finally:
         progress.close()
-    print(f"{args.out}: {len(frames)} clouds with {points} points ({model.name}, {scanner.caster})")
+    print(f"{args.out}: {len(frames)} clouds with {points} points ({scanner.named})")
     return 0
 
 
 @dataclass(frozen=True, slots=True)
 class _Scanner:
-    """A mounted sensor: scans frames and writes their clouds."""
+    """Scans frames with a mounted sensor and writes their clouds."""
 
-    scenario: Scenario
-    mount: Mapping[str, float]
-    lattice: BeamLattice
-    caster: str
+    sensor: MountedSensor
     labelled_folder: bool
+
+    @property
+    def named(self) -> str:
+        """The sensor and the caster, for a message."""
+        return f"{self.sensor.lattice.model.name}, {self.sensor.caster}"
 
     def write(self, path: Path, vehicles: Vehicles) -> PointCloud:
         """Scan one frame and write its cloud, which is returned; with `labelled_folder` into SUSTechPOINTS's folder."""
-        model, detail = self.lattice.model, self.scenario.model.detail
-        near, far = model.range_min_m, self.scenario.sensor.range_gate_m
-        cloud = scan(
-            vehicles,
-            self.lattice,
-            pose_at(self.mount),
-            caster=self.caster,
-            detail=detail,
-            min_range_m=near,
-            max_range_m=far,
-        )
+        lattice, scenario = self.sensor.lattice, self.sensor.scenario
+        cloud = self.sensor.scan(vehicles)
         header = {
-            "sensor": model.name,
-            "pose": self.mount,
+            "sensor": lattice.model.name,
+            "pose": dict(self.sensor.mount),
             "frame": vehicles.frame,
-            "caster": self.caster,
-            "detail": detail,
-            "ring_elevation_deg": np.degrees(self.lattice.elevation_rad).round(6).tolist(),
-            "azimuth_step_deg": float(np.degrees(self.lattice.step_rad)),
-            "rotation_hz": self.lattice.rotation_hz,
-            "range_m": [near, far],
-            "versions": versions(self.caster),
+            "caster": self.sensor.caster,
+            "detail": scenario.model.detail,
+            "ring_elevation_deg": np.degrees(lattice.elevation_rad).round(6).tolist(),
+            "azimuth_step_deg": float(np.degrees(lattice.step_rad)),
+            "rotation_hz": lattice.rotation_hz,
+            "range_m": [lattice.model.range_min_m, scenario.sensor.range_gate_m],
+            "versions": versions(self.sensor.caster),
         }
         if self.labelled_folder:
             write_sustechpoints(path, cloud, vehicles, header)

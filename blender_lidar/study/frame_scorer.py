@@ -11,6 +11,8 @@ import numpy as np
 
 from ..casting import caster_class
 from ..casting.culling import cut_vehicles, reachable_beams
+from ..casting.protocol import origins_of
+from ..casting.standing import StandingScenery
 from ..metrics.vgop import to_vehicle_frame
 from ..metrics.view_grids import PlacedGrids
 from ..sensors.beams import BeamLattice
@@ -43,6 +45,8 @@ class Observation:
         Side of an occupancy cell [m].
     reading : str
         How Eq. 8 is read: see `metrics.vgop.occupancy`.
+    scenery : StandingScenery or None
+        What stands still and hides vehicles.
     """
 
     lattice: BeamLattice
@@ -52,6 +56,7 @@ class Observation:
     detail: str
     cell_m: float
     reading: str = "corrected"
+    scenery: StandingScenery | None = None
 
 
 class Seen(NamedTuple):
@@ -159,6 +164,9 @@ class FrameScorer:
         row = _take(self._counted_row, found.triangle)
         wanted = np.flatnonzero((row >= 0) & (found.distance >= seen.min_range_m))
         ray = _take(found.ray, wanted)
+        if seen.scenery is not None:
+            hidden = seen.scenery.hides(origins_of(origins, ray), directions.T[ray], _take(found.distance, wanted))
+            wanted, ray = wanted[~hidden], ray[~hidden]
         return (
             None if mount is None else _take(mount, ray),
             _take(directions, ray, axis=1),

@@ -1,23 +1,26 @@
-"""A pole stands beside the traffic, never in it."""
+"""A pole stands beside the traffic, never in it, and no LiDAR hangs inside a box."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from ..errors import InputError
 from ..scenario import Scenario
+from ..settings import BoxSettings
 from ..traffic.overlaps import rectangles_overlap
 from ..traffic.vehicles import Vehicles
 
+_PLACE = ("x_m", "y_m", "height_m")
 _TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
 
 
 def check_mount_is_clear(
     scenario: Scenario, frames: Iterable[Vehicles], mounts: Mapping[str, Mapping[str, float]] | None = None
 ) -> None:
-    """Refuse a mount that could stand on the carriageway or inside a vehicle.
+    """Refuse a mount that could stand on the carriageway or inside a vehicle, or a LiDAR inside one of [world]'s boxes.
 
     Parameters
     ----------
@@ -31,11 +34,11 @@ def check_mount_is_clear(
     Raises
     ------
     InputError
-        Naming the place, and the lane's edges or the vehicle and frame.
+        Naming the place, and the lane's edges, the box, or the vehicle and frame.
     """
     if mounts is None:
         places = {
-            f"{scenario.source}: [deployment] x_m, y_m": _searched_rectangle(scenario),
+            f"{scenario.source}: [deployment] x_m, y_m": _searched(scenario),
             f"{scenario.source}: [baseline] x_m, y_m": _point(scenario.baseline),
         }
     else:
@@ -47,9 +50,12 @@ def check_mount_is_clear(
                 f"{where}: the mount at y {_span(low[1], high[1])} m stands on the carriageway; "
                 f"allowed: at most {right:g} or at least {left:g} m"
             )
+        for box in scenario.world.boxes:
+            if _holds(box, low, high):
+                raise InputError(f"{where}: the LiDAR hangs inside {box.name!r} of [world] boxes; move it, or the box")
     for vehicles in frames:
         for where, (low, high) in places.items():
-            inside = np.flatnonzero(boxes_meet_rectangle(vehicles, low, high))
+            inside = np.flatnonzero(boxes_meet_rectangle(vehicles, low[:2], high[:2]))
             if len(inside):
                 raise InputError(
                     f"{where}: the mount at x {_span(low[0], high[0])} m, y "
@@ -64,16 +70,25 @@ def boxes_meet_rectangle(vehicles: Vehicles, low: np.ndarray, high: np.ndarray) 
     return rectangles_overlap(*footprints, 0.5 * (low + high), 0.5 * (high - low) + _TOUCHING_M, 0.0)
 
 
-def _searched_rectangle(scenario):
-    bounds = []
-    for key in ("x_m", "y_m"):
-        fixed = scenario.deployment.fixed.get(key)
-        bounds.append((fixed, fixed) if fixed is not None else scenario.deployment.bounds[key])
-    return tuple(np.array(corner) for corner in zip(*bounds, strict=True))
+def _holds(box: BoxSettings, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether a LiDAR mounted anywhere between two corners (3,) may be inside a box."""
+    middle, half = np.array(box.centre_m), 0.5 * np.array(box.size_m)
+    if high[2] < middle[2] - half[2] or low[2] > middle[2] + half[2]:
+        return False
+    footprint = middle[None, :2], half[None, :2], np.array([math.radians(box.heading_deg)])
+    mounts = 0.5 * (low + high)[:2], 0.5 * (high - low)[:2] + _TOUCHING_M, 0.0
+    return bool(rectangles_overlap(*footprint, *mounts).any())
+
+
+def _searched(scenario):
+    """Between which corners, x, y and height, mountings are searched."""
+    fixed, bounds = scenario.deployment.fixed, scenario.deployment.bounds
+    spans = [(fixed[key], fixed[key]) if key in fixed else bounds[key] for key in _PLACE]
+    return tuple(np.array(corner) for corner in zip(*spans, strict=True))
 
 
 def _point(mount):
-    point = np.array([mount["x_m"], mount["y_m"]])
+    point = np.array([mount[key] for key in _PLACE])
     return point, point
 
 

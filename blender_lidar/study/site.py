@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..casting import resolve
+from ..casting.standing import StandingScenery
 from ..errors import InputError
 from ..scenario import Scenario
 from ..sensors.beams import beam_lattice
@@ -18,6 +19,8 @@ from ..traffic.vehicles import unknown_frame
 from .evaluation import CountedFrame, Evaluator, Scoring
 from .frame_scorer import Observation
 from .keep_clear import check_mount_is_clear
+from .scenery import read_scenery
+from .worker_pool import within_blender
 
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
 
@@ -55,7 +58,9 @@ class Site:
 
     @property
     def workers(self) -> int:
-        """Processes to use: as set, or one for each processor that this process may use."""
+        """Processes to use: as set, or one for each processor that this process may use; one within a real Blender."""
+        if within_blender():
+            return 1
         if self.scenario.model.workers:
             return self.scenario.model.workers
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -82,14 +87,16 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     """
     model = load_model(scenario.sensor.name)
     objective = scenario.objective
+    caster = resolve(scenario.model.caster, "caster")
     observation = Observation(
         lattice=beam_lattice(model, scenario.sensor.rotation_hz),
         max_range_m=scenario.sensor.range_gate_m,
         min_range_m=model.range_min_m,
-        caster=resolve(scenario.model.caster, "caster"),
+        caster=caster,
         detail=scenario.model.detail,
         cell_m=objective.cell_m,
         reading=objective.reading,
+        scenery=standing_scenery(scenario, caster, mount),
     )
     recording = read_recording(scenario)
     region = Region(scenario.deployment.nominal_xy, scenario.sensor.range_gate_m)
@@ -118,6 +125,16 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         )
     scoring = Scoring(objective.threshold, objective.view, objective.loss, objective.reading)
     return Site(scenario, model, observation, scoring, recording, plan, searched, held_out)
+
+
+def standing_scenery(
+    scenario: Scenario, caster: str, mount: Mapping[str, float] | None = None
+) -> StandingScenery | None:
+    """What a scene's [world] lets stand still within reach of its mountings and a given `mount`; None without any."""
+    if not scenario.world.has_scenery:
+        return None
+    reach = scenario.sensor.range_gate_m + _travel(scenario, mount)
+    return StandingScenery(read_scenery(scenario).within(scenario.deployment.nominal_xy, reach), caster)
 
 
 def read_recording(scenario: Scenario) -> Recording:

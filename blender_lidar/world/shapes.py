@@ -14,8 +14,8 @@ import numpy as np
 
 from ..errors import unknown_name
 
-SURFACES = ("paint", "glass", "road")  # what a triangle is made of; its index is stored per triangle
-PAINT, GLASS, ROAD = range(3)
+SURFACES = ("paint", "glass", "road", "structure")  # what a triangle is made of; its index is stored per triangle
+PAINT, GLASS, ROAD, STRUCTURE = range(4)
 
 DETAILS = ("box", "body")
 SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")

@@ -1,0 +1,64 @@
+"""blender-lidar render: pictures of a run's mountings, each with the cloud that it sees."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from ..moments import blender, mounted_sensor
+from ..results import VEHICLES, RunFolder
+from ..scenario import load_scenario
+from ..study.site import frame_of, read_recording
+from .options import checked_number
+from .progress import Progress
+
+CAMERAS = {"above": "From above", "pole": "From the pole"}
+
+
+def add_parser(subparsers) -> None:
+    """Describe the verb to argparse."""
+    parser = subparsers.add_parser(
+        "render",
+        help="pictures of a run's mountings with their clouds, by Cycles",
+        description="Render the baseline and the mounting of a run with the clouds that they see, from above and from "
+        "the pole, into the run's folder, and gather them in its report.html. Points on a vehicle go from red to green "
+        "with the vehicle's entropy.",
+    )
+    parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
+    parser.add_argument("--frame", type=int, metavar="K", help="frame number; by default the fullest searched one")
+    parser.add_argument("--samples", type=int, metavar="N", help="light paths per pixel; more is smoother and slower")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry it out; returns the exit code."""
+    folder = RunFolder(args.folder)
+    result = folder.ended_result()
+    tools = blender("render")
+    samples = tools.render.SAMPLES if args.samples is None else int(checked_number(args.samples, "--samples", low=1))
+    scenario = load_scenario(folder.scene)
+    recording = read_recording(scenario)
+    number = _fullest_frame(folder) if args.frame is None else args.frame
+    vehicles = frame_of(recording, number, "--frame")
+    mounts = {"baseline": result["baseline"]["deployment"], "optimised": result["deployment"]}
+    progress, written = Progress(len(mounts) * len(CAMERAS), "render"), []
+    try:
+        for name, mount in mounts.items():
+            scene = tools.scene.empty_scene()
+            tools.scene.build_scene(scene, mounted_sensor(scenario, mount).moment(vehicles))
+            for view, camera in CAMERAS.items():
+                written.append(folder.file(f"render_{name}_{view}.png"))
+                tools.render.render_picture(written[-1], scene, camera, samples=samples)
+                progress.advance(1)
+    finally:
+        progress.close()
+    print(f"frame {number}: " + ", ".join(map(str, written)))
+    return 0
+
+
+def _fullest_frame(folder: RunFolder) -> int:
+    """The searched frame with the most counted vehicles."""
+    table = folder.read_vehicles(VEHICLES)
+    frames, counts = np.unique(table["frame"][table["split"] == "search"], return_counts=True)
+    return int(frames[counts.argmax()])

@@ -1,0 +1,114 @@
+"""Moments of a scene: one frame of its traffic under a mounting, with what the LiDAR saw, for Blender to show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .casting import resolve
+from .casting.standing import StandingScenery
+from .errors import MissingExtraError
+from .metrics.vgop import pe_vgop, to_vehicle_frame
+from .scan import PointCloud, scan
+from .scenario import Scenario, pose_at
+from .sensors.beams import BeamLattice, beam_lattice
+from .sensors.model import load_model
+from .study.site import standing_scenery
+from .traffic.vehicles import Vehicles
+
+if TYPE_CHECKING:
+    from .world.blender.scene import Moment
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountedSensor:
+    """A scene's sensor at one mounting.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        The scene.
+    mount : mapping of str to float
+        The six coordinates of the mounting [m, degrees].
+    lattice : BeamLattice
+        The sensor's beams.
+    caster : str
+        A name of `casting.CASTERS`.
+    scenery : StandingScenery or None
+        What stands still.
+    """
+
+    scenario: Scenario
+    mount: Mapping[str, float]
+    lattice: BeamLattice
+    caster: str
+    scenery: StandingScenery | None
+
+    def scan(self, vehicles: Vehicles) -> PointCloud:
+        """One revolution over a frame, ground included."""
+        return scan(
+            vehicles,
+            self.lattice,
+            pose_at(self.mount),
+            caster=self.caster,
+            detail=self.scenario.model.detail,
+            min_range_m=self.lattice.model.range_min_m,
+            max_range_m=self.scenario.sensor.range_gate_m,
+            ground=self.scenario.world.ground,
+            scenery=self.scenery,
+        )
+
+    def moment(self, vehicles: Vehicles, *, with_cloud: bool = True) -> Moment:
+        """A frame and what the sensor sees of it, for `world.blender.scene`."""
+        moment_class = blender("a scene to be shown").scene.Moment
+        cloud = self.scan(vehicles) if with_cloud else None
+        return moment_class(
+            road=self.scenario.road,
+            vehicles=vehicles,
+            detail=self.scenario.model.detail,
+            lattice=self.lattice,
+            pose=pose_at(self.mount),
+            range_gate_m=self.scenario.sensor.range_gate_m,
+            cloud=cloud,
+            entropy_bits=None if cloud is None else entropy_of_points(cloud, vehicles, self.scenario.objective.cell_m),
+            scenery=None if self.scenery is None else self.scenery.scenery,
+        )
+
+
+def mounted_sensor(scenario: Scenario, mount: Mapping[str, float]) -> MountedSensor:
+    """The scene's sensor at the mounting `mount`, its six coordinates in metres and degrees."""
+    lattice = beam_lattice(load_model(scenario.sensor.name), scenario.sensor.rotation_hz)
+    caster = resolve(scenario.model.caster)
+    return MountedSensor(scenario, mount, lattice, caster, standing_scenery(scenario, caster, mount))
+
+
+def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, cell_m: float) -> np.ndarray:
+    """PE-VGOP (Eq. 9) of the vehicle that each point lies on, (n,) [bits]; 0 for points on no vehicle."""
+    bits = np.zeros(len(cloud))
+    on_vehicle = np.flatnonzero(cloud.vehicle_id >= 0)
+    order = np.argsort(vehicles.vehicle_id)
+    row = order[np.searchsorted(vehicles.vehicle_id, cloud.vehicle_id[on_vehicle], sorter=order)]
+    points = to_vehicle_frame(cloud.xyz[on_vehicle], vehicles.centre_m[row], vehicles.heading_rad[row])
+    bits[on_vehicle] = pe_vgop(points, row, vehicles.size_m, cell_m)[row]
+    return bits
+
+
+def blender(what: str):
+    """The package `world.blender` with its rooms `scene` and `render`.
+
+    Raises
+    ------
+    MissingExtraError
+        When Blender is not installed; `what` says what needs it.
+    """
+    try:
+        from .world import blender as package
+        from .world.blender import render, scene  # noqa: F401  (loads them)
+    except ImportError as error:
+        if error.name != "bpy":
+            raise
+        raise MissingExtraError(f'{what} needs Blender: pip install "blender_lidar[blender]"') from error
+    return package

@@ -1,0 +1,32 @@
+"""Blender writes to standard output, through Python and past it: kept off it, since results are printed there."""
+
+from __future__ import annotations
+
+import ctypes
+import io
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """While it lasts, what is written to standard output, even by C code, goes nowhere."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        with redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        _flush_c_streams()
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _flush_c_streams() -> None:
+    """Empty C's own buffers, which Blender prints into."""
+    with suppress(OSError, TypeError, AttributeError):  # Windows has no library of that kind
+        ctypes.CDLL(None).fflush(None)

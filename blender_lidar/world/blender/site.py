@@ -1,0 +1,175 @@
+"""Blender in: what is visible in a scene as triangles, and files of it as scenery."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...errors import InputError, MissingFileError
+from ..scenery import Scenery
+from ..shapes import STRUCTURE
+from .materials import SURFACE_KEY
+from .quiet import quiet
+from .roles import DISPLAY_ONLY, ROAD, VEHICLE, role
+
+# What reads a mesh file, by its suffix; the first operator that this Blender has is taken.
+_IMPORTERS = {
+    ".obj": ("wm.obj_import",),
+    ".ply": ("wm.ply_import", "import_mesh.ply"),
+    ".stl": ("wm.stl_import", "import_mesh.stl"),
+    ".glb": ("import_scene.gltf",),
+    ".gltf": ("import_scene.gltf",),
+    ".fbx": ("wm.fbx_import", "import_scene.fbx"),
+    ".usd": ("wm.usd_import",),
+    ".usda": ("wm.usd_import",),
+    ".usdc": ("wm.usd_import",),
+    ".usdz": ("wm.usd_import",),
+    ".abc": ("wm.alembic_import",),
+    ".dae": ("wm.collada_import",),
+}
+_NOT_SCENERY = (*DISPLAY_ONLY, ROAD, VEHICLE)  # of our own objects: the ground plane is ours already
+
+
+def visible_triangles(scene: bpy.types.Scene, skip: Callable[[bpy.types.Object], bool] | None = None) -> Scenery:
+    """Everything that a LiDAR would meet in a scene, with modifiers applied and instances made real.
+
+    Seen is what both the viewport and renders show and has faces once evaluated: meshes, curves, texts, surfaces. Of
+    our own objects, markings, point clouds and the LiDAR itself are left out.
+
+    Parameters
+    ----------
+    scene : Scene
+        In its current frame, as its first view layer shows it; its unit scale is applied.
+    skip : callable, optional
+        Told each object; those for which it is true are left out too.
+
+    Returns
+    -------
+    Scenery
+        In the scene's own frame [m]; owners are the visible objects, and each instance is an owner of its own.
+    """
+    layer = scene.view_layers[0]
+    layer.update()
+    meshes: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    corners, surface, names = [], [], []
+    for instance in layer.depsgraph.object_instances:
+        item = instance.object
+        if item.type != "MESH" or not instance.show_self or item.hide_render or role(item) in DISPLAY_ONLY:
+            continue
+        if skip is not None and skip(item):
+            continue
+        mesh = item.data
+        if mesh.as_pointer() not in meshes:
+            meshes[mesh.as_pointer()] = _mesh_arrays(mesh)
+        vertices, faces, made_of = meshes[mesh.as_pointer()]
+        if len(faces) == 0:
+            continue
+        matrix = np.array(instance.matrix_world, dtype=float)
+        placed = vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        turned = faces if np.linalg.det(matrix[:3, :3]) > 0.0 else faces[:, ::-1]  # a mirror turns faces inside out
+        corners.append(placed[turned])
+        surface.append(made_of)
+        names.append(item.name)
+    counts = [len(part) for part in corners]
+    return Scenery(
+        np.concatenate([np.empty((0, 3, 3)), *corners]) * scene.unit_settings.scale_length,
+        np.repeat(np.arange(len(counts), dtype=np.int32), counts),
+        np.concatenate([np.empty(0, np.uint8), *surface]),
+        tuple(names),
+    )
+
+
+def _mesh_arrays(mesh):
+    """Vertices (n, 3) float64, triangles (m, 3) and their surface (m,) of an evaluated mesh."""
+    mesh.calc_loop_triangles()
+    count = len(mesh.loop_triangles)
+    vertices, faces = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * count, np.int32)
+    slot = np.empty(count, np.int32)
+    mesh.vertices.foreach_get("co", vertices)
+    mesh.loop_triangles.foreach_get("vertices", faces)
+    mesh.loop_triangles.foreach_get("material_index", slot)
+    known = [STRUCTURE if material is None else material.get(SURFACE_KEY, STRUCTURE) for material in mesh.materials]
+    made_of = np.array(known or [STRUCTURE], dtype=np.uint8)[np.clip(slot, 0, max(0, len(known) - 1))]
+    return vertices.reshape(-1, 3).astype(float), faces.reshape(-1, 3), made_of
+
+
+def read_site(path: str | Path) -> Scenery:
+    """The visible scenery of a .blend file or of a mesh file that Blender reads, in the file's own frame [m].
+
+    Of a .blend with several scenes the first by name counts. Where it was built by this package, its road, vehicles,
+    LiDAR and point cloud are left out, so that such a file can be given back with scenery added to it. Blender's own
+    data are afterwards as they were.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If there is no such file, Blender cannot read it, or nothing with faces is visible in it.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; allowed: a .blend or mesh file")
+    if not path.exists():
+        raise MissingFileError(f"{path}: there is no such file")
+    suffix = path.suffix.lower()
+    if suffix != ".blend" and suffix not in _IMPORTERS:
+        raise InputError(f"{path}: unknown kind of scene {suffix!r}; allowed: .blend, {', '.join(_IMPORTERS)}")
+    with quiet(), _linked_scene(path) if suffix == ".blend" else _imported_scene(path) as scene:
+        found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY)
+    if len(found) == 0:
+        raise InputError(f"{path}: nothing with faces is visible in it")
+    if not np.isfinite(found.corners).all():
+        raise InputError(f"{path}: has a vertex that is not finite")
+    return found
+
+
+@contextmanager
+def _linked_scene(path: Path) -> Iterator[bpy.types.Scene]:
+    """The first scene of a .blend file by name, linked while it lasts."""
+    before = set(bpy.data.libraries)
+    try:
+        with bpy.data.libraries.load(str(path.resolve()), link=True) as (there, here):
+            here.scenes = there.scenes[:1]
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"{path}: Blender {bpy.app.version_string} cannot read it; is it a .blend file?") from error
+    try:
+        if not here.scenes or here.scenes[0] is None:
+            raise InputError(f"{path}: has no scene")
+        yield here.scenes[0]
+    finally:
+        bpy.data.batch_remove([library for library in bpy.data.libraries if library not in before])
+
+
+@contextmanager
+def _imported_scene(path: Path) -> Iterator[bpy.types.Scene]:
+    """A scene with what a mesh file holds, while it lasts."""
+    operator = next((found for name in _IMPORTERS[path.suffix.lower()] if (found := _operator(name))), None)
+    if operator is None:
+        raise InputError(f"{path}: this Blender, {bpy.app.version_string}, reads no {path.suffix} files")
+    window = bpy.context.window
+    shown, before = window.scene, _everything()
+    scene = bpy.data.scenes.new("Import")
+    window.scene = scene
+    try:
+        operator(filepath=str(path.resolve()))
+        yield scene
+    except RuntimeError as error:  # what an operator reports
+        raise InputError(f"{path}: Blender cannot read it: {str(error).strip().splitlines()[-1]}") from error
+    finally:
+        window.scene = shown
+        bpy.data.batch_remove(_everything() - before)
+
+
+def _everything():
+    """All data-blocks that an import may add to."""
+    kinds = ("scenes", "collections", "objects", "meshes", "curves", "materials", "images", "cameras", "lights")
+    return {block for kind in kinds for block in getattr(bpy.data, kind)}
+
+
+def _operator(name):
+    """An operator by its name; None where this Blender has none of that name."""
+    group, verb = name.split(".")
+    return getattr(getattr(bpy.ops, group), verb) if verb in dir(getattr(bpy.ops, group)) else None

@@ -1,0 +1,88 @@
+"""Cameras, light and picture settings: a scene that looks right without touching a setting."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+from mathutils import Vector
+
+from ...sensors.pose import Pose
+from ...traffic.road import RoadFrame
+from .roles import KEY, collection
+
+_STAGE = "stage"
+ABOVE, FROM_POLE = "From above", "From the pole"
+_CLIP_END_M = 2000.0
+_ABOVE = (-0.38, -0.62, 0.5)  # from the middle of the road to the camera, in depths: from before the pole
+_OVER_HEAD_M, _LOOKS_DOWN_RAD = 0.3, math.radians(15.0)  # the same for every tilt, so that pictures can be compared
+_SUN_DIRECTION = (0.35, 0.45, -0.8)
+_SUN_STRENGTH, _SKY, _SKY_STRENGTH = 3.2, (0.55, 0.65, 0.8), 0.55
+
+
+def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: float) -> None:
+    """Two cameras, a sun and a sky, in place of earlier ones.
+
+    Parameters
+    ----------
+    pose : Pose
+        The mounting: one camera sees it from above, obliquely, the other looks across the road from just over it.
+    depth_m : float
+        How much of the road the camera above takes in, along x, at the far edge of the carriageway [m].
+    """
+    into = collection(scene, "Cameras and light", _STAGE)
+    for item in list(into.objects):
+        bpy.data.objects.remove(item)
+    right, left = road.carriageway_y
+    middle = Vector((pose.x_m, 0.5 * (right + left), 0.0))
+    above = middle + depth_m * Vector(_ABOVE)
+    camera = _camera(into, ABOVE, above, middle, 50.0)
+    mount = Vector(pose.position.tolist()) + Vector((0.0, 0.0, _OVER_HEAD_M))
+    ahead = Vector((0.0, math.cos(_LOOKS_DOWN_RAD), -math.sin(_LOOKS_DOWN_RAD)))
+    _camera(into, FROM_POLE, mount, mount + ahead, 100.0)
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    sun[KEY] = _STAGE
+    sun.data.energy, sun.data.angle = _SUN_STRENGTH, math.radians(1.5)
+    sun.rotation_euler = Vector(_SUN_DIRECTION).to_track_quat("-Z", "Y").to_euler()
+    into.objects.link(sun)
+    scene.camera = camera
+    scene.world = _sky()
+    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 1.0
+    scene.view_settings.view_transform = "Standard"  # the points' colours as their ramps say
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 1280, 720, 100
+
+
+def show_in_viewports(scene: bpy.types.Scene) -> None:
+    """Let every 3D viewport of the file look through the scene's camera and show materials."""
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            for space in area.spaces:
+                if space.type == "VIEW_3D":
+                    space.shading.type = "MATERIAL"
+                    space.clip_end = _CLIP_END_M
+                    space.overlay.show_relationship_lines = False
+                    space.region_3d.view_perspective = "CAMERA"
+
+
+def _camera(into, name, place, target, angle_deg):
+    camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+    camera[KEY] = _STAGE
+    camera.location = place
+    camera.rotation_euler = (target - place).to_track_quat("-Z", "Y").to_euler()
+    camera.data.angle, camera.data.clip_end = math.radians(angle_deg), _CLIP_END_M
+    into.objects.link(camera)
+    return camera
+
+
+def _sky():
+    for world in bpy.data.worlds:
+        if world.get(KEY) == _STAGE:
+            return world
+    world = bpy.data.worlds.new("Sky")
+    world[KEY] = _STAGE
+    world.color = _SKY
+    world.use_nodes = True
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (*_SKY, 1.0)
+    background.inputs["Strength"].default_value = _SKY_STRENGTH
+    return world

@@ -1,0 +1,38 @@
+"""What tests of Blender share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from blender_lidar.casting import caster_class
+from blender_lidar.scan import scan
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic.road import RoadFrame
+from blender_lidar.world.barriers import barrier
+from blender_lidar.world.scenery import box, join
+from tests.sample_traffic import dense_traffic
+
+LATTICE = beam_lattice(load_model("RS-16"), stride=8)
+POSE = Pose(0.5, -0.5, 4.2, 0.35, -0.05, 0.3)
+ROAD = RoadFrame(setback_m=1.0, lanes=3, lane_width_m=3.6)
+TRAFFIC = dense_traffic(vehicles=40, length_m=90.0)
+SCENERY = join([barrier("concrete", 14.0, (-40.0, 40.0)), box("cabinet", (5.0, -1.0, 0.8), (1.0, 0.6, 1.6), 0.5)])
+REACH_M = 60.0
+
+
+def moment(vehicles=TRAFFIC, detail="body", pose=POSE, cloud=True, scenery=SCENERY):
+    """A moment, with random bits in place of a score."""
+    from blender_lidar.world.blender.scene import Moment
+
+    seen = scan(vehicles, LATTICE, pose, caster="bvh", detail=detail, max_range_m=REACH_M) if cloud else None
+    bits = None if seen is None else np.random.default_rng(1).random(len(seen))
+    return Moment(ROAD, vehicles, detail, LATTICE, pose, REACH_M, seen, bits, scenery)
+
+
+def hits(corners, owner, pose=POSE, reach=REACH_M):
+    """Distance and owner of what every beam meets first; -1 for nothing."""
+    directions = pose.to_world(LATTICE.directions.reshape(-1, 3))
+    found = caster_class("exact")(corners).cast(pose.position, directions, reach)
+    return found.distance, np.where(found.triangle >= 0, owner[found.triangle], -1)

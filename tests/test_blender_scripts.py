@@ -1,0 +1,95 @@
+"""The scripts for `blender --background`, in a real Blender where there is one, and in the bpy module."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar.casting import is_available
+from tests.small_scene import without_times, write_scene
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+BLENDER = shutil.which("blender")
+PROGRAMS = [
+    pytest.param(
+        [BLENDER, "--background", "--factory-startup", "--python-exit-code", "1", "--python", "SCRIPT", "--"],
+        id="Blender",
+        marks=pytest.mark.skipif(BLENDER is None, reason="no Blender on this machine"),
+    ),
+    pytest.param(
+        [sys.executable, "SCRIPT"],
+        id="bpy",
+        marks=pytest.mark.skipif(not is_available("bvh"), reason="the module bpy is not installed"),
+    ),
+]
+BVH = {"model": {"caster": "bvh"}}
+
+
+def run(program, script, *words, folder):
+    """Run a script with arguments: exit code, standard output, standard error."""
+    start = [str(SCRIPTS / script) if word == "SCRIPT" else word for word in program]
+    settings = os.environ | {"BLENDER_USER_RESOURCES": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [*start, *map(str, words)], capture_output=True, text=True, timeout=300, check=False, env=settings, cwd=folder
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_there_is_something_to_run_them_with():
+    if BLENDER is None and not is_available("bvh"):
+        pytest.skip("neither a Blender nor bpy is installed")
+    assert sorted(path.name for path in SCRIPTS.glob("*.py") if "--background" in path.read_text()) == [
+        "build_scene.py",
+        "optimise.py",
+        "scan.py",
+    ]
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_scan_is_written_and_a_missing_scene_is_one_line(program, tmp_path):
+    scene, out = write_scene(tmp_path, BVH), tmp_path / "cloud.npz"
+    code, said, err = run(
+        program, "scan.py", scene, "--frame", 20, "--height", 4, "--tilt-x", 15, "--out", out, folder=tmp_path
+    )
+    assert code == 0, err
+    assert "(RS-16, bvh)" in said
+    with np.load(out) as cloud:
+        assert (cloud["vehicle_id"] >= 0).sum() > 50
+        header = json.loads(str(cloud["header"]))
+        assert header["pose"]["tilt_x_deg"] == 15.0
+        assert header["versions"]["bpy"]
+    code, said, err = run(program, "scan.py", "none.toml", "--frame", 1, "--out", out, folder=tmp_path)
+    assert code == 2
+    assert "blender-lidar: none.toml: there is no such file" in err
+    assert "Traceback" not in said + err
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_scene_is_built(program, tmp_path):
+    scene, out = write_scene(tmp_path, BVH), tmp_path / "scene.blend"
+    code, said, err = run(program, "build_scene.py", scene, "--frame", 20, "--out", out, folder=tmp_path)
+    assert code == 0, err
+    assert "points" in said
+    assert out.stat().st_size > 20_000
+    assert "Traceback" not in said + err
+
+
+@pytest.mark.skipif(BLENDER is None or not is_available("bvh"), reason="needs a Blender and the module bpy")
+def test_both_come_to_the_same_mounting(tmp_path):
+    results = []
+    for number, parameter in enumerate(PROGRAMS):
+        (program,) = parameter.values
+        folder = tmp_path / str(number)
+        scene = write_scene(folder, BVH)
+        code, _, err = run(program, "optimise.py", scene, "--out", folder / "run", folder=folder)
+        assert code == 0, err
+        result = without_times(json.loads((folder / "run" / "result.json").read_text()))
+        results.append(result)
+    assert results[0] == results[1]
