@@ -28,7 +28,6 @@ from blender_lidar.world.triangles import shape_names, vehicle_triangles  # noqa
 from tests.blender_session import POSE, SCENERY, TRAFFIC, hits, moment  # noqa: E402
 from tests.sample_traffic import dense_traffic  # noqa: E402
 
-
 ROOT = Path(__file__).parents[1]
 
 
