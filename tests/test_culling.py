@@ -67,6 +67,7 @@ def mount(place, vehicles, rng):
 @example(1, 1, "above", "RS-BPearl", 25, "box", 150.0, (0.0, 0.0, 0.0))
 @example(2, 1, "inside", "RS-16", 25, "body", 150.0, (0.0, 0.0, 0.0))
 @example(3, 5, "behind", "RS-LiDAR-32", 25, "body", 150.0, (0.2, 0.0, 0.0))
+@example(4, 5, "roadside", "RS-LiDAR-32", 17, "detailed", 150.0, (0.2, 0.0, 0.0))
 def test_no_beam_that_meets_a_vehicle_is_culled(seed, vehicles, place, sensor, stride, detail, gate, angles):
     rng = np.random.default_rng(seed)
     traffic = dense_traffic(seed=seed, vehicles=vehicles, length_m=rng.uniform(8.0, 40.0) * vehicles)

@@ -15,6 +15,7 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.traffic.vehicles import Vehicles
+from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
@@ -69,7 +70,7 @@ def slow_pipeline(vehicles, counted, seen, pose):
 @given(
     seed=st.integers(0, 2**32 - 1),
     sensor=st.sampled_from(sorted(LATTICES)),
-    detail=st.sampled_from(["box", "body"]),
+    detail=st.sampled_from(DETAILS),
     height=st.floats(0.5, 6.0),
     angles=st.tuples(st.floats(-0.7, 0.7), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0)),
     near=st.sampled_from([0.0, 5.0]),
@@ -86,8 +87,9 @@ def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, d
     np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
 
 
-def test_a_dense_frame_equals_the_slow_pipeline():
-    vehicles, seen = dense_traffic(vehicles=60, length_m=150.0), observation()
+@pytest.mark.parametrize("detail", DETAILS)
+def test_a_dense_frame_equals_the_slow_pipeline(detail):
+    vehicles, seen = dense_traffic(vehicles=60, length_m=150.0), observation(detail=detail)
     counted = everyone(vehicles)
     found = FrameScorer(vehicles, counted, seen).see([POSE])
     points, shares = slow_pipeline(vehicles, counted, seen, POSE)

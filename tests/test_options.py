@@ -22,6 +22,7 @@ from blender_lidar.commands.options import (
 )
 from blender_lidar.errors import InputError
 from blender_lidar.scenario import COORDINATES
+from blender_lidar.world.shapes import DETAILS
 from tests.small_scene import cli, without_charts, without_times, write_scene
 
 
@@ -164,12 +165,12 @@ def test_the_number_of_frames_is_as_asked_for(tmp_path, capsys):
     assert any("instead of 999" in note for note in many["notes"])
 
 
-def test_boxes_and_bodies_score_differently_and_say_which_they_are(tmp_path, capsys):
+def test_levels_of_detail_score_differently_and_say_which_they_are(tmp_path, capsys):
     scene = write_scene(tmp_path)
     mount = ("--height", 3, "--tilt-x", 15)
-    box, body = (run(capsys, scene, detail, "--detail", detail, *mount, verb="evaluate") for detail in ("box", "body"))
-    assert (box["detail"], body["detail"]) == ("box", "body")
-    assert box["objective"] != body["objective"]
+    runs = [run(capsys, scene, detail, "--detail", detail, *mount, verb="evaluate") for detail in DETAILS]
+    assert tuple(result["detail"] for result in runs) == DETAILS
+    assert len({result["objective"] for result in runs}) == len(DETAILS)
 
 
 def test_the_literal_reading_differs_and_says_so(tmp_path, capsys):

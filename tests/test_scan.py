@@ -15,6 +15,7 @@ from blender_lidar.scan import class_names, scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
+from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
@@ -89,7 +90,7 @@ def test_a_level_sensor_over_an_empty_road_draws_one_circle_for_each_ring_that_l
 
 
 @POSES
-@pytest.mark.parametrize("detail", ["box", "body"])
+@pytest.mark.parametrize("detail", DETAILS)
 def test_points_on_vehicles_lie_on_or_in_the_box_of_the_vehicle_they_name(detail, pose):
     cloud = cloud_of(pose=pose, detail=detail)
     mine, local, half, row = local_points(cloud, TRAFFIC)

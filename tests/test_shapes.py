@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from blender_lidar.casting import caster_class
 from blender_lidar.errors import InputError
 from blender_lidar.traffic.vehicles import CLASSES
 from blender_lidar.world.shapes import DETAILS, GLASS, SHAPES, SURFACES, shape, shape_of
@@ -26,14 +27,63 @@ def test_every_edge_joins_exactly_two_faces_that_turn_the_same_way(name, detail)
     assert all((b, a) in edges for a, b in edges)
 
 
+def components(made):
+    """Faces of each connected part of a shape."""
+    label = np.arange(len(made.vertices))
+    while True:
+        lowest = label[made.faces].min(axis=1)
+        before = label.copy()
+        np.minimum.at(label, made.faces.ravel(), np.repeat(lowest, 3))
+        if (label == before).all():
+            part = label[made.faces[:, 0]]
+            return [made.faces[part == one] for one in np.unique(part)]
+
+
 @pytest.mark.parametrize(("name", "detail"), ALL)
-def test_faces_point_outwards_and_have_area(name, detail):
+def test_faces_of_every_part_point_outwards_and_have_area(name, detail):
     made = shape(name, detail)
+    parts = components(made)
+    assert len(parts) == 1 or detail == "detailed"
+    for faces in parts:
+        corners = made.vertices[faces]
+        assert np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6 > 1e-5
     corners = made.vertices[made.faces]
-    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
-    assert 0.3 < volume <= 1.0 + 1e-12
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     assert area.min() > 1e-5
+
+
+@pytest.mark.parametrize(("name", "detail"), ALL)
+def test_a_shape_takes_a_good_part_of_its_box_and_no_more(name, detail):
+    """Counted along a grid of upright lines, so that overlapping parts count once."""
+    made = shape(name, detail)
+    across = (np.arange(40) + 0.5) / 40 - 0.5
+    x, y = map(np.ravel, np.meshgrid(across, across))
+    caster = caster_class("exact")(made.vertices[made.faces])
+    top, bottom = (
+        caster.cast(np.column_stack([x, y, np.full_like(x, z)]), np.tile([0.0, 0.0, -z], (len(x), 1))).distance
+        for z in (1.0, -1.0)
+    )
+    filled = np.where(np.isfinite(top), 2.0 - top - bottom, 0.0).mean()
+    assert (0.1 if name == "motorcycle" else 0.4) < filled <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize(("name", "detail"), ALL)
+def test_a_ray_from_outside_meets_an_outer_side_first(name, detail):
+    """What casters are promised by `closed=True`; where parts overlap as well."""
+    made = shape(name, detail)
+    rng = np.random.default_rng(3)
+    origins = rng.normal(size=(2000, 3))
+    origins *= 3.0 / np.linalg.norm(origins, axis=1, keepdims=True)
+    rays = rng.uniform(-0.55, 0.55, (2000, 3)) - origins
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    caster = caster_class("exact")(made.vertices[made.faces])
+    hits = caster.cast(origins, rays)
+    met = hits.triangle >= 0
+    assert met.sum() > 500
+    assert (np.einsum("ij,ij->i", caster.normals(hits.triangle[met]), rays[met]) < 0.0).all()
+    if detail == "detailed":  # whose surface, not the vertices alone, is the same on both sides
+        mirrored = caster.cast(origins * [1, -1, 1], rays * [1, -1, 1])
+        np.testing.assert_allclose(mirrored.distance, hits.distance, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("name", "detail"), ALL)
@@ -50,14 +100,16 @@ def test_a_shape_is_the_same_on_both_sides(name, detail):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_bodies_are_a_few_dozen_triangles_and_boxes_twelve(name):
+def test_boxes_are_twelve_triangles_bodies_a_few_dozen_and_detailed_shapes_a_few_hundred(name):
     assert len(shape(name, "box").faces) == 12
     assert 36 <= len(shape(name, "body").faces) <= 96
+    assert 200 <= len(shape(name, "detailed").faces) <= 600
 
 
+@pytest.mark.parametrize("detail", ["body", "detailed"])
 @pytest.mark.parametrize("name", ["car", "van", "truck", "long_truck", "bus"])
-def test_bodies_have_windows_above_their_belt_line(name):
-    made = shape(name, "body")
+def test_vehicles_have_windows_above_their_belt_line(name, detail):
+    made = shape(name, detail)
     glass = made.vertices[made.faces[made.surface == GLASS]]
     assert len(glass) > 0
     assert glass[..., 2].max() > 0.2

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SURFACES = ("paint", "glass", "road")  # what a triangle is made of; its index is stored per triangle
-PAINT, GLASS, ROAD = range(3)
+SURFACES = ("paint", "glass", "road", "structure")  # what a triangle is made of; its index is stored per triangle
+PAINT, GLASS, ROAD, STRUCTURE = range(4)
 
 _EQUAL = 1e-9  # relative: lengths that differ by less are equal
 

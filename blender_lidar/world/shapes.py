@@ -1,44 +1,24 @@
 """Vehicle shapes: closed triangle meshes that fill their length x width x height box exactly and never leave it.
 
 A shape lives in the unit box, x forward, y left, z up, each from -0.5 to 0.5, and is scaled to a vehicle's own box.
-Bodies are lofted: a few cross-sections along the length, each a hexagon (sill, belt line and roof edge on both
-sides), joined by quads and closed by two caps. So every shape is closed and its faces point outwards by construction.
+`box` is that box; `body` is lofted: a few cross-sections along the length, each a hexagon (sill, belt line and roof
+edge on both sides), joined by quads and closed by two caps; `detailed` is in `detailed_shapes`. So every shape is
+closed and its faces point outwards by construction.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from ..errors import unknown_name
+from .detailed_shapes import detailed_shape
+from .meshes import GLASS, PAINT, ROAD, STRUCTURE, SURFACES, Shape  # noqa: F401  (shapes come with what they are made of)
 
-SURFACES = ("paint", "glass", "road", "structure")  # what a triangle is made of; its index is stored per triangle
-PAINT, GLASS, ROAD, STRUCTURE = range(4)
-
-DETAILS = ("box", "body")
+DETAILS = ("box", "body", "detailed")
 SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
 LONG_TRUCK_M = 9.0  # from this length on a truck is an articulated one
-
-
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """A closed triangle mesh in the unit box.
-
-    Attributes
-    ----------
-    vertices : ndarray, (n, 3)
-        Corners, each coordinate in [-0.5, 0.5].
-    faces : ndarray of int, (m, 3)
-        Corners of each triangle, counter-clockwise seen from outside.
-    surface : ndarray of uint8, (m,)
-        Index into `SURFACES`.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    surface: np.ndarray
 
 
 def shape_of(vehicle_class: str, length_m: float) -> str:
@@ -61,7 +41,12 @@ def shape(name: str, detail: str = "body") -> Shape:
         raise unknown_name(detail, DETAILS, "level of detail")
     if name not in SHAPES:
         raise unknown_name(name, SHAPES, "vehicle shape")
-    made = _box() if detail == "box" else _loft(_BODIES[name])
+    if detail == "box":
+        made = _box()
+    elif detail == "body":
+        made = _loft(_BODIES[name])
+    else:
+        made = detailed_shape(name)
     for array in (made.vertices, made.faces, made.surface):
         array.setflags(write=False)
     return made

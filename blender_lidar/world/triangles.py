@@ -35,7 +35,7 @@ class Triangles:
 
 
 def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
-    """Every vehicle of a frame as triangles at the level of detail `detail` ("box" or "body")."""
+    """Every vehicle of a frame as triangles at the level of detail `detail` of `shapes.DETAILS`."""
     names = shape_names(vehicles)
     corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
     for name in sorted(set(names.tolist())):
