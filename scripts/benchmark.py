@@ -1,6 +1,6 @@
 """Time a frame, culled, cast and scored, beside plain casting of the same beams; all in one run, interleaved.
 
-    python scripts/benchmark.py [SCENE.toml] [--sensor RS-80] [--frames 10] [--repeats 7] [--json FILE]
+    python scripts/benchmark.py [SCENE.toml] [--sensor RS-80] [--detail body] [--frames 10] [--repeats 7] [--json FILE]
 
 Every entry is timed once for each frame in each round, so that a busy moment of the machine falls on all of them. For
 each frame the median over the rounds is taken; printed are the median, the least and the most over the frames, and the
@@ -34,6 +34,7 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.study.site import Region, read_recording
 from blender_lidar.traffic import plan_frames
+from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 
 # The paper's Table II: height [m] and tilt [deg].
@@ -63,6 +64,7 @@ def _arguments(argv):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scene", nargs="?", default=str(Path(__file__).parents[1] / "scenes" / "i80.toml"))
     parser.add_argument("--sensor", default="RS-80", choices=sorted(MOUNTINGS))
+    parser.add_argument("--detail", choices=DETAILS, help="level of detail of the vehicles, in place of the scene's")
     parser.add_argument("--frames", type=_positive, default=10)
     parser.add_argument("--repeats", type=_positive, default=7)
     parser.add_argument("--json", metavar="FILE")
@@ -77,7 +79,10 @@ def _positive(text):
 
 def _entries(args):
     """What is timed: a name and a function for each frame; and a text about the frames."""
-    scenario = load_scenario(args.scene, {("sensor", "name"): (args.sensor, "--sensor")})
+    overrides = {("sensor", "name"): (args.sensor, "--sensor")}
+    if args.detail:
+        overrides["world", "detail"] = (args.detail, "--detail")
+    scenario = load_scenario(args.scene, overrides)
     recording = read_recording(scenario)
     gate = scenario.sensor.range_gate_m
     region = Region(scenario.deployment.nominal_xy, gate)
@@ -117,7 +122,8 @@ def _entries(args):
     low, middle, high = (np.quantile(rows, q, axis=0, method="nearest") for q in (0.0, 0.5, 1.0))
     spread = [f"{b:,} ({a:,} to {c:,})" for a, b, c in zip(low, middle, high, strict=True)]
     about = (
-        f"{args.sensor}, {len(every_ray):,} beams, {len(frames)} frames; median (and range) of a frame:\n"
+        f"{args.sensor}, {len(every_ray):,} beams, {len(frames)} frames, detail {scenario.model.detail}; "
+        "median (and range) of a frame:\n"
         f"{spread[0]} vehicles, {spread[1]} within {gate:g} m, {spread[2]} triangles,\n"
         f"{spread[3]} beams can reach a vehicle, {spread[4]} return from one"
     )
