@@ -159,7 +159,7 @@ def test_the_cars_proportions_are_those_of_a_car():
     assert 0.7 < top[hood].min() < top[hood].max() < 1.0
     assert (np.diff(top[hood]) <= 1e-9).all()
     roof = x[top > 1.40]
-    assert 1.2 < np.ptp(roof) < 1.8
+    assert 1.5 < np.ptp(roof) < 2.2
     screen = (x > 2.75) & (x < 3.25)
     rake = np.degrees(np.arctan(-np.polyfit(x[screen], top[screen], 1)[0]))
     assert 25.0 < rake < 38.0
