@@ -20,6 +20,8 @@ def run_identity(scenario: Scenario, caster: str) -> dict[str, object]:
     tables = scenario.as_tables()
     tables["model"] = {"caster": caster}  # the number of workers changes nothing
     tables["traffic"]["path"] = f"file with SHA-256 {file_digest(scenario.traffic.path)}"
+    if scenario.traffic.vehicle_types is not None:
+        tables["traffic"]["vehicle_types"] = f"file with SHA-256 {file_digest(scenario.traffic.vehicle_types)}"
     if scenario.sensor.is_file:
         tables["sensor"]["name"] = f"file with SHA-256 {file_digest(scenario.sensor.name)}"
     for key, path in (("blend", scenario.world.blend), ("mesh", scenario.world.mesh)):

@@ -118,7 +118,9 @@ class RunFolder:
     def write_scene(self, scenario: Scenario) -> None:
         """Write the scene as used, every default spelt out."""
         tables = scenario.as_tables()
-        tables["traffic"]["path"] = str(Path(tables["traffic"]["path"]).resolve())
+        for key in ("path", "vehicle_types"):
+            if tables["traffic"][key] is not None:
+                tables["traffic"][key] = str(Path(tables["traffic"][key]).resolve())
         if scenario.sensor.is_file:
             tables["sensor"]["name"] = str(Path(tables["sensor"]["name"]).resolve())
         for key in ("blend", "mesh"):

@@ -105,7 +105,7 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
 
 
 def _traffic(table: TomlTable, folder: Path) -> TrafficSettings:
-    path = (Path() if table.overridden("path") else folder) / table.text("path")
+    vehicle_types = table.text("vehicle_types", None)
     frames, spacing_s = table.whole("frames", None, low=1), table.number("spacing_s", None, above=0.0)
     frame_ids = table.whole_numbers("frame_ids", None)
     if frame_ids is not None and (frames is not None or spacing_s is not None):
@@ -117,7 +117,7 @@ def _traffic(table: TomlTable, folder: Path) -> TrafficSettings:
     height_m = {key: heights.number(key, None, above=0.0, high=10.0) for key in HEIGHT_KEYS}
     heights.finish()
     return TrafficSettings(
-        path=str(path),
+        path=_path(table, "path", folder, table.text("path")),
         format=table.text("format", "auto", allowed=FORMATS),
         period=table.text("period", None),
         location=table.text("location", None),
@@ -126,12 +126,18 @@ def _traffic(table: TomlTable, folder: Path) -> TrafficSettings:
         lanes=table.whole_numbers("lanes", None),
         frames=DEFAULT_COUNT if frames is None and frame_ids is None and spacing_s is None else frames,
         time_step_s=table.number("time_step_s", None, above=0.0),
+        vehicle_types=None if vehicle_types is None else _path(table, "vehicle_types", folder, vehicle_types),
         frame_ids=frame_ids,
         spacing_s=spacing_s,
         holdout=table.number("holdout", 0.4, low=0.0, high=0.9),
         block_s=table.number("block_s", None, above=0.0),
         height_m={key: value for key, value in height_m.items() if value is not None},
     )
+
+
+def _path(table: TomlTable, key: str, folder: Path, path: str) -> str:
+    """A path that the scene gives, from its own folder on, or an option."""
+    return str((Path() if table.overridden(key) else folder) / path)
 
 
 def _road(table: TomlTable) -> RoadFrame:

@@ -17,7 +17,8 @@ COORDINATES = ("x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg")
 class TrafficSettings:
     """[traffic]: where the vehicles come from and which instants are looked at.
 
-    `frames` is None where `frame_ids` lists them, or `spacing_s` alone spreads them.
+    `frames` is None where `frame_ids` lists them, or `spacing_s` alone spreads them. `vehicle_types` is the path of the
+    file with the sizes of SUMO's vehicles.
     """
 
     path: str
@@ -27,6 +28,7 @@ class TrafficSettings:
     origin_m: tuple[float, float] | None
     heading_deg: float | None
     time_step_s: float | None
+    vehicle_types: str | None
     lanes: tuple[int, ...] | None
     frames: int | None
     frame_ids: tuple[int, ...] | None

@@ -84,6 +84,7 @@ REPLACED = [
     ("--sensor", "RS-32", "sensor", "name", "RS-32"),
     ("--period", "2", "traffic", "period", "2"),
     ("--location", "i-80", "traffic", "location", "i-80"),
+    ("--vehicle-types", "cars.rou.xml", "traffic", "vehicle_types", "cars.rou.xml"),
     ("--frames", "9", "traffic", "frames", 9),
     ("--frame-ids", "3:5", "traffic", "frame_ids", (3, 4, 5)),
     ("--caster", "bvh", "model", "caster", "bvh"),

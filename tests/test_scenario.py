@@ -230,6 +230,7 @@ KEYS = [
     ("traffic", "origin_m", "[1, 2, 3]", None),
     ("traffic", "heading_deg", '"north"', "361"),
     ("traffic", "time_step_s", '"fast"', "0"),
+    ("traffic", "vehicle_types", "3", None),
     ("traffic", "lanes", '"1"', None),
     ("traffic", "frames", "2.5", "0"),
     ("traffic", "frame_ids", "[1.5]", f"[{10**20}]"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import BlenderLidarError, InputError
-from blender_lidar.traffic import read_table, read_traffic, table
+from blender_lidar.traffic import csv_rows, read_table, read_traffic
 from blender_lidar.traffic.report import RepairReport
 
 HEADER = "frame,vehicle_id,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg"
@@ -127,7 +127,7 @@ def test_repeated_rows_are_dropped_and_counted(tmp_path):
 
 def test_chunks_do_not_show(tmp_path, monkeypatch):
     expected = read_table(write(tmp_path))
-    monkeypatch.setattr(table, "_CHUNK_ROWS", 2)
+    monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 2)
     np.testing.assert_array_equal(read_table(write(tmp_path)).centre_m, expected.centre_m)
     assert refused(write(tmp_path, rows=[*ROWS, "", ROWS[0].replace("5.0", "far", 1)])).startswith("FILE:6: x_m")
 
@@ -201,7 +201,7 @@ def test_times_that_contradict_one_another(tmp_path):
 
 
 def test_too_many_rows(tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "MAX_ROWS", 2)
+    monkeypatch.setattr(csv_rows, "MAX_ROWS", 2)
     assert refused(write(tmp_path)) == "FILE: more than 2 rows; split the file"
 
 

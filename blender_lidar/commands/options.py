@@ -17,6 +17,7 @@ _MOST_FRAMES = 1_000_000
 _SETTINGS = (
     ("--sensor", "sensor", "name", str, None, "sensor model or the path of a beam table; see `blender-lidar sensors`"),
     ("--traffic", "traffic", "path", str, None, "trajectory file in place of the scene's"),
+    ("--vehicle-types", "traffic", "vehicle_types", str, None, "SUMO route or additional file with the <vType>s"),
     ("--period", "traffic", "period", str, None, "recording period of an NGSIM file: 1, 2 ... or 0400-0415"),
     ("--location", "traffic", "location", str, None, "site of a file that mixes several: i-80"),
     ("--frames", "traffic", "frames", int, None, "number of searched frames, spread evenly"),

@@ -121,7 +121,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         x, y = region.centre_xy
         raise InputError(
             f"{recording.source}: no vehicle within {region.radius_m:g} m of the mount at x {x:g} m, y {y:g} m in the "
-            f"{len(plan.search)} searched frames; check [road] and [deployment]"
+            f"{len(plan.search)} searched frames; check [traffic] origin_m, [road] and [deployment]"
         )
     scoring = Scoring(objective.threshold, objective.view, objective.loss, objective.reading)
     return Site(scenario, model, observation, scoring, recording, plan, searched, held_out)
@@ -150,6 +150,7 @@ def read_recording(scenario: Scenario) -> Recording:
         height_m=settings.height_m,
         origin_m=settings.origin_m,
         heading_deg=settings.heading_deg,
+        vehicle_types=settings.vehicle_types,
     )
     if settings.lanes is None:
         return recording

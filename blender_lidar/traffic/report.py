@@ -24,7 +24,9 @@ class RepairReport:
     repeated : int
         Rows dropped because their vehicle was already there in that frame, elsewhere or with another size.
     off_map : int
-        Rows dropped because they lie kilometres from the section.
+        Rows dropped because they lie kilometres from the section, or have no place at all.
+    left_out : int
+        Rows of what is no vehicle on a road: persons, containers, trains.
     interpolated : int
         Boxes added in gaps of at most 0.5 s.
     tracks_split : int
@@ -48,6 +50,7 @@ class RepairReport:
     duplicates: int = 0
     repeated: int = 0
     off_map: int = 0
+    left_out: int = 0
     interpolated: int = 0
     tracks_split: int = 0
     sizes_repaired: int = 0
@@ -63,6 +66,7 @@ class RepairReport:
             (self.duplicates, "duplicate row", "dropped"),
             (self.repeated, "row", "dropped: vehicle already in that frame"),
             (self.off_map, "row", "dropped: off the map"),
+            (self.left_out, "row", "left out: no vehicle on a road"),
             (self.interpolated, "box", "interpolated in gaps of at most 0.5 s"),
             (self.tracks_split, "longer gap", "left open"),
             (self.sizes_repaired, "vehicle", "with a missing or absurd size repaired"),

@@ -76,6 +76,46 @@ class RoadFrame:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Placing:
+    """Where the road frame lies in the plane coordinates of a table or a net.
+
+    Attributes
+    ----------
+    origin_m : (float, float)
+        The road frame's origin [m, the file's frame].
+    heading_deg : float
+        Direction of the road's x axis in the file's frame [degrees], counter-clockwise.
+
+    Raises
+    ------
+    InputError
+        For a number that is not finite.
+    """
+
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    heading_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if len(self.origin_m) != 2 or not all(math.isfinite(value) for value in self.origin_m):
+            raise InputError(f"origin_m is {self.origin_m!r}; two finite numbers are needed")
+        if not math.isfinite(self.heading_deg):
+            raise InputError(f"heading_deg is {self.heading_deg}; a finite number is needed")
+
+    def points(self, xy_m: np.ndarray) -> np.ndarray:
+        """Points of the file's frame, (n, 2) [m], in the road frame."""
+        turn = math.radians(self.heading_deg)
+        x, y = (np.asarray(xy_m, dtype=np.float64) - self.origin_m).T
+        along = x * math.cos(turn) + y * math.sin(turn)
+        across = y * math.cos(turn) - x * math.sin(turn)
+        return np.stack([along, across], axis=1)
+
+    def headings(self, heading_rad: np.ndarray) -> np.ndarray:
+        """Headings from the file's +x, (n,) [rad], as headings from the road's, within half a turn."""
+        turned = heading_rad - math.radians(self.heading_deg)
+        return np.arctan2(np.sin(turned), np.cos(turned))
+
+
 def within_x(centre_m: np.ndarray, x_range_m: tuple[float, float] | None, source: str) -> np.ndarray:
     """Which of the box centres, (n, 3) [m, road frame], have their x in a range, (n,) bool; all without a range.
 

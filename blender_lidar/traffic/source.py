@@ -1,4 +1,4 @@
-"""Opening a text file of vehicles, plain or gzip, and refusing early what cannot be one."""
+"""Opening a file of vehicles, plain or gzip, and refusing early what cannot be one."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class _GuardedStream(io.RawIOBase):
         last = data.rfind(b"\n")
         self._line = self._line + len(data) if last < 0 else len(data) - last - 1
         if self._line > _LONGEST_LINE:
-            raise InputError(f"{self._path}: a line longer than {_LONGEST_LINE:,} characters; not a table of vehicles")
+            raise InputError(f"{self._path}: a line longer than {_LONGEST_LINE:,} characters; not a file of vehicles")
 
 
 def open_bytes(path: str | Path) -> io.BufferedReader:
@@ -77,6 +77,18 @@ def open_bytes(path: str | Path) -> io.BufferedReader:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     return io.BufferedReader(guarded, buffer_size=2**20)
+
+
+def first_bytes(path: str | Path, count: int) -> bytes:
+    """The first bytes of a file, unpacked.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        As `open_bytes`.
+    """
+    with open_bytes(path) as stream:
+        return stream.read(count)
 
 
 def table_lines(path: str | Path) -> Iterator[tuple[int, str]]:

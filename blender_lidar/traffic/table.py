@@ -21,19 +21,18 @@ One row per vehicle and frame under a header; columns in any order, further ones
 from __future__ import annotations
 
 import csv
-import io
 import math
-from collections.abc import Iterator, Sequence
-from itertools import islice
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError, unknown_name
+from .csv_rows import csv_columns
 from .overlaps import with_overlaps_reported
 from .report import RepairReport
-from .road import within_x
-from .source import MAX_ROWS, open_bytes, table_lines
+from .road import Placing, within_x
+from .source import table_lines
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Recording
 
@@ -43,7 +42,6 @@ _WHOLE = {"frame": 2**53, "vehicle_id": 2**53, "lane": 2**15 - 1}
 _NOT_NEGATIVE = ("vehicle_id",)  # -1 is what is no vehicle
 _POSITIVE = ("length_m", "width_m", "height_m")
 _ASSUMED_TIME_STEP_S = 0.1
-_CHUNK_ROWS = 5_000  # more fill the processor's cache with short strings
 
 
 def read_table(
@@ -73,16 +71,17 @@ def read_table(
     MissingFileError, InputError
         If the file or one of its values cannot be used; the text names the line and the column.
     """
-    _check_placing(origin_m, heading_deg, time_step_s)
+    placing = Placing(origin_m, heading_deg)
+    if time_step_s is not None and not 0 < time_step_s < math.inf:
+        raise InputError(f"time_step_s is {time_step_s}; more than 0 is needed")
     columns = _columns(path)
     rows_read = len(columns["frame"])
     values = np.column_stack([column for name, column in columns.items() if name not in ("frame", "vehicle_id")])
     kept, duplicates, repeated = drop_repeats(columns["vehicle_id"], columns["frame"], values)
     columns = {name: column[kept] for name, column in columns.items()}
     time_s, step_s, notes = _times(path, columns, time_step_s)
-    turn = math.radians(heading_deg)
-    centre = _centres(columns, origin_m, turn)
-    heading = np.radians(columns["heading_deg"]) - turn
+    plane = placing.points(np.column_stack([columns["x_m"], columns["y_m"]]))
+    centre = np.column_stack([plane, columns.get("z_m", columns["height_m"] / 2)])
     inside = within_x(centre, x_range_m, str(path))
     recording = Recording.from_rows(
         frame=columns["frame"][inside],
@@ -91,7 +90,7 @@ def read_table(
         class_index=columns["class"][inside],
         centre_m=centre[inside],
         size_m=np.column_stack([columns[name] for name in _POSITIVE])[inside],
-        heading_rad=np.arctan2(np.sin(heading), np.cos(heading))[inside],
+        heading_rad=placing.headings(np.radians(columns["heading_deg"]))[inside],
         lane=columns.get("lane", np.zeros(len(centre)))[inside],
         time_step_s=step_s,
         source=str(path),
@@ -111,35 +110,17 @@ def is_table_header(fields: list[str]) -> bool:
     return len({field.strip().lower() for field in fields} & {"x_m", "y_m", "heading_deg", "length_m"}) > 1
 
 
-def _check_placing(origin_m: tuple[float, float], heading_deg: float, time_step_s: float | None) -> None:
-    if len(origin_m) != 2 or not all(math.isfinite(value) for value in origin_m):
-        raise InputError(f"origin_m is {origin_m!r}; two finite numbers are needed")
-    if not math.isfinite(heading_deg):
-        raise InputError(f"heading_deg is {heading_deg}; a finite number is needed")
-    if time_step_s is not None and not 0 < time_step_s < math.inf:
-        raise InputError(f"time_step_s is {time_step_s}; more than 0 is needed")
-
-
 def _columns(path: str | Path) -> dict[str, np.ndarray]:
     """The columns that are used, by name: classes as indices, the others as float64."""
     header, header_line = _header(path)
     wanted = [name for name in (*NEEDED, *OPTIONAL) if name in header]
     parts: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
-    rows_read = 0
-    for lines, rows in _chunks(path, header_line):
-        rows_read += len(rows)
-        if rows_read > MAX_ROWS:
-            raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
-        if set(map(len, rows)) != {len(header)}:
-            line, found = next(
-                (line, len(row)) for line, row in zip(lines, rows, strict=True) if len(row) != len(header)
-            )
-            raise InputError(f"{path}:{line}: {found} fields; the header has {len(header)}")
-        texts = dict(zip(header, zip(*rows, strict=True), strict=True))
+    for lines, fields in csv_columns(path, header, header_line):
+        texts = dict(zip(header, fields, strict=True))
         for name in wanted:
             read = _class_indices if name == "class" else _numbers
             parts[name].append(read(path, name, texts[name], lines))
-    if not rows_read:
+    if not parts["frame"]:
         raise InputError(f"{path}: no rows below the header in line {header_line}")
     return {name: np.concatenate(part) for name, part in parts.items()}
 
@@ -157,24 +138,6 @@ def _header(path: str | Path) -> tuple[list[str], int]:
     if twice:
         raise InputError(f"{path}:{number}: column {twice[0]} is there twice")
     return header, number
-
-
-def _chunks(path: str | Path, header_line: int) -> Iterator[tuple[Sequence[int], list[list[str]]]]:
-    """Rows below the header that are not blank, and the numbers of their lines, a chunk at a time."""
-    with io.TextIOWrapper(open_bytes(path), encoding="utf-8", errors="replace", newline="") as text:
-        reader = csv.reader(islice(text, header_line, None))
-        line = header_line + 1
-        try:
-            while rows := list(islice(reader, _CHUNK_ROWS)):
-                lines: Sequence[int] = range(line, line + len(rows))
-                line += len(rows)
-                filled = [number for number, row in enumerate(rows) if len(row) > 1 or "".join(row).strip()]
-                if len(filled) < len(rows):
-                    lines, rows = [lines[number] for number in filled], [rows[number] for number in filled]
-                if rows:
-                    yield lines, rows
-        except csv.Error as error:
-            raise InputError(f"{path}:{header_line + reader.line_num}: {error}") from error
 
 
 def _numbers(path: str | Path, name: str, texts: tuple[str, ...], lines: Sequence[int]) -> np.ndarray:
@@ -216,15 +179,6 @@ def _class_indices(path: str | Path, name: str, texts: tuple[str, ...], lines: S
         raise unknown_name(texts[at], CLASSES, name, f"{path}:{lines[at]}")
     index = {text: CLASSES.index(known) for text, known in distinct.items()}
     return np.array([index[text] for text in texts], dtype=np.int8)
-
-
-def _centres(columns: dict[str, np.ndarray], origin_m: tuple[float, float], turn: float) -> np.ndarray:
-    """Box centres in the road frame, (n, 3) [m]."""
-    x = columns["x_m"] - origin_m[0]
-    y = columns["y_m"] - origin_m[1]
-    along = x * math.cos(turn) + y * math.sin(turn)
-    across = y * math.cos(turn) - x * math.sin(turn)
-    return np.column_stack([along, across, columns.get("z_m", columns["height_m"] / 2)])
 
 
 def _times(

@@ -1,0 +1,347 @@
+"""SUMO's floating car data, in whichever file, give the same boxes, and those where SUMO has its vehicles."""
+
+from __future__ import annotations
+
+import cmath
+import gzip
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from blender_lidar.errors import InputError
+from blender_lidar.traffic import CLASSES, read_sumo, read_traffic
+from tests import sumo_samples as samples
+
+COLUMNS = ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "frame_time_s")
+
+TYPES = """<routes>
+  <vType id="car" length="4.4" width="1.85" height="1.45"/>
+  <vType id="lorry" vClass="truck" length="12.5"/>
+</routes>
+"""
+
+
+def write(tmp_path, rows, name="run.fcd.xml"):
+    path = tmp_path / name
+    path.write_text(samples.xml(rows), encoding="utf-8")
+    return path
+
+
+def write_types(tmp_path, text=TYPES):
+    path = tmp_path / "types.rou.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def typed(tmp_path, definition, name="t"):
+    """The one vehicle of a recording whose type a file defines so."""
+    path = write(tmp_path, [samples.row(type=name)])
+    recording = read_traffic(path, vehicle_types=write_types(tmp_path, f"<additional>{definition}</additional>"))
+    return CLASSES[recording.class_index[0]], recording.size_m[0].tolist()
+
+
+def assert_same(given, expected):
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(given, name), getattr(expected, name), err_msg=name)
+    assert given.time_step_s == expected.time_step_s
+    assert given.report == expected.report
+
+
+# --- where the boxes are ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("angle", "heading", "centre"),
+    [(0, 90, (50, 0.5)), (90, 0, (47.5, 3)), (180, -90, (50, 5.5)), (270, 180, (52.5, 3)), (45, 45, (48.2322, 1.2322))],
+)
+def test_a_compass_angle_becomes_a_heading_and_the_box_lies_behind_its_front(tmp_path, angle, heading, centre):
+    vehicles = read_traffic(write(tmp_path, [samples.row(angle=angle)])).vehicles(0)
+    assert math.remainder(math.degrees(vehicles.heading_rad[0]) - heading, 360) == pytest.approx(0, abs=1e-9)
+    np.testing.assert_allclose(vehicles.centre_m, [[*centre, 0.75]], atol=1e-4)
+
+
+@given(
+    centre=st.complex_numbers(max_magnitude=500, allow_nan=False),
+    heading=st.floats(-math.pi, math.pi),
+    origin=st.complex_numbers(max_magnitude=1e6, allow_nan=False),
+    turn=st.floats(-360, 360),
+    length=st.floats(1, 25),
+)
+def test_a_box_comes_back_from_where_sumo_would_record_its_front(
+    tmp_path_factory, centre, heading, origin, turn, length
+):
+    """Independently, with complex numbers: the road's x axis is a unit number, and so is the vehicle's."""
+    tmp_path = tmp_path_factory.mktemp("sumo")
+    axis = cmath.exp(1j * math.radians(turn))
+    front = origin + axis * (centre + cmath.rect(length / 2, heading))
+    angle = (90 - math.degrees(cmath.phase(axis * cmath.rect(1, heading)))) % 360
+    rows = [samples.row(x=repr(front.real), y=repr(front.imag), angle=repr(angle))]
+    types = write_types(tmp_path, f'<routes><vType id="car" length="{length!r}"/></routes>')
+    settings = {"origin_m": (origin.real, origin.imag), "heading_deg": turn, "vehicle_types": types}
+    recording = read_traffic(write(tmp_path, rows), **settings)
+    np.testing.assert_allclose(recording.centre_m[0, :2], [centre.real, centre.imag], atol=1e-8)
+    assert math.remainder(recording.heading_rad[0] - heading, 2 * math.pi) == pytest.approx(0, abs=1e-9)
+
+
+def test_boxes_stand_on_the_flat_road_and_a_note_says_so_where_it_is_not_flat(tmp_path):
+    flat = read_traffic(write(tmp_path, [samples.row(z=7.0), samples.row(0.1, z=7.05)]))
+    hilly = read_traffic(write(tmp_path, [samples.row(z=7.0), samples.row(0.1, z=9.5)]))
+    assert flat.centre_m[:, 2].tolist() == hilly.centre_m[:, 2].tolist() == [0.75, 0.75]
+    assert "z from 7.0 to 9.5 m is left aside: all vehicles stand on a flat road" in hilly.report.notes
+    assert not any(note.startswith("z ") for note in flat.report.notes)
+
+
+def test_boxes_are_kept_by_the_x_of_their_centre(tmp_path):
+    path = write(tmp_path, samples.driving())
+    whole, part = read_traffic(path), read_traffic(path, x_range_m=(170.0, 185.0))
+    inside = (whole.centre_m[:, 0] >= 170) & (whole.centre_m[:, 0] <= 185)
+    assert 0 < part.report.rows_used == inside.sum() < len(whole)
+    np.testing.assert_array_equal(part.centre_m, whole.centre_m[inside])
+
+
+def test_the_report_says_whose_frame_is_taken_for_the_roads(tmp_path):
+    path = write(tmp_path, samples.driving())
+    note = "neither origin_m nor heading_deg: the road's origin and x axis are the net's own"
+    assert note in read_traffic(path).report.notes
+    assert note not in read_traffic(path, origin_m=(0.0, 0.0)).report.notes
+
+
+# --- one recording, many files ----------------------------------------------------------------------------------------
+
+CROWD = [
+    *samples.driving(frames=5, type="lorry"),
+    samples.row(0.4, "person", id="walker", type="DEFAULT_PEDTYPE"),
+    samples.row(0.4, "container", id="crate", type="DEFAULT_CONTAINERTYPE"),
+    *[samples.row(0.5 + 0.1 * k, x=60.125 + k, y=-3.75, angle=123.45, lane=":junction_1_2") for k in range(5)],
+]
+SHUFFLED = ("lane", "y", "edge", "angle", "slope", "time", "speed", "x", "id", "type", "pos")
+AS_TEXT = {
+    "CSV": lambda: samples.csv(CROWD),
+    "CSV, columns in another order": lambda: samples.csv(CROWD, columns=SHUFFLED),
+    "CSV, commas": lambda: samples.csv(CROWD, separator=","),
+    "CSV, tabs": lambda: samples.csv(CROWD, separator="\t"),
+    "CSV, CRLF and blank lines": lambda: samples.csv(CROWD).replace("\n", "\r\n\r\n"),
+    "CSV, plain column names": lambda: samples.csv(CROWD).replace("vehicle_", "").replace("timestep_", ""),
+    "CSV, full column names": lambda: samples.csv(CROWD).replace("vehicle_", "timestep_vehicle_"),
+    "CSV that begins with a person": lambda: samples.csv(CROWD).replace("vehicle_", "person_"),
+    "CSV by xml2csv.py": lambda: samples.xml2csv(CROWD),
+    "XML without indents": lambda: samples.xml(CROWD).replace("  ", ""),
+    "XML, empty timesteps between": lambda: samples.xml(CROWD).replace(
+        "</timestep>", '</timestep><timestep time="9"/>'
+    ),
+}
+
+
+@pytest.fixture
+def expected(tmp_path):
+    return read_traffic(write(tmp_path, CROWD), vehicle_types=write_types(tmp_path))
+
+
+@pytest.mark.parametrize("layout", AS_TEXT)
+@pytest.mark.parametrize("packed", [False, True])
+def test_every_text_layout_gives_the_same_recording(tmp_path, expected, layout, packed):
+    path = tmp_path / "run.dat"
+    data = AS_TEXT[layout]().encode()
+    path.write_bytes(gzip.compress(data) if packed else data)
+    found = read_traffic(path, vehicle_types=tmp_path / "types.rou.xml")
+    assert_same(found, expected)
+    assert (found.report.rows_read, found.report.left_out, len(found)) == (len(CROWD), 2, len(CROWD) - 2)
+
+
+def test_parquet_gives_the_same_recording(tmp_path, expected):
+    pytest.importorskip("pyarrow", exc_type=ImportError)
+    for columns in (("time", *samples.ATTRIBUTES, "edge"), SHUFFLED):
+        path = samples.write_parquet(tmp_path / "run.parquet", CROWD, columns)
+        assert_same(read_traffic(path, vehicle_types=tmp_path / "types.rou.xml"), expected)
+
+
+def test_chunks_do_not_show(tmp_path, expected, monkeypatch):
+    from blender_lidar.traffic import csv_rows, xml_tags
+
+    monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 3)
+    monkeypatch.setattr(xml_tags, "_BLOCK_BYTES", 101)
+    for name, text in (("run.csv", samples.csv(CROWD)), ("run.xml", samples.xml(CROWD))):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        assert_same(read_traffic(path, vehicle_types=tmp_path / "types.rou.xml"), expected)
+
+
+def test_empty_timesteps_of_sumos_csv_are_no_rows(tmp_path):
+    path = tmp_path / "late.csv"
+    header, rows = samples.csv(samples.driving(2, 3)).split("\n", 1)
+    fields = header.count(";")
+    path.write_text(f"{header}\n0.00{';' * fields}\n{rows}", encoding="utf-8")
+    assert_same(replace(read_traffic(path), report=None), replace(read_sumo_xml(tmp_path), report=None))
+
+
+def read_sumo_xml(tmp_path):
+    return read_sumo(write(tmp_path, samples.driving(2, 3)))
+
+
+def test_columns_that_may_be_missing_are_not_missed(tmp_path):
+    path = tmp_path / "few.csv"
+    path.write_text(samples.csv(samples.driving(), columns=("time", "id", "x", "y", "angle")), encoding="utf-8")
+    recording = read_traffic(path)
+    assert set(recording.lane) == {0}
+    np.testing.assert_array_equal(recording.centre_m, read_traffic(write(tmp_path, samples.driving())).centre_m)
+    assert any("a passenger car's for no type" in note for note in recording.report.notes)
+
+
+def test_an_id_may_hold_any_character(tmp_path):
+    path = write(tmp_path, [samples.row(id="Zürich &lt;1&gt;;2"), samples.row(0.1, id="Zürich &lt;1&gt;;2")])
+    assert read_traffic(path).vehicle_id.tolist() == [0, 0]
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("ids", "numbers"),
+    [
+        (["7", "0", "12"], [7, 0, 12]),
+        (["7", "0", "flow.12"], [0, 1, 2]),
+        (["7", "07", "12"], [0, 1, 2]),
+        (["7", "-1", "12"], [0, 1, 2]),
+        (["7", "9" * 5000, "12"], [0, 1, 2]),
+        (["7", "٣", "12"], [0, 1, 2]),
+    ],
+)
+def test_vehicles_keep_whole_numbers_else_are_numbered_as_they_appear(tmp_path, ids, numbers):
+    rows = [samples.row(0.1 * at, id=name, x=50 + at) for at, name in enumerate(ids)]
+    recording = read_traffic(write(tmp_path, rows))
+    assert recording.vehicle_id.tolist() == numbers
+    told = [note for note in recording.report.notes if "by first appearance" in note]
+    assert bool(told) == (numbers != [7, 0, 12])
+
+
+@pytest.mark.parametrize(
+    ("times", "frames", "step_s"),
+    [
+        ([0, 0.1, 0.2, 0.4], [0, 1, 2, 4], 0.1),
+        ([300, 300.5, 301], [600, 601, 602], 0.5),
+        ([0.05, 0.15, 0.25], [1, 3, 5], 0.05),
+        ([10, 20, 40], [1, 2, 4], 10),
+        ([3], [3], 1),
+        ([2.5], [5], 0.5),
+        ([0], [0], 1),
+    ],
+)
+def test_frames_count_the_longest_step_that_all_times_are_multiples_of(tmp_path, times, frames, step_s):
+    recording = read_traffic(write(tmp_path, [samples.row(time, x=50 + 10 * time) for time in times]))
+    assert recording.frames.tolist() == frames
+    assert recording.time_step_s == pytest.approx(step_s)
+    np.testing.assert_allclose(recording.frame_time_s, times)
+
+
+@pytest.mark.parametrize(
+    ("lane", "number"),
+    [("road_0", 1), ("a_b_2", 3), (":junction_0_1", 2), ("road", 0), ("road_x", 0), ("", 0), ("r_99999", 0)],
+)
+def test_lanes_count_from_1_the_rightmost(tmp_path, lane, number):
+    assert read_traffic(write(tmp_path, [samples.row(lane=lane)])).lane.tolist() == [number]
+
+
+# --- classes and sizes ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("attributes", "class_name", "size"),
+    [
+        ("", "car", [5.0, 1.8, 1.5]),
+        ('length="4.9"', "car", [4.9, 1.8, 1.5]),
+        ('length="4.91" height="1.9"', "van", [4.91, 1.8, 1.9]),
+        ('length="5.2" guiShape="passenger/sedan"', "car", [5.2, 1.8, 1.5]),
+        ('length="4.2" guiShape="passenger/van"', "van", [4.2, 1.8, 1.5]),
+        ('length="4.2" guiShape="unknown"', "car", [4.2, 1.8, 1.5]),
+        ('guiShape="bus" length="18"', "bus", [18.0, 1.8, 1.5]),
+        ('vClass="delivery"', "van", [6.5, 2.16, 2.86]),
+        ('vClass="truck" width="2.55"', "truck", [7.1, 2.55, 2.4]),
+        ('vClass="trailer"', "truck", [16.5, 2.55, 4.0]),
+        ('vClass="coach"', "bus", [14.0, 2.6, 4.0]),
+        ('vClass="tram"', "bus", [22.0, 2.4, 3.2]),
+        ('vClass="moped"', "motorcycle", [2.1, 0.78, 1.7]),
+        ('vClass="bicycle"', "motorcycle", [1.6, 0.65, 1.7]),
+        ('vClass="hov" length="5.5"', "van", [5.5, 1.8, 1.5]),
+    ],
+)
+def test_a_type_has_the_size_given_else_its_class_default(tmp_path, attributes, class_name, size):
+    assert typed(tmp_path, f'<vType id="t" {attributes}/>') == (class_name, size)
+
+
+def test_types_are_found_in_distributions_and_beside_everything_else_of_a_route_file(tmp_path):
+    definition = """<route id="r" edges="a b"/><vTypeDistribution id="mix">
+        <vType id="u" probability="0.5"><carFollowing-IDM tau="1"/><param key="a" value="b"/></vType>
+        <vType id="t" vClass="bus" probability="0.5"/></vTypeDistribution><vehicle id="0" type="mix" depart="1"/>"""
+    assert typed(tmp_path, definition) == ("bus", [12.0, 2.5, 3.4])
+
+
+@pytest.mark.parametrize(
+    ("name", "class_name", "length"),
+    [
+        ("lorry@vehicle 7", "truck", 12.5),
+        ("DEFAULT_VEHTYPE", "car", 5.0),
+        ("DEFAULT_BIKETYPE", "motorcycle", 1.6),
+        ("DEFAULT_TAXITYPE@3", "car", 5.0),
+    ],
+)
+def test_sumos_own_types_need_no_definition(tmp_path, name, class_name, length):
+    recording = read_traffic(write(tmp_path, [samples.row(type=name)]), vehicle_types=write_types(tmp_path))
+    assert CLASSES[recording.class_index[0]] == class_name
+    assert recording.size_m[0, 0] == length
+
+
+def test_without_a_file_of_types_a_class_name_tells_the_size_and_anything_else_is_a_car(tmp_path):
+    names = ("bus", "truck@4", "my_fast_car", "DEFAULT_VEHTYPE", "lorry", "x", "y")
+    rows = [samples.row(id=str(number), x=20.0 * number, type=name) for number, name in enumerate(names)]
+    recording = read_traffic(write(tmp_path, rows))
+    assert [CLASSES[index] for index in recording.class_index] == ["bus", "truck", *["car"] * 5]
+    assert recording.size_m[:, 0].tolist() == [12.0, 7.1, *[5.0] * 5]
+    assert recording.report.notes[-1] == (
+        "no vehicle_types: sizes are SUMO's defaults for the type's vehicle class, "
+        "a passenger car's for my_fast_car, lorry, x and 1 more"
+    )
+
+
+def test_what_drives_on_no_road_is_left_out_and_counted(tmp_path):
+    rows = [samples.row(time, id=kind, type=kind) for time in (0, 0.1) for kind in ("rail_urban", "bus", "pedestrian")]
+    recording = read_traffic(write(tmp_path, rows))
+    assert [CLASSES[index] for index in recording.class_index] == ["bus", "bus"]
+    assert recording.report.left_out == 4
+    assert "rows of vehicles on no road: 2 of pedestrian, 2 of rail_urban" in recording.report.notes
+    assert "4 rows left out: no vehicle on a road" in recording.report.lines()
+
+
+# --- defects ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_vehicle_twice_in_one_timestep_counts_once_and_is_told(tmp_path):
+    rows = [samples.row(), samples.row(), samples.row(x=51.0), samples.row(0.1)]
+    recording = read_traffic(write(tmp_path, rows))
+    assert recording.centre_m[:, 0].tolist() == [47.5, 47.5]
+    assert (recording.report.duplicates, recording.report.repeated) == (1, 1)
+
+
+def test_a_vehicle_that_is_nowhere_is_dropped(tmp_path):
+    nowhere = samples.row(0.1, x="-1073741824.00", y="-1073741824.00")
+    recording = read_traffic(write(tmp_path, [samples.row(), nowhere, samples.row(0.2), samples.row(0.3)]))
+    assert recording.frames.tolist() == [0, 2, 3]
+    assert recording.report.off_map == 1
+
+
+@pytest.mark.parametrize("speed", [None, 0.0])
+def test_metres_near_the_origin_are_not_taken_for_degrees(tmp_path, speed):
+    rows = [samples.row(0.1 * k, id=str(n), x=4.0 * n, speed=speed) for k in range(3) for n in range(3)]
+    assert len(read_traffic(write(tmp_path, rows))) == 9
+    rows = [samples.row(0.1 * k, x=0.5 + k, y=0.1) for k in range(3)]
+    assert len(read_traffic(write(tmp_path, rows))) == 3
+
+
+def test_settings_of_other_formats_are_refused(tmp_path):
+    path = write(tmp_path, samples.driving())
+    for setting in ({"period": 2}, {"time_step_s": 0.1}, {"height_m": {"car": 1.5}}):
+        with pytest.raises(InputError, match=r"does not apply to traffic of format 'sumo'"):
+            read_traffic(path, **setting)

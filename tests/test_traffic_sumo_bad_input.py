@@ -1,0 +1,306 @@
+"""A recording of SUMO's that cannot be used ends in one line that names the file, and the line where there is one."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import random
+import sys
+
+import pytest
+
+from blender_lidar.errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError
+from blender_lidar.traffic import csv_rows, read_traffic, source, sumo_rows
+from tests import sumo_samples as samples
+
+ROWS = samples.driving(3, 8)
+HEADER_LINES = 5  # of `samples.xml`, before the first timestep
+
+
+def refused(path, **settings):
+    with pytest.raises(BlenderLidarError) as caught:
+        read_traffic(path, **settings)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert str(path) in text
+    return text.replace(str(path), "FILE")
+
+
+def write(tmp_path, content, name="run.fcd.xml"):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def of_rows(tmp_path, *rows):
+    return write(tmp_path, samples.xml(rows))
+
+
+# --- XML --------------------------------------------------------------------------------------------------------------
+
+
+def test_truncated_xml(tmp_path):
+    text = samples.xml(ROWS)
+    for length in (len(text) // 2, len(text) - 3, text.index("<timestep") + 4):
+        assert "truncated or damaged XML (" in refused(write(tmp_path, text[:length]))
+
+
+def test_truncated_gzip(tmp_path):
+    packed = gzip.compress(samples.xml(ROWS).encode())
+    for length in (len(packed) // 2, len(packed) - 4):
+        assert "truncated or damaged gzip" in refused(write(tmp_path, packed[:length]))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("<fcd-export", "FILE:1: truncated or damaged XML (unclosed token)"),
+        ("<fcd-export>\n<timestep time=0/>\n</fcd-export>", "FILE:2: truncated or damaged XML (not well-formed"),
+        ("<fcd-export>\n</fcd>", "FILE:2: truncated or damaged XML (mismatched tag)"),
+        ("<fcd-export></fcd-export>\n<more/>", "FILE:2: truncated or damaged XML (junk after document element)"),
+        ("<routes></routes>", "FILE:1: the root element is <routes>; a recording of SUMO's has <fcd-export>"),
+        ("<fcd-export/>", "FILE: no vehicle in 0 rows; at least one is needed"),
+        ("<fcd-export>\n<vehicle/></fcd-export>", "FILE:2: <vehicle> outside a <timestep>"),
+        ("<fcd-export><a time='0'>\n<vehicle/></a></fcd-export>", "FILE:2: <vehicle> outside a <timestep>"),
+        ("<?xml version='1.0' encoding='klingon'?>\n<fcd-export/>", "FILE: XML in an unknown encoding: klingon"),
+        ("<fcd-export>&nbsp;</fcd-export>", "FILE:1: truncated or damaged XML (undefined entity)"),
+    ],
+)
+def test_xml_of_something_else(tmp_path, text, reason):
+    assert refused(write(tmp_path, text)).startswith(reason)
+
+
+def test_a_document_type_and_with_it_every_entity(tmp_path):
+    bomb = '<!DOCTYPE a [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;">]>\n' + samples.xml(ROWS).split("\n", 1)[1]
+    outside = '<!DOCTYPE a SYSTEM "file:///etc/passwd">\n' + bomb.split("\n", 1)[1]
+    for text in (bomb, outside):
+        assert refused(write(tmp_path, text)).startswith("FILE:1: declares a document type (<!DOCTYPE ...>)")
+
+
+def test_elements_that_nest_without_end(tmp_path):
+    assert refused(write(tmp_path, "<fcd-export>" + "<a>\n" * 100_000)) == "FILE:32: elements nest more than 32 deep"
+
+
+def test_a_line_without_end(tmp_path):
+    assert "a line longer than" in refused(write(tmp_path, f"<fcd-export>\n<a b='{'x' * 200_000}'/></fcd-export>"))
+
+
+def test_xml_that_unpacks_without_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(source, "MAX_BYTES", 2**20)
+    assert "GiB of text" in refused(write(tmp_path, gzip.compress(samples.xml(ROWS).encode() + b"\n" * 2**21)))
+
+
+def test_a_missing_timestep_number(tmp_path):
+    text = samples.xml(ROWS).replace('time="0.30"', "")
+    assert refused(write(tmp_path, text)).endswith(": time is missing")
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+BAD_VALUES = [
+    ("id", None, "id is missing"),
+    ("id", "", "id is missing"),
+    ("x", "abc", "x is 'abc'; allowed: a finite number"),
+    ("x", "nan", "x is 'nan'; allowed: a finite number"),
+    ("y", "inf", "y is 'inf'; allowed: a finite number"),
+    ("y", "9" * 50, None),
+    ("angle", "-Infinity", "angle is '-Infinity'; allowed: a finite number"),
+    ("angle", "1,5", "angle is '1,5'; allowed: a finite number"),
+    ("speed", "fast", "speed is 'fast'; allowed: a finite number"),
+    ("z", "-inf", "z is '-inf'; allowed: a finite number"),
+    ("x", "x" * 500, f"x is '{'x' * 40}...'; allowed: a finite number"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "reason"), [case for case in BAD_VALUES if case[2]])
+def test_a_bad_value_in_xml(tmp_path, name, value, reason):
+    rows = [*ROWS[:4], samples.row(0.1, **{name: value}), *ROWS[6:]]
+    assert refused(of_rows(tmp_path, *rows)) == f"FILE:{HEADER_LINES + 1 + 3 + 2 + 2}: {reason}"
+
+
+@pytest.mark.parametrize("name", ["x", "y", "angle"])
+def test_a_vehicle_without_a_place_or_an_angle(tmp_path, name):
+    reason = f"{name} is missing; SUMO leaves it out if --fcd-output.attributes does"
+    assert refused(of_rows(tmp_path, samples.row(**{name: None}))) == f"FILE:{HEADER_LINES + 2}: {reason}"
+
+
+@pytest.mark.parametrize(("name", "value", "reason"), [case for case in BAD_VALUES if case[1] and case[2]])
+def test_a_bad_value_in_csv(tmp_path, monkeypatch, name, value, reason):
+    monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 2)
+    rows = [*ROWS[:4], samples.row(0.1, **{name: value}), *ROWS[6:]]
+    text = samples.csv(rows, columns=("time", "z", *samples.ATTRIBUTES))
+    assert refused(write(tmp_path, text, "run.csv")) == f"FILE:6: {reason}"
+
+
+@pytest.mark.parametrize("layout", ["xml", "csv"])
+def test_times_that_go_back(tmp_path, layout):
+    rows = [samples.row(0.5), samples.row(0.6), samples.row(0.2)]
+    text = samples.xml(rows) if layout == "xml" else samples.csv(rows)
+    line = HEADER_LINES + 8 if layout == "xml" else 4
+    assert refused(write(tmp_path, text)) == f"FILE:{line}: time 0.2 s comes after 0.6 s; times must ascend"
+
+
+def test_times_for_people_to_read(tmp_path):
+    text = samples.xml(ROWS).replace('time="0.00"', 'time="00:00:00.00"')
+    hint = "(leave out SUMO's --human-readable-time)"
+    reason = f"FILE:7: time is '00:00:00.00'; allowed: a finite number {hint}"
+    assert refused(write(tmp_path, text)) == reason
+
+
+def test_a_recording_without_vehicles(tmp_path):
+    persons = [samples.row(0.1 * k, "person", id="p") for k in range(3)]
+    assert refused(of_rows(tmp_path, *persons)) == "FILE: no vehicle in 3 rows; at least one is needed"
+    assert (
+        refused(write(tmp_path, samples.csv(persons), "p.csv")) == "FILE: no vehicle in 3 rows; at least one is needed"
+    )
+    trains = [samples.row(0.1 * k, type="subway", x=50.0 + k) for k in range(3)]
+    assert refused(of_rows(tmp_path, *trains)) == "FILE: no vehicle on a road; all are subway"
+    header = samples.csv(ROWS).split("\n", 1)[0]
+    assert refused(write(tmp_path, header + "\n", "header.csv")) == "FILE: no vehicle in 0 rows; at least one is needed"
+
+
+@pytest.mark.parametrize("speed", [13.0, 0.0, None])
+def test_longitude_and_latitude(tmp_path, speed):
+    rows = [
+        samples.row(0.1 * k, id=str(n), x=8.5 + 1e-5 * (k * (speed or 0) / 7.3 + 10 * n), y=49.0, speed=speed)
+        for k in range(10)
+        for n in range(3)
+    ]
+    assert refused(of_rows(tmp_path, *rows)) == (
+        "FILE: x and y are longitude and latitude; metres are needed: run SUMO without --fcd-output.geo, "
+        "or with --fcd-output.utm"
+    )
+
+
+def test_too_many_rows(tmp_path, monkeypatch):
+    monkeypatch.setattr(sumo_rows, "MAX_ROWS", 20)
+    assert refused(of_rows(tmp_path, *ROWS)) == "FILE: more than 20 rows; split the file"
+
+
+# --- CSV --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["x", "angle", "time"])
+def test_a_missing_column(tmp_path, name):
+    columns = [column for column in ("time", *samples.ATTRIBUTES) if column != name]
+    text = refused(write(tmp_path, samples.csv(ROWS, columns=columns)), format="sumo")
+    shown = "timestep_time" if name == "time" else f"vehicle_{name}"
+    assert text.startswith(f"FILE:1: no column {shown}; needed: timestep_time, vehicle_id, vehicle_x")
+
+
+def test_a_column_twice(tmp_path):
+    text = samples.csv(ROWS).replace("vehicle_pos", "vehicle_x")
+    assert refused(write(tmp_path, text)) == "FILE:1: two columns for x"
+
+
+def test_a_wrong_number_of_fields(tmp_path):
+    lines = samples.csv(ROWS).splitlines()
+    lines[4] += ";1"
+    assert refused(write(tmp_path, "\n".join(lines))) == "FILE:5: 12 fields; the header has 11"
+
+
+def test_nothing_but_a_comment(tmp_path):
+    assert refused(write(tmp_path, "# nothing\n"), format="sumo") == "FILE: no rows; a recording of SUMO's is needed"
+
+
+# --- Parquet ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_damaged_parquet_file(tmp_path):
+    pytest.importorskip("pyarrow", exc_type=ImportError)
+    whole = samples.write_parquet(tmp_path / "whole.parquet", ROWS).read_bytes()
+    for damaged in (whole[: len(whole) // 2], b"PAR1", b"PAR1" + bytes(200), whole[:40] + b"\xff" * 80 + whole[120:]):
+        assert refused(write(tmp_path, damaged)).startswith("FILE: truncated or damaged Parquet file (")
+    assert refused(write(tmp_path, gzip.compress(whole))).startswith("FILE: truncated or damaged Parquet file (")
+    rng = random.Random(1)
+    for _ in range(60):
+        flipped = bytearray(whole)
+        for at in rng.sample(range(4, len(whole)), 3):
+            flipped[at] ^= 1 << rng.randrange(8)
+        with contextlib.suppress(BlenderLidarError):  # and nothing else
+            read_traffic(write(tmp_path, bytes(flipped)))
+
+
+def test_a_bad_value_in_parquet(tmp_path):
+    pytest.importorskip("pyarrow", exc_type=ImportError)
+    path = tmp_path / "run.parquet"
+    samples.write_parquet(path, [*ROWS, samples.row(0.8, x="nan")])
+    assert refused(path) == f"FILE: row {len(ROWS) + 1}: x is nan; allowed: a finite number"
+    samples.write_parquet(path, [*ROWS, samples.row(0.8, y=None)])
+    assert f"FILE: row {len(ROWS) + 1}: y is" in refused(path)
+    samples.write_parquet(path, ROWS, columns=("time", "id", "x", "y"))
+    assert refused(path).startswith("FILE: no column vehicle_angle; needed: timestep_time")
+
+
+def test_a_parquet_file_that_is_too_large(tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow", exc_type=ImportError)
+    from blender_lidar.traffic import sumo_parquet
+
+    path = samples.write_parquet(tmp_path / "run.parquet", ROWS)
+    monkeypatch.setattr(sumo_parquet, "MAX_BYTES", 100)
+    assert "GiB unpacked" in refused(path)
+    monkeypatch.setattr(sumo_parquet, "MAX_ROWS", 3)
+    assert refused(path) == "FILE: more than 3 rows; split the file"
+
+
+def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    path = write(tmp_path, b"PAR1 and more")
+    with pytest.raises(MissingExtraError) as caught:
+        read_traffic(path)
+    assert str(caught.value) == f'{path}: Parquet files need pyarrow: pip install "blender_lidar[parquet]"'
+
+
+# --- types ------------------------------------------------------------------------------------------------------------
+
+
+def types_refused(tmp_path, text):
+    path = write(tmp_path, text, "types.xml")
+    with pytest.raises(BlenderLidarError) as caught:
+        read_traffic(of_rows(tmp_path, *ROWS), vehicle_types=path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value).replace(str(path), "TYPES").replace(str(tmp_path / "run.fcd.xml"), "FILE")
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "TYPES:1: truncated or damaged XML (no element found)"),
+        ("<routes/>", "TYPES: no <vType>; a route or additional file that defines the vehicles is needed"),
+        ("<routes>", "TYPES:1: truncated or damaged XML (no element found)"),
+        ("<routes>\n<vType/></routes>", "TYPES:2: a vType without an id"),
+        ("<routes><vType id='car'/>\n<vType id='car'/></routes>", "TYPES:2: vType 'car' is there twice"),
+        ("<routes><vType id='car' length='long'/></routes>", "TYPES:1: length of vType 'car' is 'long'; allowed: more"),
+        (
+            "<routes><vType id='car' width='nan'/></routes>",
+            "TYPES:1: width of vType 'car' is 'nan'; allowed: more than",
+        ),
+        (
+            "<routes><vType id='car' height='-1'/></routes>",
+            "TYPES:1: height of vType 'car' is '-1'; allowed: more than",
+        ),
+        (
+            "<routes><vType id='car' length='0'/></routes>",
+            "TYPES:1: length of vType 'car' is '0'; allowed: more than 0",
+        ),
+        ("<routes><vType id='car' vClass='lory'/></routes>", "TYPES:1: unknown vClass 'lory'; did you mean"),
+        (
+            "<routes><vType id='cart'/></routes>",
+            "FILE: type 'car' is none of the 1 that TYPES defines; did you mean 'cart'?",
+        ),
+        ("<!DOCTYPE a><routes/>", "TYPES:1: declares a document type"),
+    ],
+)
+def test_a_file_of_types_that_cannot_be_used(tmp_path, text, reason):
+    assert types_refused(tmp_path, text).startswith(reason)
+
+
+def test_a_missing_file_of_types(tmp_path):
+    with pytest.raises(MissingFileError, match=r"nowhere\.rou\.xml: no such file"):
+        read_traffic(of_rows(tmp_path, *ROWS), vehicle_types=tmp_path / "nowhere.rou.xml")
+
+
+def test_a_file_of_types_is_for_sumo_alone(tmp_path):
+    path = write(tmp_path, "frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg\n", "boxes.csv")
+    with pytest.raises(InputError, match=r"vehicle_types = 'a\.xml' does not apply to traffic of format 'table'"):
+        read_traffic(path, vehicle_types="a.xml")
