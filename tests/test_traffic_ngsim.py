@@ -203,3 +203,52 @@ def test_native_text_of_arterials_has_free_headings(tmp_path):
     np.testing.assert_allclose(np.abs(read_traffic(path).heading_rad), np.pi, atol=1e-9)
     path.write_text(samples.native(columns))
     np.testing.assert_allclose(np.abs(read_traffic(path).heading_rad), np.radians(6.0), atol=1e-9)
+
+
+def at_rest(direction, movement=1):
+    """Five vehicles of an arterial that never move, and where Direction has each bound for."""
+    columns = samples.columns(vehicles=5, frames=20)
+    columns["Local_Y"] = 100.0 + 60.0 * columns["Vehicle_ID"]
+    number = columns["Vehicle_ID"] - 1
+    return columns | {"Direction": np.array(direction)[number], "Movement": np.full(len(number), movement)}
+
+
+@pytest.mark.parametrize("dialect", ["native", "portal", "api"])
+def test_a_vehicle_that_never_moves_points_where_direction_has_it_bound_for(dialect, tmp_path):
+    columns = at_rest([0, 1, 2, 3, 4])
+    path = tmp_path / "lankershim.txt"
+    text = (
+        samples.native(columns, arterial=True)
+        if dialect == "native"
+        else getattr(samples, dialect)(columns, "peachtree")
+    )
+    path.write_text(text, encoding="utf-8", newline="")
+    vehicles = read_traffic(path).vehicles(110)
+    forward = np.stack([np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)], axis=1)
+    # Local_Y, the road's x, runs north and Local_X, against its y, east.
+    np.testing.assert_allclose(forward, [[1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]], atol=1e-12)
+    front = vehicles.centre_m[:, :2] + vehicles.size_m[:, :1] / 2 * forward
+    local = samples.picked(columns, columns["Frame_ID"] == 110)
+    np.testing.assert_allclose(front[:, 0], local["Local_Y"] * FOOT_M - 250.0)
+    np.testing.assert_allclose(front[:, 1], 2.0 + 72 * FOOT_M - local["Local_X"] * FOOT_M)
+
+
+@pytest.mark.parametrize(
+    ("direction", "movement", "location"),
+    [(4, 5, "peachtree"), (5, 1, "peachtree"), (2.5, 1, "peachtree"), ("SB", 1, "peachtree"), (4, 1, "i-80")],
+)
+def test_columns_that_cannot_be_direction_and_movement_turn_no_vehicle(direction, movement, location, tmp_path):
+    path = tmp_path / "other.csv"
+    path.write_text(samples.api(at_rest([direction] * 5, movement), location))
+    assert not read_traffic(path).heading_rad.any()
+
+
+def test_the_24_columns_say_the_same_as_the_18(columns, tmp_path):
+    """But for headings, which are free where there are intersections."""
+    columns["Local_Y"] += 0.5 * np.sin(columns["Frame_ID"])
+    paths = tmp_path / "18.txt", tmp_path / "24.txt"
+    paths[0].write_text(samples.native(columns))
+    paths[1].write_text(samples.native(columns, arterial=True))
+    short, long = map(read_traffic, paths)
+    for name in ("frame", "vehicle_id", "class_index", "size_m", "lane", "frame_time_s", "centre_m"):
+        np.testing.assert_array_equal(getattr(long, name), getattr(short, name), err_msg=name)

@@ -131,6 +131,7 @@ def track_rows(vehicle, frame):
         size_m=np.ones((n, 2)),
         v_class=np.full(n, 2, dtype=np.int8),
         lane=np.arange(n, dtype=np.int16),
+        direction=np.zeros(n, dtype=np.int8),
     )
 
 

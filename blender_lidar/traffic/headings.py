@@ -57,8 +57,10 @@ def fitted_velocity(segment: np.ndarray, time_s: np.ndarray, position_m: np.ndar
     return np.stack(slopes, axis=1)
 
 
-def held_heading(vehicle_id: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Heading of motion where it is fast enough; else the vehicle's last one, else its next one, else 0 (the road's).
+def held_heading(
+    vehicle_id: np.ndarray, velocity: np.ndarray, at_rest_rad: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Heading of motion where it is fast enough; else the vehicle's last one, else its next one, else `at_rest_rad`.
 
     Parameters
     ----------
@@ -66,6 +68,8 @@ def held_heading(vehicle_id: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarr
         Rows of a vehicle are neighbours, in order of time.
     velocity : ndarray, (n, 2)
         [m/s]; NaN where unknown.
+    at_rest_rad : float or ndarray, (n,)
+        Headings of vehicles that are never fast enough [rad]; the road's if left out.
 
     Returns
     -------
@@ -78,7 +82,7 @@ def held_heading(vehicle_id: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarr
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) >= SLOWEST_M_S
     last = np.maximum.accumulate(np.where(moving, rows, -1))
     following = np.minimum.accumulate(np.where(moving, rows, n)[::-1])[::-1]
-    heading = np.zeros(n)
+    heading = np.array(np.broadcast_to(at_rest_rad, n), dtype=np.float64)
     open_rows = np.ones(n, dtype=bool)
     for source, known in ((last, last >= 0), (following, following < n)):
         at = np.where(known, source, 0)

@@ -24,6 +24,8 @@ from .tracks import TrackRows, drop_repeats, fill_gaps, segments
 from .vehicles import Recording
 
 FREEWAYS = ("i-80", "us-101")
+_BOUND_FOR_RAD = np.radians([0.0, -90.0, 0.0, 90.0, 180.0])
+"""Headings by Direction: unknown, east, north, west, south. Local_Y, the road frame's x, runs north on arterials."""
 _OFF_MAP_M = 2000.0
 """No section is longer than 700 m."""
 
@@ -61,7 +63,8 @@ def read_ngsim(
     -------
     Recording
         Times count from frame number 0. On freeways headings lie within 6 degrees of the road, 15 during lane
-        changes; at sites with intersections they are free.
+        changes; at sites with intersections they are free, and a vehicle that never moves faster than 2 m/s points
+        where the column Direction has it bound for.
 
     Raises
     ------
@@ -130,7 +133,8 @@ def _boxes(
     segment, split = segments(rows.vehicle_id, rows.frame, time_step_s)
     time_s = rows.frame * time_step_s
     front = road.from_local(rows.local_m)
-    motion, held = held_heading(rows.vehicle_id, fitted_velocity(segment, time_s, front))
+    at_rest = 0.0 if follows_road else _BOUND_FOR_RAD[rows.direction]
+    motion, held = held_heading(rows.vehicle_id, fitted_velocity(segment, time_s, front), at_rest)
     heading = limited(motion, lane_changing(rows.vehicle_id, time_s, rows.lane)) if follows_road else motion
     size, resized = repaired_sizes(rows.v_class, rows.size_m)
     length = size[:, 0]

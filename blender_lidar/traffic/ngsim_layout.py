@@ -26,6 +26,8 @@ NEEDED = (
 )
 """The columns that are used, in lower case as the portal's API writes them."""
 
+DIRECTION_COLUMNS = ("direction", "movement")
+"""Of arterials: where a vehicle is bound for, and whether it goes straight on or turns."""
 _SHOWN = dict(
     zip(
         NEEDED,
@@ -39,7 +41,8 @@ _FIRST_14 = [
 ]
 _LAST_4 = ["preceding", "following", "space_headway", "time_headway"]
 _ARTERIAL = ["o_zone", "d_zone", "int_id", "section_id", "direction", "movement"]
-# The six columns of arterials come after column 14 or 16; none of them, nor what they shift, is used.
+# The six columns of arterials come after column 14 (the data dictionaries of Lankershim and Peachtree); it is said, of
+# files not seen, after 16. Of them, and of what they shift, Direction alone is used.
 _WITHOUT_HEADER = {
     18: [*_FIRST_14, *_LAST_4],
     24: [*_FIRST_14, *_ARTERIAL, *_LAST_4],

@@ -13,7 +13,7 @@ import pandas as pd
 
 from ..errors import InputError, unknown_name
 from .ngsim_faults import EMPTY, RULES, bad_value, short_row, unreadable
-from .ngsim_layout import NEEDED, Layout
+from .ngsim_layout import DIRECTION_COLUMNS, NEEDED, Layout
 from .source import MAX_ROWS, open_bytes
 from .tracks import TrackRows
 
@@ -122,11 +122,12 @@ def _tables(path: str | Path, layout: Layout) -> Iterator[pd.DataFrame]:
 
 def _reader(stream: BinaryIO, layout: Layout) -> Iterator[pd.DataFrame]:
     # Unused columns are read too, under numbers, so that the parser notices rows that are too long.
+    used = {*NEEDED, *DIRECTION_COLUMNS, "location"}
     names = [
-        name if name in NEEDED or name == "location" else f"unused {number}"
+        name if name in used and layout.columns.index(name) == number else f"unused {number}"
         for number, name in enumerate(layout.columns)
     ]
-    types = {name: "category" if name == "location" else np.float64 for name in names if not name.startswith("unused")}
+    types = {"location": "category", **dict.fromkeys(NEEDED, np.float64)}
     return pd.read_csv(
         stream,
         sep=layout.delimiter or r"\s+",
@@ -169,7 +170,23 @@ def _track_rows(path: str | Path, layout: Layout, table: pd.DataFrame, index: np
         size_m=np.nan_to_num(np.stack([columns["v_length"], columns["v_width"]], axis=1)) * FOOT_M,
         v_class=columns["v_class"].astype(np.int8),
         lane=np.nan_to_num(columns["lane_id"]).astype(np.int16),
+        direction=_directions(table),
     )
+
+
+def _directions(table: pd.DataFrame) -> np.ndarray:
+    """The column Direction, (n,) int8; 0 throughout if it is not there, or is no such column.
+
+    Files are said to exist whose six columns of arterials stand two places later. The column after Direction, Movement,
+    would hold other numbers there.
+    """
+    limits = dict(zip(DIRECTION_COLUMNS, (4, 3), strict=True))
+    if any(name not in table for name in limits):
+        return np.zeros(len(table), dtype=np.int8)
+    values = {name: pd.to_numeric(table[name], errors="coerce").fillna(0).to_numpy(np.float64) for name in limits}
+    if any(not np.isin(values[name], np.arange(limit + 1)).all() for name, limit in limits.items()):
+        return np.zeros(len(table), dtype=np.int8)
+    return values["direction"].astype(np.int8)
 
 
 def _joined(parts: list[TrackRows]) -> TrackRows:

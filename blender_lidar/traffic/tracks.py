@@ -26,6 +26,8 @@ class TrackRows:
     v_class : ndarray, (n,) int8
         1 motorcycle, 2 auto, 3 truck.
     lane : ndarray, (n,) int16
+    direction : ndarray, (n,) int8
+        Bound for: 1 east, 2 north, 3 west, 4 south, where Local_Y runs north; 0 where not recorded, as on freeways.
     """
 
     vehicle_id: np.ndarray
@@ -35,6 +37,7 @@ class TrackRows:
     size_m: np.ndarray
     v_class: np.ndarray
     lane: np.ndarray
+    direction: np.ndarray
 
     def __len__(self) -> int:
         return len(self.vehicle_id)
