@@ -74,3 +74,13 @@ def test_traffic_far_from_the_mount_is_refused_with_the_keys_to_look_at(scene, t
     assert code == 2
     assert "check [traffic] origin_m, [road] and [deployment]" in err
     assert err.count("\n") == 1
+
+
+def test_a_road_frame_that_misses_the_carriageway_is_told(scene, tmp_path, capsys):
+    words = "--iterations", 2, "--frames", 2
+    note = "0 % of the boxes near the mount lie on the carriageway of [road], y 2 to 9 m; check [traffic] and [road]"
+    assert note not in cli(capsys, "optimise", scene, "--out", tmp_path / "right", *words)[1]
+    wrong = {"path": "run.fcd.xml", "origin_m": [1000.0, 0.0], "heading_deg": 0.0}
+    write_scene(tmp_path, {"traffic": wrong})
+    code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "wrong", *words)
+    assert (code, note in out) == (0, True), err

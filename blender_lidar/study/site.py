@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from .scenery import read_scenery
 from .worker_pool import within_blender
 
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
+_FEWEST_ON_ROAD = 0.1  # share; at an intersection, or with both directions in one recording, many drive elsewhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +153,7 @@ def read_recording(scenario: Scenario) -> Recording:
         heading_deg=settings.heading_deg,
         vehicle_types=settings.vehicle_types,
     )
+    recording = _with_place_told(recording, scenario)
     if settings.lanes is None:
         return recording
     in_lanes = np.isin(recording.lane, settings.lanes)
@@ -161,6 +163,21 @@ def read_recording(scenario: Scenario) -> Recording:
             f"{recording.source}: no vehicle in [traffic] lanes {list(settings.lanes)}; its lanes are {present}"
         )
     return recording.where(in_lanes)
+
+
+def _with_place_told(recording: Recording, scenario: Scenario) -> Recording:
+    """The same recording; its report tells if next to no vehicle near the mount is on the carriageway."""
+    x, y = scenario.deployment.nominal_xy
+    near = np.hypot(recording.centre_m[:, 0] - x, recording.centre_m[:, 1] - y) <= scenario.sensor.range_gate_m
+    low, high = scenario.road.carriageway_y
+    on_road = (recording.centre_m[near, 1] >= low) & (recording.centre_m[near, 1] <= high)
+    if not near.any() or on_road.mean() >= _FEWEST_ON_ROAD:
+        return recording
+    note = (
+        f"{100 * on_road.mean():.0f} % of the boxes near the mount lie on the carriageway of [road], "
+        f"y {low:g} to {high:g} m; check [traffic] and [road]"
+    )
+    return replace(recording, report=replace(recording.report, notes=(*recording.report.notes, note)))
 
 
 def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:
