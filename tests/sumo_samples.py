@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import pytest
+
 ATTRIBUTES = ("id", "x", "y", "angle", "type", "speed", "pos", "lane", "slope")
 
 Row = dict[str, str]
@@ -63,7 +65,17 @@ def xml2csv(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_parquet(path: Path, rows: Sequence[Row], columns: Sequence[str] = ("time", *ATTRIBUTES, "edge")) -> Path:
+def need_pyarrow() -> None:
+    """Skip the test where pyarrow is not installed, or does not fit this NumPy."""
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError as error:
+        pytest.skip(f"pyarrow cannot be imported: {error}")
+
+
+def write_parquet(
+    path: Path, rows: Sequence[Row], columns: Sequence[str] = ("time", *ATTRIBUTES, "edge"), **options: object
+) -> Path:
     """As ``sumo --fcd-output run.parquet`` writes it, but in double precision throughout."""
     import pyarrow
     import pyarrow.parquet
@@ -75,5 +87,5 @@ def write_parquet(path: Path, rows: Sequence[Row], columns: Sequence[str] = ("ti
         if name not in texts:
             values = [None if value is None else float(value) for value in values]
         content[f"timestep_{name}" if name == "time" else f"vehicle_{name}"] = values
-    pyarrow.parquet.write_table(pyarrow.table(content), path)
+    pyarrow.parquet.write_table(pyarrow.table(content), path, **options)
     return path

@@ -153,10 +153,19 @@ def test_every_text_layout_gives_the_same_recording(tmp_path, expected, layout, 
 
 
 def test_parquet_gives_the_same_recording(tmp_path, expected):
-    pytest.importorskip("pyarrow", exc_type=ImportError)
+    samples.need_pyarrow()
     for columns in (("time", *samples.ATTRIBUTES, "edge"), SHUFFLED):
         path = samples.write_parquet(tmp_path / "run.parquet", CROWD, columns)
         assert_same(read_traffic(path, vehicle_types=tmp_path / "types.rou.xml"), expected)
+
+
+def test_a_parquet_file_may_go_on_without_a_line_end(tmp_path):
+    """Its bytes are no text: 400 kB of them are zeros here."""
+    samples.need_pyarrow()
+    path = tmp_path / "run.parquet"
+    rows = [samples.row(0.0, id="a", x=1000.0, y=0.0, angle=0.0, speed=0.0, pos=0.0)] * 50_000
+    samples.write_parquet(path, rows, compression="none", use_dictionary=False)
+    assert read_traffic(path).report.duplicates == 49_999
 
 
 def test_chunks_do_not_show(tmp_path, expected, monkeypatch):

@@ -13,6 +13,7 @@ import pytest
 from blender_lidar.errors import InputError
 from blender_lidar.traffic import CLASSES, overlapping_pairs, read_traffic
 from blender_lidar.traffic.sumo_types import DEFAULT_SIZES_M
+from tests import sumo_samples as samples
 
 sumo = pytest.importorskip("sumo", reason="SUMO is not installed")
 HOME = Path(sumo.SUMO_HOME)
@@ -146,7 +147,7 @@ def test_sumos_own_conversion_to_csv_is_the_same_to_the_last_digit(folder, simul
 
 
 def test_parquet_is_the_same_within_the_rounding_of_the_others(folder, simulate, recording):
-    pytest.importorskip("pyarrow", exc_type=ImportError)
+    samples.need_pyarrow()
     found = read_traffic(simulate("run.fcd.parquet"), vehicle_types=folder / "routes.rou.xml")
     assert_same(found, recording, ROUNDING_M, ROUNDING_DEG)
 
@@ -167,7 +168,7 @@ def test_a_recording_that_begins_with_a_person_is_the_same_in_each_format(folder
 @pytest.mark.parametrize("name", ["geo.xml", "geo.csv", "geo.parquet"])
 def test_geographic_output_is_refused_in_each_format(folder, simulate, name):
     if name.endswith("parquet"):
-        pytest.importorskip("pyarrow", exc_type=ImportError)
+        samples.need_pyarrow()
     lonlat = '<node id="a" x="8.5" y="49"/><node id="b" x="8.503" y="49"/><node id="c" x="8.506" y="49.001"/>'
     write_xml(folder / "lonlat.xml", "nodes", lonlat)
     files = ("--node-files", "lonlat.xml", "--edge-files", "edges.xml")

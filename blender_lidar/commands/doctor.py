@@ -21,6 +21,7 @@ _OPTIONAL = {
     "embreex": "fast",
     "matplotlib": "plots",
     "tqdm": "plots",
+    "pyarrow": "parquet",
     "eclipse-sumo": "sumo",
 }
 _TOLERANCE_M = 1e-4

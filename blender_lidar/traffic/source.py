@@ -68,27 +68,36 @@ def open_bytes(path: str | Path) -> io.BufferedReader:
         If it is a folder or may not be read; later, from reading, if it is damaged or absurdly large.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path}: a folder; a file of vehicles is needed")
-    try:
-        guarded = _GuardedStream(path.open("rb"), path)
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: no such file") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return io.BufferedReader(guarded, buffer_size=2**20)
+    return io.BufferedReader(_GuardedStream(_opened(path), path), buffer_size=2**20)
 
 
 def first_bytes(path: str | Path, count: int) -> bytes:
-    """The first bytes of a file, unpacked.
+    """The first bytes of a file as they lie there, packed or not.
 
     Raises
     ------
     MissingFileError, InputError
-        As `open_bytes`.
+        If it cannot be opened or read.
     """
-    with open_bytes(path) as stream:
-        return stream.read(count)
+    path = Path(path)
+    try:
+        with _opened(path) as stream:
+            return stream.read(count)
+    except OSError as error:
+        if isinstance(error, MissingFileError):
+            raise
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _opened(path: Path) -> io.BufferedReader:
+    if path.is_dir():
+        raise InputError(f"{path}: a folder; a file of vehicles is needed")
+    try:
+        return path.open("rb")
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: no such file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 def table_lines(path: str | Path) -> Iterator[tuple[int, str]]:

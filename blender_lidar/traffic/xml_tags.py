@@ -10,7 +10,7 @@ from xml.parsers import expat
 from ..errors import InputError
 from .source import open_bytes
 
-_BLOCK_BYTES = 2**16
+_BLOCK_BYTES = 2**18
 _DEEPEST = 32  # SUMO's files nest four or five deep
 
 
