@@ -198,7 +198,8 @@ def _unusable(chunk: FcdChunk, name: str, row: int) -> InputError:
     if value is None or value == "":
         hint = "; SUMO leaves it out if --fcd-output.attributes does" if name in ("x", "y", "angle") else ""
         return InputError(f"{chunk.where(row)}: {name} is missing{hint}")
-    cut = isinstance(value, str) and len(value) > _LONGEST_SHOWN
-    shown = repr(value[:_LONGEST_SHOWN] + "..." if cut else value)
+    text = str(value)
+    given = text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "..."
+    shown = repr(given) if isinstance(value, str) else given
     hint = " (leave out SUMO's --human-readable-time)" if name == "time" and ":" in str(value) else ""
     return InputError(f"{chunk.where(row)}: {name} is {shown}; allowed: a finite number{hint}")
