@@ -74,12 +74,21 @@ class TomlTable:
         """Whether the value of `key` came from elsewhere than the file."""
         return key in self._origins
 
-    def number(self, key, default=_REQUIRED, *, low=-math.inf, high=math.inf, above=-math.inf):
-        """A finite number in [low, high] and greater than `above`."""
+    def number(self, key, default=_REQUIRED, *, low=-math.inf, high=math.inf, above=-math.inf, below=math.inf):
+        """A finite number in [low, high], greater than `above` and less than `below`."""
         value = self._get(key, default)
         if value is None:
             return None
-        return self._checked_number(value, key, low, high, above)
+        return self._checked_number(value, key, low, high, above, below)
+
+    def number_or_text(self, key, default, text: str, *, low=-math.inf, high=math.inf):
+        """A finite number in [low, high], or this one text."""
+        value = self._get(key, default)
+        if value is None or value == text:
+            return value
+        if isinstance(value, str):
+            raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a number, or {_value(text)}")
+        return self._checked_number(value, key, low, high)
 
     def whole(self, key, default=_REQUIRED, *, low=-_LARGEST_WHOLE, high=_LARGEST_WHOLE):
         """A whole number in [low, high]."""
@@ -111,16 +120,16 @@ class TomlTable:
             return None
         if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != count:
             raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a list of {count} numbers")
-        return tuple(self._checked_number(entry, key, -math.inf, math.inf, -math.inf) for entry in value)
+        return tuple(self._checked_number(entry, key) for entry in value)
 
     def number_or_pair(self, key, default, *, low=-math.inf, high=math.inf):
         """A number, or a pair [low, high] with the first below the second."""
         value = self._get(key, default)
         if not isinstance(value, Sequence) or isinstance(value, str):
-            return self._checked_number(value, key, low, high, -math.inf)
+            return self._checked_number(value, key, low, high)
         if len(value) != 2:
             raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a number, or a pair [low, high]")
-        first, last = (self._checked_number(entry, key, low, high, -math.inf) for entry in value)
+        first, last = (self._checked_number(entry, key, low, high) for entry in value)
         if not first < last:
             raise InputError(
                 f"{self.where(key)}: is [{first}, {last}]; allowed: the lower bound first, below the upper"
@@ -167,14 +176,15 @@ class TomlTable:
             raise InputError(f"{self._where} {key}: is missing")
         return value
 
-    def _checked_number(self, value, key, low, high, above):
+    def _checked_number(self, value, key, low=-math.inf, high=math.inf, above=-math.inf, below=math.inf):
         good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST_FLOAT
         if not good:  # inf and NaN too
             raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a number")
-        if not (low <= value <= high and value > above):
+        if not (low <= value <= high and above < value < below):
             bounds = [f"more than {above:g}"] if above > -math.inf else []
             bounds += [f"at least {low:g}"] if low > -math.inf else []
             bounds += [f"at most {high:g}"] if high < math.inf else []
+            bounds += [f"less than {below:g}"] if below < math.inf else []
             raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: {' and '.join(bounds)}")
         return float(value)
 

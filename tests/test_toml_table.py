@@ -68,10 +68,33 @@ def test_what_is_no_finite_number_is_refused_with_its_value_and_place(value):
         ({"above": 2.0}, "more than 2"),
         ({"above": 2.0, "high": 9.0}, "more than 2 and at most 9"),
         ({"low": 3.0, "high": 9.0}, "at least 3 and at most 9"),
+        ({"below": 2.0}, "less than 2"),
+        ({"low": 0.0, "below": 1.0}, "at least 0 and less than 1"),
     ],
 )
 def test_a_number_out_of_range_is_refused_with_the_range(limits, allowed):
     assert refusal(lambda: table("a = 2").number("a", **limits)) == f"site.toml: [road] a: is 2; allowed: {allowed}"
+
+
+@pytest.mark.parametrize(("value", "expected"), [('"auto"', "auto"), ("1", 1.0), ("0.5", 0.5)])
+def test_a_number_or_one_text_is_either(value, expected):
+    found = table(f"a = {value}").number_or_text("a", None, "auto", low=0.0)
+    assert (found, type(found)) == (expected, type(expected))
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ('"Auto"', "is 'Auto'; allowed: a number, or \"auto\""),
+        ("true", "is True; allowed: a number"),
+        ("nan", "is nan; allowed: a number"),
+        ("[1]", "is [1]; allowed: a number"),
+        ("-1", "is -1; allowed: at least 0"),
+    ],
+)
+def test_what_is_neither_a_number_nor_that_text_is_refused(value, said):
+    text = refusal(lambda: table(f"a = {value}").number_or_text("a", None, "auto", low=0.0))
+    assert text == f"site.toml: [road] a: {said}"
 
 
 def test_a_number_just_out_of_range_is_shown_with_all_its_digits():
