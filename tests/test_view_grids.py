@@ -47,6 +47,27 @@ def test_returns_score_as_their_points_do_in_their_vehicles_frames(reading):
         np.testing.assert_array_equal(alone[0], found[number])
 
 
+@pytest.mark.parametrize("clouds", [1, 2])
+def test_noisy_returns_score_as_their_points_do_wherever_they_lie(clouds):
+    """Points inside, on and up to two metres beside their boxes; of the last most are dropped."""
+    rng = np.random.default_rng(5)
+    size, centre, heading, vehicle, world = scene(rng)
+    world += rng.normal(0.0, rng.choice([0.0, 0.02, 0.1, 1.0], (len(world), 1)), world.shape)
+    origins, cloud = np.array([[0.0, 0.0, 4.1], [5.0, -1.0, 2.5]])[:clouds], rng.integers(0, clouds, len(vehicle))
+    away = world - origins[cloud]
+    distance = np.linalg.norm(away, axis=1)
+    returns = (origins, cloud if clouds > 1 else None, (away / distance[:, None]).T, distance, vehicle)
+    grids = PlacedGrids(centre, size, heading)
+    found = grids.returns_occupancy(*returns, noisy=True)
+    for number in range(clouds):
+        mine = cloud == number
+        local = to_vehicle_frame(world[mine], centre, heading, vehicle[mine])
+        beside = (abs(local) > 0.5 * size[vehicle[mine]] + 0.05).any(axis=1)
+        assert 0.1 < beside.mean() < 0.5
+        np.testing.assert_allclose(found[number], occupancy(local, vehicle[mine], size), rtol=1e-12)
+    assert (grids.returns_occupancy(*returns) > found).any()  # unless dropped they fall into the rim's cells
+
+
 def test_grids_forget_one_cloud_before_the_next():
     rng = np.random.default_rng(2)
     size, _, _, vehicle, _ = scene(rng)

@@ -113,15 +113,21 @@ class ViewGrids:
     def cells_of(self, points: np.ndarray, vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cell of each point along each axis, (3, j), and its vehicle, (j,), without the points that are dropped."""
         place = np.empty((3, len(points)))
-        kept = np.ones(len(points), dtype=bool)
         for axis, along in enumerate(place):
             np.add(points[:, axis], _take(self._half[axis], vehicle), out=along)
             along /= self._cell_m
-            kept &= along >= -1.0
-            kept &= along - _take(self._last[axis], vehicle) < 2.0
+        kept = self._at_the_box(place, vehicle)
         if not kept.all():
             place, vehicle = place[:, kept], vehicle[kept]
         return self._whole_cells(place, vehicle), vehicle
+
+    def _at_the_box(self, place, vehicle):
+        """Which of the places (3, k), in cells, lie in their box or at most one cell beyond it."""
+        kept = np.ones(len(vehicle), dtype=bool)
+        for axis, along in enumerate(place):
+            kept &= along >= -1.0
+            kept &= along - _take(self._last[axis], vehicle) < 2.0
+        return kept
 
     def _whole_cells(self, place, vehicle):
         """Cells (3, k) of places (3, k) that are counted in cells from a box's rear right lower corner; in place."""
@@ -200,6 +206,7 @@ class PlacedGrids(ViewGrids):
         directions: np.ndarray,
         distance: np.ndarray,
         vehicle: np.ndarray,
+        noisy: bool = False,
     ) -> np.ndarray:
         """P of the top, side and front view of each box in each of s clouds (Eqs. 2 to 8), (s, n, 3).
 
@@ -216,8 +223,10 @@ class PlacedGrids(ViewGrids):
         distance : ndarray, (k,)
             Distance of each return [m].
         vehicle : ndarray of int64, (k,)
-            The box whose surface each return comes from, which is not checked: what lies beside the box falls into the
-            rim's cell.
+            The box whose surface each return comes from.
+        noisy : bool
+            Whether returns may lie off that surface: those more than a cell beyond the box are then dropped. Otherwise
+            that is not checked, and what lies beside the box falls into the rim's cell.
         """
         x, y, z = np.moveaxis(origins[:, None] - self._centre, -1, 0)
         turned = np.stack([self._cos * x + self._sin * y, self._cos * y - self._sin * x, z])  # Eqs. 4 and 5
@@ -239,5 +248,8 @@ class PlacedGrids(ViewGrids):
             for axis, along in enumerate(place):
                 along *= cells_away
                 along += _take(start[axis], in_start)
+            if noisy:
+                kept = self._at_the_box(place, row)
+                place, row, number = place[:, kept], row[kept], None if number is None else number[kept]
             self._mark(self._whole_cells(place, row), row, number)
         return self._marked()
