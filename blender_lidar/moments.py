@@ -14,9 +14,8 @@ from .errors import MissingExtraError
 from .metrics.vgop import pe_vgop, to_vehicle_frame
 from .scan import PointCloud, scan
 from .scenario import Scenario, pose_at
-from .sensors.beams import BeamLattice, beam_lattice
-from .sensors.model import load_model
-from .study.site import standing_scenery
+from .sensors.beams import BeamLattice
+from .study.site import lattice_of, standing_scenery
 from .traffic.vehicles import Vehicles
 
 if TYPE_CHECKING:
@@ -59,6 +58,7 @@ class MountedSensor:
             max_range_m=self.scenario.sensor.range_gate_m,
             ground=self.scenario.world.ground,
             scenery=self.scenery,
+            imperfections=self.scenario.sensor.imperfections,
         )
 
     def moment(self, vehicles: Vehicles, *, with_cloud: bool = True) -> Moment:
@@ -80,9 +80,10 @@ class MountedSensor:
 
 def mounted_sensor(scenario: Scenario, mount: Mapping[str, float]) -> MountedSensor:
     """The scene's sensor at the mounting `mount`, its six coordinates in metres and degrees."""
-    lattice = beam_lattice(load_model(scenario.sensor.name), scenario.sensor.rotation_hz)
     caster = resolve(scenario.model.caster)
-    return MountedSensor(scenario, mount, lattice, caster, standing_scenery(scenario, caster, mount))
+    return MountedSensor(
+        scenario, mount, lattice_of(scenario.sensor), caster, standing_scenery(scenario, caster, mount)
+    )
 
 
 def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, cell_m: float) -> np.ndarray:

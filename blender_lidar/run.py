@@ -180,6 +180,7 @@ def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
         "schema": SCHEMA,
         "sensor": site.model.name,
         "range_gate_m": scenario.sensor.range_gate_m,
+        "imperfections": scenario.sensor.imperfections_as_table(),
         "caster": site.observation.caster,
         "detail": site.observation.detail,
         "metric": scenario.objective.metric,

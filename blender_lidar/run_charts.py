@@ -133,6 +133,7 @@ def _draw_clouds(site, folder, drawn, outcome, sensor_xy, mountings):
             max_range_m=site.observation.max_range_m,
             ground=site.scenario.world.ground,
             scenery=site.observation.scenery,
+            imperfections=site.observation.imperfections,
         )
         clouds.append({"xyz": cloud.xyz, "vehicle_id": cloud.vehicle_id})
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")

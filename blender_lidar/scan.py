@@ -11,6 +11,7 @@ from .casting.culling import cut_vehicles, reachable_beams
 from .casting.standing import StandingScenery
 from .errors import InputError
 from .sensors.beams import BeamLattice
+from .sensors.imperfections import PERFECT, Imperfections
 from .sensors.pose import Pose
 from .traffic.vehicles import CLASSES, Vehicles
 from .world.shapes import ROAD
@@ -32,7 +33,7 @@ class PointCloud:
     xyz : ndarray, (n, 3)
         Points [m, road frame].
     range_m : ndarray, (n,)
-        Distance from the optical centre [m].
+        Distance from the optical centre, as measured [m].
     ring : ndarray of uint16, (n,)
         Ring, 0 the lowest.
     azimuth_rad : ndarray, (n,)
@@ -74,6 +75,7 @@ def scan(
     max_range_m: float,
     ground: bool = True,
     scenery: StandingScenery | None = None,
+    imperfections: Imperfections = PERFECT,
 ) -> PointCloud:
     """Cast one revolution over one frame.
 
@@ -90,11 +92,13 @@ def scan(
     detail : str
         Level of detail of the vehicles' shapes.
     min_range_m, max_range_m : float
-        Returns nearer or farther are lost [m].
+        Returns measured nearer or farther are lost [m].
     ground : bool
         Whether the road, the plane z = 0, returns.
     scenery : StandingScenery, optional
         What stands still: it returns, and hides what is behind it.
+    imperfections : Imperfections
+        Range noise, which moves points along their beams, and drop-out; none unless said.
 
     Raises
     ------
@@ -104,11 +108,12 @@ def scan(
     if ground and not pose.height_m > 0.0:
         raise InputError(f"the LiDAR hangs {pose.height_m} m above the ground; allowed: more than 0 m")
     world = vehicle_triangles(vehicles, detail)
-    beam = next(reachable_beams(lattice, cut_vehicles(vehicles, detail), [pose], max_range_m))
+    reach_m = max_range_m + imperfections.most_noise_m
+    beam = next(reachable_beams(lattice, cut_vehicles(vehicles, detail), [pose], reach_m))
     directions = pose.to_world(lattice.directions.reshape(-1, 3))
 
     tree = caster_class(caster)(world.corners, closed=True)
-    hits = tree.cast(pose.position, directions[beam], max_range_m)
+    hits = tree.cast(pose.position, directions[beam], reach_m)
     met = hits.triangle >= 0
     distance = np.full(len(directions), np.inf)
     owner = np.full(len(directions), STATIC)
@@ -118,17 +123,19 @@ def scan(
     distance[beam], owner[beam], surface[beam] = hits.distance[met], world.owner[triangle], world.surface[triangle]
     cosine[beam] = np.abs(np.einsum("ij,ij->i", tree.normals(triangle), directions[beam]))
     if scenery is not None:
-        _add_scenery(scenery, pose.position, directions, max_range_m, distance, owner, surface, cosine)
+        _add_scenery(scenery, pose.position, directions, reach_m, distance, owner, surface, cosine)
     if ground:
-        _add_ground(pose.height_m, directions[:, 2], max_range_m, distance, owner, surface, cosine)
+        _add_ground(pose.height_m, directions[:, 2], reach_m, distance, owner, surface, cosine)
 
-    kept = np.flatnonzero((distance <= max_range_m) & (distance >= min_range_m))
+    draws = imperfections.draws(lattice, vehicles.frame)
+    measured = distance if draws is None else draws.measured(np.arange(len(distance)), distance)
+    kept = np.flatnonzero((measured <= max_range_m) & (measured >= min_range_m))
     ring, slot = np.divmod(kept, lattice.columns)
     of_vehicle = owner[kept] >= 0
     row = np.where(of_vehicle, owner[kept], 0)
     return PointCloud(
-        xyz=pose.position + distance[kept, None] * directions[kept],  # Eqs. 2 and 3
-        range_m=distance[kept],
+        xyz=pose.position + measured[kept, None] * directions[kept],  # Eqs. 2 and 3
+        range_m=measured[kept],
         ring=ring.astype(np.uint16),
         azimuth_rad=lattice.azimuth_rad(ring, slot),
         time_s=lattice.time_s(ring, slot),
@@ -144,9 +151,9 @@ def class_names(class_index: np.ndarray) -> np.ndarray:
     return np.array([*CLASSES, ""])[class_index]
 
 
-def _add_scenery(scenery, position, directions, max_range_m, distance, owner, surface, cosine):
+def _add_scenery(scenery, position, directions, reach_m, distance, owner, surface, cosine):
     """Let beams that reach something that stands still before a vehicle return from it."""
-    found = scenery.tree.meet(position, directions, max_range_m)
+    found = scenery.tree.meet(position, directions, reach_m)
     first = found.distance < distance[found.ray]
     beam, triangle = found.ray[first], found.triangle[first]
     distance[beam], owner[beam], surface[beam] = found.distance[first], STATIC, scenery.scenery.surface[triangle]

@@ -10,29 +10,24 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from .casting import CASTERS
-from .errors import InputError, MissingFileError
+from .errors import InputError
 from .optimise import READINGS, SEARCHES, VIEWS, DePsoSettings, GridSearch
-from .sensors.model import LidarModel, load_model
+from .sensor_table import sensor_settings
 from .settings import (
     COORDINATES,
-    BarrierSettings,
-    BoxSettings,
     Deployment,
     ModelSettings,
     ObjectiveSettings,
     Scenario,
     SearchSettings,
-    SensorSettings,
     TrafficSettings,
-    WorldSettings,
-    is_sensor_file,
     pose_at,
 )
 from .toml_table import TomlTable, read_toml
 from .traffic import FORMATS, RoadFrame
 from .traffic.frames import DEFAULT_COUNT
-from .world.barriers import BARRIERS
 from .world.shapes import DETAILS
+from .world_table import world_settings
 
 __all__ = ["COORDINATES", "COORDINATE_LIMITS", "METRICS", "Deployment", "Scenario", "load_scenario", "pose_at"]
 
@@ -49,7 +44,6 @@ COORDINATE_LIMITS = {
 }
 # What an option of the key's name puts out of force in the file: frames are listed or spread evenly.
 _RIVALS = {("traffic", "frame_ids"): ("frames", "spacing_s"), ("traffic", "frames"): ("frame_ids",)}
-_BARRIER_X_M, _LONGEST_BARRIER_M = (-200.0, 200.0), 10_000.0
 _COEFFICIENT_LIMIT = 10.0  # of DE-PSO's coefficients; the paper's are below 1, and huge ones overflow
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
@@ -91,8 +85,8 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
         source=str(path),
         traffic=_traffic(tables["traffic"], path.parent),
         road=_road(tables["road"]),
-        world=_world(tables["world"], path.parent),
-        sensor=_sensor(tables["sensor"], path.parent),
+        world=world_settings(tables["world"], path.parent),
+        sensor=sensor_settings(tables["sensor"], path.parent),
         deployment=deployment,
         baseline=_baseline(tables["baseline"], deployment),
         objective=_objective(tables["objective"]),
@@ -149,87 +143,6 @@ def _road(table: TomlTable) -> RoadFrame:
         lanes=table.whole("lanes", default.lanes, low=1, high=50),
         lane_width_m=table.number("lane_width_m", default.lane_width_m, above=0.0, high=10.0),
     )
-
-
-def _world(table: TomlTable, folder: Path) -> WorldSettings:
-    files = {key: table.text(key, None) for key in ("blend", "mesh")}
-    for key, name in files.items():
-        if name is not None and (Path(name).suffix.lower() == ".blend") != (key == "blend"):
-            allowed = "a .blend file" if key == "blend" else "a mesh file that Blender reads; .blend files go to blend"
-            raise InputError(f"{table.where(key)}: is {name!r}; allowed: {allowed}")
-    return WorldSettings(
-        ground=table.boolean("ground", True),
-        **{key: None if name is None else str(folder / name) for key, name in files.items()},
-        origin_m=table.numbers("origin_m", (0.0, 0.0, 0.0), count=3),
-        heading_deg=table.number("heading_deg", 0.0, low=-360.0, high=360.0),
-        boxes=tuple(_box(entry, number) for number, entry in enumerate(table.table_list("boxes"), start=1)),
-        barriers=tuple(_barrier(entry) for entry in table.table_list("barriers")),
-    )
-
-
-def _box(table: TomlTable, number: int) -> BoxSettings:
-    size_m = table.numbers("size_m", count=3)
-    if not all(length > 0.0 for length in size_m):
-        raise InputError(f"{table.where('size_m')}: is {list(size_m)}; allowed: a length, width and height above 0")
-    box = BoxSettings(
-        name=table.text("name", f"box {number}"),
-        centre_m=table.numbers("centre_m", count=3),
-        size_m=size_m,
-        heading_deg=table.number("heading_deg", 0.0, low=-360.0, high=360.0),
-    )
-    table.finish()
-    return box
-
-
-def _barrier(table: TomlTable) -> BarrierSettings:
-    x_m = table.number_or_pair("x_m", _BARRIER_X_M)
-    if not isinstance(x_m, tuple):
-        raise InputError(f"{table.where('x_m')}: is {x_m}; allowed: a pair [from, to]")
-    if x_m[1] - x_m[0] > _LONGEST_BARRIER_M:
-        raise InputError(f"{table.where('x_m')}: is {list(x_m)}; allowed: at most {_LONGEST_BARRIER_M:g} m apart")
-    barrier = BarrierSettings(kind=table.text("kind", allowed=BARRIERS), y_m=table.number("y_m"), x_m=x_m)
-    table.finish()
-    return barrier
-
-
-def _sensor(table: TomlTable, folder: Path) -> SensorSettings:
-    name = _sensor_name(table.text("name", "RS-16"), Path() if table.overridden("name") else folder)
-    model = _model_named(name, table.where("name"))
-    keys = ("rotation_hz", "range_gate_m")
-    settings = {key: table.number(key, None, above=0.0) for key in keys}
-    where = {key: table.where(key) for key in keys}
-    for sensor, own in table.tables().items():
-        found = {key: own.number(key, None, above=0.0) for key in keys}
-        own.finish()
-        if _model_named(_sensor_name(sensor, folder), table.where(sensor)).name == model.name:
-            for key in keys:
-                if found[key] is not None and not table.overridden(key):
-                    settings[key], where[key] = found[key], own.where(key)
-    try:
-        rate = model.rotation_rate(settings["rotation_hz"])
-    except InputError as error:
-        raise InputError(f"{where['rotation_hz']}: {error}") from error
-    gate = model.range_max_m if settings["range_gate_m"] is None else settings["range_gate_m"]
-    if not model.range_min_m < gate <= model.range_max_m:
-        raise InputError(
-            f"{where['range_gate_m']}: is {gate}; allowed for {model.name}: more than {model.range_min_m:g}, "
-            f"at most {model.range_max_m:g}"
-        )
-    return SensorSettings(name=name if is_sensor_file(name) else model.name, rotation_hz=rate, range_gate_m=gate)
-
-
-def _sensor_name(name: str, folder: Path) -> str:
-    """A sensor's name as it is, the path of a beam table from `folder` on."""
-    return str(folder / name) if is_sensor_file(name) else name
-
-
-def _model_named(name: str, where: str) -> LidarModel:
-    try:
-        return load_model(name)
-    except MissingFileError as error:
-        raise MissingFileError(f"{where}: {error}") from error
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
 
 
 def _deployment(table: TomlTable) -> Deployment:

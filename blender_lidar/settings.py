@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 from .sensors.files import SUFFIXES
+from .sensors.imperfections import Imperfections
 from .sensors.pose import Pose
 from .traffic import RoadFrame
 
@@ -40,7 +41,7 @@ class TrafficSettings:
 
 @dataclass(frozen=True, slots=True)
 class SensorSettings:
-    """[sensor]: the model, its rate and the range within which it is asked to see.
+    """[sensor]: the model, its rate, the range within which it is asked to see, and how imperfect it is.
 
     `name` is that of a model, or the path of a user's own beam table.
     """
@@ -48,11 +49,26 @@ class SensorSettings:
     name: str
     rotation_hz: float
     range_gate_m: float
+    range_noise_m: float
+    dropout: float
+    unit_spread_deg: float
+    unit: int
+    noise_seed: int
 
     @property
     def is_file(self) -> bool:
         """Whether the sensor is a user's own."""
         return is_sensor_file(self.name)
+
+    @property
+    def imperfections(self) -> Imperfections:
+        """How its returns differ from the truth."""
+        return Imperfections(self.range_noise_m, self.dropout, self.noise_seed)
+
+    def imperfections_as_table(self) -> dict[str, float | int]:
+        """The keys of [sensor] that make it imperfect."""
+        keys = ("range_noise_m", "dropout", "unit_spread_deg", "unit", "noise_seed")
+        return {key: getattr(self, key) for key in keys}
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,10 +29,8 @@ from blender_lidar.errors import BlenderLidarError
 from blender_lidar.formats.atomic import write_text
 from blender_lidar.metrics.vgop import entropy, pe_vgop
 from blender_lidar.scenario import load_scenario, pose_at
-from blender_lidar.sensors.beams import beam_lattice
-from blender_lidar.sensors.model import load_model
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
-from blender_lidar.study.site import Region, read_recording
+from blender_lidar.study.site import Region, lattice_of, read_recording
 from blender_lidar.traffic import plan_frames
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
@@ -89,7 +87,7 @@ def _entries(args):
     frames = plan_frames(recording, region.holds, count=args.frames).search.tolist()
     height, tilt = MOUNTINGS[args.sensor]
     pose = pose_at({**scenario.baseline, "height_m": height, "tilt_x_deg": tilt})
-    lattice = beam_lattice(load_model(args.sensor))
+    lattice = lattice_of(scenario.sensor)
     every_ray = np.ascontiguousarray(pose.to_world(lattice.directions.reshape(-1, 3)))
     entries, rows = {}, []
     for frame in frames:
@@ -99,7 +97,15 @@ def _entries(args):
         scorers = {}
         for name in ("embree", "bvh"):
             if is_available(name):
-                seen = Observation(lattice, gate, 0.0, name, scenario.model.detail, scenario.objective.cell_m)
+                seen = Observation(
+                    lattice,
+                    gate,
+                    0.0,
+                    name,
+                    scenario.model.detail,
+                    scenario.objective.cell_m,
+                    imperfections=scenario.sensor.imperfections,
+                )
                 scorers[name] = FrameScorer(vehicles, counted, seen)
                 found[f"ours, {name}: cull, cast, score"] = partial(_score, scorers[name], pose)
         scorer = next(iter(scorers.values()))

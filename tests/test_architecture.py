@@ -46,7 +46,9 @@ ROOMS = {
     "formats": {"scan", "traffic"},
     "plots": {"metrics", "sensors"},
     "settings": {"sensors", "traffic"},
-    "scenario": {"casting", "optimise", "sensors", "settings", "toml_table", "traffic", "world"},
+    "sensor_table": {"sensors", "settings", "toml_table"},
+    "world_table": {"settings", "toml_table", "world"},
+    "scenario": {"casting", "optimise", "sensor_table", "settings", "toml_table", "traffic", "world", "world_table"},
     "provenance": {"settings"},
 }
 NEAR_THE_DOOR = {

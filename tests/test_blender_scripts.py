@@ -93,7 +93,5 @@ def test_both_come_to_the_same_mounting(tmp_path):
         result = without_times(json.loads((folder / "run" / "result.json").read_text()))
         results.append(result)
     for key in ("objective_per_vehicle", "detectable_share", "evaluations"):
-        assert results[0][key] == pytest.approx(results[1][key], rel=2e-3), (
-            key
-        )  # NumPy 1.24 rounds otherwise
+        assert results[0][key] == pytest.approx(results[1][key], rel=2e-3), key  # NumPy 1.24 rounds otherwise
     assert results[0]["frame_ids"] == results[1]["frame_ids"]

@@ -82,6 +82,10 @@ def test_a_range_never_goes_beyond_its_end(first, length, step):
 
 REPLACED = [
     ("--sensor", "RS-32", "sensor", "name", "RS-32"),
+    ("--range-noise", "0.05", "sensor", "range_noise_m", 0.05),
+    ("--range-noise", "datasheet", "sensor", "range_noise_m", 0.02),
+    ("--dropout", "0.1", "sensor", "dropout", 0.1),
+    ("--unit-spread", "0.03", "sensor", "unit_spread_deg", 0.03),
     ("--period", "2", "traffic", "period", "2"),
     ("--location", "i-80", "traffic", "location", "i-80"),
     ("--vehicle-types", "cars.rou.xml", "traffic", "vehicle_types", "cars.rou.xml"),
@@ -99,7 +103,9 @@ REPLACED = [
 ]
 
 
-@pytest.mark.parametrize(("option", "value", "table", "key", "expected"), REPLACED, ids=[row[0] for row in REPLACED])
+@pytest.mark.parametrize(
+    ("option", "value", "table", "key", "expected"), REPLACED, ids=["".join(row[:2]) for row in REPLACED]
+)
 def test_an_option_replaces_its_setting_and_no_other(tmp_path, option, value, table, key, expected):
     scene = write_scene(tmp_path)
     plain, changed = (scenario_from(parsed(scene, *words)) for words in ([], [option, value]))
@@ -112,6 +118,12 @@ def test_an_option_replaces_its_setting_and_no_other(tmp_path, option, value, ta
     }
     # The level of detail stands in [world], and a list of frames takes the place of their number.
     assert different <= {(table, key), ("world", key), ("traffic", "frames")}
+
+
+@pytest.mark.parametrize("value", ["nan", "-1", "inf", "much"])
+def test_a_range_noise_that_cannot_be_is_refused_by_the_option(tmp_path, value):
+    with pytest.raises(InputError, match=r"^--range-noise: is .*; allowed: "):
+        scenario_from(parsed(write_scene(tmp_path), f"--range-noise={value}"))
 
 
 def test_the_traffic_option_starts_from_the_working_folder(tmp_path):

@@ -328,6 +328,9 @@ CHANGES = [
     (["--reading", "paper"], "[objective] reading = 'corrected', not 'paper'"),
     (["--detail", "box"], "[world] detail = 'body', not 'box'"),
     (["--frames", 5], "[traffic] frames = 6, not 5"),
+    (["--range-noise", "datasheet"], "[sensor] range_noise_m = 0.0, not 0.02"),
+    (["--dropout", "0.1"], "[sensor] dropout = 0.0, not 0.1"),
+    (["--unit-spread", "0.1"], "[sensor] unit_spread_deg = 0.0, not 0.1"),
     (["--search", "random"], "[search] method = 'de-pso', not 'random'"),
 ]
 
@@ -350,6 +353,15 @@ def test_resume_with_other_settings_is_refused_naming_what_differs(request, fini
     assert err.startswith(f"blender-lidar: --resume: {folder}: the run there had {named}; give it the same settings")
     assert len(err.splitlines()) == 1
     assert {path.name: path.read_bytes() for path in folder.glob("[!.]*")} == before
+
+
+@pytest.mark.parametrize("key", ["unit", "noise_seed"])
+def test_resume_with_another_unit_or_noise_seed_is_refused(tmp_path, finished, capsys, key):
+    shutil.copytree(finished[0].parent, tmp_path / "other", ignore=shutil.ignore_patterns("run"))
+    scene = write_scene(tmp_path / "other", {"sensor": {key: 2}})
+    code, _, err = cli(capsys, "optimise", scene, "--out", finished[1], "--resume")
+    assert code == 2
+    assert f"the run there had [sensor] {key} = 1, not 2; give it the same settings" in err
 
 
 def test_resume_with_other_traffic_of_the_same_name_is_refused(tmp_path, capsys):

@@ -10,6 +10,7 @@ import pytest
 
 from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scenario import COORDINATES, Scenario, load_scenario
+from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.toml_table import to_toml
 from tests.small_scene import write_scene
@@ -188,6 +189,69 @@ def test_a_beam_table_that_is_not_there_is_refused_by_name_and_key(tmp_path):
     assert text == f"[sensor] name: {tmp_path / 'own.csv'}: no such sensor file"
 
 
+def test_a_sensor_is_perfect_unless_said(tmp_path):
+    sensor = load_scenario(scene(tmp_path, MINIMAL)).sensor
+    assert sensor.imperfections == Imperfections()
+    assert sensor.unit_spread_deg == 0.0
+
+
+IMPERFECT = """[sensor]
+name = "{name}"
+range_noise_m = 0.05
+unit = 4
+noise_seed = 9
+[sensor.RS-16]
+range_noise_m = "datasheet"
+dropout = 0.1
+unit_spread_deg = 0.03
+"""
+
+
+def test_imperfections_may_be_those_of_one_model(tmp_path):
+    general = load_scenario(scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-32"))).sensor
+    assert general.imperfections == Imperfections(0.05, 0.0, seed=9)
+    assert (general.unit_spread_deg, general.unit) == (0.0, 4)
+    own = load_scenario(scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-16"))).sensor
+    assert own.imperfections == Imperfections(load_model("RS-16").range_noise_m, 0.1, seed=9)
+    assert (own.unit_spread_deg, own.unit) == (0.03, 4)
+
+
+def test_an_option_replaces_the_imperfections_of_a_models_table_too(tmp_path):
+    path = scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-16"))
+    changed = load_scenario(path, {("sensor", "range_noise_m"): (0.5, "--range-noise")}).sensor
+    assert (changed.range_noise_m, changed.dropout) == (0.5, 0.1)
+
+
+def test_seeds_of_the_imperfections_hold_for_every_model(tmp_path):
+    text = refusal(tmp_path, MINIMAL + "[sensor.RS-16]\nunit = 2\n")
+    assert text.startswith("[sensor.RS-16]: unknown key 'unit'; ")
+
+
+def test_imperfections_that_cannot_be_are_refused_with_what_is_allowed(tmp_path):
+    for line, allowed in {
+        "dropout = 1": "dropout: is 1; allowed: at least 0 and less than 1",
+        'range_noise_m = "high"': "range_noise_m: is 'high'; allowed: a number, or \"datasheet\"",
+        "range_noise_m = -1": "range_noise_m: is -1; allowed: at least 0 and at most 10",
+        "unit_spread_deg = 6": "unit_spread_deg: is 6; allowed: at least 0 and at most 5",
+    }.items():
+        assert refusal(tmp_path, f"{MINIMAL}[sensor]\n{line}\n") == f"[sensor] {allowed}"
+        assert refusal(tmp_path, f"{MINIMAL}[sensor.RS-16]\n{line}\n") == f"[sensor.RS-16] {allowed}"
+
+
+def test_a_data_sheet_with_more_noise_than_is_allowed_is_refused_where_it_is_asked_for(tmp_path):
+    (tmp_path / "own.toml").write_text("range_noise_m = 20.0\nbeams = [[0, -10.0], [1, 0.0]]\n")
+    text = refusal(tmp_path, MINIMAL + '[sensor]\nname = "own.toml"\nrange_noise_m = "datasheet"\n')
+    assert text == "[sensor] range_noise_m: own has 20; allowed: at most 10"
+
+
+def test_a_unit_with_a_beam_beyond_the_zenith_is_refused_when_the_scene_is_read(tmp_path):
+    text = refusal(
+        tmp_path, MINIMAL + '[sensor]\nname = "RS-BPearl"\nunit = 4\n[sensor.RS-BPearl]\nunit_spread_deg = 4\n'
+    )
+    assert text.startswith("[sensor.RS-BPearl] unit_spread_deg: unit 4 of RS-BPearl has ring 31 at 9")
+    assert text.endswith("with a spread of 4; allowed: a spread that leaves every beam between -90 and 90")
+
+
 # --- frames -----------------------------------------------------------------------------------------------------------
 
 
@@ -254,6 +318,14 @@ KEYS = [
     ("sensor", "name", "16", '"RS-17"'),
     ("sensor", "rotation_hz", '"10"', "0"),
     ("sensor", "range_gate_m", '"50"', "-1"),
+    ("sensor", "range_noise_m", '"data sheet"', "-0.01"),
+    ("sensor", "range_noise_m", "nan", "11"),
+    ("sensor", "dropout", '"a"', "-0.1"),
+    ("sensor", "dropout", "nan", "1"),
+    ("sensor", "unit_spread_deg", "inf", "-1"),
+    ("sensor", "unit_spread_deg", '"0.1"', "6"),
+    ("sensor", "unit", "1.5", "-1"),
+    ("sensor", "noise_seed", "true", "-1"),
     ("deployment", "x_m", '"a"', "1e9"),
     ("deployment", "y_m", "[0, 1, 2]", "[0, 1e9]"),
     ("deployment", "height_m", "[2.0]", "0"),
@@ -367,6 +439,7 @@ FULL = {
     },
     "deployment": {"x_m": [-5.0, 5.0], "y_m": -0.5, "yaw_deg": [-1.0, 1.0]},
     "baseline": {"height_m": 3.0, "tilt_x_deg": 5.0},
+    "sensor": {"range_noise_m": 0.03, "dropout": 0.25, "unit_spread_deg": 0.03, "unit": 0, "noise_seed": 2**53},
     "objective": {"reading": "paper", "cell_m": 0.1, "view": "max", "loss": -2.0, "threshold": 0.01},
     "search": {"method": "random", "inertia": 0.9, "seed": 2**53 - 1},
     "world": {"detail": "box"},

@@ -13,9 +13,29 @@ from ..scenario import COORDINATE_LIMITS, COORDINATES, METRICS, Scenario, load_s
 from ..world.shapes import DETAILS
 
 _MOST_FRAMES = 1_000_000
+
+
+def _number_or_text(given: str) -> float | str:
+    """For settings that take either; the scene's checks refuse other texts by name."""
+    try:
+        return float(given)
+    except ValueError:
+        return given
+
+
 # option, table, key, type, choices, help
 _SETTINGS = (
     ("--sensor", "sensor", "name", str, None, "sensor model or the path of a beam table; see `blender-lidar sensors`"),
+    (
+        "--range-noise",
+        "sensor",
+        "range_noise_m",
+        _number_or_text,
+        None,
+        "standard deviation of the range noise in metres, or datasheet for the model's own",
+    ),
+    ("--dropout", "sensor", "dropout", float, None, "probability that a return is lost"),
+    ("--unit-spread", "sensor", "unit_spread_deg", float, None, "standard deviation between units' beams in degrees"),
     ("--traffic", "traffic", "path", str, None, "trajectory file in place of the scene's"),
     ("--vehicle-types", "traffic", "vehicle_types", str, None, "SUMO route or additional file with the <vType>s"),
     ("--period", "traffic", "period", str, None, "recording period of an NGSIM file: 1, 2 ... or 0400-0415"),

@@ -33,6 +33,7 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
     sensor = f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz"
     lines = [
         ("Sensor", f"{sensor}, range gate {observation.max_range_m:g} m"),
+        *(("", text) for text in _imperfections(scenario.sensor)),
         (
             "Traffic",
             f"{scenario.traffic.path}: {len(site.recording.frames)} frames, "
@@ -53,6 +54,20 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
     if searched:
         lines.append(("Searching", _search_text(scenario)))
     return "\n".join(f"{name:<10} {text}" for name, text in lines)
+
+
+def _imperfections(sensor):
+    """What is imperfect about the sensor, in a line; none where nothing is."""
+    texts = []
+    if sensor.range_noise_m:
+        texts.append(f"range noise {sensor.range_noise_m:g} m")
+    if sensor.dropout:
+        texts.append(f"drop-out {100 * sensor.dropout:g} %")
+    if texts:
+        texts.append(f"noise seed {sensor.noise_seed}")
+    if sensor.unit_spread_deg:
+        texts.append(f"unit {sensor.unit} of units that differ by {sensor.unit_spread_deg:g} deg")
+    return [", ".join(texts)] if texts else []
 
 
 def comparison(site: Site, outcome: Outcome) -> str:

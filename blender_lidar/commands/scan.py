@@ -113,6 +113,7 @@ class _Scanner:
             "azimuth_step_deg": float(np.degrees(lattice.step_rad)),
             "rotation_hz": lattice.rotation_hz,
             "range_m": [lattice.model.range_min_m, scenario.sensor.range_gate_m],
+            "imperfections": scenario.sensor.imperfections_as_table(),
             "versions": versions(self.sensor.caster),
         }
         if self.labelled_folder:

@@ -16,6 +16,7 @@ from ..casting.standing import StandingScenery
 from ..metrics.vgop import to_vehicle_frame
 from ..metrics.view_grids import PlacedGrids
 from ..sensors.beams import BeamLattice
+from ..sensors.imperfections import PERFECT, Imperfections
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from ..world.triangles import vehicle_triangles
@@ -47,6 +48,8 @@ class Observation:
         How Eq. 8 is read: see `metrics.vgop.occupancy`.
     scenery : StandingScenery or None
         What stands still and hides vehicles.
+    imperfections : Imperfections
+        Range noise and drop-out; none unless said.
     """
 
     lattice: BeamLattice
@@ -57,6 +60,7 @@ class Observation:
     cell_m: float
     reading: str = "corrected"
     scenery: StandingScenery | None = None
+    imperfections: Imperfections = PERFECT
 
 
 class Seen(NamedTuple):
@@ -84,7 +88,7 @@ class FrameScorer:
     counted : ndarray of bool, (n,)
         Those whose occupancy is wanted.
     observation : Observation
-        Sensor, range, caster and detail.
+        Sensor, range, caster and detail. What its imperfections draw is kept: up to 8 bytes for each beam.
 
     Attributes
     ----------
@@ -101,6 +105,9 @@ class FrameScorer:
         self._counted_row = row[triangles.owner]  # of each triangle; -1 where it does not count
         # Beams that can reach only vehicles that do not count need not be cast: they hide nothing from other beams.
         self.pieces = cut_vehicles(self._vehicles, observation.detail)
+        self._draws = observation.imperfections.draws(observation.lattice, vehicles.frame)
+        self._reach_m = observation.max_range_m + observation.imperfections.most_noise_m
+        self._noisy = observation.imperfections.most_noise_m > 0.0
         self._grids = PlacedGrids(
             self._vehicles.centre_m,
             self._vehicles.size_m,
@@ -122,7 +129,7 @@ class FrameScorer:
             counts = np.bincount(row if mount is None else mount * len(self) + row, minlength=points[group].size)
             points[group] = counts.reshape(len(members), len(self))
             origins = np.array([pose.position for pose in members])
-            shares[group] = self._grids.returns_occupancy(origins, mount, directions, distance, row)
+            shares[group] = self._grids.returns_occupancy(origins, mount, directions, distance, row, self._noisy)
         return Seen(points, shares)
 
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
@@ -136,7 +143,7 @@ class FrameScorer:
         """Mountings that are cast together, as a slice, with the beams of each that can reach a vehicle."""
         seen = self._observation
         first, group, rays = 0, [], 0
-        for beams in reachable_beams(seen.lattice, self.pieces, poses, seen.max_range_m):
+        for beams in reachable_beams(seen.lattice, self.pieces, poses, self._reach_m):
             if group and (rays + len(beams) > _RAYS_AT_A_TIME or len(group) == self._grids.clouds_at_a_time):
                 yield slice(first, first + len(group)), group
                 first, group, rays = first + len(group), [], 0
@@ -160,9 +167,12 @@ class FrameScorer:
             mount = np.repeat(np.arange(len(poses)), [len(some) for some in beams])
             origins = _take(np.array([pose.position for pose in poses]).T, mount, axis=1).T
             directions = np.concatenate(directions, axis=1)
-        found = self._tree.meet(origins, directions.T, seen.max_range_m)
-        row = _take(self._counted_row, found.triangle)
-        wanted = np.flatnonzero((row >= 0) & (found.distance >= seen.min_range_m))
+        found = self._tree.meet(origins, directions.T, self._reach_m)
+        row, distance = _take(self._counted_row, found.triangle), found.distance
+        if self._draws is not None:
+            beam = beams[0] if len(beams) == 1 else np.concatenate(beams)
+            distance = self._draws.measured(_take(beam, found.ray), distance)
+        wanted = np.flatnonzero((row >= 0) & (distance >= seen.min_range_m) & (distance <= seen.max_range_m))
         ray = _take(found.ray, wanted)
         if seen.scenery is not None:
             hidden = seen.scenery.hides(origins_of(origins, ray), directions.T[ray], _take(found.distance, wanted))
@@ -170,6 +180,6 @@ class FrameScorer:
         return (
             None if mount is None else _take(mount, ray),
             _take(directions, ray, axis=1),
-            _take(found.distance, wanted),
+            _take(distance, wanted),
             _take(row, wanted),
         )

@@ -12,8 +12,10 @@ from ..casting import resolve
 from ..casting.standing import StandingScenery
 from ..errors import InputError
 from ..scenario import Scenario
-from ..sensors.beams import beam_lattice
+from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model
+from ..sensors.unit import unit_of
+from ..settings import SensorSettings
 from ..traffic import FramePlan, Recording, Vehicles, plan_frames, read_traffic
 from ..traffic.vehicles import unknown_frame
 from .evaluation import CountedFrame, Evaluator, Scoring
@@ -35,7 +37,7 @@ class Site:
     scenario : Scenario
         The settings.
     model : LidarModel
-        The sensor.
+        The sensor, as the unit that hangs there.
     observation : Observation
         Sensor, range, caster and detail.
     scoring : Scoring
@@ -86,11 +88,10 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     BlenderLidarError
         When a file cannot be read, no vehicle is in the region, or the mount would stand in traffic.
     """
-    model = load_model(scenario.sensor.name)
-    objective = scenario.objective
-    caster = resolve(scenario.model.caster, "caster")
+    lattice, caster = lattice_of(scenario.sensor), resolve(scenario.model.caster, "caster")
+    model, objective = lattice.model, scenario.objective
     observation = Observation(
-        lattice=beam_lattice(model, scenario.sensor.rotation_hz),
+        lattice=lattice,
         max_range_m=scenario.sensor.range_gate_m,
         min_range_m=model.range_min_m,
         caster=caster,
@@ -98,6 +99,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         cell_m=objective.cell_m,
         reading=objective.reading,
         scenery=standing_scenery(scenario, caster, mount),
+        imperfections=scenario.sensor.imperfections,
     )
     recording = read_recording(scenario)
     region = Region(scenario.deployment.nominal_xy, scenario.sensor.range_gate_m)
@@ -128,13 +130,20 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     return Site(scenario, model, observation, scoring, recording, plan, searched, held_out)
 
 
+def lattice_of(sensor: SensorSettings) -> BeamLattice:
+    """The beams of the unit that a scene names."""
+    model = unit_of(load_model(sensor.name), sensor.unit_spread_deg, sensor.unit)
+    return beam_lattice(model, sensor.rotation_hz)
+
+
 def standing_scenery(
     scenario: Scenario, caster: str, mount: Mapping[str, float] | None = None
 ) -> StandingScenery | None:
     """What a scene's [world] lets stand still within reach of its mountings and a given `mount`; None without any."""
     if not scenario.world.has_scenery:
         return None
-    reach = scenario.sensor.range_gate_m + _travel(scenario, mount)
+    sensor = scenario.sensor
+    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount)
     return StandingScenery(read_scenery(scenario).within(scenario.deployment.nominal_xy, reach), caster)
 
 
