@@ -29,8 +29,8 @@ __all__ = ["SCHEMA", "VEHICLES", "VEHICLES_BASELINE", "RunFolder", "run_identity
 SCHEMA = 1
 RESULT, CHECKPOINT, SCENE, HISTORY = "result.json", "checkpoint.json", "scene.toml", "history.csv"
 VEHICLES, VEHICLES_BASELINE, SCORE_MAP = "vehicles.csv", "vehicles_baseline.csv", "score_map.csv"
-INSTALLATION = "installation.txt"
-_FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION)
+INSTALLATION, REPORT = "installation.txt", "report.html"
+_FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION, REPORT)
 _SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a run has written
 
 _BLOCK_OBJECTIVE, _BLOCK_VEHICLES = "objective_block_", "vehicles_block_"  # columns of the score map
@@ -156,21 +156,19 @@ class RunFolder:
         return content
 
     def ended_result(self) -> dict:
-        """The result of a run that has ended here.
+        """The result of the run that has ended here, whatever its settings.
 
         Raises
         ------
         MissingFileError, InputError
-            When there is none, or it is damaged.
+            When no run has ended here, or the file is damaged.
         """
         content = self._read_json(RESULT)
-        if content is None:
-            raise MissingFileError(
-                f"{self.file(RESULT)}: there is no such file; allowed: the folder of a run that ended"
-            )
-        if not isinstance(content.get("deployment"), dict) or not isinstance(content.get("baseline"), dict):
-            raise InputError(f"{self.file(RESULT)}: is not the result of a run")
-        return content
+        if content is not None:
+            return content
+        if self.file(CHECKPOINT).exists():
+            raise MissingFileError(f"{self.path}: the run there has not ended; go on with it: optimise --resume")
+        raise MissingFileError(f"{self.path}: is not the folder of a run: there is no {RESULT}")
 
     @property
     def scene(self) -> Path:
@@ -216,9 +214,9 @@ class RunFolder:
 
     def read_vehicles(self, name: str) -> dict[str, np.ndarray]:
         """A vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
-        whole = ("frame", "vehicle_id", "points", "lane")
+        whole, texts = ("frame", "vehicle_id", "points", "lane"), ("class", "split")
         with _reading(self.file(name)) as columns:
-            table = {key: columns[key] for key in COLUMNS}
+            table = {key: columns[key] if key in texts else _finite(columns[key], key) for key in COLUMNS}
             table |= {key: table[key].astype(np.int64) for key in whole}
             return table | {"detectable": table["detectable"] > 0}
 
@@ -293,7 +291,14 @@ def _reading(path: Path) -> Iterator[dict[str, np.ndarray]]:
         columns = dict(zip(header, zip(*rows, strict=True), strict=True))
         yield {name: _numbers_or_texts(texts) for name, texts in columns.items()}
     except (OSError, ValueError, LookupError, csv.Error) as error:
-        raise InputError(f"{path}: is damaged: {error}; give another --out") from error
+        raise InputError(f"{path}: is damaged: {error}") from error
+
+
+def _finite(values: np.ndarray, name: str) -> np.ndarray:
+    """The values of a column, if all of them are finite numbers."""
+    if values.dtype.kind != "f" or not np.isfinite(values).all():
+        raise ValueError(f"column {name} holds what is no finite number")
+    return values
 
 
 def _numbers_or_texts(texts: tuple[str, ...]) -> np.ndarray:

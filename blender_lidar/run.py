@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from .optimise import DePsoSettings, Search, make_search, search_from_state
 from .plots.binning import near_best_threshold
-from .results import SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity, versions
+from .results import INSTALLATION, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity, versions
 from .scenario import Scenario, pose_at
 from .study.evaluation import Evaluator
 from .study.installation import installation_text
@@ -178,6 +179,7 @@ def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
     scenario = site.scenario
     return {
         "schema": SCHEMA,
+        "scene": Path(scenario.source).name,
         "sensor": site.model.name,
         "range_gate_m": scenario.sensor.range_gate_m,
         "imperfections": scenario.sensor.imperfections_as_table(),
@@ -210,7 +212,7 @@ def _finish(site: Site, folder: RunFolder, result, best, score_map, history) -> 
         folder.write_score_map(score_map)
     folder.write_vehicles(VEHICLES, tables[0])
     folder.write_vehicles(VEHICLES_BASELINE, tables[1])
-    folder.write_text("installation.txt", installation_text(site, result))
+    folder.write_text(INSTALLATION, installation_text(site, result))
     folder.finish(result)
     return Outcome(result, tables[0], tables[1], score_map, history)
 

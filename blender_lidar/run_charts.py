@@ -11,6 +11,7 @@ from .plots.clouds import plot_clouds
 from .plots.convergence import plot_convergence
 from .plots.occupancy import OccupancyViews, plot_occupancy
 from .plots.score_map import plot_score_map
+from .reporting.summary import mounting_name, mounting_text
 from .results import RunFolder
 from .run import Outcome
 from .scan import scan
@@ -65,18 +66,8 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
     return drawn
 
 
-def mounting_text(mount: dict[str, float]) -> str:
-    """A mounting in a few words."""
-    parts = [f"height {mount['height_m']:.2f} m", f"tilt {mount['tilt_x_deg']:.1f}°"]
-    if mount["tilt_y_deg"]:
-        parts.append(f"along the road {mount['tilt_y_deg']:.1f}°")
-    if mount["yaw_deg"]:
-        parts.append(f"yaw {mount['yaw_deg']:.1f}°")
-    return ", ".join(parts)
-
-
 def _names(outcome):
-    return "Baseline", "Given" if outcome.result["search"] is None else "Optimised"
+    return "Baseline", mounting_name(outcome.result).capitalize()
 
 
 def _file(folder, drawn, name):

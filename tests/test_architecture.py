@@ -57,6 +57,7 @@ NEAR_THE_DOOR = {
     "results",
     "run",
     "run_charts",
+    "reporting",
     "commands",
     "cli",
     "addon",
@@ -183,7 +184,8 @@ def test_the_metric_and_the_search_need_numpy_alone():
 
 def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     body = """
-        for room in ("casting", "commands", "formats", "optimise", "plots", "sensors", "study", "traffic", "world"):
+        rooms = ("casting", "commands", "formats", "optimise", "plots", "reporting", "sensors", "study", "traffic")
+        for room in (*rooms, "world"):
             package = importlib.import_module("blender_lidar." + room)
             for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
                 missing = None

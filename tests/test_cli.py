@@ -207,7 +207,7 @@ def test_without_matplotlib_a_run_succeeds_and_one_line_says_how_to_get_charts(t
     assert [line for line in err.splitlines() if "matplotlib" in line] == [
         'blender-lidar: note: no charts: charts need matplotlib: pip install "blender_lidar[plots]"'
     ]
-    assert out.splitlines()[-1] == "Results in run: result.json, vehicles.csv, installation.txt"
+    assert out.splitlines()[-1] == "Results in run: report.html, result.json, vehicles.csv, installation.txt"
     assert not list(Path("run").glob("*.png"))
 
 

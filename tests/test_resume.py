@@ -21,8 +21,8 @@ from tests.small_scene import MAPPED, cli, without_charts, without_times, write_
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 
 # One file is written, whole, for each of: the scene, the checkpoint after each of 3 iterations, history, two vehicle
-# tables, the installation sheet, the result.
-WRITES = 9
+# tables, the installation sheet, the result, the page.
+WRITES = 10
 TABLES = ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "installation.txt")
 ENDLESS = ("--iterations", 100_000)  # a search that does not end before it is stopped
 _WAIT_S = 60.0

@@ -7,14 +7,15 @@ import json
 import subprocess
 import sys
 import tomllib
+from base64 import b64encode
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.commands.report import _map_notes
 from blender_lidar.errors import InputError, OutputError
+from blender_lidar.reporting.summary import cautions
 from blender_lidar.results import RunFolder
 from tests.small_scene import (
     CASTER,
@@ -79,9 +80,23 @@ def optimise(capsys, scene: Path, out: Path, *words: object) -> dict:
 def test_the_folder_holds_what_was_promised_and_nothing_else(mapped_run):
     folder, _ = mapped_run
     tables = {"vehicles.csv", "vehicles_baseline.csv", "history.csv", "score_map.csv"}
-    expected = {"result.json", "scene.toml", "installation.txt", *tables, *(f"{name}.png" for name in CHARTS)}
+    expected = {
+        "result.json",
+        "scene.toml",
+        "installation.txt",
+        "report.html",
+        *tables,
+        *(f"{name}.png" for name in CHARTS),
+    }
     assert {path.name for path in folder.iterdir()} == expected
     assert all(path.stat().st_size for path in folder.iterdir())
+
+
+def test_the_page_holds_every_chart_as_it_is(mapped_run):
+    folder, _ = mapped_run
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    for name in CHARTS:
+        assert f'src="data:image/png;base64,{b64encode((folder / f"{name}.png").read_bytes()).decode()}"' in page
 
 
 def test_the_result_has_every_key_of_the_contract(mapped_run):
@@ -188,9 +203,10 @@ def test_the_regret_on_held_out_frames_is_the_gain_that_the_maps_best_mounting_h
     [(0.25, "the mounting found lacks 25.0 % of the gain that the best point of that grid has there"), (0.001, None)],
 )
 def test_a_regret_on_held_out_frames_is_told_when_it_is_not_small(mapped_run, regret, says):
-    folder, _ = mapped_run
-    notes = " ".join(_map_notes({**result_of(folder)["map"], "holdout_regret": regret}))
-    assert says in notes if says else "lacks" not in notes
+    result = result_of(mapped_run[0])
+    result["map"]["holdout_regret"] = regret
+    told = " ".join(cautions(result))
+    assert says in told if says else "lacks" not in told
 
 
 def test_a_run_that_has_ended_is_shown_again_by_resume_with_its_map(mapped_run, capsys):

@@ -7,6 +7,7 @@ import json
 import sys
 
 from ..errors import MissingExtraError
+from ..reporting.page import write_report
 from ..results import RunFolder
 from ..run import Outcome
 from ..scenario import Scenario
@@ -31,7 +32,7 @@ def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
 
 
 def report(args: argparse.Namespace, site: Site, outcome: Outcome, folder: RunFolder) -> int:
-    """Draw the charts and print what was found."""
+    """Draw the charts, gather all in one page and print what was found."""
     charts = []
     try:
         from ..run_charts import draw_charts
@@ -39,7 +40,8 @@ def report(args: argparse.Namespace, site: Site, outcome: Outcome, folder: RunFo
         charts = draw_charts(site, outcome, folder)
     except MissingExtraError as error:
         print(f"blender-lidar: note: no charts: {error}", file=sys.stderr)
-    say(args, comparison(site, outcome) + "\n\n" + files(folder, charts))
+    write_report(folder)
+    say(args, comparison(outcome) + "\n\n" + files(folder, charts))
     if args.json:
         print(json.dumps(outcome.result, indent=2))
     return 0

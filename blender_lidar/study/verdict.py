@@ -50,7 +50,7 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
 def distance_bands(table: dict[str, np.ndarray], width_m: float = 10.0) -> list[tuple[str, np.ndarray]]:
     """Names of the distance bands that hold vehicles, and which rows of a vehicle table each holds."""
     band = (table["distance_m"] // width_m).astype(int)
-    return [(f"{number * width_m:g}-{(number + 1) * width_m:g} m", band == number) for number in range(band.max() + 1)]
+    return [(f"{number * width_m:g}-{(number + 1) * width_m:g} m", band == number) for number in np.unique(band)]
 
 
 def lanes(table: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:

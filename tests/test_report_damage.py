@@ -1,0 +1,149 @@
+"""The page of a run whose folder is damaged: one line that names the file, and never half a page."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+
+import pytest
+
+from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError, OutputError
+from blender_lidar.reporting.page import report_html, write_report
+from blender_lidar.results import RunFolder
+from tests.report_samples import Page, change, make_runs, result_of
+from tests.small_scene import cli, without_charts, write_scene
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    return make_runs(tmp_path_factory.mktemp("runs"))
+
+
+@pytest.fixture
+def folder(runs, tmp_path) -> RunFolder:
+    """A copy of the search, to be changed."""
+    shutil.copytree(runs / "searched", tmp_path / "run")
+    return RunFolder(tmp_path / "run")
+
+
+def one_line(error: BlenderLidarError) -> str:
+    assert len(str(error).splitlines()) == 1
+    return str(error)
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    for place in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(MissingFileError, match="is not the folder of a run") as caught:
+            write_report(RunFolder(place))
+        assert str(place) in one_line(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_was_stopped_is_refused_and_says_how_to_go_on(folder):
+    folder.file("result.json").rename(folder.file("checkpoint.json"))
+    with pytest.raises(MissingFileError, match="has not ended; go on with it: optimise --resume"):
+        report_html(folder)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"schema": 99}', b"{}", b"[" * 100_000])
+def test_a_damaged_result_is_refused_by_name(folder, content):
+    folder.file("result.json").write_bytes(content)
+    with pytest.raises(InputError, match=r"result\.json: ") as caught:
+        report_html(folder)
+    one_line(caught.value)
+
+
+def leaves(value, keys=()):
+    """Where the values of a result stand; of long lists the first one."""
+    yield keys
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from leaves(inner, (*keys, key))
+
+
+def page_or_refusal(folder: RunFolder) -> str | None:
+    """What a refusal says; None where a page is made."""
+    try:
+        Page(report_html(folder))
+    except InputError as error:
+        return one_line(error)
+    return None
+
+
+def test_whatever_stands_in_a_result_gives_a_page_or_one_line_that_names_the_file(folder):
+    whole = result_of(folder)
+    places = [keys for keys in leaves(whole) if keys and (keys[0] != "identity" or "deployment" in keys[-1])]
+    refused = set()
+    for keys in places:
+        for odd in (None, [], {}, "x", True, -1, float("nan"), 10**400, [1, "x"], "MISSING"):
+            result = json.loads(json.dumps(whole))
+            table = result
+            for key in keys[:-1]:
+                table = table[key]
+            if odd == "MISSING":
+                del table[keys[-1]]
+            else:
+                table[keys[-1]] = odd
+            change(folder, result)
+            told = page_or_refusal(folder)
+            if told is not None:
+                assert "result.json: " in told
+                refused.add(keys)
+    assert {("sensor",), ("deployment", "height_m"), ("holdout", "interval_90"), ("map", "best", "height_m")} <= refused
+    assert len(refused) > 0.8 * len(places)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("vehicles.csv", r"(?m)^(\d+),\d+,", r"\1,x,"),
+        ("vehicles.csv", "distance_m", "distance"),
+        ("vehicles.csv", r"\d+\.\d+,1,2,search", "nan,1,2,search"),
+        ("vehicles_baseline.csv", r"\n[^\n]*\n$", "\n"),
+        ("vehicles_baseline.csv", "holdout", "search"),
+        ("scene.toml", r"\[traffic\]", "[traffic"),
+        ("scene.toml", "path = ", "way = "),
+    ],
+)
+def test_a_damaged_file_is_refused_by_name(folder, name, old, new):
+    text = folder.file(name).read_text()
+    damaged = re.sub(old, new, text, count=1)
+    assert damaged != text
+    folder.file(name).write_text(damaged)
+    with pytest.raises(InputError, match=re.escape(name)) as caught:
+        report_html(folder)
+    one_line(caught.value)
+
+
+@pytest.mark.parametrize("name", ["vehicles.csv", "vehicles_baseline.csv", "scene.toml", "installation.txt"])
+def test_a_file_that_is_missing_is_named(folder, name):
+    folder.file(name).unlink()
+    with pytest.raises(BlenderLidarError, match=re.escape(name)):
+        report_html(folder)
+
+
+def test_a_result_of_before_scenes_had_names_is_called_after_its_folder(folder):
+    result = result_of(folder)
+    del result["scene"]
+    change(folder, result)
+    page = Page(report_html(folder))
+    assert page.text(page.find("h1")[0]) == "run RS-16"
+
+
+def test_a_page_that_cannot_be_written_is_one_line(folder):
+    folder.file("report.html").unlink()
+    folder.file("report.html").mkdir()
+    with pytest.raises(OutputError, match=r"report\.html: cannot be written") as caught:
+        write_report(folder)
+    one_line(caught.value)
+
+
+def test_a_page_that_no_run_has_written_is_not_replaced(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "report.html").write_text("mine")
+    code, _, err = cli(capsys, "evaluate", write_scene(tmp_path), "--out", tmp_path / "run")
+    assert code == 2
+    assert "holds a file report.html that no run has written" in err
+    assert (tmp_path / "run" / "report.html").read_text() == "mine"

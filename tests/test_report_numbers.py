@@ -1,0 +1,146 @@
+"""The page of a run says what result.json and the vehicle tables say."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+
+import pytest
+
+from blender_lidar.reporting.answer import answer
+from blender_lidar.reporting.page import report_html
+from blender_lidar.results import RunFolder
+from tests.report_samples import Page, change, make_runs, result_of
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    return make_runs(tmp_path_factory.mktemp("runs"))
+
+
+@pytest.fixture
+def folder(runs, tmp_path) -> RunFolder:
+    """A copy of the search, to be changed."""
+    shutil.copytree(runs / "searched", tmp_path / "run")
+    return RunFolder(tmp_path / "run")
+
+
+def table_rows(page: Page, caption: str) -> dict[str, list[float]]:
+    """Numbers of each row of a table by what stands before them; NaN where there is none."""
+    table = next(n for n in page.find("table") if page.text(page.within("caption", n)[0]).startswith(caption))
+    rows, section = {}, ""
+    for number in page.within("tr", table):
+        heads = page.within("th", number)
+        numbers = [page.text(cell).replace("\N{MINUS SIGN}", "-") for cell in page.within("td", number)]
+        if len(heads) == 1 and not numbers:
+            section = page.text(heads[0])
+        elif len(heads) == 1:
+            values = [
+                float(part) if part != "\N{EN DASH}" else float("nan")
+                for cell in numbers
+                for part in cell.split(" to ")
+            ]
+            rows[f"{section}: {page.text(heads[0])}"] = values
+    return rows
+
+
+def test_the_scores_are_those_of_the_result(runs):
+    result = result_of(RunFolder(runs / "searched"))
+    rows = table_rows(Page((runs / "searched" / "report.html").read_text(encoding="utf-8")), "Baseline and optimised")
+    base, held, base_held = result["baseline"], result["holdout"], result["baseline"]["holdout"]
+    expected = {
+        "Mounting: height [m]": [base["deployment"]["height_m"], result["deployment"]["height_m"]],
+        "Mounting: tilt across the road [deg]": [mount["deployment"]["tilt_x_deg"] for mount in (base, result)],
+        "Searched frames: objective [bits]": [base["objective"], result["objective"]],
+        "Searched frames: objective per vehicle [bits]": [scores["objective_per_vehicle"] for scores in (base, result)],
+        "Searched frames: detectable share [%]": [100 * scores["detectable_share"] for scores in (base, result)],
+        "Held-out frames: objective per vehicle [bits]": [s["objective_per_vehicle"] for s in (base_held, held)],
+        "Held-out frames: detectable share [%]": [100 * scores["detectable_share"] for scores in (base_held, held)],
+        "Held-out frames: gain per vehicle [bits]": [held["gain_over_baseline"]],
+        f"Held-out frames: 90 % interval, {held['blocks']} blocks": held["interval_90"],
+    }
+    assert rows.keys() == expected.keys()
+    for name, values in expected.items():
+        assert rows[name] == pytest.approx(values, abs=0.0501 if "%]" in name or "objective [" in name else 0.00501), (
+            name
+        )
+
+
+@pytest.mark.parametrize(("caption", "column"), [("By distance", "distance_m"), ("By lane", "lane")])
+def test_groups_are_what_the_vehicle_tables_say(runs, caption, column):
+    """Counted row by row, in another way than the page does."""
+    rows = table_rows(Page((runs / "searched" / "report.html").read_text(encoding="utf-8")), caption)
+    sums: dict[str, dict] = {}
+    files = [runs / "searched" / name for name in ("vehicles_baseline.csv", "vehicles.csv")]
+    for after, path in enumerate(files):
+        with path.open(newline="") as stream:
+            for row in csv.DictReader(stream):
+                value = float(row[column])
+                low = int(value // 10) * 10
+                name = f": lane {value:.0f}" if column == "lane" else f": {low}-{low + 10} m"
+                bits = float(row["entropy_bits"]) if row["detectable"] == "1" else -1.0
+                group = sums.setdefault(name, {})
+                group.setdefault((row["split"], after), []).append((bits, int(row["detectable"])))
+    assert rows.keys() == sums.keys()
+    for name, group in sums.items():
+        expected = []
+        for split in ("search", "holdout"):
+            seen = [group[split, after] for after in (0, 1)]
+            expected += [sum(bits for bits, _ in part) / len(part) for part in seen]
+            expected += [100 * sum(found for _, found in part) / len(part) for part in seen]
+        assert rows[name][:8] == pytest.approx(expected, abs=0.051)
+        assert rows[name][:2] == pytest.approx(expected[:2], abs=0.00051)
+        assert rows[name][8] == sum(len(group[split, 0]) for split in ("search", "holdout"))
+
+
+def test_the_answer_gives_mounting_shares_gain_and_interval_of_the_held_out_frames(runs):
+    result = result_of(RunFolder(runs / "searched"))
+    said = answer(result).replace("\N{MINUS SIGN}", "-").replace("\N{NO-BREAK SPACE}", " ")
+    held, base = result["holdout"], result["baseline"]["holdout"]
+    assert said.startswith(f"Hang the RS-16 {result['deployment']['height_m']:.2f} m above the road, tilted ")
+    for number in (
+        f"{result['deployment']['tilt_x_deg']:.1f}° across it",
+        f"{100 * held['detectable_share']:.1f} %",
+        f"{100 * base['detectable_share']:.1f} %",
+        f"gains {held['gain_over_baseline']:.3f} bits",
+        "{:.3f} to {:.3f}".format(*held["interval_90"]),
+    ):
+        assert number in said
+    page = Page((runs / "searched" / "report.html").read_text(encoding="utf-8"))
+    assert page.text(page.find("p", **{"class": "answer"})[0]) == answer(result)
+
+
+def test_the_answer_hides_no_doubt(runs):
+    result = result_of(RunFolder(runs / "searched"))
+    held, base = result["holdout"], result["baseline"]
+    lost = {"objective_per_vehicle": base["holdout"]["objective_per_vehicle"] - 0.25}
+    assert "loses 0.250" in answer(result | {"holdout": held | lost})
+    assert "there may be no gain at all" in answer(result | {"holdout": held | {"interval_90": [-0.1, 0.2]}})
+    assert "there may be no gain" not in answer(result | {"holdout": held | {"interval_90": [0.1, 0.2]}})
+    assert "too few blocks of time for an interval" in answer(result | {"holdout": held | {"interval_90": None}})
+    assert answer(result | {"objective": base["objective"]}).startswith("No mounting that was tried is better")
+    whole = answer(result_of(RunFolder(runs / "whole")))
+    assert "on the traffic that chose it" in whole
+    assert "nothing was held out" in whole
+    given = answer(result_of(RunFolder(runs / "given")))
+    assert given.startswith("The RS-16 4.00")
+    assert "tilted \N{MINUS SIGN}3.0° along it, turned 5.0°" in given
+
+
+def test_cautions_repairs_sheet_scene_and_versions_are_there(folder):
+    result = result_of(folder)
+    result["notes"] = ["a note on frames"]
+    result["deployment"]["height_m"] = 4.5
+    change(folder, result)
+    page = Page(report_html(folder))
+    items = [page.text(number) for number in page.find("li")]
+    assert "The best height lies on a bound of [deployment]; beyond may be better." in items
+    assert "a note on frames" in items
+    used = result["traffic_report"]["rows_used"]
+    assert f"{used:,} of {used:,} rows used" in items
+    sheet = " ".join(page.text(page.find("section", **{"class": "sheet"})[0]).split())
+    assert "Inclinometer on the sensor's base" in sheet
+    scene, computed = page.find("pre")[0], page.find("table", **{"class": "settings"})[0]
+    assert page.text(scene) == folder.file("scene.toml").read_text()
+    assert all(version in page.text(computed) for version in result["versions"].values())
+    assert page.tags().count("details") == page.tags().count("summary") == 2

@@ -1,0 +1,230 @@
+"""The page of a run: it is HTML that loads nothing and lets no user's text through."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shutil
+import struct
+import tomllib
+from fnmatch import fnmatch
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import blender_lidar
+from blender_lidar.errors import InputError
+from blender_lidar.reporting.elements import element
+from blender_lidar.reporting.page import report_html, write_report
+from blender_lidar.reporting.pictures import CHARTS, render_file
+from blender_lidar.reporting.sheet import sheet_markup
+from blender_lidar.results import RunFolder
+from tests.report_samples import Page, change, make_runs, png, result_of
+from tests.small_scene import cli, without_charts, write_scene
+
+LOADING = {"src", "href", "srcset", "poster", "data", "action", "formaction", "background", "cite", "ping", "manifest"}
+HOSTILE = "</title></style><script>alert(1)</script><img src=x onerror='alert(1)'>&amp;\"'--><!--"
+CHART_FILES = [chart.file for chart in CHARTS]
+RENDER_FILES = [render_file(name, view) for view in ("above", "pole") for name in ("baseline", "optimised")]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    return make_runs(tmp_path_factory.mktemp("runs"))
+
+
+@pytest.fixture
+def folder(runs, tmp_path) -> RunFolder:
+    """A copy of the search, to be changed."""
+    shutil.copytree(runs / "searched", tmp_path / "run")
+    return RunFolder(tmp_path / "run")
+
+
+def draw(folder: RunFolder, names: list[str]) -> None:
+    for number, name in enumerate(names):
+        folder.file(name).write_bytes(png(8 + number, 5, 20 * number))
+
+
+# --- HTML -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["searched", "given", "whole"])
+def test_every_run_leaves_a_page_that_is_well_formed(runs, name):
+    text = (runs / name / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.declared == ["DOCTYPE html"]
+    assert text.startswith("<!DOCTYPE html>")
+    assert [page.tags().count(tag) for tag in ("html", "head", "body", "main", "h1", "title")] == [1] * 6
+    assert page.elements[0] == ("html", {"lang": "en"})
+    assert page.elements[page.find("head")[0] + 1] == ("meta", {"charset": "utf-8"})
+    assert page.find("meta", name="viewport")
+    headings = [int(tag[1]) for tag in page.tags() if re.fullmatch("h[1-6]", tag)]
+    assert all(after <= before + 1 for before, after in pairwise(headings))
+
+
+def test_every_header_cell_says_what_it_heads_and_rows_are_of_one_length(runs):
+    page = Page((runs / "searched" / "report.html").read_text(encoding="utf-8"))
+    assert len(page.find("table")) == 4  # scores, distance, lanes, methods
+    assert all(present.get("scope") in {"col", "row", "rowgroup"} for tag, present in page.elements if tag == "th")
+    width, widths, held = 0, [], []  # `held`: columns that cells of the rows above still take
+    for tag, present in [*page.elements, ("tr", {})]:
+        if tag in ("tr", "table"):
+            if width:
+                widths.append(width)
+            held = [] if tag == "table" else [rows - 1 for rows in held if rows > 1]
+            width = len(held)
+        elif tag in ("td", "th"):
+            width += int(present.get("colspan", 1))
+            held += [int(present["rowspan"])] if "rowspan" in present else []
+    assert set(widths) == {2, 3, 10}
+
+
+def test_the_same_folder_gives_the_same_bytes(folder):
+    draw(folder, CHART_FILES)
+    write_report(folder)
+    first = folder.file("report.html").read_bytes()
+    assert write_report(folder) == folder.file("report.html")
+    assert folder.file("report.html").read_bytes() == first == report_html(folder).encode()
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def test_pictures_are_the_folders_own_bytes_and_nothing_is_loaded_from_elsewhere(folder):
+    names = [*RENDER_FILES, *CHART_FILES]
+    draw(folder, names)
+    text = report_html(folder)
+    page = Page(text)
+    images = [present for tag, present in page.elements if tag == "img"]
+    start = "data:image/png;base64,"
+    assert all(image["src"].startswith(start) for image in images)
+    found = [base64.b64decode(image["src"].removeprefix(start), validate=True) for image in images]
+    assert sorted(found) == sorted(folder.file(name).read_bytes() for name in names)
+    for image, data in zip(images, found, strict=True):
+        assert (int(image["width"]), int(image["height"])) == struct.unpack(">II", data[16:24])
+        assert len(image["alt"]) > 10
+    check_loads_nothing(page)
+
+
+def check_loads_nothing(page: Page) -> None:
+    assert not {"script", "link", "iframe", "object", "embed", "base", "form", "svg", "a"} & set(page.tags())
+    for tag, present in page.elements:
+        assert not [name for name in present if name.startswith("on")]
+        assert all(present[name].startswith("data:") for name in LOADING & present.keys()), tag
+        assert "url(" not in present.get("style", "")
+    style = page.text(page.find("style")[0])
+    assert "url(" not in style
+    assert "@import" not in style
+    policy = page.elements[page.find("meta", **{"http-equiv": "Content-Security-Policy"})[0]][1]["content"]
+    assert policy.startswith("default-src 'none'")
+
+
+def test_renders_stand_in_pairs_above_the_tables(folder):
+    draw(folder, RENDER_FILES)
+    page = Page(report_html(folder))
+    order = [tag for tag in page.tags() if tag in ("figure", "img", "table")]
+    assert order[:7] == ["figure", "img", "img", "figure", "img", "img", "table"]
+    sides = [
+        page.text(number) for number in page.find("div") if page.text(number).startswith(("Baseline:", "Optimised:"))
+    ]
+    assert sum(side.startswith("Baseline: height 2.00 m, tilt 0.0°") for side in sides) >= 2
+
+
+def test_a_render_without_its_counterpart_is_shown_alone(folder):
+    draw(folder, RENDER_FILES[1:2])
+    page = Page(report_html(folder))
+    assert page.tags().count("img") == page.tags().count("figure") == 1
+
+
+@pytest.mark.parametrize("names", [[], CHART_FILES[:2], CHART_FILES])
+def test_the_page_is_made_with_the_charts_that_are_there_and_says_where_there_are_none(folder, names):
+    draw(folder, names)
+    text = report_html(folder)
+    assert Page(text).tags().count("figure") == len(names)
+    assert ("There are no charts" in text) == (not names)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n", png(3, 3, 9)[:-6], b"GIF89a" * 9])
+def test_a_picture_that_is_not_whole_is_refused_by_name_and_the_page_stays_as_it_was(folder, content):
+    before = folder.file("report.html").read_bytes()
+    folder.file("clouds.png").write_bytes(content)
+    with pytest.raises(InputError, match=r"clouds\.png: is no PNG picture, or not a whole one$"):
+        write_report(folder)
+    assert folder.file("report.html").read_bytes() == before
+
+
+# --- users' texts -----------------------------------------------------------------------------------------------------
+
+
+def test_a_scene_and_traffic_named_like_scripts_are_only_text(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    name = "<script>alert(1)<script>&\"'"
+    traffic = "<img src=x onerror=alert(1)>.csv"
+    scene = write_scene(tmp_path, {"traffic": {"path": traffic}})
+    (tmp_path / "traffic.csv").rename(tmp_path / traffic)
+    scene.rename(tmp_path / f"{name}.toml")
+    code, _, err = cli(capsys, "evaluate", tmp_path / f"{name}.toml", "--height", 4, "--out", tmp_path / "run")
+    assert code == 0, err
+    page = Page((tmp_path / "run" / "report.html").read_text(encoding="utf-8"))
+    assert page.text(page.find("h1")[0]) == f"{name} RS-16"
+    assert traffic in page.text(page.find("header")[0])
+    check_loads_nothing(page)
+
+
+def test_no_text_of_the_folder_adds_an_element(folder):
+    def hostile(value, key=""):
+        if isinstance(value, dict):
+            return {name: hostile(inner, name) for name, inner in value.items()}
+        if isinstance(value, list):
+            return [hostile(inner) for inner in value]
+        return HOSTILE if isinstance(value, str) and key != "reading" else value
+
+    result = result_of(folder) | {"notes": ["a note"]}
+    change(folder, result)
+    harmless = Page(report_html(folder))
+    change(folder, hostile(result))
+    scene, sheet = (folder.file(name).read_text() for name in ("scene.toml", "installation.txt"))
+    folder.file("scene.toml").write_text(f"{scene}# {HOSTILE}\n")
+    folder.file("installation.txt").write_text(re.sub(r"(?m)(?<=\S)$", f" {HOSTILE}", sheet))
+    page = Page(report_html(folder))
+    assert page.tags() == harmless.tags()
+    assert not page.comments
+    assert page.text(page.find("main")[0]).count(HOSTILE) >= 10
+
+
+@given(st.text(st.characters(codec=None, exclude_categories=()), max_size=30))
+def test_any_text_can_stand_in_an_element_and_an_attribute(text):
+    markup = element("p", text, title=text)
+    markup.encode("utf-8")
+    assert not re.search("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]", markup)
+    page = Page(markup)
+    assert page.tags() == ["p"]
+    clean = re.sub("[^\t\n\r -~\xa0-\ud7ff\ue000-\ufdcf\ufdf0-\ufffd\U00010000-\U0010ffff]", "\ufffd", text)
+    assert page.text(0) == page.elements[0][1]["title"] == clean
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["", "- ", "Height       ", "    ", "  - ", "A b  "]), st.text("ab -:<&", max_size=12)
+        ).map("".join)
+    )
+)
+def test_no_word_of_the_sheet_is_lost_or_moved(lines):
+    page = Page("".join(sheet_markup("\n".join(lines))))
+    shown = " ".join(text for _, text in page.texts).split()
+    written = "\n".join(re.sub(r"^- ", "", line) for line in lines).split()
+    assert shown == written
+
+
+def test_what_the_package_reads_beside_its_code_is_installed_with_it():
+    package = Path(blender_lidar.__file__).parent
+    declared = tomllib.loads((package.parent / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    patterns = [f"{name.replace('.', '/')}/{pattern}" for name, globs in declared.items() for pattern in globs]
+    files = [path.relative_to(package.parent) for path in package.rglob("*.*") if path.suffix not in (".py", ".pyc")]
+    assert files
+    assert [path for path in files if not any(fnmatch(path.as_posix(), pattern) for pattern in patterns)] == []
