@@ -52,7 +52,7 @@ _IDENTITY = {
     "[objective] view": TEXT,
     **{f"[deployment] {key}": NUMBER_OR_PAIR for key in COORDINATES},
 }
-_KINDS = {int: COUNT, str: TEXT, tuple: TEXTS}
+_KINDS = {int: COUNT, float: NUMBER, str: TEXT, tuple: TEXTS}
 _RESULT = _JUDGED | {
     "scene": MayLack(TEXT),
     **dict.fromkeys(("sensor", "caster", "detail", "metric"), TEXT),
