@@ -7,6 +7,9 @@ import argparse
 import numpy as np
 
 from ..moments import blender, mounted_sensor
+from ..reporting.page import write_report
+from ..reporting.pictures import render_file
+from ..reporting.stored_run import read_run
 from ..results import VEHICLES, RunFolder
 from ..scenario import load_scenario
 from ..study.site import frame_of, read_recording
@@ -34,7 +37,7 @@ def add_parser(subparsers) -> None:
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     folder = RunFolder(args.folder)
-    result = folder.ended_result()
+    result = read_run(folder).result
     tools = blender("render")
     samples = tools.render.SAMPLES if args.samples is None else int(checked_number(args.samples, "--samples", low=1))
     scenario = load_scenario(folder.scene)
@@ -48,11 +51,12 @@ def run(args: argparse.Namespace) -> int:
             scene = tools.scene.empty_scene()
             tools.scene.build_scene(scene, mounted_sensor(scenario, mount).moment(vehicles))
             for view, camera in CAMERAS.items():
-                written.append(folder.file(f"render_{name}_{view}.png"))
+                written.append(folder.file(render_file(name, view)))
                 tools.render.render_picture(written[-1], scene, camera, samples=samples)
                 progress.advance(1)
     finally:
         progress.close()
+    written.append(write_report(folder))
     print(f"frame {number}: " + ", ".join(map(str, written)))
     return 0
 
