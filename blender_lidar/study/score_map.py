@@ -56,8 +56,15 @@ class ScoreMap:
         blocks = len(self.block_vehicles)
         if blocks < FEWEST_BLOCKS:
             return None
-        weights = resampled_weights(blocks, np.random.default_rng(seed))
-        values = weights @ self.block_objective.reshape(-1, blocks).T / (weights @ self.block_vehicles)[:, None]
+        return self.best_under(resampled_weights(blocks, np.random.default_rng(seed)))
+
+    def best_under(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Height [m] and tilt [deg] of the best grid point, (r,) each, with each block counted `weights` (r, b) times.
+
+        Every row of the weights must leave some vehicles.
+        """
+        objective = self.block_objective.reshape(-1, len(self.block_vehicles))
+        values = weights @ objective.T / (weights @ self.block_vehicles)[:, None]
         row, column = np.unravel_index(np.argmax(values, axis=1), self.per_vehicle.shape)
         return self.height_m[row], self.tilt_deg[column]
 

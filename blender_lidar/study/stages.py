@@ -1,0 +1,128 @@
+"""The folder of a study of several stages: each is stored whole when it ends, so that a study that stopped goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..errors import InputError, OutputError
+from ..formats.atomic import write_text
+from ..formats.lock import folder_lock
+
+IDENTITY = "study.json"
+STAGES = "stages"
+
+
+class StudyFolder:
+    """A folder in which a study leaves its stages and its results; it is made when `locked`.
+
+    Parameters
+    ----------
+    path : path
+        Where it is, or will be.
+    identity : mapping
+        What must be the same for two runs to come to the same: settings, content of files, versions. As JSON holds it.
+    results : iterable of str
+        Names of the files that the study will write, besides its stages.
+    """
+
+    def __init__(self, path: str | Path, identity: Mapping[str, object], results: Iterable[str] = ()) -> None:
+        self.path = Path(path)
+        self._identity = json.loads(json.dumps(identity))
+        self._results = tuple(results)
+
+    def file(self, name: str) -> Path:
+        """Path of a file of the study."""
+        return self.path / name
+
+    def check(self, *, resume: bool = False) -> None:
+        """Refuse a place that this study must not write to.
+
+        Raises
+        ------
+        OutputError
+            When there can be no folder.
+        InputError
+            When it holds a study and `resume` is False, one with other settings, or files of the same names that no
+            study has written.
+        """
+        there = next(place for place in (self.path, *self.path.absolute().parents) if place.exists())
+        if not there.is_dir():
+            raise OutputError(f"--out: {self.path}: the folder cannot be made: {there} is a file")
+        if self.file(IDENTITY).exists():
+            self._check_identity(resume)
+            return
+        present = [name for name in (STAGES, *self._results) if self.file(name).exists()]
+        if present:
+            raise InputError(f"--out: {self.path}: holds {present[0]}, which no study has written; give another folder")
+
+    @contextmanager
+    def locked(self, *, resume: bool = False) -> Iterator[StudyFolder]:
+        """Make the folder and keep other processes out of it while the block lasts.
+
+        Raises
+        ------
+        OutputError
+            When another run is at work there, or the folder cannot be made or written.
+        InputError
+            As `check`.
+        """
+        self.check(resume=resume)
+        try:
+            self.file(STAGES).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"--out: {self.path}: the folder cannot be made: {error.strerror}") from error
+        with folder_lock(self.path):
+            if not self.file(IDENTITY).exists():
+                write_text(self.file(IDENTITY), json.dumps(self._identity, indent=2) + "\n")
+            self._sweep()
+            yield self
+
+    def stage(self, name: str, compute: Callable[[], object]) -> object:
+        """What `compute` returns, from the folder if an earlier run has stored it there.
+
+        It goes through JSON either way, so that both are the same to the last digit.
+
+        Raises
+        ------
+        InputError
+            When the stored file is damaged.
+        """
+        path = self.file(STAGES) / f"{name}.json"
+        if not path.exists():
+            write_text(path, json.dumps(compute()) + "\n")
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise InputError(f"{path}: is damaged: {error}; remove it to have it made again") from error
+
+    def holds(self, name: str) -> bool:
+        """Whether a stage is stored already."""
+        return (self.file(STAGES) / f"{name}.json").exists()
+
+    def _check_identity(self, resume: bool) -> None:
+        path = self.file(IDENTITY)
+        try:
+            stored = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise InputError(f"{path}: cannot be read: {error}") from error
+        if not isinstance(stored, dict):
+            raise InputError(f"{path}: is no file of a study")
+        if not resume:
+            raise InputError(
+                f"--out: {self.path}: holds a study already; give another folder, or go on with it: --resume"
+            )
+        for key in sorted({*stored, *self._identity}):
+            if stored.get(key) != self._identity.get(key):
+                raise InputError(
+                    f"--resume: {self.path}: the study there had {key} = {stored.get(key)!r}, not "
+                    f"{self._identity.get(key)!r}; give it the same settings, or another --out"
+                )
+
+    def _sweep(self) -> None:
+        """Remove what a killed run had not finished writing."""
+        for folder in (self.path, self.file(STAGES)):
+            for leftover in folder.glob(".*-????????.*"):
+                leftover.unlink(missing_ok=True)

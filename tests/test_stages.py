@@ -1,0 +1,103 @@
+"""A study's folder: stages are stored whole, a stopped study goes on, and nothing foreign is written over."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from blender_lidar.errors import InputError, OutputError
+from blender_lidar.study.stages import IDENTITY, STAGES, StudyFolder
+
+SETTINGS = {"seed": 1, "file": "abc"}
+
+
+def test_a_stage_is_computed_once_and_is_the_same_when_read_again(tmp_path):
+    calls = []
+
+    def compute():
+        calls.append(1)
+        return {"third": 1 / 3, "pair": (0.1, 2), "nothing": None}
+
+    with StudyFolder(tmp_path / "run", SETTINGS).locked() as folder:
+        fresh = folder.stage("one", compute)
+    with StudyFolder(tmp_path / "run", SETTINGS).locked(resume=True) as folder:
+        again = folder.stage("one", compute)
+    assert fresh == again == {"third": 1 / 3, "pair": [0.1, 2], "nothing": None}
+    assert calls == [1]
+
+
+def test_a_stage_that_fails_leaves_nothing_and_the_study_goes_on(tmp_path):
+    def fail():
+        raise RuntimeError("stopped")
+
+    with StudyFolder(tmp_path / "run", SETTINGS).locked() as folder:
+        folder.stage("one", lambda: 1)
+        with pytest.raises(RuntimeError):
+            folder.stage("two", fail)
+    assert [path.name for path in (tmp_path / "run" / STAGES).iterdir()] == ["one.json"]
+    with StudyFolder(tmp_path / "run", SETTINGS).locked(resume=True) as folder:
+        assert folder.stage("two", lambda: 2) == 2
+
+
+def test_a_folder_that_holds_a_study_is_left_alone_unless_it_goes_on(tmp_path):
+    with StudyFolder(tmp_path / "run", SETTINGS).locked():
+        pass
+    with pytest.raises(InputError, match="holds a study already"):
+        StudyFolder(tmp_path / "run", SETTINGS).check()
+    StudyFolder(tmp_path / "run", SETTINGS).check(resume=True)
+    with pytest.raises(InputError, match="had seed = 1, not 2"):
+        StudyFolder(tmp_path / "run", SETTINGS | {"seed": 2}).check(resume=True)
+
+
+def test_resuming_where_nothing_is_stored_starts_from_the_beginning(tmp_path):
+    with StudyFolder(tmp_path / "run", SETTINGS).locked(resume=True) as folder:
+        assert folder.stage("one", lambda: 1) == 1
+
+
+@pytest.mark.parametrize("name", ["report.md", STAGES])
+def test_files_that_no_study_has_written_are_not_written_over(tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(InputError, match="which no study has written"):
+        StudyFolder(tmp_path, SETTINGS, ["report.md"]).check(resume=True)
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "run").write_text("mine")
+    with pytest.raises(OutputError, match="is a file"):
+        StudyFolder(tmp_path / "run" / "deeper", SETTINGS).check()
+
+
+@pytest.mark.parametrize("text", ["{", "[1]"])
+def test_a_damaged_identity_is_refused_by_name(tmp_path, text):
+    (tmp_path / IDENTITY).write_text(text)
+    with pytest.raises(InputError, match=IDENTITY):
+        StudyFolder(tmp_path, SETTINGS).check(resume=True)
+
+
+def test_a_damaged_stage_is_refused_by_name(tmp_path):
+    with StudyFolder(tmp_path, SETTINGS).locked() as folder:
+        (tmp_path / STAGES / "one.json").write_text("{")
+        with pytest.raises(InputError, match=r"one\.json: is damaged"):
+            folder.stage("one", lambda: 1)
+
+
+def test_two_runs_cannot_work_in_one_folder(tmp_path):
+    second = StudyFolder(tmp_path, SETTINGS)
+    with StudyFolder(tmp_path, SETTINGS).locked(), pytest.raises(OutputError, match="another run"):
+        second.locked(resume=True).__enter__()
+
+
+def test_what_a_killed_run_had_not_finished_writing_is_swept_away(tmp_path):
+    with StudyFolder(tmp_path, SETTINGS).locked():
+        (tmp_path / STAGES / ".one-abcdefgh.json").write_text("{")
+    with StudyFolder(tmp_path, SETTINGS).locked(resume=True):
+        assert list((tmp_path / STAGES).iterdir()) == []
+
+
+def test_the_identity_is_stored_as_it_was_given(tmp_path):
+    with StudyFolder(tmp_path, SETTINGS | {"grid": (2, 3)}).locked():
+        pass
+    assert json.loads((tmp_path / IDENTITY).read_text()) == SETTINGS | {"grid": [2, 3]}
+    StudyFolder(tmp_path, SETTINGS | {"grid": (2, 3)}).check(resume=True)
