@@ -9,8 +9,10 @@ import numpy as np
 
 from blender_lidar.plots.blind_zones import plot_blind_zones
 from blender_lidar.plots.by_distance import plot_by_distance
+from blender_lidar.plots.changes import Bands, Mean, Point, plot_before_after, plot_effects, plot_settings
 from blender_lidar.plots.clouds import plot_clouds
 from blender_lidar.plots.convergence import plot_convergence
+from blender_lidar.plots.near_best import GainMap, plot_gain_maps
 from blender_lidar.plots.occupancy import OccupancyViews, plot_occupancy
 from blender_lidar.plots.score_map import plot_score_map
 
@@ -59,6 +61,29 @@ def score_map_arguments() -> dict[str, object]:
     }
 
 
+def gain_map(name: str, interval: bool = True) -> GainMap:
+    """A round hill whose top is at 4 m and 18 degrees."""
+    height, tilt = np.linspace(2.0, 4.5, 6), np.linspace(0.0, 25.0, 6)
+    share = 1.0 - 0.1 * (height[:, None] - 4.0) ** 2 - 0.002 * (tilt - 18.0) ** 2
+    ends = ((3.9, 4.2), (15.0, 20.0)) if interval else (None, None)
+    rivals = {"the paper's Table II": (4.1, 19.0), "DE-PSO": (4.0, 18.5), "baseline": (2.0, 0.0)}
+    return GainMap(name, height.tolist(), tilt.tolist(), share.tolist(), (4.0, 20.0), *ends, rivals)
+
+
+def band_changes(name: str, bands: int) -> Bands:
+    names = [f"{20 * band}-{20 * band + 20} m" for band in range(bands)]
+    means = [Mean(0.1 * band - 0.1, 0.1 * band - 0.2, 0.1 * band) for band in range(bands)]
+    return Bands(name, names, [50.0] * bands, [100.0 - 10.0 * band for band in range(bands)], means)
+
+
+def settings_points() -> list[Point]:
+    return [
+        Point("as the scene has it", 20.0, 15.0, 25.0, ""),
+        Point("setback 5 m", 25.0, math.nan, math.nan, "4.0 m"),
+        Point("C as printed: a miss earns 1", 0.0, math.nan, math.nan, "2.0 m"),
+    ]
+
+
 def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
     """Every chart with small arguments of its own."""
     table, other = vehicles(1), vehicles(2)
@@ -81,6 +106,33 @@ def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
                 "boxes": boxes,
                 "detectable": (seen, ~seen),
                 "sensor_xy": (0.0, 0.0),
+            },
+        ),
+        "gain_maps": (plot_gain_maps, {"maps": [gain_map("RS-16"), gain_map("RS-80", interval=False)]}),
+        "before_after": (
+            plot_before_after,
+            {
+                "sensors": [band_changes("RS-16", 3), band_changes("RS-80", 8)],
+                "other": band_changes("RS-80 evenly spaced", 8),
+                "share_label": "Detectable share [%]",
+                "change_label": "Change [bits]",
+            },
+        ),
+        "effects": (
+            plot_effects,
+            {
+                "bands": band_changes("", 4).bands,
+                "effects": {name: band_changes("", 4).change for name in ("height", "tilt", "uneven spacing")},
+                "total": ("all of the change", band_changes("", 4).change),
+                "label": "Change [bits]",
+            },
+        ),
+        "settings": (
+            plot_settings,
+            {
+                "sensors": {"RS-16": settings_points(), "RS-80": settings_points()[:1]},
+                "published": {"RS-16": 19.0, "RS-80": 9.0},
+                "label": "Best tilt [deg]",
             },
         ),
         "occupancy": (plot_occupancy, {"before": views(0.02), "after": views(0.1)}),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from blender_lidar.errors import InputError, OutputError
 from blender_lidar.plots import canvas
 from blender_lidar.plots.blind_zones import plot_blind_zones
 from blender_lidar.plots.by_distance import FEWEST_VEHICLES, plot_by_distance
+from blender_lidar.plots.changes import Mean, plot_before_after, plot_effects, plot_settings
 from blender_lidar.plots.clouds import plot_clouds
 from blender_lidar.plots.convergence import plot_convergence
+from blender_lidar.plots.near_best import plot_gain_maps
 from blender_lidar.plots.occupancy import OccupancyViews, plot_occupancy
 from blender_lidar.plots.score_map import plot_score_map
 from tests.chart_samples import (
@@ -21,6 +24,7 @@ from tests.chart_samples import (
     ROAD,
     chart_arguments,
     cloud,
+    gain_map,
     grey_pixels,
     lightness,
     score_map_arguments,
@@ -337,3 +341,39 @@ def test_occupancy_fits_a_truck_and_a_motorcycle_on_the_sheet(size, tmp_path, fi
 def test_occupancy_refuses_grids_that_are_none(grids, size, message):
     with pytest.raises(InputError, match=message):
         OccupancyViews(grids, size)
+
+
+def test_gain_maps_outline_what_is_near_best_and_name_the_rivals(tmp_path, figures):
+    plot_gain_maps(tmp_path / "c.png", [gain_map("RS-16"), gain_map("RS-80", interval=False)])
+    text = words(figures[0])
+    for part in ("RS-16", "RS-80", "the paper's Table II", "DE-PSO", "within 1 % of the gain", "90 % of resampled"):
+        assert part in text
+    stars = [line for axes in figures[0].axes for line in axes.lines if line.get_marker() == "*"]
+    assert [tuple(*star.get_xydata()) for star in stars] == [(20.0, 4.0)] * 2
+    with pytest.raises(InputError, match="share has shape"):
+        plot_gain_maps(tmp_path / "d.png", [replace(gain_map("RS-16"), share=np.ones((2, 2)))])
+    assert not (tmp_path / "d.png").exists()
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda path: plot_gain_maps(path, []),
+        lambda path: plot_before_after(path, [], share_label="", change_label=""),
+        lambda path: plot_settings(path, {}, {}, label=""),
+    ],
+)
+def test_charts_of_the_case_study_refuse_to_show_nothing(tmp_path, draw):
+    with pytest.raises(InputError, match="at least one is needed"):
+        draw(tmp_path / "c.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_change_without_an_interval_is_drawn_without_bars(tmp_path, figures):
+    means = [Mean(0.1, -0.1, 0.3), Mean(0.2, math.nan, math.nan)]
+    plot_effects(tmp_path / "c.png", ["near", "far"], {"height": means}, ("all", means), label="Change [bits]")
+    axes = figures[0].axes[0]
+    assert [bar.get_height() for bar in axes.patches] == [0.1, 0.2]
+    (segments, *_) = [of.get_segments() for of in axes.collections]
+    lengths = [np.ptp(segment[:, 1]) for segment in segments]
+    np.testing.assert_allclose(lengths, [0.4, 0.0], atol=1e-12)

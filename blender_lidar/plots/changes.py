@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _BAND_TICKS = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
+_DISTANCE = "Horizontal distance from the LiDAR [m]"
 _EFFECT_LOOKS = (
     {"color": OPTIMISED["color"]},
     {"color": FAINT},
@@ -94,12 +95,13 @@ def plot_before_after(
             if shift:
                 look = {"color": BASELINE["color"], "marker": "D", "label": f"change, {other.name}"}
                 handles.append(_errors(lower, at + shift, other.change, look))
-            lower.set_xticks(at, sensor.bands, **_BAND_TICKS)
+            lower.set_xticks(at, _in_metres(sensor.bands), **_BAND_TICKS)
             for axes in (upper, lower):
                 axes.grid(visible=True, axis="y")
         grid[0, 0].set_ylabel(share_label)
         grid[0, 0].set_ylim(0.0, 100.0)
         grid[1, 0].set_ylabel(change_label)
+        grid[1, -1].set_xlabel(_DISTANCE)
         figure.align_ylabels()
         legend_below(figure, handles, columns=len(handles))
 
@@ -145,9 +147,9 @@ def plot_effects(
         look = {"color": "black", "marker": "D", "label": name}
         handles.append(_errors(axes, at + 0.5 * len(effects) * width, means, look))
         axes.axhline(0.0, color=INK, linewidth=0.8)
-        axes.set_xticks(at, bands)
+        axes.set_xticks(at, _in_metres(bands))
         axes.set_ylabel(label)
-        axes.set_xlabel("Horizontal distance from the LiDAR")
+        axes.set_xlabel(_DISTANCE)
         axes.grid(visible=True, axis="y")
         legend_below(figure, handles, columns=len(handles))
 
@@ -215,6 +217,11 @@ def plot_settings(
         optimum.set_label("optimum")
         interval = Line2D([], [], color=FAINT, linewidth=3.5, label="90 % of resampled optima")
         legend_below(figure, [optimum, interval, *lines], columns=4)
+
+
+def _in_metres(bands: Sequence[str]) -> list[str]:
+    """The bands without their unit, which stands on the axis."""
+    return [band.removesuffix(" m") for band in bands]
 
 
 def _errors(axes: Axes, at: np.ndarray, means: Sequence[Mean], look: dict) -> Artist:
