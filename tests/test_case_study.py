@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import importlib.util
 import json
@@ -170,6 +171,59 @@ def test_every_claim_has_a_verdict_and_stands_in_the_report(finished):
             assert line.count("|") == widths["now"] or line == widths.get("head"), line
         else:
             widths.pop("now", None)
+
+
+def verdict(result, number):
+    return claims(result)[number].verdict
+
+
+def test_verdicts_follow_the_numbers(finished):
+    result = copy.deepcopy(json.loads(json.dumps(finished[1])))
+
+    def order(axis, strict, with_ties):
+        result["order"][axis] |= {"strict": strict, "with_ties": with_ties}
+        for pair in result["order"][axis]["pairs"]:
+            pair["above"] = 0.5
+
+    order("height", 0.95, 0.95)
+    order("tilt", 0.05, 0.08)
+    assert [verdict(result, number) for number in (0, 1)] == ["reproduced", "not reproduced"]
+    order("height", 0.0, 0.99)
+    order("tilt", 0.5, 0.6)
+    assert [verdict(result, number) for number in (0, 1)] == ["not shown: ties", "undecided"]
+    result["order"]["tilt"]["pairs"][1]["above"] = 1.0
+    assert verdict(result, 1) == "reproduced in part"
+
+    for of in result["sensors"].values():
+        of["height_interval_90"] = [of["published"]["height_m"], 4.5]
+        of["tilt_interval_90"] = [0.0, of["published"]["tilt_deg"]]
+    assert verdict(result, 2) == "reproduced"
+    result["sensors"]["RS-32"]["tilt_interval_90"] = [20.0, 25.0]
+    assert verdict(result, 2) == "reproduced in part"
+
+    def changes(*means):
+        rows = [row for row in result["fig9"] if row["band"] == "all" and row["measure"] == "detectable"]
+        for row, mean in zip(rows, means, strict=False):
+            row["change"] = {"mean": mean, "interval_90": None if mean is None else [mean - 0.01, mean + 0.01]}
+
+    changes(0.1, 0.3, 0.2)
+    assert [verdict(result, number) for number in (3, 4)] == ["reproduced", "reproduced"]
+    changes(0.3, 0.1, -0.2)
+    assert [verdict(result, number) for number in (3, 4)] == ["not reproduced", "not reproduced"]
+    changes(0.1, 0.105, 0.0)
+    assert [verdict(result, number) for number in (3, 4)] == ["reproduced in part", "undecided"]
+
+    near = next(row for row in result["spacing"] if row["band"] == "0-20 m" and row["measure"] == "entropy_bits")
+    for change, even, spacing, expected in (
+        ((-0.2, -0.1), (0.0, 0.1), (-0.3, -0.2), "reproduced"),
+        ((-0.2, 0.1), (0.0, 0.1), (-0.3, -0.2), "reproduced in part"),  # no loss is shown
+        ((-0.2, -0.1), (-0.2, -0.1), (-0.3, -0.2), "reproduced in part"),  # even beams lose too
+        ((-0.2, -0.1), (-0.2, -0.1), (0.1, 0.2), "not reproduced"),
+        ((-0.2, -0.1), (-0.2, -0.1), (-0.1, 0.2), "undecided"),
+    ):
+        for effect, ends in (("change", change), ("change_evenly_spaced", even), ("spacing", spacing)):
+            near[effect] = {"mean": np.mean(ends), "interval_90": list(ends)}
+        assert verdict(result, 9) == expected
 
 
 def test_clouds_are_those_of_the_busiest_judging_frame(finished, scene):

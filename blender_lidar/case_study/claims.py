@@ -102,14 +102,14 @@ def _values(result):
     text = "Table II's mountings are the optima"
     inside, parts = [], []
     for sensor, of in result["sensors"].items():
-        pairs = [
-            (of[f"{axis}_interval_90"], getattr(PUBLISHED[sensor], name))
-            for axis, name in (("height", "height_m"), ("tilt", "tilt_deg"))
-        ]
-        if any(interval is None for interval, _ in pairs):
+        if of["tilt_interval_90"] is None:
             return Claim(text, "too few blocks for intervals", UNDECIDED)
-        inside.append(all(interval[0] <= value <= interval[1] for interval, value in pairs))
-        parts.append(f"{sensor} {'inside' if inside[-1] else 'outside'} our intervals{_share_of_gain(of)}")
+        published = PUBLISHED[sensor]
+        held = {"height": published.height_m, "tilt": published.tilt_deg}
+        held = {axis: low <= value <= high for axis, value in held.items() for low, high in [of[f"{axis}_interval_90"]]}
+        inside.append(all(held.values()))
+        said = " and ".join(f"{axis} {'inside' if within else 'outside'}" for axis, within in held.items())
+        parts.append(f"{sensor}: {said} our intervals{_share_of_gain(of)}")
     verdict = REPRODUCED if all(inside) else IN_PART if any(inside) else REFUTED
     return Claim(text, "; ".join(parts), verdict)
 
@@ -136,10 +136,10 @@ def _largest(result):
     change = {sensor: fig9_row(result, sensor, "all", "detectable")["change"] for sensor in SENSORS}
     largest = max(change, key=lambda sensor: change[sensor]["mean"])
     ours = f"the largest change of the detectable share is that of {largest}"
-    others = [of for sensor, of in change.items() if sensor != largest]
-    best = change[largest]["interval_90"]
-    clear = best is not None and all(of["interval_90"] is not None and of["interval_90"][1] < best[0] for of in others)
-    if not clear:
+    ends = {sensor: of["interval_90"] for sensor, of in change.items()}
+    if None in ends.values():
+        return Claim(text, f"{ours}; too few blocks for intervals", UNDECIDED)
+    if any(ends[sensor][1] >= ends[largest][0] for sensor in SENSORS if sensor != largest):
         return Claim(text, f"{ours}, but the intervals overlap", UNDECIDED)
     return Claim(text, ours, REPRODUCED if largest == "RS-32" else REFUTED)
 
@@ -160,7 +160,9 @@ def _distant(result):
         half = len(rows) // 2
         near, far = (_mean_change(some) for some in (rows[:half], rows[half:]))
         parts.append(f"{sensor} nearer half of the bands {100 * near:+.0f} points, farther half {100 * far:+.0f}")
-        holds.append(far > near)
+        holds.append(far > near if all(row["change"]["interval_90"] for row in rows) else None)
+    if None in holds:
+        return Claim(text, "; ".join(parts), UNDECIDED)
     return Claim(text, "; ".join(parts), REPRODUCED if all(holds) else IN_PART if any(holds) else REFUTED)
 
 

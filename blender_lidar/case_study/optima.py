@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
@@ -73,6 +73,7 @@ def landscape(
         "per_vehicle": float(before.per_vehicle()[0]),
         "detectable_share": float(before.detectable_share()[0]),
     }
+    found = replace(found, height_m=found.height_m.round(9), tilt_deg=found.tilt_deg.round(9))  # 4.3, not 4.30...01
     return Landscape(found, filled, baseline)
 
 
