@@ -208,7 +208,22 @@ def _sensitivity(result):
     said = (
         f"Tilts fall strictly with the number of beams under {len(kept)} of the {of_all} settings common to all three."
     )
-    return [*lines, "", said, *([""] if notes else []), *notes]
+    return [*lines, "", said, *_holding(result), *([""] if notes else []), *notes]
+
+
+def _holding(result):
+    """Under which settings the interval of a sensor's tilt holds the paper's value."""
+    lines = ["", "The paper's tilt lies within the 90 % interval of ours:", ""]
+    for sensor, of in result["sensors"].items():
+        rows = [row for row in result["sensitivity"] if row["sensor"] == sensor and row["tilt_low_deg"] is not None]
+        tilt = of["published"]["tilt_deg"]
+        held = [row for row in rows if row["tilt_low_deg"] <= tilt <= row["tilt_high_deg"]]
+        named = "; ".join(
+            f"{' '.join(setting_of(row)).strip()} ({_range((row['tilt_low_deg'], row['tilt_high_deg']), 0)})"
+            for row in held
+        )
+        lines.append(f"- {sensor}, {tilt:.0f} degrees: {named or 'under none of them'}")
+    return lines
 
 
 def _optimum_cell(row):
