@@ -28,7 +28,7 @@ from blender_lidar.study.stages import StudyFolder
 from tests.small_scene import MAPPED, without_charts, write_scene
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "reproduce_paper.py"
-TINY = Effort(frames=5, grid=(2, 4), wide_grid=(3, 3), iterations=1, sensitivity_frames=3, sensitivity_grid=(2, 3))
+TINY = Effort(frames=5, grid=(2, 3), wide_grid=(2, 2), iterations=1, sensitivity_frames=1, sensitivity_grid=(2, 2))
 TABLES = ("table2.csv", "fig9.csv", "spacing.csv", "sensitivity.csv", "report.md", "case_study.json")
 
 
@@ -317,19 +317,24 @@ def script():
     ("words", "said"),
     [
         (["--traffic", "missing.csv"], "missing.csv"),
-        (["missing.toml"], "missing.toml"),
+        (["--reading", "paper", "--seed", "-1"], "--seed"),
         (["--frames", "0"], "--frames"),
         (["--out", __file__], "is a file"),
     ],
 )
-def test_wrong_input_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, capsys, words, said):
+def test_wrong_input_is_one_line_and_leaves_nothing(scene, tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.chdir(tmp_path)
-    assert script().main(words) == 2
+    assert script().main([str(scene), *words]) == 2
     out, err = capsys.readouterr()
     assert (out, len(err.splitlines())) == ("", 1)
     assert err.startswith("reproduce_paper: ")
     assert said in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_that_is_not_there_is_one_line(capsys):
+    assert script().main(["missing.toml"]) == 2
+    assert capsys.readouterr().err == "reproduce_paper: missing.toml: there is no such file\n"
 
 
 def test_the_charts_show_the_result(finished, tmp_path):
