@@ -12,7 +12,7 @@ import pytest
 from blender_lidar.errors import MissingExtraError, OutputError
 from blender_lidar.plots import canvas
 from blender_lidar.plots.convergence import plot_convergence
-from tests.chart_samples import CHARTS, lightness
+from tests.chart_samples import chart_arguments, lightness
 
 
 def test_without_matplotlib_the_extra_to_install_is_named(monkeypatch, tmp_path):
@@ -78,7 +78,7 @@ def test_the_users_own_settings_do_not_change_a_chart(tmp_path):
 
 
 def test_importing_the_charts_does_not_import_matplotlib():
-    modules = ", ".join(f"blender_lidar.plots.{name}" for name in CHARTS)
+    modules = ", ".join(sorted({plot.__module__ for plot, _ in chart_arguments().values()}))
     script = f"import sys, {modules}; sys.exit('matplotlib' in sys.modules)"
     subprocess.run([sys.executable, "-c", script], check=True)
 
