@@ -30,7 +30,8 @@ def plain(name: str, colour: tuple[float, float, float], surface: int = STRUCTUR
     material[SURFACE_KEY] = surface
     material.diffuse_color = (*colour, 1.0)
     material.roughness = roughness
-    material.use_nodes = True
+    if not material.use_nodes:  # from Blender 5 on they always do
+        material.use_nodes = True
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Base Color"].default_value = (*colour, 1.0)
     shader.inputs["Roughness"].default_value = roughness
@@ -60,7 +61,8 @@ def point_material(name: str, bits: tuple[float, float]) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
     material[SURFACE_KEY] = STRUCTURE
     material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
-    material.use_nodes = True
+    if not material.use_nodes:  # from Blender 5 on they always do
+        material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
     on_vehicle = _ramp(tree, "entropy", bits, ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25)))

@@ -70,13 +70,26 @@ def _group() -> bpy.types.NodeTree:
     _socket(group, "Geometry", "INPUT", "NodeSocketGeometry")
     _socket(group, "Radius", "INPUT", "NodeSocketFloat").default_value = _RADIUS_M
     _socket(group, "Geometry", "OUTPUT", "NodeSocketGeometry")
-    kinds = ("NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodeSetMaterial", "NodeGroupOutput")
-    given, points, coloured, result = nodes = [group.nodes.new(kind) for kind in kinds]
+    kinds = (
+        "NodeGroupInput",
+        "GeometryNodeMeshIcoSphere",
+        "GeometryNodeInstanceOnPoints",
+        "GeometryNodeRealizeInstances",  # real faces: Eevee shows no attributes of a cloud of points
+        "GeometryNodeSetMaterial",
+        "NodeGroupOutput",
+    )
+    given, ball, placed, real, coloured, result = nodes = [group.nodes.new(kind) for kind in kinds]
+    ball.inputs["Subdivisions"].default_value = 1
     coloured.inputs["Material"].default_value = _material()
-    group.links.new(given.outputs["Geometry"], points.inputs[0])
-    group.links.new(given.outputs["Radius"], points.inputs["Radius"])
-    group.links.new(points.outputs[0], coloured.inputs[0])
-    group.links.new(coloured.outputs[0], result.inputs[0])
+    for start, end in (
+        (given.outputs["Radius"], ball.inputs["Radius"]),
+        (given.outputs["Geometry"], placed.inputs["Points"]),
+        (ball.outputs["Mesh"], placed.inputs["Instance"]),
+        (placed.outputs["Instances"], real.inputs["Geometry"]),
+        (real.outputs["Geometry"], coloured.inputs["Geometry"]),
+        (coloured.outputs["Geometry"], result.inputs["Geometry"]),
+    ):
+        group.links.new(start, end)
     for column, node in enumerate(nodes):
         node.location = (200.0 * column, 0.0)
     return group

@@ -13,7 +13,7 @@ from .quiet import quiet
 from .stage import FROM_POLE
 
 SIZE = (1280, 720)
-SAMPLES = 32
+SAMPLES = 24
 _SEED = 1
 _BOUNCES = 3  # light that has been reflected more often shows in no picture of a road
 

@@ -14,6 +14,7 @@ from .roles import KEY, collection
 _STAGE = "stage"
 ABOVE, FROM_POLE = "From above", "From the pole"
 _CLIP_END_M = 2000.0
+_CAMERA_ZOOM = 15.0  # the camera's picture fills the viewport
 _ABOVE = (-0.38, -0.62, 0.5)  # from the middle of the road to the camera, in depths: from before the pole
 _OVER_HEAD_M, _LOOKS_DOWN_RAD = 0.3, math.radians(15.0)  # the same for every tilt, so that pictures can be compared
 _SUN_DIRECTION = (0.35, 0.45, -0.8)
@@ -62,6 +63,7 @@ def show_in_viewports(scene: bpy.types.Scene) -> None:
                     space.clip_end = _CLIP_END_M
                     space.overlay.show_relationship_lines = False
                     space.region_3d.view_perspective = "CAMERA"
+                    space.region_3d.view_camera_zoom = _CAMERA_ZOOM
 
 
 def _camera(into, name, place, target, angle_deg):
@@ -81,7 +83,8 @@ def _sky():
     world = bpy.data.worlds.new("Sky")
     world[KEY] = _STAGE
     world.color = _SKY
-    world.use_nodes = True
+    if not world.use_nodes:
+        world.use_nodes = True
     background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
     background.inputs["Color"].default_value = (*_SKY, 1.0)
     background.inputs["Strength"].default_value = _SKY_STRENGTH
