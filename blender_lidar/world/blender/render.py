@@ -70,6 +70,7 @@ def _settings(scene, size, samples):
     render.resolution_x, render.resolution_y = size
     render.resolution_percentage = 100
     render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGB"
+    render.image_settings.compression = 90  # pictures are mailed within report.html
     render.use_file_extension = True
 
 
