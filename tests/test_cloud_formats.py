@@ -61,6 +61,18 @@ def test_a_ply_file_is_what_plyfile_reads(tmp_path, cloud):
     assert json.loads(content.comments[0]) == HEADER
 
 
+@pytest.mark.parametrize("cloud", [CLOUD, EMPTY], ids=["some", "none"])
+def test_a_pcd_file_is_what_pypcd4_reads(tmp_path, cloud):
+    pypcd4 = pytest.importorskip("pypcd4")
+    write_cloud(tmp_path / "cloud.pcd", cloud, HEADER)
+    content = pypcd4.PointCloud.from_path(tmp_path / "cloud.pcd")
+    assert content.points == len(cloud)
+    np.testing.assert_allclose(content.numpy(("x", "y", "z")).reshape(-1, 3), cloud.xyz, atol=1e-5)
+    np.testing.assert_array_equal(content.numpy(("ring",)).ravel(), cloud.ring)
+    np.testing.assert_array_equal(content.numpy(("vehicle_id",)).ravel(), cloud.vehicle_id)
+    np.testing.assert_allclose(content.numpy(("timestamp",)).ravel(), cloud.time_s)
+
+
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
 @pytest.mark.parametrize("cloud", [CLOUD, EMPTY], ids=["traffic", "empty road"])
 def test_a_las_file_is_what_laspy_reads(tmp_path, cloud, suffix):
