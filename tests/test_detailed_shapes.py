@@ -141,7 +141,7 @@ def test_seen_from_ahead_a_windscreen_lies_between_painted_pillars(name):
     caster = caster_class("exact")(mesh.vertices[mesh.faces])
     y, z = map(np.ravel, np.meshgrid(np.linspace(-0.5, 0.5, 101) * width, np.linspace(0.9, 2.6, 35)))
     hits = caster.cast(np.column_stack([np.full_like(y, FAR), y, z]), np.tile([-1.0, 0.0, 0.0], (len(y), 1)))
-    surface = np.where(hits.distance < FAR - 0.4 * length, mesh.surface[hits.triangle], -1).reshape(35, 101)
+    surface = np.where(hits.distance < FAR - 0.4 * length, mesh.surface[hits.triangle].astype(int), -1).reshape(35, 101)
     wide = 0
     for row in surface[surface[:, 50] == GLASS]:
         right, left = 50 - np.argmax(row[50::-1] != GLASS), 50 + np.argmax(row[50:] != GLASS)
