@@ -15,6 +15,7 @@ from .metrics.vgop import pe_vgop, to_vehicle_frame
 from .scan import PointCloud, scan
 from .scenario import Scenario, pose_at
 from .sensors.beams import BeamLattice
+from .settings import ObjectiveSettings
 from .study.site import lattice_of, standing_scenery
 from .traffic.vehicles import Vehicles
 
@@ -73,7 +74,7 @@ class MountedSensor:
             pose=pose_at(self.mount),
             range_gate_m=self.scenario.sensor.range_gate_m,
             cloud=cloud,
-            entropy_bits=None if cloud is None else entropy_of_points(cloud, vehicles, self.scenario.objective.cell_m),
+            entropy_bits=None if cloud is None else entropy_of_points(cloud, vehicles, self.scenario.objective),
             scenery=None if self.scenery is None else self.scenery.scenery,
         )
 
@@ -86,14 +87,14 @@ def mounted_sensor(scenario: Scenario, mount: Mapping[str, float]) -> MountedSen
     )
 
 
-def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, cell_m: float) -> np.ndarray:
+def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
     """PE-VGOP (Eq. 9) of the vehicle that each point lies on, (n,) [bits]; 0 for points on no vehicle."""
     bits = np.zeros(len(cloud))
     on_vehicle = np.flatnonzero(cloud.vehicle_id >= 0)
     order = np.argsort(vehicles.vehicle_id)
     row = order[np.searchsorted(vehicles.vehicle_id, cloud.vehicle_id[on_vehicle], sorter=order)]
     points = to_vehicle_frame(cloud.xyz[on_vehicle], vehicles.centre_m[row], vehicles.heading_rad[row])
-    bits[on_vehicle] = pe_vgop(points, row, vehicles.size_m, cell_m)[row]
+    bits[on_vehicle] = pe_vgop(points, row, vehicles.size_m, objective.cell_m, reading=objective.reading)[row]
     return bits
 
 

@@ -15,8 +15,11 @@ from .errors import InputError, MissingFileError
 from .settings import Scenario
 
 
-def run_identity(scenario: Scenario, caster: str) -> dict[str, object]:
-    """What must be the same for two runs to have the same result: settings and the content of the input files."""
+def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = None) -> dict[str, object]:
+    """What must be the same for two runs to have the same result: settings and the content of the input files.
+
+    Of scenery it is the `Scenery.digest` that counts, None where there is none.
+    """
     tables = scenario.as_tables()
     tables["model"] = {"caster": caster}  # the number of workers changes nothing
     tables["traffic"]["path"] = f"file with SHA-256 {file_digest(scenario.traffic.path)}"
@@ -24,9 +27,10 @@ def run_identity(scenario: Scenario, caster: str) -> dict[str, object]:
         tables["traffic"]["vehicle_types"] = f"file with SHA-256 {file_digest(scenario.traffic.vehicle_types)}"
     if scenario.sensor.is_file:
         tables["sensor"]["name"] = f"file with SHA-256 {file_digest(scenario.sensor.name)}"
-    for key, path in (("blend", scenario.world.blend), ("mesh", scenario.world.mesh)):
-        if path is not None:
-            tables["world"][key] = f"file with SHA-256 {file_digest(path)}"
+    if scenery_digest is not None:
+        files = [key for key in ("blend", "mesh") if tables["world"][key] is not None]
+        tables["world"] |= dict.fromkeys(files, "file that is read")  # it may draw on further files
+        tables["world"]["scenery"] = f"triangles with SHA-256 {scenery_digest}"
     flat = {f"[{table}] {key}": value for table, content in tables.items() for key, value in content.items()}
     return json.loads(json.dumps({"blender_lidar": __version__, **flat}))
 
@@ -44,11 +48,12 @@ def file_digest(path: str | Path) -> str:
 
 def versions(caster: str) -> dict[str, str]:
     """Versions of what a result depends on."""
-    libraries = ("numpy", "pandas", *{"embree": ("embreex",), "bvh": ("bpy",)}.get(caster, ()))
+    libraries = ("numpy", "pandas", *(("embreex",) if caster == "embree" else ()))
     found = {"blender_lidar": __version__, "python": platform.python_version()}
     for library in libraries:
         with suppress(PackageNotFoundError):
             found[library] = version(library)
-    if caster == "bvh" and "bpy" not in found:  # within a real Blender
-        found["bpy"] = sys.modules["bpy"].app.version_string
+    bpy = sys.modules.get("bpy")  # casts, or has read scenery; within a real Blender it is no installed package
+    if bpy is not None:
+        found["bpy"] = bpy.app.version_string
     return found

@@ -12,7 +12,7 @@ import numpy as np
 
 from .optimise import DePsoSettings, Search, make_search, search_from_state
 from .plots.binning import near_best_threshold
-from .results import INSTALLATION, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity, versions
+from .results import INSTALLATION, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, versions
 from .scenario import Scenario, pose_at
 from .study.evaluation import Evaluator
 from .study.installation import installation_text
@@ -79,7 +79,7 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     """
     started = time.perf_counter()
     scenario = site.scenario
-    identity = run_identity(scenario, site.observation.caster)
+    identity = site.identity
     stored = folder.read_checkpoint(identity) if resume else None
     search = fresh_search(scenario) if stored is None else search_from_state(stored)
     folder.write_scene(scenario)
@@ -110,7 +110,7 @@ def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float
         mountings = {"optimised": pose_at(coordinates), "baseline": scenario.baseline_pose}
         verdict = judge(site, mountings, evaluator, scenario.search.seed)
     searched = {"search": None, "seed": scenario.search.seed, "evaluations": 1, "map": None}
-    identity = run_identity(scenario, site.observation.caster)
+    identity = site.identity
     result = _result(site, identity, coordinates, verdict, searched, time.perf_counter() - started)
     return _finish(site, folder, result, coordinates, None, None)
 

@@ -26,6 +26,7 @@ LIBRARIES = {
     "mathutils": ("casting/bvh.py", "world/blender/", "addon/"),
     "embreex": ("casting/embree.py",),
     "laspy": ("formats/las.py",),
+    "zstandard": ("world/blender/versions.py",),
     "pyarrow": ("traffic/sumo_parquet.py",),
     "matplotlib": ("plots/",),
     "tqdm": ("commands/progress.py",),

@@ -87,7 +87,8 @@ def test_a_box_has_the_volume_and_the_place_that_are_asked_for():
     corners = made.corners
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
     assert volume == pytest.approx(8.0)
-    np.testing.assert_allclose(corners.reshape(-1, 3).mean(axis=0), (1.0, 2.0, 3.0), atol=1.0)
+    middle = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
+    np.testing.assert_allclose(middle, (1.0, 2.0, 3.0), atol=1e-12)
     reach = np.linalg.norm(corners - (1.0, 2.0, 3.0), axis=2)
     np.testing.assert_allclose(reach, 0.5 * math.sqrt(16 + 4 + 1))
 
@@ -157,7 +158,7 @@ def test_a_scene_file_says_what_stands_there_and_is_written_as_it_was_read(tmp_p
     again.write_text(to_toml(scenario.as_tables()), encoding="utf-8")
     assert load_scenario(again).world == scenario.world
     assert read_toml(again)["world"]["boxes"][0]["name"] == "wall"
-    found = read_scenery(scenario)
+    found = read_scenery(scenario, 50.0)
     assert found.names == ("wall", "concrete at y 10 m")
     np.testing.assert_allclose(found.corners[found.owner == 0].min(axis=(0, 1)), (-30.0, 0.9, 0.0), atol=1e-12)
 
@@ -185,8 +186,27 @@ def test_a_lidar_inside_a_box_is_refused(tmp_path, capsys):
     scene = write_scene(tmp_path, {"world": {"boxes": [{**WALL, "centre_m": [0.0, 0.0, 2.5]}]}})
     code, _, err = cli(capsys, "evaluate", scene, "--out", tmp_path / "run")
     assert code == 2
-    assert "the LiDAR hangs inside 'wall' of [world] boxes" in err
+    assert "the LiDAR hangs inside 'wall' of [world]" in err
     assert cli(capsys, "scan", scene, "--frame", 1, "--height", 9, "--out", tmp_path / "c.npz")[0] == 0
+
+
+def test_a_lidar_inside_a_barrier_is_refused_and_one_above_it_is_not(tmp_path, capsys):
+    scene = write_scene(tmp_path, {"world": {"barriers": [{"kind": "concrete", "y_m": 0.0}]}})
+    code, _, err = cli(capsys, "scan", scene, "--frame", 1, "--height", 0.5, "--out", tmp_path / "c.npz")
+    assert code == 2
+    assert "the LiDAR hangs inside 'concrete at y 0 m' of [world]" in err
+    assert cli(capsys, "scan", scene, "--frame", 1, "--height", 2, "--out", tmp_path / "c.npz")[0] == 0
+
+
+def test_a_run_with_other_scenery_is_not_resumed(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    run = tmp_path / "run"
+    scene = write_scene(tmp_path, {"world": {"boxes": [HEDGE]}})
+    assert cli(capsys, "optimise", scene, "--out", run)[0] == 0
+    write_scene(tmp_path, {"world": {"boxes": [{**HEDGE, "size_m": [60.0, 0.2, 2.1]}]}})
+    code, _, err = cli(capsys, "optimise", scene, "--out", run, "--resume")
+    assert code == 2
+    assert "[world]" in err
 
 
 def test_behind_a_wall_nothing_is_detectable_and_two_workers_agree_with_one(tmp_path, capsys, monkeypatch):

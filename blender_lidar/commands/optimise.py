@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from ..errors import InputError
-from ..results import VEHICLES, VEHICLES_BASELINE, RunFolder, run_identity
+from ..results import VEHICLES, VEHICLES_BASELINE, RunFolder
 from ..run import Outcome, optimise_site
 from ..study.site import prepare
 from .options import add_scene, scenario_from
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     with folder.locked():
         folder.check(resume=args.resume)  # again: another run may have come first
         say(args, describe_site(site) + "\n")
-        done = folder.read_result(run_identity(scenario, site.observation.caster)) if args.resume else None
+        done = folder.read_result(site.identity) if args.resume else None
         if done is not None:
             return report(args, site, _stored_outcome(folder, done), folder)
         if args.resume and not folder.holds_run():

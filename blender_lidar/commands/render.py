@@ -6,6 +6,7 @@ import argparse
 
 import numpy as np
 
+from ..errors import InputError
 from ..moments import blender, mounted_sensor
 from ..reporting.page import write_report
 from ..reporting.pictures import render_file
@@ -13,9 +14,9 @@ from ..reporting.stored_run import read_run
 from ..results import VEHICLES, RunFolder
 from ..scenario import load_scenario
 from ..study.site import frame_of, read_recording
-from .options import checked_number
 from .progress import Progress
 
+_MOST_SAMPLES = 4096
 CAMERAS = {"above": "From above", "pole": "From the pole"}
 
 
@@ -39,7 +40,9 @@ def run(args: argparse.Namespace) -> int:
     folder = RunFolder(args.folder)
     result = read_run(folder).result
     tools = blender("render")
-    samples = tools.render.SAMPLES if args.samples is None else int(checked_number(args.samples, "--samples", low=1))
+    samples = tools.render.SAMPLES if args.samples is None else args.samples
+    if not 1 <= samples <= _MOST_SAMPLES:
+        raise InputError(f"--samples: is {samples}; allowed: 1 to {_MOST_SAMPLES}")
     scenario = load_scenario(folder.scene)
     recording = read_recording(scenario)
     number = _fullest_frame(folder) if args.frame is None else args.frame
@@ -52,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
             tools.scene.build_scene(scene, mounted_sensor(scenario, mount).moment(vehicles))
             for view, camera in CAMERAS.items():
                 written.append(folder.file(render_file(name, view)))
-                tools.render.render_picture(written[-1], scene, camera, samples=samples)
+                tools.render.render_picture(written[-1], scene, camera, size=tools.render.SIZE, samples=samples)
                 progress.advance(1)
     finally:
         progress.close()

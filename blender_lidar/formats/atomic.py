@@ -35,6 +35,8 @@ def whole_file(path: str | Path) -> Iterator[Path]:
             os.fsync(stream.fileno())  # a name must never point to a file whose content a power cut would lose
         temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
+    except OutputError:  # says already what and where
+        raise
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:

@@ -1,4 +1,4 @@
-"""A pole stands beside the traffic, never in it, and no LiDAR hangs inside a box."""
+"""A pole stands beside the traffic, never in it, and no LiDAR hangs inside a box or a barrier."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 
 from ..errors import InputError
 from ..scenario import Scenario
-from ..settings import BoxSettings
+from ..settings import BarrierSettings, BoxSettings
 from ..traffic.overlaps import rectangles_overlap
 from ..traffic.vehicles import Vehicles
+from ..world.barriers import HALF_WIDTH_M, HEIGHT_M
 
 _PLACE = ("x_m", "y_m", "height_m")
 _TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
@@ -20,7 +21,7 @@ _TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
 def check_mount_is_clear(
     scenario: Scenario, frames: Iterable[Vehicles], mounts: Mapping[str, Mapping[str, float]] | None = None
 ) -> None:
-    """Refuse a mount that could stand on the carriageway or inside a vehicle, or a LiDAR inside one of [world]'s boxes.
+    """Refuse a mount on the carriageway or inside a vehicle, or a LiDAR inside one of [world]'s boxes or barriers.
 
     Parameters
     ----------
@@ -50,9 +51,9 @@ def check_mount_is_clear(
                 f"{where}: the mount at y {_span(low[1], high[1])} m stands on the carriageway; "
                 f"allowed: at most {right:g} or at least {left:g} m"
             )
-        for box in scenario.world.boxes:
+        for box in [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]:
             if _holds(box, low, high):
-                raise InputError(f"{where}: the LiDAR hangs inside {box.name!r} of [world] boxes; move it, or the box")
+                raise InputError(f"{where}: the LiDAR hangs inside {box.name!r} of [world]; move the one or the other")
     for vehicles in frames:
         for where, (low, high) in places.items():
             inside = np.flatnonzero(boxes_meet_rectangle(vehicles, low[:2], high[:2]))
@@ -68,6 +69,12 @@ def boxes_meet_rectangle(vehicles: Vehicles, low: np.ndarray, high: np.ndarray) 
     """Which footprints overlap the axis-parallel rectangle from `low` to `high` (2,) [m], (n,) bool."""
     footprints = vehicles.centre_m[:, :2], 0.5 * vehicles.size_m[:, :2], vehicles.heading_rad
     return rectangles_overlap(*footprints, 0.5 * (low + high), 0.5 * (high - low) + _TOUCHING_M, 0.0)
+
+
+def _box_around(barrier: BarrierSettings) -> BoxSettings:
+    (first, last), height = barrier.x_m, HEIGHT_M
+    centre = (0.5 * (first + last), barrier.y_m, 0.5 * height)
+    return BoxSettings(f"{barrier.kind} at y {barrier.y_m:g} m", centre, (last - first, 2 * HALF_WIDTH_M, height), 0.0)
 
 
 def _holds(box: BoxSettings, low: np.ndarray, high: np.ndarray) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from ..casting import resolve
 from ..casting.standing import StandingScenery
 from ..errors import InputError
+from ..provenance import run_identity
 from ..scenario import Scenario
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model
@@ -67,6 +68,12 @@ class Site:
         if self.scenario.model.workers:
             return self.scenario.model.workers
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+    @property
+    def identity(self) -> dict[str, object]:
+        """What must be the same for two runs on it to have the same result."""
+        standing = self.observation.scenery
+        return run_identity(self.scenario, self.observation.caster, standing and standing.scenery.digest)
 
     def evaluator(self, frames: tuple[CountedFrame, ...]) -> Evaluator:
         """Something that scores mountings on `frames`."""
@@ -144,7 +151,7 @@ def standing_scenery(
         return None
     sensor = scenario.sensor
     reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount)
-    return StandingScenery(read_scenery(scenario).within(scenario.deployment.nominal_xy, reach), caster)
+    return StandingScenery(read_scenery(scenario, reach), caster)
 
 
 def read_recording(scenario: Scenario) -> Recording:

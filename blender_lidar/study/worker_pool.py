@@ -21,15 +21,16 @@ from pathlib import Path
 
 from ..errors import WorkerError
 
-# A second name for the main module, which pickles of its own functions would need. A real Blender frees the main module
-# before it looks through all modules at its end, and crashed at this one.
-sys.modules.pop("__mp_main__", None)
-
 
 def within_blender() -> bool:
     """Whether this process is a real Blender: it cannot start Python processes that have bpy too."""
     bpy = sys.modules.get("bpy")
     return bpy is not None and not getattr(bpy.app, "module", False)
+
+
+if within_blender():
+    # A second name for the main module: Blender frees that before it looks through all modules at its end, and crashed.
+    sys.modules.pop("__mp_main__", None)
 
 
 class WorkerPool:

@@ -18,6 +18,9 @@ _POST_SIZE_M = (0.10, 0.15, 0.70)  # W6 x 9
 BARRIERS = ("concrete", "guard_rail")
 
 
+HALF_WIDTH_M, HEIGHT_M = 0.305, 0.813  # of the widest and the highest
+
+
 def barrier(kind: str, y_m: float, x_m: tuple[float, float]) -> Scenery:
     """A barrier that stands along the line y = `y_m` from one x to another [m, road frame].
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -34,6 +35,14 @@ class Scenery:
 
     def __len__(self) -> int:
         return len(self.corners)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of its triangles: what it hides depends on nothing else."""
+        content = hashlib.sha256()
+        for array in (self.corners, self.owner, self.surface):
+            content.update(np.ascontiguousarray(array).tobytes())
+        return content.hexdigest()
 
     def within(self, centre_xy: tuple[float, float], radius_m: float) -> Scenery:
         """What of it may lie within a horizontal distance of a place [m]: triangles whose bounding box does."""

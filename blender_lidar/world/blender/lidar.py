@@ -12,9 +12,8 @@ from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose
 from .materials import BEAM, HEAD, METAL, plain
 from .meshes import new_mesh
-from .roles import SENSOR, add_object, clear, collection, only_for_the_eye
+from .roles import FAN, SENSOR, add_object, clear, collection, only_for_the_eye
 
-FAN = "Beam fan"
 _HEAD_RADIUS_M, _HEAD_HEIGHT_M, _POLE_RADIUS_M = 0.06, 0.09, 0.07
 _SIDES = 32
 _FAN_REACH_M, _BEAM_RADIUS_M = 25.0, 0.006
@@ -39,7 +38,7 @@ def build_lidar(scene: bpy.types.Scene, lattice: BeamLattice, pose: Pose) -> bpy
     half = 0.5 * _HEAD_HEIGHT_M
     head = add_object(into, "LiDAR", _cylinder("LiDAR", _HEAD_RADIUS_M, -half, half, plain("Head", HEAD)))
     head.matrix_world = sensor_matrix(pose)
-    fan = add_object(into, FAN, _fan(lattice, pose))
+    fan = add_object(into, "Beam fan", _fan(lattice, pose), FAN)
     fan.parent = head
     only_for_the_eye(fan)
     return head
@@ -75,7 +74,7 @@ def _fan(lattice: BeamLattice, pose: Pose) -> bpy.types.Curve:
     down = -pose.to_world(directions)[:, 2]
     with np.errstate(divide="ignore"):
         reach = np.minimum(np.where(down > 0.0, pose.height_m / down, np.inf), _FAN_REACH_M)
-    curve = bpy.data.curves.new(FAN, "CURVE")
+    curve = bpy.data.curves.new("Beam fan", "CURVE")
     curve.dimensions, curve.bevel_depth, curve.bevel_resolution = "3D", _BEAM_RADIUS_M, 0
     for direction, length in zip(directions.tolist(), reach.tolist(), strict=True):
         line = curve.splines.new("POLY")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..shapes import GLASS, PAINT, ROAD, STRUCTURE
+from .roles import KEY, of_ours
 
 # Linear RGB. Classes are told apart by lightness too.
 CLASS_COLOURS = {
@@ -22,12 +23,12 @@ SURFACE_KEY = "blender_lidar_surface"  # custom property: index into `shapes.SUR
 
 
 def plain(name: str, colour: tuple[float, float, float], surface: int = STRUCTURE, roughness: float = 0.7):
-    """A material of one colour, (r, g, b) linear; an existing one of ours with that name is used again."""
-    material = bpy.data.materials.get(name)
-    if material is not None and SURFACE_KEY in material:
+    """A material of one colour, (r, g, b) linear; the one that we made of that name before is used again."""
+    material = of_ours(bpy.data.materials, name)
+    if material is not None:
         return material
     material = bpy.data.materials.new(name)
-    material[SURFACE_KEY] = surface
+    material[KEY], material[SURFACE_KEY] = name, surface
     material.diffuse_color = (*colour, 1.0)
     material.roughness = roughness
     if not material.use_nodes:  # from Blender 5 on they always do
@@ -59,7 +60,7 @@ def point_material(name: str, bits: tuple[float, float]) -> bpy.types.Material:
     The points shine by themselves, so that their colours are those of the ramps under any light.
     """
     material = bpy.data.materials.new(name)
-    material[SURFACE_KEY] = STRUCTURE
+    material[KEY] = name
     material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
     if not material.use_nodes:  # from Blender 5 on they always do
         material.use_nodes = True

@@ -8,7 +8,7 @@ import numpy as np
 from ...scan import PointCloud
 from .materials import point_material
 from .meshes import add_attribute, new_mesh
-from .roles import CLOUD, KEY, add_object, clear, collection, only_for_the_eye
+from .roles import CLOUD, KEY, add_object, clear, collection, of_ours, only_for_the_eye
 
 _GROUP, _MATERIAL = "LiDAR points", "LiDAR points"
 _RADIUS_M = 0.045
@@ -16,9 +16,12 @@ _BITS = (0.0, 1.0)  # of a vehicle's PE-VGOP: the colours' range
 
 
 def build_cloud(
-    scene: bpy.types.Scene, cloud: PointCloud, entropy_bits: np.ndarray | None = None, name: str = "Point cloud"
-) -> bpy.types.Object:
-    """A cloud in the road frame, in place of an earlier one.
+    scene: bpy.types.Scene,
+    cloud: PointCloud | None,
+    entropy_bits: np.ndarray | None = None,
+    name: str = "Point cloud",
+) -> bpy.types.Object | None:
+    """A cloud in the road frame, in place of an earlier one; None only takes that away.
 
     Its vertices carry `range` [m], `ring`, `intensity`, `vehicle` (-1 for anything else), `time` [s] and `entropy`.
 
@@ -29,6 +32,8 @@ def build_cloud(
     """
     into = collection(scene, "Point cloud", CLOUD)
     clear(into)
+    if cloud is None:
+        return None
     mesh = new_mesh(name, cloud.xyz, np.empty((0, 3), dtype=int), [_material()])
     columns = {
         "range": cloud.range_m,
@@ -56,17 +61,17 @@ def _numbers(vehicle_id: np.ndarray) -> np.ndarray:
 
 
 def _material() -> bpy.types.Material:
-    material = bpy.data.materials.get(_MATERIAL)
+    material = of_ours(bpy.data.materials, _MATERIAL)
     return point_material(_MATERIAL, _BITS) if material is None else material
 
 
 def _group() -> bpy.types.NodeTree:
     """The node group that shows vertices as spheres; its radius is an input of the modifier."""
-    group = bpy.data.node_groups.get(_GROUP)
-    if group is not None and group.get(KEY) == CLOUD:
+    group = of_ours(bpy.data.node_groups, _GROUP)
+    if group is not None:
         return group
     group = bpy.data.node_groups.new(_GROUP, "GeometryNodeTree")
-    group[KEY] = CLOUD
+    group[KEY] = _GROUP
     _socket(group, "Geometry", "INPUT", "NodeSocketGeometry")
     _socket(group, "Radius", "INPUT", "NodeSocketFloat").default_value = _RADIUS_M
     _socket(group, "Geometry", "OUTPUT", "NodeSocketGeometry")

@@ -13,8 +13,14 @@ from contextlib import contextmanager, redirect_stdout, suppress
 @contextmanager
 def quiet() -> Iterator[None]:
     """While it lasts, what is written to standard output, even by C code, goes nowhere."""
-    sys.stdout.flush()
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+    except OSError:  # there is none: it was closed before the program began
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     try:
         with redirect_stdout(io.StringIO()):
@@ -24,6 +30,13 @@ def quiet() -> Iterator[None]:
         os.dup2(kept, 1)
         os.close(kept)
         os.close(nowhere)
+
+
+def first_error(error: RuntimeError) -> str:
+    """What an operator of Blender reports, in one line: the first that names an error."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+    told = next((line for line in lines if "Error" in line), lines[0])
+    return told.removeprefix("Error: ").rstrip(":")
 
 
 def _flush_c_streams() -> None:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import signal
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
 
 from ...errors import InputError, OutputError
-from ...formats.atomic import whole_file
-from .lidar import FAN
-from .quiet import quiet
+from ...formats.atomic import write_bytes
+from .quiet import first_error, quiet
+from .roles import FAN, role
 from .stage import FROM_POLE
 
 SIZE = (1280, 720)
@@ -46,15 +51,31 @@ def render_picture(
         raise InputError(f"unknown camera {camera!r}; allowed: {', '.join(cameras) or 'none, the scene has no camera'}")
     scene.camera = cameras[camera]
     for item in scene.objects:
-        if item.name.startswith(FAN):  # seen from its own apex it would hide the road
+        if role(item) == FAN:  # seen from its own apex it would hide the road
             item.hide_render = camera == FROM_POLE
     _settings(scene, size, samples)
-    with whole_file(Path(path)) as temporary, quiet():
-        scene.render.filepath = str(temporary.resolve())
+    with tempfile.TemporaryDirectory(prefix="blender_lidar-") as folder:  # in a path of ours nothing is a template
+        picture = Path(folder) / "picture.png"
+        scene.render.filepath = str(picture)
         try:
-            bpy.ops.render.render(write_still=True, scene=scene.name)
+            with quiet(), _ended_by_interrupt():
+                bpy.ops.render.render(write_still=True, scene=scene.name)
         except RuntimeError as error:
-            raise OutputError(f"{path}: cannot be rendered: {str(error).strip().splitlines()[-1]}") from error
+            raise OutputError(f"{path}: cannot be rendered: {first_error(error)}") from error
+        write_bytes(path, picture.read_bytes())
+
+
+@contextmanager
+def _ended_by_interrupt() -> Iterator[None]:
+    """While it lasts, Ctrl-C ends the process at once: Cycles would swallow it and go on."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _settings(scene, size, samples):

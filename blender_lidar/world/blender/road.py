@@ -46,15 +46,17 @@ def build_road(scene: bpy.types.Scene, road: RoadFrame, reach_m: float) -> None:
     add_object(into, "Lane lines", lines, MARKING)
 
 
-def build_scenery(scene: bpy.types.Scene, scenery: Scenery) -> None:
+def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
     """Barriers, buildings and whatever else stands still, an object each; they take the place of earlier ones."""
     into = collection(scene, "Scenery", STANDING)
     clear(into)
+    if scenery is None:
+        return
     materials = [plain("Structure", CONCRETE), glass()]
-    for row, name in enumerate(scenery.names):
-        own = scenery.owner == row
-        if not own.any():
-            continue
+    order = np.argsort(scenery.owner, kind="stable")
+    owners, starts = np.unique(scenery.owner[order], return_index=True)
+    for row, own in zip(owners.tolist(), np.split(order, starts[1:]), strict=True):
+        name = scenery.names[row]
         corners = scenery.corners[own]
         middle = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # float32 is finest about an object
         vertices, faces = _welded(corners - middle)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,8 @@ from ...traffic.vehicles import Vehicles
 from ..scenery import Scenery
 from .lidar import build_lidar
 from .points import build_cloud
-from .quiet import quiet
+from .quiet import first_error, quiet
+from .render import SIZE
 from .road import build_road, build_scenery
 from .stage import build_stage, show_in_viewports
 from .traffic import animate, show_vehicles
@@ -71,6 +73,10 @@ def empty_scene() -> bpy.types.Scene:
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.name = "Road"
+    scene.world = None
+    scene.unit_settings.system = "METRIC"
+    scene.view_settings.view_transform = "Standard"  # the points' colours as their ramps say
+    scene.render.resolution_x, scene.render.resolution_y = SIZE
     return scene
 
 
@@ -78,12 +84,10 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     """Build a moment in a scene, in place of one that was built there earlier; objects of others stay."""
     reach = max(_LEAST_REACH_M, moment.range_gate_m) + float(abs(moment.pose.x_m))
     build_road(scene, moment.road, reach)
-    if moment.scenery is not None:
-        build_scenery(scene, moment.scenery)
+    build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
     build_lidar(scene, moment.lattice, moment.pose)
-    if moment.cloud is not None:
-        build_cloud(scene, moment.cloud, moment.entropy_bits)
+    build_cloud(scene, moment.cloud, moment.entropy_bits)
     build_stage(scene, moment.road, moment.pose, min(_SEEN_AT_MOST_M, _SEEN_SHARE * moment.range_gate_m))
     scene.view_layers[0].update()
 
@@ -108,8 +112,19 @@ def save_blend(path: str | Path, moment: Moment, frames: Sequence[Vehicles] = ()
     if frames:
         animate(scene, frames, moment.detail, time_step_s=time_step_s)
     show_in_viewports(scene)
-    with whole_file(path) as temporary, quiet():
-        try:
-            bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=True)
+    with whole_file(path) as temporary, quiet(), _without_backup():
+        try:  # not packed: an older Blender must be able to tell that the file is too new for it
+            bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=False)
         except RuntimeError as error:
-            raise OutputError(f"{path}: cannot be written: {str(error).strip().splitlines()[-1]}") from error
+            raise OutputError(f"{path}: cannot be written: {first_error(error)}") from error
+
+
+@contextmanager
+def _without_backup() -> Iterator[None]:
+    """While it lasts, Blender keeps no copy, under another name, of what was in a file's place."""
+    files = bpy.context.preferences.filepaths
+    before, files.save_version = files.save_version, 0
+    try:
+        yield
+    finally:
+        files.save_version = before

@@ -11,10 +11,11 @@ import numpy as np
 
 from ...errors import InputError, MissingFileError
 from ..scenery import Scenery
-from ..shapes import STRUCTURE
+from ..shapes import STRUCTURE, SURFACES
 from .materials import SURFACE_KEY
-from .quiet import quiet
+from .quiet import first_error, quiet
 from .roles import DISPLAY_ONLY, ROAD, VEHICLE, role
+from .versions import check_version
 
 # What reads a mesh file, by its suffix; the first operator that this Blender has is taken.
 _IMPORTERS = {
@@ -37,8 +38,9 @@ _NOT_SCENERY = (*DISPLAY_ONLY, ROAD, VEHICLE)  # of our own objects: the ground 
 def visible_triangles(scene: bpy.types.Scene, skip: Callable[[bpy.types.Object], bool] | None = None) -> Scenery:
     """Everything that a LiDAR would meet in a scene, with modifiers applied and instances made real.
 
-    Seen is what both the viewport and renders show and has faces once evaluated: meshes, curves, texts, surfaces. Of
-    our own objects, markings, point clouds and the LiDAR itself are left out.
+    Seen is what both the viewport and renders show and has faces once evaluated: meshes, curves, texts, surfaces. What
+    renders hide by way of a collection or of what makes the instances is hidden too. Of our own objects, markings,
+    point clouds and the LiDAR itself are left out.
 
     Parameters
     ----------
@@ -54,11 +56,12 @@ def visible_triangles(scene: bpy.types.Scene, skip: Callable[[bpy.types.Object],
     """
     layer = scene.view_layers[0]
     layer.update()
+    rendered = set(_rendered_objects(scene.collection))
     meshes: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
     corners, surface, names = [], [], []
     for instance in layer.depsgraph.object_instances:
         item = instance.object
-        if item.type != "MESH" or not instance.show_self or item.hide_render or role(item) in DISPLAY_ONLY:
+        if item.type != "MESH" or not _is_seen(instance, rendered) or role(item) in DISPLAY_ONLY:
             continue
         if skip is not None and skip(item):
             continue
@@ -83,6 +86,24 @@ def visible_triangles(scene: bpy.types.Scene, skip: Callable[[bpy.types.Object],
     )
 
 
+def _rendered_objects(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
+    """The objects in a collection and those below it, but for collections that renders hide."""
+    if not collection.hide_render:
+        yield from collection.objects
+        for child in collection.children:
+            yield from _rendered_objects(child)
+
+
+def _is_seen(instance: bpy.types.DepsgraphObjectInstance, rendered: set[bpy.types.Object]) -> bool:
+    """Whether renders show what the viewport shows; `rendered` are the objects in collections that they show."""
+    item = instance.object
+    if not instance.show_self or item.hide_render:
+        return False
+    if instance.is_instance:
+        return not instance.parent.hide_render and instance.parent.original in rendered
+    return item.original in rendered and (not item.is_instancer or item.show_instancer_for_render)
+
+
 def _mesh_arrays(mesh):
     """Vertices (n, 3) float64, triangles (m, 3) and their surface (m,) of an evaluated mesh."""
     mesh.calc_loop_triangles()
@@ -92,9 +113,15 @@ def _mesh_arrays(mesh):
     mesh.vertices.foreach_get("co", vertices)
     mesh.loop_triangles.foreach_get("vertices", faces)
     mesh.loop_triangles.foreach_get("material_index", slot)
-    known = [STRUCTURE if material is None else material.get(SURFACE_KEY, STRUCTURE) for material in mesh.materials]
+    known = [_surface_of(material) for material in mesh.materials]
     made_of = np.array(known or [STRUCTURE], dtype=np.uint8)[np.clip(slot, 0, max(0, len(known) - 1))]
     return vertices.reshape(-1, 3).astype(float), faces.reshape(-1, 3), made_of
+
+
+def _surface_of(material: bpy.types.Material | None) -> int:
+    """What a material of ours stands for; bare structure for any other."""
+    surface = STRUCTURE if material is None else material.get(SURFACE_KEY, STRUCTURE)
+    return surface if surface in range(len(SURFACES)) else STRUCTURE
 
 
 def read_site(path: str | Path) -> Scenery:
@@ -117,6 +144,8 @@ def read_site(path: str | Path) -> Scenery:
     suffix = path.suffix.lower()
     if suffix != ".blend" and suffix not in _IMPORTERS:
         raise InputError(f"{path}: unknown kind of scene {suffix!r}; allowed: .blend, {', '.join(_IMPORTERS)}")
+    if suffix == ".blend":
+        check_version(path)
     with quiet(), _linked_scene(path) if suffix == ".blend" else _imported_scene(path) as scene:
         found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY)
     if len(found) == 0:
@@ -132,12 +161,15 @@ def _linked_scene(path: Path) -> Iterator[bpy.types.Scene]:
     before = set(bpy.data.libraries)
     try:
         with bpy.data.libraries.load(str(path.resolve()), link=True) as (there, here):
-            here.scenes = there.scenes[:1]
+            here.scenes = sorted(there.scenes)[:1]
     except (OSError, RuntimeError) as error:
         raise InputError(f"{path}: Blender {bpy.app.version_string} cannot read it; is it a .blend file?") from error
     try:
         if not here.scenes or here.scenes[0] is None:
             raise InputError(f"{path}: has no scene")
+        for library in bpy.data.libraries:
+            if library not in before and not Path(bpy.path.abspath(library.filepath)).exists():
+                raise InputError(f"{path}: takes objects from {library.filepath}, which is not there")
         yield here.scenes[0]
     finally:
         bpy.data.batch_remove([library for library in bpy.data.libraries if library not in before])
@@ -154,18 +186,19 @@ def _imported_scene(path: Path) -> Iterator[bpy.types.Scene]:
     scene = bpy.data.scenes.new("Import")
     window.scene = scene
     try:
-        operator(filepath=str(path.resolve()))
+        try:
+            operator(filepath=str(path.resolve()))
+        except RuntimeError as error:  # what an operator reports
+            raise InputError(f"{path}: Blender cannot read it: {first_error(error)}") from error
         yield scene
-    except RuntimeError as error:  # what an operator reports
-        raise InputError(f"{path}: Blender cannot read it: {str(error).strip().splitlines()[-1]}") from error
     finally:
         window.scene = shown
         bpy.data.batch_remove(_everything() - before)
 
 
 def _everything():
-    """All data-blocks that an import may add to."""
-    kinds = ("scenes", "collections", "objects", "meshes", "curves", "materials", "images", "cameras", "lights")
+    """All data-blocks that there are."""
+    kinds = [kind.identifier for kind in bpy.data.bl_rna.properties if kind.type == "COLLECTION"]
     return {block for kind in kinds for block in getattr(bpy.data, kind)}
 
 

@@ -9,9 +9,8 @@ from mathutils import Vector
 
 from ...sensors.pose import Pose
 from ...traffic.road import RoadFrame
-from .roles import KEY, collection
+from .roles import KEY, STAGE, add_object, clear, collection, of_ours
 
-_STAGE = "stage"
 ABOVE, FROM_POLE = "From above", "From the pole"
 _CLIP_END_M = 2000.0
 _CAMERA_ZOOM = 15.0  # the camera's picture fills the viewport
@@ -22,7 +21,7 @@ _SUN_STRENGTH, _SKY, _SKY_STRENGTH = 3.2, (0.55, 0.65, 0.8), 0.55
 
 
 def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: float) -> None:
-    """Two cameras, a sun and a sky, in place of earlier ones.
+    """Two cameras and a sun, in place of earlier ones, and a sky where the scene has no world.
 
     Parameters
     ----------
@@ -31,9 +30,8 @@ def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: fl
     depth_m : float
         How much of the road the camera above takes in, along x, at the far edge of the carriageway [m].
     """
-    into = collection(scene, "Cameras and light", _STAGE)
-    for item in list(into.objects):
-        bpy.data.objects.remove(item)
+    into = collection(scene, "Cameras and light", STAGE)
+    clear(into)
     right, left = road.carriageway_y
     middle = Vector((pose.x_m, 0.5 * (right + left), 0.0))
     above = middle + depth_m * Vector(_ABOVE)
@@ -41,16 +39,12 @@ def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: fl
     mount = Vector(pose.position.tolist()) + Vector((0.0, 0.0, _OVER_HEAD_M))
     ahead = Vector((0.0, math.cos(_LOOKS_DOWN_RAD), -math.sin(_LOOKS_DOWN_RAD)))
     _camera(into, FROM_POLE, mount, mount + ahead, 100.0)
-    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
-    sun[KEY] = _STAGE
+    sun = add_object(into, "Sun", bpy.data.lights.new("Sun", "SUN"))
     sun.data.energy, sun.data.angle = _SUN_STRENGTH, math.radians(1.5)
     sun.rotation_euler = Vector(_SUN_DIRECTION).to_track_quat("-Z", "Y").to_euler()
-    into.objects.link(sun)
     scene.camera = camera
-    scene.world = _sky()
-    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 1.0
-    scene.view_settings.view_transform = "Standard"  # the points' colours as their ramps say
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 1280, 720, 100
+    if scene.world is None:
+        scene.world = _sky()
 
 
 def show_in_viewports(scene: bpy.types.Scene) -> None:
@@ -67,21 +61,19 @@ def show_in_viewports(scene: bpy.types.Scene) -> None:
 
 
 def _camera(into, name, place, target, angle_deg):
-    camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
-    camera[KEY] = _STAGE
+    camera = add_object(into, name, bpy.data.cameras.new(name))
     camera.location = place
     camera.rotation_euler = (target - place).to_track_quat("-Z", "Y").to_euler()
     camera.data.angle, camera.data.clip_end = math.radians(angle_deg), _CLIP_END_M
-    into.objects.link(camera)
     return camera
 
 
 def _sky():
-    for world in bpy.data.worlds:
-        if world.get(KEY) == _STAGE:
-            return world
+    world = of_ours(bpy.data.worlds, STAGE)
+    if world is not None:
+        return world
     world = bpy.data.worlds.new("Sky")
-    world[KEY] = _STAGE
+    world[KEY] = STAGE
     world.color = _SKY
     if not world.use_nodes:
         world.use_nodes = True

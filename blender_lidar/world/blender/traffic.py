@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 
 import bpy
 import numpy as np
@@ -14,7 +13,7 @@ from ..shapes import GLASS, shape
 from ..triangles import shape_names
 from .materials import glass, paint_of
 from .meshes import new_mesh
-from .roles import KEY, SHAPE, VEHICLE, VEHICLE_ID, add_object, collection
+from .roles import KEY, SHAPE, VEHICLE, VEHICLE_ID, add_object, collection, of_ours
 
 
 def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body") -> list[bpy.types.Object]:
@@ -35,6 +34,8 @@ def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "bod
     ):
         key = (str(vehicle_id), f"{name} {detail}")
         item = present.pop(key, None) or _new_vehicle(into, key, name, detail)
+        item.animation_data_clear()
+        item.hide_render = item.hide_viewport = False
         item.matrix_world = matrix
         shown.append(item)
     bpy.data.batch_remove(present.values())
@@ -76,25 +77,26 @@ def animate(
     last_seen: dict[str, float] = {}
     start = frames[0].frame
     scene.render.fps, scene.frame_start = fps, 1
-    with _new_keys_linear():
-        for vehicles in frames:
-            at = 1.0 + (vehicles.frame - start) * time_step_s * fps
-            for vehicle_id, name, matrix, heading in _rows(vehicles):
-                item = moving.get(vehicle_id)
-                if item is None:
-                    moving[vehicle_id] = item = _new_vehicle(into, (vehicle_id, f"{name} {detail}"), name, detail)
-                    item.matrix_world = matrix
-                    _key_visibility(item, shown=False, at=at - 1.0)
-                    _key_visibility(item, shown=True, at=at)
-                item.location = matrix.translation
-                item.rotation_euler.z = heading + _whole_turns(item.rotation_euler.z - heading)
-                item.keyframe_insert("location", frame=at)
-                item.keyframe_insert("rotation_euler", frame=at)
-                last_seen[vehicle_id] = at
+    for vehicles in frames:
+        at = 1.0 + (vehicles.frame - start) * time_step_s * fps
+        for vehicle_id, name, matrix, heading in _rows(vehicles):
+            item = moving.get(vehicle_id)
+            if item is None:
+                moving[vehicle_id] = item = _new_vehicle(into, (vehicle_id, f"{name} {detail}"), name, detail)
+                item.matrix_world = matrix
+                _key_visibility(item, shown=False, at=at - 1.0)
+                _key_visibility(item, shown=True, at=at)
+            item.location = matrix.translation
+            item.rotation_euler.z = heading + _whole_turns(item.rotation_euler.z - heading)
+            item.keyframe_insert("location", frame=at)
+            item.keyframe_insert("rotation_euler", frame=at)
+            last_seen[vehicle_id] = at
     end = max(last_seen.values(), default=1.0)
     for vehicle_id, at in last_seen.items():
         if at < end:
             _key_visibility(moving[vehicle_id], shown=False, at=at + 1.0)
+    for item in moving.values():
+        _join_keys_by_straight_lines(item)
     scene.frame_end = max(1, round(end))
     scene.frame_set(1)
 
@@ -116,15 +118,18 @@ def _key_visibility(item, *, shown, at):
     item.keyframe_insert("hide_viewport", frame=at)
 
 
-@contextmanager
-def _new_keys_linear() -> Iterator[None]:
-    """While it lasts, new key frames are joined by straight lines."""
-    edit = bpy.context.preferences.edit
-    before, edit.keyframe_new_interpolation_type = edit.keyframe_new_interpolation_type, "LINEAR"
-    try:
-        yield
-    finally:
-        edit.keyframe_new_interpolation_type = before
+def _join_keys_by_straight_lines(item: bpy.types.Object) -> None:
+    """Let an object move evenly from key to key; Blender's own choice starts and stops at each."""
+    action = item.animation_data.action
+    if hasattr(action, "fcurves"):
+        curves = list(action.fcurves)
+    else:  # from Blender 5 on
+        bags = (bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags)
+        curves = [curve for bag in bags for curve in bag.fcurves]
+    for curve in curves:
+        for key in curve.keyframe_points:
+            key.interpolation = "LINEAR"
+        curve.update()
 
 
 def _new_vehicle(into, key, name, detail):
@@ -136,11 +141,11 @@ def _new_vehicle(into, key, name, detail):
 def _mesh(name, detail):
     """The mesh that all vehicles of a shape share."""
     title = f"{name} {detail}"
-    mesh = bpy.data.meshes.get(title)
-    if mesh is not None and mesh.get(KEY) == title:
+    mesh = of_ours(bpy.data.meshes, title)
+    if mesh is not None:
         return mesh
     unit = shape(name, detail)
     paints = [paint_of("truck" if name == "long_truck" else name), glass()]
     mesh = new_mesh(title, unit.vertices, unit.faces, paints, unit.surface == GLASS)
-    mesh.name, mesh[KEY] = title, title
+    mesh[KEY] = title
     return mesh

@@ -1,0 +1,149 @@
+"""A site of the user's own, from a file that Blender reads to scores, clouds and pictures."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import sys
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from blender_lidar.errors import InputError
+from blender_lidar.world.blender.meshes import new_mesh
+from blender_lidar.world.blender.scene import empty_scene
+from blender_lidar.world.blender.site import read_site
+from blender_lidar.world.scenery import box
+from tests.small_scene import cli, without_charts, write_scene
+
+WALL = box("wall", (0.0, 1.0, 2.5), (60.0, 0.2, 5.0))
+TURNED = box("wall", (500_000.0 - 1.0, 70.0, 2.5), (0.2, 60.0, 5.0))  # the wall, in a map's frame: x to the north
+
+
+def blend(path, *parts):
+    """A .blend with an object for each scenery, and nothing else."""
+    scene = empty_scene()
+    for part in parts:
+        corners = part.corners.reshape(-1, 3)
+        middle = corners.mean(axis=0)
+        made = bpy.data.objects.new("wall", new_mesh("wall", corners - middle, np.arange(len(corners)).reshape(-1, 3)))
+        made.location = middle
+        scene.collection.objects.link(made)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    empty_scene()
+    return path
+
+
+def evaluated(capsys, folder, world, *options):
+    scene = write_scene(folder, {"world": world})
+    code, _, err = cli(capsys, "evaluate", scene, "--height", 3, "--out", folder / "run", *options)
+    assert code == 0, err
+    return json.loads((folder / "run" / "result.json").read_text())
+
+
+def test_a_wall_from_a_blend_hides_what_a_wall_of_the_scene_hides(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    blend(tmp_path / "wall.blend", box("low", (0.0, 1.0, 1.0), (60.0, 0.2, 2.0)))
+    boxes = [{"centre_m": [0.0, 1.0, 1.0], "size_m": [60.0, 0.2, 2.0]}]
+    written = evaluated(capsys, tmp_path / "written", {"boxes": boxes})
+    for name, options in (("read", ()), ("read by two", ("--workers", 2)), ("read for bvh", ("--caster", "bvh"))):
+        read = evaluated(capsys, tmp_path / name, {"blend": str(tmp_path / "wall.blend")}, *options)
+        assert read["objective_per_vehicle"] == pytest.approx(written["objective_per_vehicle"], abs=1e-6)
+        assert read["versions"]["bpy"]
+    free = evaluated(capsys, tmp_path / "free", {})
+    assert written["objective_per_vehicle"] < free["objective_per_vehicle"]
+
+
+def test_a_site_is_moved_and_turned_into_the_road_frame(tmp_path, capsys):
+    blend(tmp_path / "map.blend", TURNED)
+    world = {"blend": str(tmp_path / "map.blend"), "origin_m": [500_000.0, 70.0, 0.0], "heading_deg": 90.0}
+    scene = write_scene(tmp_path, {"world": {**world, "ground": False}})
+    assert cli(capsys, "scan", scene, "--frame", 20, "--height", 3, "--out", tmp_path / "c.npz")[0] == 0
+    with np.load(tmp_path / "c.npz") as cloud:
+        wall = cloud["xyz"][cloud["vehicle_id"] < 0]
+        assert len(wall) > 100
+        np.testing.assert_allclose(wall[:, 1], 0.9, atol=0.02)  # float32 in the file: half a million metres
+
+
+def test_a_site_that_lies_elsewhere_is_refused_with_where_it_lies(tmp_path, capsys):
+    blend(tmp_path / "map.blend", TURNED)
+    scene = write_scene(tmp_path, {"world": {"blend": str(tmp_path / "map.blend")}})
+    code, _, err = cli(capsys, "evaluate", scene, "--out", tmp_path / "run")
+    assert code == 2
+    assert "nothing of it lies within 20 m of the mount at x 0, y 0 m" in err
+    assert "spans x 499999 to 499999" in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_library_that_is_not_there_is_refused_by_name(tmp_path):
+    blend(tmp_path / "lib.blend", WALL)
+    empty_scene()
+    with bpy.data.libraries.load(str(tmp_path / "lib.blend"), link=True) as (there, here):
+        here.objects = there.objects
+    bpy.context.scene.collection.objects.link(here.objects[0])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "site.blend"), copy=True)
+    empty_scene()
+    assert len(read_site(tmp_path / "site.blend")) == 12
+    (tmp_path / "lib.blend").unlink()
+    with pytest.raises(InputError, match=r"takes objects from .*lib\.blend, which is not there"):
+        read_site(tmp_path / "site.blend")
+
+
+@pytest.mark.parametrize("header", [b"BLENDER-v999rest", b"BLENDER17-01v9901rest"])
+@pytest.mark.parametrize("pack", [bytes, gzip.compress], ids=["plain", "gzip"])
+def test_a_file_of_a_newer_blender_is_refused_with_both_versions(tmp_path, header, pack):
+    (tmp_path / "new.blend").write_bytes(pack(header))
+    with pytest.raises(InputError, match=r"written by Blender 9\d?\.\d+, and this is \d\.\d+"):
+        read_site(tmp_path / "new.blend")
+
+
+def test_without_blender_the_extra_that_brings_it_is_named(tmp_path, capsys, monkeypatch):
+    blend(tmp_path / "wall.blend", WALL)
+    scene = write_scene(tmp_path, {"world": {"blend": str(tmp_path / "wall.blend")}, "model": {"caster": "exact"}})
+    for name in [name for name in sys.modules if "world.blender" in name]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys.modules["blender_lidar.world"], "blender", None, raising=False)
+    monkeypatch.setitem(sys.modules, "bpy", None)
+    for words in (("evaluate", scene, "--out", tmp_path / "run"), ("build", scene, "--frame", 1, "--out", "a.blend")):
+        code, _, err = cli(capsys, *words)
+        assert code == 2
+        assert 'pip install "blender_lidar[blender]"' in err
+
+
+def test_a_run_is_rendered_and_its_page_shows_the_pictures(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    monkeypatch.setattr("blender_lidar.world.blender.render.SIZE", (64, 36))
+    folder = tmp_path / "run{x}#1"
+    scene = write_scene(tmp_path, {"world": {"boxes": [{"centre_m": [5.0, 1.0, 1.0], "size_m": [1.0, 0.5, 2.0]}]}})
+    assert cli(capsys, "evaluate", scene, "--height", 3, "--out", folder)[0] == 0
+    code, out, err = cli(capsys, "render", folder, "--samples", 1)
+    assert code == 0, err
+    pictures = sorted(path.name for path in folder.glob("render_*.png"))
+    assert pictures == [f"render_{name}_{view}.png" for name in ("baseline", "optimised") for view in ("above", "pole")]
+    assert all(name in out for name in pictures)
+    assert (folder / "report.html").read_text().count("data:image/png") == 4
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (("render", "none"), "result.json"),
+        (("render", "run", "--samples", 0), "--samples: is 0; allowed: 1 to 4096"),
+        (("render", "run", "--frame", 10**6), "no frame 1000000"),
+        (("build", "scene.toml", "--frame", 1, "--out", "scene.obj"), "allowed: a file name that ends in .blend"),
+        (("build", "scene.toml", "--frame", 1, "--out", "no/folder/scene.blend"), "cannot be written"),
+        (("build", "scene.toml", "--frame", 9999, "--out", "a.blend"), "--frame"),
+    ],
+)
+def test_what_cannot_be_built_or_rendered_is_refused_in_one_line(tmp_path, capsys, monkeypatch, words, problem):
+    without_charts(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path)
+    if "run" in words:
+        assert cli(capsys, "evaluate", "scene.toml", "--out", "run")[0] == 0
+    code, _, err = cli(capsys, *words)
+    assert code == 2
+    assert problem in err
+    assert err.count("\n") == 1
