@@ -31,7 +31,7 @@ def plain(name: str, colour: tuple[float, float, float], surface: int = STRUCTUR
     material[KEY], material[SURFACE_KEY] = name, surface
     material.diffuse_color = (*colour, 1.0)
     material.roughness = roughness
-    if not material.use_nodes:  # from Blender 5 on they always do
+    if bpy.app.version < (5, 0):  # from then on they always do
         material.use_nodes = True
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Base Color"].default_value = (*colour, 1.0)
@@ -62,7 +62,7 @@ def point_material(name: str, bits: tuple[float, float]) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
     material[KEY] = name
     material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
-    if not material.use_nodes:  # from Blender 5 on they always do
+    if bpy.app.version < (5, 0):  # from then on they always do
         material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()

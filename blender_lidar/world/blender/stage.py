@@ -75,7 +75,7 @@ def _sky():
     world = bpy.data.worlds.new("Sky")
     world[KEY] = STAGE
     world.color = _SKY
-    if not world.use_nodes:
+    if bpy.app.version < (5, 0):
         world.use_nodes = True
     background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
     background.inputs["Color"].default_value = (*_SKY, 1.0)
