@@ -123,10 +123,10 @@ def test_every_place_of_a_searched_rectangle_must_be_clear(scene):
 
 
 def test_a_mount_from_the_command_line_is_named_by_its_option(scene):
-    scenario, lane = scene(), {"x_m": 0.0, "y_m": 5.0}
+    scenario, lane = scene(), {"x_m": 0.0, "y_m": 5.0, "height_m": 3.0}
     with pytest.raises(InputError, match=r"^--x, --y: the mount at y 5 m stands on the carriageway"):
         check_mount_is_clear(scenario, [], {"--x, --y": lane})
-    check_mount_is_clear(scenario, [], {"--x, --y": {"x_m": 0.0, "y_m": -5.0}})
+    check_mount_is_clear(scenario, [], {"--x, --y": {"x_m": 0.0, "y_m": -5.0, "height_m": 3.0}})
 
 
 def test_the_region_is_a_disc_about_the_nominal_mount_level_with_the_road():
