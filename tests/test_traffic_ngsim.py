@@ -240,7 +240,32 @@ def test_a_vehicle_that_never_moves_points_where_direction_has_it_bound_for(dial
 def test_columns_that_cannot_be_direction_and_movement_turn_no_vehicle(direction, movement, location, tmp_path):
     path = tmp_path / "other.csv"
     path.write_text(samples.api(at_rest([direction] * 5, movement), location))
-    assert not read_traffic(path).heading_rad.any()
+    recording = read_traffic(path)
+    assert not recording.heading_rad.any()
+    told = "Direction or Movement is none in 100 of 100 rows: the column is left aside"
+    assert (told in recording.report.notes) == (location != "i-80")
+
+
+@pytest.mark.parametrize(
+    ("odd", "outcome"),
+    [({"Direction": 7}, "theirs is unknown"), ({"Movement": 9}, "theirs is unknown"), ({}, None)],
+)
+def test_a_row_without_a_direction_that_is_one_leaves_the_others_theirs(odd, outcome, tmp_path):
+    columns = at_rest([3, 4, 3, 4, 3])
+    first = np.flatnonzero(columns["Vehicle_ID"] == 2)[0]
+    columns = {name: np.array(values) for name, values in columns.items()}
+    for name, value in odd.items():
+        columns[name][first] = value
+    path = tmp_path / "other.csv"
+    path.write_text(samples.api(columns, "peachtree"))
+    recording = read_traffic(path)
+    rows = len(columns["Vehicle_ID"])
+    expected = np.radians([0.0, 90.0, 180.0, 90.0, 180.0, 90.0])[recording.vehicle_id]
+    changed = (recording.vehicle_id == 2) & (np.abs(recording.heading_rad - expected) > 1e-9)
+    np.testing.assert_allclose(recording.heading_rad[~changed], expected[~changed], atol=1e-9)
+    assert changed.sum() == len(odd)
+    told = [f"Direction or Movement is none in 1 of {rows:,} rows: {outcome}"] if odd else []
+    assert [note for note in recording.report.notes if "Direction" in note] == told
 
 
 def test_the_24_columns_say_the_same_as_the_18(columns, tmp_path):

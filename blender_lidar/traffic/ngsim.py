@@ -5,7 +5,7 @@ US DOT FHWA, Next Generation Simulation Vehicle Trajectories and Supporting Data
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,7 +78,7 @@ def read_ngsim(
     periods = find_periods(file.rows, step_ms)
     chosen = choose_period(periods, period, str(path))
     rows = file.rows if len(periods.names) == 1 else file.rows.take(periods.of_row == chosen)
-    notes = _notes(layout, location, period, periods.names)
+    notes = (*_notes(layout, location, period, periods.names), *_direction_notes(layout, file))
     on_map = (np.abs(rows.local_m) <= _OFF_MAP_M).all(axis=1)
     kept, duplicates, repeated = _without_repeats(rows.take(on_map))
     if not len(kept):
@@ -116,6 +116,12 @@ def _notes(layout: Layout, location: str | None, period: int | str | None, perio
     if period is None and len(periods) > 1:
         notes.append(f"{len(periods)} periods found ({', '.join(periods)}); none was chosen, so the first is used")
     return tuple(notes)
+
+
+def _direction_notes(layout: Layout, file: FileRows) -> Iterator[str]:
+    if file.odd_directions and not _follows_road(layout, file):
+        outcome = "theirs is unknown" if file.rows.direction.any() else "the column is left aside"
+        yield f"Direction or Movement is none in {file.odd_directions:,} of {len(file.rows):,} rows: {outcome}"
 
 
 def _boxes(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,6 +20,8 @@ from .tracks import TrackRows
 FOOT_M = 0.3048
 """International foot, exactly; 0.3084 circulates."""
 _CHUNK_ROWS = 400_000
+_FEW_ODD = 0.01  # of the rows; more, and the column is another one
+_ODD = -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +38,16 @@ class FileRows:
         As the file writes it, in lower case; empty if it has no such column.
     locations : tuple of str
         All that the file holds.
+    odd_directions : int
+        Rows of the location whose Direction or Movement is none that there is; their `rows.direction` is 0. Where they
+        are more than a few, it is 0 in all rows.
     """
 
     rows: TrackRows
     rows_read: int
     location: str
     locations: tuple[str, ...]
+    odd_directions: int
 
 
 def read_rows(path: str | Path, layout: Layout, location: str | None = None) -> FileRows:
@@ -92,11 +98,15 @@ def read_rows(path: str | Path, layout: Layout, location: str | None = None) -> 
         raise unknown_name(location, locations, "location", str(path))
     if not kept:
         raise InputError(f"{path}: no rows; a file of vehicles is needed")
+    rows = _joined(kept)
+    odd = rows.direction == _ODD
+    unknown = odd if odd.mean() <= _FEW_ODD else np.ones(len(rows), dtype=bool)
     return FileRows(
-        rows=_joined(kept),
+        rows=replace(rows, direction=np.where(unknown, np.int8(0), rows.direction)),
         rows_read=rows_read,
         location=wanted if wanted is not None else "".join(locations),
         locations=locations,
+        odd_directions=int(odd.sum()),
     )
 
 
@@ -175,18 +185,19 @@ def _track_rows(path: str | Path, layout: Layout, table: pd.DataFrame, index: np
 
 
 def _directions(table: pd.DataFrame) -> np.ndarray:
-    """The column Direction, (n,) int8; 0 throughout if it is not there, or is no such column.
+    """The column Direction, (n,) int8; 0 where it is empty or not there, `_ODD` where it or Movement is none.
 
     Files are said to exist whose six columns of arterials stand two places later. The column after Direction, Movement,
-    would hold other numbers there.
+    would hold other numbers there: it tells whether Direction is what it seems.
     """
     limits = dict(zip(DIRECTION_COLUMNS, (4, 3), strict=True))
     if any(name not in table for name in limits):
         return np.zeros(len(table), dtype=np.int8)
-    values = {name: pd.to_numeric(table[name], errors="coerce").fillna(0).to_numpy(np.float64) for name in limits}
-    if any(not np.isin(values[name], np.arange(limit + 1)).all() for name, limit in limits.items()):
-        return np.zeros(len(table), dtype=np.int8)
-    return values["direction"].astype(np.int8)
+    values = {name: pd.to_numeric(table[name], errors="coerce").to_numpy(np.float64) for name in limits}
+    known = np.ones(len(table), dtype=bool)
+    for name, limit in limits.items():
+        known &= np.isin(values[name], np.arange(limit + 1)) | table[name].isna().to_numpy()
+    return np.where(known, np.nan_to_num(values["direction"]), _ODD).astype(np.int8)
 
 
 def _joined(parts: list[TrackRows]) -> TrackRows:
