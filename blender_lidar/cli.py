@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from . import __version__
-from .errors import BlenderLidarError
+from .errors import BlenderLidarError, printable
 
 _VERBS = ("optimise", "evaluate", "scan", "score", "build", "render", "sensors", "doctor")
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
@@ -63,7 +63,7 @@ def _carried_out(argv: Sequence[str] | None) -> int:
 
 
 def _failed(text: str, code: int) -> int:
-    print(f"blender-lidar: {' '.join(text.split())}", file=sys.stderr)
+    print(f"blender-lidar: {printable(' '.join(text.split()))}", file=sys.stderr)
     return code
 
 

@@ -34,6 +34,15 @@ class WorkerError(BlenderLidarError, RuntimeError):
     exit_code = 1
 
 
+def printable(text: str, longest: int | None = None) -> str:
+    """A text from a file as a line on a terminal may hold it.
+
+    Control characters, which a terminal would obey, become their escapes; what is longer than `longest` is cut.
+    """
+    cut = text if longest is None or len(text) <= longest else text[:longest] + "..."
+    return "".join(sign if sign.isprintable() else sign.encode("unicode_escape").decode() for sign in cut)
+
+
 def unknown_name(given: object, allowed: Iterable[str], what: str, where: str = "") -> InputError:
     """An error for a name that is not one of `allowed`, with the nearest known one.
 

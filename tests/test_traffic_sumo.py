@@ -232,18 +232,39 @@ def test_vehicles_keep_whole_numbers_else_are_numbered_as_they_appear(tmp_path, 
     [
         ([0, 0.1, 0.2, 0.4], [0, 1, 2, 4], 0.1),
         ([300, 300.5, 301], [600, 601, 602], 0.5),
-        ([0.05, 0.15, 0.25], [1, 3, 5], 0.05),
+        ([0.05, 0.15, 0.25], [0, 1, 2], 0.1),
         ([10, 20, 40], [1, 2, 4], 10),
         ([3], [3], 1),
         ([2.5], [5], 0.5),
         ([0], [0], 1),
     ],
 )
-def test_frames_count_the_longest_step_that_all_times_are_multiples_of(tmp_path, times, frames, step_s):
+def test_frames_count_the_longest_step_of_which_times_lie_multiples_apart(tmp_path, times, frames, step_s):
     recording = read_traffic(write(tmp_path, [samples.row(time, x=50 + 10 * time) for time in times]))
     assert recording.frames.tolist() == frames
     assert recording.time_step_s == pytest.approx(step_s)
     np.testing.assert_allclose(recording.frame_time_s, times)
+
+
+@pytest.mark.parametrize(("per_second", "digits"), [(3, 2), (3, 3), (7, 2), (30, 2), (30, 3), (60, 3)])
+@pytest.mark.parametrize("from_s", [0, 100])
+def test_times_that_were_rounded_count_the_steps_that_were_meant(tmp_path, per_second, digits, from_s):
+    meant = np.delete(np.arange(from_s * per_second, from_s * per_second + 200), [5, 6, 7, 90])
+    rows = [samples.row(x=k) | {"time": f"{number / per_second:.{digits}f}"} for k, number in enumerate(meant)]
+    recording = read_traffic(write(tmp_path, rows))
+    assert np.diff(recording.frames).tolist() == np.diff(meant).tolist()
+    assert recording.frames[0] == pytest.approx(meant[0], rel=1e-3)
+    assert recording.time_step_s == pytest.approx(1 / per_second, rel=1e-3)
+    rounded = f"times are rounded to {10.0**-digits:g} s: a time step of {1 / per_second:.4f}"
+    assert any(note.startswith(rounded[:-2]) for note in recording.report.notes)
+
+
+def test_times_without_a_rhythm_count_the_step_common_to_all_and_are_told(tmp_path):
+    times = [0.0, 0.31, 0.9, 1.02, 1.77, 2.5, 4.0]
+    recording = read_traffic(write(tmp_path, [samples.row(time, x=time) for time in times]))
+    assert recording.frames.tolist() == [0, 31, 90, 102, 177, 250, 400]
+    assert recording.time_step_s == 0.01
+    assert "times are 0.12 to 1.5 s apart, 0.66 s in the median: frames count steps of 0.01 s" in recording.report.notes
 
 
 @pytest.mark.parametrize(
@@ -263,6 +284,11 @@ def test_lanes_count_from_1_the_rightmost(tmp_path, lane, number):
         ("", "car", [5.0, 1.8, 1.5]),
         ('length="4.9"', "car", [4.9, 1.8, 1.5]),
         ('length="4.91" height="1.9"', "van", [4.91, 1.8, 1.9]),
+        ('length="5"', "car", [5.0, 1.8, 1.5]),  # SUMO's default, written out
+        ('length="5" width="1.8" height="1.5"', "car", [5.0, 1.8, 1.5]),
+        ('height="2.5"', "car", [5.0, 1.8, 2.5]),
+        ('length="5.3"', "van", [5.3, 1.8, 1.9]),
+        ('length="5.3" height="1.6"', "van", [5.3, 1.8, 1.6]),
         ('length="5.2" guiShape="passenger/sedan"', "car", [5.2, 1.8, 1.5]),
         ('length="4.2" guiShape="passenger/van"', "van", [4.2, 1.8, 1.5]),
         ('length="4.2" guiShape="unknown"', "car", [4.2, 1.8, 1.5]),
@@ -274,7 +300,7 @@ def test_lanes_count_from_1_the_rightmost(tmp_path, lane, number):
         ('vClass="tram"', "bus", [22.0, 2.4, 3.2]),
         ('vClass="moped"', "motorcycle", [2.1, 0.78, 1.7]),
         ('vClass="bicycle"', "motorcycle", [1.6, 0.65, 1.7]),
-        ('vClass="hov" length="5.5"', "van", [5.5, 1.8, 1.5]),
+        ('vClass="hov" length="5.5"', "van", [5.5, 1.8, 1.9]),
     ],
 )
 def test_a_type_has_the_size_given_else_its_class_default(tmp_path, attributes, class_name, size):
@@ -322,6 +348,18 @@ def test_what_drives_on_no_road_is_left_out_and_counted(tmp_path):
     assert recording.report.left_out == 4
     assert "rows of vehicles on no road: 2 of pedestrian, 2 of rail_urban" in recording.report.notes
     assert "4 rows left out: no vehicle on a road" in recording.report.lines()
+
+
+def test_names_reach_the_terminal_short_and_without_control_characters(tmp_path):
+    rows = [samples.row(id="a\x1b]0,mine\x07", type="\x1b[2J"), samples.row(id="b" * 30_000, x=9.0, type="t" * 30_000)]
+    path = tmp_path / "run.csv"
+    path.write_text(samples.csv(rows), encoding="utf-8")
+    report = read_traffic(path).report
+    text = "".join(report.lines())
+    assert text.isprintable()
+    assert f"by first appearance: a\\x1b]0,mine\\x07, {'b' * 40}..." in text
+    assert len(text) < 1000
+    assert replace(report, location="\x1b[2J", locations=("", "x")).lines()[0].endswith("(location \\x1b[2J)")
 
 
 # --- defects ----------------------------------------------------------------------------------------------------------

@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import gzip
 import random
+import re
+import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from blender_lidar.errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError
@@ -62,7 +65,14 @@ def test_truncated_gzip(tmp_path):
         ("<fcd-export/>", "FILE: no vehicle in 0 rows; at least one is needed"),
         ("<fcd-export>\n<vehicle/></fcd-export>", "FILE:2: <vehicle> outside a <timestep>"),
         ("<fcd-export><a time='0'>\n<vehicle/></a></fcd-export>", "FILE:2: <vehicle> outside a <timestep>"),
-        ("<?xml version='1.0' encoding='klingon'?>\n<fcd-export/>", "FILE: XML in an unknown encoding: klingon"),
+        *(
+            (f"<?xml version='1.0' encoding='{name}'?>\n<fcd-export/>", f"FILE: XML in an encoding that {reason}")
+            for name, reason in {
+                "klingon": "cannot be read (unknown encoding: klingon); SUMO writes UTF-8",
+                "shift_jis": "cannot be read (multi-byte encodings are not supported)",
+                "utf-7": "cannot be read (",
+            }.items()
+        ),
         ("<fcd-export>&nbsp;</fcd-export>", "FILE:1: truncated or damaged XML (undefined entity)"),
     ],
 )
@@ -102,6 +112,8 @@ BAD_VALUES = [
     ("id", "", "id is missing"),
     ("x", "abc", "x is 'abc'; allowed: a finite number"),
     ("x", "nan", "x is 'nan'; allowed: a finite number"),
+    ("x", "1_0", "x is '1_0'; allowed: a finite number"),
+    ("speed", "1_0", "speed is '1_0'; allowed: a finite number"),
     ("y", "inf", "y is 'inf'; allowed: a finite number"),
     ("y", "9" * 50, None),
     ("angle", "-Infinity", "angle is '-Infinity'; allowed: a finite number"),
@@ -243,6 +255,81 @@ def test_a_parquet_file_that_is_too_large(tmp_path, monkeypatch):
     assert refused(path) == "FILE: more than 3 rows; split the file"
 
 
+MEASURED = """
+import resource, sys
+from blender_lidar.errors import InputError
+from blender_lidar.traffic import read_traffic
+
+resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
+try:
+    print(len(read_traffic(sys.argv[1])), "boxes")
+except InputError as error:
+    print(error)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 2**10)
+"""
+
+
+def read_within_3_gib(path):
+    """What reading a file comes to, and how much memory it took at most [MiB], in a process of its own."""
+    run = subprocess.run([sys.executable, "-c", MEASURED, str(path)], capture_output=True, text=True, check=True)
+    outcome, most = run.stdout.splitlines()
+    return outcome.replace(str(path), "FILE"), int(most)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is limited and measured as Linux does it")
+@pytest.mark.parametrize(
+    ("column", "length", "outcome"),
+    [
+        ("type", 200_000, "FILE: column vehicle_type holds a text of 200,000 characters; allowed: 1,000"),
+        ("lane", 200_000, "FILE: column vehicle_lane holds a text of 200,000 characters; allowed: 1,000"),
+        ("type", 1_000, "50000 boxes"),
+        ("edge", 200_000, "50000 boxes"),
+    ],
+)
+def test_a_text_that_every_row_of_a_parquet_file_shares_takes_memory_once(tmp_path, column, length, outcome):
+    """In memory for each row the longer one would take 10 GB; a column that is not used is not read."""
+    samples.need_pyarrow()
+    import pyarrow
+    import pyarrow.parquet
+
+    rows = 50_000
+    shared = dict.fromkeys(("id", "type", "lane", "edge"), "a") | {column: "x" * length}
+    content = {f"vehicle_{name}": np.zeros(rows) for name in ("x", "y", "angle")}
+    content |= {"timestep_time": np.arange(rows) / 10}
+    for name, text in shared.items():
+        codes = pyarrow.array(np.zeros(rows, dtype=np.int32))
+        content[f"vehicle_{name}"] = pyarrow.DictionaryArray.from_arrays(codes, pyarrow.array([text]))
+    path = tmp_path / "bomb.parquet"
+    pyarrow.parquet.write_table(pyarrow.table(content), path, store_schema=False, compression="zstd")
+    assert path.stat().st_size < 2**20
+    found, most_mib = read_within_3_gib(path)
+    assert found == outcome
+    assert most_mib < 600
+
+
+def test_long_texts_in_parquet_are_refused_before_they_are_unpacked(tmp_path):
+    samples.need_pyarrow()
+    path = samples.write_parquet(
+        tmp_path / "run.parquet", [samples.row(0.1 * k, type=str(k) * 500_000) for k in range(10)], use_dictionary=False
+    )
+    assert refused(path) == "FILE: column vehicle_type holds texts of more than 1,000 characters"
+
+
+def test_a_column_of_something_else_in_parquet(tmp_path):
+    samples.need_pyarrow()
+    import pyarrow
+    import pyarrow.parquet
+
+    whole = pyarrow.parquet.read_table(samples.write_parquet(tmp_path / "run.parquet", ROWS))
+    for values, kind in (([["a"]] * len(ROWS), "list<"), ([b"a"] * len(ROWS), "binary"), ([True] * len(ROWS), "bool")):
+        place = whole.column_names.index("vehicle_type")
+        changed = whole.set_column(place, "vehicle_type", pyarrow.array(values))
+        pyarrow.parquet.write_table(changed, tmp_path / "run.parquet")
+        text = refused(tmp_path / "run.parquet")
+        assert text.startswith(f"FILE: column vehicle_type holds {kind}")
+        assert text.endswith("allowed: numbers or texts")
+
+
 def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     path = write(tmp_path, b"PAR1 and more")
@@ -252,6 +339,10 @@ def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
 
 
 # --- types ------------------------------------------------------------------------------------------------------------
+
+
+def write_types(tmp_path):
+    return write(tmp_path, "<routes><vType id='car'/></routes>", "types.xml")
 
 
 def types_refused(tmp_path, text):
@@ -289,10 +380,39 @@ def types_refused(tmp_path, text):
             "FILE: type 'car' is none of the 1 that TYPES defines; did you mean 'cart'?",
         ),
         ("<!DOCTYPE a><routes/>", "TYPES:1: declares a document type"),
+        ("<?xml version='1.0' encoding='shift_jis'?><routes/>", "TYPES: XML in an encoding that cannot be read ("),
+        ("<routes><vType id='car' length='1_0'/></routes>", "TYPES:1: length of vType 'car' is '1_0'; allowed: more"),
     ],
 )
 def test_a_file_of_types_that_cannot_be_used(tmp_path, text, reason):
     assert types_refused(tmp_path, text).startswith(reason)
+
+
+def test_a_file_of_types_for_a_recording_without_types(tmp_path):
+    path = write_types(tmp_path)
+    for rows, whose in (
+        ([samples.row(type=None)], "the vehicles have"),
+        ([samples.row(), samples.row(id="b", x=9.0, type=None)], "a vehicle has"),
+    ):
+        text = refused(of_rows(tmp_path, *rows), vehicle_types=path).replace(str(path), "TYPES")
+        assert text == (
+            f"FILE: {whose} no type, by which TYPES could say the size; SUMO writes types unless "
+            "--fcd-output.attributes leaves them out: name type there, or do without vehicle_types"
+        )
+
+
+def test_a_type_with_an_endless_name(tmp_path):
+    endless = "x" * 60_000
+    text = refused(of_rows(tmp_path, samples.row(type=endless)), vehicle_types=write_types(tmp_path))
+    assert re.fullmatch(r"FILE: type 'x+\.\.\.x+' is none of the 1 that .* defines", text)
+    for definition in (
+        f"<vType id='{endless}'/>" * 2,
+        f"<vType id='{endless}' length='x'/>",
+        f"<vType id='a' vClass='{endless[:60000]}'/>",
+    ):
+        assert (
+            len(types_refused(tmp_path, f"<routes>{definition.replace('/><', '/>' + chr(10) + '<')}</routes>")) < 1000
+        )
 
 
 def test_a_missing_file_of_types(tmp_path):

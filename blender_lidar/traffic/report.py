@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+from ..errors import printable
+
 
 @dataclass(frozen=True, slots=True)
 class RepairReport:
@@ -61,7 +63,7 @@ class RepairReport:
     notes: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
-        """A few lines for a person: only what happened."""
+        """A few lines for a person: only what happened; names from the file are made printable."""
         happened = [
             (self.duplicates, "duplicate row", "dropped"),
             (self.repeated, "row", "dropped: vehicle already in that frame"),
@@ -78,7 +80,7 @@ class RepairReport:
         if self.overlaps:
             pairs, frames = _counted(self.overlaps, "pair"), _counted(self.overlap_frames, "frame")
             lines.append(f"{pairs} of overlapping boxes in {frames} looked at")
-        return [*lines, *self.notes]
+        return [printable(line) for line in (*lines, *self.notes)]
 
     def as_dict(self) -> dict[str, object]:
         """All counts, for a result file."""

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, printable
 from .overlaps import with_overlaps_reported
 from .report import RepairReport
 from .road import Placing, within_x
@@ -24,7 +24,8 @@ from .sumo_csv import csv_chunks, is_fcd_line
 from .sumo_degrees import refuse_degrees
 from .sumo_parquet import MAGIC, parquet_chunks
 from .sumo_rows import FcdChunk, FcdRows, collected
-from .sumo_types import VehicleType, assumed_type, read_types, type_named
+from .sumo_steps import frames_of
+from .sumo_types import VehicleType, assumed_type, quoted, read_types, type_named
 from .sumo_xml import xml_chunks
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Recording
@@ -33,6 +34,7 @@ _WHOLE = re.compile("0|[1-9][0-9]{0,14}", re.ASCII)  # below 2**53
 _LARGEST_LANE = 2**15 - 2
 _FLAT_WITHIN_M = 0.1
 _NAMES_SHOWN = 3
+_LONGEST_SHOWN = 40
 
 
 def read_sumo(
@@ -45,7 +47,7 @@ def read_sumo(
 ) -> Recording:
     """Read floating car data, ``sumo --fcd-output``: XML or CSV, plain or gzip, or Parquet.
 
-    Frame numbers count the longest step of which all times are multiples. Vehicles whose ids are all whole numbers keep
+    Frame numbers count time steps, as `sumo_steps.frames_of` finds them. Vehicles whose ids are all whole numbers keep
     them; else they are numbered from 0 by first appearance. Lanes count from 1, the rightmost: SUMO's index plus one.
     Headings are SUMO's own, neither smoothed nor limited.
 
@@ -74,14 +76,14 @@ def read_sumo(
     rows = collected(_chunks(path), str(path))
     refuse_degrees(rows, str(path))
     types = _types(rows.types, defined, str(path), vehicle_types)
-    frame, step_s = _frames(rows.time_ms)
+    frame, step_s, uneven = frames_of(rows.time_ms)
     told_apart = np.column_stack([rows.xy_m, rows.angle_deg, rows.type_code, rows.lane_code])
     kept, duplicates, repeated = drop_repeats(rows.id_code, frame, told_apart)
     on_road = np.array([found.class_name is not None for found in types])[rows.type_code[kept]]
     strangers = Counter(types[code].vehicle_class for code in rows.type_code[kept[~on_road]])
     if not on_road.any():
         raise InputError(f"{path}: no vehicle on a road; all are {', '.join(sorted(strangers))}")
-    notes = [*_placing_notes(origin_m, heading_deg), *_row_notes(rows, strangers)]
+    notes = [*_placing_notes(origin_m, heading_deg), *uneven, *_row_notes(rows, strangers)]
     if defined is None:
         notes.append(_assumed(rows.types))
     report = RepairReport(
@@ -154,13 +156,6 @@ def _boxes(
     )
 
 
-def _frames(time_ms: np.ndarray) -> tuple[np.ndarray, float]:
-    """Frame number of every row, and the time from one to the next [s]; an only instant counts whole seconds."""
-    distinct = np.unique(time_ms)
-    step = int(np.gcd.reduce(distinct)) if len(distinct) > 1 else int(np.gcd(distinct[0], 1000))
-    return time_ms // step, step / 1000
-
-
 def _numbered(ids: list[str]) -> np.ndarray:
     """A number for every id, (k,) int64."""
     if all(_WHOLE.fullmatch(text) for text in ids):
@@ -189,9 +184,15 @@ def _types(
     found = [type_named(name, defined) for name in names]
     if None in found:
         name = names[found.index(None)]
-        near = difflib.get_close_matches(name, list(defined), n=1, cutoff=0.5)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise InputError(f"{source}: type {name!r} is none of the {len(defined)} that {file} defines{hint}")
+        if not name:
+            whose = "a vehicle has" if any(names) else "the vehicles have"
+            raise InputError(
+                f"{source}: {whose} no type, by which {file} could say the size; SUMO writes types unless "
+                "--fcd-output.attributes leaves them out: name type there, or do without vehicle_types"
+            )
+        near = difflib.get_close_matches(name[:_LONGEST_SHOWN], list(defined), n=1, cutoff=0.5)
+        hint = f"; did you mean {quoted(near[0])}?" if near else ""
+        raise InputError(f"{source}: type {quoted(name)} is none of the {len(defined)} that {file} defines{hint}")
     return found
 
 
@@ -219,4 +220,4 @@ def _row_notes(rows: FcdRows, strangers: Counter[str]) -> Iterator[str]:
 
 def _listed(names: list[str]) -> str:
     more = f" and {len(names) - _NAMES_SHOWN:,} more" if len(names) > _NAMES_SHOWN else ""
-    return ", ".join(names[:_NAMES_SHOWN]) + more
+    return ", ".join(printable(name, _LONGEST_SHOWN) for name in names[:_NAMES_SHOWN]) + more

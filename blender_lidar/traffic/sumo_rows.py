@@ -155,7 +155,10 @@ def _numbers(chunk: FcdChunk, name: str) -> np.ndarray:
         return np.full(len(chunk), np.nan)
     try:
         numbers = np.array(values, dtype=np.float64)
+        doubtful = any("_" in value for value in values if isinstance(value, str))  # "1_0" is 10 to Python alone
     except (TypeError, ValueError):
+        doubtful = True
+    if doubtful:
         numbers = _numbers_one_by_one(chunk, name)
     good = np.isfinite(numbers) | (np.isnan(numbers) & (name in OPTIONAL))
     if not good.all():
@@ -164,10 +167,12 @@ def _numbers(chunk: FcdChunk, name: str) -> np.ndarray:
 
 
 def _numbers_one_by_one(chunk: FcdChunk, name: str) -> np.ndarray:
-    """As `_numbers`, for texts among which one is no number."""
+    """As `_numbers`, for texts among which one may be no number."""
     numbers = np.full(len(chunk), np.nan)
     for row, value in enumerate(chunk.columns[name]):
         try:
+            if isinstance(value, str) and "_" in value:
+                raise ValueError(value)
             if value not in (None, ""):
                 numbers[row] = float(value)
         except (TypeError, ValueError):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError, unknown_name
-from .sizes import VAN_LONGER_THAN_M
+from .sizes import HEIGHTS_M, VAN_LONGER_THAN_M
 from .xml_tags import Tag, start_tags
 
 DEFAULT_SIZES_M = {
@@ -63,7 +64,7 @@ _CLASS = {
     **dict.fromkeys(("bus", "coach", "tram"), "bus"),  # a tram stands in the street as a bus does
     **dict.fromkeys(("motorcycle", "moped", "bicycle", "scooter"), "motorcycle"),
 }
-"""Our class by SUMO's; those that are neither here nor in `_NOT_ON_ROAD` are cars, or vans by their length."""
+"""Our class by SUMO's; those that are neither here nor in `_NOT_ON_ROAD` are cars, or vans by their size."""
 _ON_RAILS_OR_ELSEWHERE = ("rail_urban", "rail", "rail_electric", "rail_fast", "subway", "cable_car", "ship", "aircraft")
 _NOT_ON_ROAD = frozenset((*_ON_RAILS_OR_ELSEWHERE, "drone", "pedestrian", "wheelchair", "container"))
 # What a vehicle is drawn as, where a file says so, tells more than its class, which is often left at passenger.
@@ -75,6 +76,8 @@ _DRAWN_AS = {
     **dict.fromkeys(("motorcycle", "moped", "bicycle", "scooter"), "motorcycle"),
 }
 _LARGEST_M = 1000.0
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +99,11 @@ class VehicleType:
     size_m: tuple[float, float, float]
 
 
+def quoted(name: str) -> str:
+    """A name from a file as an error shows it, cut where it is long."""
+    return _SHORT.repr(name)
+
+
 def default_type(vehicle_class: str) -> VehicleType:
     """A type of which nothing but SUMO's vehicle class is known; 5 m by default say nothing about a van."""
     name = None if vehicle_class in _NOT_ON_ROAD else _CLASS.get(vehicle_class, "car")
@@ -104,6 +112,9 @@ def default_type(vehicle_class: str) -> VehicleType:
 
 def read_types(path: str | Path) -> dict[str, VehicleType]:
     """The types that a route or additional file defines, plain or gzip, also inside ``<vTypeDistribution>``.
+
+    What a type does not say has its class's default. A car that is given a length above `VAN_LONGER_THAN_M`, and more
+    length or height than its class has by default, is a van; its height, where not given, is that of NGSIM's vans.
 
     Raises
     ------
@@ -119,7 +130,9 @@ def read_types(path: str | Path) -> dict[str, VehicleType]:
             where = f"{path}:{tag.line}"
             name = tag.attributes.get("id", "")
             if not name or name in types:
-                raise InputError(f"{where}: {f'vType {name!r} is there twice' if name else 'a vType without an id'}")
+                raise InputError(
+                    f"{where}: {f'vType {quoted(name)} is there twice' if name else 'a vType without an id'}"
+                )
             types[name] = _read_type(tag, where)
     if not types:
         raise InputError(f"{path}: no <vType>; a route or additional file that defines the vehicles is needed")
@@ -151,16 +164,27 @@ def _base(name: str) -> str:
 def _read_type(tag: Tag, where: str) -> VehicleType:
     vehicle_class = tag.attributes.get("vClass", "passenger")
     if vehicle_class not in DEFAULT_SIZES_M:
-        raise unknown_name(vehicle_class, DEFAULT_SIZES_M, "vClass", where)
+        raise unknown_name(vehicle_class[:40], DEFAULT_SIZES_M, "vClass", where)
     given = [_size(tag, key, where) for key in ("length", "width", "height")]
     default = DEFAULT_SIZES_M[vehicle_class]
     length, width, height = (usual if value is None else value for value, usual in zip(given, default, strict=True))
     usual = default_type(vehicle_class).class_name
     name = usual and _DRAWN_AS.get(tag.attributes.get("guiShape", ""), usual)
     is_any_car = name == "car" and tag.attributes.get("guiShape") not in _DRAWN_AS
-    if is_any_car and given[0] is not None and given[0] > VAN_LONGER_THAN_M:
-        name = "van"
+    if is_any_car and _is_van(given, default):
+        name, height = "van", HEIGHTS_M["van"] if given[2] is None else height
     return VehicleType(vehicle_class, name, (length, width, height))
+
+
+def _is_van(given: list[float | None], default: tuple[float, float, float]) -> bool:
+    """Whether a car's size says that it is a van: a long one that is longer or higher than its class by default.
+
+    The 5 m that most classes have by default are longer than many a van, so that they alone say nothing, written out or
+    not.
+    """
+    length, _, height = given
+    is_larger = (length or 0.0) > default[0] or (height or 0.0) > default[2]
+    return length is not None and length > VAN_LONGER_THAN_M and is_larger
 
 
 def _size(tag: Tag, key: str, where: str) -> float | None:
@@ -168,12 +192,12 @@ def _size(tag: Tag, key: str, where: str) -> float | None:
     if text is None:
         return None
     try:
-        value = float(text)
+        value = math.nan if "_" in text else float(text)
     except ValueError:
         value = math.nan
     if not 0 < value <= _LARGEST_M:
         raise InputError(
-            f"{where}: {key} of vType {tag.attributes['id']!r} is {text[:40]!r}; allowed: more than 0, "
+            f"{where}: {key} of vType {quoted(tag.attributes['id'])} is {text[:40]!r}; allowed: more than 0, "
             f"at most {_LARGEST_M:g} m"
         )
     return value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, printable
 from .sumo_rows import NEEDED, OPTIONAL, FcdChunk
 from .xml_tags import Tag, start_tags
 
@@ -43,8 +43,9 @@ def xml_chunks(path: str | Path) -> Iterator[FcdChunk]:
 
 def _check_place(path: str | Path, tag: Tag) -> None:
     if tag.depth == 1 and tag.name != ROOT:
+        found = printable(tag.name, 40)
         raise InputError(
-            f"{path}:{tag.line}: the root element is <{tag.name}>; a recording of SUMO's has <{ROOT}> (--fcd-output)"
+            f"{path}:{tag.line}: the root element is <{found}>; a recording of SUMO's has <{ROOT}> (--fcd-output)"
         )
     if tag.name == "vehicle":
         raise InputError(f"{path}:{tag.line}: <vehicle> outside a <timestep>; SUMO writes it inside one")

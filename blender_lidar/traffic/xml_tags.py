@@ -39,8 +39,8 @@ def start_tags(path: str | Path) -> Iterator[list[Tag]]:
     Raises
     ------
     MissingFileError, InputError
-        As `open_bytes`; and if the file is not well-formed XML, nests absurdly deep, or declares a document type, with
-        which come entities.
+        As `open_bytes`; and if the file is not well-formed XML, nests absurdly deep, or declares an encoding that
+        cannot be read or a document type, with which come entities.
     """
     path = Path(path)
     tags: list[Tag] = []
@@ -77,7 +77,11 @@ def start_tags(path: str | Path) -> Iterator[list[Tag]]:
                 raise InputError(
                     f"{path}:{error.lineno}: truncated or damaged XML ({expat.ErrorString(error.code)})"
                 ) from error
-            except LookupError as error:
-                raise InputError(f"{path}: XML in an {error}") from error
+            except InputError:  # a ValueError too
+                raise
+            except (LookupError, ValueError) as error:  # unknown, or such as only a few encodings are
+                raise InputError(
+                    f"{path}: XML in an encoding that cannot be read ({error}); SUMO writes UTF-8"
+                ) from error
             yield tags
             tags = []
