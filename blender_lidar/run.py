@@ -14,6 +14,7 @@ from .optimise import DePsoSettings, Search, make_search, search_from_state
 from .plots.binning import near_best_threshold
 from .results import INSTALLATION, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, versions
 from .scenario import Scenario, pose_at
+from .study.circumstances import scenery_counts
 from .study.evaluation import Evaluator
 from .study.installation import installation_text
 from .study.score_map import ScoreMap, map_scores
@@ -183,6 +184,7 @@ def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
         "sensor": site.model.name,
         "range_gate_m": scenario.sensor.range_gate_m,
         "imperfections": scenario.sensor.imperfections_as_table(),
+        "scenery": scenery_counts(site.observation.scenery),
         "caster": site.observation.caster,
         "detail": site.observation.detail,
         "metric": scenario.objective.metric,

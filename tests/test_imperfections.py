@@ -25,6 +25,7 @@ from blender_lidar.sensors.unit import unit_of
 from blender_lidar.study.evaluation import CountedFrame, Evaluator, Scoring
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.world.triangles import vehicle_triangles
+from tests.report_samples import Page
 from tests.sample_traffic import dense_traffic, one_vehicle
 from tests.small_scene import cli, without_charts, write_scene
 
@@ -405,7 +406,12 @@ def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
         assert code == 0, err
         results.append(json.loads((tmp_path / name / "result.json").read_text()))
         line = "range noise 0.02 m, drop-out 25 %, noise seed 1, unit 1 of units that differ by 0.03 deg"
-        assert (line in out) == bool(words)
+        page = Page((tmp_path / name / "report.html").read_text(encoding="utf-8"))
+        heading = page.text(page.find("header")[0])
+        sheet = (tmp_path / name / "installation.txt").read_text(encoding="utf-8")
+        for told in (out, heading, sheet):
+            assert (line in told) == bool(words)
+        assert ("imperfect" in heading) == bool(words)
     assert results[1]["imperfections"] == TOLD
     assert results[1]["objective"] == results[2]["objective"] != results[0]["objective"]
 

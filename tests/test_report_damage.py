@@ -131,6 +131,24 @@ def test_a_result_of_before_scenes_had_names_is_called_after_its_folder(folder):
     assert page.text(page.find("h1")[0]) == "run RS-16"
 
 
+def test_a_result_of_before_it_told_its_imperfections_and_scenery_has_a_page(folder):
+    result = result_of(folder)
+    del result["imperfections"], result["scenery"]
+    change(folder, result)
+    assert "Simulated with" not in report_html(folder)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("imperfections", None), ("imperfections", {}), ("scenery", 3), ("scenery", {"objects": 1, "triangles": -1})],
+)
+def test_imperfections_and_scenery_that_are_damaged_are_refused_by_name(folder, key, value):
+    change(folder, result_of(folder) | {key: value})
+    with pytest.raises(InputError, match=rf"result\.json: {key}") as caught:
+        report_html(folder)
+    one_line(caught.value)
+
+
 def test_a_page_that_cannot_be_written_is_one_line(folder):
     folder.file("report.html").unlink()
     folder.file("report.html").mkdir()

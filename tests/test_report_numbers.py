@@ -117,6 +117,10 @@ def test_the_answer_hides_no_doubt(runs):
     assert "loses 0.250" in answer(result | {"holdout": held | lost})
     assert "there may be no gain at all" in answer(result | {"holdout": held | {"interval_90": [-0.1, 0.2]}})
     assert "there may be no gain" not in answer(result | {"holdout": held | {"interval_90": [0.1, 0.2]}})
+    doubtful_loss = answer(result | {"holdout": held | lost | {"interval_90": [-0.5, 0.1]}})
+    assert "there may be no loss at all" in doubtful_loss
+    assert "no gain" not in doubtful_loss
+    assert "at all" not in answer(result | {"holdout": held | lost | {"interval_90": [-0.5, -0.1]}})
     assert "too few blocks of time for an interval" in answer(result | {"holdout": held | {"interval_90": None}})
     assert answer(result | {"objective": base["objective"]}).startswith("No mounting that was tried is better")
     whole = answer(result_of(RunFolder(runs / "whole")))

@@ -27,6 +27,7 @@ from blender_lidar.world.barriers import BARRIERS, barrier
 from blender_lidar.world.scenery import box, join
 from blender_lidar.world.shapes import STRUCTURE
 from blender_lidar.world.triangles import vehicle_triangles
+from tests.report_samples import Page
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import cli, without_charts, without_times, write_scene
 
@@ -46,6 +47,7 @@ HERE = [name for name in CASTERS if is_available(name)]
 WALL = {"centre_m": [0.0, 1.0, 2.5], "size_m": [60.0, 0.2, 5.0], "name": "wall"}
 
 HEDGE = {"centre_m": [0.0, 1.0, 1.0], "size_m": [60.0, 0.2, 2.0]}
+FAR = {"centre_m": [500.0, 1.0, 1.0], "size_m": [1.0, 1.0, 1.0]}
 
 
 def edges(corners):
@@ -228,6 +230,35 @@ def test_behind_a_wall_nothing_is_detectable_and_two_workers_agree_with_one(tmp_
     drop = {"identity"}
     same = [{k: v for k, v in without_times(r).items() if k not in drop} for r in (hedged, by_two)]
     assert same[0] == same[1]
+
+
+@pytest.mark.parametrize(
+    ("boxes", "counts", "words"),
+    [
+        ([], None, ""),
+        # the ends of both are too far away
+        ([WALL], {"objects": 1, "triangles": 8}, "1 object, 8 triangles within reach"),
+        ([WALL, HEDGE, FAR], {"objects": 2, "triangles": 16}, "2 objects, 16 triangles within reach"),
+        ([FAR], {"objects": 0, "triangles": 0}, "0 objects, 0 triangles within reach"),
+    ],
+)
+def test_a_run_tells_how_much_stands_within_its_reach(tmp_path, capsys, monkeypatch, boxes, counts, words):
+    without_charts(monkeypatch)
+    scene = write_scene(tmp_path, {"world": {"boxes": boxes}} if boxes else None)
+    code, out, err = cli(capsys, "evaluate", scene, "--height", 3, "--out", tmp_path / "run")
+    assert code == 0, err
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    page = Page((tmp_path / "run" / "report.html").read_text(encoding="utf-8"))
+    sheet = (tmp_path / "run" / "installation.txt").read_text(encoding="utf-8")
+    assert result["scenery"] == counts
+    assert [line for line in out.splitlines() if line.startswith("Scenery")] == (
+        [f"Scenery    {words}"] if words else []
+    )
+    assert (f"Simulated with scenery: {words}" in page.text(page.find("header")[0])) == bool(words)
+    assert (f"- as simulated with scenery: {words}" in sheet) == bool(words)
+    assert ("barriers between the sensor and the lanes are not in the model" in sheet) == (
+        not (counts or {}).get("objects")
+    )
 
 
 def test_without_ground_a_scan_keeps_vehicles_and_scenery_alone(tmp_path, capsys):

@@ -18,6 +18,7 @@ from ..reporting.summary import (
 )
 from ..results import RunFolder
 from ..run import Outcome
+from ..study.circumstances import imperfections_text, scenery_counts, scenery_text
 from ..study.site import Site
 from ..study.verdict import distance_bands, lanes
 
@@ -31,7 +32,8 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
     sensor = f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz"
     lines = [
         ("Sensor", f"{sensor}, range gate {observation.max_range_m:g} m"),
-        *(("", text) for text in _imperfections(scenario.sensor)),
+        *_given("", imperfections_text(scenario.sensor.imperfections_as_table())),
+        *_given("Scenery", scenery_text(scenery_counts(observation.scenery))),
         (
             "Traffic",
             f"{scenario.traffic.path}: {len(site.recording.frames)} frames, "
@@ -54,18 +56,9 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
     return "\n".join(f"{name:<10} {text}" for name, text in lines)
 
 
-def _imperfections(sensor):
-    """What is imperfect about the sensor, in a line; none where nothing is."""
-    texts = []
-    if sensor.range_noise_m:
-        texts.append(f"range noise {sensor.range_noise_m:g} m")
-    if sensor.dropout:
-        texts.append(f"drop-out {100 * sensor.dropout:g} %")
-    if texts:
-        texts.append(f"noise seed {sensor.noise_seed}")
-    if sensor.unit_spread_deg:
-        texts.append(f"unit {sensor.unit} of units that differ by {sensor.unit_spread_deg:g} deg")
-    return [", ".join(texts)] if texts else []
+def _given(name, text):
+    """A line of the heading, if there is something to say."""
+    return [(name, text)] if text else []
 
 
 def comparison(outcome: Outcome) -> str:

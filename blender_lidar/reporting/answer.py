@@ -59,17 +59,17 @@ def _worth(result):
     gain = _gain(found, base)
     return (
         f"on {on} {_percent(found)} of the vehicles are detectable instead of {_percent(base)} under the baseline, and "
-        f"a vehicle {'gains' if gain >= 0.0 else 'loses'} {abs(gain):.3f} bits{_interval(result)}"
+        f"a vehicle {'gains' if gain >= 0.0 else 'loses'} {abs(gain):.3f} bits{_interval(result, gain)}"
     )
 
 
-def _interval(result):
+def _interval(result, gain):
     if result["holdout"] is None:
         return "; nothing was held out, so that there is no interval"
     if result["holdout"]["interval_90"] is None:
         return "; there are too few blocks of time for an interval"
     low, high = result["holdout"]["interval_90"]
-    doubt = "" if low > 0.0 or high < 0.0 else ", so that there may be no gain at all"
+    doubt = "" if low > 0.0 or high < 0.0 else f", so that there may be no {'gain' if gain >= 0.0 else 'loss'} at all"
     return f" (90 % interval of the gain {minus(f'{low:.3f} to {high:.3f}')}{doubt})"
 
 

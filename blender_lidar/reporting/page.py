@@ -10,6 +10,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..results import REPORT, RunFolder
+from ..study.circumstances import imperfections_text, scenery_text
 from ..study.verdict import distance_bands, lanes
 from .answer import answer, key_figures
 from .elements import Markup, element, joined, many
@@ -106,9 +107,18 @@ def _heading(run: StoredRun):
         element("p", kind, class_="kind"),
         element("h1", run.name, " ", element("span", result["sensor"])),
         element("p", " · ".join(facts), class_="facts"),
+        *(element("p", text, class_="facts") for text in _circumstances(result)),
         element("p", answer(result), class_="answer"),
         element("dl", *figures, class_="figures"),
     )
+
+
+def _circumstances(result):
+    """What the answer holds under; results of earlier versions may not say."""
+    if "imperfections" in result and (imperfect := imperfections_text(result["imperfections"])):
+        yield f"Simulated with an imperfect sensor: {imperfect}"
+    if scenery := scenery_text(result.get("scenery")):
+        yield f"Simulated with scenery: {scenery}"
 
 
 def _renders(run: StoredRun):

@@ -29,9 +29,9 @@ class Nullable:
 
 @dataclass(frozen=True, slots=True)
 class MayLack:
-    """A key that earlier versions did not write; where it is there, its value is of this kind."""
+    """A key that earlier versions did not write; where it is there, its value is of this kind or shape."""
 
-    kind: Kind
+    kind: Kind | Nullable | Mapping[str, object]
 
 
 def is_number(value: object) -> bool:

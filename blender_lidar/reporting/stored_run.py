@@ -52,9 +52,15 @@ _IDENTITY = {
     "[objective] view": TEXT,
     **{f"[deployment] {key}": NUMBER_OR_PAIR for key in COORDINATES},
 }
+_IMPERFECTIONS = {
+    **dict.fromkeys(("range_noise_m", "dropout", "unit_spread_deg"), NUMBER),
+    **dict.fromkeys(("unit", "noise_seed"), COUNT),
+}
 _KINDS = {int: COUNT, float: NUMBER, str: TEXT, tuple: TEXTS}
 _RESULT = _JUDGED | {
     "scene": MayLack(TEXT),
+    "imperfections": MayLack(_IMPERFECTIONS),
+    "scenery": MayLack(Nullable(dict.fromkeys(("objects", "triangles"), COUNT))),
     **dict.fromkeys(("sensor", "caster", "detail", "metric"), TEXT),
     **dict.fromkeys(("evaluations", "seed", "frames", "vehicles"), COUNT),
     **dict.fromkeys(("range_gate_m", "block_s", "seconds"), NUMBER),

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..scenario import pose_at
 from ..sensors.pose import Pose
+from .circumstances import imperfections_text, scenery_counts, scenery_text
 from .site import Site
 
 _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
@@ -22,7 +23,7 @@ def installation_text(site: Site, result: dict) -> str:
         _placement(site, mount, pose),
         ["", "Check on site"],
         _checks(site, pose),
-        ["", *_expected(result)],
+        ["", *_expected(result), *_circumstances(site)],
     )
     return "\n".join(line for part in parts for line in part) + "\n"
 
@@ -68,9 +69,16 @@ def _checks(site: Site, pose: Pose):
         f"  {dip_quarter:.1f} deg a quarter turn clockwise from it (a negative fall is a rise).",
         f"- {_lowest_beam(site, pose)}",
         f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz.",
-        "- Poles, signs, trees and barriers between the sensor and the lanes are not in the model: look for them.",
+        f"- {_obstacles(site)}",
         "- blind_zones.png shows where vehicles stay below the threshold.",
     ]
+
+
+def _obstacles(site: Site):
+    standing = site.observation.scenery
+    if standing is None or not len(standing.scenery):
+        return "Poles, signs, trees and barriers between the sensor and the lanes are not in the model: look for them."
+    return "Look for poles, signs, trees and barriers between the sensor and the lanes that the scene does not have."
 
 
 def _dip_deg(pose, sensor_axis):
@@ -112,3 +120,13 @@ def _expected(result):
             f"  the best tilt between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time)",
         ]
     return lines
+
+
+def _circumstances(site: Site):
+    """What these figures hold under."""
+    imperfect = imperfections_text(site.scenario.sensor.imperfections_as_table())
+    scenery = scenery_text(scenery_counts(site.observation.scenery))
+    return [
+        *([f"- as simulated with an imperfect sensor: {imperfect}"] if imperfect else []),
+        *([f"- as simulated with scenery: {scenery}"] if scenery else []),
+    ]
