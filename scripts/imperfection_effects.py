@@ -1,0 +1,102 @@
+"""What an imperfect sensor changes about the score of one mounting, over several seeds of its noise or units of it.
+
+    python scripts/imperfection_effects.py [SCENE.toml] [--sensor RS-16] [--draws 8] [--height 4.5] [--tilt-x 20]
+
+Each imperfection is on alone; the searched frames and the mounting, the scene's baseline unless one is given, stay. The
+table has what each adds to the score of the perfect sensor, which is its first row: mean over the draws, and standard
+deviation between them. Occupancy is the mean of the three views'.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from blender_lidar.commands.options import add_pose, mounting_from
+from blender_lidar.errors import BlenderLidarError
+from blender_lidar.optimise import vehicle_score
+from blender_lidar.scenario import load_scenario, pose_at
+from blender_lidar.study.site import Site, lattice_of, prepare, standing_scenery
+from blender_lidar.study.vehicle_table import vehicle_table
+
+PERFECT = {"range_noise_m": 0.0, "dropout": 0.0, "unit_spread_deg": 0.0}
+EFFECTS = (
+    # name, what is on, what differs from draw to draw
+    ("range noise 0.02 m", {"range_noise_m": 0.02}, "noise_seed"),
+    ("range noise 0.05 m", {"range_noise_m": 0.05}, "noise_seed"),
+    ("drop-out 0.1", {"dropout": 0.1}, "noise_seed"),
+    ("unit spread 0.03 deg", {"unit_spread_deg": 0.03}, "unit"),
+    ("unit spread 0.1 deg", {"unit_spread_deg": 0.1}, "unit"),
+)
+SCORES = ("objective [bits]", "detectable [%]", "occupancy [%]", "points")
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = _arguments(argv)
+    given = {("sensor", "name"): (args.sensor, "--sensor"), ("traffic", "frames"): (args.frames, "--frames")}
+    try:
+        scenario = load_scenario(args.scene, {key: value for key, value in given.items() if value[0] is not None})
+        mount = mounting_from(args, scenario)
+        print_effects(prepare(scenario, mount), mount, args.draws)
+    except BlenderLidarError as error:
+        print(f"imperfection_effects: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def print_effects(site: Site, mount: dict[str, float], draws: int) -> None:
+    """Print the table, a row as soon as it is known."""
+    perfect = scores(site, mount, PERFECT)
+    print(
+        f"{site.model.name} at {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg; {len(site.search)} frames, "
+        f"{draws} draws; per vehicle"
+    )
+    print(f"{'':<22}" + "".join(f"{name:>24}" for name in SCORES))
+    print(f"{'perfect':<22}" + "".join(f"{value:>24.4f}" for value in perfect))
+    for name, on, drawn in EFFECTS:
+        added = [scores(site, mount, {**PERFECT, **on, drawn: draw}) - perfect for draw in range(1, draws + 1)]
+        spread = np.std(added, axis=0, ddof=1) if draws > 1 else np.full(len(SCORES), np.nan)
+        cells = (f"{mean:+.4f} (sd {sd:.4f})" for mean, sd in zip(np.mean(added, axis=0), spread, strict=True))
+        print(f"{name:<22}" + "".join(f"{cell:>24}" for cell in cells), flush=True)
+
+
+def scores(site: Site, mount: dict[str, float], sensor_settings: dict[str, float]) -> np.ndarray:
+    """`SCORES` of a mounting on the searched frames under other settings of [sensor]."""
+    sensor = replace(site.scenario.sensor, **sensor_settings)
+    scenario, observation, scoring = replace(site.scenario, sensor=sensor), site.observation, site.scoring
+    observation = replace(
+        observation,
+        lattice=lattice_of(sensor),
+        imperfections=sensor.imperfections,
+        scenery=standing_scenery(scenario, observation.caster, mount),
+    )
+    table = vehicle_table(site.search, pose_at(mount), observation, scoring, "search")
+    objective = vehicle_score(table["entropy_bits"], table["detectable"], scoring.loss, scoring.reading)
+    occupancy = np.mean([table[f"p_{view}"] for view in ("top", "side", "front")], axis=0)
+    return np.array(
+        [objective.mean(), 100 * table["detectable"].mean(), 100 * occupancy.mean(), table["points"].mean()]
+    )
+
+
+def _arguments(argv):
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", nargs="?", default=str(Path(__file__).parents[1] / "scenes" / "i80.toml"))
+    parser.add_argument("--sensor")
+    parser.add_argument("--frames", type=_positive)
+    parser.add_argument("--draws", type=_positive, default=8)
+    add_pose(parser)
+    return parser.parse_args(argv)
+
+
+def _positive(text):
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"is {text!r}; allowed: a whole number from 1")
+    return int(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
