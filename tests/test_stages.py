@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from contextlib import contextmanager
 
 import pytest
 
 from blender_lidar.errors import InputError, OutputError
+from blender_lidar.formats.lock import folder_lock
+from blender_lidar.study import stages
 from blender_lidar.study.stages import IDENTITY, STAGES, StudyFolder
 
 SETTINGS = {"seed": 1, "file": "abc"}
@@ -76,11 +79,38 @@ def test_a_damaged_identity_is_refused_by_name(tmp_path, text):
         StudyFolder(tmp_path, SETTINGS).check(resume=True)
 
 
-def test_a_damaged_stage_is_refused_by_name(tmp_path):
+@pytest.mark.parametrize("text", ["{", "{}", "[]", "null", '{"sha256": "", "value": {}}'])
+def test_a_damaged_stage_is_refused_by_name(tmp_path, text):
     with StudyFolder(tmp_path, SETTINGS).locked() as folder:
-        (tmp_path / STAGES / "one.json").write_text("{")
-        with pytest.raises(InputError, match=r"one\.json: is damaged"):
+        (tmp_path / STAGES / "one.json").write_text(text)
+        with pytest.raises(InputError, match=r"one\.json: is damaged: .*; remove it"):
             folder.stage("one", lambda: 1)
+
+
+def test_a_stage_in_which_one_digit_has_changed_is_refused(tmp_path):
+    with StudyFolder(tmp_path, SETTINGS).locked() as folder:
+        folder.stage("one", lambda: {"gain": [0.25, 1 / 3, float("nan")], 2: "ü"})
+        folder.stage("one", lambda: None)
+        path = tmp_path / STAGES / "one.json"
+        path.write_text(path.read_text().replace("0.25", "0.26"))
+        with pytest.raises(InputError, match=r"one\.json: is damaged: its content has changed"):
+            folder.stage("one", lambda: 1)
+
+
+def test_a_study_that_another_run_began_before_the_lock_was_had_is_not_written_into(tmp_path, monkeypatch):
+    @contextmanager
+    def late_lock(path):
+        """The other run comes and goes after our check and before our lock."""
+        monkeypatch.setattr(stages, "folder_lock", folder_lock)
+        with StudyFolder(path, SETTINGS | {"seed": 2}).locked() as other:
+            other.stage("one", lambda: "theirs")
+        with folder_lock(path):
+            yield
+
+    monkeypatch.setattr(stages, "folder_lock", late_lock)
+    with pytest.raises(InputError, match="had seed = 2, not 1"), StudyFolder(tmp_path, SETTINGS).locked(resume=True):
+        pass
+    assert json.loads((tmp_path / IDENTITY).read_text())["seed"] == 2
 
 
 def test_two_runs_cannot_work_in_one_folder(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from ..formats.lock import folder_lock
 
 IDENTITY = "study.json"
 STAGES = "stages"
+_DIGEST, _VALUE = "sha256", "value"  # of a stored stage
 
 
 class StudyFolder:
@@ -54,7 +56,10 @@ class StudyFolder:
         if self.file(IDENTITY).exists():
             self._check_identity(resume)
             return
-        present = [name for name in (STAGES, *self._results) if self.file(name).exists()]
+        present = [name for name in self._results if self.file(name).exists()]
+        stages = self.file(STAGES)
+        if stages.is_file() or any(stages.glob("*")):  # an empty folder is what `locked` makes
+            present.insert(0, STAGES)
         if present:
             raise InputError(f"--out: {self.path}: holds {present[0]}, which no study has written; give another folder")
 
@@ -75,6 +80,7 @@ class StudyFolder:
         except OSError as error:
             raise OutputError(f"--out: {self.path}: the folder cannot be made: {error.strerror}") from error
         with folder_lock(self.path):
+            self.check(resume=resume)  # again: another run may have come between the first check and the lock
             if not self.file(IDENTITY).exists():
                 write_text(self.file(IDENTITY), json.dumps(self._identity, indent=2) + "\n")
             self._sweep()
@@ -83,20 +89,26 @@ class StudyFolder:
     def stage(self, name: str, compute: Callable[[], object]) -> object:
         """What `compute` returns, from the folder if an earlier run has stored it there.
 
-        It goes through JSON either way, so that both are the same to the last digit.
+        It goes through JSON either way, so that both are the same to the last digit; its digest is stored with it.
 
         Raises
         ------
         InputError
-            When the stored file is damaged.
+            When the stored file is not as a run has left it.
         """
         path = self.file(STAGES) / f"{name}.json"
         if not path.exists():
-            write_text(path, json.dumps(compute()) + "\n")
+            text = json.dumps(compute())
+            write_text(path, f'{{"{_DIGEST}": "{_digest(text)}", "{_VALUE}": {text}}}\n')
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
+            stored = json.loads(path.read_text(encoding="utf-8"))
+            if not isinstance(stored, dict) or set(stored) != {_DIGEST, _VALUE}:
+                raise ValueError("it holds no stage")
+            if stored[_DIGEST] != _digest(json.dumps(stored[_VALUE])):
+                raise ValueError("its content has changed")
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: is damaged: {error}; remove it to have it made again") from error
+        return stored[_VALUE]
 
     def holds(self, name: str) -> bool:
         """Whether a stage is stored already."""
@@ -126,3 +138,7 @@ class StudyFolder:
         for folder in (self.path, self.file(STAGES)):
             for leftover in folder.glob(".*-????????.*"):
                 leftover.unlink(missing_ok=True)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
