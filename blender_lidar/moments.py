@@ -12,6 +12,7 @@ from .casting import resolve
 from .casting.standing import StandingScenery
 from .errors import MissingExtraError
 from .metrics.vgop import pe_vgop, to_vehicle_frame
+from .provenance import versions
 from .scan import PointCloud, scan
 from .scenario import Scenario, pose_at
 from .sensors.beams import BeamLattice
@@ -61,6 +62,23 @@ class MountedSensor:
             scenery=self.scenery,
             imperfections=self.scenario.sensor.imperfections,
         )
+
+    def cloud_header(self, vehicles: Vehicles) -> dict[str, object]:
+        """What made the cloud of a frame, for the file that holds it."""
+        lattice, sensor = self.lattice, self.scenario.sensor
+        return {
+            "sensor": lattice.model.name,
+            "pose": dict(self.mount),
+            "frame": vehicles.frame,
+            "caster": self.caster,
+            "detail": self.scenario.model.detail,
+            "ring_elevation_deg": np.degrees(lattice.elevation_rad).round(6).tolist(),
+            "azimuth_step_deg": float(np.degrees(lattice.step_rad)),
+            "rotation_hz": lattice.rotation_hz,
+            "range_m": [lattice.model.range_min_m, sensor.range_gate_m],
+            "imperfections": sensor.imperfections_as_table(),
+            "versions": versions(self.caster),
+        }
 
     def moment(self, vehicles: Vehicles, *, with_cloud: bool = True) -> Moment:
         """A frame and what the sensor sees of it, for `world.blender.scene`."""

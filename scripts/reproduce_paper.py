@@ -15,6 +15,7 @@ import sys
 import time
 from pathlib import Path
 
+from blender_lidar.case_study.identity import study_identity
 from blender_lidar.case_study.output import FILES, write_results
 from blender_lidar.case_study.report import report_text
 from blender_lidar.case_study.reproduce import reproduce
@@ -72,7 +73,7 @@ def _study(args):
     given = {name: getattr(args, name) for name in _SETTINGS}
     overrides = {_SETTINGS[name]: (value, f"--{name}") for name, value in given.items() if value is not None}
     case = open_case(args.scene, overrides, QUICK if args.quick else FULL)
-    folder = StudyFolder(args.out, case.identity(), FILES)
+    folder = StudyFolder(args.out, study_identity(case), FILES)
     with folder.locked(resume=args.resume):
         result = reproduce(case, folder, Progress)
         written = write_results(case, folder, result)

@@ -6,29 +6,35 @@ import copy
 import csv
 import importlib.util
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from blender_lidar.case_study.claims import claims
-from blender_lidar.case_study.clouds import busiest_frame
-from blender_lidar.case_study.distance import MEASURES, measure
+from blender_lidar.case_study.clouds import busiest_frame, write_clouds
+from blender_lidar.case_study.distance import MEASURES, by_distance, decomposition, measure
+from blender_lidar.case_study.identity import study_identity
+from blender_lidar.case_study.mountings import baseline_coordinates, coordinates
+from blender_lidar.case_study.optima import judged, landscape
 from blender_lidar.case_study.output import FILES, write_results
-from blender_lidar.case_study.published import SENSORS
+from blender_lidar.case_study.published import EVEN, SENSORS
 from blender_lidar.case_study.report import report_text
-from blender_lidar.case_study.reproduce import EVEN, reproduce
+from blender_lidar.case_study.reproduce import reproduce
+from blender_lidar.case_study.sensitivity import setting_of
 from blender_lidar.case_study.sites import Effort, open_case
 from blender_lidar.case_study.variants import AS_THE_SCENE, variants, with_even_beams
 from blender_lidar.errors import InputError
 from blender_lidar.formats.clouds import read_points
-from blender_lidar.scenario import pose_at
+from blender_lidar.moments import mounted_sensor
 from blender_lidar.study.evaluation import Evaluator
 from blender_lidar.study.stages import StudyFolder
 from tests.small_scene import MAPPED, without_charts, write_scene
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "reproduce_paper.py"
 TINY = Effort(frames=5, grid=(2, 3), wide_grid=(2, 2), iterations=1, sensitivity_frames=1, sensitivity_grid=(2, 2))
+WHOLE = {("sensor", "dropout"): (0.0, "test")}
 TABLES = ("table2.csv", "fig9.csv", "spacing.csv", "sensitivity.csv", "report.md", "case_study.json")
 
 
@@ -57,7 +63,7 @@ def scene(tmp_path_factory):
 
 def study(scene, out, counter=None, resume=False):
     case = open_case(str(scene), {}, TINY)
-    with StudyFolder(out, case.identity(), FILES).locked(resume=resume) as folder:
+    with StudyFolder(out, study_identity(case), FILES).locked(resume=resume) as folder:
         result = reproduce(case, folder, counter or Counter())
         return result, write_results(case, folder, result)
 
@@ -127,6 +133,8 @@ def test_the_decomposition_adds_up_and_agrees_with_fig_9(finished):
         mean = {name: of["mean"] for name, of in row.items() if isinstance(of, dict)}
         assert mean["change"] == pytest.approx(mean["change_evenly_spaced"] + mean["spacing"])
         assert mean["change_evenly_spaced"] == pytest.approx(mean["height_evenly_spaced"] + mean["tilt_evenly_spaced"])
+        assert mean["place_evenly_spaced"] == 0.0
+        assert mean["spacing"] == pytest.approx(mean["spacing_at_optimum"] - mean["spacing_at_baseline"])
         key = (row["band"], row["measure"])
         changes = {of["sensor"]: of["change"]["mean"] for of in result["fig9"] if (of["band"], of["measure"]) == key}
         assert mean["change"] == pytest.approx(changes["RS-80"])
@@ -213,17 +221,75 @@ def test_verdicts_follow_the_numbers(finished):
     changes(0.1, 0.105, 0.0)
     assert [verdict(result, number) for number in (3, 4)] == ["reproduced in part", "undecided"]
 
-    near = next(row for row in result["spacing"] if row["band"] == "0-20 m" and row["measure"] == "entropy_bits")
-    for change, even, spacing, expected in (
-        ((-0.2, -0.1), (0.0, 0.1), (-0.3, -0.2), "reproduced"),
-        ((-0.2, 0.1), (0.0, 0.1), (-0.3, -0.2), "reproduced in part"),  # no loss is shown
-        ((-0.2, -0.1), (-0.2, -0.1), (-0.3, -0.2), "reproduced in part"),  # even beams lose too
-        ((-0.2, -0.1), (-0.2, -0.1), (0.1, 0.2), "not reproduced"),
-        ((-0.2, -0.1), (-0.2, -0.1), (-0.1, 0.2), "undecided"),
-    ):
-        for effect, ends in (("change", change), ("change_evenly_spaced", even), ("spacing", spacing)):
-            near[effect] = {"mean": np.mean(ends), "interval_90": list(ends)}
-        assert verdict(result, 9) == expected
+
+LOST, LEVEL, WON = (-0.2, -0.1), (-0.1, 0.1), (0.1, 0.2)
+
+
+def told(ends):
+    return {"mean": None if ends is None else np.mean(ends), "interval_90": None if ends is None else list(ends)}
+
+
+@pytest.mark.parametrize(
+    ("near", "far", "expected"),
+    [
+        (WON, WON, "reproduced"),
+        (WON, LEVEL, "reproduced in part"),
+        (LEVEL, LEVEL, "undecided"),
+        (WON, LOST, "not reproduced"),
+    ],
+)
+def test_more_is_gained_far_away_only_if_the_interval_of_the_difference_says_so(finished, near, far, expected):
+    result = copy.deepcopy(finished[1])
+    for sensor, ends in (("RS-32", near), ("RS-80", far)):
+        for row in result["fig9_halves"]:
+            if row["sensor"] == sensor:
+                good = told(ends if row["measure"] == "detectable" else WON)
+                row.update({"near": 0.0, "far": good["mean"], "far_less_near": good})
+    assert verdict(result, 6) == expected
+
+
+@pytest.mark.parametrize(
+    ("share", "bits", "expected"),
+    [
+        (LOST, WON, "reproduced"),
+        (LEVEL, LOST, "undecided"),  # the entropy is no second chance
+        (WON, LOST, "not reproduced"),
+        (None, LOST, "undecided"),
+    ],
+)
+def test_the_detectable_share_alone_decides_on_the_loss_near_by(finished, share, bits, expected):
+    result = copy.deepcopy(finished[1])
+    for row in result["fig9"]:
+        if (row["sensor"], row["band"]) == ("RS-80", "0-20 m"):
+            row["change"] = {"mean": 0.0, "interval_90": None}
+            if ends := {"detectable": share, "entropy_bits": bits}.get(row["measure"]):
+                row["change"] = told(ends)
+    assert verdict(result, 8) == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "at_optimum", "spacing", "even", "expected"),
+    [
+        (LOST, LOST, LOST, WON, "reproduced"),
+        (LOST, LOST, LOST, LEVEL, "reproduced"),
+        (LOST, LOST, LOST, LOST, "reproduced in part"),  # even beams lose too
+        (LOST, LOST, LEVEL, LEVEL, "reproduced in part"),  # they were as much worse before
+        (LOST, LEVEL, LOST, WON, "undecided"),  # a lead that is lost, and no more
+        (LOST, WON, LOST, LOST, "not reproduced"),
+        (LEVEL, LOST, LOST, WON, "undecided"),  # no loss is shown, whatever else is
+        (WON, LOST, LOST, WON, "no loss here"),
+    ],
+)
+def test_uneven_beams_cause_a_loss_only_if_there_is_one_and_they_are_worse_at_the_optimum(
+    finished, change, at_optimum, spacing, even, expected
+):
+    result = copy.deepcopy(finished[1])
+    near = next(row for row in result["spacing"] if row["band"] == "0-20 m" and row["measure"] == "detectable")
+    near |= {"change": told(change), "spacing_at_optimum": told(at_optimum), "spacing": told(spacing)}
+    near["change_evenly_spaced"] = told(even)
+    assert verdict(result, 9) == expected
+    near["change"] = {"mean": -0.1, "interval_90": None}
+    assert verdict(result, 9) == "undecided"
 
 
 def test_clouds_are_those_of_the_busiest_judging_frame(finished, scene):
@@ -235,6 +301,86 @@ def test_clouds_are_those_of_the_busiest_judging_frame(finished, scene):
             points, vehicle_id = read_points(out / "clouds" / f"{sensor.lower()}_{name}.pcd")
             assert len(points) > 1000
             assert (vehicle_id >= 0).any()
+
+
+def test_clouds_are_those_that_the_scene_s_own_sensor_scans_with_what_makes_it_imperfect(tmp_path):
+    changes = {
+        "sensor": {"name": "RS-16", "rotation_hz": 20.0, "range_gate_m": 20.0, "dropout": 0.3, "range_noise_m": 0.02},
+        "world": {"ground": False, "boxes": [{"name": "sign", "centre_m": [5, 1, 2], "size_m": [0.5, 0.5, 4]}]},
+        "baseline": {"y_m": -1.0},
+    }
+    case = open_case(str(write_scene(tmp_path, MAPPED | changes)), {}, TINY)
+    site = case.site("RS-16")
+    mounts = {"baseline": baseline_coordinates(site), "optimised": coordinates(site, (4.0, 20.0))}
+    assert [mounts[name]["y_m"] for name in mounts] == [-1.0, 0.0]
+    names = write_clouds(site, tmp_path / "clouds", mounts)
+    vehicles = site.recording.vehicles(busiest_frame(site).vehicles.frame)
+    for name, mount in zip(names, mounts.values(), strict=True):
+        sensor = mounted_sensor(site.scenario, mount)
+        cloud = sensor.scan(vehicles)
+        whole = replace(sensor, scenario=case.site("RS-16", WHOLE).scenario).scan(vehicles)
+        assert 0.6 < len(cloud) / len(whole) < 0.8
+        assert (cloud.vehicle_id == -1).any()  # the sign, as there is no ground
+        points, vehicle_id = read_points(tmp_path / name)
+        np.testing.assert_array_equal(points, cloud.xyz.astype(np.float32))
+        np.testing.assert_array_equal(vehicle_id, cloud.vehicle_id)
+        head = (tmp_path / name).read_bytes()[:4000]
+        assert b'"dropout": 0.3' in head
+        assert json.dumps(mount).encode() in head
+
+
+def test_the_optimum_is_judged_where_it_was_searched_also_if_the_baseline_hangs_elsewhere(tmp_path):
+    elsewhere = {"baseline": {"y_m": -1.5, "x_m": 3.0, "yaw_deg": 20.0}, "traffic": {"frames": 5, "holdout": 0.0}}
+    scene = write_scene(
+        tmp_path,
+        MAPPED | {"traffic": {"path": "traffic.csv"} | elsewhere["traffic"]} | {"baseline": elsewhere["baseline"]},
+    )
+    case = open_case(str(scene), {}, TINY)
+    site = case.site("RS-80")
+    found = landscape(site, (2, 2))
+    height, tilt, best = found.map.best
+    of = {row["measure"]: row for row in by_distance(site, "RS-80", (height, tilt), 1)["bands"] if row["band"] == "all"}
+    assert of["objective_bits"]["optimised"] == pytest.approx(best)  # judged on the frames that were searched
+    assert of["objective_bits"]["baseline"] == pytest.approx(found.baseline["per_vehicle"])
+    scores = judged(site, {"grid": (height, tilt)}, 1)
+    assert scores["grid"]["objective_per_vehicle"] == pytest.approx(best)
+    assert scores["baseline"]["objective_per_vehicle"] == pytest.approx(found.baseline["per_vehicle"])
+    for row in decomposition(site, with_even_beams(site), (height, tilt), 1):
+        mean = {name: one["mean"] for name, one in row.items() if isinstance(one, dict)}
+        parts = [mean[f"{part}_evenly_spaced"] for part in ("place", "height", "tilt")]
+        assert sum(parts) + mean["spacing"] == pytest.approx(mean["change"])
+        if (row["band"], row["measure"]) == ("all", "objective_bits"):
+            assert mean["change"] == pytest.approx(best - found.baseline["per_vehicle"])
+            assert mean["place_evenly_spaced"] != 0.0
+
+
+def test_settings_are_varied_on_no_more_frames_than_are_searched(scene):
+    many = replace(TINY, frames=None, sensitivity_frames=15)
+    assert open_case(str(scene), {}, many).effort.sensitivity_frames == 6  # all that the scene searches
+    few = {("traffic", "frames"): (4, "--frames")}
+    assert open_case(str(scene), few, many).effort.sensitivity_frames == 4
+    assert open_case(str(scene), few, replace(many, sensitivity_frames=3)).effort.sensitivity_frames == 3
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "value"),
+    [
+        ("identity", "SCHEMA", 0),
+        ("identity", "WIDE", {"height_m": (2.0, 9.0)}),
+        ("identity", "NEAR_BEST", (0.02,)),
+        ("variants", "SETBACKS_M", (0.5, 5.0)),
+        ("variants", "REGION_SHARE", 0.6),
+        ("identity", "LOSSES", (0.0,)),
+    ],
+)
+def test_a_study_that_was_asked_something_else_is_not_gone_on_with(scene, tmp_path, monkeypatch, module, name, value):
+    case = open_case(str(scene), {}, TINY)
+    with StudyFolder(tmp_path / "run", study_identity(case)).locked():
+        pass
+    StudyFolder(tmp_path / "run", study_identity(case)).check(resume=True)
+    monkeypatch.setattr(f"blender_lidar.case_study.{module}.{name}", value)
+    with pytest.raises(InputError, match="the study there had study"):
+        StudyFolder(tmp_path / "run", study_identity(case)).check(resume=True)
 
 
 def test_a_study_that_was_stopped_comes_to_the_same_files(finished, scene, tmp_path, monkeypatch):
@@ -253,13 +399,12 @@ def test_a_study_that_was_stopped_comes_to_the_same_files(finished, scene, tmp_p
 
 def test_what_is_measured_vehicle_by_vehicle_is_what_an_evaluator_sums(scene):
     site = with_even_beams(open_case(str(scene), {}, TINY).site("RS-80"))
-    seen = measure(site, (3.5, 10.0))
+    seen = measure(site, coordinates(site, (3.5, 10.0)))
     with Evaluator(site.holdout, site.observation, site.scoring) as evaluator:
-        pose = pose_at({**site.scenario.baseline, "height_m": 3.5, "tilt_x_deg": 10.0})
-        totals = evaluator.totals([pose])
+        totals = evaluator.totals([site.scenario.deployment.pose((3.5, 10.0))])
     assert seen["objective_bits"].sum() == pytest.approx(totals.objective.sum())
     assert seen["detectable"].sum() == totals.detectable.sum()
-    assert {len(seen[name]) for name in (*MEASURES, "band", "block")} == {totals.vehicles.sum()}
+    assert {len(seen[name]) for name in (*MEASURES, "distance_m", "block")} == {totals.vehicles.sum()}
 
 
 def test_a_changed_region_counts_fewer_vehicles_and_a_turned_sensor_sees_along_other_azimuths(scene):
@@ -292,10 +437,10 @@ def test_without_held_out_frames_the_searched_ones_judge_and_the_report_says_so(
     without_charts(monkeypatch)
     case = open_case(str(scene), {("traffic", "holdout"): (0.0, "test")}, TINY)
     monkeypatch.setattr("blender_lidar.case_study.reproduce.sensitivity_variants", lambda case: [])
-    with StudyFolder(tmp_path / "run", case.identity(), FILES).locked() as folder:
+    with StudyFolder(tmp_path / "run", study_identity(case), FILES).locked() as folder:
         result = reproduce(case, folder, Counter())
     text = report_text(result)
-    assert "searched frames judge" in text
+    assert f"{len(case.site('RS-16').search)} searched frames in {result['judged_blocks']} blocks of time judge" in text
     assert "(searched frames)" in text
     assert result["sensors"]["RS-16"]["judged"]["grid"]["holdout"] is None
 
@@ -337,13 +482,144 @@ def test_a_scene_that_is_not_there_is_one_line(capsys):
     assert capsys.readouterr().err == "reproduce_paper: missing.toml: there is no such file\n"
 
 
-def test_the_charts_show_the_result(finished, tmp_path):
+@pytest.fixture
+def figures(monkeypatch):
+    """The figures of a test by the name of their file; they are written all the same."""
     pytest.importorskip("matplotlib", reason="charts need matplotlib")
-    from blender_lidar.case_study.charts import draw_charts
-    from tests.chart_samples import grey_pixels
+    from blender_lidar.plots import canvas
 
-    _, result, _ = finished
-    names = draw_charts(result, lambda name: tmp_path / name, EVEN)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
-    for name in names:
-        assert 0.01 < np.mean(grey_pixels(tmp_path / name) < 0.9) < 0.9
+    saved, save = {}, canvas.save
+
+    def keep(figure, path):
+        save(figure, path)
+        saved[Path(path).name] = figure
+
+    monkeypatch.setattr(canvas, "save", keep)
+    return saved
+
+
+@pytest.fixture(scope="module")
+def telling(finished):
+    """The result with shares, changes and tilts that are all different, as those of a few vehicles are not."""
+    result, rng = copy.deepcopy(finished[1]), np.random.default_rng(1)
+    for row in result["fig9"]:
+        row |= {"baseline": rng.uniform(), "optimised": rng.uniform()}
+        row["change"] = told(rng.uniform((-0.2, 0.1), (0.1, 0.3)))
+    for row in result["sensitivity"]:
+        if not row["note"]:
+            row["tilt_deg"] = rng.uniform(5.0, 20.0)
+    return result
+
+
+@pytest.fixture
+def charts(telling, tmp_path, figures):
+    from blender_lidar.case_study.charts import draw_charts
+
+    names = draw_charts(telling, lambda name: tmp_path / name, EVEN)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names) == sorted(figures)
+    return figures
+
+
+def of_sensor(rows, sensor, **wanted):
+    return [
+        row
+        for row in rows
+        if row["sensor"] == sensor
+        and row.get("band") != "all"
+        and all(row[key] == value for key, value in wanted.items())
+    ]
+
+
+def drawn_means(container):
+    """Middles and ends of what `errorbar` has drawn, (n,) and (n, 2)."""
+    line, _, bars = container
+    return line.get_ydata(), np.array([segment[:, 1] for segment in bars[0].get_segments()])
+
+
+def assert_means(container, found):
+    middle, ends = drawn_means(container)
+    np.testing.assert_allclose(middle, [of["mean"] for of in found])
+    np.testing.assert_allclose(ends, [of["interval_90"] or [of["mean"]] * 2 for of in found], atol=1e-12)
+
+
+def test_the_chart_of_table_2_has_each_sensor_s_optimum_and_rivals_in_its_own_panel(telling, charts):
+    result = telling
+    panels = [axes for axes in charts["table2.png"].axes if axes.get_title(loc="left") in SENSORS]
+    assert [axes.get_title(loc="left") for axes in panels] == list(SENSORS)
+    for sensor, axes in zip(SENSORS, panels, strict=True):
+        of = result["sensors"][sensor]
+        markers = [tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1]
+        published, search = of["published"], of["de_pso"]
+        assert markers == [
+            (published["tilt_deg"], published["height_m"]),
+            (search["tilt_x_deg"], search["height_m"]),
+            tuple(of["baseline_mounting"][::-1]),
+            (of["tilt_deg"], of["height_m"]),
+        ]
+
+
+def test_the_chart_of_fig_9_has_shares_before_and_after_and_changes_with_intervals(telling, charts):
+    result, axes = telling, charts["fig9.png"].axes
+    for sensor, upper, lower in zip(SENSORS, axes[:3], axes[3:], strict=True):
+        assert upper.get_title(loc="left") == sensor
+        shares = of_sensor(result["fig9"], sensor, measure="detectable")
+        lines = {line.get_label(): line.get_ydata() for line in upper.lines}
+        np.testing.assert_allclose(lines["baseline"], [100 * row["baseline"] for row in shares])
+        np.testing.assert_allclose(lines["optimised"], [100 * row["optimised"] for row in shares])
+        names = [f"{label.get_text()} m" for label in lower.get_xticklabels()]
+        assert names == [row["band"] for row in shares]
+        drawn = [sensor, EVEN] if sensor == SENSORS[-1] else [sensor]
+        for container, of in zip(lower.containers, drawn, strict=True):
+            rows = of_sensor(result["fig9"], of, measure="entropy_bits")
+            assert_means(container, [row["change"] for row in rows])
+
+
+def test_the_chart_of_the_spacing_has_a_bar_for_each_effect_and_their_sum(telling, charts):
+    result, (axes,) = telling, charts["spacing.png"].axes
+    rows = [row for row in result["spacing"] if row["measure"] == "entropy_bits" and row["band"] != "all"]
+    bars = {of.get_label(): of for of in axes.containers if not of.get_label().startswith("_")}
+    total = bars.pop("all of the change")
+    effects = {"height": "height_evenly_spaced", "tilt": "tilt_evenly_spaced"}
+    effects["change of the uneven beams' lead"] = "spacing"
+    assert list(bars) == list(effects)
+    heights = {name: np.array([bar.get_height() for bar in of]) for name, of in bars.items()}
+    for name, effect in effects.items():
+        np.testing.assert_allclose(heights[name], [row[effect]["mean"] for row in rows])
+    assert_means(total, [row["change"] for row in rows])
+    np.testing.assert_allclose(sum(heights.values()), drawn_means(total)[0], atol=1e-12)
+
+
+def test_the_chart_of_the_settings_has_each_sensor_s_tilts_in_its_own_panel(telling, charts):
+    result, panels = telling, charts["sensitivity.png"].axes
+    settings = [label.get_text() for label in panels[0].get_yticklabels()]
+    for sensor, axes in zip(SENSORS, panels, strict=True):
+        assert axes.get_title(loc="left") == sensor
+        rows = [row for row in of_sensor(result["sensitivity"], sensor) if not row["note"]]
+        points = [tuple(line.get_xydata()[0]) for line in axes.lines if line.get_marker() == "o"]
+        assert [tilt for tilt, _ in points] == [row["tilt_deg"] for row in rows]
+        for (_, at), row in zip(points, rows, strict=True):
+            assert settings[int(at)] == " ".join(setting_of(row)).strip()
+
+
+def test_headings_fit_their_pictures_and_say_on_how_much_they_stand(finished, charts):
+    from matplotlib.text import Text
+
+    for name, figure in charts.items():
+        for text in (*figure.texts, *(label for axes in figure.axes for label in (axes.title, axes.xaxis.label))):
+            assert text.get_window_extent().x1 <= figure.bbox.x1, f"{name}: {text.get_text()}"
+    said = f"{finished[1]['judged_frames']} held-out frames in {finished[1]['judged_blocks']} blocks of time"
+    for name in ("fig9.png", "spacing.png"):
+        assert said in "\n".join(text.get_text() for text in charts[name].findobj(Text))
+    assert said in (finished[0] / "report.md").read_text(encoding="utf-8")
+
+
+def test_clouds_are_drawn_with_the_sensor_where_each_mounting_has_it(tmp_path, figures):
+    from blender_lidar.case_study.clouds import draw_clouds
+
+    site = open_case(str(write_scene(tmp_path, MAPPED | {"baseline": {"y_m": -1.0}})), {}, TINY).site("RS-16")
+    mounts = {"baseline": baseline_coordinates(site), "optimised": coordinates(site, (4.0, 20.0))}
+    draw_clouds(site, tmp_path / "fig8.png", mounts)
+    panels = figures["fig8.png"].axes[:2]
+    places = [[tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1] for axes in panels]
+    assert places == [[(0.0, -1.0)], [(0.0, 0.0)]]
+    assert "height 4.00 m, tilt 20.0°" in panels[1].get_title(loc="left")

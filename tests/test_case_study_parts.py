@@ -9,14 +9,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_lidar.case_study.distance import EFFECTS, banded, effects
+from blender_lidar.case_study.distance import EFFECTS, banded, effects, halves
 from blender_lidar.case_study.optima import Landscape, joint_optima, near_best, order_shares
 from blender_lidar.case_study.published import PUBLISHED
 from blender_lidar.case_study.sensitivity import _with_missed, orders
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.study.score_map import ScoreMap
-from blender_lidar.study.statistics import RESAMPLES, interval_90, ratio_interval_90, student_t_95
+from blender_lidar.study.statistics import (
+    RESAMPLES,
+    block_sums,
+    difference_interval_90,
+    interval_90,
+    ratio_interval_90,
+    student_t_95,
+)
 
+CORNERS = ("baseline", "00", "10", "01", "11")
 HEIGHT, TILT = np.linspace(2.0, 4.5, 4), np.linspace(0.0, 25.0, 5)
 
 
@@ -137,22 +145,26 @@ def test_another_loss_is_worked_out_as_if_every_vehicle_were_scored_again(missed
 @given(seed=st.integers(0, 1000))
 def test_the_effects_add_up_to_the_change(seed):
     rng = np.random.default_rng(seed)
-    real, even = ({corner: rng.normal(size=6) for corner in ("00", "10", "01", "11")} for _ in range(2))
+    real, even = ({corner: rng.normal(size=6) for corner in CORNERS} for _ in range(2))
     found = effects(real, even)
     assert tuple(found) == EFFECTS
-    np.testing.assert_allclose(found["change"], real["11"] - real["00"])
+    np.testing.assert_allclose(found["change"], real["11"] - real["baseline"])
     np.testing.assert_allclose(found["change_evenly_spaced"] + found["spacing"], found["change"])
     np.testing.assert_allclose(
-        found["height_evenly_spaced"] + found["tilt_evenly_spaced"], found["change_evenly_spaced"]
+        found["place_evenly_spaced"] + found["height_evenly_spaced"] + found["tilt_evenly_spaced"],
+        found["change_evenly_spaced"],
     )
+    np.testing.assert_allclose(found["spacing_at_optimum"], real["11"] - even["11"])
+    np.testing.assert_allclose(found["spacing_at_baseline"] + found["spacing"], found["spacing_at_optimum"])
 
 
 def test_a_table_that_is_even_already_has_no_effect_of_spacing_and_a_height_that_does_nothing_none_of_height():
     rng = np.random.default_rng(1)
     corners = {corner: rng.normal(size=5) for corner in ("00", "01")}
-    corners |= {"10": corners["00"], "11": corners["01"]}
+    corners |= {"10": corners["00"], "11": corners["01"], "baseline": corners["00"]}
     found = effects(corners, corners)
-    for effect in ("spacing", "spacing_at_baseline", "height_evenly_spaced"):
+    nothing = ("spacing", "spacing_at_baseline", "spacing_at_optimum", "place_evenly_spaced", "height_evenly_spaced")
+    for effect in nothing:
         np.testing.assert_array_equal(found[effect], 0.0)
     np.testing.assert_allclose(found["tilt_evenly_spaced"], corners["01"] - corners["00"])
 
@@ -173,6 +185,50 @@ def test_the_interval_of_a_band_is_that_of_a_loop_over_resampled_blocks():
 
 def test_a_band_with_too_few_blocks_has_no_interval():
     assert banded(np.ones(4), np.array([0, 0, 1, 1]), 1) == {"mean": 1.0, "interval_90": None}
+
+
+def test_the_halves_of_the_bands_are_those_of_a_loop_over_vehicles():
+    rng = np.random.default_rng(6)
+    change, distance = rng.normal(0.0, 1.0, 90), rng.choice([5.0, 25.0, 70.0, 150.0, 155.0], 90)
+    block = rng.integers(0, 6, 90)
+    rows = list(zip(change.tolist(), distance.tolist(), block.tolist(), strict=True))
+    near = [(value, label) for value, away, label in rows if away < 40.0]
+    far = [(value, label) for value, away, label in rows if away > 40.0]  # bands 60-80 m and 140-160 m
+    found = halves(change, {"distance_m": distance, "block": block}, 3)
+    means = [np.mean([value for value, _ in some]) for some in (near, far)]
+    assert [found["near"], found["far"], found["far_less_near"]["mean"]] == pytest.approx([*means, means[1] - means[0]])
+    sums = [
+        (
+            np.array([sum(v for v, of in some if of == b) for b in range(6)]),
+            np.array([sum(of == b for _, of in some) for b in range(6)]),
+        )
+        for some in (far, near)
+    ]
+    assert found["far_less_near"]["interval_90"] == pytest.approx(difference_interval_90(*sums, 3))
+
+
+def test_of_three_bands_the_middle_one_is_far_and_one_band_has_no_halves():
+    measured = {"distance_m": np.array([5.0, 25.0, 45.0]), "block": np.zeros(3)}
+    found = halves(np.array([1.0, 2.0, 4.0]), measured, 1)
+    assert found == {"near": 1.0, "far": 3.0, "far_less_near": {"mean": 2.0, "interval_90": None}}
+    assert halves(np.ones(3), measured | {"distance_m": np.full(3, 5.0)}, 1)["near"] is None
+
+
+def test_the_interval_of_a_difference_is_that_of_a_loop_also_where_a_block_lacks_one_of_the_two():
+    rng = np.random.default_rng(4)
+    values, block, far = rng.normal(1.0, 1.0, 80), rng.integers(0, 5, 80), rng.uniform(size=80) < 0.5
+    far[block == 0] = False
+    sums = [tuple(block_sums(of, block) for of in (np.where(rows, values, 0.0), rows)) for rows in (far, ~far)]
+    differences = []
+    for draw in np.random.default_rng(11).integers(5, size=(RESAMPLES, 4)).tolist():
+        picked = [np.concatenate([values[rows & (block == label)] for label in draw]) for rows in (far, ~far)]
+        if len(picked[0]) and len(picked[1]):
+            differences.append(picked[0].mean() - picked[1].mean())
+    middle, reach = values[far].mean() - values[~far].mean(), student_t_95(4) * np.std(differences)
+    np.testing.assert_allclose(difference_interval_90(*sums, 11), [middle - reach, middle + reach])
+    assert len(differences) < RESAMPLES
+    nothing = (np.zeros(5), np.array([1, 1, 0, 0, 0]))
+    assert difference_interval_90(sums[0], nothing, 11) is None
 
 
 def test_the_optima_interval_is_that_of_the_resamples():

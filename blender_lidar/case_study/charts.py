@@ -10,14 +10,9 @@ import numpy as np
 
 from ..plots.changes import Bands, Mean, Point, plot_before_after, plot_effects, plot_settings
 from ..plots.near_best import GainMap, plot_gain_maps
+from .distance import effects_shown
 from .published import SENSORS
 from .sensitivity import setting_of
-
-EFFECT_NAMES = {
-    "height_evenly_spaced": "height",
-    "tilt_evenly_spaced": "tilt",
-    "spacing": "uneven spacing",
-}
 
 
 def draw_charts(result: Mapping, file: Callable[[str], Path], evenly_spaced: str) -> list[str]:
@@ -38,7 +33,7 @@ def draw_charts(result: Mapping, file: Callable[[str], Path], evenly_spaced: str
         When matplotlib is not installed.
     """
     about = f"{result['reading']} reading, {result['frames']} frames, intervals from {result['blocks']} blocks of time"
-    judged = f"{result['judged_frames']} {result['judged_on']} frames"
+    judged = f"{result['judged_frames']} {result['judged_on']} frames in {result['judged_blocks']} blocks of time"
     plot_gain_maps(
         file("table2.png"),
         [_gain_map(sensor, of) for sensor, of in result["sensors"].items()],
@@ -52,17 +47,17 @@ def draw_charts(result: Mapping, file: Callable[[str], Path], evenly_spaced: str
         share_label="Detectable share [%]",
         change_label="Change of the entropy\n[bits per vehicle]",
         title="Fig. 9: what is seen, by distance",
-        subtitle=judged,
+        subtitle=f"{judged}, 90 % intervals by Student's t; evenly spaced beams at RS-80's optimum",
     )
     rows = [row for row in result["spacing"] if row["measure"] == "entropy_bits" and row["band"] != "all"]
     plot_effects(
         file("spacing.png"),
         [row["band"] for row in rows],
-        {name: [_mean(row[effect]) for row in rows] for effect, name in EFFECT_NAMES.items()},
+        {name: [_mean(row[effect]) for row in rows] for effect, name in effects_shown(rows).items()},
         ("all of the change", [_mean(row["change"]) for row in rows]),
         label="Change of the entropy\n[bits per vehicle]",
         title="RS-80: what height, tilt and uneven beams make of the change",
-        subtitle=f"{judged}, 90 % intervals; height and tilt with evenly spaced beams",
+        subtitle=f"{judged}, 90 % intervals by Student's t; against evenly spaced beams",
     )
     plot_settings(
         file("sensitivity.png"),

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping
 
-from .distance import of_band
+from .distance_claims import distance_claims, fig9_row
 from .published import PUBLISHED, SENSORS
-
-LIKELY, UNLIKELY = 0.9, 0.1  # probabilities from and up to which an order is taken as shown or as refuted
-REPRODUCED, IN_PART, REFUTED = "reproduced", "reproduced in part", "not reproduced"
-UNDECIDED, TIED = "undecided", "not shown: ties"
-NEAR = "0-20 m"
-FAR = "120-140 m"
-
-
-class Claim(NamedTuple):
-    """One claim of the paper's.
-
-    Attributes
-    ----------
-    text : str
-        What the paper says, and where.
-    ours : str
-        What we find.
-    verdict : str
-    """
-
-    text: str
-    ours: str
-    verdict: str
+from .verdicts import (
+    IN_PART,
+    LIKELY,
+    REFUTED,
+    REPRODUCED,
+    UNDECIDED,
+    Claim,
+    by_probability,
+    by_signs,
+    sign,
+    with_interval,
+)
 
 
 def claims(result: Mapping) -> list[Claim]:
@@ -40,33 +28,8 @@ def claims(result: Mapping) -> list[Claim]:
         _values(result),
         _improvement(result),
         _largest(result),
-        _everywhere(result),
-        _distant(result),
-        _far_band(result),
-        _near_loss(result),
-        _spacing(result),
+        *distance_claims(result),
     ]
-
-
-def sign(interval: Sequence[float] | None) -> int | None:
-    """1 or -1 where an interval lies above or below 0, 0 where it holds 0; None without an interval."""
-    if interval is None:
-        return None
-    return int(interval[0] > 0.0) - int(interval[1] < 0.0)
-
-
-def with_interval(found: Mapping, digits: int = 3, scale: float = 1.0) -> str:
-    """A mean and its interval as text."""
-    mean = f"{scale * found['mean']:+.{digits}f}"
-    if found["interval_90"] is None:
-        return f"{mean} (too few blocks for an interval)"
-    low, high = (scale * end for end in found["interval_90"])
-    return f"{mean} ({low:+.{digits}f} to {high:+.{digits}f})"
-
-
-def fig9_row(result: Mapping, sensor: str, band: str, measure: str) -> Mapping | None:
-    """A row of Fig. 9; None where the band holds no vehicle."""
-    return of_band([row for row in result["fig9"] if row["sensor"] == sensor], band, measure)
 
 
 def _heights(result):
@@ -80,7 +43,7 @@ def _heights(result):
         return Claim(text, ours, UNDECIDED)
     order = result["order"]["height"]
     ours += f"; rising in {_shares(order)}"
-    return Claim(text, ours, _by_probability(order["strict"], order["with_ties"]))
+    return Claim(text, ours, by_probability(order["strict"], order["with_ties"]))
 
 
 def _tilts(result):
@@ -93,7 +56,7 @@ def _tilts(result):
     for pair in order["pairs"]:
         above, equal = (100.0 * pair[key] for key in ("above", "equal"))
         ours += f"; {pair['first']} above {pair['second']} in {above:.0f} %, equal {equal:.0f} %"
-    verdict = _by_probability(order["strict"], order["with_ties"])
+    verdict = by_probability(order["strict"], order["with_ties"])
     sure = [pair for pair in order["pairs"] if pair["above"] >= LIKELY]
     return Claim(text, ours, IN_PART if sure and verdict != REPRODUCED else verdict)
 
@@ -128,7 +91,7 @@ def _improvement(result):
     ours = "detectable share, points: " + ", ".join(
         f"{sensor} {with_interval(row['change'], 0, 100.0)}" for sensor, row in rows.items()
     )
-    return Claim(text, ours, _by_signs([sign(row["change"]["interval_90"]) for row in rows.values()]))
+    return Claim(text, ours, by_signs([sign(row["change"]["interval_90"]) for row in rows.values()]))
 
 
 def _largest(result):
@@ -144,104 +107,6 @@ def _largest(result):
     return Claim(text, ours, REPRODUCED if largest == "RS-32" else REFUTED)
 
 
-def _everywhere(result):
-    text = "RS-16 improves at all distances (Fig. 9)"
-    rows = [row for row in result["fig9"] if _is_band(row, "RS-16", "detectable")]
-    ours = _listed(rows)
-    signs = [sign(row["change"]["interval_90"]) for row in rows]
-    return Claim(text, ours, _by_signs(signs))
-
-
-def _distant(result):
-    text = "RS-32 and RS-80 improve mainly far away (Fig. 9)"
-    parts, holds = [], []
-    for sensor in ("RS-32", "RS-80"):
-        rows = [row for row in result["fig9"] if _is_band(row, sensor, "detectable")]
-        half = len(rows) // 2
-        near, far = (_mean_change(some) for some in (rows[:half], rows[half:]))
-        parts.append(f"{sensor} nearer half of the bands {100 * near:+.0f} points, farther half {100 * far:+.0f}")
-        holds.append(far > near if all(row["change"]["interval_90"] for row in rows) else None)
-    if None in holds:
-        return Claim(text, "; ".join(parts), UNDECIDED)
-    return Claim(text, "; ".join(parts), REPRODUCED if all(holds) else IN_PART if any(holds) else REFUTED)
-
-
-def _far_band(result):
-    text = "RS-80: close to +40 points at 120 to 140 m (Fig. 9)"
-    row = fig9_row(result, "RS-80", FAR, "detectable")
-    if row is None:
-        return Claim(text, "no vehicle there", UNDECIDED)
-    interval = row["change"]["interval_90"]
-    verdict = UNDECIDED if interval is None else REPRODUCED if interval[0] <= 0.4 <= interval[1] else REFUTED
-    return Claim(text, f"{with_interval(row['change'], 0, 100.0)} points detectable", verdict)
-
-
-def _near_loss(result):
-    text = "RS-80: the baseline is better at 0 to 20 m (Fig. 9)"
-    rows = [fig9_row(result, "RS-80", NEAR, measure) for measure in ("detectable", "entropy_bits")]
-    if rows[0] is None:
-        return Claim(text, "no vehicle there", UNDECIDED)
-    ours = (
-        f"detectable share {with_interval(rows[0]['change'], 0, 100.0)} points, "
-        f"entropy {with_interval(rows[1]['change'])} bits, {rows[0]['vehicles']} vehicles"
-    )
-    signs = [sign(row["change"]["interval_90"]) for row in rows]
-    if None in signs:
-        return Claim(text, ours, UNDECIDED)
-    return Claim(text, ours, REPRODUCED if min(signs) < 0 else REFUTED if max(signs) > 0 else UNDECIDED)
-
-
-def _spacing(result):
-    text = "That loss comes from RS-80's uneven beams (section V.B)"
-    row = of_band(result["spacing"], NEAR, "entropy_bits")
-    if row is None:
-        return Claim(text, "no vehicle there", UNDECIDED)
-    ours = (
-        f"entropy at 0 to 20 m, bits: change {with_interval(row['change'])} = "
-        f"height {with_interval(row['height_evenly_spaced'])} + tilt {with_interval(row['tilt_evenly_spaced'])} "
-        f"with evenly spaced beams, + uneven spacing {with_interval(row['spacing'])}"
-    )
-    signs = {effect: sign(row[effect]["interval_90"]) for effect in ("spacing", "change_evenly_spaced")}
-    if None in signs.values() or signs["spacing"] == 0:
-        return Claim(text, ours, UNDECIDED)
-    if signs["spacing"] > 0:
-        return Claim(text, ours, REFUTED)
-    lost = sign(row["change"]["interval_90"]) == -1
-    return Claim(text, ours, REPRODUCED if lost and signs["change_evenly_spaced"] >= 0 else IN_PART)
-
-
-def _is_band(row, sensor, measure):
-    return row["sensor"] == sensor and row["measure"] == measure and row["band"] != "all"
-
-
-def _listed(rows):
-    return ", ".join(f"{row['band']} {with_interval(row['change'], 0, 100.0)}" for row in rows) + " points detectable"
-
-
-def _mean_change(rows):
-    total = sum(row["vehicles"] for row in rows)
-    return sum(row["change"]["mean"] * row["vehicles"] for row in rows) / total if total else 0.0
-
-
 def _shares(order):
     strict, with_ties = (100.0 * order[key] for key in ("strict", "with_ties"))
     return f"{strict:.0f} % of resamples, {with_ties:.0f} % if ties count"
-
-
-def _by_probability(strict, with_ties):
-    if strict >= LIKELY:
-        return REPRODUCED
-    if with_ties <= UNLIKELY:
-        return REFUTED
-    return TIED if with_ties - strict >= LIKELY else UNDECIDED
-
-
-def _by_signs(signs):
-    """All above 0, some, none; undecided where intervals are missing or all hold 0."""
-    if None in signs:
-        return UNDECIDED
-    if min(signs) > 0:
-        return REPRODUCED
-    if min(signs) == 0:
-        return IN_PART if max(signs) > 0 else UNDECIDED
-    return REFUTED

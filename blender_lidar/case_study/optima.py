@@ -16,8 +16,10 @@ from ..study.score_map import AXES, ScoreMap, map_scores
 from ..study.site import Site
 from ..study.statistics import FEWEST_BLOCKS, block_sums, resampled_weights
 from ..study.verdict import judge
+from .mountings import Mounting, coordinates
 from .published import PUBLISHED
 
+NEAR_BEST = (0.01, 0.05)  # shares of the gain
 WIDE = {"height_m": (2.0, 8.0), "tilt_x_deg": (0.0, 40.0)}  # the second search, beyond the paper's bounds
 
 
@@ -97,13 +99,12 @@ def searched_optimum(site: Site, progress: Callable[[int], None] = lambda evalua
     }
 
 
-def judged(site: Site, mountings: Mapping[str, tuple[float, float]], seed: int) -> dict:
+def judged(site: Site, mountings: Mapping[str, Mounting], seed: int) -> dict:
     """Scores of (height, tilt) mountings, of the baseline and of the paper's, on searched and held-out frames."""
     scenario = site.scenario
-    fixed = scenario.deployment.coordinates(scenario.deployment.lower)
     published = PUBLISHED[site.model.name]
     chosen = {**mountings, "paper": (published.height_m, published.tilt_deg)}
-    poses = {name: pose_at({**fixed, **dict(zip(AXES, at, strict=True))}) for name, at in chosen.items()}
+    poses = {name: pose_at(coordinates(site, at)) for name, at in chosen.items()}
     with site.evaluator(site.search) as evaluator:
         return judge(site, {"baseline": scenario.baseline_pose, **poses}, evaluator, seed)
 

@@ -11,9 +11,9 @@ from ..formats.tables import to_csv
 from ..study.stages import StudyFolder
 from .charts import draw_charts
 from .clouds import draw_clouds, write_clouds
-from .published import SENSORS
+from .mountings import baseline_coordinates, coordinates
+from .published import EVEN, SENSORS
 from .report import report_text
-from .reproduce import EVEN, baseline_of
 from .sites import CaseStudy
 from .tables import as_table, fig9_rows, sensitivity_rows, spacing_rows, table2_rows
 
@@ -37,7 +37,8 @@ def write_results(case: CaseStudy, folder: StudyFolder, result: Mapping) -> list
     written, pictures, note = list(TABLES), [], []
     for sensor in SENSORS:
         site, of = case.site(sensor), result["sensors"][sensor]
-        mountings = {"baseline": baseline_of(site), "optimised": (of["height_m"], of["tilt_deg"])}
+        best = coordinates(site, (of["height_m"], of["tilt_deg"]))
+        mountings = {"baseline": baseline_coordinates(site), "optimised": best}
         written += write_clouds(site, folder.file(CLOUDS), mountings)
         try:
             name = f"fig8_{sensor.lower()}.png"

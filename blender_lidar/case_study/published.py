@@ -42,4 +42,5 @@ PUBLISHED = MappingProxyType(
     }
 )
 SENSORS = tuple(PUBLISHED)
+EVEN = "RS-80 evenly spaced"  # what the paper has RS-80's uneven beams stand against
 BAND_M = 20.0  # the distance bands that the paper's text names: 0 to 20 m, 120 to 140 m

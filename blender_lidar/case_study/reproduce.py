@@ -6,20 +6,30 @@ from collections.abc import Callable
 from math import prod
 from typing import Protocol
 
+import numpy as np
+
 from ..provenance import versions
 from ..study.site import Site
 from ..study.stages import StudyFolder
 from ..study.statistics import interval_90
 from .distance import by_distance, decomposition, judging_frames
-from .optima import WIDE, Landscape, joint_optima, judged, landscape, near_best, order_shares, searched_optimum
-from .published import PUBLISHED, SENSORS
+from .identity import SCHEMA
+from .mountings import baseline_of
+from .optima import (
+    NEAR_BEST,
+    WIDE,
+    Landscape,
+    joint_optima,
+    judged,
+    landscape,
+    near_best,
+    order_shares,
+    searched_optimum,
+)
+from .published import EVEN, PUBLISHED, SENSORS
 from .sensitivity import orders, sensitivity_variants, variant_rows
 from .sites import CaseStudy
 from .variants import Variant, with_even_beams
-
-SCHEMA = 1
-NEAR_BEST = (0.01, 0.05)  # shares of the gain
-EVEN = "RS-80 evenly spaced"
 
 
 class Counter(Protocol):
@@ -87,20 +97,16 @@ def reproduce(case: CaseStudy, folder: StudyFolder, counter: CounterMaker) -> di
         "blocks": len(found[SENSORS[0]].filled),
         "judged_on": judging_frames(first)[2],
         "judged_frames": len(judging_frames(first)[0]),
+        "judged_blocks": len(np.unique(judging_frames(first)[1])),
         "notes": list(dict.fromkeys(note for site in sites.values() for note in site.plan.notes)),
         "effort": {name: getattr(case.effort, name) for name in case.effort.__slots__},
         "sensors": sensors,
         "order": None if resampled is None else _orders(resampled),
-        "fig9": folder.stage("fig9", lambda: _fig9(sites, optima, seed)),
+        **folder.stage("fig9", lambda: _fig9(sites, optima, seed)),
         "spacing": folder.stage("spacing", lambda: _spacing(sites["RS-80"], optima["RS-80"], seed)),
         **_sensitivity(case, folder, counter, seed),
         "versions": versions(first.observation.caster),
     }
-
-
-def baseline_of(site: Site) -> tuple[float, float]:
-    """Height [m] and tilt [deg] of the scene's baseline."""
-    return site.scenario.baseline["height_m"], site.scenario.baseline["tilt_x_deg"]
 
 
 def _landscape(folder, counter, site: Site, grid, bounds, what) -> Landscape:
@@ -205,16 +211,18 @@ def _orders(resampled) -> dict:
     }
 
 
-def _fig9(sites, optima, seed: int) -> list[dict]:
-    rows = []
-    for sensor, site in sites.items():
-        rows += by_distance(site, sensor, {"baseline": baseline_of(site), "optimised": optima[sensor]}, seed)
-    even = with_even_beams(sites["RS-80"])
-    return rows + by_distance(even, EVEN, {"baseline": baseline_of(even), "optimised": optima["RS-80"]}, seed)
+def _fig9(sites, optima, seed: int) -> dict[str, list[dict]]:
+    """Fig. 9 for the three sensors, and for RS-80's optimum with evenly spaced beams."""
+    found = [by_distance(site, sensor, optima[sensor], seed) for sensor, site in sites.items()]
+    found.append(by_distance(with_even_beams(sites["RS-80"]), EVEN, optima["RS-80"], seed))
+    return {
+        "fig9": [row for of in found for row in of["bands"]],
+        "fig9_halves": [row for of in found for row in of["halves"]],
+    }
 
 
 def _spacing(site: Site, optimum, seed: int) -> list[dict]:
-    return decomposition(site, with_even_beams(site), baseline_of(site), optimum, seed)
+    return decomposition(site, with_even_beams(site), optimum, seed)
 
 
 def _sensitivity(case: CaseStudy, folder: StudyFolder, counter: CounterMaker, seed: int) -> dict:

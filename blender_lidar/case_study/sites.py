@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from ..errors import InputError
 from ..provenance import run_identity
@@ -30,7 +30,7 @@ class Effort:
     iterations : int or None
         Of DE-PSO; None takes the scene's.
     sensitivity_frames : int
-        Searched frames for each setting that is varied.
+        Searched frames for each setting that is varied, or all where the scene has fewer.
     sensitivity_grid : (int, int)
         Heights and tilts for each of them.
     """
@@ -106,4 +106,6 @@ def open_case(scene: str, overrides: Overrides, effort: Effort) -> CaseStudy:
     sites = [case.site(sensor) for sensor in SENSORS]
     if sites[0].scenario.deployment.variables != AXES:
         raise InputError(f"{scene}: [deployment] {' and '.join(AXES)} must be pairs, and they alone: Table II has two")
+    searched = min(len(site.search) for site in sites)
+    effort = replace(effort, sensitivity_frames=min(effort.sensitivity_frames, searched))
     return CaseStudy(scene, overrides, effort, max(site.plan.block_s for site in sites))

@@ -12,7 +12,6 @@ from ..errors import InputError
 from ..formats.clouds import WRITERS, check_cloud_name, write_cloud
 from ..formats.sustechpoints import write_sustechpoints
 from ..moments import MountedSensor, mounted_sensor
-from ..results import versions
 from ..scan import PointCloud
 from ..study.keep_clear import check_mount_is_clear
 from ..study.site import frame_of, read_recording
@@ -101,21 +100,7 @@ class _Scanner:
 
     def write(self, path: Path, vehicles: Vehicles) -> PointCloud:
         """Scan one frame and write its cloud, which is returned; with `labelled_folder` into SUSTechPOINTS's folder."""
-        lattice, scenario = self.sensor.lattice, self.sensor.scenario
-        cloud = self.sensor.scan(vehicles)
-        header = {
-            "sensor": lattice.model.name,
-            "pose": dict(self.sensor.mount),
-            "frame": vehicles.frame,
-            "caster": self.sensor.caster,
-            "detail": scenario.model.detail,
-            "ring_elevation_deg": np.degrees(lattice.elevation_rad).round(6).tolist(),
-            "azimuth_step_deg": float(np.degrees(lattice.step_rad)),
-            "rotation_hz": lattice.rotation_hz,
-            "range_m": [lattice.model.range_min_m, scenario.sensor.range_gate_m],
-            "imperfections": scenario.sensor.imperfections_as_table(),
-            "versions": versions(self.sensor.caster),
-        }
+        cloud, header = self.sensor.scan(vehicles), self.sensor.cloud_header(vehicles)
         if self.labelled_folder:
             write_sustechpoints(path, cloud, vehicles, header)
         else:

@@ -21,6 +21,7 @@ _EFFECT_LOOKS = (
     {"color": OPTIMISED["color"]},
     {"color": FAINT},
     {"color": BASELINE["color"], "hatch": "///", "edgecolor": "white"},
+    {"color": "white", "edgecolor": INK},
 )
 
 
@@ -101,7 +102,7 @@ def plot_before_after(
         grid[0, 0].set_ylabel(share_label)
         grid[0, 0].set_ylim(0.0, 100.0)
         grid[1, 0].set_ylabel(change_label)
-        grid[1, -1].set_xlabel(_DISTANCE)
+        grid[1, len(sensors) // 2].set_xlabel(_DISTANCE)
         figure.align_ylabels()
         legend_below(figure, handles, columns=len(handles))
 
@@ -116,7 +117,7 @@ def plot_effects(
     title: str = "",
     subtitle: str = "",
 ) -> None:
-    """Draw for each distance band a bar for each of up to three effects, and their sum as a point.
+    """Draw for each distance band a bar for each of up to four effects, and their sum as a point.
 
     Parameters
     ----------

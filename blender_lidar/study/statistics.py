@@ -58,6 +58,27 @@ def ratio_interval_90(numerator: np.ndarray, denominator: np.ndarray, seed: int)
     return middle - reach, middle + reach
 
 
+def difference_interval_90(
+    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], seed: int
+) -> tuple[float, float] | None:
+    """90 % interval of one ratio less another, each of block sums (numerator, denominator), (b,), of the same blocks.
+
+    As `ratio_interval_90`, both ratios under the same resamples; those in which one of them has no vehicle are left
+    out. None where one of the two has fewer than `FEWEST_BLOCKS` blocks with vehicles.
+    """
+    if min(int((denominator > 0).sum()) for _, denominator in (first, second)) < FEWEST_BLOCKS:
+        return None
+    filled = (first[1] > 0) | (second[1] > 0)
+    weights = resampled_weights(int(filled.sum()), np.random.default_rng(seed))
+    drawn = [(weights @ numerator[filled], weights @ denominator[filled]) for numerator, denominator in (first, second)]
+    kept = (drawn[0][1] > 0) & (drawn[1][1] > 0)
+    ratios = [numerator[kept] / denominator[kept] for numerator, denominator in drawn]
+    spread = float(np.std(ratios[0] - ratios[1]))
+    middle = float(first[0].sum() / first[1].sum() - second[0].sum() / second[1].sum())
+    reach = student_t_95(int(filled.sum()) - 1) * spread
+    return middle - reach, middle + reach
+
+
 def student_t_95(degrees: int) -> float:
     """The 95 % point of Student's t; beyond the table by the first term of its Cornish-Fisher expansion."""
     if degrees <= len(_STUDENT_T_95):
