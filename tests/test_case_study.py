@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import csv
 import importlib.util
 import json
@@ -12,60 +11,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar.case_study.claims import claims
 from blender_lidar.case_study.clouds import busiest_frame, write_clouds
 from blender_lidar.case_study.distance import MEASURES, by_distance, decomposition, measure
 from blender_lidar.case_study.identity import study_identity
 from blender_lidar.case_study.mountings import baseline_coordinates, coordinates
 from blender_lidar.case_study.optima import judged, landscape
-from blender_lidar.case_study.output import FILES, write_results
+from blender_lidar.case_study.output import FILES
 from blender_lidar.case_study.published import EVEN, SENSORS
 from blender_lidar.case_study.report import report_text
 from blender_lidar.case_study.reproduce import reproduce
-from blender_lidar.case_study.sensitivity import setting_of
-from blender_lidar.case_study.sites import Effort, open_case
+from blender_lidar.case_study.sites import open_case
 from blender_lidar.case_study.variants import AS_THE_SCENE, variants, with_even_beams
 from blender_lidar.errors import InputError
 from blender_lidar.formats.clouds import read_points
 from blender_lidar.moments import mounted_sensor
 from blender_lidar.study.evaluation import Evaluator
 from blender_lidar.study.stages import StudyFolder
+from tests.case_study_run import TINY, Counter, study
 from tests.small_scene import MAPPED, without_charts, write_scene
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "reproduce_paper.py"
-TINY = Effort(frames=5, grid=(2, 3), wide_grid=(2, 2), iterations=1, sensitivity_frames=1, sensitivity_grid=(2, 2))
 WHOLE = {("sensor", "dropout"): (0.0, "test")}
 TABLES = ("table2.csv", "fig9.csv", "spacing.csv", "sensitivity.csv", "report.md", "case_study.json")
-
-
-class Counter:
-    """Counts nothing, or stops the study at a stage."""
-
-    def __init__(self, stop_at=""):
-        self.stop_at = stop_at
-
-    def __call__(self, total, what):
-        if self.stop_at == what:
-            raise KeyboardInterrupt
-        return self
-
-    def advance(self, steps):
-        pass
-
-    def close(self):
-        pass
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     return write_scene(tmp_path_factory.mktemp("scene"), MAPPED)
-
-
-def study(scene, out, counter=None, resume=False):
-    case = open_case(str(scene), {}, TINY)
-    with StudyFolder(out, study_identity(case), FILES).locked(resume=resume) as folder:
-        result = reproduce(case, folder, counter or Counter())
-        return result, write_results(case, folder, result)
 
 
 @pytest.fixture(scope="module")
@@ -162,134 +134,6 @@ def test_a_higher_loss_makes_the_same_vehicles_count_more(finished):
         baselines = [of[loss]["baseline_bits"] for loss in ("0", "0.5", "2", "4")]
         missed = 1.0 - of["0"]["detectable_baseline"]
         np.testing.assert_allclose(np.diff(baselines), -missed * np.array([0.5, 1.5, 2.0]), atol=1e-12)
-
-
-def test_every_claim_has_a_verdict_and_stands_in_the_report(finished):
-    out, result, _ = finished
-    found = claims(result)
-    assert len(found) == 10
-    text = (out / "report.md").read_text(encoding="utf-8")
-    for claim in found:
-        assert f"| {claim.text} | {claim.ours} | **{claim.verdict}** |" in text
-    widths = {}
-    for line in text.splitlines():  # a cell with a bar in it would break its row
-        if line.startswith("|---"):
-            widths["now"] = line.count("|")
-        elif line.startswith("|") and "now" in widths and not line.startswith("| ---"):
-            assert line.count("|") == widths["now"] or line == widths.get("head"), line
-        else:
-            widths.pop("now", None)
-
-
-def verdict(result, number):
-    return claims(result)[number].verdict
-
-
-def test_verdicts_follow_the_numbers(finished):
-    result = copy.deepcopy(json.loads(json.dumps(finished[1])))
-
-    def order(axis, strict, with_ties):
-        result["order"][axis] |= {"strict": strict, "with_ties": with_ties}
-        for pair in result["order"][axis]["pairs"]:
-            pair["above"] = 0.5
-
-    order("height", 0.95, 0.95)
-    order("tilt", 0.05, 0.08)
-    assert [verdict(result, number) for number in (0, 1)] == ["reproduced", "not reproduced"]
-    order("height", 0.0, 0.99)
-    order("tilt", 0.5, 0.6)
-    assert [verdict(result, number) for number in (0, 1)] == ["not shown: ties", "undecided"]
-    result["order"]["tilt"]["pairs"][1]["above"] = 1.0
-    assert verdict(result, 1) == "reproduced in part"
-
-    for of in result["sensors"].values():
-        of["height_interval_90"] = [of["published"]["height_m"], 4.5]
-        of["tilt_interval_90"] = [0.0, of["published"]["tilt_deg"]]
-    assert verdict(result, 2) == "reproduced"
-    result["sensors"]["RS-32"]["tilt_interval_90"] = [20.0, 25.0]
-    assert verdict(result, 2) == "reproduced in part"
-
-    def changes(*means):
-        rows = [row for row in result["fig9"] if row["band"] == "all" and row["measure"] == "detectable"]
-        for row, mean in zip(rows, means, strict=False):
-            row["change"] = {"mean": mean, "interval_90": None if mean is None else [mean - 0.01, mean + 0.01]}
-
-    changes(0.1, 0.3, 0.2)
-    assert [verdict(result, number) for number in (3, 4)] == ["reproduced", "reproduced"]
-    changes(0.3, 0.1, -0.2)
-    assert [verdict(result, number) for number in (3, 4)] == ["not reproduced", "not reproduced"]
-    changes(0.1, 0.105, 0.0)
-    assert [verdict(result, number) for number in (3, 4)] == ["reproduced in part", "undecided"]
-
-
-LOST, LEVEL, WON = (-0.2, -0.1), (-0.1, 0.1), (0.1, 0.2)
-
-
-def told(ends):
-    return {"mean": None if ends is None else np.mean(ends), "interval_90": None if ends is None else list(ends)}
-
-
-@pytest.mark.parametrize(
-    ("near", "far", "expected"),
-    [
-        (WON, WON, "reproduced"),
-        (WON, LEVEL, "reproduced in part"),
-        (LEVEL, LEVEL, "undecided"),
-        (WON, LOST, "not reproduced"),
-    ],
-)
-def test_more_is_gained_far_away_only_if_the_interval_of_the_difference_says_so(finished, near, far, expected):
-    result = copy.deepcopy(finished[1])
-    for sensor, ends in (("RS-32", near), ("RS-80", far)):
-        for row in result["fig9_halves"]:
-            if row["sensor"] == sensor:
-                good = told(ends if row["measure"] == "detectable" else WON)
-                row.update({"near": 0.0, "far": good["mean"], "far_less_near": good})
-    assert verdict(result, 6) == expected
-
-
-@pytest.mark.parametrize(
-    ("share", "bits", "expected"),
-    [
-        (LOST, WON, "reproduced"),
-        (LEVEL, LOST, "undecided"),  # the entropy is no second chance
-        (WON, LOST, "not reproduced"),
-        (None, LOST, "undecided"),
-    ],
-)
-def test_the_detectable_share_alone_decides_on_the_loss_near_by(finished, share, bits, expected):
-    result = copy.deepcopy(finished[1])
-    for row in result["fig9"]:
-        if (row["sensor"], row["band"]) == ("RS-80", "0-20 m"):
-            row["change"] = {"mean": 0.0, "interval_90": None}
-            if ends := {"detectable": share, "entropy_bits": bits}.get(row["measure"]):
-                row["change"] = told(ends)
-    assert verdict(result, 8) == expected
-
-
-@pytest.mark.parametrize(
-    ("change", "at_optimum", "spacing", "even", "expected"),
-    [
-        (LOST, LOST, LOST, WON, "reproduced"),
-        (LOST, LOST, LOST, LEVEL, "reproduced"),
-        (LOST, LOST, LOST, LOST, "reproduced in part"),  # even beams lose too
-        (LOST, LOST, LEVEL, LEVEL, "reproduced in part"),  # they were as much worse before
-        (LOST, LEVEL, LOST, WON, "undecided"),  # a lead that is lost, and no more
-        (LOST, WON, LOST, LOST, "not reproduced"),
-        (LEVEL, LOST, LOST, WON, "undecided"),  # no loss is shown, whatever else is
-        (WON, LOST, LOST, WON, "no loss here"),
-    ],
-)
-def test_uneven_beams_cause_a_loss_only_if_there_is_one_and_they_are_worse_at_the_optimum(
-    finished, change, at_optimum, spacing, even, expected
-):
-    result = copy.deepcopy(finished[1])
-    near = next(row for row in result["spacing"] if row["band"] == "0-20 m" and row["measure"] == "detectable")
-    near |= {"change": told(change), "spacing_at_optimum": told(at_optimum), "spacing": told(spacing)}
-    near["change_evenly_spaced"] = told(even)
-    assert verdict(result, 9) == expected
-    near["change"] = {"mean": -0.1, "interval_90": None}
-    assert verdict(result, 9) == "undecided"
 
 
 def test_clouds_are_those_of_the_busiest_judging_frame(finished, scene):
@@ -480,146 +324,3 @@ def test_wrong_input_is_one_line_and_leaves_nothing(scene, tmp_path, monkeypatch
 def test_a_scene_that_is_not_there_is_one_line(capsys):
     assert script().main(["missing.toml"]) == 2
     assert capsys.readouterr().err == "reproduce_paper: missing.toml: there is no such file\n"
-
-
-@pytest.fixture
-def figures(monkeypatch):
-    """The figures of a test by the name of their file; they are written all the same."""
-    pytest.importorskip("matplotlib", reason="charts need matplotlib")
-    from blender_lidar.plots import canvas
-
-    saved, save = {}, canvas.save
-
-    def keep(figure, path):
-        save(figure, path)
-        saved[Path(path).name] = figure
-
-    monkeypatch.setattr(canvas, "save", keep)
-    return saved
-
-
-@pytest.fixture(scope="module")
-def telling(finished):
-    """The result with shares, changes and tilts that are all different, as those of a few vehicles are not."""
-    result, rng = copy.deepcopy(finished[1]), np.random.default_rng(1)
-    for row in result["fig9"]:
-        row |= {"baseline": rng.uniform(), "optimised": rng.uniform()}
-        row["change"] = told(rng.uniform((-0.2, 0.1), (0.1, 0.3)))
-    for row in result["sensitivity"]:
-        if not row["note"]:
-            row["tilt_deg"] = rng.uniform(5.0, 20.0)
-    return result
-
-
-@pytest.fixture
-def charts(telling, tmp_path, figures):
-    from blender_lidar.case_study.charts import draw_charts
-
-    names = draw_charts(telling, lambda name: tmp_path / name, EVEN)
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names) == sorted(figures)
-    return figures
-
-
-def of_sensor(rows, sensor, **wanted):
-    return [
-        row
-        for row in rows
-        if row["sensor"] == sensor
-        and row.get("band") != "all"
-        and all(row[key] == value for key, value in wanted.items())
-    ]
-
-
-def drawn_means(container):
-    """Middles and ends of what `errorbar` has drawn, (n,) and (n, 2)."""
-    line, _, bars = container
-    return line.get_ydata(), np.array([segment[:, 1] for segment in bars[0].get_segments()])
-
-
-def assert_means(container, found):
-    middle, ends = drawn_means(container)
-    np.testing.assert_allclose(middle, [of["mean"] for of in found])
-    np.testing.assert_allclose(ends, [of["interval_90"] or [of["mean"]] * 2 for of in found], atol=1e-12)
-
-
-def test_the_chart_of_table_2_has_each_sensor_s_optimum_and_rivals_in_its_own_panel(telling, charts):
-    result = telling
-    panels = [axes for axes in charts["table2.png"].axes if axes.get_title(loc="left") in SENSORS]
-    assert [axes.get_title(loc="left") for axes in panels] == list(SENSORS)
-    for sensor, axes in zip(SENSORS, panels, strict=True):
-        of = result["sensors"][sensor]
-        markers = [tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1]
-        published, search = of["published"], of["de_pso"]
-        assert markers == [
-            (published["tilt_deg"], published["height_m"]),
-            (search["tilt_x_deg"], search["height_m"]),
-            tuple(of["baseline_mounting"][::-1]),
-            (of["tilt_deg"], of["height_m"]),
-        ]
-
-
-def test_the_chart_of_fig_9_has_shares_before_and_after_and_changes_with_intervals(telling, charts):
-    result, axes = telling, charts["fig9.png"].axes
-    for sensor, upper, lower in zip(SENSORS, axes[:3], axes[3:], strict=True):
-        assert upper.get_title(loc="left") == sensor
-        shares = of_sensor(result["fig9"], sensor, measure="detectable")
-        lines = {line.get_label(): line.get_ydata() for line in upper.lines}
-        np.testing.assert_allclose(lines["baseline"], [100 * row["baseline"] for row in shares])
-        np.testing.assert_allclose(lines["optimised"], [100 * row["optimised"] for row in shares])
-        names = [f"{label.get_text()} m" for label in lower.get_xticklabels()]
-        assert names == [row["band"] for row in shares]
-        drawn = [sensor, EVEN] if sensor == SENSORS[-1] else [sensor]
-        for container, of in zip(lower.containers, drawn, strict=True):
-            rows = of_sensor(result["fig9"], of, measure="entropy_bits")
-            assert_means(container, [row["change"] for row in rows])
-
-
-def test_the_chart_of_the_spacing_has_a_bar_for_each_effect_and_their_sum(telling, charts):
-    result, (axes,) = telling, charts["spacing.png"].axes
-    rows = [row for row in result["spacing"] if row["measure"] == "entropy_bits" and row["band"] != "all"]
-    bars = {of.get_label(): of for of in axes.containers if not of.get_label().startswith("_")}
-    total = bars.pop("all of the change")
-    effects = {"height": "height_evenly_spaced", "tilt": "tilt_evenly_spaced"}
-    effects["change of the uneven beams' lead"] = "spacing"
-    assert list(bars) == list(effects)
-    heights = {name: np.array([bar.get_height() for bar in of]) for name, of in bars.items()}
-    for name, effect in effects.items():
-        np.testing.assert_allclose(heights[name], [row[effect]["mean"] for row in rows])
-    assert_means(total, [row["change"] for row in rows])
-    np.testing.assert_allclose(sum(heights.values()), drawn_means(total)[0], atol=1e-12)
-
-
-def test_the_chart_of_the_settings_has_each_sensor_s_tilts_in_its_own_panel(telling, charts):
-    result, panels = telling, charts["sensitivity.png"].axes
-    settings = [label.get_text() for label in panels[0].get_yticklabels()]
-    for sensor, axes in zip(SENSORS, panels, strict=True):
-        assert axes.get_title(loc="left") == sensor
-        rows = [row for row in of_sensor(result["sensitivity"], sensor) if not row["note"]]
-        points = [tuple(line.get_xydata()[0]) for line in axes.lines if line.get_marker() == "o"]
-        assert [tilt for tilt, _ in points] == [row["tilt_deg"] for row in rows]
-        for (_, at), row in zip(points, rows, strict=True):
-            assert settings[int(at)] == " ".join(setting_of(row)).strip()
-
-
-def test_headings_fit_their_pictures_and_say_on_how_much_they_stand(finished, charts):
-    from matplotlib.text import Text
-
-    for name, figure in charts.items():
-        for text in (*figure.texts, *(label for axes in figure.axes for label in (axes.title, axes.xaxis.label))):
-            assert text.get_window_extent().x1 <= figure.bbox.x1, f"{name}: {text.get_text()}"
-    said = f"{finished[1]['judged_frames']} held-out frames in {finished[1]['judged_blocks']} blocks of time"
-    for name in ("fig9.png", "spacing.png"):
-        assert said in "\n".join(text.get_text() for text in charts[name].findobj(Text))
-    assert said in (finished[0] / "report.md").read_text(encoding="utf-8")
-
-
-def test_clouds_are_drawn_with_the_sensor_where_each_mounting_has_it(tmp_path, figures):
-    from blender_lidar.case_study.clouds import draw_clouds
-
-    site = open_case(str(write_scene(tmp_path, MAPPED | {"baseline": {"y_m": -1.0}})), {}, TINY).site("RS-16")
-    mounts = {"baseline": baseline_coordinates(site), "optimised": coordinates(site, (4.0, 20.0))}
-    draw_clouds(site, tmp_path / "fig8.png", mounts)
-    panels = figures["fig8.png"].axes[:2]
-    places = [[tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1] for axes in panels]
-    assert places == [[(0.0, -1.0)], [(0.0, 0.0)]]
-    assert "height 4.00 m, tilt 20.0°" in panels[1].get_title(loc="left")
