@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import InputError
+from ..formats.atomic import check_place
 from ..moments import blender, mounted_sensor
 from ..study.keep_clear import check_mount_is_clear
 from ..study.site import frame_of, read_recording
@@ -38,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     if Path(args.out).suffix.lower() != ".blend":
         raise InputError(f"--out: {args.out}: allowed: a file name that ends in .blend")
+    check_place(args.out, "--out")
     animated = args.sequence is not None
     numbers = sorted(set(parse_frames(args.sequence, "--frame-ids"))) if animated else [args.frame]
     scenario = scenario_from(args)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..formats.atomic import check_place
 from ..formats.clouds import WRITERS, check_cloud_name, write_cloud
 from ..formats.sustechpoints import write_sustechpoints
 from ..moments import MountedSensor, mounted_sensor
@@ -59,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     if one and args.format is not None:
         raise InputError("--format: goes with --frame-ids; the suffix of --out says what one cloud is written as")
     numbers, option = ([args.frame], "--frame") if one else (parse_frames(args.sequence, "--frame-ids"), "--frame-ids")
+    if one:
+        check_place(args.out, "--out")
     paths = [check_cloud_name(args.out, "--out")] if one else _paths(Path(args.out), numbers, args.format or "npz")
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)

@@ -44,6 +44,18 @@ def whole_file(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def check_place(path: str | Path, option: str) -> None:
+    """Refuse early, before the work, a file whose folder is not there; `option` says what gave it.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder.
+    """
+    if not Path(path).parent.is_dir():
+        raise OutputError(f"{option}: {path}: cannot be written: there is no folder {Path(path).parent}")
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write `text` as UTF-8 to `path`, whole or not at all."""
     with whole_file(path) as temporary:
