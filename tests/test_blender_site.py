@@ -12,6 +12,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from blender_lidar.errors import InputError
+from blender_lidar.world.blender import site
 from blender_lidar.world.blender.meshes import new_mesh
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.site import read_site
@@ -20,6 +21,8 @@ from tests.small_scene import cli, without_charts, write_scene
 
 WALL = box("wall", (0.0, 1.0, 2.5), (60.0, 0.2, 5.0))
 TURNED = box("wall", (500_000.0 - 1.0, 70.0, 2.5), (0.2, 60.0, 5.0))  # the wall, in a map's frame: x to the north
+
+FOREST = [(float(x), float(y)) for x in range(-60, 61, 5) for y in (-8.0, 1.0, 11.0, 40.0)]  # beside the carriageway
 
 
 def blend(path, *parts):
@@ -75,6 +78,22 @@ def test_a_site_that_lies_elsewhere_is_refused_with_where_it_lies(tmp_path, caps
     assert "nothing of it lies within 20 m of the mount at x 0, y 0 m" in err
     assert "spans x 499999 to 499999" in err
     assert not (tmp_path / "run").exists()
+
+
+def test_of_a_forest_only_the_trees_within_reach_are_made_real(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    path = blend(tmp_path / "forest.blend", *(box("tree", (x, y, 2.0), (0.4, 0.4, 4.0)) for x, y in FOREST))
+    made = []
+    original = site.visible_triangles
+    monkeypatch.setattr(site, "visible_triangles", lambda *words: made.append(original(*words)) or made[-1])
+    read = evaluated(capsys, tmp_path / "read", {"blend": str(path)})
+    near = [(x, y) for x, y in FOREST if np.hypot(*(np.clip(0.0, c - 0.2, c + 0.2) for c in (x, y))) <= 20.0]
+    assert 10 < len(near) < len(FOREST) / 3
+    assert len(made[0].names) == len(near)
+    boxes = [{"centre_m": [x, y, 2.0], "size_m": [0.4, 0.4, 4.0]} for x, y in FOREST]
+    written = evaluated(capsys, tmp_path / "written", {"boxes": boxes})
+    assert read["objective_per_vehicle"] == pytest.approx(written["objective_per_vehicle"], abs=1e-3)
+    assert read["scenery"] == written["scenery"]
 
 
 def test_a_library_that_is_not_there_is_refused_by_name(tmp_path):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import InputError, MissingExtraError
 from ..scenario import Scenario
+from ..settings import WorldSettings
 from ..world.barriers import barrier
 from ..world.scenery import Scenery, box, join
 
@@ -26,27 +27,21 @@ def read_scenery(scenario: Scenario, reach_m: float) -> Scenery:
     world = scenario.world
     centre = scenario.deployment.nominal_xy
     paths = [path for path in (world.blend, world.mesh) if path is not None]
-    files = [_near(_placed(_read_file(path), world), centre, reach_m, path) for path in paths]
+    files = [_near(path, world, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
     barriers = [barrier(item.kind, item.y_m, item.x_m) for item in world.barriers]
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers])])
 
 
-def _read_file(path: str) -> Scenery:
-    try:
-        from ..world.blender.site import read_site
-    except ImportError as error:
-        if error.name != "bpy":
-            raise
-        raise MissingExtraError(f'{path}: Blender reads it: pip install "blender_lidar[blender]"') from error
-    return read_site(path)
-
-
-def _near(scenery: Scenery, centre: tuple[float, float], reach_m: float, path: str) -> Scenery:
+def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
     """What of a file lies within reach; a file of which nothing does is most likely put in the wrong place."""
-    near = scenery.within(centre, reach_m)
+    read_site = _reader(path)
+    placing = _Placing(world.origin_m, math.radians(world.heading_deg))
+    near = _placed(read_site(path, lambda box: _reaches(placing.to_road(box), centre, reach_m)), placing)
+    near = near.within(centre, reach_m)
     if len(near) == 0:
-        low, high = scenery.corners.min(axis=(0, 1)), scenery.corners.max(axis=(0, 1))
+        corners = _placed(read_site(path), placing).corners
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         raise InputError(
             f"{path}: nothing of it lies within {reach_m:g} m of the mount at x {centre[0]:g}, y {centre[1]:g} m; "
             f"in the road frame it spans x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g} m: check [world] "
@@ -55,9 +50,36 @@ def _near(scenery: Scenery, centre: tuple[float, float], reach_m: float, path: s
     return near
 
 
-def _placed(scenery: Scenery, world) -> Scenery:
-    """Scenery from the frame of its file in the road frame."""
-    turn = math.radians(world.heading_deg)
-    cos, sin = math.cos(turn), math.sin(turn)
-    to_road = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
-    return replace(scenery, corners=(scenery.corners - np.array(world.origin_m)) @ to_road)
+def _reader(path: str):
+    """What reads a file by Blender."""
+    try:
+        from ..world.blender.site import read_site
+    except ImportError as error:
+        if error.name != "bpy":
+            raise
+        raise MissingExtraError(f'{path}: Blender reads it: pip install "blender_lidar[blender]"') from error
+    return read_site
+
+
+def _reaches(box: np.ndarray, centre: tuple[float, float], reach_m: float) -> bool:
+    """Whether the corners (8, 3) of a box leave it possible that some of it lies within reach."""
+    nearest = np.clip(centre, box[:, :2].min(axis=0), box[:, :2].max(axis=0))
+    return bool(np.hypot(*(nearest - centre)) <= reach_m)
+
+
+@dataclass(frozen=True, slots=True)
+class _Placing:
+    """Where the road frame lies in the frame of a file: its origin [m] and the direction of its x axis [rad]."""
+
+    origin_m: tuple[float, float, float]
+    heading_rad: float
+
+    def to_road(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) of the file in the road frame [m]."""
+        cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
+        return (points - np.array(self.origin_m)) @ turn
+
+
+def _placed(scenery: Scenery, placing: _Placing) -> Scenery:
+    return replace(scenery, corners=placing.to_road(scenery.corners))

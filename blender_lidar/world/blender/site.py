@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 import numpy as np
@@ -16,6 +18,8 @@ from .materials import SURFACE_KEY
 from .quiet import first_error, quiet
 from .roles import DISPLAY_ONLY, ROAD, VEHICLE, role
 from .versions import check_version
+
+Keep = Callable[[np.ndarray], bool]
 
 # What reads a mesh file, by its suffix; the first operator that this Blender has is taken.
 _IMPORTERS = {
@@ -35,7 +39,9 @@ _IMPORTERS = {
 _NOT_SCENERY = (*DISPLAY_ONLY, ROAD, VEHICLE)  # of our own objects: the ground plane is ours already
 
 
-def visible_triangles(scene: bpy.types.Scene, skip: Callable[[bpy.types.Object], bool] | None = None) -> Scenery:
+def visible_triangles(
+    scene: bpy.types.Scene, skip: Callable[[bpy.types.Object], bool] | None = None, keep: Keep | None = None
+) -> Scenery:
     """Everything that a LiDAR would meet in a scene, with modifiers applied and instances made real.
 
     Seen is what both the viewport and renders show and has faces once evaluated: meshes, curves, texts, surfaces. What
@@ -48,6 +54,9 @@ def visible_triangles(scene: bpy.types.Scene, skip: Callable[[bpy.types.Object],
         In its current frame, as its first view layer shows it; its unit scale is applied.
     skip : callable, optional
         Told each object; those for which it is true are left out too.
+    keep : callable, optional
+        Told the eight corners (8, 3) [m] of each object's and instance's bounding box, in the scene's frame; where it
+        is false that one is left out. A forest may have far more triangles than stand within reach.
 
     Returns
     -------
@@ -57,7 +66,8 @@ def visible_triangles(scene: bpy.types.Scene, skip: Callable[[bpy.types.Object],
     layer = scene.view_layers[0]
     layer.update()
     rendered = set(_rendered_objects(scene.collection))
-    meshes: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    meshes: dict[int, _Solid] = {}
+    unit_m = scene.unit_settings.scale_length
     corners, surface, names = [], [], []
     for instance in layer.depsgraph.object_instances:
         item = instance.object
@@ -67,19 +77,19 @@ def visible_triangles(scene: bpy.types.Scene, skip: Callable[[bpy.types.Object],
             continue
         mesh = item.data
         if mesh.as_pointer() not in meshes:
-            meshes[mesh.as_pointer()] = _mesh_arrays(mesh)
-        vertices, faces, made_of = meshes[mesh.as_pointer()]
-        if len(faces) == 0:
-            continue
+            meshes[mesh.as_pointer()] = _solid(mesh)
+        solid = meshes[mesh.as_pointer()]
         matrix = np.array(instance.matrix_world, dtype=float)
-        placed = vertices @ matrix[:3, :3].T + matrix[:3, 3]
-        turned = faces if np.linalg.det(matrix[:3, :3]) > 0.0 else faces[:, ::-1]  # a mirror turns faces inside out
-        corners.append(placed[turned])
-        surface.append(made_of)
+        turn, move = unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
+        if len(solid.faces) == 0 or (keep is not None and not keep(solid.box @ turn + move)):
+            continue
+        faces = solid.faces if np.linalg.det(turn) > 0.0 else solid.faces[:, ::-1]  # a mirror turns faces inside out
+        corners.append((solid.vertices @ turn + move)[faces])
+        surface.append(solid.surface)
         names.append(item.name)
     counts = [len(part) for part in corners]
     return Scenery(
-        np.concatenate([np.empty((0, 3, 3)), *corners]) * scene.unit_settings.scale_length,
+        np.concatenate([np.empty((0, 3, 3)), *corners]),
         np.repeat(np.arange(len(counts), dtype=np.int32), counts),
         np.concatenate([np.empty(0, np.uint8), *surface]),
         tuple(names),
@@ -104,8 +114,16 @@ def _is_seen(instance: bpy.types.DepsgraphObjectInstance, rendered: set[bpy.type
     return item.original in rendered and (not item.is_instancer or item.show_instancer_for_render)
 
 
-def _mesh_arrays(mesh):
-    """Vertices (n, 3) float64, triangles (m, 3) and their surface (m,) of an evaluated mesh."""
+class _Solid(NamedTuple):
+    """An evaluated mesh: vertices (n, 3), triangles (m, 3), their surface (m,), corners (8, 3) of the bounding box."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    surface: np.ndarray
+    box: np.ndarray
+
+
+def _solid(mesh: bpy.types.Mesh) -> _Solid:
     mesh.calc_loop_triangles()
     count = len(mesh.loop_triangles)
     vertices, faces = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * count, np.int32)
@@ -115,7 +133,10 @@ def _mesh_arrays(mesh):
     mesh.loop_triangles.foreach_get("material_index", slot)
     known = [_surface_of(material) for material in mesh.materials]
     made_of = np.array(known or [STRUCTURE], dtype=np.uint8)[np.clip(slot, 0, max(0, len(known) - 1))]
-    return vertices.reshape(-1, 3).astype(float), faces.reshape(-1, 3), made_of
+    vertices = vertices.reshape(-1, 3).astype(float)
+    low, high = vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf)
+    box = np.array(list(product(*zip(low, high, strict=True))))
+    return _Solid(vertices, faces.reshape(-1, 3), made_of, box)
 
 
 def _surface_of(material: bpy.types.Material | None) -> int:
@@ -124,12 +145,18 @@ def _surface_of(material: bpy.types.Material | None) -> int:
     return surface if surface in range(len(SURFACES)) else STRUCTURE
 
 
-def read_site(path: str | Path) -> Scenery:
+def read_site(path: str | Path, keep: Keep | None = None) -> Scenery:
     """The visible scenery of a .blend file or of a mesh file that Blender reads, in the file's own frame [m].
 
     Of a .blend with several scenes the first by name counts. Where it was built by this package, its road, vehicles,
     LiDAR and point cloud are left out, so that such a file can be given back with scenery added to it. Blender's own
     data are afterwards as they were.
+
+    Parameters
+    ----------
+    path : path
+    keep : callable, optional
+        As for `visible_triangles`; what it leaves may be empty.
 
     Raises
     ------
@@ -147,8 +174,8 @@ def read_site(path: str | Path) -> Scenery:
     if suffix == ".blend":
         check_version(path)
     with quiet(), _linked_scene(path) if suffix == ".blend" else _imported_scene(path) as scene:
-        found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY)
-    if len(found) == 0:
+        found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY, keep)
+    if len(found) == 0 and keep is None:
         raise InputError(f"{path}: nothing with faces is visible in it")
     if not np.isfinite(found.corners).all():
         raise InputError(f"{path}: has a vertex that is not finite")
