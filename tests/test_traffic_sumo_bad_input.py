@@ -266,7 +266,7 @@ try:
     print(len(read_traffic(sys.argv[1])), "boxes")
 except InputError as error:
     print(error)
-status = open("/proc/self/status").read()  # the peak that getrusage tells may be that of the process which began this one
+status = open("/proc/self/status").read()  # getrusage may tell the peak of the process which began this one
 print(int(status.split("VmHWM:")[1].split()[0]) // 2**10)
 """
 
