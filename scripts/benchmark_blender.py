@@ -20,8 +20,8 @@ from blender_lidar.scenario import load_scenario
 from blender_lidar.study.site import read_recording
 from blender_lidar.world.blender.meshes import new_mesh
 from blender_lidar.world.blender.scene import empty_scene
-from blender_lidar.world.blender.site import visible_triangles
 from blender_lidar.world.blender.traffic import show_vehicles
+from blender_lidar.world.blender.visible import visible_triangles
 from blender_lidar.world.shapes import DETAILS
 
 _SIDE = 317  # squares along the edge of a ground of 200,000 triangles
