@@ -162,7 +162,7 @@ def _add_scenery(scenery, position, directions, reach_m, distance, owner, surfac
 
 def _add_ground(height_m, vertical, max_range_m, distance, owner, surface, cosine):
     """Let beams that reach the plane z = 0 before anything else return from it (exact, where a mesh would leak)."""
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         to_ground = np.where(vertical < 0.0, height_m / -vertical, np.inf)
     first = (to_ground < distance) & (to_ground <= max_range_m)
     distance[first], owner[first], surface[first] = to_ground[first], STATIC, ROAD
