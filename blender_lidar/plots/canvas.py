@@ -136,7 +136,7 @@ def save(figure: Figure, path: str | Path) -> None:
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
-            partial.write_bytes(drawing.getbuffer())
+            partial.write_bytes(drawing.getvalue())
             partial.replace(path)
         except OSError:
             partial.unlink(missing_ok=True)
