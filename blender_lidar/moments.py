@@ -10,7 +10,6 @@ import numpy as np
 
 from .casting import resolve
 from .casting.standing import StandingScenery
-from .errors import MissingExtraError
 from .metrics.vgop import pe_vgop, to_vehicle_frame
 from .provenance import versions
 from .scan import PointCloud, scan
@@ -19,6 +18,7 @@ from .sensors.beams import BeamLattice
 from .settings import ObjectiveSettings
 from .study.site import lattice_of, standing_scenery
 from .traffic.vehicles import Vehicles
+from .world.needs_blender import blender_room
 
 if TYPE_CHECKING:
     from .world.blender.scene import Moment
@@ -82,7 +82,7 @@ class MountedSensor:
 
     def moment(self, vehicles: Vehicles, *, with_cloud: bool = True) -> Moment:
         """A frame and what the sensor sees of it, for `world.blender.scene`."""
-        moment_class = blender("a scene to be shown").scene.Moment
+        moment_class = blender_room("scene", "a scene to be shown").Moment
         cloud = self.scan(vehicles) if with_cloud else None
         return moment_class(
             road=self.scenario.road,
@@ -114,21 +114,3 @@ def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, objective: Objectiv
     points = to_vehicle_frame(cloud.xyz[on_vehicle], vehicles.centre_m[row], vehicles.heading_rad[row])
     bits[on_vehicle] = pe_vgop(points, row, vehicles.size_m, objective.cell_m, reading=objective.reading)[row]
     return bits
-
-
-def blender(what: str):
-    """The package `world.blender` with its rooms `scene` and `render`.
-
-    Raises
-    ------
-    MissingExtraError
-        When Blender is not installed; `what` says what needs it.
-    """
-    try:
-        from .world import blender as package
-        from .world.blender import render, scene  # noqa: F401  (loads them)
-    except ImportError as error:
-        if error.name != "bpy":
-            raise
-        raise MissingExtraError(f'{what} needs Blender: pip install "blender_lidar[blender]"') from error
-    return package

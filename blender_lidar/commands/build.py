@@ -7,12 +7,11 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..formats.atomic import check_place
-from ..moments import blender, mounted_sensor
+from ..moments import mounted_sensor
 from ..study.keep_clear import check_mount_is_clear
 from ..study.site import frame_of, read_recording
-from .options import SEARCH_OPTIONS, add_pose, add_scene, mounting_from, parse_frames, scenario_from
-
-_LEFT_OUT = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--reading", "--workers", "--seed")
+from ..world.needs_blender import blender_room
+from .options import add_moments, mounting_from, parse_frames, scenario_from
 
 
 def add_parser(subparsers) -> None:
@@ -23,13 +22,7 @@ def add_parser(subparsers) -> None:
         description="Build one frame's road, vehicles, LiDAR and point cloud in Blender and write them as a .blend "
         "file. With --frame-ids the vehicles drive through those frames, as an animation; the cloud is the first's.",
     )
-    add_scene(parser, leave_out=_LEFT_OUT)
-    which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--frame", type=int, metavar="K", help="frame number, as the recording counts them")
-    which.add_argument(
-        "--frame-ids", dest="sequence", metavar="IDS", help="an animation: 100,150 or 100:160:5, its end included"
-    )
-    add_pose(parser)
+    add_moments(parser, many="an animation")
     parser.add_argument("--no-cloud", action="store_true", help="leave the point cloud out")
     parser.add_argument("--out", required=True, metavar="FILE.blend", help="the file to write")
     parser.set_defaults(run=run)
@@ -44,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     numbers = sorted(set(parse_frames(args.sequence, "--frame-ids"))) if animated else [args.frame]
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
-    scene = blender("build").scene
+    scene = blender_room("scene", "build")
     sensor = mounted_sensor(scenario, mount)
     recording = read_recording(scenario)
     frames = [frame_of(recording, number, "--frame-ids" if animated else "--frame") for number in numbers]

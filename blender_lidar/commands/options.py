@@ -67,6 +67,7 @@ _POSE_HELP = {
     "yaw_deg": "counter-clockwise seen from above",
 }
 SEARCH_OPTIONS = ("--search", "--particles", "--iterations")
+_FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--reading", "--workers", "--seed")
 
 
 def option_name(key: str) -> str:
@@ -87,6 +88,17 @@ def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = (
             "--frame-ids", metavar="IDS", help="the searched frames: 100,150 or 100:160:5, its end included"
         )
     parser.set_defaults(left_out=leave_out)
+
+
+def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
+    """A scene, one or many of its frames, and a mounting, for verbs without a search; `many` says what many make."""
+    add_scene(parser, leave_out=_FOR_SEARCHES)
+    which = parser.add_mutually_exclusive_group(required=True)
+    which.add_argument("--frame", type=int, metavar="K", help="frame number, as the recording counts them")
+    which.add_argument(
+        "--frame-ids", dest="sequence", metavar="IDS", help=f"{many}: 100,150 or 100:160:5, its end included"
+    )
+    add_pose(parser)
 
 
 def add_pose(parser: argparse.ArgumentParser) -> None:

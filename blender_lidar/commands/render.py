@@ -7,17 +7,17 @@ import argparse
 import numpy as np
 
 from ..errors import InputError
-from ..moments import blender, mounted_sensor
+from ..moments import mounted_sensor
 from ..reporting.page import write_report
-from ..reporting.pictures import render_file
+from ..reporting.pictures import RENDER_VIEWS, render_file
 from ..reporting.stored_run import read_run
 from ..results import VEHICLES, RunFolder
 from ..scenario import load_scenario
 from ..study.site import frame_of, read_recording
+from ..world.needs_blender import blender_room
 from .progress import Progress
 
 _MOST_SAMPLES = 4096
-CAMERAS = {"above": "From above", "pole": "From the pole"}
 
 
 def add_parser(subparsers) -> None:
@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     folder = RunFolder(args.folder)
     result = read_run(folder).result
-    tools = blender("render")
-    samples = tools.render.SAMPLES if args.samples is None else args.samples
+    building, rendering = (blender_room(name, "render") for name in ("scene", "render"))
+    samples = rendering.SAMPLES if args.samples is None else args.samples
     if not 1 <= samples <= _MOST_SAMPLES:
         raise InputError(f"--samples: is {samples}; allowed: 1 to {_MOST_SAMPLES}")
     scenario = load_scenario(folder.scene)
@@ -48,14 +48,16 @@ def run(args: argparse.Namespace) -> int:
     number = _fullest_frame(folder) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
     mounts = {"baseline": result["baseline"]["deployment"], "optimised": result["deployment"]}
-    progress, written = Progress(len(mounts) * len(CAMERAS), "render"), []
+    progress, written = Progress(len(mounts) * len(RENDER_VIEWS), "render"), []
     try:
         for name, mount in mounts.items():
-            scene = tools.scene.empty_scene()
-            tools.scene.build_scene(scene, mounted_sensor(scenario, mount).moment(vehicles))
-            for view, camera in CAMERAS.items():
+            scene = building.empty_scene()
+            building.build_scene(scene, mounted_sensor(scenario, mount).moment(vehicles))
+            for view in RENDER_VIEWS:
                 written.append(folder.file(render_file(name, view)))
-                tools.render.render_picture(written[-1], scene, camera, size=tools.render.SIZE, samples=samples)
+                rendering.render_picture(
+                    written[-1], scene, rendering.CAMERAS[view], size=rendering.SIZE, samples=samples
+                )
                 progress.advance(1)
     finally:
         progress.close()

@@ -17,10 +17,9 @@ from ..scan import PointCloud
 from ..study.keep_clear import check_mount_is_clear
 from ..study.site import frame_of, read_recording
 from ..traffic.vehicles import Vehicles
-from .options import SEARCH_OPTIONS, add_pose, add_scene, mounting_from, parse_frames, scenario_from
+from .options import add_moments, mounting_from, parse_frames, scenario_from
 from .progress import Progress
 
-_LEFT_OUT = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--reading", "--workers", "--seed")
 _SUSTECHPOINTS = "sustechpoints"
 _FORMATS = [*(suffix.removeprefix(".") for suffix in WRITERS), _SUSTECHPOINTS]
 
@@ -33,13 +32,7 @@ def add_parser(subparsers) -> None:
         description="Cast one revolution over a frame and write the cloud: .npz with everything, .pcd, .ply, .las, "
         ".laz, or KITTI's .bin with its .label. With --frame-ids a folder of clouds, one for each frame.",
     )
-    add_scene(parser, leave_out=_LEFT_OUT)
-    which = parser.add_mutually_exclusive_group(required=True)
-    which.add_argument("--frame", type=int, metavar="K", help="frame number, as the recording counts them")
-    which.add_argument(
-        "--frame-ids", dest="sequence", metavar="IDS", help="many frames: 100,150 or 100:160:5, its end included"
-    )
-    add_pose(parser)
+    add_moments(parser, many="many frames")
     parser.add_argument(
         "--out",
         required=True,

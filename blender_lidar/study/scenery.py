@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import InputError, MissingExtraError
+from ..errors import InputError
 from ..scenario import Scenario
 from ..settings import WorldSettings
 from ..world.barriers import barrier
-from ..world.scenery import Scenery, box, join
+from ..world.needs_blender import blender_room
+from ..world.scenery import Scenery, box, boxes_reach, join
 
 
 def read_scenery(scenario: Scenario, reach_m: float) -> Scenery:
@@ -35,9 +36,9 @@ def read_scenery(scenario: Scenario, reach_m: float) -> Scenery:
 
 def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
     """What of a file lies within reach; a file of which nothing does is most likely put in the wrong place."""
-    read_site = _reader(path)
+    read_site = blender_room("site", path).read_site
     placing = _Placing(world.origin_m, math.radians(world.heading_deg))
-    near = _placed(read_site(path, lambda box: _reaches(placing.to_road(box), centre, reach_m)), placing)
+    near = _placed(read_site(path, lambda box: bool(boxes_reach(placing.to_road(box), centre, reach_m))), placing)
     near = near.within(centre, reach_m)
     if len(near) == 0:
         corners = _placed(read_site(path), placing).corners
@@ -48,23 +49,6 @@ def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m:
             "origin_m and heading_deg"
         )
     return near
-
-
-def _reader(path: str):
-    """What reads a file by Blender."""
-    try:
-        from ..world.blender.site import read_site
-    except ImportError as error:
-        if error.name != "bpy":
-            raise
-        raise MissingExtraError(f'{path}: Blender reads it: pip install "blender_lidar[blender]"') from error
-    return read_site
-
-
-def _reaches(box: np.ndarray, centre: tuple[float, float], reach_m: float) -> bool:
-    """Whether the corners (8, 3) of a box leave it possible that some of it lies within reach."""
-    nearest = np.clip(centre, box[:, :2].min(axis=0), box[:, :2].max(axis=0))
-    return bool(np.hypot(*(nearest - centre)) <= reach_m)
 
 
 @dataclass(frozen=True, slots=True)

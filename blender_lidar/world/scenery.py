@@ -46,10 +46,15 @@ class Scenery:
 
     def within(self, centre_xy: tuple[float, float], radius_m: float) -> Scenery:
         """What of it may lie within a horizontal distance of a place [m]: triangles whose bounding box does."""
-        level = self.corners[..., :2]
-        nearest = np.clip(centre_xy, level.min(axis=1), level.max(axis=1))
-        kept = np.hypot(*(nearest - centre_xy).T) <= radius_m
+        kept = boxes_reach(self.corners, centre_xy, radius_m)
         return Scenery(self.corners[kept], self.owner[kept], self.surface[kept], self.names)
+
+
+def boxes_reach(corners: np.ndarray, centre_xy: tuple[float, float], radius_m: float) -> np.ndarray:
+    """Whether bounding boxes come within a horizontal distance of a place, (...) bool, by `corners` (..., k, 3) [m]."""
+    level = corners[..., :2]
+    nearest = np.clip(centre_xy, level.min(axis=-2), level.max(axis=-2))
+    return np.hypot(*np.moveaxis(nearest - centre_xy, -1, 0)) <= radius_m
 
 
 def structure(name: str, corners: np.ndarray) -> Scenery:

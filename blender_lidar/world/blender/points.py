@@ -10,6 +10,7 @@ from .materials import point_material
 from .meshes import add_attribute, new_mesh
 from .roles import CLOUD, KEY, add_object, clear, collection, of_ours, only_for_the_eye
 
+_NAME = "Point cloud"
 _GROUP, _MATERIAL = "LiDAR points", "LiDAR points"
 _RADIUS_M = 0.045
 _BITS = (0.0, 1.0)  # of a vehicle's PE-VGOP: the colours' range
@@ -19,7 +20,6 @@ def build_cloud(
     scene: bpy.types.Scene,
     cloud: PointCloud | None,
     entropy_bits: np.ndarray | None = None,
-    name: str = "Point cloud",
 ) -> bpy.types.Object | None:
     """A cloud in the road frame, in place of an earlier one; None only takes that away.
 
@@ -30,11 +30,11 @@ def build_cloud(
     entropy_bits : ndarray, (n,), optional
         PE-VGOP of the vehicle that each point lies on [bits]; 0 if left out.
     """
-    into = collection(scene, "Point cloud", CLOUD)
+    into = collection(scene, _NAME, CLOUD)
     clear(into)
     if cloud is None:
         return None
-    mesh = new_mesh(name, cloud.xyz, np.empty((0, 3), dtype=int), [_material()])
+    mesh = new_mesh(_NAME, cloud.xyz, np.empty((0, 3), dtype=int), [_material()])
     columns = {
         "range": cloud.range_m,
         "ring": cloud.ring,
@@ -45,7 +45,7 @@ def build_cloud(
     }
     for column, values in columns.items():
         add_attribute(mesh, column, values)
-    item = add_object(into, name, mesh)
+    item = add_object(into, _NAME, mesh)
     only_for_the_eye(item)
     shown = item.modifiers.new(_GROUP, "NODES")
     shown.node_group = _group()

@@ -15,8 +15,9 @@ from ...errors import InputError, OutputError
 from ...formats.atomic import write_bytes
 from .quiet import first_error, quiet
 from .roles import FAN, role
-from .stage import FROM_POLE
+from .stage import ABOVE, FROM_POLE
 
+CAMERAS = {"above": ABOVE, "pole": FROM_POLE}  # by the names of the pictures' files
 SIZE = (1280, 720)
 SAMPLES = 24
 _SEED = 1

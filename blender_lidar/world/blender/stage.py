@@ -1,4 +1,4 @@
-"""Cameras, light and picture settings: a scene that looks right without touching a setting."""
+"""Cameras, light and viewports: a scene that looks right without touching a setting."""
 
 from __future__ import annotations
 

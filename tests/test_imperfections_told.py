@@ -1,0 +1,109 @@
+"""Range noise, drop-out and units on the command line: told in every result, and refused where they cannot be."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.report_samples import Page
+from tests.small_scene import cli, without_charts, write_scene
+
+
+@pytest.fixture
+def _quick(monkeypatch, tmp_path):
+    without_charts(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+
+
+WORDS = ("--range-noise", "datasheet", "--dropout", 0.25, "--unit-spread", 0.03)
+TOLD = {"range_noise_m": 0.02, "dropout": 0.25, "unit_spread_deg": 0.03, "unit": 1, "noise_seed": 1}
+
+
+@pytest.mark.usefixtures("_quick")
+def test_a_cloud_tells_its_imperfections_and_the_elevations_of_its_unit(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    for name, words in (("plain", ()), ("rough", WORDS)):
+        code, _, err = cli(capsys, "scan", scene, "--frame", 30, "--out", f"{name}.npz", *words)
+        assert code == 0, err
+    plain, rough = (np.load(f"{name}.npz") for name in ("plain", "rough"))
+    told = [json.loads(str(cloud["header"])) for cloud in (plain, rough)]
+    assert told[0]["imperfections"] == {**dict.fromkeys(TOLD, 0), "unit": 1, "noise_seed": 1}
+    assert told[1]["imperfections"] == TOLD
+    off = np.subtract(*(each["ring_elevation_deg"] for each in told))
+    assert 0.005 < abs(off).max() < 0.15
+    assert 0.6 * len(plain["range_m"]) < len(rough["range_m"]) < 0.9 * len(plain["range_m"])
+
+
+@pytest.mark.usefixtures("_quick")
+def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
+    scene, results = write_scene(tmp_path), []
+    for name, words in (("plain", ()), ("rough", WORDS), ("again", WORDS)):
+        code, out, err = cli(capsys, "evaluate", scene, "--height", 3, "--out", name, *words)
+        assert code == 0, err
+        results.append(json.loads((tmp_path / name / "result.json").read_text()))
+        line = "range noise 0.02 m, drop-out 25 %, noise seed 1, unit 1 of units that differ by 0.03 deg"
+        page = Page((tmp_path / name / "report.html").read_text(encoding="utf-8"))
+        heading = page.text(page.find("header")[0])
+        sheet = (tmp_path / name / "installation.txt").read_text(encoding="utf-8")
+        for told in (out, heading, sheet):
+            assert (line in told) == bool(words)
+        assert ("imperfect" in heading) == bool(words)
+    assert results[1]["imperfections"] == TOLD
+    assert results[1]["objective"] == results[2]["objective"] != results[0]["objective"]
+
+
+@pytest.mark.usefixtures("_quick")
+@pytest.mark.parametrize(
+    "words", [(), WORDS[:2], WORDS[2:4], WORDS[4:], WORDS], ids=["off", "noise", "lost", "unit", "all"]
+)
+def test_a_run_counts_the_points_that_a_scan_writes(tmp_path, capsys, words):
+    scene, mount = write_scene(tmp_path), ("--height", 3, "--tilt-x", 10)
+    for verb, *where in (
+        ("evaluate", "--frame-ids", "9,21", "--out", "run"),
+        ("scan", "--frame", 9, "--out", "cloud.npz"),
+    ):
+        code, _, err = cli(capsys, verb, scene, *where, *mount, *words)
+        assert code == 0, err
+    with Path("run/vehicles.csv").open(newline="") as stream:
+        rows = [row for row in csv.DictReader(stream) if row["frame"] == "9"]
+    vehicle_id = np.load("cloud.npz")["vehicle_id"]
+    points = {int(row["vehicle_id"]): int(row["points"]) for row in rows}
+    assert sum(points.values()) > 100
+    assert points == {number: int((vehicle_id == number).sum()) for number in points}
+
+
+@pytest.mark.usefixtures("_quick")
+@pytest.mark.parametrize("words", [WORDS[:2], WORDS[2:4], WORDS[4:]], ids=["noise", "lost", "unit"])
+def test_each_imperfection_by_itself_changes_the_score(tmp_path, capsys, words):
+    scene, results = write_scene(tmp_path), []
+    for name, chosen in (("plain", ()), ("rough", words)):
+        assert cli(capsys, "evaluate", scene, "--height", 3, "--out", name, *chosen)[0] == 0
+        results.append(json.loads((tmp_path / name / "result.json").read_text())["objective"])
+    assert results[0] != results[1]
+
+
+@pytest.mark.usefixtures("_quick")
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--dropout", 1), "--dropout: is 1.0; allowed: at least 0 and less than 1"),
+        (("--dropout", "nan"), "--dropout: is nan; allowed: a number"),
+        (("--range-noise", "much"), "--range-noise: is 'much'; allowed: a number, or \"datasheet\""),
+        (("--unit-spread", 50), "--unit-spread: is 50.0; allowed: at least 0 and at most 5"),
+        (("--sensor", "RS-BPearl", "--unit-spread", 5), "--unit-spread: unit 4 of RS-BPearl has ring 31 at 9"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["scan", "evaluate"])
+def test_the_command_line_refuses_what_cannot_be_in_one_line_and_leaves_nothing(tmp_path, capsys, verb, words, named):
+    scene = write_scene(tmp_path, {"sensor": {"unit": 4, "rotation_hz": None, "range_gate_m": 20.0}})
+    before = set(tmp_path.iterdir())
+    place = ("--frame", 30, "--out", "cloud.npz") if verb == "scan" else ("--out", "run")
+    code, out, err = cli(capsys, verb, scene, *place, *words)
+    assert (code, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert named in err
+    assert set(tmp_path.iterdir()) == before
