@@ -15,7 +15,7 @@ import numpy as np
 
 from . import __version__
 from .errors import InputError, MissingFileError, OutputError
-from .formats.atomic import write_text
+from .formats.atomic import check_folder, write_text
 from .formats.lock import folder_lock
 from .formats.tables import to_csv, write_columns
 from .provenance import run_identity, versions
@@ -63,13 +63,8 @@ class RunFolder:
         InputError
             When it holds a run and `resume` is False, or files of the same names that no run has written.
         """
-        try:
-            there = next(place for place in (self.path, *self.path.absolute().parents) if place.exists())
-            present = [name for name in _FILES if self.file(name).exists()]
-        except OSError as error:
-            raise OutputError(f"--out: {self.path}: the folder cannot be made: {error.strerror}") from error
-        if not there.is_dir():
-            raise OutputError(f"--out: {self.path}: the folder cannot be made: {there} is a file")
+        check_folder(self.path, "--out")
+        present = [name for name in _FILES if self.file(name).exists()]
         if not present:
             return
         if not self._is_ours():

@@ -131,3 +131,8 @@ def test_the_identity_is_stored_as_it_was_given(tmp_path):
         pass
     assert json.loads((tmp_path / IDENTITY).read_text()) == SETTINGS | {"grid": [2, 3]}
     StudyFolder(tmp_path, SETTINGS | {"grid": (2, 3)}).check(resume=True)
+
+
+def test_a_folder_whose_name_is_too_long_is_refused_in_one_line(tmp_path):
+    with pytest.raises(OutputError, match="the folder cannot be made: File name too long"):
+        StudyFolder(tmp_path / ("x" * 300), SETTINGS).check()

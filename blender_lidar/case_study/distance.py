@@ -1,4 +1,4 @@
-"""What each sensor sees by distance, before and after: the paper's Fig. 9, and what makes RS-80 lose near by."""
+"""What each sensor sees by distance, before and after: the paper's Fig. 9, and what RS-80's uneven beams do to it."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ FAR = "120-140 m"
 
 
 def distance_claims(result: Mapping) -> list[Claim]:
-    """The paper's claims in its own order, each with our finding and a verdict."""
+    """The paper's claims by distance, each with our finding and a verdict."""
     return [_everywhere(result), _distant(result), _far_band(result), _near_loss(result), _spacing(result)]
 
 

@@ -56,6 +56,22 @@ def check_place(path: str | Path, option: str) -> None:
         raise OutputError(f"{option}: {path}: cannot be written: there is no folder {Path(path).parent}")
 
 
+def check_folder(path: Path, option: str) -> None:
+    """Refuse early a folder that cannot be made; `option` says what gave it.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder, and the file that stands in its way.
+    """
+    try:
+        there = next(place for place in (path, *path.absolute().parents) if place.exists())
+    except OSError as error:  # a name too long, say
+        raise OutputError(f"{option}: {path}: the folder cannot be made: {error.strerror}") from error
+    if not there.is_dir():
+        raise OutputError(f"{option}: {path}: the folder cannot be made: {there} is a file")
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write `text` as UTF-8 to `path`, whole or not at all."""
     with whole_file(path) as temporary:

@@ -21,7 +21,7 @@ def read_scenery(scenario: Scenario, reach_m: float) -> Scenery:
     Raises
     ------
     MissingFileError, InputError
-        When a file is not there or cannot be used, or nothing of it lies within reach.
+        When a file is not there or cannot be used, or nothing of a file lies within reach.
     MissingExtraError
         When it is one that Blender must read, and Blender is not installed.
     """

@@ -143,9 +143,7 @@ def lattice_of(sensor: SensorSettings) -> BeamLattice:
     return beam_lattice(model, sensor.rotation_hz)
 
 
-def standing_scenery(
-    scenario: Scenario, caster: str, mount: Mapping[str, float] | None = None
-) -> StandingScenery | None:
+def standing_scenery(scenario: Scenario, caster: str, mount: Mapping[str, float] | None) -> StandingScenery | None:
     """What a scene's [world] lets stand still within reach of its mountings and a given `mount`; None without any."""
     if not scenario.world.has_scenery:
         return None

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import InputError, OutputError
-from ..formats.atomic import write_text
+from ..formats.atomic import check_folder, write_text
 from ..formats.lock import folder_lock
 
 IDENTITY = "study.json"
@@ -50,9 +50,7 @@ class StudyFolder:
             When it holds a study and `resume` is False, one with other settings, or files of the same names that no
             study has written.
         """
-        there = next(place for place in (self.path, *self.path.absolute().parents) if place.exists())
-        if not there.is_dir():
-            raise OutputError(f"--out: {self.path}: the folder cannot be made: {there} is a file")
+        check_folder(self.path, "--out")
         if self.file(IDENTITY).exists():
             self._check_identity(resume)
             return
@@ -109,10 +107,6 @@ class StudyFolder:
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: is damaged: {error}; remove it to have it made again") from error
         return stored[_VALUE]
-
-    def holds(self, name: str) -> bool:
-        """Whether a stage is stored already."""
-        return (self.file(STAGES) / f"{name}.json").exists()
 
     def _check_identity(self, resume: bool) -> None:
         path = self.file(IDENTITY)
