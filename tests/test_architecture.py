@@ -56,6 +56,7 @@ NEAR_THE_DOOR = {
     "study",
     "moments",
     "case_study",
+    "reality",
     "results",
     "run",
     "run_charts",
@@ -186,7 +187,7 @@ def test_the_metric_and_the_search_need_numpy_alone():
 
 def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     body = """
-        rooms = "casting case_study commands formats optimise plots reporting sensors study traffic world"
+        rooms = "casting case_study commands formats optimise plots reality reporting sensors study traffic world"
         for room in rooms.split():
             package = importlib.import_module("blender_lidar." + room)
             for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):

@@ -1,0 +1,1 @@
+"""The anchor to reality: real, labelled sweeps beside what our shapes, beams and scores make of the same scenes."""
