@@ -1,0 +1,160 @@
+"""What a metric is, and what it is given: the returns from vehicles, each in its vehicle's own frame.
+
+A metric scores all vehicles at once, of one frame or of many, under one mounting or under many: to it they are rows. A
+new one is a file of this room that defines its `Metric`, and its name in `catalogue`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from .context import SceneContext, View
+from .vgop import occupancy
+from .view_grids import DEFAULT_CELL_M
+
+POINTS, DISTANCE, VIEW = "points", "distance_m", "view"
+_MISSING = {
+    POINTS: "the points themselves, not their number alone",
+    DISTANCE: "the place of the LiDAR",
+    VIEW: "the mountings and the frame's boxes",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehicleReturns:
+    """What came back from n vehicles.
+
+    Attributes
+    ----------
+    size_m : ndarray, (n, 3)
+        Length, width and height of each vehicle's box [m].
+    count : ndarray of int64, (n,)
+        Returns from each vehicle.
+    occupancy : ndarray, (n, 3)
+        P of its top, side and front view (Eqs. 6 to 8): made once for all metrics.
+    distance_m : ndarray, (n,), or None
+        Horizontal distance from the LiDAR to the box centre [m]; None where the LiDAR's place is not known.
+    points : ndarray, (k, 3), or None
+        The returns, each in the frame of its own vehicle [m]; None where no metric asked for them.
+    vehicle : ndarray of int64, (k,), or None
+        Row of the vehicle that each return belongs to.
+    view : View or None
+        From where the vehicles were looked at, for metrics that learn from a scene.
+    """
+
+    size_m: np.ndarray
+    count: np.ndarray
+    occupancy: np.ndarray
+    distance_m: np.ndarray | None = None
+    points: np.ndarray | None = None
+    vehicle: np.ndarray | None = None
+    view: View | None = None
+
+    def __len__(self) -> int:
+        return len(self.size_m)
+
+
+def vehicle_returns(
+    points: np.ndarray,
+    vehicle: np.ndarray,
+    size_m: np.ndarray,
+    distance_m: np.ndarray | None = None,
+    cell_m: float = DEFAULT_CELL_M,
+    reading: str = "corrected",
+) -> VehicleReturns:
+    """Count returns and the cells that they occupy.
+
+    Parameters
+    ----------
+    points : ndarray, (k, 3)
+        Returns, each in the frame of its own vehicle [m]: see `vgop.to_vehicle_frame`.
+    vehicle : ndarray of int, (k,)
+        Row of `size_m` that each return belongs to.
+    size_m : ndarray, (n, 3)
+        Length, width and height of each vehicle's box [m].
+    distance_m : ndarray, (n,), optional
+        Horizontal distance from the LiDAR to the box centre [m].
+    cell_m, reading
+        As for `vgop.occupancy`.
+
+    Raises
+    ------
+    InputError
+        When shapes disagree, a row is out of range, a side is not positive, a point is not finite or a distance is
+        negative or not finite.
+    """
+    shares = occupancy(points, vehicle, size_m, cell_m, reading)
+    points, vehicle, size_m = (np.asarray(values) for values in (points, vehicle, size_m))
+    vehicle = vehicle.astype(np.int64, copy=False)
+    if distance_m is not None:
+        distance_m = np.asarray(distance_m, dtype=float)
+        if distance_m.shape != (len(size_m),):
+            raise InputError(
+                f"distance_m has shape {distance_m.shape}; allowed: ({len(size_m)},), one for each vehicle"
+            )
+        if not ((distance_m >= 0.0) & (distance_m < np.inf)).all():
+            raise InputError("distance_m holds a distance that is negative or not finite")
+    count = np.bincount(vehicle, minlength=len(size_m))
+    return VehicleReturns(size_m.astype(float, copy=False), count, shares, distance_m, points.astype(float), vehicle)
+
+
+Score = Callable[[VehicleReturns], np.ndarray]
+"""Scores n vehicles: (n,), in the metric's own unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A score of vehicles, by name.
+
+    Attributes
+    ----------
+    name : str
+        As scenes and options give it.
+    label : str
+        For axes and tables, in lower case unless a name.
+    unit : str
+        Of its values; empty for a share or any other plain number.
+    higher_is_better : bool
+        False where a low value means that a vehicle is seen well.
+    score : callable or None
+        Makes (n,) values of `VehicleReturns`; None for a metric that must learn from a scene first.
+    needs : frozenset of str
+        Of `VehicleReturns`, what it needs beside sizes, counts and occupancies: `POINTS`, `DISTANCE`, `VIEW`.
+    learn : callable or None
+        For a metric with a memory, such as a prior of where vehicles drive: makes the score of a `SceneContext`.
+    """
+
+    name: str
+    label: str
+    unit: str
+    higher_is_better: bool
+    score: Score | None = None
+    needs: frozenset[str] = frozenset()
+    learn: Callable[[SceneContext], Score] | None = None
+
+    def values(self, returns: VehicleReturns) -> np.ndarray:
+        """Scores of the vehicles, (n,), in the metric's own unit.
+
+        Raises
+        ------
+        InputError
+            When `returns` lacks something that the metric needs, or the metric must learn from a scene first.
+        """
+        if self.score is None:
+            raise InputError(f"metric {self.name!r} has to learn from a scene's traffic first; allowed: in a run")
+        self.check(returns)
+        return self.score(returns)
+
+    def check(self, returns: VehicleReturns) -> None:
+        """Raise `InputError` when `returns` lacks something that the metric needs."""
+        for what in sorted(self.needs):
+            if getattr(returns, what) is None:
+                raise InputError(f"metric {self.name!r} needs {_MISSING[what]}")
+
+    def merit(self, values: np.ndarray) -> np.ndarray:
+        """Values with their sign turned where lower is better, so that of two merits the greater one is the better."""
+        return values if self.higher_is_better else -values

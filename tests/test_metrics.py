@@ -1,0 +1,292 @@
+"""The metrics against slow loops, and the properties that their docstrings claim."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.errors import InputError
+from blender_lidar.metrics.ap_entropy import ap_entropy, expected_precision
+from blender_lidar.metrics.catalogue import METRICS, metric_named
+from blender_lidar.metrics.metric import VehicleReturns, vehicle_returns
+from blender_lidar.metrics.vgop import pe_vgop, to_vehicle_frame
+from blender_lidar.metrics.voxels import voxel_entropy, voxel_occupancy
+
+OF_RETURNS = [name for name in METRICS if name != "distance" and METRICS[name].learn is None]
+"""Metrics of a vehicle's returns alone."""
+GROW_WITH_POINTS = ("sum-of-views", "points", "log-points", "areal-density", "volumetric-density", "voxel-occupancy")
+
+
+def cloud(seed, vehicles=6, points=400, spread=1.05):
+    """Returns within and about boxes, the last of which gets none."""
+    rng = np.random.default_rng(seed)
+    size = rng.uniform([1.5, 0.5, 1.0], [12.0, 2.6, 4.0], (vehicles, 3))
+    vehicle = rng.integers(0, vehicles - 1, points)
+    local = rng.uniform(-0.5, 0.5, (points, 3)) * size[vehicle] * spread
+    return local, vehicle, size, rng.uniform(3.0, 90.0, vehicles)
+
+
+# --- oracles: one vehicle at a time, in plain Python ------------------------------------------------------------------
+
+
+def slow_cells(points, size, cell):
+    """Cells of the returns that are not dropped, and how many there are along each side."""
+    n = [max(1, math.ceil(side / cell - 1e-9)) for side in size]
+    kept = []
+    for point in points:
+        index = [math.floor((x + side / 2) / cell) for x, side in zip(point, size, strict=True)]
+        if all(-1 <= i <= count for i, count in zip(index, n, strict=True)):
+            kept.append(tuple(min(max(i, 0), count - 1) for i, count in zip(index, n, strict=True)))
+    return kept, n
+
+
+def slow_views(points, size):
+    cells, n = slow_cells(points, size, 0.05)
+    return [len({(c[a], c[b]) for c in cells}) / (n[a] * n[b]) for a, b in ((0, 1), (0, 2), (1, 2))]
+
+
+def slow_bits(shares):
+    return -sum(p * math.log2(p) for p in shares if p > 0)
+
+
+def slow_voxel_entropy(points, size, voxel):
+    cells, _ = slow_cells(points, size, voxel)
+    return slow_bits([count / len(cells) for count in Counter(cells).values()])
+
+
+def slow_voxel_share(points, size):
+    cells, n = slow_cells(points, size, 0.1)
+    return len(set(cells)) / math.prod(n)
+
+
+def slow_ap_entropy(points):
+    precision = 0.001
+    if len(points):
+        precision = min(max(0.152 * math.log(len(points)) + 0.659, 0.001), 0.999)
+    sigma = (1.0 - precision) / precision
+    return math.log(2.0 * math.pi * math.e * sigma**2)  # of a normal distribution in the plane
+
+
+SLOW = {
+    "pe-vgop": lambda points, size, distance: slow_bits(slow_views(points, size)),
+    "sum-of-views": lambda points, size, distance: sum(slow_views(points, size)),
+    "points": lambda points, size, distance: len(points),
+    "log-points": lambda points, size, distance: math.log(1 + len(points)),
+    "areal-density": lambda points, size, distance: len(points) / size[0] / size[1],
+    "volumetric-density": lambda points, size, distance: len(points) / size[0] / size[1] / size[2],
+    "voxel-entropy-0.1": lambda points, size, distance: slow_voxel_entropy(points, size, 0.1),
+    "voxel-entropy-0.2": lambda points, size, distance: slow_voxel_entropy(points, size, 0.2),
+    "voxel-occupancy": lambda points, size, distance: slow_voxel_share(points, size),
+    "voxel-occupancy-entropy": lambda points, size, distance: slow_bits([slow_voxel_share(points, size)]),
+    "ap-entropy": lambda points, size, distance: slow_ap_entropy(points),
+    "distance": lambda points, size, distance: distance,
+}
+
+
+@pytest.mark.parametrize("name", SLOW)
+@pytest.mark.parametrize("spread", [0.9, 1.4])
+def test_a_metric_equals_its_slow_loop(name, spread):
+    points, vehicle, size, distance = cloud(3, spread=spread)
+    values = METRICS[name].values(vehicle_returns(points, vehicle, size, distance))
+    slow = [SLOW[name](points[vehicle == row].tolist(), size[row].tolist(), distance[row]) for row in range(len(size))]
+    np.testing.assert_allclose(values, slow, rtol=1e-9, atol=1e-12)
+
+
+def test_every_metric_of_returns_has_an_oracle():
+    assert {*OF_RETURNS, "distance"} <= set(SLOW)
+
+
+# --- properties -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*OF_RETURNS, "distance"])
+def test_a_vehicle_is_scored_the_same_alone_and_among_others(name):
+    points, vehicle, size, distance = cloud(4)
+    together = METRICS[name].values(vehicle_returns(points, vehicle, size, distance))
+    for row in range(len(size)):
+        mine = points[vehicle == row]
+        alone = vehicle_returns(mine, np.zeros(len(mine), dtype=int), size[row : row + 1], distance[row : row + 1])
+        np.testing.assert_allclose(METRICS[name].values(alone), together[row : row + 1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", OF_RETURNS)
+def test_the_order_of_points_does_not_matter(name):
+    points, vehicle, size, _ = cloud(5)
+    order = np.random.default_rng(0).permutation(len(points))
+    score = METRICS[name].values
+    np.testing.assert_array_equal(
+        score(vehicle_returns(points[order], vehicle[order], size)), score(vehicle_returns(points, vehicle, size))
+    )
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(-7, 7), st.floats(-500, 500), st.floats(-500, 500), st.integers(0, 2**32 - 1))
+def test_moving_vehicle_and_points_together_changes_no_metric(heading, x, y, seed):
+    rng = np.random.default_rng(seed)
+    size = np.array([[4.4, 1.8, 1.4]])
+    # Middles of cells of 0.05 m, which lie on no border of a voxel either: rounding cannot move them across.
+    local = (rng.integers(0, np.array([88, 36, 28]), (200, 3)) + 0.5) * 0.05 - size / 2
+    centre = np.array([x, y, 0.7])
+    cos, sin = math.cos(heading), math.sin(heading)
+    world = local @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]) + centre
+    rows = np.zeros(len(local), dtype=int)
+    before = vehicle_returns(local, rows, size)
+    after = vehicle_returns(to_vehicle_frame(world, centre, heading), rows, size)
+    for name in OF_RETURNS:
+        np.testing.assert_array_equal(METRICS[name].values(after), METRICS[name].values(before), err_msg=name)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_metrics_that_claim_it_never_fall_when_returns_are_added(seed):
+    points, vehicle, size, _ = cloud(seed)
+    some, more = vehicle_returns(points[:150], vehicle[:150], size), vehicle_returns(points, vehicle, size)
+    for name in (*GROW_WITH_POINTS, "ap-entropy"):
+        metric = METRICS[name]
+        assert (metric.merit(metric.values(more)) >= metric.merit(metric.values(some))).all(), name
+
+
+def test_voxel_entropy_falls_when_returns_crowd_into_one_voxel_and_pe_vgop_when_a_view_fills():
+    size = np.array([[4.0, 2.0, 1.6]])
+    spread = np.array([[x, 0.05, 0.05] for x in np.arange(-1.95, 2.0, 0.1)])
+    crowded = np.concatenate([spread, np.repeat(spread[:1], 500, axis=0)])
+    grid = np.stack(np.meshgrid(*(np.arange(-s / 2 + 0.025, s / 2, 0.05) for s in size[0]), indexing="ij"), axis=-1)
+    full = grid.reshape(-1, 3)
+    third = full[np.isclose(full[:, 0] * 20 % 3, 0.5)]
+    for name, fewer, more in (("voxel-entropy-0.1", spread, crowded), ("pe-vgop", third, full)):
+        less, value = (
+            METRICS[name].values(vehicle_returns(points, np.zeros(len(points), dtype=int), size))[0]
+            for points in (more, fewer)
+        )
+        assert less < value, name
+
+
+@pytest.mark.parametrize("name", OF_RETURNS)
+def test_no_vehicle_has_a_worse_value_than_one_without_returns(name):
+    metric = METRICS[name]
+    nothing = vehicle_returns(np.empty((0, 3)), np.empty(0, dtype=int), np.array([[4.5, 1.8, 1.5]]))
+    value = metric.values(nothing)
+    assert value.shape == (1,)
+    assert np.isfinite(value).all()
+    points, vehicle, size, _ = cloud(6)
+    merits = metric.merit(metric.values(vehicle_returns(points, vehicle, size)))
+    assert (merits >= metric.merit(value)).all()
+    if name != "ap-entropy":
+        assert value[0] == 0.0
+
+
+@pytest.mark.parametrize("name", [*OF_RETURNS, "distance"])
+def test_a_frame_without_vehicles_has_no_scores(name):
+    nothing = vehicle_returns(np.empty((0, 3)), np.empty(0, dtype=int), np.empty((0, 3)), np.empty(0))
+    assert METRICS[name].values(nothing).shape == (0,)
+
+
+def test_one_return_has_the_value_that_can_be_written_down():
+    one = vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.array([[4.0, 2.0, 1.5]]), np.array([10.0]))
+    shares = [1 / (80 * 40), 1 / (80 * 30), 1 / (40 * 30)]
+    voxels = 40 * 20 * 15
+    expected = {
+        "pe-vgop": sum(-p * math.log2(p) for p in shares),
+        "sum-of-views": sum(shares),
+        "points": 1.0,
+        "log-points": math.log(2.0),
+        "areal-density": 1 / 8.0,
+        "volumetric-density": 1 / 12.0,
+        "voxel-entropy-0.1": 0.0,
+        "voxel-entropy-0.2": 0.0,
+        "voxel-occupancy": 1 / voxels,
+        "voxel-occupancy-entropy": math.log2(voxels) / voxels,
+        "ap-entropy": 2.0 * math.log(0.341 / 0.659) + 1.0 + math.log(2.0 * math.pi),
+        "distance": 10.0,
+    }
+    for name, value in expected.items():
+        np.testing.assert_allclose(METRICS[name].values(one), [value], rtol=1e-12, err_msg=name)
+
+
+def test_equal_counts_in_every_voxel_have_the_entropy_of_a_uniform_distribution():
+    size = np.array([[1.6, 0.4, 0.2]])
+    middles = np.stack(np.meshgrid(*(np.arange(-s / 2 + 0.05, s / 2, 0.1) for s in size[0]), indexing="ij"), axis=-1)
+    points = np.repeat(middles.reshape(-1, 3), 7, axis=0)
+    returns = vehicle_returns(points, np.zeros(len(points), dtype=int), size)
+    assert voxel_entropy(returns, 0.1)[0] == pytest.approx(math.log2(128))
+    assert voxel_entropy(returns, 0.2)[0] == pytest.approx(math.log2(16))
+    assert voxel_occupancy(returns)[0] == 1.0
+
+
+def test_boxes_with_more_voxels_than_can_be_numbered_are_refused():
+    returns = vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.full((1, 3), 1e3), cell_m=10.0)
+    with pytest.raises(InputError, match="too many voxels"):
+        voxel_entropy(returns, 1e-4)
+
+
+def test_pe_vgop_in_the_catalogue_is_that_of_the_paper_to_the_last_bit():
+    points, vehicle, size, _ = cloud(8)
+    for reading in ("corrected", "paper"):
+        of_catalogue = METRICS["pe-vgop"].values(vehicle_returns(points, vehicle, size, None, 0.07, reading))
+        assert of_catalogue.tobytes() == pe_vgop(points, vehicle, size, 0.07, reading).tobytes()
+
+
+def test_merit_turns_the_sign_of_metrics_in_which_lower_is_better():
+    values = np.array([1.0, 2.0])
+    for name, metric in METRICS.items():
+        better_first = metric.merit(values)[0] > metric.merit(values)[1]
+        assert better_first == (name in ("distance", "ap-entropy")), name
+
+
+# --- entropy of the position ------------------------------------------------------------------------------------------
+
+
+def test_expected_precision_is_clipped_at_both_ends():
+    found = expected_precision(np.array([0, 1, 9, 10, 1000]))
+    assert found[0] == 0.001
+    assert found[1] == pytest.approx(0.659)
+    assert found[2] == pytest.approx(0.152 * math.log(9) + 0.659)
+    assert found[3:].tolist() == [0.999, 0.999]
+    assert expected_precision(np.array([1]), intercept=-0.5).tolist() == [0.001]
+
+
+def test_the_entropy_of_the_position_takes_other_constants():
+    returns = VehicleReturns(np.ones((1, 3)), np.array([50]), np.zeros((1, 3)))
+    precision = 0.156 * math.log(50) + 0.1
+    sigma = 1 / precision - 1
+    assert ap_entropy(returns, 0.156, 0.1)[0] == pytest.approx(2 * math.log(sigma) + 1 + math.log(2 * math.pi))
+
+
+@pytest.mark.parametrize("bad", [{"slope": 0.0}, {"slope": math.nan}, {"intercept": math.inf}, {"margin": 0.6}])
+def test_impossible_constants_are_refused(bad):
+    with pytest.raises(InputError, match="allowed: a slope above 0"):
+        expected_precision(np.array([1]), **bad)
+    with pytest.raises(InputError, match="negative"):
+        expected_precision(np.array([-1]))
+
+
+# --- what is refused --------------------------------------------------------------------------------------------------
+
+
+def test_names_are_the_catalogues_and_an_unknown_one_is_refused_with_the_nearest():
+    assert list(METRICS) == [metric.name for metric in METRICS.values()]
+    assert metric_named("log-points") is METRICS["log-points"]
+    with pytest.raises(
+        InputError, match=r"--metric: unknown metric 'voxel-entropy'; did you mean 'voxel-entropy-0.\d'"
+    ):
+        metric_named("voxel-entropy", "--metric")
+
+
+def test_what_a_metric_lacks_is_named():
+    seen = VehicleReturns(np.ones((1, 3)), np.array([3]), np.zeros((1, 3)))
+    with pytest.raises(InputError, match="metric 'distance' needs the place of the LiDAR"):
+        METRICS["distance"].values(seen)
+    with pytest.raises(InputError, match="'voxel-occupancy' needs the points themselves"):
+        METRICS["voxel-occupancy"].values(seen)
+    assert METRICS["points"].values(seen).tolist() == [3.0]
+
+
+@pytest.mark.parametrize("distance", [[-1.0], [math.nan], [math.inf], [1.0, 2.0], 3.0])
+def test_impossible_distances_are_refused(distance):
+    with pytest.raises(InputError, match="distance_m"):
+        vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.ones((1, 3)), distance)
