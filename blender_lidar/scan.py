@@ -14,7 +14,7 @@ from .sensors.beams import BeamLattice
 from .sensors.imperfections import PERFECT, Imperfections
 from .sensors.pose import Pose
 from .traffic.vehicles import CLASSES, Vehicles
-from .world.shapes import ROAD
+from .world.shapes import GLASS, ROAD
 from .world.triangles import STATIC, vehicle_triangles
 
 NO_CLASS = -1
@@ -98,7 +98,8 @@ def scan(
     scenery : StandingScenery, optional
         What stands still: it returns, and hides what is behind it.
     imperfections : Imperfections
-        Range noise, which moves points along their beams, and drop-out; none unless said.
+        Range noise, which moves points along their beams, and drop-out, of all returns or of those from glass; none
+        unless said.
 
     Raises
     ------
@@ -128,7 +129,7 @@ def scan(
         _add_ground(pose.height_m, directions[:, 2], reach_m, distance, owner, surface, cosine)
 
     draws = imperfections.draws(lattice, vehicles.frame)
-    measured = distance if draws is None else draws.measured(np.arange(len(distance)), distance)
+    measured = distance if draws is None else draws.measured(np.arange(len(distance)), distance, surface == GLASS)
     kept = np.flatnonzero((measured <= max_range_m) & (measured >= min_range_m))
     ring, slot = np.divmod(kept, lattice.columns)
     of_vehicle = owner[kept] >= 0

@@ -63,7 +63,7 @@ class SensorSettings:
     @property
     def imperfections(self) -> Imperfections:
         """How its returns differ from the truth."""
-        return Imperfections(self.range_noise_m, self.dropout, self.noise_seed)
+        return Imperfections(self.range_noise_m, self.dropout, seed=self.noise_seed)
 
     def imperfections_as_table(self) -> dict[str, float | int]:
         """The keys of [sensor] that make it imperfect."""

@@ -15,12 +15,13 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics.vgop import entropy, occupancy, to_vehicle_frame
 from blender_lidar.scan import scan
 from blender_lidar.sensors.beams import beam_lattice
-from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.sensors.imperfections import PERFECT, FrameDraws, Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.sensors.unit import unit_of
 from blender_lidar.study.evaluation import CountedFrame, Evaluator, Scoring
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
+from blender_lidar.world.shapes import GLASS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
@@ -32,7 +33,7 @@ COARSE = {
 }
 TRAFFIC = dense_traffic(vehicles=40, length_m=100.0, frame=7)
 MOUNTINGS = [Pose(height_m=4.1, tilt_x=0.33), Pose(1.0, -0.5, 2.6, 0.1, 0.07, -0.5)]
-ROUGH = Imperfections(0.05, 0.2, seed=5)
+ROUGH = Imperfections(0.05, 0.2, glass_dropout=0.4, seed=5)
 
 
 def cloud_of(imperfections=PERFECT, lattice=FINE["RS-16"], vehicles=TRAFFIC, pose=MOUNTINGS[0], **changes):
@@ -96,7 +97,7 @@ def test_draws_are_independent_between_beams_frames_seeds_and_of_each_other():
     lattice = FINE["RS-LiDAR-32"]
 
     def drawn(frame=0, seed=1):
-        draws = Imperfections(1.0, 0.5, seed).draws(lattice, frame)
+        draws = Imperfections(1.0, 0.5, seed=seed).draws(lattice, frame)
         return by_column(lattice, draws.noise_m), by_column(lattice, draws.chance)
 
     noise, chance = drawn()
@@ -225,13 +226,15 @@ def slow_pipeline(vehicles, seen, pose):
     lattice, triangles = seen.lattice, vehicle_triangles(vehicles, seen.detail)
     rays = pose.to_world(lattice.directions.reshape(-1, 3))
     hits = caster_class("exact")(triangles.corners).cast(pose.position, rays)
-    draws = seen.imperfections.draws(lattice, vehicles.frame)
+    draws = seen.imperfections.draws(lattice, vehicles.frame) or FrameDraws(None, None, 0.0, 0.0)
     points = np.zeros(len(vehicles), dtype=int)
     cells = [(set(), set(), set()) for _ in range(len(vehicles))]
     for beam in np.flatnonzero(hits.triangle >= 0):
         owner = int(triangles.owner[hits.triangle[beam]])
         distance = hits.distance[beam] + (0.0 if draws.noise_m is None else float(draws.noise_m[beam]))
-        lost = draws.chance is not None and draws.chance[beam] < np.float32(draws.dropout)
+        glass = seen.imperfections.glass_dropout if triangles.surface[hits.triangle[beam]] == GLASS else 0.0
+        loss = 1.0 - (1.0 - seen.imperfections.dropout) * (1.0 - glass)
+        lost = loss == 1.0 or (draws.chance is not None and draws.chance[beam] < np.float32(loss))
         if lost or not seen.min_range_m <= distance <= seen.max_range_m:
             continue
         points[owner] += 1
@@ -264,11 +267,14 @@ def slow_pipeline(vehicles, seen, pose):
     height=st.floats(0.5, 6.0),
     angles=st.tuples(st.floats(-0.7, 0.7), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0)),
     sigma=st.sampled_from([0.0, 0.02, 0.3, 3.0]),
-    dropout=st.sampled_from([0.1, 0.7]),
+    dropout=st.sampled_from([0.0, 0.1, 0.7]),
+    glass_dropout=st.sampled_from([0.0, 0.5, 1.0]),
 )
-def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, height, angles, sigma, dropout):
+def test_points_and_occupancies_equal_those_of_the_slow_pipeline(
+    seed, sensor, height, angles, sigma, dropout, glass_dropout
+):
     vehicles = dense_traffic(seed=seed, vehicles=8, length_m=30.0, frame=seed % 100)
-    seen = observation(COARSE[sensor], Imperfections(sigma, dropout, seed), gate=20.0)
+    seen = observation(COARSE[sensor], Imperfections(sigma, dropout, glass_dropout=glass_dropout, seed=seed), gate=20.0)
     pose = Pose(0.0, 0.0, height, *angles)
     found = FrameScorer(vehicles, everyone(vehicles), seen).see([pose])
     points, shares = slow_pipeline(vehicles, seen, pose)
@@ -359,6 +365,9 @@ def test_one_worker_and_two_give_the_same_bits():
         ({"dropout": 1.0}, "dropout is 1.0; allowed: at least 0 and below 1"),
         ({"dropout": -0.1}, "dropout is -0.1"),
         ({"dropout": math.nan}, "dropout is nan"),
+        ({"glass_dropout": 1.01}, "glass_dropout is 1.01; allowed: 0 to 1"),
+        ({"glass_dropout": -0.1}, "glass_dropout is -0.1"),
+        ({"glass_dropout": math.nan}, "glass_dropout is nan"),
         ({"seed": -1}, "seed is -1; allowed: a whole number, 0 or more"),
         ({"seed": 0.5}, "seed is 0.5"),
     ],

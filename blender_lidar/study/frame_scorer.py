@@ -19,6 +19,7 @@ from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
+from ..world.shapes import GLASS
 from ..world.triangles import vehicle_triangles
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
@@ -107,6 +108,8 @@ class FrameScorer:
         self.pieces = cut_vehicles(self._vehicles, observation.detail)
         self._draws = observation.imperfections.draws(observation.lattice, vehicles.frame)
         self._reach_m = observation.max_range_m + observation.imperfections.most_noise_m
+        asks_for_glass = self._draws is not None and self._draws.asks_for_glass
+        self._of_glass = triangles.surface == GLASS if asks_for_glass else None  # each triangle
         self._noisy = observation.imperfections.most_noise_m > 0.0
         self._grids = PlacedGrids(
             self._vehicles.centre_m,
@@ -171,7 +174,8 @@ class FrameScorer:
         row, distance = _take(self._counted_row, found.triangle), found.distance
         if self._draws is not None:
             beam = beams[0] if len(beams) == 1 else np.concatenate(beams)
-            distance = self._draws.measured(_take(beam, found.ray), distance)
+            of_glass = None if self._of_glass is None else _take(self._of_glass, found.triangle)
+            distance = self._draws.measured(_take(beam, found.ray), distance, of_glass)
         wanted = np.flatnonzero((row >= 0) & (distance >= seen.min_range_m) & (distance <= seen.max_range_m))
         ray = _take(found.ray, wanted)
         if seen.scenery is not None:
