@@ -19,7 +19,10 @@ from blender_lidar.metrics.voxels import voxel_entropy, voxel_occupancy
 
 OF_RETURNS = [name for name in METRICS if name != "distance" and METRICS[name].learn is None]
 """Metrics of a vehicle's returns alone."""
-GROW_WITH_POINTS = ("sum-of-views", "points", "log-points", "areal-density", "volumetric-density", "voxel-occupancy")
+GROW_WITH_POINTS = (
+    *("view-coverage", "sum-of-views", "points", "log-points"),
+    *("areal-density", "volumetric-density", "voxel-occupancy"),
+)
 
 
 def cloud(seed, vehicles=6, points=400, spread=1.05):
@@ -45,13 +48,18 @@ def slow_cells(points, size, cell):
     return kept, n
 
 
-def slow_views(points, size):
-    cells, n = slow_cells(points, size, 0.05)
+def slow_views(points, size, cell=0.05):
+    cells, n = slow_cells(points, size, cell)
     return [len({(c[a], c[b]) for c in cells}) / (n[a] * n[b]) for a, b in ((0, 1), (0, 2), (1, 2))]
 
 
 def slow_bits(shares):
     return -sum(p * math.log2(p) for p in shares if p > 0)
+
+
+def slow_coverage(points, size):
+    top, side, front = (1.5 * share / (share + 0.5) for share in slow_views(points, size, 0.2))
+    return (top + math.sqrt(side**2 + front**2)) / (1.0 + math.sqrt(2.0))
 
 
 def slow_voxel_entropy(points, size, voxel):
@@ -74,6 +82,7 @@ def slow_ap_entropy(points):
 
 SLOW = {
     "pe-vgop": lambda points, size, distance: slow_bits(slow_views(points, size)),
+    "view-coverage": lambda points, size, distance: slow_coverage(points, size),
     "sum-of-views": lambda points, size, distance: sum(slow_views(points, size)),
     "points": lambda points, size, distance: len(points),
     "log-points": lambda points, size, distance: math.log(1 + len(points)),

@@ -7,11 +7,13 @@ from .ap_entropy import AP_ENTROPY
 from .metric import Metric
 from .nearness import DISTANCE_METRIC
 from .point_counts import AREAL_DENSITY, LOG_POINTS, POINTS, VOLUMETRIC_DENSITY
+from .view_coverage import VIEW_COVERAGE
 from .views import PE_VGOP, SUM_OF_VIEWS
 from .voxels import VOXEL_ENTROPY_01, VOXEL_ENTROPY_02, VOXEL_OCCUPANCY, VOXEL_OCCUPANCY_ENTROPY
 
 _ALL = (
     PE_VGOP,
+    VIEW_COVERAGE,
     SUM_OF_VIEWS,
     POINTS,
     LOG_POINTS,
