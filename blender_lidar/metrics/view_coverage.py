@@ -13,8 +13,8 @@ P are the occupancies of Eqs. 6 to 8 with cells of 0.2 m, and h = 0.5.
 - It is fair to size: P is a share, and cells of 0.2 m, about those in which detectors gather points (PointPillars 0.16
   m), are hit in a lorry as easily as in a car.
 
-Cell and h are the best of this form on 55 labelled cars of KITTI's train split, and were frozen before any other car was
-looked at. These cars cannot tell this form from the plain sum of the three s, or from the better of side and front in
+Cell and h are the best of this form on 55 labelled cars of KITTI's train split, frozen before any other car was looked
+at. These cars cannot tell this form from the plain sum of the three s, or from the better of side and front in
 place of the root; bearing decided. `scripts/choose_view_coverage.py` does it again, and `docs/reproduction.md` has what
 it is worth on the other split.
 """
