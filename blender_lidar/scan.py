@@ -11,16 +11,14 @@ from .casting.culling import cut_vehicles, reachable_beams
 from .casting.standing import StandingScenery
 from .errors import InputError
 from .sensors.beams import BeamLattice
+from .sensors.detection_range import detection_range_m
 from .sensors.imperfections import PERFECT, Imperfections
 from .sensors.pose import Pose
 from .traffic.vehicles import CLASSES, Vehicles
-from .world.shapes import GLASS, ROAD
+from .world.meshes import GLASS, REFLECTIVITY, ROAD
 from .world.triangles import STATIC, vehicle_triangles
 
 NO_CLASS = -1
-# Diffuse reflectivity at 905 nm by surface class (paint, glass, road, structure): round numbers for display, not
-# measurements.
-REFLECTIVITY = np.array([0.5, 0.1, 0.2, 0.3])
 FULL_INTENSITY_M = 10.0  # up to here a surface that faces the sensor returns its full reflectivity
 
 
@@ -98,8 +96,8 @@ def scan(
     scenery : StandingScenery, optional
         What stands still: it returns, and hides what is behind it.
     imperfections : Imperfections
-        Range noise, which moves points along their beams, and drop-out, of all returns or of those from glass; none
-        unless said.
+        Range noise, which moves points along their beams, and what is lost: by drop-out, on glass, or because it is
+        too weak; none unless said.
 
     Raises
     ------
@@ -130,6 +128,9 @@ def scan(
 
     draws = imperfections.draws(lattice, vehicles.frame)
     measured = distance if draws is None else draws.measured(np.arange(len(distance)), distance, surface == GLASS)
+    if imperfections.range_at_10_percent_m is not None:
+        seen_to_m = detection_range_m(imperfections.range_at_10_percent_m, REFLECTIVITY[surface], cosine)
+        measured = np.where(distance <= seen_to_m, measured, np.inf)
     kept = np.flatnonzero((measured <= max_range_m) & (measured >= min_range_m))
     ring, slot = np.divmod(kept, lattice.columns)
     of_vehicle = owner[kept] >= 0

@@ -11,7 +11,7 @@ from .sensors.unit import MOST_SPREAD_DEG, unit_of
 from .settings import SensorSettings, is_sensor_file
 from .toml_table import TomlTable
 
-DATASHEET = "datasheet"  # in place of a number: the model's own range noise
+DATASHEET = "datasheet"  # in place of a number: the model's own
 
 
 def sensor_settings(table: TomlTable, folder: Path) -> SensorSettings:
@@ -54,6 +54,10 @@ def sensor_settings(table: TomlTable, folder: Path) -> SensorSettings:
         range_gate_m=gate,
         range_noise_m=_range_noise(settings["range_noise_m"], model, where["range_noise_m"]),
         dropout=settings["dropout"] or 0.0,
+        glass_dropout=settings["glass_dropout"] or 0.0,
+        range_at_10_percent_m=_range_at_10_percent(
+            settings["range_at_10_percent_m"], model, where["range_at_10_percent_m"]
+        ),
         unit_spread_deg=spread_deg,
         unit=unit,
         noise_seed=table.whole("noise_seed", 1, low=0),
@@ -67,6 +71,8 @@ def _of_any_model(table: TomlTable) -> dict:
         "range_gate_m": table.number("range_gate_m", None, above=0.0),
         "range_noise_m": table.number_or_text("range_noise_m", None, DATASHEET, low=0.0, high=MOST_RANGE_NOISE_M),
         "dropout": table.number("dropout", None, low=0.0, below=1.0),
+        "glass_dropout": table.number("glass_dropout", None, low=0.0, high=1.0),
+        "range_at_10_percent_m": table.number_or_text("range_at_10_percent_m", None, DATASHEET, above=0.0),
         "unit_spread_deg": table.number("unit_spread_deg", None, low=0.0, high=MOST_SPREAD_DEG),
     }
 
@@ -76,6 +82,12 @@ def _range_noise(given: float | str | None, model: LidarModel, where: str) -> fl
     if noise > MOST_RANGE_NOISE_M:
         raise InputError(f"{where}: {model.name} has {noise:g}; allowed: at most {MOST_RANGE_NOISE_M:g}")
     return noise
+
+
+def _range_at_10_percent(given: float | str | None, model: LidarModel, where: str) -> float | None:
+    if given == DATASHEET and model.range_at_10_percent_m is None:
+        raise InputError(f"{where}: no source gives that of {model.name}; allowed: a number")
+    return model.range_at_10_percent_m if given == DATASHEET else given
 
 
 def _sensor_name(name: str, folder: Path) -> str:

@@ -51,6 +51,8 @@ class SensorSettings:
     range_gate_m: float
     range_noise_m: float
     dropout: float
+    glass_dropout: float
+    range_at_10_percent_m: float | None
     unit_spread_deg: float
     unit: int
     noise_seed: int
@@ -63,12 +65,18 @@ class SensorSettings:
     @property
     def imperfections(self) -> Imperfections:
         """How its returns differ from the truth."""
-        return Imperfections(self.range_noise_m, self.dropout, seed=self.noise_seed)
+        return Imperfections(
+            self.range_noise_m,
+            self.dropout,
+            glass_dropout=self.glass_dropout,
+            range_at_10_percent_m=self.range_at_10_percent_m,
+            seed=self.noise_seed,
+        )
 
-    def imperfections_as_table(self) -> dict[str, float | int]:
+    def imperfections_as_table(self) -> dict[str, float | int | None]:
         """The keys of [sensor] that make it imperfect."""
-        keys = ("range_noise_m", "dropout", "unit_spread_deg", "unit", "noise_seed")
-        return {key: getattr(self, key) for key in keys}
+        keys = ("range_noise_m", "dropout", "glass_dropout", "range_at_10_percent_m")
+        return {key: getattr(self, key) for key in (*keys, "unit_spread_deg", "unit", "noise_seed")}
 
 
 @dataclass(frozen=True, slots=True)

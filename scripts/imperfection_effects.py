@@ -4,7 +4,7 @@
 
 Each imperfection is on alone; the searched frames and the mounting, the scene's baseline unless one is given, stay. The
 table has what each adds to the score of the perfect sensor, which is its first row: mean over the draws, and standard
-deviation between them. Occupancy is the mean of the three views'.
+deviation between them, 0 where nothing is drawn. Occupancy is the mean of the three views'.
 """
 
 from __future__ import annotations
@@ -23,12 +23,22 @@ from blender_lidar.scenario import load_scenario, pose_at
 from blender_lidar.study.site import Site, lattice_of, prepare, standing_scenery
 from blender_lidar.study.vehicle_table import vehicle_table
 
-PERFECT = {"range_noise_m": 0.0, "dropout": 0.0, "unit_spread_deg": 0.0}
+PERFECT = {
+    "range_noise_m": 0.0,
+    "dropout": 0.0,
+    "glass_dropout": 0.0,
+    "range_at_10_percent_m": None,
+    "unit_spread_deg": 0.0,
+}
 EFFECTS = (
-    # name, what is on, what differs from draw to draw
+    # name, what is on, what differs from draw to draw (None: nothing)
     ("range noise 0.02 m", {"range_noise_m": 0.02}, "noise_seed"),
     ("range noise 0.05 m", {"range_noise_m": 0.05}, "noise_seed"),
     ("drop-out 0.1", {"dropout": 0.1}, "noise_seed"),
+    ("glass drop-out 0.5", {"glass_dropout": 0.5}, "noise_seed"),
+    ("glass drop-out 1", {"glass_dropout": 1.0}, None),
+    ("10 % seen to 60 m", {"range_at_10_percent_m": 60.0}, None),
+    ("10 % seen to 30 m", {"range_at_10_percent_m": 30.0}, None),
     ("unit spread 0.03 deg", {"unit_spread_deg": 0.03}, "unit"),
     ("unit spread 0.1 deg", {"unit_spread_deg": 0.1}, "unit"),
 )
@@ -58,13 +68,14 @@ def print_effects(site: Site, mount: dict[str, float], draws: int) -> None:
     print(f"{'':<22}" + "".join(f"{name:>24}" for name in SCORES))
     print(f"{'perfect':<22}" + "".join(f"{value:>24.4f}" for value in perfect))
     for name, on, drawn in EFFECTS:
-        added = [scores(site, mount, {**PERFECT, **on, drawn: draw}) - perfect for draw in range(1, draws + 1)]
-        spread = np.std(added, axis=0, ddof=1) if draws > 1 else np.full(len(SCORES), np.nan)
+        each = [{drawn: draw} for draw in range(1, draws + 1)] if drawn else [{}]
+        added = [scores(site, mount, {**PERFECT, **on, **draw}) - perfect for draw in each]
+        spread = np.std(added, axis=0, ddof=1) if len(each) > 1 else np.full(len(SCORES), np.nan if drawn else 0.0)
         cells = (f"{mean:+.4f} (sd {sd:.4f})" for mean, sd in zip(np.mean(added, axis=0), spread, strict=True))
         print(f"{name:<22}" + "".join(f"{cell:>24}" for cell in cells), flush=True)
 
 
-def scores(site: Site, mount: dict[str, float], sensor_settings: dict[str, float]) -> np.ndarray:
+def scores(site: Site, mount: dict[str, float], sensor_settings: dict[str, float | None]) -> np.ndarray:
     """`SCORES` of a mounting on the searched frames under other settings of [sensor]."""
     sensor = replace(site.scenario.sensor, **sensor_settings)
     scenario, observation, scoring = replace(site.scenario, sensor=sensor), site.observation, site.scoring

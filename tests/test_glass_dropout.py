@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -105,7 +106,7 @@ def test_more_glass_drop_out_never_adds_a_return(detail, dropout):
         set(beams_of(cloud_of(Imperfections(dropout=dropout, glass_dropout=share), detail)))
         for share in (0.0, 0.1, 0.5, 0.8, 1.0)
     ]
-    for more, less in zip(beams[1:], beams, strict=False):
+    for less, more in itertools.pairwise(beams):
         assert more < less
 
 

@@ -48,7 +48,7 @@ def test_every_row_is_what_runs_with_those_settings_differ_by(script, tmp_path, 
     perfect = run()
     assert found["perfect"][:2] == pytest.approx(perfect, abs=6e-5)
     for name, on, drawn in script.EFFECTS:
-        added = [run(**on, **{drawn: draw}) - perfect for draw in (1, 2)]
+        added = [run(**on, **({drawn: draw} if drawn else {"noise_seed": draw})) - perfect for draw in (1, 2)]
         expected = np.column_stack([np.mean(added, axis=0), np.std(added, axis=0, ddof=1)]).ravel()
         assert found[name][:4] == pytest.approx(expected, abs=6e-5), name
     assert found["drop-out 0.1"][6] == pytest.approx(-0.1 * found["perfect"][3], rel=0.2)
@@ -56,7 +56,10 @@ def test_every_row_is_what_runs_with_those_settings_differ_by(script, tmp_path, 
 
 def test_a_sensor_that_the_scene_makes_imperfect_is_perfect_in_the_first_row(script, tmp_path, capsys):
     tables = []
-    for changes in ({}, {"sensor": {"dropout": 0.5, "unit_spread_deg": 0.1}}):
+    for changes in (
+        {},
+        {"sensor": {"dropout": 0.5, "glass_dropout": 1.0, "range_at_10_percent_m": 9.0, "unit_spread_deg": 0.1}},
+    ):
         assert script.main([str(write_scene(tmp_path, changes)), "--draws", "1"]) == 0
         tables.append(table(capsys.readouterr().out))
     assert tables[0]["perfect"] == tables[1]["perfect"]

@@ -19,8 +19,25 @@ def _quick(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
 
 
-WORDS = ("--range-noise", "datasheet", "--dropout", 0.25, "--unit-spread", 0.03)
-TOLD = {"range_noise_m": 0.02, "dropout": 0.25, "unit_spread_deg": 0.03, "unit": 1, "noise_seed": 1}
+NOISE, LOST, UNIT = ("--range-noise", "datasheet"), ("--dropout", 0.25), ("--unit-spread", 0.03)
+GLASS, WEAK = ("--glass-dropout", 0.6), ("--range-at-10-percent", "datasheet")
+WORDS = (*NOISE, *LOST, *GLASS, *WEAK, *UNIT)
+PERFECT = {
+    "range_noise_m": 0.0,
+    "dropout": 0.0,
+    "glass_dropout": 0.0,
+    "range_at_10_percent_m": None,
+    "unit_spread_deg": 0.0,
+    "unit": 1,
+    "noise_seed": 1,
+}
+TOLD = PERFECT | {
+    "range_noise_m": 0.02,
+    "dropout": 0.25,
+    "glass_dropout": 0.6,
+    "range_at_10_percent_m": 56.6,
+    "unit_spread_deg": 0.03,
+}
 
 
 @pytest.mark.usefixtures("_quick")
@@ -31,7 +48,7 @@ def test_a_cloud_tells_its_imperfections_and_the_elevations_of_its_unit(tmp_path
         assert code == 0, err
     plain, rough = (np.load(f"{name}.npz") for name in ("plain", "rough"))
     told = [json.loads(str(cloud["header"])) for cloud in (plain, rough)]
-    assert told[0]["imperfections"] == {**dict.fromkeys(TOLD, 0), "unit": 1, "noise_seed": 1}
+    assert told[0]["imperfections"] == PERFECT
     assert told[1]["imperfections"] == TOLD
     off = np.subtract(*(each["ring_elevation_deg"] for each in told))
     assert 0.005 < abs(off).max() < 0.15
@@ -45,7 +62,10 @@ def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
         code, out, err = cli(capsys, "evaluate", scene, "--height", 3, "--out", name, *words)
         assert code == 0, err
         results.append(json.loads((tmp_path / name / "result.json").read_text()))
-        line = "range noise 0.02 m, drop-out 25 %, noise seed 1, unit 1 of units that differ by 0.03 deg"
+        line = (
+            "range noise 0.02 m, drop-out 25 %, drop-out on glass 60 %, noise seed 1, a 10 % target seen to 56.6 m, "
+            "unit 1 of units that differ by 0.03 deg"
+        )
         page = Page((tmp_path / name / "report.html").read_text(encoding="utf-8"))
         heading = page.text(page.find("header")[0])
         sheet = (tmp_path / name / "installation.txt").read_text(encoding="utf-8")
@@ -58,7 +78,9 @@ def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
 
 @pytest.mark.usefixtures("_quick")
 @pytest.mark.parametrize(
-    "words", [(), WORDS[:2], WORDS[2:4], WORDS[4:], WORDS], ids=["off", "noise", "lost", "unit", "all"]
+    "words",
+    [(), NOISE, LOST, GLASS, ("--glass-dropout", 1), ("--range-at-10-percent", 8), UNIT, WORDS],
+    ids=["off", "noise", "lost", "glass", "no glass", "weak", "unit", "all"],
 )
 def test_a_run_counts_the_points_that_a_scan_writes(tmp_path, capsys, words):
     scene, mount = write_scene(tmp_path), ("--height", 3, "--tilt-x", 10)
@@ -77,7 +99,11 @@ def test_a_run_counts_the_points_that_a_scan_writes(tmp_path, capsys, words):
 
 
 @pytest.mark.usefixtures("_quick")
-@pytest.mark.parametrize("words", [WORDS[:2], WORDS[2:4], WORDS[4:]], ids=["noise", "lost", "unit"])
+@pytest.mark.parametrize(
+    "words",
+    [NOISE, LOST, GLASS, ("--glass-dropout", 1), ("--range-at-10-percent", 8), UNIT],
+    ids=["noise", "lost", "glass", "no glass", "weak", "unit"],
+)
 def test_each_imperfection_by_itself_changes_the_score(tmp_path, capsys, words):
     scene, results = write_scene(tmp_path), []
     for name, chosen in (("plain", ()), ("rough", words)):
@@ -92,6 +118,13 @@ def test_each_imperfection_by_itself_changes_the_score(tmp_path, capsys, words):
     [
         (("--dropout", 1), "--dropout: is 1.0; allowed: at least 0 and less than 1"),
         (("--dropout", "nan"), "--dropout: is nan; allowed: a number"),
+        (("--glass-dropout", 1.1), "--glass-dropout: is 1.1; allowed: at least 0 and at most 1"),
+        (("--range-at-10-percent", 0), "--range-at-10-percent: is 0.0; allowed: more than 0"),
+        (("--range-at-10-percent", "far"), "--range-at-10-percent: is 'far'; allowed: a number, or \"datasheet\""),
+        (
+            ("--sensor", "RS-LiDAR-32", "--range-at-10-percent", "datasheet"),
+            "--range-at-10-percent: no source gives that of RS-LiDAR-32; allowed: a number",
+        ),
         (("--range-noise", "much"), "--range-noise: is 'much'; allowed: a number, or \"datasheet\""),
         (("--unit-spread", 50), "--unit-spread: is 50.0; allowed: at least 0 and at most 5"),
         (("--sensor", "RS-BPearl", "--unit-spread", 5), "--unit-spread: unit 4 of RS-BPearl has ring 31 at 9"),

@@ -203,6 +203,8 @@ noise_seed = 9
 [sensor.RS-16]
 range_noise_m = "datasheet"
 dropout = 0.1
+glass_dropout = 1
+range_at_10_percent_m = "datasheet"
 unit_spread_deg = 0.03
 """
 
@@ -212,7 +214,10 @@ def test_imperfections_may_be_those_of_one_model(tmp_path):
     assert general.imperfections == Imperfections(0.05, 0.0, seed=9)
     assert (general.unit_spread_deg, general.unit) == (0.0, 4)
     own = load_scenario(scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-16"))).sensor
-    assert own.imperfections == Imperfections(load_model("RS-16").range_noise_m, 0.1, seed=9)
+    sheet = load_model("RS-16")
+    assert own.imperfections == Imperfections(
+        sheet.range_noise_m, 0.1, glass_dropout=1.0, range_at_10_percent_m=sheet.range_at_10_percent_m, seed=9
+    )
     assert (own.unit_spread_deg, own.unit) == (0.03, 4)
 
 
@@ -232,6 +237,8 @@ def test_imperfections_that_cannot_be_are_refused_with_what_is_allowed(tmp_path)
         "dropout = 1": "dropout: is 1; allowed: at least 0 and less than 1",
         'range_noise_m = "high"': "range_noise_m: is 'high'; allowed: a number, or \"datasheet\"",
         "range_noise_m = -1": "range_noise_m: is -1; allowed: at least 0 and at most 10",
+        "glass_dropout = 1.5": "glass_dropout: is 1.5; allowed: at least 0 and at most 1",
+        "range_at_10_percent_m = 0": "range_at_10_percent_m: is 0; allowed: more than 0",
         "unit_spread_deg = 6": "unit_spread_deg: is 6; allowed: at least 0 and at most 5",
     }.items():
         assert refusal(tmp_path, f"{MINIMAL}[sensor]\n{line}\n") == f"[sensor] {allowed}"
@@ -242,6 +249,16 @@ def test_a_data_sheet_with_more_noise_than_is_allowed_is_refused_where_it_is_ask
     (tmp_path / "own.toml").write_text("range_noise_m = 20.0\nbeams = [[0, -10.0], [1, 0.0]]\n")
     text = refusal(tmp_path, MINIMAL + '[sensor]\nname = "own.toml"\nrange_noise_m = "datasheet"\n')
     assert text == "[sensor] range_noise_m: own has 20; allowed: at most 10"
+
+
+@pytest.mark.parametrize(("name", "found"), [("RS-32", 90.0), ("RS-LiDAR-32", None)])
+def test_a_data_sheet_says_how_far_a_dark_target_is_seen_or_that_no_source_does(tmp_path, name, found):
+    text = MINIMAL + f'[sensor]\nname = "{name}"\nrange_at_10_percent_m = "datasheet"\n'
+    if found:
+        assert load_scenario(scene(tmp_path, text)).sensor.range_at_10_percent_m == found
+    else:
+        told = f"[sensor] range_at_10_percent_m: no source gives that of {name}; allowed: a number"
+        assert refusal(tmp_path, text) == told
 
 
 def test_a_unit_with_a_beam_beyond_the_zenith_is_refused_when_the_scene_is_read(tmp_path):
@@ -322,6 +339,10 @@ KEYS = [
     ("sensor", "range_noise_m", "nan", "11"),
     ("sensor", "dropout", '"a"', "-0.1"),
     ("sensor", "dropout", "nan", "1"),
+    ("sensor", "glass_dropout", '"a"', "-0.1"),
+    ("sensor", "glass_dropout", "nan", "1.1"),
+    ("sensor", "range_at_10_percent_m", '"far"', "0"),
+    ("sensor", "range_at_10_percent_m", "inf", "-1"),
     ("sensor", "unit_spread_deg", "inf", "-1"),
     ("sensor", "unit_spread_deg", '"0.1"', "6"),
     ("sensor", "unit", "1.5", "-1"),
@@ -439,7 +460,15 @@ FULL = {
     },
     "deployment": {"x_m": [-5.0, 5.0], "y_m": -0.5, "yaw_deg": [-1.0, 1.0]},
     "baseline": {"height_m": 3.0, "tilt_x_deg": 5.0},
-    "sensor": {"range_noise_m": 0.03, "dropout": 0.25, "unit_spread_deg": 0.03, "unit": 0, "noise_seed": 2**53},
+    "sensor": {
+        "range_noise_m": 0.03,
+        "dropout": 0.25,
+        "glass_dropout": 0.9,
+        "range_at_10_percent_m": 80.0,
+        "unit_spread_deg": 0.03,
+        "unit": 0,
+        "noise_seed": 2**53,
+    },
     "objective": {"reading": "paper", "cell_m": 0.1, "view": "max", "loss": -2.0, "threshold": 0.01},
     "search": {"method": "random", "inertia": 0.9, "seed": 2**53 - 1},
     "world": {"detail": "box"},

@@ -64,6 +64,7 @@ def test_every_model_says_where_its_numbers_come_from_and_is_complete(name):
     assert not np.any(model.fire_time_s > model.block_time_s)
     assert 0.0 < model.range_min_m < model.range_max_m
     assert 0.0 < model.range_noise_m < 0.05
+    assert model.range_at_10_percent_m is None or 20.0 < model.range_at_10_percent_m <= model.range_max_m
 
 
 @pytest.mark.parametrize("name", TABLE_OF)
@@ -212,6 +213,7 @@ def test_a_toml_of_beams_alone_takes_the_documented_defaults(tmp_path):
     assert (model.rotation_hz, model.default_rotation_hz) == ((10.0,), 10.0)
     assert model.block_time_s == pytest.approx(55.55e-6)
     assert (model.range_min_m, model.range_max_m, model.range_noise_m) == (0.4, 200.0, 0.02)
+    assert model.range_at_10_percent_m is None
     assert (model.description, model.source, model.aliases) == ("", "", ())
     np.testing.assert_allclose(np.degrees(model.elevation_rad), [-2.0, -1.0, 0.0])
     np.testing.assert_allclose(np.degrees(model.azimuth_offset_rad), [1.5, 0.0, -1.5])
@@ -222,12 +224,14 @@ def test_a_toml_keeps_every_setting(tmp_path):
     settings = (
         'name = "Mine"\naliases = ["M"]\ndescription = "d"\nsource = """a\nb"""\nconfidence = "low"\n'
         "rotation_hz = [12.5, 25]\nblock_time_us = 40\nrange_min_m = 1\nrange_max_m = 90\nrange_noise_m = 0\n"
+        "range_at_10_percent_m = 45\n"
     )
     model = load_model(str(written(tmp_path, settings + THREE_BEAMS)))
     assert (model.name, model.aliases, model.description, model.source) == ("Mine", ("M",), "d", "a b")
     assert (model.rotation_hz, model.default_rotation_hz) == ((12.5, 25.0), 12.5)
     assert model.columns() == 2000
     assert (model.range_min_m, model.range_max_m, model.range_noise_m) == (1.0, 90.0, 0.0)
+    assert model.range_at_10_percent_m == 45.0
 
 
 @pytest.mark.parametrize("header", ["ring,elevation_deg", " ring , elevation_deg ", "\ufeffring,elevation_deg"])
@@ -312,6 +316,7 @@ BAD_TOML = {
     ),
     "NaN range": ("range_max_m = nan\n" + THREE_BEAMS, r"own\.toml:range_max_m is nan"),
     "negative noise": ("range_noise_m = -0.1\n" + THREE_BEAMS, r"own\.toml:range_noise_m is -0\.1"),
+    "blind": ("range_at_10_percent_m = 0\n" + THREE_BEAMS, r"own\.toml:range_at_10_percent_m is 0; allowed: 0\.01"),
     "number for a name": ("name = 3\n" + THREE_BEAMS, r"own\.toml:name: 3 is not text"),
     "number for an alias": ("aliases = [3]\n" + THREE_BEAMS, r"own\.toml:aliases: 3 is not text"),
     "a table for a number": ("block_time_us = {}\n" + THREE_BEAMS, r"own\.toml:block_time_us: \{\} is not a number"),

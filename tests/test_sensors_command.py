@@ -64,6 +64,13 @@ def test_unknown_firing_times_are_shown_as_unknown(capsys):
     assert " ? " in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("name", "told"), [("RS-80", "seen to 160 m"), ("VLP-16", None)])
+def test_how_far_a_dark_target_is_seen_is_told_where_a_source_gives_it(capsys, name, told):
+    run(name)
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("10 % target")]
+    assert [line.removeprefix("10 % target").strip() for line in lines] == ([told] if told else [])
+
+
 def test_json_of_the_list_is_json_alone(capsys):
     assert run("--json") == 0
     listed = json.loads(capsys.readouterr().out)
@@ -77,6 +84,7 @@ def test_json_of_one_model_holds_every_beam_as_its_file_gives_it(capsys):
     assert facts["name"] == "RS-80"
     assert facts["columns_by_rotation_hz"] == {"5": 3600, "10": 1800, "20": 900}
     assert facts["block_time_us"] == 55.552
+    assert facts["range_at_10_percent_m"] == 160.0
     assert facts["beams"][1] == {
         "ring": 1,
         "elevation_deg": -19.582,

@@ -93,6 +93,7 @@ def _facts(model: LidarModel) -> dict[str, Any]:
         "columns_by_rotation_hz": {f"{rate:g}": model.columns(rate) for rate in model.rotation_hz},
         "block_time_us": round(model.block_time_s * 1e6, 6),
         "range_noise_m": model.range_noise_m,
+        "range_at_10_percent_m": model.range_at_10_percent_m,
         "beams": [dict(zip(names, beam, strict=True)) for beam in _beams(model)],
     }
 
@@ -158,6 +159,7 @@ def _portrait(model: LidarModel) -> str:
         "points a second": f"{_points_per_second(model):,} at {model.default_rotation_hz:g} Hz, one return per beam",
         "column every": f"{model.block_time_s * 1e6:g} us",
         "range": f"{model.range_min_m:g} to {model.range_max_m:g} m, noise {model.range_noise_m:g} m (1 sigma)",
+        "10 % target": "" if model.range_at_10_percent_m is None else f"seen to {model.range_at_10_percent_m:g} m",
         "confidence": model.confidence,
         "source": model.source,
     }

@@ -54,6 +54,8 @@ _IDENTITY = {
 }
 _IMPERFECTIONS = {
     **dict.fromkeys(("range_noise_m", "dropout", "unit_spread_deg"), NUMBER),
+    "glass_dropout": MayLack(NUMBER),
+    "range_at_10_percent_m": MayLack(or_null(NUMBER)),
     **dict.fromkeys(("unit", "noise_seed"), COUNT),
 }
 _KINDS = {int: COUNT, float: NUMBER, str: TEXT, tuple: TEXTS}

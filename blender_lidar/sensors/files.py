@@ -24,7 +24,15 @@ REQUIRED_COLUMNS = ("ring", "elevation_deg")
 BEAM_COLUMNS = (*REQUIRED_COLUMNS, "azimuth_offset_deg", "fire_offset_us")
 _TEXT_KEYS = ("name", "description", "source", "confidence")
 _NUMBER_DEFAULTS = {"block_time_us": 55.55, "range_min_m": 0.4, "range_max_m": 200.0, "range_noise_m": 0.02}
-_KEYS = (*_TEXT_KEYS, "aliases", "rotation_hz", "default_rotation_hz", *_NUMBER_DEFAULTS, "beams")
+_KEYS = (
+    *_TEXT_KEYS,
+    "aliases",
+    "rotation_hz",
+    "default_rotation_hz",
+    *_NUMBER_DEFAULTS,
+    "range_at_10_percent_m",
+    "beams",
+)
 
 Row = tuple[str, dict[str, float]]  # where the row stands (file:line or file:beams[i]), {column: value}
 
@@ -47,6 +55,8 @@ class SensorFile:
         Time between firing columns [us]; 55.55 when not given.
     range_min_m, range_max_m, range_noise_m : float
         Range gate and standard deviation of the range noise [m]; 0.4, 200 and 0.02 when not given.
+    range_at_10_percent_m : float or None
+        Farthest range at which a target of 10 % reflectivity is seen [m]; None when not given.
     beams : ndarray, (r, 4)
         Columns as in `BEAM_COLUMNS`, in ring order, which is from the lowest beam up. A column that is not given is 0
         for the azimuth offset and NaN (unknown) for the fire offset.
@@ -63,6 +73,7 @@ class SensorFile:
     range_min_m: float
     range_max_m: float
     range_noise_m: float
+    range_at_10_percent_m: float | None
     beams: np.ndarray
 
 
@@ -167,11 +178,21 @@ def _checked(table: dict[str, Any], rows: Sequence[Row], path: Path) -> SensorFi
     _check_between(numbers["range_min_m"], 0.0, 1e5, f"{path}:range_min_m")
     _check_between(numbers["range_max_m"], math.nextafter(numbers["range_min_m"], math.inf), 1e5, f"{path}:range_max_m")
     _check_between(numbers["range_noise_m"], 0.0, 1e3, f"{path}:range_noise_m")
+    at_10_percent = table.get("range_at_10_percent_m")
+    if at_10_percent is not None:
+        at_10_percent = _number(at_10_percent, f"{path}:range_at_10_percent_m")
+        _check_between(at_10_percent, 0.01, 1e5, f"{path}:range_at_10_percent_m")
     rates, default_rate = _rotation(table, path)
     beams = _checked_beams(rows, path)
     _check_turn(rates, numbers["block_time_us"], len(beams), path)
     return SensorFile(
-        **texts, aliases=tuple(aliases), rotation_hz=rates, default_rotation_hz=default_rate, **numbers, beams=beams
+        **texts,
+        aliases=tuple(aliases),
+        rotation_hz=rates,
+        default_rotation_hz=default_rate,
+        **numbers,
+        range_at_10_percent_m=at_10_percent,
+        beams=beams,
     )
 
 

@@ -35,6 +35,9 @@ class Imperfections:
         Probability that a return from glass is lost, in [0, 1], besides; 1: windows return nothing. Panes mirror light
         away or let it pass. What lies behind a window does not return in its place: the light would have to pass glass
         twice, in and out again, and vehicles have no inside here.
+    range_at_10_percent_m : float or None
+        Farthest range at which a target of 10 % reflectivity that faces the sensor is seen [m], more than 0: what
+        returns more weakly is lost, as `detection_range` says. None: nothing is too weak.
     seed : int
         Of all draws, 0 or more.
 
@@ -48,6 +51,7 @@ class Imperfections:
     dropout: float = 0.0
     _: KW_ONLY
     glass_dropout: float = 0.0
+    range_at_10_percent_m: float | None = None
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -57,6 +61,8 @@ class Imperfections:
             raise InputError(f"dropout is {self.dropout}; allowed: at least 0 and below 1")
         if not 0.0 <= self.glass_dropout <= 1.0:
             raise InputError(f"glass_dropout is {self.glass_dropout}; allowed: 0 to 1")
+        if self.range_at_10_percent_m is not None and not 0.0 < self.range_at_10_percent_m < math.inf:
+            raise InputError(f"range_at_10_percent_m is {self.range_at_10_percent_m}; allowed: more than 0")
         if self.seed < 0 or self.seed != int(self.seed):
             raise InputError(f"seed is {self.seed}; allowed: a whole number, 0 or more")
 

@@ -44,6 +44,8 @@ class LidarModel:
         Distances that the sensor reports [m].
     range_noise_m : float
         Standard deviation of a measured range [m].
+    range_at_10_percent_m : float or None
+        Farthest range at which it sees a target of 10 % reflectivity [m]; None where no source gives it.
     """
 
     name: str
@@ -60,6 +62,7 @@ class LidarModel:
     range_min_m: float
     range_max_m: float
     range_noise_m: float
+    range_at_10_percent_m: float | None = None
 
     @property
     def rings(self) -> int:
@@ -153,6 +156,7 @@ def _model(file: SensorFile) -> LidarModel:
         range_min_m=file.range_min_m,
         range_max_m=file.range_max_m,
         range_noise_m=file.range_noise_m,
+        range_at_10_percent_m=file.range_at_10_percent_m,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..casting.standing import StandingScenery
 
 
-def imperfections_text(imperfections: Mapping[str, float]) -> str:
+def imperfections_text(imperfections: Mapping[str, float | None]) -> str:
     """What is imperfect about a sensor, in a few words; empty where nothing is.
 
     `imperfections` is what `SensorSettings.imperfections_as_table` gives and result.json keeps.
@@ -19,8 +19,13 @@ def imperfections_text(imperfections: Mapping[str, float]) -> str:
         texts.append(f"range noise {imperfections['range_noise_m']:g} m")
     if imperfections["dropout"]:
         texts.append(f"drop-out {100 * imperfections['dropout']:g} %")
-    if texts:
+    glass = imperfections.get("glass_dropout", 0.0)  # results of earlier versions do not say
+    if glass:
+        texts.append(f"drop-out on glass {100 * glass:g} %")
+    if imperfections["range_noise_m"] or imperfections["dropout"] or 0.0 < glass < 1.0:
         texts.append(f"noise seed {imperfections['noise_seed']}")
+    if imperfections.get("range_at_10_percent_m") is not None:
+        texts.append(f"a 10 % target seen to {imperfections['range_at_10_percent_m']:g} m")
     if imperfections["unit_spread_deg"]:
         spread = imperfections["unit_spread_deg"]
         texts.append(f"unit {imperfections['unit']} of units that differ by {spread:g} deg")

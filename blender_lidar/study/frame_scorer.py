@@ -16,10 +16,11 @@ from ..casting.standing import StandingScenery
 from ..metrics.vgop import to_vehicle_frame
 from ..metrics.view_grids import PlacedGrids
 from ..sensors.beams import BeamLattice
+from ..sensors.detection_range import detection_range_m
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
-from ..world.shapes import GLASS
+from ..world.meshes import GLASS, REFLECTIVITY
 from ..world.triangles import vehicle_triangles
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
@@ -50,7 +51,7 @@ class Observation:
     scenery : StandingScenery or None
         What stands still and hides vehicles.
     imperfections : Imperfections
-        Range noise and drop-out; none unless said.
+        Range noise and lost returns; none unless said.
     """
 
     lattice: BeamLattice
@@ -110,6 +111,8 @@ class FrameScorer:
         self._reach_m = observation.max_range_m + observation.imperfections.most_noise_m
         asks_for_glass = self._draws is not None and self._draws.asks_for_glass
         self._of_glass = triangles.surface == GLASS if asks_for_glass else None  # each triangle
+        self._seen_to_10_percent_m = observation.imperfections.range_at_10_percent_m
+        self._reflectivity = None if self._seen_to_10_percent_m is None else REFLECTIVITY[triangles.surface]
         self._noisy = observation.imperfections.most_noise_m > 0.0
         self._grids = PlacedGrids(
             self._vehicles.centre_m,
@@ -177,6 +180,8 @@ class FrameScorer:
             of_glass = None if self._of_glass is None else _take(self._of_glass, found.triangle)
             distance = self._draws.measured(_take(beam, found.ray), distance, of_glass)
         wanted = np.flatnonzero((row >= 0) & (distance >= seen.min_range_m) & (distance <= seen.max_range_m))
+        if self._reflectivity is not None:
+            wanted = wanted[self._strong_enough(found, wanted, directions)]
         ray = _take(found.ray, wanted)
         if seen.scenery is not None:
             hidden = seen.scenery.hides(origins_of(origins, ray), directions.T[ray], _take(found.distance, wanted))
@@ -187,3 +192,10 @@ class FrameScorer:
             _take(distance, wanted),
             _take(row, wanted),
         )
+
+    def _strong_enough(self, found, wanted, directions):
+        """Which of some returns, by their rows in `found`, come from no farther than their surface is seen."""
+        triangle, along = _take(found.triangle, wanted), _take(directions, _take(found.ray, wanted), axis=1)
+        cosine = np.abs(np.einsum("ij,ji->i", self._tree.normals(triangle), along))
+        seen_to_m = detection_range_m(self._seen_to_10_percent_m, _take(self._reflectivity, triangle), cosine)
+        return _take(found.distance, wanted) <= seen_to_m

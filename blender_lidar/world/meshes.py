@@ -12,6 +12,7 @@ import numpy as np
 
 SURFACES = ("paint", "glass", "road", "structure")  # what a triangle is made of; its index is stored per triangle
 PAINT, GLASS, ROAD, STRUCTURE = range(4)
+REFLECTIVITY = np.array([0.5, 0.1, 0.2, 0.3])  # diffuse, at 905 nm, of `SURFACES`: round numbers, not measurements
 
 _EQUAL = 1e-9  # relative: lengths that differ by less are equal
 
