@@ -124,14 +124,17 @@ class Deployment:
 
 @dataclass(frozen=True, slots=True)
 class ObjectiveSettings:
-    """[objective]: what is maximised."""
+    """[objective]: what is maximised.
+
+    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do.
+    """
 
     metric: str
     reading: str
     cell_m: float
     threshold: float
     view: str
-    loss: float
+    loss: float | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,17 @@ ROOMS = {
     "settings": {"sensors", "traffic"},
     "sensor_table": {"sensors", "settings", "toml_table"},
     "world_table": {"settings", "toml_table", "world"},
-    "scenario": {"casting", "optimise", "sensor_table", "settings", "toml_table", "traffic", "world", "world_table"},
+    "scenario": {
+        "casting",
+        "metrics",
+        "optimise",
+        "sensor_table",
+        "settings",
+        "toml_table",
+        "traffic",
+        "world",
+        "world_table",
+    },
     "provenance": {"settings"},
 }
 NEAR_THE_DOOR = {

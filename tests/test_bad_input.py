@@ -200,7 +200,10 @@ BAD_RUN_OPTIONS = [
     (["--frame-ids", "0:99999999"], "--frame-ids: '0:99999999'; allowed: a range"),
     (["--frame-ids", "99999999999999999999"], "--frame-ids: is 99999999999999999999; allowed:"),
     (["--frame-ids", "9", "--frames", "3"], "--frame-ids: lists the frames that --frames spreads evenly"),
-    (["--metric", "points"], "argument --metric: invalid choice"),
+    (
+        ["--metric", "voxel-entrop-0.1"],
+        "--metric: unknown metric 'voxel-entrop-0.1'; did you mean 'voxel-entropy-0.1'?",
+    ),
     (["--reading", "literal"], "argument --reading: invalid choice"),
     (["--seed", "-1"], "--seed: is -1; allowed: 0 to "),
     (["--workers", "-1"], "--workers: is -1; allowed: 0 to 256"),

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from ..casting import CASTERS
 from ..errors import InputError
+from ..metrics.catalogue import METRICS
 from ..optimise import READINGS, SEARCHES
-from ..scenario import COORDINATE_LIMITS, COORDINATES, METRICS, Scenario, load_scenario
+from ..scenario import COORDINATE_LIMITS, COORDINATES, Scenario, load_scenario
 from ..world.shapes import DETAILS
 
 _MOST_FRAMES = 1_000_000
@@ -59,7 +60,7 @@ _SETTINGS = (
     ("--frames", "traffic", "frames", int, None, "number of searched frames, spread evenly"),
     ("--caster", "model", "caster", str, ("auto", *CASTERS), "what casts the rays"),
     ("--detail", "world", "detail", str, DETAILS, "level of detail of the vehicles"),
-    ("--metric", "objective", "metric", str, METRICS, "what is maximised"),
+    ("--metric", "objective", "metric", str, None, f"what is maximised: {', '.join(METRICS)}"),
     ("--reading", "objective", "reading", str, READINGS, "the paper's equations as corrected, or as printed"),
     ("--workers", "model", "workers", int, None, "processes; 0 takes one for each processor"),
     ("--search", "search", "method", str, SEARCHES, "how the best mounting is looked for"),

@@ -7,7 +7,7 @@ new one is a file of this room that defines its `Metric`, and its name in `catal
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -136,24 +136,33 @@ class Metric:
     needs: frozenset[str] = frozenset()
     learn: Callable[[SceneContext], Score] | None = None
 
+    def learnt(self, context: SceneContext | None) -> Metric:
+        """The metric made ready to score: itself, or what it becomes once it has learnt from a scene.
+
+        Raises
+        ------
+        InputError
+            When it has to learn and there is nothing to learn from.
+        """
+        if self.learn is None:
+            return self
+        if context is None:
+            raise InputError(f"metric {self.name!r} learns from a scene's traffic; allowed: in a run of a scene")
+        return replace(self, score=self.learn(context), learn=None)
+
     def values(self, returns: VehicleReturns) -> np.ndarray:
         """Scores of the vehicles, (n,), in the metric's own unit.
 
         Raises
         ------
         InputError
-            When `returns` lacks something that the metric needs, or the metric must learn from a scene first.
+            When `returns` lacks something that the metric needs, or the metric has to learn first: see `learnt`.
         """
-        if self.score is None:
-            raise InputError(f"metric {self.name!r} has to learn from a scene's traffic first; allowed: in a run")
-        self.check(returns)
-        return self.score(returns)
-
-    def check(self, returns: VehicleReturns) -> None:
-        """Raise `InputError` when `returns` lacks something that the metric needs."""
+        score = self.learnt(None).score
         for what in sorted(self.needs):
             if getattr(returns, what) is None:
                 raise InputError(f"metric {self.name!r} needs {_MISSING[what]}")
+        return score(returns)
 
     def merit(self, values: np.ndarray) -> np.ndarray:
         """Values with their sign turned where lower is better, so that of two merits the greater one is the better."""

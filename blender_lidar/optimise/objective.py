@@ -55,18 +55,18 @@ def detectable(occupancy: np.ndarray, threshold: float = 0.005, view: str = "mea
 
 
 def vehicle_score(
-    entropy_bits: np.ndarray, detectable: np.ndarray, loss: float = -1.0, reading: str = "corrected"
+    merit: np.ndarray, detectable: np.ndarray, loss: float | None = -1.0, reading: str = "corrected"
 ) -> np.ndarray:
     """What each vehicle adds to the objective: one summand of Eq. 10.
 
     Parameters
     ----------
-    entropy_bits : array_like, (...)
-        E, a vehicle's PE-VGOP [bit] (Eq. 9).
+    merit : array_like, (...)
+        A vehicle's value by the chosen metric, more being better: E, its PE-VGOP [bit] (Eq. 9), in the paper.
     detectable : array_like of bool, (...)
         Eq. 11.
-    loss : float
-        The constant C [bit]; the paper takes -1.
+    loss : float or None
+        The constant C, in the metric's unit; the paper takes -1 bit. None: a vehicle adds its merit, detectable or not.
     reading : {"corrected", "paper"}
         ``"corrected"``: a missed vehicle costs ``abs(C)``, whichever sign C is given. ``"paper"``: ``-C`` as printed,
         so that with the paper's C = -1 a missed vehicle *earns* 1 bit, more than most detectable ones.
@@ -74,22 +74,21 @@ def vehicle_score(
     Returns
     -------
     ndarray, (...)
-        [bit]; the objective is its sum over a fixed list of vehicles.
+        In the metric's unit; the objective is its sum over a fixed list of vehicles.
 
     Raises
     ------
     InputError
-        If the shapes differ, an entropy or the loss is not finite, or the reading is unknown.
+        If the shapes differ, a merit or the loss is not finite, or the reading is unknown.
     """
     check_reading(reading)
+    merit, detectable = np.asarray(merit, dtype=float), np.asarray(detectable, dtype=bool)
+    if merit.shape != detectable.shape:
+        raise InputError(f"merit has shape {merit.shape}, detectable {detectable.shape}; allowed: the same")
+    if not np.isfinite(merit).all():
+        raise InputError("merit: infinite or NaN; allowed: finite numbers")
+    if loss is None:
+        return merit
     loss = check_number(loss, -math.inf, math.inf, "loss")
-    entropy_bits = np.asarray(entropy_bits, dtype=float)
-    detectable = np.asarray(detectable, dtype=bool)
-    if entropy_bits.shape != detectable.shape:
-        raise InputError(
-            f"entropy_bits has shape {entropy_bits.shape}, detectable {detectable.shape}; allowed: the same"
-        )
-    if not np.isfinite(entropy_bits).all():
-        raise InputError("entropy_bits: infinite or NaN; allowed: finite bits")
     missed = -abs(loss) if reading == "corrected" else -loss
-    return np.where(detectable, entropy_bits, missed)  # Eq. 10
+    return np.where(detectable, merit, missed)  # Eq. 10

@@ -7,38 +7,17 @@ float32 but decide them in float64. So the number of workers changes the time th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from ..metrics.vgop import entropy
-from ..optimise.objective import detectable, vehicle_score
 from ..sensors.pose import Pose
-from ..traffic.vehicles import Vehicles
 from .frame_scorer import FrameScorer, Observation
+from .scoring import CountedFrame, Scoring, VehicleScores, mountings_of
 from .worker_pool import WorkerPool
 
 _TASKS_PER_WORKER = 8  # few enough to amortise a task, enough to even out uneven frames
-
-
-@dataclass(frozen=True, slots=True)
-class CountedFrame:
-    """A frame, and which of its vehicles count; the others hide and are not scored."""
-
-    vehicles: Vehicles
-    counted: np.ndarray
-
-
-@dataclass(frozen=True, slots=True)
-class Scoring:
-    """What is made of what a mounting sees: the settings of Eqs. 10 and 11."""
-
-    threshold: float
-    view: str
-    loss: float
-    reading: str
 
 
 class Totals(NamedTuple):
@@ -47,7 +26,7 @@ class Totals(NamedTuple):
     Attributes
     ----------
     objective : ndarray, (s, f)
-        Eq. 10 [bits].
+        Eq. 10, in the metric's unit.
     detectable : ndarray of int64, (s, f)
         Vehicles at or above the threshold.
     vehicles : ndarray of int64, (f,)
@@ -59,7 +38,7 @@ class Totals(NamedTuple):
     vehicles: np.ndarray
 
     def per_vehicle(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Objective per counted vehicle over the chosen frames, (s,) [bits]."""
+        """Objective per counted vehicle over the chosen frames, (s,), in the metric's unit."""
         return self.objective[:, frames].sum(axis=1) / self.vehicles[frames].sum()
 
     def detectable_share(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
@@ -77,7 +56,7 @@ class Evaluator:
     observation : Observation
         Sensor, range, caster and detail.
     scoring : Scoring
-        Settings of Eqs. 10 and 11.
+        The metric and the settings of Eqs. 10 and 11.
     workers : int
         Processes; 1 works in this one.
 
@@ -126,20 +105,22 @@ class _Work:
     def __init__(self, frames, observation, scoring) -> None:
         self._frames, self._observation, self._scoring = frames, observation, scoring
         self._scorers: dict[int, FrameScorer] = {}
+        self._scores: VehicleScores | None = None
 
     def __getstate__(self):
-        return {"_frames": self._frames, "_observation": self._observation, "_scoring": self._scoring, "_scorers": {}}
+        return {**vars(self), "_scorers": {}, "_scores": None}
 
     def totals(self, frames, poses):
         """Objective and number of detectable vehicles, (s, frames) each."""
         objective = np.empty((len(poses), len(frames)))
         found = np.empty((len(poses), len(frames)), dtype=np.int64)
+        if self._scores is None:
+            self._scores = VehicleScores(self._scoring)
+        mountings = mountings_of(poses)
         for column, frame in enumerate(frames):
-            seen = self._scorer(frame).see(poses)
-            noticed = detectable(seen.occupancy, self._scoring.threshold, self._scoring.view)
-            bits = entropy(seen.occupancy).sum(axis=-1)  # Eq. 9
-            score = vehicle_score(bits, noticed, self._scoring.loss, self._scoring.reading)
-            objective[:, column], found[:, column] = score.sum(axis=1), noticed.sum(axis=1)  # Eq. 10
+            scored = self._scores.of(self._frames[frame], self._scorer(frame), poses, mountings)
+            objective[:, column] = scored.objective.sum(axis=1)  # Eq. 10
+            found[:, column] = scored.detectable.sum(axis=1)
         return objective, found
 
     def _scorer(self, frame) -> FrameScorer:

@@ -74,10 +74,14 @@ class Seen(NamedTuple):
         Returns from each vehicle, for each mounting.
     occupancy : ndarray, (s, n, 3)
         P of the top, side and front view.
+    returns : (ndarray, ndarray) or None
+        If they were asked for: the returns of all mountings, each in its vehicle's frame, (k, 3) [m], and the row that
+        each belongs to, (k,): vehicles are counted on from mounting to mounting, 0 to s n - 1.
     """
 
     points: np.ndarray
     occupancy: np.ndarray
+    returns: tuple[np.ndarray, np.ndarray] | None = None
 
 
 class FrameScorer:
@@ -94,19 +98,21 @@ class FrameScorer:
 
     Attributes
     ----------
+    vehicles : Vehicles
+        The counted vehicles.
     pieces : Pieces
-        The counted vehicles, cut for culling.
+        The same, cut for culling.
     """
 
     def __init__(self, vehicles: Vehicles, counted: np.ndarray, observation: Observation) -> None:
         self._observation = observation
-        self._vehicles = vehicles.select(counted)
+        self.vehicles = vehicles.select(counted)
         triangles = vehicle_triangles(vehicles, observation.detail)
         self._tree = caster_class(observation.caster)(triangles.corners, closed=True)
         row = np.where(counted, np.cumsum(counted) - 1, -1)
         self._counted_row = row[triangles.owner]  # of each triangle; -1 where it does not count
         # Beams that can reach only vehicles that do not count need not be cast: they hide nothing from other beams.
-        self.pieces = cut_vehicles(self._vehicles, observation.detail)
+        self.pieces = cut_vehicles(self.vehicles, observation.detail)
         self._draws = observation.imperfections.draws(observation.lattice, vehicles.frame)
         self._reach_m = observation.max_range_m + observation.imperfections.most_noise_m
         asks_for_glass = self._draws is not None and self._draws.asks_for_glass
@@ -115,20 +121,21 @@ class FrameScorer:
         self._reflectivity = None if self._seen_to_10_percent_m is None else REFLECTIVITY[triangles.surface]
         self._noisy = observation.imperfections.most_noise_m > 0.0
         self._grids = PlacedGrids(
-            self._vehicles.centre_m,
-            self._vehicles.size_m,
-            self._vehicles.heading_rad,
+            self.vehicles.centre_m,
+            self.vehicles.size_m,
+            self.vehicles.heading_rad,
             observation.cell_m,
             observation.reading,
         )
 
     def __len__(self) -> int:
-        return len(self._vehicles)
+        return len(self.vehicles)
 
-    def see(self, poses: Sequence[Pose]) -> Seen:
-        """What each of s mountings sees of the n counted vehicles."""
+    def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
+        """What each of s mountings sees of the n counted vehicles; the returns themselves only where they are kept."""
         points = np.zeros((len(poses), len(self)), dtype=np.int64)
         shares = np.zeros((len(poses), len(self), 3))
+        kept = []
         for group, beams in self._groups(poses):
             members = poses[group]
             mount, directions, distance, row = self._returns(members, beams)
@@ -136,14 +143,22 @@ class FrameScorer:
             points[group] = counts.reshape(len(members), len(self))
             origins = np.array([pose.position for pose in members])
             shares[group] = self._grids.returns_occupancy(origins, mount, directions, distance, row, self._noisy)
-        return Seen(points, shares)
+            if keep_returns:
+                origin = origins[0] if mount is None else _take(origins, mount, axis=0)
+                first = len(self) * (group.start + (0 if mount is None else mount))
+                kept.append((self._in_vehicle_frames(origin, directions, distance, row), first + row))
+        return Seen(points, shares, _joined(kept) if keep_returns else None)
 
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
         ((_, beams),) = self._groups([pose])
         _, directions, distance, row = self._returns([pose], beams)
-        points = pose.position + (directions * distance).T  # Eqs. 2 and 3, the range scaling the direction alone
-        return to_vehicle_frame(points, self._vehicles.centre_m, self._vehicles.heading_rad, row), row
+        return self._in_vehicle_frames(pose.position, directions, distance, row), row
+
+    def _in_vehicle_frames(self, origin, directions, distance, row):
+        """Returns in the frames of their vehicles, (k, 3)."""
+        points = origin + (directions * distance).T  # Eqs. 2 and 3, the range scaling the direction alone
+        return to_vehicle_frame(points, self.vehicles.centre_m, self.vehicles.heading_rad, row)
 
     def _groups(self, poses):
         """Mountings that are cast together, as a slice, with the beams of each that can reach a vehicle."""
@@ -199,3 +214,10 @@ class FrameScorer:
         cosine = np.abs(np.einsum("ij,ji->i", self._tree.normals(triangle), along))
         seen_to_m = detection_range_m(self._seen_to_10_percent_m, _take(self._reflectivity, triangle), cosine)
         return _take(found.distance, wanted) <= seen_to_m
+
+
+def _joined(parts):
+    """Points (k, 3) and rows (k,) of all groups of mountings."""
+    if not parts:
+        return np.empty((0, 3)), np.empty(0, dtype=np.int64)
+    return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))

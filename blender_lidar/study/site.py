@@ -11,6 +11,7 @@ import numpy as np
 from ..casting import resolve
 from ..casting.standing import StandingScenery
 from ..errors import InputError
+from ..metrics.catalogue import metric_named
 from ..provenance import run_identity
 from ..scenario import Scenario
 from ..sensors.beams import BeamLattice, beam_lattice
@@ -19,10 +20,11 @@ from ..sensors.unit import unit_of
 from ..settings import SensorSettings
 from ..traffic import FramePlan, Recording, Vehicles, plan_frames, read_traffic
 from ..traffic.vehicles import unknown_frame
-from .evaluation import CountedFrame, Evaluator, Scoring
+from .evaluation import Evaluator
 from .frame_scorer import Observation
 from .keep_clear import check_mount_is_clear
 from .scenery import read_scenery
+from .scoring import CountedFrame, Scoring, context_of
 from .worker_pool import within_blender
 
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
@@ -42,7 +44,7 @@ class Site:
     observation : Observation
         Sensor, range, caster and detail.
     scoring : Scoring
-        Settings of Eqs. 10 and 11.
+        The metric and the settings of Eqs. 10 and 11.
     recording : Recording
         The traffic.
     plan : FramePlan
@@ -133,7 +135,14 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
             f"{recording.source}: no vehicle within {region.radius_m:g} m of the mount at x {x:g} m, y {y:g} m in the "
             f"{len(plan.search)} searched frames; check [traffic] origin_m, [road] and [deployment]"
         )
-    scoring = Scoring(objective.threshold, objective.view, objective.loss, objective.reading)
+    scoring = Scoring(
+        threshold=objective.threshold,
+        view=objective.view,
+        loss=objective.loss,
+        reading=objective.reading,
+        metric=objective.metric,
+        context=context_of(metric_named(objective.metric), searched, observation, region.centre_xy),
+    )
     return Site(scenario, model, observation, scoring, recording, plan, searched, held_out)
 
 
