@@ -21,7 +21,7 @@ from .formats.tables import to_csv, write_columns
 from .provenance import run_identity, versions
 from .settings import Scenario
 from .study.score_map import ScoreMap
-from .study.vehicle_table import COLUMNS
+from .study.vehicle_table import COLUMNS, METRIC_VALUE
 from .toml_table import to_toml
 
 __all__ = ["SCHEMA", "VEHICLES", "VEHICLES_BASELINE", "RunFolder", "run_identity", "versions"]
@@ -183,7 +183,7 @@ class RunFolder:
 
     def write_vehicles(self, name: str, table: Mapping[str, np.ndarray]) -> None:
         """Write a vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
-        write_columns(self.file(name), {column: table[column] for column in COLUMNS}, _DECIMALS)
+        write_columns(self.file(name), {key: table[key] for key in _columns_in(table)}, _DECIMALS)
 
     def write_score_map(self, score_map: ScoreMap) -> None:
         """Write the objective over height and tilt, one row for each grid point."""
@@ -211,7 +211,7 @@ class RunFolder:
         """A vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
         whole, texts = ("frame", "vehicle_id", "points", "lane"), ("class", "split")
         with _reading(self.file(name)) as columns:
-            table = {key: columns[key] if key in texts else _finite(columns[key], key) for key in COLUMNS}
+            table = {key: columns[key] if key in texts else _finite(columns[key], key) for key in _columns_in(columns)}
             table |= {key: table[key].astype(np.int64) for key in whole}
             return table | {"detectable": table["detectable"] > 0}
 
@@ -275,6 +275,11 @@ class RunFolder:
                     f"--resume: {self.path}: the run there had {key} = {stored.get(key)!r}, not {identity.get(key)!r}; "
                     "give it the same settings, or another --out"
                 )
+
+
+def _columns_in(table: Mapping) -> tuple[str, ...]:
+    """The columns of a vehicle table: the chosen metric has one of its own unless it is PE-VGOP."""
+    return (*COLUMNS, METRIC_VALUE) if METRIC_VALUE in table else COLUMNS
 
 
 @contextmanager

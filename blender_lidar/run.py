@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from .metrics.catalogue import metric_named
 from .optimise import DePsoSettings, Search, make_search, search_from_state
 from .plots.binning import near_best_threshold
 from .results import INSTALLATION, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, versions
@@ -177,7 +178,7 @@ def _regret(best, found):
 
 
 def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
-    scenario = site.scenario
+    scenario, metric = site.scenario, metric_named(site.scoring.metric)
     return {
         "schema": SCHEMA,
         "scene": Path(scenario.source).name,
@@ -187,7 +188,9 @@ def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
         "scenery": scenery_counts(site.observation.scenery),
         "caster": site.observation.caster,
         "detail": site.observation.detail,
-        "metric": scenario.objective.metric,
+        "metric": metric.name,
+        "metric_unit": metric.unit,
+        "metric_higher_is_better": metric.higher_is_better,
         "reading": scenario.objective.reading,
         **searched,
         "frames": len(site.search),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .metrics.catalogue import metric_named
 from .metrics.vgop import occupancy_views
 from .plots.blind_zones import plot_blind_zones
 from .plots.by_distance import plot_by_distance
@@ -18,6 +19,7 @@ from .scan import scan
 from .scenario import pose_at
 from .study.frame_scorer import FrameScorer
 from .study.site import Site
+from .study.vehicle_table import METRIC_VALUE
 
 
 def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
@@ -28,7 +30,7 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
     MissingExtraError
         When matplotlib is not installed.
     """
-    result = outcome.result
+    result, metric = outcome.result, metric_named(outcome.result["metric"])
     mountings = tuple(mounting_text(mount) for mount in (result["baseline"]["deployment"], result["deployment"]))
     sensor_xy = [
         [mount[key] for key in ("x_m", "y_m")] for mount in (result["baseline"]["deployment"], result["deployment"])
@@ -46,6 +48,8 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
     plot_by_distance(
         _file(folder, drawn, "by_distance.png"),
         *tables,
+        metric=metric,
+        column=METRIC_VALUE if METRIC_VALUE in outcome.optimised else "entropy_bits",
         names=_names(outcome),
         title="What is seen, by distance",
         subtitle=f"{about}, and held-out frames",
@@ -84,6 +88,7 @@ def _draw_convergence(folder, drawn, outcome, about):
         history[:, -2] / vehicles,
         history[:, -1] / vehicles,
         result["baseline"]["objective_per_vehicle"],
+        metric=metric_named(result["metric"]),
         title=f"Search: {result['search']}, seed {result['seed']}, {result['reading']} reading",
         subtitle=about,
     )
@@ -100,6 +105,7 @@ def _draw_map(folder, drawn, outcome, about):
         *((mount["height_m"], mount["tilt_x_deg"]) for mount in mounts),
         baseline_value=result["baseline"]["objective_per_vehicle"],
         optimum_value=result["objective_per_vehicle"],
+        metric=metric_named(result["metric"]),
         title="Objective over height and tilt",
         subtitle=about,
     )
@@ -173,6 +179,6 @@ def _draw_occupancy(site, folder, drawn, outcome, mountings):
         title=f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
         subtitle=(
             f"{outcome.result['sensor']}, {outcome.optimised['distance_m'][searched][row]:.0f} m away; "
-            "three quarters of the vehicles that both mountings see gain less"
+            "three quarters of the vehicles that both mountings see gain less PE-VGOP"
         ),
     )

@@ -18,10 +18,11 @@ import numpy as np
 
 from blender_lidar.commands.options import add_pose, mounting_from
 from blender_lidar.errors import BlenderLidarError
+from blender_lidar.metrics.catalogue import metric_named
 from blender_lidar.optimise import vehicle_score
 from blender_lidar.scenario import load_scenario, pose_at
 from blender_lidar.study.site import Site, lattice_of, prepare, standing_scenery
-from blender_lidar.study.vehicle_table import vehicle_table
+from blender_lidar.study.vehicle_table import metric_values, vehicle_table
 
 PERFECT = {
     "range_noise_m": 0.0,
@@ -42,7 +43,7 @@ EFFECTS = (
     ("unit spread 0.03 deg", {"unit_spread_deg": 0.03}, "unit"),
     ("unit spread 0.1 deg", {"unit_spread_deg": 0.1}, "unit"),
 )
-SCORES = ("objective [bits]", "detectable [%]", "occupancy [%]", "points")
+OTHER_SCORES = ("detectable [%]", "occupancy [%]", "points")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -65,18 +66,19 @@ def print_effects(site: Site, mount: dict[str, float], draws: int) -> None:
         f"{site.model.name} at {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg; {len(site.search)} frames, "
         f"{draws} draws; per vehicle"
     )
-    print(f"{'':<22}" + "".join(f"{name:>24}" for name in SCORES))
+    names = (metric_named(site.scoring.metric).in_unit("objective"), *OTHER_SCORES)
+    print(f"{'':<22}" + "".join(f"{name:>24}" for name in names))
     print(f"{'perfect':<22}" + "".join(f"{value:>24.4f}" for value in perfect))
     for name, on, drawn in EFFECTS:
         each = [{drawn: draw} for draw in range(1, draws + 1)] if drawn else [{}]
         added = [scores(site, mount, {**PERFECT, **on, **draw}) - perfect for draw in each]
-        spread = np.std(added, axis=0, ddof=1) if len(each) > 1 else np.full(len(SCORES), np.nan if drawn else 0.0)
+        spread = np.std(added, axis=0, ddof=1) if len(each) > 1 else np.full(len(names), np.nan if drawn else 0.0)
         cells = (f"{mean:+.4f} (sd {sd:.4f})" for mean, sd in zip(np.mean(added, axis=0), spread, strict=True))
         print(f"{name:<22}" + "".join(f"{cell:>24}" for cell in cells), flush=True)
 
 
 def scores(site: Site, mount: dict[str, float], sensor_settings: dict[str, float | None]) -> np.ndarray:
-    """`SCORES` of a mounting on the searched frames under other settings of [sensor]."""
+    """The objective and `OTHER_SCORES` of a mounting on the searched frames under other settings of [sensor]."""
     sensor = replace(site.scenario.sensor, **sensor_settings)
     scenario, observation, scoring = replace(site.scenario, sensor=sensor), site.observation, site.scoring
     observation = replace(
@@ -86,7 +88,8 @@ def scores(site: Site, mount: dict[str, float], sensor_settings: dict[str, float
         scenery=standing_scenery(scenario, observation.caster, mount),
     )
     table = vehicle_table(site.search, pose_at(mount), observation, scoring, "search")
-    objective = vehicle_score(table["entropy_bits"], table["detectable"], scoring.loss, scoring.reading)
+    merit = metric_named(scoring.metric).merit(metric_values(table))
+    objective = vehicle_score(merit, table["detectable"], scoring.loss, scoring.reading)
     occupancy = np.mean([table[f"p_{view}"] for view in ("top", "side", "front")], axis=0)
     return np.array(
         [objective.mean(), 100 * table["detectable"].mean(), 100 * occupancy.mean(), table["points"].mean()]

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from blender_lidar.errors import BlenderLidarError, InputError
+from blender_lidar.metrics.catalogue import metric_named
 from blender_lidar.optimise import READINGS, SEARCHES, run
 from blender_lidar.run import fresh_search
 from blender_lidar.scenario import load_scenario, pose_at
@@ -70,7 +71,9 @@ def _study(args):
         height, tilt, best = found.best
         if not best > baseline:
             raise InputError(f"{args.scene}: no grid point is better than the baseline, so there is no gain to miss")
-        print(f"grid: {best:.4f} bits per vehicle at {height:.1f} m, {tilt:.0f} deg; baseline {baseline:.4f}")
+        metric = metric_named(scenario.objective.metric)
+        at, base = f"{height:.1f} m, {tilt:.0f} deg", metric.number(baseline, 1)
+        print(f"grid: {metric.amount(best, 1)} per vehicle at {at}; baseline {base}")
 
         def objective(candidates):
             return evaluator.totals([scenario.deployment.pose(x) for x in candidates]).per_vehicle()
@@ -83,7 +86,10 @@ def _study(args):
                 f"{key} {value:.2f}" for key, value in zip(scenario.deployment.variables, result.x, strict=True)
             )
             found_poses.append(scenario.deployment.pose(result.x))
-            print(f"seed {seed}: {result.value:.4f} at {mount}; regret {100 * regrets[-1]:.2f} %", flush=True)
+            print(
+                f"seed {seed}: {metric.number(result.value, 1)} at {mount}; regret {100 * regrets[-1]:.2f} %",
+                flush=True,
+            )
     _print_regrets("searched", regrets)
     if len(site.holdout):
         grid_best = pose_at(found.best_coordinates(scenario.baseline))

@@ -27,6 +27,7 @@ def sheet(tmp_path):
             site,
             {
                 "sensor": "RS-16",
+                "metric": "pe-vgop",
                 "deployment": MOUNT | mount,
                 **SCORES,
                 "holdout": holdout,

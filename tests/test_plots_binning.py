@@ -38,7 +38,7 @@ def test_distance_bands_equal_a_loop_over_the_vehicles(rows, band_m):
         share = sum(seen for _, seen, _ in inside) / len(inside) if inside else math.nan
         np.testing.assert_array_equal(bands.detectable_share[band], share)
         mean = math.fsum(known) / len(known) if known else math.nan
-        np.testing.assert_allclose(bands.entropy_bits[band], mean, rtol=1e-14)
+        np.testing.assert_allclose(bands.score[band], mean, rtol=1e-14)
         assert bands.centre_m[band] == (band + 0.5) * band_m
 
 

@@ -184,7 +184,7 @@ def test_no_text_of_the_folder_adds_an_element(folder):
             return {name: hostile(inner, name) for name, inner in value.items()}
         if isinstance(value, list):
             return [hostile(inner) for inner in value]
-        return HOSTILE if isinstance(value, str) and key != "reading" else value
+        return HOSTILE if isinstance(value, str) and key not in ("reading", "metric") else value
 
     result = result_of(folder) | {"notes": ["a note"]}
     change(folder, result)

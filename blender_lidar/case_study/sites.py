@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from ..errors import InputError
+from ..metrics.views import PE_VGOP
 from ..provenance import run_identity
 from ..scenario import Scenario, load_scenario
 from ..study.score_map import AXES
@@ -100,9 +101,13 @@ def open_case(scene: str, overrides: Overrides, effort: Effort) -> CaseStudy:
     Raises
     ------
     BlenderLidarError
-        When a file cannot be used, or the scene does not have both height and tilt searched and nothing else.
+        When a file cannot be used, or the scene does not have both height and tilt searched and nothing else, or has
+        another metric than the paper's.
     """
     case = CaseStudy(scene, overrides, effort)
+    metric = case.scenario(SENSORS[0]).objective.metric
+    if metric != PE_VGOP.name:
+        raise InputError(f"{scene}: [objective] metric is {metric!r}; allowed: {PE_VGOP.name!r}, the paper's")
     sites = [case.site(sensor) for sensor in SENSORS]
     if sites[0].scenario.deployment.variables != AXES:
         raise InputError(f"{scene}: [deployment] {' and '.join(AXES)} must be pairs, and they alone: Table II has two")

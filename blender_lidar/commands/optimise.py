@@ -6,6 +6,7 @@ import argparse
 import sys
 
 from ..errors import InputError
+from ..metrics.catalogue import metric_named
 from ..results import VEHICLES, VEHICLES_BASELINE, RunFolder
 from ..run import Outcome, optimise_site
 from ..study.site import prepare
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         if args.resume and not folder.holds_run():
             say(args, f"{folder.path}: nothing is stored there to go on with; the search starts from its beginning.\n")
         try:
-            with RunProgress(scenario.deployment.variables) as listener:
+            with RunProgress(scenario.deployment.variables, metric_named(scenario.objective.metric)) as listener:
                 outcome = optimise_site(site, folder, listener, resume=args.resume)
         except KeyboardInterrupt:
             print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)

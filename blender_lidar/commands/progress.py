@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from ..metrics.metric import Metric
+from ..metrics.views import PE_VGOP
 from ..optimise import Search
 from ..study.score_map import POINTS
 from .options import option_name
@@ -50,9 +52,12 @@ class RunProgress:
     ----------
     variables : sequence of str
         Names of the searched coordinates.
+    metric : Metric
+        What is maximised.
     """
 
-    def __init__(self, variables: Sequence[str]) -> None:
+    def __init__(self, variables: Sequence[str], metric: Metric = PE_VGOP) -> None:
+        self._metric = metric
         self._names = [option_name(key).removeprefix("--") for key in variables]
         self._search: Progress | None = None
         self._map: Progress | None = None
@@ -81,7 +86,7 @@ class RunProgress:
 
     def _best(self, search):
         mount = ", ".join(f"{name} {value:.2f}" for name, value in zip(self._names, search.best_x, strict=True))
-        return f"best {search.best_value:.1f} bits at {mount}"
+        return f"best {self._metric.amount(search.best_value, -2)} at {mount}"
 
 
 def _terminal_bar(total, what, done):

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..metrics.catalogue import metric_named
+from ..metrics.views import PE_VGOP
 from ..optimise import DePso
 from ..reporting.summary import (
     COORDINATE_NAMES,
@@ -14,11 +16,11 @@ from ..reporting.summary import (
     comparison_sections,
     group_scores,
     mounting_name,
-    objective_text,
 )
 from ..results import RunFolder
 from ..run import Outcome
 from ..study.circumstances import imperfections_text, scenery_counts, scenery_text
+from ..study.objective_text import objective_text
 from ..study.site import Site
 from ..study.verdict import distance_bands, lanes
 
@@ -73,7 +75,7 @@ def comparison(outcome: Outcome) -> str:
     if outcome.baseline["lane"].any():
         tables.append(_table(_group_rows("lane", lanes, outcome)))
     notes = cautions(result)
-    if result["reading"] == "corrected":
+    if result["reading"] == "corrected" or metric_named(result["metric"]) is not PE_VGOP:
         notes.insert(0, f"Objective: {objective_text(result)}.")
     told = "\n".join(textwrap.fill(note, _NOTE_WIDTH) for note in notes)
     return "\n\n".join([*tables, told]).rstrip()
@@ -89,7 +91,7 @@ def _group_rows(title, groups, outcome):
     scores = group_scores(groups, outcome.result, outcome.baseline, outcome.optimised)
     return [
         ("", *(cell for split in scores.splits for cell in (split, "", "", "")), ""),
-        ("", *(cell for _ in scores.splits for cell in ("bits", "", "detectable %", "")), ""),
+        ("", *(cell for _ in scores.splits for cell in (scores.measure, "", "detectable %", "")), ""),
         (f"by {title}", *(name for _ in scores.splits for _ in range(2) for name in ("before", "after")), "vehicles"),
         *((f"  {name}", *cells, str(vehicles)) for name, cells, vehicles in scores.rows),
     ]
@@ -130,6 +132,8 @@ def _search_text(scenario):
         if settings.method == DePso.name
         else f"{settings.particles * settings.iterations} evaluations"
     )
+    objective = scenario.objective
+    metric = "" if objective.metric == PE_VGOP.name else f", metric {objective.metric}"
     return (
-        f"{', '.join(ranges)}; {settings.method}, {budget}, seed {settings.seed}, {scenario.objective.reading} reading"
+        f"{', '.join(ranges)}; {settings.method}, {budget}, seed {settings.seed}, {objective.reading} reading{metric}"
     )

@@ -1,9 +1,10 @@
-"""blender-lidar score: PE-VGOP of any labelled cloud, no simulation."""
+"""blender-lidar score: PE-VGOP and other metrics of any labelled cloud, no simulation."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import warnings
 
 import numpy as np
@@ -12,11 +13,17 @@ from ..errors import InputError
 from ..formats.clouds import read_points
 from ..formats.tables import write_columns
 from ..metrics.assignment import NO_BOX, points_in_boxes
-from ..metrics.vgop import DEFAULT_CELL_M, entropy, occupancy, to_vehicle_frame
+from ..metrics.catalogue import METRICS, metric_named
+from ..metrics.metric import DISTANCE, POINTS, Metric, vehicle_returns
+from ..metrics.vgop import DEFAULT_CELL_M, entropy, to_vehicle_frame
 from ..optimise import VIEWS, detectable
 from ..traffic import read_table
 from ..traffic.vehicles import Vehicles
 from .options import checked_number
+
+_ALL = "all"
+_ALWAYS = {"pe-vgop": "entropy_bits", "points": "points"}  # columns of metrics that the table has anyway
+_HEADING = "vehicle  class       points   p_top  p_side p_front  entropy  detectable"
 
 
 def add_parser(subparsers) -> None:
@@ -24,7 +31,7 @@ def add_parser(subparsers) -> None:
     parser = subparsers.add_parser(
         "score",
         help="score the vehicles of a labelled cloud",
-        description="Score a point cloud by boxes that are known: PE-VGOP of each vehicle.",
+        description="Score a point cloud by boxes that are known: PE-VGOP of each vehicle, and other metrics if asked.",
     )
     parser.add_argument("--points", required=True, metavar="CLOUD", help="the cloud: .npz with xyz, or .pcd")
     parser.add_argument(
@@ -54,6 +61,20 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--view", choices=VIEWS, default="mean", help="which of the three occupancies the threshold asks for"
     )
+    parser.add_argument(
+        "--metric",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help=f"another metric beside PE-VGOP, again for more, or all: {', '.join(METRICS)}",
+    )
+    parser.add_argument(
+        "--lidar",
+        nargs=2,
+        type=float,
+        metavar=("X", "Y"),
+        help="where the LiDAR is, in the frame of the cloud [m]: for the metric distance",
+    )
     parser.add_argument("--out", metavar="CSV", help="write one row for each vehicle")
     parser.add_argument("--json", action="store_true", help="print the scores as JSON, and nothing else, on stdout")
     parser.set_defaults(run=run)
@@ -64,25 +85,59 @@ def run(args: argparse.Namespace) -> int:
     clearance = checked_number(args.ground_clearance, "--ground-clearance", low=0.0)
     cell_m = checked_number(args.cell, "--cell", low=0.001)
     threshold = checked_number(args.threshold, "--threshold", low=0.0)
+    metrics = _metrics(args)
     points, vehicle_id = read_points(args.points)
     vehicles = _boxes(args)
     row = _assigned(args, points, vehicle_id, vehicles, clearance)
     mine = row != NO_BOX
     local = to_vehicle_frame(points[mine], vehicles.centre_m, vehicles.heading_rad, row[mine])
-    shares = occupancy(local, row[mine], vehicles.size_m, cell_m)
+    returns = vehicle_returns(local, row[mine], vehicles.size_m, _distance(args, vehicles), cell_m)
+    shares = returns.occupancy
     table = {
         "frame": np.full(len(vehicles), vehicles.frame),
         "vehicle_id": vehicles.vehicle_id,
         "class": vehicles.class_name,
-        "points": np.bincount(row[mine], minlength=len(vehicles)),
+        "points": returns.count,
         **dict(zip(("p_top", "p_side", "p_front"), shares.T, strict=True)),
         "entropy_bits": entropy(shares).sum(axis=1),
         "detectable": detectable(shares, threshold, args.view),
+        **{_column(metric): metric.values(returns) for metric in metrics if metric.name not in _ALWAYS},
     }
     if args.out:
         write_columns(args.out, table, dict.fromkeys(("p_top", "p_side", "p_front", "entropy_bits"), 6))
-    _print(args, table, len(points))
+    _print(args, table, len(points), metrics)
     return 0
+
+
+def _metrics(args) -> list[Metric]:
+    """The metrics that were asked for beside PE-VGOP, each once."""
+    found = {}
+    for name in args.metric:
+        if name != _ALL:
+            found[name] = metric_named(name, "--metric").learnt(None)
+            if DISTANCE in found[name].needs and args.lidar is None:
+                raise InputError(f"--metric: {name} needs to know where the LiDAR is; give --lidar X Y")
+            continue
+        known = {POINTS} if args.lidar is None else {POINTS, DISTANCE}
+        of_cloud = {key: metric for key, metric in METRICS.items() if metric.learn is None and metric.needs <= known}
+        found |= of_cloud
+        if left_out := METRICS.keys() - of_cloud.keys():
+            print(f"blender-lidar: note: left out: {', '.join(sorted(left_out))}", file=sys.stderr)
+    return list(found.values())
+
+
+def _column(metric: Metric) -> str:
+    """Where a metric's values are in the table."""
+    return _ALWAYS.get(metric.name, metric.name.replace("-", "_"))
+
+
+def _distance(args, vehicles):
+    """Horizontal distance of each vehicle from the LiDAR [m]; None where its place is not given."""
+    if args.lidar is None:
+        return None
+    if not np.isfinite(args.lidar).all():
+        raise InputError(f"--lidar: is {args.lidar[0]} {args.lidar[1]}; allowed: two numbers of metres")
+    return np.hypot(*(vehicles.centre_m[:, :2] - args.lidar).T)
 
 
 def _boxes(args) -> Vehicles:
@@ -112,25 +167,32 @@ def _assigned(args, points, vehicle_id, vehicles, clearance):
     return row
 
 
-def _print(args, table, points):
+def _print(args, table, points, metrics):
     mean = float(table["entropy_bits"].mean())
     share = float(table["detectable"].mean())
     columns = (column.tolist() for column in table.values())
     rows = [dict(zip(table, values, strict=True)) for values in zip(*columns, strict=True)]
+    means = {metric: float(np.mean(table[_column(metric)])) for metric in metrics}
     if args.json:
-        print(
-            json.dumps(
-                {"points": points, "entropy_bits_per_vehicle": mean, "detectable_share": share, "vehicles": rows},
-                indent=2,
-            )
-        )
+        scores = {"points": points, "entropy_bits_per_vehicle": mean, "detectable_share": share}
+        if metrics:
+            scores["metrics"] = {
+                metric.name: {"column": _column(metric), "unit": metric.unit, "per_vehicle": value}
+                for metric, value in means.items()
+            }
+        print(json.dumps(scores | {"vehicles": rows}, indent=2))
         return
-    print("vehicle  class       points   p_top  p_side p_front  entropy  detectable")
+    added = [metric for metric in metrics if metric.name not in _ALWAYS]
+    print("  ".join([_HEADING, *(metric.name for metric in added)]))
     for row in rows:
-        print(
+        text = (
             "{vehicle_id:<8} {class:<10} {points:>7} {p_top:7.4f} {p_side:7.4f} {p_front:7.4f} "
-            "{entropy_bits:8.4f}  {noticed}".format(**row, noticed="yes" if row["detectable"] else "no")
-        )
+            "{entropy_bits:8.4f}  {noticed}"
+        ).format(**row, noticed="yes" if row["detectable"] else "no")
+        values = "".join(f"  {metric.number(row[_column(metric)], 1):>{len(metric.name)}}" for metric in added)
+        print(f"{text:<{len(_HEADING)}}{values}".rstrip())
+    for metric, value in means.items():
+        print(f"{metric.name}: {metric.amount(value, 1)} per vehicle")
     number = len(rows)
     print(
         f"{number} vehicle{'s' * (number != 1)}, {points} points: {mean:.4f} bits per vehicle, "

@@ -61,4 +61,11 @@ def ap_entropy(
     return 2.0 * np.log(1.0 / precision - 1.0) + 1.0 + math.log(2.0 * math.pi)
 
 
-AP_ENTROPY = Metric("ap-entropy", "entropy of the position", "nats", higher_is_better=False, score=ap_entropy)
+AP_ENTROPY = Metric(
+    "ap-entropy",
+    "entropy of the position",
+    "nats",
+    higher_is_better=False,
+    score=ap_entropy,
+    tells="how uncertain a detector is expected to leave its position",
+)

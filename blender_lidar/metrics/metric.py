@@ -117,7 +117,7 @@ class Metric:
     label : str
         For axes and tables, in lower case unless a name.
     unit : str
-        Of its values; empty for a share or any other plain number.
+        Of its values, in the plural; empty for a share or any other plain number.
     higher_is_better : bool
         False where a low value means that a vehicle is seen well.
     score : callable or None
@@ -126,6 +126,10 @@ class Metric:
         Of `VehicleReturns`, what it needs beside sizes, counts and occupancies: `POINTS`, `DISTANCE`, `VIEW`.
     learn : callable or None
         For a metric with a memory, such as a prior of where vehicles drive: makes the score of a `SceneContext`.
+    tells : str
+        What it tells of a vehicle, to end a sentence.
+    decimals : int
+        Digits after the point that matter in a vehicle's value.
     """
 
     name: str
@@ -135,6 +139,8 @@ class Metric:
     score: Score | None = None
     needs: frozenset[str] = frozenset()
     learn: Callable[[SceneContext], Score] | None = None
+    tells: str = ""
+    decimals: int = 3
 
     def learnt(self, context: SceneContext | None) -> Metric:
         """The metric made ready to score: itself, or what it becomes once it has learnt from a scene.
@@ -167,3 +173,15 @@ class Metric:
     def merit(self, values: np.ndarray) -> np.ndarray:
         """Values with their sign turned where lower is better, so that of two merits the greater one is the better."""
         return values if self.higher_is_better else -values
+
+    def number(self, value: float, more: int = 0, sign: str = "-") -> str:
+        """A value, or a mean or sum of some, as text with `more` digits than a vehicle's has; `sign` as in a format."""
+        return f"{value:{sign}.{max(self.decimals + more, 0)}f}"
+
+    def amount(self, value: float, more: int = 0, sign: str = "-") -> str:
+        """The same with the unit behind it."""
+        return f"{self.number(value, more, sign)} {self.unit}".rstrip()
+
+    def in_unit(self, what: str) -> str:
+        """What a column or an axis shows, with the unit in brackets."""
+        return f"{what} [{self.unit}]" if self.unit else what

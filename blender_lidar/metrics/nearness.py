@@ -18,5 +18,12 @@ def distance(returns: VehicleReturns) -> np.ndarray:
 
 
 DISTANCE_METRIC = Metric(
-    "distance", "distance", "m", higher_is_better=False, score=distance, needs=frozenset({DISTANCE})
+    "distance",
+    "distance",
+    "m",
+    higher_is_better=False,
+    score=distance,
+    needs=frozenset({DISTANCE}),
+    tells="how far from the LiDAR it is, horizontally",
+    decimals=2,
 )

@@ -46,9 +46,36 @@ def volumetric_density(returns: VehicleReturns) -> np.ndarray:
     return returns.count / returns.size_m.prod(axis=1)
 
 
-POINTS = Metric("points", "returns", "points", higher_is_better=True, score=points)
-LOG_POINTS = Metric("log-points", "ln(1 + returns)", "", higher_is_better=True, score=log_points)
-AREAL_DENSITY = Metric("areal-density", "areal density", "points/m²", higher_is_better=True, score=areal_density)
+POINTS = Metric(
+    "points",
+    "number of returns",
+    "points",
+    higher_is_better=True,
+    score=points,
+    tells="how many beams return from it",
+    decimals=1,
+)
+LOG_POINTS = Metric(
+    "log-points",
+    "ln(1 + returns)",
+    "",
+    higher_is_better=True,
+    score=log_points,
+    tells="how many beams return from it, on a logarithmic scale",
+)
+AREAL_DENSITY = Metric(
+    "areal-density",
+    "areal density",
+    "points/m²",
+    higher_is_better=True,
+    score=areal_density,
+    tells="how many beams return from it for each square metre of its footprint",
+)
 VOLUMETRIC_DENSITY = Metric(
-    "volumetric-density", "volumetric density", "points/m³", higher_is_better=True, score=volumetric_density
+    "volumetric-density",
+    "volumetric density",
+    "points/m³",
+    higher_is_better=True,
+    score=volumetric_density,
+    tells="how many beams return from it for each cubic metre of its box",
 )

@@ -27,5 +27,20 @@ def sum_of_views(returns: VehicleReturns) -> np.ndarray:
     return returns.occupancy.sum(axis=-1)
 
 
-PE_VGOP = Metric("pe-vgop", "PE-VGOP", "bits", higher_is_better=True, score=view_entropy)
-SUM_OF_VIEWS = Metric("sum-of-views", "sum of the views' occupancies", "", higher_is_better=True, score=sum_of_views)
+PE_VGOP = Metric(
+    "pe-vgop",
+    "PE-VGOP",
+    "bits",
+    higher_is_better=True,
+    score=view_entropy,
+    tells="how much of its top, side and front the beams hit",
+)
+SUM_OF_VIEWS = Metric(
+    "sum-of-views",
+    "sum of the views' occupancies",
+    "",
+    higher_is_better=True,
+    score=sum_of_views,
+    tells="what shares of its top, side and front the beams hit",
+    decimals=4,
+)

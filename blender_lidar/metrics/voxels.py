@@ -74,11 +74,33 @@ def _filled(returns, voxel_m):
     return np.searchsorted(first, filled, side="right") - 1, count
 
 
-def _metric(name, label, unit, score):
-    return Metric(name, label, unit, higher_is_better=True, score=score, needs=frozenset({POINTS}))
+def _metric(name, label, unit, score, tells, decimals=3):
+    return Metric(name, label, unit, True, score, frozenset({POINTS}), tells=tells, decimals=decimals)
 
 
-VOXEL_ENTROPY_01 = _metric("voxel-entropy-0.1", "voxel entropy (0.1 m)", "bits", partial(voxel_entropy, voxel_m=0.1))
-VOXEL_ENTROPY_02 = _metric("voxel-entropy-0.2", "voxel entropy (0.2 m)", "bits", partial(voxel_entropy, voxel_m=0.2))
-VOXEL_OCCUPANCY = _metric("voxel-occupancy", "share of occupied voxels", "", voxel_occupancy)
-VOXEL_OCCUPANCY_ENTROPY = _metric("voxel-occupancy-entropy", "voxel occupancy entropy", "bits", voxel_occupancy_entropy)
+VOXEL_ENTROPY_01, VOXEL_ENTROPY_02 = (
+    _metric(
+        f"voxel-entropy-{voxel_m}",
+        f"voxel entropy ({voxel_m} m)",
+        "bits",
+        partial(voxel_entropy, voxel_m=voxel_m),
+        f"how evenly its returns spread over voxels of {voxel_m} m",
+    )
+    for voxel_m in (0.1, 0.2)
+)
+VOXEL_OCCUPANCY = _metric(
+    "voxel-occupancy",
+    "share of occupied voxels",
+    "",
+    voxel_occupancy,
+    f"what share of the voxels of {OCCUPANCY_VOXEL_M} m in its box hold a return",
+    decimals=5,
+)
+VOXEL_OCCUPANCY_ENTROPY = _metric(
+    "voxel-occupancy-entropy",
+    "voxel occupancy entropy",
+    "bits",
+    voxel_occupancy_entropy,
+    f"what share of the voxels of {OCCUPANCY_VOXEL_M} m in its box hold a return, turned into an entropy",
+    decimals=4,
+)

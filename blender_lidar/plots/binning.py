@@ -24,14 +24,14 @@ class Bands:
         Vehicles in it.
     detectable_share : ndarray, (b,)
         Share of them that are detectable, 0 to 1; NaN in an empty band.
-    entropy_bits : ndarray, (b,)
-        Their mean entropy [bits]; vehicles without a finite entropy are left out, NaN if none has one.
+    score : ndarray, (b,)
+        Mean of their scores; vehicles without a finite one are left out, NaN if none has one.
     """
 
     centre_m: np.ndarray
     count: np.ndarray
     detectable_share: np.ndarray
-    entropy_bits: np.ndarray
+    score: np.ndarray
 
 
 def columns(
@@ -67,7 +67,7 @@ def band_count(distances_m: np.ndarray, band_m: float) -> int:
 
 
 def distance_bands(
-    distance_m: np.ndarray, detectable: np.ndarray, entropy_bits: np.ndarray, band_m: float, bands: int
+    distance_m: np.ndarray, detectable: np.ndarray, score: np.ndarray, band_m: float, bands: int
 ) -> Bands:
     """Count and average vehicles by distance.
 
@@ -77,8 +77,8 @@ def distance_bands(
         Horizontal distance from the mount [m], below ``bands * band_m``.
     detectable : ndarray, (n,)
         1 or True where the vehicle reaches the threshold.
-    entropy_bits : ndarray, (n,)
-        Perception entropy [bits]; NaN is allowed.
+    score : ndarray, (n,)
+        A metric, such as the perception entropy; NaN is allowed.
     band_m : float
         Width of a band [m].
     bands : int
@@ -86,13 +86,13 @@ def distance_bands(
     """
     band = np.floor(distance_m / band_m).astype(int)
     count = np.bincount(band, minlength=bands)
-    known = np.isfinite(entropy_bits)
+    known = np.isfinite(score)
     return Bands(
         centre_m=(np.arange(bands) + 0.5) * band_m,
         count=count,
         detectable_share=_ratio(np.bincount(band, weights=detectable, minlength=bands), count),
-        entropy_bits=_ratio(
-            np.bincount(band[known], weights=entropy_bits[known], minlength=bands),
+        score=_ratio(
+            np.bincount(band[known], weights=score[known], minlength=bands),
             np.bincount(band[known], minlength=bands),
         ),
     )

@@ -1,4 +1,4 @@
-"""Chart: detectable share and perception entropy by distance, before and after."""
+"""Chart: detectable share and mean score by distance, before and after."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..metrics.metric import Metric
+from ..metrics.views import PE_VGOP
 from .binning import Bands, band_count, columns, distance_bands
 from .canvas import BASELINE, FAINT, INK, OPTIMISED, legend_below, say_empty, sheet
 
@@ -17,8 +19,6 @@ if TYPE_CHECKING:
 
 FEWEST_VEHICLES = 5  # below this a band's average says little, and is not drawn
 
-_COLUMNS = ("distance_m", "detectable", "entropy_bits")
-
 
 def plot_by_distance(
     path: str | Path,
@@ -26,20 +26,26 @@ def plot_by_distance(
     optimised_table: Mapping[str, ArrayLike],
     band_m: float = 10.0,
     *,
+    metric: Metric = PE_VGOP,
+    column: str = "entropy_bits",
     names: tuple[str, str] = ("Baseline", "Optimised"),
     title: str = "",
     subtitle: str = "",
 ) -> None:
-    """Draw the detectable share, the mean entropy and the number of vehicles by distance band.
+    """Draw the detectable share, the mean score and the number of vehicles by distance band.
 
     Parameters
     ----------
     path : str or Path
         The PNG to write.
     baseline_table, optimised_table : mapping of str to array_like, (n,)
-        Columns ``distance_m``, ``detectable`` and ``entropy_bits`` of vehicles.csv under each mounting.
+        Columns ``distance_m``, ``detectable`` and `column` of vehicles.csv under each mounting.
     band_m : float
         Width of a band [m].
+    metric : Metric
+        What scores the vehicles.
+    column : str
+        Where its values are.
     names : tuple of str
         What to call the two mountings.
     title, subtitle : str
@@ -50,17 +56,18 @@ def plot_by_distance(
     InputError
         If a column is missing, not numeric or of another length.
     """
+    needed = ("distance_m", "detectable", column)
     tables = [
-        columns(table, _COLUMNS, f"{name} vehicles", may_be_nan=("entropy_bits",))
+        columns(table, needed, f"{name} vehicles", may_be_nan=(column,))
         for name, table in (("baseline", baseline_table), ("optimised", optimised_table))
     ]
     number = band_count(np.concatenate([table["distance_m"] for table in tables]), band_m)
-    before, after = (distance_bands(*(table[name] for name in _COLUMNS), band_m, number) for table in tables)
+    before, after = (distance_bands(*(table[name] for name in needed), band_m, number) for table in tables)
     with sheet(path, 140.0, title, subtitle) as figure:
-        share, entropy, count = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.4))
+        share, score, count = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.4))
         if not (before.count.any() or after.count.any()):
             say_empty(share, "no vehicles")
-            say_empty(entropy, "no vehicles")
+            say_empty(score, "no vehicles")
         handles = []
         for bands, style, name in zip((before, after), (BASELINE, OPTIMISED), names, strict=True):
             line = {**style, "label": name.lower()}
@@ -68,18 +75,19 @@ def plot_by_distance(
             handles += share.plot(
                 bands.centre_m, np.where(drawn, 100.0 * bands.detectable_share, np.nan), clip_on=False, zorder=3, **line
             )
-            entropy.plot(bands.centre_m, np.where(drawn, bands.entropy_bits, np.nan), clip_on=False, zorder=3, **line)
+            score.plot(bands.centre_m, np.where(drawn, bands.score, np.nan), clip_on=False, zorder=3, **line)
         share.set_ylabel("Detectable share [%]")
         share.set_ylim(0.0, 100.0)
-        entropy.set_ylabel("Mean entropy\n[bits per vehicle]")
-        entropy.set_ylim(bottom=0.0)
+        score.set_ylabel(f"Mean {metric.label}" + (f"\n[{metric.unit}]" if metric.unit else ""))
+        if not any((bands.score < 0.0).any() for bands in (before, after)):
+            score.set_ylim(bottom=0.0)
         handles += _draw_counts(count, before, after, band_m)
         count.set_ylabel("Vehicles\n[number]")
         count.set_xlabel("Horizontal distance from the LiDAR [m]")
         count.set_ylim(bottom=0.0)
         count.yaxis.get_major_locator().set_params(integer=True)
         count.set_xlim(0.0, number * band_m)
-        for axes in (share, entropy, count):
+        for axes in (share, score, count):
             axes.grid(visible=True)
         figure.align_ylabels()
         legend_below(figure, handles, columns=len(handles))

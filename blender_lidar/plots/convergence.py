@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
+from ..metrics.metric import Metric
+from ..metrics.views import PE_VGOP
 from .canvas import BASELINE, FAINT, OPTIMISED, legend_below, sheet
 
 
@@ -18,6 +20,7 @@ def plot_convergence(
     best: ArrayLike,
     baseline: float | None = None,
     *,
+    metric: Metric = PE_VGOP,
     title: str = "",
     subtitle: str = "",
 ) -> None:
@@ -28,10 +31,12 @@ def plot_convergence(
     path : str or Path
         The PNG to write.
     evaluation, value, best : array_like, (n,)
-        Number of the evaluation, the candidate's objective per vehicle [bits], the best of them so far [bits].
+        Number of the evaluation, the candidate's objective per vehicle, the best of them so far.
         A candidate without a finite value is left out.
     baseline : float, optional
-        Objective per vehicle of the baseline mounting [bits].
+        Objective per vehicle of the baseline mounting.
+    metric : Metric
+        What the objective is made of.
     title, subtitle : str
         Headings.
 
@@ -50,7 +55,7 @@ def plot_convergence(
         axes = figure.add_subplot()
         known = np.isfinite(value)
         dots = axes.plot(evaluation[known], value[known], ".", color=FAINT, markersize=2.5, label="one candidate")
-        label = f"best so far (at the end {best[-1]:.3f} bits)"
+        label = f"best so far (at the end {metric.amount(best[-1])})"
         line = axes.step(
             evaluation, best, where="post", color=OPTIMISED["color"], linestyle=OPTIMISED["linestyle"], label=label
         )
@@ -61,11 +66,11 @@ def plot_convergence(
                     baseline,
                     color=BASELINE["color"],
                     linestyle=BASELINE["linestyle"],
-                    label=f"baseline mounting ({baseline:.3f} bits)",
+                    label=f"baseline mounting ({metric.amount(baseline)})",
                 )
             )
         axes.set_xlabel("Evaluations (mountings tried)")
-        axes.set_ylabel("Objective per vehicle [bits]")
+        axes.set_ylabel(metric.in_unit("Objective per vehicle"))
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.set_xlim(0.0, 1.02 * evaluation.max())

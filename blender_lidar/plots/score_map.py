@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
+from ..metrics.metric import Metric
+from ..metrics.views import PE_VGOP
 from .binning import near_best_threshold
 from .canvas import INK, SCORE_COLOURS, colours, legend_below, sheet
 
@@ -28,6 +30,7 @@ def plot_score_map(
     baseline_value: float,
     optimum_value: float | None = None,
     region_share: float = 0.01,
+    metric: Metric = PE_VGOP,
     title: str = "",
     subtitle: str = "",
 ) -> None:
@@ -40,15 +43,17 @@ def plot_score_map(
     height_m, tilt_deg : array_like, (h,) and (t,)
         Rising mounting heights [m] and tilts about the road axis [deg], at least two of each.
     value : array_like, (h, t)
-        Objective per vehicle [bits]; NaN where it was not evaluated.
+        Objective per vehicle; NaN where it was not evaluated.
     optimum, baseline : tuple of float
         Height [m] and tilt [deg] of the two mountings; one outside the grid is marked on the map's edge.
     baseline_value : float
-        Objective per vehicle of the baseline [bits].
+        Objective per vehicle of the baseline.
     optimum_value : float, optional
-        That of the optimum [bits]; the largest of `value` unless given.
+        That of the optimum; the largest of `value` unless given.
     region_share : float
         The region drawn holds the mountings that lose at most this share of the gain of the best one over the baseline.
+    metric : Metric
+        What the objective is made of.
     title, subtitle : str
         Headings.
 
@@ -65,14 +70,14 @@ def plot_score_map(
     with sheet(path, 115.0, title, subtitle) as figure:
         axes = figure.add_subplot()
         mesh = axes.pcolormesh(tilt_deg, height_m, shown, cmap=colours(SCORE_COLOURS), shading="gouraud")
-        figure.colorbar(mesh, ax=axes, label="Objective per vehicle [bits]", pad=0.02)
+        figure.colorbar(mesh, ax=axes, label=metric.in_unit("Objective per vehicle"), pad=0.02)
         if shown.min() < shown.max():
             lines = axes.contour(tilt_deg, height_m, shown, levels=8, colors=INK, linewidths=0.4)
             axes.clabel(lines, fontsize=6.5)
         threshold = near_best_threshold(max(best, highest), baseline_value, region_share)
         handles = [
-            _mark(axes, optimum, (height_m, tilt_deg), "*", 13.0, "optimum", best),
-            _mark(axes, baseline, (height_m, tilt_deg), "s", 7.0, "baseline", baseline_value),
+            _mark(axes, optimum, (height_m, tilt_deg), "*", 13.0, "optimum", metric.amount(best)),
+            _mark(axes, baseline, (height_m, tilt_deg), "s", 7.0, "baseline", metric.amount(baseline_value)),
             _draw_region(axes, tilt_deg, height_m, shown, threshold, region_share),
         ]
         axes.set_xlabel("Tilt across the road, positive down towards +y [deg]")
@@ -99,13 +104,13 @@ def _mark(
     marker: str,
     size: float,
     name: str,
-    value: float,
+    value: str,
 ) -> Line2D:
     """A marker at the mounting or, with an arrow leading out of the map, at the edge nearest to it."""
     height, tilt = mounting
     inside = tuple(float(np.clip(at, axis[0], axis[-1])) for at, axis in zip(mounting, grid, strict=True))
     outside = inside != (height, tilt)
-    label = f"{name}: {height:.2f} m, {tilt:.1f}°" + (", off the map" if outside else "") + f"\n{value:.3f} bits"
+    label = f"{name}: {height:.2f} m, {tilt:.1f}°" + (", off the map" if outside else "") + f"\n{value}"
     if outside:
         step = (24.0 * np.sign(tilt - inside[1]), 24.0 * np.sign(height - inside[0]))
         axes.annotate(

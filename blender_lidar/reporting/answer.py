@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
+from ..metrics.catalogue import METRICS, metric_named
 from .elements import minus
 from .summary import better_than_baseline, was_searched
 
 _LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
 _NO_BREAK = "\N{NO-BREAK SPACE}"
-_SPACE_BEFORE_UNIT = re.compile(r"(?<=\d) (?=%|(?:m|bits)\b)")
+_UNITS = "|".join(sorted({re.escape(metric.unit) for metric in METRICS.values() if metric.unit}, reverse=True))
+_SPACE_BEFORE_UNIT = re.compile(rf"(?<=\d) (?=%|(?:m|{_UNITS})(?!\w))")
 
 
 def answer(result: Mapping) -> str:
@@ -20,7 +22,7 @@ def answer(result: Mapping) -> str:
 
 def key_figures(result: Mapping) -> list[tuple[str, str]]:
     """The few figures that matter, each with what it is."""
-    mount, (found, base, on) = result["deployment"], _judges(result)
+    mount, (found, base, on), metric = result["deployment"], _judges(result), metric_named(result["metric"])
     figures = [
         ("height above the road", f"{mount['height_m']:.2f} m"),
         ("tilt across the road", minus(f"{mount['tilt_x_deg']:.1f}°")),
@@ -29,8 +31,8 @@ def key_figures(result: Mapping) -> list[tuple[str, str]]:
     gain = "gain per vehicle"
     if found.get("interval_90"):
         low, high = found["interval_90"]
-        gain += f" (90 %: {minus(f'{low:.3f} to {high:.3f}')})"
-    figures.append((gain, minus(f"{_gain(found, base):+.3f} bits")))
+        gain += f" (90 %: {minus(f'{metric.number(low)} to {metric.number(high)}')})"
+    figures.append((gain, minus(metric.amount(_gain(found, base), sign="+"))))
     return [(_SPACE_BEFORE_UNIT.sub(_NO_BREAK, what), figure) for what, figure in figures]
 
 
@@ -56,21 +58,28 @@ def _place(mount):
 
 def _worth(result):
     found, base, on = _judges(result)
-    gain = _gain(found, base)
+    gain, metric = _gain(found, base), metric_named(result["metric"])
     return (
         f"on {on} {_percent(found)} of the vehicles are detectable instead of {_percent(base)} under the baseline, and "
-        f"a vehicle {'gains' if gain >= 0.0 else 'loses'} {abs(gain):.3f} bits{_interval(result, gain)}"
+        f"{_gained(metric, gain)}{_interval(result, metric, gain)}"
     )
 
 
-def _interval(result, gain):
+def _gained(metric, gain):
+    """What the mounting is worth to a vehicle."""
+    amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.amount(abs(gain))}"
+    # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better.
+    return f"a vehicle {amount}" if metric.higher_is_better else f"the objective {amount} per vehicle"
+
+
+def _interval(result, metric, gain):
     if result["holdout"] is None:
         return "; nothing was held out, so that there is no interval"
     if result["holdout"]["interval_90"] is None:
         return "; there are too few blocks of time for an interval"
     low, high = result["holdout"]["interval_90"]
     doubt = "" if low > 0.0 or high < 0.0 else f", so that there may be no {'gain' if gain >= 0.0 else 'loss'} at all"
-    return f" (90 % interval of the gain {minus(f'{low:.3f} to {high:.3f}')}{doubt})"
+    return f" (90 % interval of the gain {minus(f'{metric.number(low)} to {metric.number(high)}')}{doubt})"
 
 
 def _judges(result):

@@ -9,8 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from .. import __version__
+from ..metrics.catalogue import metric_named
+from ..metrics.metric import Metric
 from ..results import REPORT, RunFolder
 from ..study.circumstances import imperfections_text, scenery_text
+from ..study.objective_text import objective_text
 from ..study.verdict import distance_bands, lanes
 from .answer import answer, key_figures
 from .elements import Markup, element, joined, many
@@ -27,7 +30,7 @@ from .pictures import (
 )
 from .sheet import sheet_markup
 from .stored_run import StoredRun, read_run
-from .summary import cautions, mounting_name, objective_text, was_searched
+from .summary import cautions, mounting_name, was_searched
 from .tables import comparison_table, computing_table, group_table
 
 _STYLE = Path(__file__).parent / "report.css"
@@ -130,7 +133,7 @@ def _scores(run: StoredRun):
     identity = run.result["identity"]
     words = {
         "objective": f"{objective_text(run.result)}, summed over the vehicles in view, which are the same for every "
-        "mounting. The entropy, PE-VGOP, tells how much of a vehicle's top, side and front the beams hit.",
+        f"mounting.{_metric_text(metric_named(run.result['metric']))}",
         "detectable": f"occupancy ({identity['[objective] view']} of the three views) of at least "
         f"{identity['[objective] threshold']:g}: a threshold on the metric, not a detector.",
     }
@@ -143,6 +146,14 @@ def _scores(run: StoredRun):
         }
     terms = [joined(element("dt", term), element("dd", meaning)) for term, meaning in words.items()]
     return _section("Mounting and scores", comparison_table(run.result), element("dl", *terms, class_="terms"))
+
+
+def _metric_text(metric: Metric) -> str:
+    """A sentence on what a metric means; none where it does not say."""
+    if not metric.tells:
+        return ""
+    direction = "" if metric.higher_is_better else "; lower is better"
+    return f" For each vehicle the metric, {metric.name}, tells {metric.tells}{direction}."
 
 
 def _notes(run: StoredRun):

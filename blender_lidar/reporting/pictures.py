@@ -39,7 +39,7 @@ CONVERGENCE = Chart(
 )
 BY_DISTANCE = Chart(
     "by_distance.png",
-    "Share of detectable vehicles and mean entropy by distance from the LiDAR, for both mountings",
+    "Share of detectable vehicles and mean score by distance from the LiDAR, for both mountings",
     "Each marker stands for 10 m of distance; the bars at the bottom say how many vehicles are behind it.",
 )
 BLIND_ZONES = Chart(
@@ -56,7 +56,7 @@ CLOUDS = Chart(
 OCCUPANCY = Chart(
     "occupancy.png",
     "Occupied cells of one vehicle in top, side and front view, for both mountings",
-    "One vehicle as the metric sees it: a cell is dark where a beam has hit it, and the share of dark cells counts.",
+    "One vehicle as PE-VGOP sees it: a cell is dark where a beam has hit it, and the share of dark cells counts.",
 )
 CHARTS = (SCORE_MAP, CONVERGENCE, BY_DISTANCE, BLIND_ZONES, CLOUDS, OCCUPANCY)
 

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, MissingFileError
+from ..metrics.catalogue import METRICS
 from ..optimise import READINGS
 from ..results import INSTALLATION, RESULT, SCENE, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
 from ..settings import COORDINATES
+from ..study.vehicle_table import columns_for
 from ..toml_table import read_toml
 from ..traffic.report import RepairReport
 from .shapes import (
@@ -47,7 +49,7 @@ _MAP = {
 }
 _IDENTITY = {
     "[traffic] path": TEXT,
-    "[objective] loss": NUMBER,
+    "[objective] loss": or_null(NUMBER),
     "[objective] threshold": NUMBER,
     "[objective] view": TEXT,
     **{f"[deployment] {key}": NUMBER_OR_PAIR for key in COORDINATES},
@@ -63,7 +65,8 @@ _RESULT = _JUDGED | {
     "scene": MayLack(TEXT),
     "imperfections": MayLack(_IMPERFECTIONS),
     "scenery": MayLack(Nullable(dict.fromkeys(("objects", "triangles"), COUNT))),
-    **dict.fromkeys(("sensor", "caster", "detail", "metric"), TEXT),
+    **dict.fromkeys(("sensor", "caster", "detail"), TEXT),
+    "metric": one_of(METRICS),
     **dict.fromkeys(("evaluations", "seed", "frames", "vehicles"), COUNT),
     **dict.fromkeys(("range_gate_m", "block_s", "seconds"), NUMBER),
     "reading": one_of(READINGS),
@@ -128,6 +131,9 @@ def read_run(folder: RunFolder) -> StoredRun:
     scene = read_toml(folder.file(SCENE))
     check_shape(scene, {"traffic": {"path": TEXT}}, str(folder.file(SCENE)))
     optimised, baseline = folder.read_vehicles(VEHICLES), folder.read_vehicles(VEHICLES_BASELINE)
+    for name, table in ((VEHICLES, optimised), (VEHICLES_BASELINE, baseline)):
+        if missing := set(columns_for(result["metric"])) - set(table):
+            raise InputError(f"{folder.file(name)}: is damaged: has no column {missing.pop()!r}")
     if any(not np.array_equal(optimised[key], baseline[key]) for key in ("frame", "vehicle_id", "split")):
         raise InputError(f"{folder.file(VEHICLES_BASELINE)}: lists other vehicles than {VEHICLES}")
     return StoredRun(

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..metrics.catalogue import metric_named
+from ..metrics.metric import Metric
 from ..optimise import vehicle_score
+from ..study.vehicle_table import metric_values
 
 COORDINATE_NAMES = {
     "height_m": ("height", "m"),
@@ -39,13 +42,16 @@ class GroupScores:
 
     Attributes
     ----------
+    measure : str
+        What the objective is told in: the metric's unit, or that it is the objective where that has none.
     splits : list of str
         ``"searched"`` or ``"scored"``, and ``"held out"`` where anything was.
     rows : list of (str, list of str, int)
-        A group's name; for each split bits before and after, then detectable per cent before and after, ``"-"`` where
-        it has no vehicle; how many vehicles it has in all splits.
+        A group's name; for each split the objective per vehicle before and after, then detectable per cent before and
+        after, ``"-"`` where it has no vehicle; how many vehicles it has in all splits.
     """
 
+    measure: str
     splits: list[str]
     rows: list[tuple[str, list[str], int]]
 
@@ -74,7 +80,9 @@ def comparison_sections(result: Mapping) -> list[Section]:
     """The mounting and the baseline side by side; `result` is the content of result.json."""
     base = result["baseline"]
     mounts = base["deployment"], result["deployment"]
-    total = ("objective [bits]", f"{base['objective']:.1f}", f"{result['objective']:.1f}")
+    metric = metric_named(result["metric"])
+    totals = (metric.number(scores["objective"], -2) for scores in (base, result))
+    total = (metric.in_unit("objective"), *totals)
     sections = [
         Section(
             "Mounting",
@@ -84,15 +92,17 @@ def comparison_sections(result: Mapping) -> list[Section]:
                 if key in _ALWAYS_SHOWN or any(mount[key] for mount in mounts)
             ],
         ),
-        Section("Searched frames" if was_searched(result) else "Scored frames", [total, *_score_rows(base, result)]),
+        Section(
+            "Searched frames" if was_searched(result) else "Scored frames", [total, *_score_rows(metric, base, result)]
+        ),
     ]
     if result["holdout"]:
         held = result["holdout"]
-        rows = _score_rows(base["holdout"], held)
-        rows.append(("gain per vehicle [bits]", "", f"{held['gain_over_baseline']:+.4f}"))
+        rows = _score_rows(metric, base["holdout"], held)
+        rows.append((metric.in_unit("gain per vehicle"), "", metric.number(held["gain_over_baseline"], 1, "+")))
         if held["interval_90"]:
-            low, high = held["interval_90"]
-            rows.append((f"90 % interval, {held['blocks']} blocks", "", f"{low:+.4f} to {high:+.4f}"))
+            low, high = (metric.number(end, 1, "+") for end in held["interval_90"])
+            rows.append((f"90 % interval, {held['blocks']} blocks", "", f"{low} to {high}"))
         sections.append(Section("Held-out frames", rows))
     return sections
 
@@ -110,8 +120,11 @@ def group_scores(
         The same vehicles in the same order, under the baseline and under the run's mounting.
     """
     tables = (baseline, found)
-    loss = result["identity"]["[objective] loss"]
-    scores = [vehicle_score(table["entropy_bits"], table["detectable"], loss, result["reading"]) for table in tables]
+    metric, loss = metric_named(result["metric"]), result["identity"]["[objective] loss"]
+    scores = [
+        vehicle_score(metric.merit(metric_values(table)), table["detectable"], loss, result["reading"])
+        for table in tables
+    ]
     splits = [split for split in _SPLITS if (found["split"] == split).any()]
     rows = []
     for name, chosen in groups(baseline):
@@ -121,7 +134,7 @@ def group_scores(
         for split in splits:
             mine = [chosen & (table["split"] == split) for table in tables]
             cells += [
-                f"{score[rows_of].mean():.3f}" if rows_of.any() else "-"
+                metric.number(score[rows_of].mean()) if rows_of.any() else "-"
                 for score, rows_of in zip(scores, mine, strict=True)
             ]
             cells += [
@@ -130,15 +143,7 @@ def group_scores(
             ]
         rows.append((name, cells, int(chosen.sum())))
     names = {"search": "searched" if was_searched(result) else "scored", "holdout": "held out"}
-    return GroupScores([names[split] for split in splits], rows)
-
-
-def objective_text(result: Mapping) -> str:
-    """What the objective adds up."""
-    if result["reading"] != "corrected":
-        return "Eq. 10 of the paper as printed"
-    loss = abs(result["identity"]["[objective] loss"])
-    return f"the entropy of every detectable vehicle, less {loss:g} bit{'s' * (loss != 1)} for every other one"
+    return GroupScores(metric.unit or "objective", [names[split] for split in splits], rows)
 
 
 def cautions(result: Mapping) -> list[str]:
@@ -169,11 +174,14 @@ def search_bounds(result: Mapping) -> dict[str, tuple[float, float]]:
     return {key: tuple(pair) for key, pair in bounds.items() if isinstance(pair, list)}
 
 
-def _score_rows(base, found):
-    pairs = [(scores["objective_per_vehicle"], 100 * scores["detectable_share"]) for scores in (base, found)]
+def _score_rows(metric: Metric, base, found):
+    both = (base, found)
     return [
-        ("objective per vehicle [bits]", *(f"{bits:.4f}" for bits, _ in pairs)),
-        ("detectable share [%]", *(f"{share:.1f}" for _, share in pairs)),
+        (
+            metric.in_unit("objective per vehicle"),
+            *(metric.number(scores["objective_per_vehicle"], 1) for scores in both),
+        ),
+        ("detectable share [%]", *(f"{100 * scores['detectable_share']:.1f}" for scores in both)),
     ]
 
 

@@ -31,7 +31,9 @@ def group_table(heading: str, groups: Callable, run: StoredRun) -> Markup:
     """Scores of groups of vehicles, searched and held out, before and after."""
     scores = group_scores(groups, run.result, run.baseline, run.optimised)
     splits = [element("th", split, scope="col", colspan=4) for split in scores.splits]
-    measures = [element("th", what, scope="col", colspan=2) for _ in scores.splits for what in ("bits", "detectable %")]
+    measures = [
+        element("th", what, scope="col", colspan=2) for _ in scores.splits for what in (scores.measure, "detectable %")
+    ]
     names = [element("th", name, scope="col") for _ in range(2 * len(scores.splits)) for name in ("before", "after")]
     head = element(
         "thead",

@@ -6,9 +6,12 @@ import math
 
 import numpy as np
 
+from ..metrics.catalogue import metric_named
+from ..metrics.views import PE_VGOP
 from ..scenario import pose_at
 from ..sensors.pose import Pose
 from .circumstances import imperfections_text, scenery_counts, scenery_text
+from .objective_text import objective_text
 from .site import Site
 
 _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
@@ -99,19 +102,21 @@ def _lowest_beam(site, pose):
 def _expected(result):
     """What to expect, on the frames that did not choose the mounting where there are any."""
     held_out = result["holdout"] is not None
-    found, base = result, result["baseline"]
+    found, base, metric = result, result["baseline"], metric_named(result["metric"])
     if held_out:
         found, base = found["holdout"], base["holdout"]
     lines = [
         "Expected, on held-out traffic" if held_out else "Expected, on the traffic that chose the mounting",
         f"- vehicles at or above the threshold: {100 * found['detectable_share']:.1f} % "
         f"(baseline {100 * base['detectable_share']:.1f} %)",
-        f"- objective per vehicle: {found['objective_per_vehicle']:.3f} bits "
-        f"(baseline {base['objective_per_vehicle']:.3f})",
+        *([] if metric is PE_VGOP else [f"- the objective is {objective_text(result)}"]),
+        f"- objective per vehicle: {metric.amount(found['objective_per_vehicle'])} "
+        f"(baseline {metric.number(base['objective_per_vehicle'])})",
     ]
     if held_out and found["interval_90"]:
         low, high = found["interval_90"]
-        lines.append(f"- gain over the baseline: {low:.3f} to {high:.3f} bits per vehicle (90 % interval)")
+        gain = f"{metric.number(low)} to {metric.amount(high)}"
+        lines.append(f"- gain over the baseline: {gain} per vehicle (90 % interval)")
     intervals = (result["map"] or {}).get("optimum_interval_90")
     if intervals:
         height, tilt = intervals["height_m"], intervals["tilt_x_deg"]

@@ -26,10 +26,10 @@ class ScoreMap:
     height_m : ndarray, (h,)
     tilt_deg : ndarray, (t,)
     per_vehicle : ndarray, (h, t)
-        Objective per vehicle [bits].
+        Objective per vehicle, in the metric's unit.
     detectable_share : ndarray, (h, t)
     block_objective : ndarray, (h, t, b)
-        Objective summed over each block of time that has vehicles [bits].
+        Objective summed over each block of time that has vehicles.
     block_vehicles : ndarray, (b,)
         Vehicles of each block.
     """
@@ -43,7 +43,7 @@ class ScoreMap:
 
     @property
     def best(self) -> tuple[float, float, float]:
-        """Height [m], tilt [deg] and objective per vehicle [bits] of the best grid point."""
+        """Height [m], tilt [deg] and objective per vehicle of the best grid point."""
         row, column = np.unravel_index(np.argmax(self.per_vehicle), self.per_vehicle.shape)
         return float(self.height_m[row]), float(self.tilt_deg[column]), float(self.per_vehicle[row, column])
 

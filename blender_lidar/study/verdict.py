@@ -27,8 +27,8 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
     Returns
     -------
     dict
-        For each name ``objective`` [bits], ``objective_per_vehicle`` [bits], ``detectable_share`` and ``holdout`` with
-        the same per-vehicle scores, ``gain_over_baseline`` [bits per vehicle] and its ``interval_90``. ``holdout`` is
+        For each name ``objective`` and ``objective_per_vehicle`` in the metric's unit, ``detectable_share`` and
+        ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` and its ``interval_90``. ``holdout`` is
         None where nothing was held out; ``interval_90`` where there are too few blocks.
     """
     poses, base = list(mountings.values()), list(mountings).index("baseline")

@@ -1,0 +1,384 @@
+"""Runs with every metric: what is maximised, stored and told, and what a metric with a memory is given."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar.cli import main
+from blender_lidar.errors import InputError
+from blender_lidar.metrics.catalogue import METRICS
+from blender_lidar.metrics.metric import VIEW, Metric, vehicle_returns
+from blender_lidar.reporting.page import report_html
+from blender_lidar.results import RunFolder
+from blender_lidar.scenario import load_scenario
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.study.evaluation import Evaluator
+from blender_lidar.study.frame_scorer import FrameScorer, Observation
+from blender_lidar.study.objective_text import objective_text
+from blender_lidar.study.scoring import CountedFrame, Scoring, mountings_of
+from blender_lidar.study.site import prepare
+from blender_lidar.study.vehicle_table import METRIC_VALUE, vehicle_table
+from tests.sample_traffic import dense_traffic
+from tests.small_scene import cli, without_charts, write_scene
+
+SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
+POSES = [Pose(height_m=2.0), Pose(1.0, -0.5, 4.1, 0.33), Pose(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4)]
+OTHERS = [name for name in METRICS if name != "pe-vgop"]
+
+
+def frames_of(number):
+    made = []
+    for frame in range(number):
+        vehicles = dense_traffic(seed=frame, vehicles=20, length_m=80.0, frame=frame)
+        made.append(CountedFrame(vehicles, np.hypot(*vehicles.centre_m[:, :2].T) < 30.0))
+    return made
+
+
+FRAMES = frames_of(2)
+WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and VIEW not in METRICS[name].needs]
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    without_charts(monkeypatch)
+
+
+# --- sums -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", WITHOUT_MEMORY)
+@pytest.mark.parametrize("loss", [None, -0.25])
+def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_mounting_alone(name, loss):
+    metric, scoring = METRICS[name], Scoring(0.005, "mean", loss, "corrected", name)
+    with Evaluator(FRAMES, SEEN, scoring) as evaluator:
+        totals = evaluator.totals(POSES)
+    sign = 1.0 if metric.higher_is_better else -1.0
+    for column, frame in enumerate(FRAMES):
+        scorer, counted = FrameScorer(frame.vehicles, frame.counted, SEEN), frame.vehicles.select(frame.counted)
+        for row, pose in enumerate(POSES):
+            points, vehicle = scorer.vehicle_points(pose)
+            distance = [math.dist((x, y), (pose.x_m, pose.y_m)) for x, y, _ in counted.centre_m.tolist()]
+            returns = vehicle_returns(points, vehicle, counted.size_m, distance)
+            expected = 0.0
+            for value, shares in zip(metric.values(returns).tolist(), returns.occupancy.tolist(), strict=True):
+                missed = loss is not None and sum(shares) / 3.0 < 0.005
+                expected += -0.25 if missed else sign * value
+            assert totals.objective[row, column] == pytest.approx(expected, rel=1e-9), (frame, pose)
+
+
+def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for():
+    scorer = FrameScorer(FRAMES[0].vehicles, FRAMES[0].counted, SEEN)
+    assert scorer.see(POSES).returns is None
+    seen = scorer.see(POSES, keep_returns=True)
+    points, row = seen.returns
+    np.testing.assert_array_equal(np.bincount(row, minlength=seen.points.size).reshape(seen.points.shape), seen.points)
+    for number, pose in enumerate(POSES):
+        alone, vehicle = scorer.vehicle_points(pose)
+        mine = row // len(scorer) == number
+        np.testing.assert_allclose(points[mine], alone, atol=1e-12)
+        np.testing.assert_array_equal(row[mine] % len(scorer), vehicle)
+
+
+def test_nothing_in_view_leaves_no_returns():
+    nobody = FrameScorer(FRAMES[0].vehicles, np.zeros(20, dtype=bool), SEEN).see(POSES, keep_returns=True)
+    assert nobody.returns[0].shape == (0, 3)
+    assert nobody.returns[1].shape == (0,)
+
+
+def test_the_vehicle_table_has_a_column_for_another_metric_and_none_for_pe_vgop():
+    plain, other = (
+        vehicle_table(FRAMES, POSES[1], SEEN, Scoring(0.005, "mean", None, "corrected", name), "search")
+        for name in ("pe-vgop", "distance")
+    )
+    assert METRIC_VALUE not in plain
+    assert set(other) == {*plain, METRIC_VALUE}
+    np.testing.assert_allclose(other[METRIC_VALUE], other["distance_m"], rtol=1e-12)
+    np.testing.assert_array_equal(other["entropy_bits"], plain["entropy_bits"])
+
+
+# --- whole runs -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Searches of three mountings of a small scene with every metric but PE-VGOP."""
+    folder = tmp_path_factory.mktemp("metrics")
+    scene = write_scene(folder, {"traffic": {"frames": 3}, "search": {"method": "random", "iterations": 1}})
+    with pytest.MonkeyPatch.context() as patch:
+        without_charts(patch)
+        for name in OTHERS:
+            assert main(["optimise", str(scene), "--metric", name, "--out", str(folder / name)]) == 0
+    return folder
+
+
+def result_of(folder: Path) -> dict:
+    return json.loads((folder / "result.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_run_says_what_it_maximised(runs, name):
+    metric, result = METRICS[name], result_of(runs / name)
+    assert (result["metric"], result["metric_unit"]) == (name, metric.unit)
+    assert result["metric_higher_is_better"] == metric.higher_is_better
+    assert result["identity"]["[objective] metric"] == name
+    sign = 1.0 if metric.higher_is_better else -1.0
+    for file, scores in (("vehicles.csv", result), ("vehicles_baseline.csv", result["baseline"])):
+        with (runs / name / file).open(newline="") as stream:
+            rows = [row for row in csv.DictReader(stream) if row["split"] == "search"]
+        values = [sign * float(row["metric_value"]) for row in rows]
+        assert scores["objective"] == pytest.approx(sum(values), rel=1e-9)
+        assert scores["objective_per_vehicle"] == pytest.approx(sum(values) / len(values), rel=1e-9)
+    with (runs / name / "history.csv").open(newline="") as stream:
+        history = [float(row["objective"]) for row in csv.DictReader(stream)]
+    assert max(history) == pytest.approx(result["objective"], rel=1e-9)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_is_told_of_a_run_has_the_metrics_unit_and_no_other(runs, name):
+    metric, folder = METRICS[name], runs / name
+    page, sheet = (folder.joinpath(file).read_text(encoding="utf-8") for file in ("report.html", "installation.txt"))
+    assert report_html(RunFolder(folder)) == page
+    assert metric.in_unit("objective per vehicle") in page
+    assert metric.tells in page
+    assert metric.amount(result_of(folder)["holdout"]["objective_per_vehicle"]) in sheet
+    assert objective_text(result_of(folder)) in sheet
+    if metric.unit != "bits":
+        assert "bits" not in page
+        assert "bits" not in sheet
+
+
+def test_a_run_goes_on_with_its_metric_alone(runs, capsys):
+    words = ["optimise", runs / "scene.toml", "--out", runs / "points", "--resume"]
+    code, _, err = cli(capsys, *words, "--metric", "log-points")
+    assert code == 2
+    assert "the run there had [objective] metric = 'points', not 'log-points'" in err
+    code, out, _ = cli(capsys, *words, "--metric", "points")
+    assert code == 0
+    assert "Objective: the number of returns of every vehicle, detectable or not." in out
+    assert "random, 4 evaluations, seed 1, corrected reading, metric points" in out
+
+
+def test_the_scene_that_a_run_leaves_has_its_metric(runs):
+    again = load_scenario(runs / "ap-entropy" / "scene.toml").objective
+    assert (again.metric, again.loss) == ("ap-entropy", None)
+
+
+def test_groups_of_vehicles_are_scored_by_the_metric(runs):
+    with (runs / "distance" / "vehicles.csv").open(newline="") as stream:
+        near = [row for row in csv.DictReader(stream) if row["split"] == "search" and float(row["distance_m"]) < 10.0]
+    mean = -sum(float(row["distance_m"]) for row in near) / len(near)
+    assert f"\N{MINUS SIGN}{abs(mean):.2f}" in (runs / "distance" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_table_without_the_metric_is_damaged(runs, tmp_path):
+    folder = RunFolder(tmp_path)
+    for file in (runs / "points").iterdir():
+        if file.is_file():
+            folder.file(file.name).write_bytes(file.read_bytes())
+    with folder.file("vehicles.csv").open(newline="") as stream:
+        rows = list(csv.reader(stream))
+    folder.file("vehicles.csv").write_text("".join(",".join(row[:-1]) + "\n" for row in rows))
+    with pytest.raises(InputError, match=r"vehicles.csv: is damaged: has no column 'metric_value'"):
+        report_html(folder)
+
+
+def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_scene_sets_it(tmp_path):
+    def loss(**objective):
+        return load_scenario(write_scene(tmp_path, {"objective": objective})).objective.loss
+
+    assert loss() == -1.0
+    assert loss(metric="pe-vgop") == -1.0
+    assert loss(metric="points") is None
+    assert loss(metric="points", loss=-2.5) == -2.5
+
+
+@pytest.mark.parametrize(
+    ("metric", "loss", "reading", "text"),
+    [
+        ("pe-vgop", -1.0, "corrected", "the PE-VGOP of every detectable vehicle, less 1 bit for every other one"),
+        ("pe-vgop", 0.5, "corrected", "the PE-VGOP of every detectable vehicle, less 0.5 bits for every other one"),
+        ("pe-vgop", -1.0, "paper", "Eq. 10 of the paper as printed"),
+        ("points", None, "paper", "the number of returns of every vehicle, detectable or not"),
+        ("distance", None, "corrected", "minus the distance of every vehicle, detectable or not"),
+        (
+            "points",
+            -1.0,
+            "corrected",
+            "the number of returns of every detectable vehicle, less 1 point for every other one",
+        ),
+        (
+            "sum-of-views",
+            1.0,
+            "corrected",
+            "the sum of the views' occupancies of every detectable vehicle, less 1 for every other one",
+        ),
+        (
+            "ap-entropy",
+            -2.0,
+            "paper",
+            "Eq. 10 of the paper as printed, with minus the entropy of the position in place of the entropy",
+        ),
+    ],
+)
+def test_the_objective_in_words(metric, loss, reading, text):
+    result = {"metric": metric, "reading": reading, "identity": {"[objective] loss": loss}}
+    assert objective_text(result) == text
+
+
+# --- metrics with a memory --------------------------------------------------------------------------------------------
+
+
+class Memory:
+    """Scores a vehicle by how many boxes of the searched frames lie nearer to its mounting than itself."""
+
+    def __init__(self) -> None:
+        self.contexts, self.views = [], []
+
+    def learn(self, context):
+        self.contexts.append(context)
+        places = np.concatenate([frame.centre_m[frame.counted, :2] for frame in context.frames])
+
+        def score(returns):
+            self.views.append(returns.view)
+            view = returns.view
+            near = np.hypot(*(places - view.mountings.origin_m[:, None, :2]).transpose(2, 0, 1))
+            own = returns.distance_m.reshape(len(view.mountings), -1)
+            return (near[:, None] < own[..., None]).sum(axis=2).reshape(-1).astype(float)
+
+        return score
+
+
+@pytest.fixture
+def memory(monkeypatch):
+    made = Memory()
+    monkeypatch.setitem(
+        METRICS, "memory", Metric("memory", "memory", "", True, needs=frozenset({VIEW}), learn=made.learn)
+    )
+    return made
+
+
+def test_a_metric_learns_from_the_searched_frames_and_scores_the_held_out_ones_too(memory, tmp_path):
+    site = prepare(load_scenario(write_scene(tmp_path, {"objective": {"metric": "memory"}})))
+    places = [frame.vehicles.centre_m[frame.counted, :2].tolist() for frame in site.search]
+    for frames in (site.search, site.holdout):
+        with site.evaluator(frames) as evaluator:
+            totals = evaluator.totals(POSES)
+        for row, pose in enumerate(POSES):
+            for column, frame in enumerate(frames):
+                expected = 0
+                for place in frame.vehicles.centre_m[frame.counted, :2].tolist():
+                    own = math.dist(place, (pose.x_m, pose.y_m))
+                    expected += sum(math.dist(other, (pose.x_m, pose.y_m)) < own for of in places for other in of)
+                assert totals.objective[row, column] == expected
+    assert len(memory.contexts) == 2  # once for each evaluator, from the same frames
+    context = memory.contexts[0]
+    assert len(context.frames) == len(site.search)
+    assert context.directions.shape == (site.observation.lattice.rings * site.observation.lattice.columns, 3)
+    assert (context.max_range_m, context.radius_m, context.centre_xy_m) == (20.0, 20.0, (0.0, 0.0))
+
+
+def test_a_metric_is_told_where_from_and_at_which_boxes_mountings_look(memory, tmp_path):
+    site = prepare(load_scenario(write_scene(tmp_path, {"objective": {"metric": "memory"}})))
+    with site.evaluator(site.search) as evaluator:
+        evaluator.totals(POSES)
+    assert len(memory.views) == len(site.search)
+    assert len({id(view.mountings) for view in memory.views}) == 1  # what depends on them alone can be kept
+    for view, frame in zip(memory.views, site.search, strict=True):
+        np.testing.assert_array_equal(view.boxes.centre_m, frame.vehicles.centre_m)
+        np.testing.assert_array_equal(view.boxes.counted, frame.counted)
+        n = int(frame.counted.sum())
+        assert view.to_rows(np.array([1.0, 2.0, 3.0])).tolist() == [1.0] * n + [2.0] * n + [3.0] * n
+    beams = np.array([[0.0, 1.0, 0.0], [0.6, 0.0, -0.8]])
+    for pose, rotation, origin in zip(POSES, view.mountings.rotation, view.mountings.origin_m, strict=True):
+        np.testing.assert_allclose(beams @ rotation, pose.to_world(beams), atol=1e-12)
+        assert origin.tolist() == pose.position.tolist()
+
+
+def test_a_metric_with_a_memory_scores_nothing_before_it_has_learnt(memory):
+    with pytest.raises(InputError, match="metric 'memory' learns from a scene's traffic"):
+        METRICS["memory"].values(vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.ones((1, 3))))
+    assert len(mountings_of([])) == 0
+
+
+# --- score ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    """Words for `score`: a car 5 m from the origin with four returns, a van with none."""
+    rows = ["frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg"]
+    rows += ["0,7,car,3.0,4.0,4.0,2.0,1.5,0.0", "0,9,van,30.0,40.0,5.0,2.0,2.0,0.0"]
+    (tmp_path / "boxes.csv").write_text("\n".join(rows) + "\n")
+    points = np.array([[3.05, 3.05, 0.75], [3.06, 3.05, 0.75], [4.05, 3.05, 0.75], [4.55, 3.05, 0.75]])
+    np.savez(tmp_path / "cloud.npz", xyz=points)
+    return ["score", "--points", tmp_path / "cloud.npz", "--boxes", tmp_path / "boxes.csv", "--assign", "box"]
+
+
+def test_score_adds_the_metrics_that_are_asked_for(cloud, capsys, tmp_path):
+    asked = ["--metric", "log-points", "--metric", "voxel-entropy-0.1", "--metric", "distance", "--metric", "pe-vgop"]
+    code, out, err = cli(capsys, *cloud, *asked, "--lidar", 0, 0, "--json", "--out", tmp_path / "scores.csv")
+    assert (code, err) == (0, "")
+    scores = json.loads(out)
+    car, van = scores["vehicles"]
+    assert car["log_points"] == pytest.approx(math.log(5.0))
+    assert car["voxel_entropy_0.1"] == pytest.approx(1.5)  # two of four returns share a voxel
+    assert (car["distance"], van["distance"]) == pytest.approx((5.0, 50.0))
+    assert van["log_points"] == 0.0
+    assert list(scores["metrics"]) == ["log-points", "voxel-entropy-0.1", "distance", "pe-vgop"]
+    assert scores["metrics"]["distance"] == {"column": "distance", "unit": "m", "per_vehicle": pytest.approx(27.5)}
+    assert scores["metrics"]["pe-vgop"]["per_vehicle"] == scores["entropy_bits_per_vehicle"]
+    with (tmp_path / "scores.csv").open(newline="") as stream:
+        assert float(next(csv.DictReader(stream))["voxel_entropy_0.1"]) == car["voxel_entropy_0.1"]
+    _, text, _ = cli(capsys, *cloud, *asked, "--lidar", 0, 0)
+    lines = text.splitlines()
+    assert lines[0].split()[-3:] == ["log-points", "voxel-entropy-0.1", "distance"]
+    assert lines[1].split()[-3:] == ["1.6094", "1.5000", "5.000"]
+    assert "distance: 27.500 m per vehicle" in lines
+
+
+def test_score_says_no_more_than_before_unless_asked(cloud, capsys):
+    _, out, _ = cli(capsys, *cloud, "--json")
+    scores = json.loads(out)
+    assert set(scores) == {"points", "entropy_bits_per_vehicle", "detectable_share", "vehicles"}
+    columns = ["frame", "vehicle_id", "class", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable"]
+    assert list(scores["vehicles"][0]) == columns
+    _, text, _ = cli(capsys, *cloud)
+    assert text.splitlines()[0] == "vehicle  class       points   p_top  p_side p_front  entropy  detectable"
+
+
+def test_score_with_all_metrics_leaves_out_what_the_cloud_cannot_give_and_says_so(cloud, capsys):
+    code, out, err = cli(capsys, *cloud, "--metric", "all", "--json")
+    assert code == 0
+    assert set(json.loads(out)["metrics"]) == {*WITHOUT_MEMORY} - {"distance"}
+    assert err.startswith("blender-lidar: note: left out: ")
+    assert "distance" in err
+    code, out, err = cli(capsys, *cloud, "--metric", "all", "--lidar", 1.0, 2.0, "--json")
+    assert set(json.loads(out)["metrics"]) == {*WITHOUT_MEMORY}
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--metric", "log-point"], "--metric: unknown metric 'log-point'; did you mean 'log-points'?"),
+        (["--metric", "distance"], "--metric: distance needs to know where the LiDAR is; give --lidar X Y"),
+        (["--metric", "distance", "--lidar", "nan", "0"], "--lidar: is nan 0.0; allowed: two numbers"),
+    ],
+)
+def test_metrics_that_score_cannot_make_are_refused(cloud, capsys, words, expected):
+    code, out, err = cli(capsys, *cloud, *words)
+    assert (code, out) == (2, "")
+    assert expected in err
+
+
+def test_score_refuses_a_metric_with_a_memory(cloud, capsys, memory):
+    code, _, err = cli(capsys, *cloud, "--metric", "memory")
+    assert code == 2
+    assert "metric 'memory' learns from a scene's traffic" in err
