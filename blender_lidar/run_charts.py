@@ -6,6 +6,7 @@ import numpy as np
 
 from .metrics.catalogue import metric_named
 from .metrics.vgop import occupancy_views
+from .metrics.views import PE_VGOP
 from .plots.blind_zones import plot_blind_zones
 from .plots.by_distance import plot_by_distance
 from .plots.clouds import plot_clouds
@@ -35,9 +36,10 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
     sensor_xy = [
         [mount[key] for key in ("x_m", "y_m")] for mount in (result["baseline"]["deployment"], result["deployment"])
     ]
+    metric_text = "" if metric is PE_VGOP else f", metric {metric.name}"
     about = (
         f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
-        f"{result['vehicles']} vehicles in {result['frames']} frames"
+        f"{result['vehicles']} vehicles in {result['frames']} frames{metric_text}"
     )
     tables = (outcome.baseline, outcome.optimised)
     drawn = []

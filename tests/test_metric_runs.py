@@ -178,6 +178,16 @@ def test_groups_of_vehicles_are_scored_by_the_metric(runs):
     assert f"\N{MINUS SIGN}{abs(mean):.2f}" in (runs / "distance" / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_run_with_another_metric_has_its_charts(tmp_path, capsys, monkeypatch):
+    monkeypatch.undo()
+    pytest.importorskip("matplotlib", reason="charts need matplotlib")
+    scene = write_scene(tmp_path, {"traffic": {"frames": 2}})
+    code, out, err = cli(capsys, "evaluate", scene, "--metric", "ap-entropy", "--height", 4, "--out", tmp_path / "run")
+    assert (code, err) == (0, "")
+    assert out.rstrip().endswith(" and 4 charts")
+    assert (tmp_path / "run" / "by_distance.png").exists()
+
+
 def test_a_table_without_the_metric_is_damaged(runs, tmp_path):
     folder = RunFolder(tmp_path)
     for file in (runs / "points").iterdir():

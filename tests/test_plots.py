@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError, OutputError
+from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.plots import canvas
 from blender_lidar.plots.blind_zones import plot_blind_zones
 from blender_lidar.plots.by_distance import FEWEST_VEHICLES, plot_by_distance
@@ -206,6 +207,29 @@ def test_one_band_and_unknown_entropies_are_drawn(number, tmp_path, figures):
     }
     plot_by_distance(tmp_path / "d.png", table, table)
     assert figures[0].axes[-1].get_xlim() == (0.0, 10.0)
+
+
+@pytest.mark.parametrize("name", ["sum-of-views", "ap-entropy"])
+def test_charts_of_scores_say_the_metric_and_its_unit_and_have_room_for_it(name, tmp_path, figures):
+    metric = METRICS[name]
+    table = {**vehicles(1, 200), "metric_value": metric.merit(np.full(200, 2.0))}
+    plot_by_distance(tmp_path / "d.png", table, table, metric=metric, column="metric_value")
+    plot_convergence(tmp_path / "c.png", [1, 2], [0.25, 0.5], [0.25, 0.5], 0.125, metric=metric)
+    plot_score_map(tmp_path / "m.png", **{**score_map_arguments(), "metric": metric})
+    by_distance, convergence, score_map = figures
+    score = by_distance.axes[1]
+    assert metric.label in score.get_ylabel()
+    assert metric.unit in score.get_ylabel()
+    assert ("lower is better" in score.get_ylabel()) != metric.higher_is_better
+    low, high = score.get_ylim()
+    assert (low == 0.0) == metric.higher_is_better  # values below 0 are not cut off
+    assert low <= metric.merit(2.0) <= high
+    boxes = [axes.yaxis.label.get_window_extent() for axes in by_distance.axes]
+    assert not any(box.overlaps(other) for number, box in enumerate(boxes) for other in boxes[number + 1 :])
+    assert max(box.y1 for box in boxes) <= by_distance.bbox.y1
+    assert f"at the end {metric.amount(0.5)})" in words(convergence)
+    assert convergence.axes[0].get_ylabel() == metric.in_unit("Objective per vehicle")
+    assert metric.in_unit("Objective per vehicle") in {axes.get_ylabel() for axes in score_map.axes}
 
 
 def test_blind_zones_darken_where_vehicles_are_missed(tmp_path):

@@ -1,1 +1,1 @@
-"""Scores of labelled point clouds: points and boxes in, bits out. Needs numpy alone."""
+"""Scores of labelled point clouds: points and boxes in, a number for each vehicle out. Needs numpy alone."""

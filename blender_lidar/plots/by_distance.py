@@ -78,7 +78,7 @@ def plot_by_distance(
             score.plot(bands.centre_m, np.where(drawn, bands.score, np.nan), clip_on=False, zorder=3, **line)
         share.set_ylabel("Detectable share [%]")
         share.set_ylim(0.0, 100.0)
-        score.set_ylabel(f"Mean {metric.label}" + (f"\n[{metric.unit}]" if metric.unit else ""))
+        score.set_ylabel(f"Mean {metric.label}\n{_in_brackets(metric)}".rstrip())
         if not any((bands.score < 0.0).any() for bands in (before, after)):
             score.set_ylim(bottom=0.0)
         handles += _draw_counts(count, before, after, band_m)
@@ -91,6 +91,12 @@ def plot_by_distance(
             axes.grid(visible=True)
         figure.align_ylabels()
         legend_below(figure, handles, columns=len(handles))
+
+
+def _in_brackets(metric: Metric) -> str:
+    """A metric's unit, and that lower is better where it is."""
+    said = [*([metric.unit] if metric.unit else []), *([] if metric.higher_is_better else ["lower is better"])]
+    return f"[{', '.join(said)}]" if said else ""
 
 
 def _draw_counts(axes: Axes, before: Bands, after: Bands, band_m: float) -> list[object]:
