@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from blender_lidar.case_study.sites import QUICK, open_case
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
@@ -241,6 +242,14 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
 def test_the_objective_in_words(metric, loss, reading, text):
     result = {"metric": metric, "reading": reading, "identity": {"[objective] loss": loss}}
     assert objective_text(result) == text
+
+
+def test_the_papers_case_study_is_made_with_the_papers_metric_alone():
+    scene = str(Path(__file__).parents[1] / "scenes" / "paper.toml")
+    with pytest.raises(
+        InputError, match=r"paper.toml: \[objective\] metric is 'points'; allowed: 'pe-vgop', the paper's"
+    ):
+        open_case(scene, {("objective", "metric"): ("points", "--metric")}, QUICK)
 
 
 # --- metrics with a memory --------------------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from ..optimise.objective import detectable
 from ..plots.clouds import plot_clouds
 from ..reporting.summary import mounting_text
 from ..scenario import pose_at
-from ..study.evaluation import CountedFrame
 from ..study.frame_scorer import FrameScorer
+from ..study.scoring import CountedFrame
 from ..study.site import Site
 from .distance import judging_frames
 from .mountings import Coordinates

@@ -10,7 +10,7 @@ from ..scenario import Scenario
 from ..sensors.beams import beam_lattice
 from ..sensors.model import load_model
 from ..sensors.spacing import evenly_spaced
-from ..study.evaluation import CountedFrame
+from ..study.scoring import CountedFrame
 from ..study.site import Region, Site
 from .sites import Overrides
 
