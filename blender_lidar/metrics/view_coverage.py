@@ -67,4 +67,5 @@ VIEW_COVERAGE = Metric(
     higher_is_better=True,
     score=view_coverage,
     needs=frozenset({POINTS}),
+    tells="how much of its top, side and front the beams hit, from 0 to 1",
 )
