@@ -17,6 +17,8 @@ class FrameBoxes:
 
     Attributes
     ----------
+    frame : int
+        Its number in the recording.
     centre_m : ndarray, (v, 3)
         Box centres [m].
     size_m : ndarray, (v, 3)
@@ -27,6 +29,7 @@ class FrameBoxes:
         Those that are scored: their rows, in this order, are the n rows that a metric is given under one mounting.
     """
 
+    frame: int
     centre_m: np.ndarray
     size_m: np.ndarray
     heading_rad: np.ndarray
@@ -75,26 +78,44 @@ class View:
         return np.repeat(value, np.count_nonzero(self.boxes.counted))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SceneContext:
-    """What a metric learns from before it scores anything: the searched frames, never those that judge.
+@dataclass(frozen=True, slots=True)
+class Field:
+    """The part of the carriageway that a LiDAR is asked to see, the same for every mounting.
 
     Attributes
     ----------
-    frames : tuple of FrameBoxes
-        The searched frames.
-    directions : ndarray, (b, 3)
-        Beams of one revolution in the sensor's frame, unit vectors.
-    max_range_m : float
-        Returns from farther away are lost [m].
     centre_xy_m : tuple of float
         Middle of the region whose vehicles count [m].
     radius_m : float
         Its radius [m].
+    y_m : tuple of float
+        The carriageway's right and left edge [m].
+    """
+
+    centre_xy_m: tuple[float, float]
+    radius_m: float
+    y_m: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneContext:
+    """What a metric learns from before it scores anything.
+
+    Attributes
+    ----------
+    frames : tuple of FrameBoxes
+        The frames that it will score: the searched ones, or those held out, never both, so that what chose a mounting
+        does not judge it.
+    directions : ndarray, (rings, columns, 3)
+        Beams of one revolution in the sensor's frame, unit vectors, those of each ring in the order of their azimuth.
+    min_range_m, max_range_m : float
+        Returns from nearer or farther away are lost [m].
+    field : Field
+        Where to look.
     """
 
     frames: tuple[FrameBoxes, ...]
     directions: np.ndarray
+    min_range_m: float
     max_range_m: float
-    centre_xy_m: tuple[float, float]
-    radius_m: float
+    field: Field

@@ -10,7 +10,7 @@ from ..errors import InputError
 
 DISC_RADIUS_M, DISCS, SEED = 0.7, 6000, 1
 """r and D of `nuc` as in the authors' code; theirs has no fixed seed."""
-_PAIRS_AT_A_TIME = 1 << 20
+_PAIRS_AT_A_TIME = 1 << 16  # whose temporaries stay in cache
 
 
 def ground_density(points_m: np.ndarray, area_m2: float) -> float:
@@ -95,19 +95,19 @@ def field_area(radius_m: float, y_m: tuple[float, float]) -> float:
 def _neighbours(points, centres, radius):
     """How many points lie within `radius` of each centre, rim included, (c,).
 
-    Points are sorted into square cells of side `radius`; the discs' neighbours then lie in three runs of three cells.
+    Points are sorted into columns as wide as `radius`, and by y within each: a disc's neighbours then lie in one run of
+    each of three columns.
     """
-    low, side = points.min(axis=0), radius * (1.0 + 1e-9)  # so that rounding puts no neighbour two cells away
-    column, row = np.floor((points - low) / side).astype(np.int64).T
-    rows = row.max() + 3  # one empty row on either side: a run of three stays in its column
-    cell = (column + 1) * rows + row + 1
-    order = np.argsort(cell, kind="stable")
-    points, cell = points[order], cell[order]
-    column, row = np.floor((centres - low) / side).astype(np.int64).T
-    runs = (column[:, None] + 1 + np.array([-1, 0, 1])) * rows + row[:, None]
-    first = np.searchsorted(cell, runs, side="left")
-    last = np.searchsorted(cell, runs + 2, side="right")
-    length = last - first
+    low, reach = points.min(axis=0), radius * (1.0 + 1e-9)  # more than enough for rounding; the distance decides
+    x, y = (points - low).T
+    height = y.max() + 3.0 * reach  # of a column, so that no run leaves its own
+    place = np.floor(x / reach) * height + y
+    order = np.argsort(place, kind="stable")
+    x, y, place = x[order], y[order], place[order]
+    middle_x, middle_y = (centres - low).T
+    middle = (np.floor(middle_x / reach)[:, None] + np.array([-1.0, 0.0, 1.0])) * height + middle_y[:, None]
+    first = np.searchsorted(place, middle - reach, side="left")
+    length = np.searchsorted(place, middle + reach, side="right") - first
     ends = np.cumsum(length.sum(axis=1))
     within = np.zeros(len(centres), dtype=np.int64)
     start = 0
@@ -115,12 +115,13 @@ def _neighbours(points, centres, radius):
         before = ends[start - 1] if start else 0
         stop = max(int(np.searchsorted(ends, before + _PAIRS_AT_A_TIME, side="right")), start + 1)
         many = length[start:stop].ravel()
-        offset = np.cumsum(many) - many
-        candidate = np.arange(many.sum()) + np.repeat(first[start:stop].ravel() - offset, many)
-        disc = np.repeat(np.arange(stop - start), length[start:stop].sum(axis=1))
-        away = points[candidate] - centres[start:stop][disc]
-        near = np.einsum("ij,ij->i", away, away) <= radius**2
-        within[start:stop] = np.bincount(disc[near], minlength=stop - start)
+        candidate = np.arange(many.sum()) + np.repeat(first[start:stop].ravel() - (np.cumsum(many) - many), many)
+        pairs = length[start:stop].sum(axis=1)
+        across = x[candidate] - np.repeat(middle_x[start:stop], pairs)
+        along = y[candidate] - np.repeat(middle_y[start:stop], pairs)
+        near = np.append(0, np.cumsum(across * across + along * along <= radius * radius))
+        last = np.cumsum(pairs)
+        within[start:stop] = near[last] - near[last - pairs]
         start = stop
     return within
 

@@ -115,7 +115,7 @@ class _Work:
         objective = np.empty((len(poses), len(frames)))
         found = np.empty((len(poses), len(frames)), dtype=np.int64)
         if self._scores is None:
-            self._scores = VehicleScores(self._scoring)
+            self._scores = VehicleScores(self._scoring, self._observation, self._frames)
         mountings = mountings_of(poses)
         for column, frame in enumerate(frames):
             scored = self._scores.of(self._frames[frame], self._scorer(frame), poses, mountings)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..metrics.context import FrameBoxes, Mountings, SceneContext, View
-from ..metrics.metric import POINTS, VIEW, Metric, VehicleReturns
+from ..metrics.context import Field, FrameBoxes, Mountings, SceneContext, View
+from ..metrics.metric import POINTS, VIEW, VehicleReturns
 from ..metrics.views import PE_VGOP
 from ..optimise.objective import detectable, vehicle_score
 from ..sensors.pose import Pose
@@ -29,15 +29,15 @@ class CountedFrame:
     def boxes(self) -> FrameBoxes:
         """The frame as metrics know it."""
         vehicles = self.vehicles
-        return FrameBoxes(vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, self.counted)
+        return FrameBoxes(vehicles.frame, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, self.counted)
 
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
     """What is made of what a mounting sees: the metric, and the settings of Eqs. 10 and 11.
 
-    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do. `context` is what a
-    metric with a memory learns from; None serves all others.
+    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do. `field` is where
+    metrics of a whole scene look; None serves all others.
     """
 
     threshold: float
@@ -45,7 +45,7 @@ class Scoring:
     loss: float | None
     reading: str
     metric: str = PE_VGOP.name
-    context: SceneContext | None = None
+    field: Field | None = None
 
 
 class Scored(NamedTuple):
@@ -75,11 +75,16 @@ class VehicleScores:
     Parameters
     ----------
     scoring : Scoring
-        The metric and the settings of Eqs. 10 and 11. A metric with a memory learns here, once.
+        The metric and the settings of Eqs. 10 and 11.
+    observation : Observation
+        How vehicles are seen.
+    frames : sequence of CountedFrame
+        All that will be scored: a metric with a memory learns from them, once.
     """
 
-    def __init__(self, scoring: Scoring) -> None:
-        self._scoring, self._metric = scoring, metric_named(scoring.metric).learnt(scoring.context)
+    def __init__(self, scoring: Scoring, observation: Observation, frames: Sequence[CountedFrame]) -> None:
+        context = None if scoring.field is None else _context(scoring.field, observation, frames)
+        self._scoring, self._metric = scoring, metric_named(scoring.metric).learnt(context)
 
     def of(self, frame: CountedFrame, scorer: FrameScorer, poses: Sequence[Pose], mountings: Mountings) -> Scored:
         """Score s mountings, given as poses and as what `mountings_of` makes of them, on the frame of a scorer."""
@@ -99,18 +104,14 @@ def mountings_of(poses: Sequence[Pose]) -> Mountings:
     )
 
 
-def context_of(
-    metric: Metric, frames: Sequence[CountedFrame], observation: Observation, centre_xy_m: tuple[float, float]
-) -> SceneContext | None:
-    """What a metric with a memory learns from; None for any other."""
-    if metric.learn is None:
-        return None
+def _context(field, observation, frames) -> SceneContext:
+    """What a metric with a memory learns from."""
     return SceneContext(
         tuple(frame.boxes for frame in frames),
-        observation.lattice.directions.reshape(-1, 3),
+        observation.lattice.directions,
+        observation.min_range_m,
         observation.max_range_m,
-        centre_xy_m,
-        observation.max_range_m,  # the region reaches as far as the gate
+        field,
     )
 
 

@@ -58,7 +58,7 @@ def vehicle_table(
         The columns of `columns_for` the metric; `distance_m` is horizontal, from the mount, and `split` repeats the
         argument.
     """
-    scores, mountings = VehicleScores(scoring), mountings_of([pose])
+    scores, mountings = VehicleScores(scoring, observation, frames), mountings_of([pose])
     tables = [_frame_table(frame, pose, observation, scores, mountings) for frame in frames]
     joined = {
         name: np.concatenate([table[name] for table in tables]) if tables else np.empty(0)
