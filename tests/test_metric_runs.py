@@ -14,6 +14,7 @@ from blender_lidar.case_study.sites import QUICK, open_case
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
+from blender_lidar.metrics.context import Field
 from blender_lidar.metrics.metric import VIEW, Metric, vehicle_returns
 from blender_lidar.reporting.page import report_html
 from blender_lidar.results import RunFolder
@@ -264,7 +265,7 @@ def test_the_papers_case_study_is_made_with_the_papers_metric_alone():
 
 
 class Memory:
-    """Scores a vehicle by how many boxes of the searched frames lie nearer to its mounting than itself."""
+    """Scores a vehicle by how many boxes of all frames lie nearer to its mounting than itself."""
 
     def __init__(self) -> None:
         self.contexts, self.views = [], []
@@ -292,10 +293,10 @@ def memory(monkeypatch):
     return made
 
 
-def test_a_metric_learns_from_the_searched_frames_and_scores_the_held_out_ones_too(memory, tmp_path):
+def test_a_metric_learns_from_the_frames_that_it_scores_be_they_searched_or_held_out(memory, tmp_path):
     site = prepare(load_scenario(write_scene(tmp_path, {"objective": {"metric": "memory"}})))
-    places = [frame.vehicles.centre_m[frame.counted, :2].tolist() for frame in site.search]
     for frames in (site.search, site.holdout):
+        places = [frame.vehicles.centre_m[frame.counted, :2].tolist() for frame in frames]
         with site.evaluator(frames) as evaluator:
             totals = evaluator.totals(POSES)
         for row, pose in enumerate(POSES):
@@ -305,11 +306,12 @@ def test_a_metric_learns_from_the_searched_frames_and_scores_the_held_out_ones_t
                     own = math.dist(place, (pose.x_m, pose.y_m))
                     expected += sum(math.dist(other, (pose.x_m, pose.y_m)) < own for of in places for other in of)
                 assert totals.objective[row, column] == expected
-    assert len(memory.contexts) == 2  # once for each evaluator, from the same frames
-    context = memory.contexts[0]
-    assert len(context.frames) == len(site.search)
-    assert context.directions.shape == (site.observation.lattice.rings * site.observation.lattice.columns, 3)
-    assert (context.max_range_m, context.radius_m, context.centre_xy_m) == (20.0, 20.0, (0.0, 0.0))
+    assert len(memory.contexts) == 2  # once for each evaluator
+    for context, frames in zip(memory.contexts, (site.search, site.holdout), strict=True):
+        assert [boxes.frame for boxes in context.frames] == [frame.vehicles.frame for frame in frames]
+        assert context.directions.shape == (16, site.observation.lattice.columns, 3)
+        assert (context.min_range_m, context.max_range_m) == (0.4, 20.0)
+        assert context.field == Field((0.0, 0.0), 20.0, (2.0, 9.0))
 
 
 def test_a_metric_is_told_where_from_and_at_which_boxes_mountings_look(memory, tmp_path):

@@ -24,7 +24,7 @@ from ..errors import InputError
 from .context import Field, SceneContext
 from .expected_visibility import reach_probability
 from .ground_returns import field_area, ground_density, nuc
-from .metric import VIEW, Metric, Score, VehicleReturns
+from .metric import VIEW, Metric, VehicleReturns
 from .occupancy_prior import OccupiedFrames
 from .voxel_grid import VoxelGrid
 from .voxel_walk import covered_voxels
@@ -180,17 +180,71 @@ def _itself(context: SceneContext) -> SceneContext:
     return context
 
 
-def _learner(prepare: Callable, values: Callable) -> Callable[[SceneContext], Score]:
-    return partial(SceneScore, prepare=prepare, values=values)
+def _metric(name, label, unit, prepare, values, tells, decimals, higher_is_better=True):
+    return Metric(
+        name,
+        label,
+        unit,
+        higher_is_better,
+        needs=frozenset({VIEW}),
+        learn=partial(SceneScore, prepare=prepare, values=values),
+        tells=f"{tells}: the same for all vehicles of a frame",
+        decimals=decimals,
+    )
 
 
-def _metric(name, label, unit, prepare, values, higher_is_better=True):
-    return Metric(name, label, unit, higher_is_better, None, frozenset({VIEW}), _learner(prepare, values))
-
-
-COVERED_ENTROPY = _metric("covered-entropy", "entropy of covered voxels", "nats", Road, _covered_entropy)
-S_MIG = _metric("s-mig", "S-MIG", "nats", Road, _s_mig)
-M_SOG = _metric("m-sog", "M-SOG", "nats", Road, _m_sog)
-EXPECTED_VISIBILITY = _metric("expected-visibility", "expected visibility", "voxels", Road, _visibility)
-GROUND_DENSITY = _metric("ground-density", "density of ground returns", "points/m²", _itself, _density)
-GROUND_UNIFORMITY = _metric("ground-uniformity", "non-uniformity of ground returns (NUC)", "", _itself, _nuc, False)
+COVERED_ENTROPY = _metric(
+    "covered-entropy",
+    "entropy of covered voxels",
+    "nats",
+    Road,
+    _covered_entropy,
+    "how uncertain the voxels of the road are, together, that beams cross",
+    1,
+)
+S_MIG = _metric(
+    "s-mig",
+    "S-MIG",
+    "nats",
+    Road,
+    _s_mig,
+    "how certain the voxels of the road are, together, that beams cross",
+    1,
+)
+M_SOG = _metric(
+    "m-sog",
+    "M-SOG",
+    "nats",
+    Road,
+    _m_sog,
+    "how certain the voxels of the road are, in the mean, that beams cross",
+    4,
+)
+EXPECTED_VISIBILITY = _metric(
+    "expected-visibility",
+    "expected visibility",
+    "voxels",
+    Road,
+    _visibility,
+    "how many occupied voxels beams can be expected to meet",
+    1,
+)
+GROUND_DENSITY = _metric(
+    "ground-density",
+    "density of ground returns",
+    "points/m²",
+    _itself,
+    _density,
+    "how densely beams sample the empty road",
+    3,
+)
+GROUND_UNIFORMITY = _metric(
+    "ground-uniformity",
+    "non-uniformity of ground returns (NUC)",
+    "",
+    _itself,
+    _nuc,
+    "how unevenly beams sample the empty road",
+    3,
+    higher_is_better=False,
+)
