@@ -228,6 +228,7 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
         ("pe-vgop", -1.0, "paper", "Eq. 10 of the paper as printed"),
         ("points", None, "paper", "the number of returns of every vehicle, detectable or not"),
         ("distance", None, "corrected", "minus the distance of every vehicle, detectable or not"),
+        ("s-mig", None, "corrected", "the S-MIG, of the scene of each frame, once for every vehicle in it"),
         (
             "points",
             -1.0,

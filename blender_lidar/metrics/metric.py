@@ -127,9 +127,11 @@ class Metric:
     learn : callable or None
         For a metric with a memory, such as a prior of where vehicles drive: makes the score of a `SceneContext`.
     tells : str
-        What it tells of a vehicle, to end a sentence.
+        What it tells of a vehicle or of the scene, to end a sentence.
     decimals : int
         Digits after the point that matter in a vehicle's value.
+    of_scene : bool
+        Whether it scores a frame as a whole, whose vehicles then all have the same value.
     """
 
     name: str
@@ -141,6 +143,7 @@ class Metric:
     learn: Callable[[SceneContext], Score] | None = None
     tells: str = ""
     decimals: int = 3
+    of_scene: bool = False
 
     def learnt(self, context: SceneContext | None) -> Metric:
         """The metric made ready to score: itself, or what it becomes once it has learnt from a scene.

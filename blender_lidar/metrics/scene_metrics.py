@@ -7,10 +7,10 @@ other metrics, by their vehicles.
 Those with a prior learn it from the very frames that they then score, searched or held out, weighted in the same way.
 Each frame has its own share of the value: the surprisal of what is and is not occupied in it, or the number of its
 voxels that can be expected to be seen. The mean of the shares is the published value under that prior (see
-`OccupiedFrames.surprisal`), and their scatter is what intervals over blocks of time need. Ground returns are the same
-in every frame.
+`OccupiedFrames.surprisal`), and their scatter is what intervals over blocks of time need, which take the prior as it
+is. Ground returns are the same in every frame.
 
-No vehicle, scenery, noise or drop-out stops a beam here.
+Beams are those of a perfect sensor, and neither the vehicles of the moment nor scenery stop them.
 """
 
 from __future__ import annotations
@@ -188,8 +188,9 @@ def _metric(name, label, unit, prepare, values, tells, decimals, higher_is_bette
         higher_is_better,
         needs=frozenset({VIEW}),
         learn=partial(SceneScore, prepare=prepare, values=values),
-        tells=f"{tells}: the same for all vehicles of a frame",
+        tells=tells,
         decimals=decimals,
+        of_scene=True,
     )
 
 

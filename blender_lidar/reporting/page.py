@@ -153,7 +153,8 @@ def _metric_text(metric: Metric) -> str:
     if not metric.tells:
         return ""
     direction = "" if metric.higher_is_better else "; lower is better"
-    return f" For each vehicle the metric, {metric.name}, tells {metric.tells}{direction}."
+    what = "the scene" if metric.of_scene else "each vehicle"
+    return f" For {what} the metric, {metric.name}, tells {metric.tells}{direction}."
 
 
 def _notes(run: StoredRun):

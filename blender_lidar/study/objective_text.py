@@ -15,6 +15,8 @@ def objective_text(result: Mapping) -> str:
         instead = "" if metric is PE_VGOP else f", with {_merit(metric)} in place of the entropy"
         return f"Eq. 10 of the paper as printed{instead}"
     if loss is None:
+        if metric.of_scene:
+            return f"{_merit(metric)}, of the scene of each frame, once for every vehicle in it"
         return f"{_merit(metric)} of every vehicle, detectable or not"
     unit = metric.unit.removesuffix("s") if abs(loss) == 1 else metric.unit
     return f"{_merit(metric)} of every detectable vehicle, less {f'{abs(loss):g} {unit}'.rstrip()} for every other one"
