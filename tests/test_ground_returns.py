@@ -35,6 +35,13 @@ def test_non_uniformity_equals_the_slow_loop_however_many_pairs_are_looked_at_to
     assert expected > 0.1
 
 
+@pytest.mark.parametrize("width", [0.0, 0.3, 1.4])
+def test_returns_of_a_single_ring_that_lie_in_a_line_are_counted_once(width):
+    points = np.random.default_rng(8).uniform([-10.0, 5.0], [10.0, 5.0 + width], (150, 2))
+    for turned in (points, points[:, ::-1]):
+        assert nuc(turned, AREA_M2, 0.7, 60, 4) == pytest.approx(slow_nuc(turned, AREA_M2, 0.7, 60, 4), rel=1e-12)
+
+
 def test_points_on_the_rim_of_a_disc_count_and_whole_radii_apart_are_found():
     """Points on a lattice of the radius: each has itself and, but for the border, four neighbours on the rim."""
     step = np.arange(7) * 0.5

@@ -201,6 +201,14 @@ def test_thinned_beams_are_beams_less_than_a_voxel_apart_and_cover_nearly_all():
 # --- ground returns ---------------------------------------------------------------------------------------------------
 
 
+def test_the_ground_nearer_than_the_sensor_reports_does_not_return():
+    pose, far = POSES[1], replace(context(), min_range_m=12.0)
+    every, kept = (ground_points(known, pose.position, pose.rotation) for known in (context(), far))
+    away = np.sqrt(np.square(every - pose.position[:2]).sum(axis=1) + pose.height_m**2)
+    np.testing.assert_array_equal(kept, every[away >= 12.0])
+    assert 0 < len(kept) < len(every)
+
+
 @pytest.mark.parametrize("pose", [*POSES, OUT_OF_REACH])
 def test_ground_returns_are_those_of_a_scan_of_the_empty_road(pose):
     empty = dense_traffic(vehicles=0)
