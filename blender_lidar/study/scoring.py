@@ -8,12 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..metrics.context import Field, FrameBoxes, Mountings, SceneContext, View
 from ..metrics.metric import POINTS, VIEW, VehicleReturns
 from ..metrics.views import PE_VGOP
 from ..optimise.objective import detectable, vehicle_score
 from ..sensors.pose import Pose
+from ..traffic import RoadFrame
 from ..traffic.vehicles import Vehicles
 from .frame_scorer import FrameScorer, Observation, Seen
 
@@ -102,6 +104,28 @@ def mountings_of(poses: Sequence[Pose]) -> Mountings:
         np.array([pose.position for pose in poses]).reshape(-1, 3),
         np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3),
     )
+
+
+def scene_field(
+    metric: str, road: RoadFrame, centre_xy_m: tuple[float, float], radius_m: float, searched: Sequence[CountedFrame]
+) -> Field | None:
+    """Where a metric with a memory looks, the carriageway within a region; None for any other metric.
+
+    Raises
+    ------
+    InputError
+        When no counted vehicle of the searched frames is there.
+    """
+    if metric_named(metric).learn is None:
+        return None
+    low, high = road.carriageway_y
+    y = np.concatenate([frame.vehicles.centre_m[frame.counted, 1] for frame in searched])
+    if not ((y >= low) & (y <= high)).any():
+        raise InputError(
+            f"metric {metric!r} looks at the carriageway of [road], y {low:g} to {high:g} m, where no vehicle of the "
+            "searched frames is; check [road] and [traffic]"
+        )
+    return Field(centre_xy_m, radius_m, (low, high))
 
 
 def _context(field, observation, frames) -> SceneContext:

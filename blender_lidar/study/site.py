@@ -11,8 +11,6 @@ import numpy as np
 from ..casting import resolve
 from ..casting.standing import StandingScenery
 from ..errors import InputError
-from ..metrics.catalogue import metric_named
-from ..metrics.context import Field
 from ..provenance import run_identity
 from ..scenario import Scenario
 from ..sensors.beams import BeamLattice, beam_lattice
@@ -25,7 +23,7 @@ from .evaluation import Evaluator
 from .frame_scorer import Observation
 from .keep_clear import check_mount_is_clear
 from .scenery import read_scenery
-from .scoring import CountedFrame, Scoring
+from .scoring import CountedFrame, Scoring, scene_field
 from .worker_pool import within_blender
 
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
@@ -142,7 +140,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         loss=objective.loss,
         reading=objective.reading,
         metric=objective.metric,
-        field=_field(scenario, region, searched),
+        field=scene_field(objective.metric, scenario.road, region.centre_xy, region.radius_m, searched),
     )
     return Site(scenario, model, observation, scoring, recording, plan, searched, held_out)
 
@@ -225,21 +223,6 @@ class Region:
     def holds(self, vehicles: Vehicles) -> np.ndarray:
         """Which box centres lie inside, (n,) bool."""
         return self.distance(vehicles) <= self.radius_m
-
-
-def _field(scenario: Scenario, region: Region, searched: tuple[CountedFrame, ...]) -> Field | None:
-    """Where a metric of the whole scene looks; None for a metric of single vehicles."""
-    name = scenario.objective.metric
-    if metric_named(name).learn is None:
-        return None
-    low, high = scenario.road.carriageway_y
-    y = np.concatenate([frame.vehicles.centre_m[frame.counted, 1] for frame in searched])
-    if not ((y >= low) & (y <= high)).any():
-        raise InputError(
-            f"metric {name!r} looks at the carriageway of [road], y {low:g} to {high:g} m, where no vehicle of the "
-            "searched frames is; check [road] and [traffic]"
-        )
-    return Field(region.centre_xy, region.radius_m, (low, high))
 
 
 def _counted(vehicles, region, reach, not_counted=()) -> CountedFrame:
