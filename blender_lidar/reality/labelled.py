@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -46,6 +46,12 @@ class LabelledBoxes:
     def distance_m(self) -> np.ndarray:
         """Horizontal distance of each box centre from the sensor, (n,) [m]."""
         return np.hypot(self.centre_m[:, 0], self.centre_m[:, 1])
+
+    @classmethod
+    def joined(cls, parts: Sequence[LabelledBoxes]) -> LabelledBoxes:
+        """The boxes of one or more sweeps in a row."""
+        columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(cls)}
+        return cls(**{name: np.concatenate(values) for name, values in columns.items()})
 
     def select(self, which: np.ndarray) -> LabelledBoxes:
         """The boxes that `which`, a (n,) mask or an index array, picks."""

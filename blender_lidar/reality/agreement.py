@@ -1,0 +1,149 @@
+"""How far each metric follows what each detector made of the cars, set by set."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..metrics.metric import Metric
+from ..study.statistics import FEWEST_BLOCKS
+from .car_sets import FEWEST_CARS, CarSet, Clusters, clusters
+from .chosen_metrics import OURS
+from .detections import Detector
+from .matching import JudgedCars
+from .resampled_cars import Followed, ResampledCars, Resampling
+from .significance import Difference, Estimate, holm, of_correlation, of_difference, of_resamples
+
+COMPARED = ("spearman", "partial_spearman", "pearson", "isotonic_r2")
+
+
+class Against(NamedTuple):
+    """A metric less another in one statistic, in the same resamples.
+
+    Attributes
+    ----------
+    difference : Difference
+        Above 0 where the metric follows the detector more closely.
+    p_holm : float
+        `p_above` adjusted for the number of metrics that are held against that other one.
+    """
+
+    difference: Difference
+    p_holm: float
+
+
+class Groups(NamedTuple):
+    """Correlations of group means: how many groups, Pearson's, Spearman's."""
+
+    number: int
+    pearson: Estimate
+    spearman: float
+
+
+class Agreement(NamedTuple):
+    """One metric and one detector on the cars of one set.
+
+    Attributes
+    ----------
+    detector, of_set, metric : str
+    cars : int
+        Those in the detector's range.
+    clusters : Clusters
+        What was resampled.
+    statistics : dict of str to Estimate
+        Those of `COMPARED`.
+    groups : dict of str to Groups
+        ``bins_5m``, ``bins_10m``, ``deciles``.
+    against : dict of str to dict of str to Against
+        By the other metric and the statistic.
+    """
+
+    detector: str
+    of_set: str
+    metric: str
+    cars: int
+    clusters: Clusters
+    statistics: dict[str, Estimate]
+    groups: dict[str, Groups]
+    against: dict[str, dict[str, Against]]
+
+
+def agreements(
+    judged: JudgedCars, sets: Sequence[CarSet], metrics: Sequence[Metric], block_frames: int, seed: int
+) -> list[Agreement]:
+    """Of every detector, set and metric; sets with too few cars or clusters in a detector's range are left out."""
+    found: list[Agreement] = []
+    for detector in judged.detectors:
+        for one in sets:
+            drawn = clusters_of(judged, one.member & detector.in_range, block_frames)
+            if drawn is not None:
+                found += _of_set(judged, detector, one, drawn, metrics, seed)
+    return found
+
+
+def clusters_of(judged: JudgedCars, mine: np.ndarray, block_frames: int) -> Clusters | None:
+    """What is resampled of the cars that a mask picks; None with too few cars or clusters for intervals."""
+    if np.count_nonzero(mine) < FEWEST_CARS:
+        return None
+    about = {key: told[mine] for key, told in judged.about.items()}
+    drawn = clusters(judged.cars.frame[mine], about, block_frames)
+    return drawn if drawn.number >= FEWEST_BLOCKS else None
+
+
+def followed_by_name(
+    judged: JudgedCars,
+    detector: Detector,
+    mine: np.ndarray,
+    resampling: Resampling,
+    merits: Mapping[str, np.ndarray],
+) -> dict[str, Followed]:
+    """How each metric goes with a detector's performance on the cars that a mask picks; `merits` are of all cars."""
+    boxes = judged.cars.boxes.select(mine)
+    occlusion = boxes.occlusion.astype(float)
+    cars = ResampledCars(detector.performance[mine], boxes.distance_m, occlusion, resampling)
+    return {name: cars.followed_by(merit[mine]) for name, merit in merits.items()}
+
+
+def _of_set(
+    judged: JudgedCars, detector: Detector, one: CarSet, drawn: Clusters, metrics: Sequence[Metric], seed: int
+) -> list[Agreement]:
+    mine = one.member & detector.in_range
+    merits = {metric.name: metric.merit(judged.cars.scores[metric.name]) for metric in metrics}
+    followed = followed_by_name(judged, detector, mine, Resampling(drawn, seed), merits)
+    others = [name for name in dict.fromkeys((metrics[0].name, OURS)) if name in followed]
+    against = {other: against_one(followed, other, drawn.number) for other in others}
+    return [
+        Agreement(
+            detector=detector.name,
+            of_set=one.name,
+            metric=name,
+            cars=int(mine.sum()),
+            clusters=drawn,
+            statistics={statistic: _estimate(found, statistic, drawn.number) for statistic in COMPARED},
+            groups={
+                by: Groups(means.groups, of_correlation(means.pearson, drawn.number), means.spearman)
+                for by, means in found.groups.items()
+            },
+            against={other: held[name] for other, held in against.items() if name in held},
+        )
+        for name, found in followed.items()
+    ]
+
+
+def against_one(followed: Mapping[str, Followed], other: str, number: int) -> dict[str, dict[str, Against]]:
+    """Every metric held against that other one, by metric and statistic; `number` clusters were resampled."""
+    rivals = [name for name in followed if name != other]
+    held: dict[str, dict[str, Against]] = {name: {} for name in rivals}
+    for statistic in COMPARED:
+        values = {name: getattr(found, statistic) for name, found in followed.items()}
+        apart = [of_difference(values[name], values[other], number) for name in rivals]
+        for name, difference, adjusted in zip(rivals, apart, holm([one.p_above for one in apart]), strict=True):
+            held[name][statistic] = Against(difference, adjusted)
+    return held
+
+
+def _estimate(found: Followed, statistic: str, number: int) -> Estimate:
+    estimate = of_resamples if statistic == "isotonic_r2" else of_correlation
+    return estimate(getattr(found, statistic), number)

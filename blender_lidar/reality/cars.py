@@ -1,0 +1,161 @@
+"""Every labelled car of a folder of sweeps with the points in its box, and every metric of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..metrics.assignment import NO_BOX, points_in_boxes
+from ..metrics.metric import Metric, VehicleReturns, vehicle_returns
+from ..metrics.vgop import to_vehicle_frame
+from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoredCars:
+    """n labelled cars, in the order of sweeps and labels.
+
+    Attributes
+    ----------
+    frame : ndarray of str, (n,)
+    boxes : LabelledBoxes
+        Of all frames.
+    bearing_deg : ndarray, (n,)
+        Angle between the line of sight and the car's axis, 0 (end-on) to 90 (side-on).
+    count : ndarray of int64, (n,)
+        Points in the box.
+    occupancy : ndarray, (n, 3)
+        P of the top, side and front view.
+    scores : mapping of str to ndarray, (n,)
+        By the metric's name, in its own unit.
+    seconds : mapping of str to float
+        What the stages took, over all sweeps: ``read``, ``assign``, ``pe_vgop``, and ``all_metrics``, which holds what
+        metrics share but not reading and assigning.
+    """
+
+    frame: np.ndarray
+    boxes: LabelledBoxes
+    bearing_deg: np.ndarray
+    count: np.ndarray
+    occupancy: np.ndarray
+    scores: Mapping[str, np.ndarray]
+    seconds: Mapping[str, float]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def select(self, which: np.ndarray) -> ScoredCars:
+        """The cars that `which`, a (n,) mask or an index array, picks; the seconds stay those of all."""
+        return ScoredCars(
+            frame=self.frame[which],
+            boxes=self.boxes.select(which),
+            bearing_deg=self.bearing_deg[which],
+            count=self.count[which],
+            occupancy=self.occupancy[which],
+            scores={name: values[which] for name, values in self.scores.items()},
+            seconds=self.seconds,
+        )
+
+
+def score_cars(
+    clouds: LabelledClouds,
+    frames: Sequence[str],
+    classes: Sequence[str],
+    metrics: Sequence[Metric],
+    ground_clearance_m: float = 0.0,
+) -> ScoredCars:
+    """Read, assign and score, one sweep after the other.
+
+    Parameters
+    ----------
+    clouds : LabelledClouds
+    frames : sequence of str
+        Which sweeps.
+    classes : sequence of str
+        What counts as a car, in the data set's words; capitals do not matter.
+    metrics : sequence of Metric
+        The first is timed by itself.
+    ground_clearance_m : float
+        Points less than this above a box's floor are left out [m].
+
+    Raises
+    ------
+    InputError, MissingFileError
+        Of files that cannot be used, or where no sweep has such a label.
+    """
+    wanted = {name.lower() for name in classes}
+    seconds = dict.fromkeys(("read", "assign", "pe_vgop", "all_metrics"), 0.0)
+    parts: list[tuple[str, LabelledBoxes, VehicleReturns, dict[str, np.ndarray]]] = []
+    met: set[str] = set()
+    for frame in frames:
+        watch = _Watch(seconds)
+        sweep = clouds.read(frame)
+        watch.stop("read")
+        met.update(sweep.boxes.label.tolist())
+        mine = np.array([label.lower() in wanted for label in sweep.boxes.label.tolist()], dtype=bool)
+        boxes, row = _assigned(sweep, mine, ground_clearance_m)
+        watch.stop("assign")
+        returns = _returns(sweep.points, boxes, row)
+        scores = {metrics[0].name: metrics[0].values(returns)}
+        watch.stop("pe_vgop", "all_metrics")
+        scores |= {metric.name: metric.values(returns) for metric in metrics[1:]}
+        watch.stop("all_metrics")
+        parts.append((frame, boxes, returns, scores))
+    if not sum(len(boxes) for _, boxes, _, _ in parts):
+        raise InputError(
+            f"--class: {', '.join(classes)}: {clouds.folder} labels none in {len(frames)} sweeps; it labels "
+            f"{', '.join(sorted(met)) or 'nothing'}"
+        )
+    boxes = LabelledBoxes.joined([boxes for _, boxes, _, _ in parts])
+    return ScoredCars(
+        frame=np.repeat([frame for frame, _, _, _ in parts], [len(boxes) for _, boxes, _, _ in parts]),
+        boxes=boxes,
+        bearing_deg=bearing_deg(boxes),
+        count=np.concatenate([returns.count for _, _, returns, _ in parts]),
+        occupancy=np.concatenate([returns.occupancy for _, _, returns, _ in parts]),
+        scores={metric.name: np.concatenate([scores[metric.name] for *_, scores in parts]) for metric in metrics},
+        seconds=seconds,
+    )
+
+
+def bearing_deg(boxes: LabelledBoxes) -> np.ndarray:
+    """Angle between the line of sight to each box's centre and its axis, (n,): 0 (end-on) to 90 (side-on)."""
+    sight = np.arctan2(boxes.centre_m[:, 1], boxes.centre_m[:, 0])
+    return np.degrees(np.arccos(np.clip(np.abs(np.cos(boxes.heading_rad - sight)), 0.0, 1.0)))
+
+
+def _assigned(
+    sweep: LabelledSweep, mine: np.ndarray, ground_clearance_m: float
+) -> tuple[LabelledBoxes, np.ndarray]:
+    """The boxes that count, and the row among them of each point.
+
+    Boxes of other classes take part, so that a point of a van that a car's box overlaps goes to the nearer one.
+    """
+    boxes = sweep.boxes
+    row = points_in_boxes(sweep.points, boxes.centre_m, boxes.size_m, boxes.heading_rad, ground_clearance_m)
+    number = np.full(len(boxes) + 1, NO_BOX, dtype=np.int64)  # the last is for points in no box
+    number[:-1][mine] = np.arange(np.count_nonzero(mine))
+    return boxes.select(mine), number[row]
+
+
+def _returns(points: np.ndarray, boxes: LabelledBoxes, row: np.ndarray) -> VehicleReturns:
+    inside = np.flatnonzero(row != NO_BOX)
+    local = to_vehicle_frame(points[inside], boxes.centre_m, boxes.heading_rad, row[inside])
+    return vehicle_returns(local, row[inside], boxes.size_m, boxes.distance_m)
+
+
+class _Watch:
+    """Adds the time since it was last stopped to the stages named."""
+
+    def __init__(self, seconds: dict[str, float]) -> None:
+        self._seconds, self._since = seconds, time.perf_counter()
+
+    def stop(self, *stages: str) -> None:
+        now = time.perf_counter()
+        for stage in stages:
+            self._seconds[stage] += now - self._since
+        self._since = now

@@ -1,0 +1,135 @@
+"""The cars of one set and one detector under many resamples, and what is asked of each metric in turn."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..study.statistics import RESAMPLES, resampled_weights
+from .association import centred_ranks, correlation, correlation_of_means, group_means, orthogonal, pearson, residual
+from .car_sets import Clusters
+from .cross_validation import folds_of, share_foretold
+from .isotonic import isotonic_fit, predict
+
+BANDS_M = (5.0, 10.0)
+DECILES = 10
+FEWEST_IN_BAND = 5  # cars: fewer make no mean
+
+
+class Resampling:
+    """Draws of clusters, the same for whatever is asked: the first row is the cars themselves.
+
+    Parameters
+    ----------
+    clusters : Clusters
+        What is drawn as one, and never divided between the folds of a cross-validation.
+    seed : int
+    resamples : int
+    """
+
+    def __init__(self, clusters: Clusters, seed: int, resamples: int = RESAMPLES) -> None:
+        rng = np.random.default_rng(seed)
+        drawn = resampled_weights(clusters.number, rng, resamples)[:, clusters.of_car]
+        self.weights = np.vstack([np.ones((1, drawn.shape[1])), drawn])
+        self.fold = folds_of(clusters.of_car, rng)
+        self.clusters = clusters.number
+
+
+class Grouped(NamedTuple):
+    """Correlation of mean metric and mean performance over groups of cars: Pearson's under resampling, (1 + r,)."""
+
+    groups: int
+    pearson: np.ndarray
+    spearman: float
+
+
+class Followed(NamedTuple):
+    """How a metric goes with the performance; arrays are (1 + r,), the first that of the cars themselves.
+
+    Attributes
+    ----------
+    spearman, pearson : ndarray
+        Over cars; ranks are made anew in each resample.
+    partial_spearman : ndarray
+        The rank correlation with distance and occlusion held fixed: Pearson's r of what is left of both when least
+        squares on the ranks of distance, the ranks of occlusion and a constant are taken from their ranks. NaN where
+        nothing is left. Occlusion without spread holds nothing fixed.
+    isotonic_r2 : ndarray
+        Share of the performance's variance that a rising curve of the metric foretells in frames not fitted to.
+    groups : dict of str to Grouped
+        Over bands of distance with enough cars, ``bins_5m`` and ``bins_10m``, and over tenths of the cars from those
+        with the lowest metric to those with the highest, ``deciles``.
+    """
+
+    spearman: np.ndarray
+    partial_spearman: np.ndarray
+    pearson: np.ndarray
+    isotonic_r2: np.ndarray
+    groups: dict[str, Grouped]
+
+
+class ResampledCars:
+    """n cars with what a detector made of them.
+
+    Parameters
+    ----------
+    performance : ndarray, (n,)
+        0 where the car was missed.
+    distance_m, occlusion : ndarray, (n,)
+        What partial correlations hold fixed.
+    resampling : Resampling
+    """
+
+    def __init__(
+        self, performance: np.ndarray, distance_m: np.ndarray, occlusion: np.ndarray, resampling: Resampling
+    ) -> None:
+        self._weights, self._fold = resampling.weights, resampling.fold
+        self._performance = performance
+        self._ranks = centred_ranks(performance, self._weights)
+        held = [centred_ranks(values, self._weights) for values in (distance_m, occlusion)]
+        self._controls = orthogonal(held, self._weights)
+        self._left = residual(self._ranks, self._controls, self._weights)
+        self._bands = {f"bins_{width:.0f}m": np.floor(distance_m / width).astype(np.int64) for width in BANDS_M}
+
+    def followed_by(self, merit: np.ndarray) -> Followed:
+        """How a metric, (n,), high where it is good, goes with the performance."""
+        ranks = centred_ranks(merit, self._weights)
+        return Followed(
+            spearman=correlation(ranks, self._ranks, self._weights),
+            partial_spearman=correlation(residual(ranks, self._controls, self._weights), self._left, self._weights),
+            pearson=pearson(merit, self._performance, self._weights),
+            isotonic_r2=self._isotonic_r2(merit),
+            groups={
+                **{name: self._by_band(merit, band) for name, band in self._bands.items()},
+                "deciles": self._by_decile(merit, ranks),
+            },
+        )
+
+    def _isotonic_r2(self, merit: np.ndarray) -> np.ndarray:
+        def foretell(fitted: np.ndarray, told: np.ndarray) -> np.ndarray:
+            return predict(isotonic_fit(merit[fitted], self._performance[fitted]), merit[told])
+
+        return share_foretold(self._performance, self._fold, foretell, self._weights)
+
+    def _by_band(self, merit: np.ndarray, band: np.ndarray) -> Grouped:
+        count = np.bincount(band)
+        used = count >= FEWEST_IN_BAND
+        return _grouped(
+            *(group_means(values, band, len(count), self._weights)[:, used] for values in (merit, self._performance))
+        )
+
+    def _by_decile(self, merit: np.ndarray, ranks: np.ndarray) -> Grouped:
+        share = ranks / self._weights.sum(axis=1, keepdims=True) + 0.5  # of the cars below each
+        decile = np.clip((DECILES * share).astype(np.int64), 0, DECILES - 1)
+        return _grouped(
+            *(group_means(values, decile, DECILES, self._weights) for values in (merit, self._performance))
+        )
+
+
+def _grouped(metric: np.ndarray, performance: np.ndarray) -> Grouped:
+    there = np.isfinite(metric[0])
+    one = np.ones((1, int(there.sum())))
+    ranks = [centred_ranks(values[0, there], one) if one.size else one for values in (metric, performance)]
+    spearman = float(correlation(*ranks, one)[0]) if one.size >= 3 else np.nan
+    return Grouped(one.size, correlation_of_means(metric, performance), spearman)
