@@ -27,7 +27,8 @@ class Against(NamedTuple):
     difference : Difference
         Above 0 where the metric follows the detector more closely.
     p_holm : float
-        `p_above` adjusted for the number of metrics that are held against that other one.
+        `p_above` adjusted for the number of metrics that are held against that other one; those that give the same in
+        every resample count once.
     """
 
     difference: Difference
@@ -138,9 +139,13 @@ def against_one(followed: Mapping[str, Followed], other: str, number: int) -> di
     held: dict[str, dict[str, Against]] = {name: {} for name in rivals}
     for statistic in COMPARED:
         values = {name: getattr(found, statistic) for name, found in followed.items()}
-        apart = [of_difference(values[name], values[other], number) for name in rivals]
-        for name, difference, adjusted in zip(rivals, apart, holm([one.p_above for one in apart]), strict=True):
-            held[name][statistic] = Against(difference, adjusted)
+        apart = {name: of_difference(values[name], values[other], number) for name in rivals}
+        # A metric that orders all cars as another does, such as its logarithm, is no further comparison.
+        twins = {name: values[name].tobytes() for name in rivals}
+        p_values = {twin: apart[name].p_above for name, twin in twins.items()}
+        adjusted = dict(zip(p_values, holm(list(p_values.values())), strict=True))
+        for name in rivals:
+            held[name][statistic] = Against(apart[name], adjusted[twins[name]])
     return held
 
 

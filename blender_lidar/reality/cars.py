@@ -128,9 +128,7 @@ def bearing_deg(boxes: LabelledBoxes) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(np.abs(np.cos(boxes.heading_rad - sight)), 0.0, 1.0)))
 
 
-def _assigned(
-    sweep: LabelledSweep, mine: np.ndarray, ground_clearance_m: float
-) -> tuple[LabelledBoxes, np.ndarray]:
+def _assigned(sweep: LabelledSweep, mine: np.ndarray, ground_clearance_m: float) -> tuple[LabelledBoxes, np.ndarray]:
     """The boxes that count, and the row among them of each point.
 
     Boxes of other classes take part, so that a point of a van that a car's box overlaps goes to the nearer one.

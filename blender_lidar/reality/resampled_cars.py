@@ -122,9 +122,7 @@ class ResampledCars:
     def _by_decile(self, merit: np.ndarray, ranks: np.ndarray) -> Grouped:
         share = ranks / self._weights.sum(axis=1, keepdims=True) + 0.5  # of the cars below each
         decile = np.clip((DECILES * share).astype(np.int64), 0, DECILES - 1)
-        return _grouped(
-            *(group_means(values, decile, DECILES, self._weights) for values in (merit, self._performance))
-        )
+        return _grouped(*(group_means(values, decile, DECILES, self._weights) for values in (merit, self._performance)))
 
 
 def _grouped(metric: np.ndarray, performance: np.ndarray) -> Grouped:

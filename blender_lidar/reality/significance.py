@@ -30,7 +30,10 @@ class Estimate(NamedTuple):
 
 
 class Difference(NamedTuple):
-    """A difference with its 90 % interval, and how probable one as large or larger would be were it none."""
+    """A difference with its 90 % interval, and how probable one as large or larger would be were it none.
+
+    The probability is NaN where nothing can be told, or the two are the same in every resample.
+    """
 
     value: float
     low: float
@@ -68,7 +71,7 @@ def of_difference(first: np.ndarray, second: np.ndarray, clusters: int) -> Diffe
         return Difference(value, math.nan, math.nan, math.nan)
     spread = float(np.std(resampled))
     if spread == 0.0:  # the same in every resample
-        return Difference(value, value, value, 0.0 if value > 0.0 else 1.0)
+        return Difference(value, value, value, math.nan if value == 0.0 else float(value < 0.0))
     reach = student_t_95(clusters - 1) * spread
     return Difference(value, value - reach, value + reach, student_t_above(value / spread, clusters - 1))
 

@@ -1,0 +1,31 @@
+"""blender-lidar compare: our scans and scores beside real, labelled sweeps."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..errors import InputError
+from . import compare_detections
+
+
+def add_parser(subparsers) -> None:
+    """Describe the verb to argparse."""
+    parser = subparsers.add_parser(
+        "compare",
+        help="hold metrics against reality",
+        description="Compare with real, labelled sweeps: metrics beside what real detectors made of each car.",
+    )
+    parser.add_argument(
+        "--kitti", required=True, metavar="DIR", help="labelled sweeps in the layout of KITTI or SUSTechPOINTS"
+    )
+    parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON, and nothing else, on stdout")
+    compare_detections.add_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry it out; returns the exit code."""
+    if args.detections is None:
+        raise InputError("compare: give --detections CARS.csv")
+    return compare_detections.run(args)

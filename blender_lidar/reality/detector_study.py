@@ -1,0 +1,112 @@
+"""The whole comparison of metrics with detectors, from folders and tables to findings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..metrics.metric import Metric
+from .agreement import Agreement, agreements
+from .car_sets import ALL, CarSet, car_sets, main_set
+from .cars import score_cars
+from .chosen_metrics import OURS, comparable
+from .detections import Detections
+from .distance_shape import Shape, shapes
+from .ground_returns import WithoutGround, without_ground
+from .labelled import LabelledClouds
+from .matching import JudgedCars, judged_cars, listed_frames
+
+OTHER_CLEARANCE_M = 0.1  # as `score --assign box` has it
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What may be asked differently.
+
+    Attributes
+    ----------
+    classes : tuple of str
+        What counts as a car, in the data set's words.
+    ground_clearance_m : float
+        Points less than this above a box's floor are left out [m].
+    block_frames : int
+        So many neighbouring frames are resampled as one.
+    seed : int
+    """
+
+    classes: tuple[str, ...] = ("Car",)
+    ground_clearance_m: float = 0.0
+    block_frames: int = 1
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """What came of it.
+
+    Attributes
+    ----------
+    judged : JudgedCars
+    frames : int
+        Sweeps that the detections name.
+    metrics : tuple of Metric
+        The first is the one that others are held against.
+    sets : tuple of CarSet
+    main : CarSet
+        The set that judges.
+    agreements : tuple of Agreement
+    shapes : tuple of Shape
+        Of the main set and of all cars.
+    other_clearance_m : float
+        0 where the results leave out ground returns, else `OTHER_CLEARANCE_M`.
+    without_ground : tuple of WithoutGround
+        The main set under that other clearance.
+    """
+
+    judged: JudgedCars
+    frames: int
+    metrics: tuple[Metric, ...]
+    sets: tuple[CarSet, ...]
+    main: CarSet
+    agreements: tuple[Agreement, ...]
+    shapes: tuple[Shape, ...]
+    other_clearance_m: float
+    without_ground: tuple[WithoutGround, ...]
+
+
+def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Metric], settings: Settings) -> Findings:
+    """Score the cars that the detections list, and hold the scores against the detectors.
+
+    Raises
+    ------
+    InputError, MissingFileError
+        Of files that cannot be used or do not belong together.
+    """
+    frames = listed_frames(clouds, detections)
+    timed_first = sorted({OURS: comparable()[OURS], **{one.name: one for one in metrics}}.values(), key=_is_not_ours)
+    clearance = settings.ground_clearance_m
+    cars = score_cars(clouds, frames, settings.classes, timed_first, clearance)
+    judged = judged_cars(cars, detections, settings.classes)
+    other_m = 0.0 if clearance > 0.0 else OTHER_CLEARANCE_M
+    other = score_cars(clouds, frames, settings.classes, timed_first, other_m)
+    sets = car_sets(judged.about, len(judged))
+    main = main_set(sets)
+    asked = (settings.block_frames, settings.seed)
+    shaped = [one for one in sets if one is main or one.name == ALL]
+    return Findings(
+        judged=judged,
+        frames=len(frames),
+        metrics=tuple(metrics),
+        sets=tuple(sets),
+        main=main,
+        agreements=tuple(agreements(judged, sets, metrics, *asked)),
+        shapes=tuple(shapes(judged, shaped, metrics, *asked)),
+        other_clearance_m=other_m,
+        without_ground=tuple(
+            without_ground(judged, judged_cars(other, detections, settings.classes).cars, main, metrics, *asked)
+        ),
+    )
+
+
+def _is_not_ours(metric: Metric) -> bool:
+    return metric.name != OURS

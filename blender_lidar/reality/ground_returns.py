@@ -1,0 +1,69 @@
+"""What it changes to leave out the returns just above the floor of a box, which are the ground's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..metrics.metric import Metric
+from .agreement import clusters_of, followed_by_name
+from .car_sets import CarSet
+from .cars import ScoredCars
+from .matching import JudgedCars
+from .resampled_cars import Resampling
+from .significance import Difference, Estimate, of_correlation, of_difference
+
+
+class WithoutGround(NamedTuple):
+    """One metric and one detector on the cars of one set, with the other ground clearance.
+
+    Attributes
+    ----------
+    detector, of_set, metric : str
+    spearman, pearson : Estimate
+        With the other clearance.
+    change : Difference
+        Of Spearman's correlation, from the clearance of the results to the other.
+    """
+
+    detector: str
+    of_set: str
+    metric: str
+    spearman: Estimate
+    pearson: Estimate
+    change: Difference
+
+
+def without_ground(
+    judged: JudgedCars, other: ScoredCars, one: CarSet, metrics: Sequence[Metric], block_frames: int, seed: int
+) -> list[WithoutGround]:
+    """Of every detector and metric; `other` holds the same cars scored with the other clearance."""
+    found = []
+    for detector in judged.detectors:
+        mine = one.member & detector.in_range
+        drawn = clusters_of(judged, mine, block_frames)
+        if drawn is None:
+            continue
+        resampling = Resampling(drawn, seed)
+        ours, theirs = (
+            followed_by_name(judged, detector, mine, resampling, _merits(cars, metrics))
+            for cars in (judged.cars, other)
+        )
+        found += [
+            WithoutGround(
+                detector.name,
+                one.name,
+                name,
+                of_correlation(theirs[name].spearman, drawn.number),
+                of_correlation(theirs[name].pearson, drawn.number),
+                of_difference(theirs[name].spearman, ours[name].spearman, drawn.number),
+            )
+            for name in ours
+        ]
+    return found
+
+
+def _merits(cars: ScoredCars, metrics: Sequence[Metric]) -> dict[str, np.ndarray]:
+    return {metric.name: metric.merit(cars.scores[metric.name]) for metric in metrics}
