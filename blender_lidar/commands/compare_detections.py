@@ -16,7 +16,7 @@ from ..reality.findings_output import check_place, write_findings
 from ..reality.findings_tables import as_json
 from ..reality.findings_text import findings_text
 from ..reality.layouts import open_labelled
-from ..study.statistics import RESAMPLES
+from ..reality.resampled_cars import Draws
 from .options import checked_number
 
 SCHEMA = 1
@@ -61,7 +61,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=1,
         metavar="N",
-        help="resample N neighbouring frames as one, in the order of their names (default 1); drives where they are told",
+        help="resample N frames as one, in the order of their names (default 1); whole drives where they are told",
     )
     group.add_argument("--seed", type=int, default=1, help="of the resamples and folds (default 1)")
 
@@ -82,13 +82,11 @@ def run(args: argparse.Namespace) -> int:
         "detections_sha256": file_digest(args.detections),
         "classes": list(settings.classes),
         "ground_clearance_m": settings.ground_clearance_m,
-        "block_frames": settings.block_frames,
-        "resamples": RESAMPLES,
-        "seed": settings.seed,
+        **settings.draws._asdict(),
         "versions": versions(""),
     }
     result = as_json(findings, clouds, about)
-    files, note = write_findings(findings, result, settings, folder)
+    files, note = write_findings(findings, result, settings.draws, folder)
     if note:
         print(f"blender-lidar: note: {note}", file=sys.stderr)
     out = sys.stderr if args.json else sys.stdout
@@ -107,7 +105,7 @@ def _settings(args: argparse.Namespace) -> Settings:
     if args.seed < 0:
         raise InputError(f"--seed: is {args.seed}; allowed: 0 or more")
     clearance = checked_number(args.ground_clearance, "--ground-clearance", low=0.0)
-    return Settings(classes, clearance, args.block_frames, args.seed)
+    return Settings(classes, clearance, Draws(args.block_frames, args.seed))
 
 
 def _new_folder(data: Path) -> Path:

@@ -57,7 +57,7 @@ class Against(NamedTuple):
     curve : tuple of two ndarrays, (k,)
         Metric and performance along the fitted curve.
     note : str
-        For the corner that the curve leaves free.
+        For the corner.
     """
 
     name: str
@@ -127,15 +127,10 @@ def plot_against(
             look = {**_DOTS, "markersize": 3.0, "color": BASELINE["color"], "alpha": 0.55}
             dots = axes.plot(one.values, one.performance, label="one car", **look)
             curve = axes.plot(*one.curve, color=OPTIMISED["color"], label="rising curve that fits best", zorder=3)
-            falls = one.curve[1][np.argmin(one.curve[0])] > one.curve[1][np.argmax(one.curve[0])]
-            place = {"x": 0.03, "ha": "left"} if falls else {"x": 0.97, "ha": "right"}
-            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.6}
-            axes.text(
-                y=0.04, s=one.note, transform=axes.transAxes, va="bottom", fontsize=6.5, zorder=4, bbox=box, **place
-            )
+            axes.text(0.97, 0.96, one.note, transform=axes.transAxes, ha="right", va="top", fontsize=6.5)
             axes.set_title(one.name, fontsize=SMALL_PT)
             axes.set_xlabel(one.unit, fontsize=SMALL_PT, labelpad=1.0)
-            axes.set_ylim(-0.02, 1.02)
+            axes.set_ylim(-0.03, 1.22)  # room for the note above what performance can be
             axes.grid(visible=True)
             axes.xaxis.get_major_locator().set_params(nbins=4)
         figure.supylabel(label, fontsize=8.0)

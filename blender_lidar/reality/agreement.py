@@ -13,7 +13,7 @@ from .car_sets import FEWEST_CARS, CarSet, Clusters, clusters
 from .chosen_metrics import OURS
 from .detections import Detector
 from .matching import JudgedCars
-from .resampled_cars import Followed, ResampledCars, Resampling
+from .resampled_cars import Draws, Followed, ResampledCars, Resampling
 from .significance import Difference, Estimate, holm, of_correlation, of_difference, of_resamples
 
 COMPARED = ("spearman", "partial_spearman", "pearson", "isotonic_r2")
@@ -71,26 +71,24 @@ class Agreement(NamedTuple):
     against: dict[str, dict[str, Against]]
 
 
-def agreements(
-    judged: JudgedCars, sets: Sequence[CarSet], metrics: Sequence[Metric], block_frames: int, seed: int
-) -> list[Agreement]:
+def agreements(judged: JudgedCars, sets: Sequence[CarSet], metrics: Sequence[Metric], draws: Draws) -> list[Agreement]:
     """Of every detector, set and metric; sets with too few cars or clusters in a detector's range are left out."""
     found: list[Agreement] = []
     for detector in judged.detectors:
         for one in sets:
-            drawn = clusters_of(judged, one.member & detector.in_range, block_frames)
-            if drawn is not None:
-                found += _of_set(judged, detector, one, drawn, metrics, seed)
+            resampling = resampling_of(judged, one.member & detector.in_range, draws)
+            if resampling is not None:
+                found += _of_set(judged, detector, one, resampling, metrics)
     return found
 
 
-def clusters_of(judged: JudgedCars, mine: np.ndarray, block_frames: int) -> Clusters | None:
-    """What is resampled of the cars that a mask picks; None with too few cars or clusters for intervals."""
+def resampling_of(judged: JudgedCars, mine: np.ndarray, draws: Draws) -> Resampling | None:
+    """Resamples of the cars that a mask picks; None with too few cars or clusters for intervals."""
     if np.count_nonzero(mine) < FEWEST_CARS:
         return None
     about = {key: told[mine] for key, told in judged.about.items()}
-    drawn = clusters(judged.cars.frame[mine], about, block_frames)
-    return drawn if drawn.number >= FEWEST_BLOCKS else None
+    drawn = clusters(judged.cars.frame[mine], about, draws.block_frames)
+    return Resampling(drawn, draws.seed, draws.resamples) if drawn.number >= FEWEST_BLOCKS else None
 
 
 def followed_by_name(
@@ -108,11 +106,11 @@ def followed_by_name(
 
 
 def _of_set(
-    judged: JudgedCars, detector: Detector, one: CarSet, drawn: Clusters, metrics: Sequence[Metric], seed: int
+    judged: JudgedCars, detector: Detector, one: CarSet, resampling: Resampling, metrics: Sequence[Metric]
 ) -> list[Agreement]:
-    mine = one.member & detector.in_range
+    mine, drawn = one.member & detector.in_range, resampling.clusters
     merits = {metric.name: metric.merit(judged.cars.scores[metric.name]) for metric in metrics}
-    followed = followed_by_name(judged, detector, mine, Resampling(drawn, seed), merits)
+    followed = followed_by_name(judged, detector, mine, resampling, merits)
     others = [name for name in dict.fromkeys((metrics[0].name, OURS)) if name in followed]
     against = {other: against_one(followed, other, drawn.number) for other in others}
     return [

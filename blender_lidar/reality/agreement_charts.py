@@ -10,18 +10,18 @@ import numpy as np
 
 from ..plots.agreement import Against, Decline, plot_against, plot_declines
 from ..study.statistics import interval_90
-from .agreement import clusters_of
+from .agreement import resampling_of
 from .association import group_means
 from .detections import Detector
-from .detector_study import Findings, Settings
+from .detector_study import Findings
 from .isotonic import isotonic_fit
-from .resampled_cars import FEWEST_IN_BAND, Resampling
+from .resampled_cars import FEWEST_IN_BAND, Draws
 
 _BAND_M = 10.0
 BY_DISTANCE = "by_distance.png"
 
 
-def draw_charts(findings: Findings, settings: Settings, file: Callable[[str], Path]) -> list[str]:
+def draw_charts(findings: Findings, draws: Draws, file: Callable[[str], Path]) -> list[str]:
     """Draw every chart of the main set; returns the names of the files.
 
     Raises
@@ -33,21 +33,24 @@ def draw_charts(findings: Findings, settings: Settings, file: Callable[[str], Pa
     about = f"{findings.main.name}: {int(mine.sum())} cars"
     means = f"means over {_BAND_M:g} m with at least {FEWEST_IN_BAND} cars, 90 % intervals"
     detectors = [
-        _decline(findings, settings, f"{one.name}: confidence x IoU", one.performance, mine & one.in_range)
+        _decline(findings, draws, f"{one.name}: confidence x IoU", one.performance, mine & one.in_range)
         for one in findings.judged.detectors[:2]
     ]
     metrics = [
-        _decline(findings, settings, one.name, one.merit(findings.judged.cars.scores[one.name]), mine)
+        _decline(findings, draws, one.name, one.merit(findings.judged.cars.scores[one.name]), mine)
         for one in findings.metrics
     ]
-    plot_declines(
-        file(BY_DISTANCE),
-        [one for one in metrics if one is not None],
-        [one for one in detectors if one is not None],
-        title="Fig. 5: metrics and detectors over distance",
-        subtitle=f"{about}, {means}; metrics that are good when low are turned over",
-    )
-    names = [BY_DISTANCE]
+    names = []
+    drawn = [one for one in metrics if one is not None]
+    if drawn:
+        names.append(BY_DISTANCE)
+        plot_declines(
+            file(BY_DISTANCE),
+            drawn,
+            [one for one in detectors if one is not None],
+            title="Fig. 5: metrics and detectors over distance",
+            subtitle=f"{about}, {means}; metrics that are good when low are turned over",
+        )
     for detector in findings.judged.detectors:
         panels = _against(findings, detector)
         if panels:
@@ -62,7 +65,7 @@ def draw_charts(findings: Findings, settings: Settings, file: Callable[[str], Pa
     return names
 
 
-def _decline(findings: Findings, settings: Settings, name: str, values: np.ndarray, mine: np.ndarray) -> Decline | None:
+def _decline(findings: Findings, draws: Draws, name: str, values: np.ndarray, mine: np.ndarray) -> Decline | None:
     """One quantity of the cars that a mask picks, scaled by its band means; None with less than two bands."""
     distance_m, values = findings.judged.cars.boxes.distance_m[mine], values[mine]
     band = np.floor(distance_m / _BAND_M).astype(np.int64)
@@ -70,8 +73,8 @@ def _decline(findings: Findings, settings: Settings, name: str, values: np.ndarr
     used = np.flatnonzero(count >= FEWEST_IN_BAND)
     if len(used) < 2:
         return None
-    drawn = clusters_of(findings.judged, mine, settings.block_frames)
-    weights = np.ones((1, len(values))) if drawn is None else Resampling(drawn, settings.seed).weights
+    resampling = resampling_of(findings.judged, mine, draws)
+    weights = np.ones((1, len(values))) if resampling is None else resampling.weights
     means = group_means(values, band, len(count), weights)[:, used]
     lowest, highest = means[0].min(), means[0].max()
     scale = highest - lowest if highest > lowest else 1.0

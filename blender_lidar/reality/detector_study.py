@@ -15,6 +15,7 @@ from .distance_shape import Shape, shapes
 from .ground_returns import WithoutGround, without_ground
 from .labelled import LabelledClouds
 from .matching import JudgedCars, judged_cars, listed_frames
+from .resampled_cars import Draws
 
 OTHER_CLEARANCE_M = 0.1  # as `score --assign box` has it
 
@@ -29,15 +30,13 @@ class Settings:
         What counts as a car, in the data set's words.
     ground_clearance_m : float
         Points less than this above a box's floor are left out [m].
-    block_frames : int
-        So many neighbouring frames are resampled as one.
-    seed : int
+    draws : Draws
+        How cars are resampled.
     """
 
     classes: tuple[str, ...] = ("Car",)
     ground_clearance_m: float = 0.0
-    block_frames: int = 1
-    seed: int = 1
+    draws: Draws = Draws()  # noqa: RUF009
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +90,6 @@ def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Me
     other = score_cars(clouds, frames, settings.classes, timed_first, other_m)
     sets = car_sets(judged.about, len(judged))
     main = main_set(sets)
-    asked = (settings.block_frames, settings.seed)
     shaped = [one for one in sets if one is main or one.name == ALL]
     return Findings(
         judged=judged,
@@ -99,11 +97,11 @@ def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Me
         metrics=tuple(metrics),
         sets=tuple(sets),
         main=main,
-        agreements=tuple(agreements(judged, sets, metrics, *asked)),
-        shapes=tuple(shapes(judged, shaped, metrics, *asked)),
+        agreements=tuple(agreements(judged, sets, metrics, settings.draws)),
+        shapes=tuple(shapes(judged, shaped, metrics, settings.draws)),
         other_clearance_m=other_m,
         without_ground=tuple(
-            without_ground(judged, judged_cars(other, detections, settings.classes).cars, main, metrics, *asked)
+            without_ground(judged, judged_cars(other, detections, settings.classes).cars, main, metrics, settings.draws)
         ),
     )
 

@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..metrics.metric import Metric
-from .agreement import clusters_of
+from .agreement import resampling_of
 from .car_sets import CarSet
 from .cross_validation import share_foretold
 from .matching import JudgedCars
-from .resampled_cars import Resampling
+from .resampled_cars import Draws, Resampling
 from .significance import Difference, of_difference
 
 PERFORMANCE = " performance"
@@ -50,9 +50,7 @@ class Shape(NamedTuple):
     lead: Difference
 
 
-def shapes(
-    judged: JudgedCars, sets: Sequence[CarSet], metrics: Sequence[Metric], block_frames: int, seed: int
-) -> list[Shape]:
+def shapes(judged: JudgedCars, sets: Sequence[CarSet], metrics: Sequence[Metric], draws: Draws) -> list[Shape]:
     """Of every metric and every detector's performance (cars in its range), among all cars of each set by bearing.
 
     Those with too few cars or clusters are left out.
@@ -67,7 +65,7 @@ def shapes(
     found = []
     for one in sets:
         for bearing, member in {ANY: everywhere, **of_bearing(judged.cars.bearing_deg)}.items():
-            found += _among(judged, one, bearing, one.member & member, quantities, block_frames, seed)
+            found += _among(judged, one, bearing, one.member & member, quantities, draws)
     return found
 
 
@@ -85,16 +83,14 @@ def _among(
     bearing: str,
     mine: np.ndarray,
     quantities: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    block_frames: int,
-    seed: int,
+    draws: Draws,
 ) -> list[Shape]:
     found = []
     drawn: dict[bytes, Resampling | None] = {}  # most quantities are known of the same cars
     for name, (values, known) in quantities.items():
         used = mine & known
         if used.tobytes() not in drawn:
-            of_used = clusters_of(judged, used, block_frames)
-            drawn[used.tobytes()] = None if of_used is None else Resampling(of_used, seed)
+            drawn[used.tobytes()] = resampling_of(judged, used, draws)
         resampling = drawn[used.tobytes()]
         if resampling is None:
             continue
@@ -103,9 +99,10 @@ def _among(
             share_foretold(y, resampling.fold, _line(x, y), resampling.weights)
             for x in (distance_m, np.log(distance_m))
         )
-        lead = of_difference(linear, logarithmic, resampling.clusters)
+        clusters = resampling.clusters.number
+        lead = of_difference(linear, logarithmic, clusters)
         shares = float(linear[0]), float(logarithmic[0])
-        found.append(Shape(name, one.name, bearing, len(y), resampling.clusters, *shares, lead))
+        found.append(Shape(name, one.name, bearing, len(y), clusters, *shares, lead))
     return found
 
 

@@ -10,8 +10,9 @@ from ..errors import InputError, MissingExtraError, OutputError
 from ..formats.atomic import check_folder, write_text
 from ..formats.tables import to_csv, write_columns
 from .agreement_charts import draw_charts
-from .detector_study import Findings, Settings
+from .detector_study import Findings
 from .findings_tables import car_columns, correlation_table
+from .resampled_cars import Draws
 
 RESULT, CARS, CORRELATION = "compare.json", "cars.csv", "correlation.csv"
 
@@ -30,7 +31,7 @@ def check_place(folder: Path) -> None:
         raise InputError(f"--out: {folder}: holds {present[0]} already; give another folder")
 
 
-def write_findings(findings: Findings, result: Mapping, settings: Settings, folder: Path) -> tuple[list[str], str]:
+def write_findings(findings: Findings, result: Mapping, draws: Draws, folder: Path) -> tuple[list[str], str]:
     """Write tables, pictures and, last of all, the result; returns the files' names, and why there are no pictures.
 
     Raises
@@ -46,7 +47,7 @@ def write_findings(findings: Findings, result: Mapping, settings: Settings, fold
     write_text(folder / CORRELATION, to_csv(*correlation_table(findings)))
     pictures, note = [], ""
     try:
-        pictures = draw_charts(findings, settings, folder.joinpath)
+        pictures = draw_charts(findings, draws, folder.joinpath)
     except MissingExtraError as error:
         note = f"no pictures: {error}"
     write_text(folder / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n")

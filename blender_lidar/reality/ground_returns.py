@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..metrics.metric import Metric
-from .agreement import clusters_of, followed_by_name
+from .agreement import followed_by_name, resampling_of
 from .car_sets import CarSet
 from .cars import ScoredCars
 from .matching import JudgedCars
-from .resampled_cars import Resampling
+from .resampled_cars import Draws
 from .significance import Difference, Estimate, of_correlation, of_difference
 
 
@@ -37,16 +37,16 @@ class WithoutGround(NamedTuple):
 
 
 def without_ground(
-    judged: JudgedCars, other: ScoredCars, one: CarSet, metrics: Sequence[Metric], block_frames: int, seed: int
+    judged: JudgedCars, other: ScoredCars, one: CarSet, metrics: Sequence[Metric], draws: Draws
 ) -> list[WithoutGround]:
     """Of every detector and metric; `other` holds the same cars scored with the other clearance."""
     found = []
     for detector in judged.detectors:
         mine = one.member & detector.in_range
-        drawn = clusters_of(judged, mine, block_frames)
-        if drawn is None:
+        resampling = resampling_of(judged, mine, draws)
+        if resampling is None:
             continue
-        resampling = Resampling(drawn, seed)
+        number = resampling.clusters.number
         ours, theirs = (
             followed_by_name(judged, detector, mine, resampling, _merits(cars, metrics))
             for cars in (judged.cars, other)
@@ -56,9 +56,9 @@ def without_ground(
                 detector.name,
                 one.name,
                 name,
-                of_correlation(theirs[name].spearman, drawn.number),
-                of_correlation(theirs[name].pearson, drawn.number),
-                of_difference(theirs[name].spearman, ours[name].spearman, drawn.number),
+                of_correlation(theirs[name].spearman, number),
+                of_correlation(theirs[name].pearson, number),
+                of_difference(theirs[name].spearman, ours[name].spearman, number),
             )
             for name in ours
         ]

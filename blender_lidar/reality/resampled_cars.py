@@ -17,6 +17,23 @@ DECILES = 10
 FEWEST_IN_BAND = 5  # cars: fewer make no mean
 
 
+class Draws(NamedTuple):
+    """How cars are resampled.
+
+    Attributes
+    ----------
+    block_frames : int
+        So many frames are drawn as one, where whole drives are not.
+    seed : int
+        Of the draws and the folds.
+    resamples : int
+    """
+
+    block_frames: int = 1
+    seed: int = 1
+    resamples: int = RESAMPLES
+
+
 class Resampling:
     """Draws of clusters, the same for whatever is asked: the first row is the cars themselves.
 
@@ -33,7 +50,7 @@ class Resampling:
         drawn = resampled_weights(clusters.number, rng, resamples)[:, clusters.of_car]
         self.weights = np.vstack([np.ones((1, drawn.shape[1])), drawn])
         self.fold = folds_of(clusters.of_car, rng)
-        self.clusters = clusters.number
+        self.clusters = clusters
 
 
 class Grouped(NamedTuple):
