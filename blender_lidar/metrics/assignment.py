@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from .vgop import to_vehicle_frame
 
 NO_BOX = -1
+_FEW_BOXES = 24  # to sort the points takes as long as to look through them so many times
 SLACK_M = 0.002
 """Clouds of boxes lie on their very faces, where rounding decides; and boxes are given to the millimetre."""
 
@@ -41,14 +44,9 @@ def points_in_boxes(
     """
     row = np.full(len(points), NO_BOX, dtype=np.int64)
     nearest = np.full(len(points), np.inf)
-    order = np.argsort(points[:, 0], kind="stable")  # so that each box looks at a stretch of x alone
-    x = points[order, 0]
     half = 0.5 * size + slack_m
     reach = np.linalg.norm(half[:, :2], axis=1)
-    first = np.searchsorted(x, centre[:, 0] - reach, side="left")
-    last = np.searchsorted(x, centre[:, 0] + reach, side="right")
-    for box in range(len(centre)):
-        near = order[first[box] : last[box]]
+    for box, near in enumerate(_stretches(points[:, 0], centre[:, 0] - reach, centre[:, 0] + reach)):
         local = to_vehicle_frame(points[near], centre[box], float(heading[box]))
         inside = (np.abs(local) <= half[box]).all(axis=1)
         if ground_clearance_m > 0.0:
@@ -57,3 +55,17 @@ def points_in_boxes(
         taken = inside & (distance < nearest[near])
         row[near[taken]], nearest[near[taken]] = box, distance[taken]
     return row
+
+
+def _stretches(x: np.ndarray, low: np.ndarray, high: np.ndarray) -> Iterator[np.ndarray]:
+    """Rows of the points between each low and high, which is all that a box has to look at."""
+    if len(low) <= _FEW_BOXES:
+        x = np.ascontiguousarray(x)
+        for least, most in zip(low, high, strict=True):
+            yield np.flatnonzero((x >= least) & (x <= most))
+        return
+    order = np.argsort(x, kind="stable")
+    x = x[order]
+    ends = zip(np.searchsorted(x, low, side="left"), np.searchsorted(x, high, side="right"), strict=True)
+    for first, last in ends:
+        yield order[first:last]
