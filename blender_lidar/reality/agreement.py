@@ -10,7 +10,7 @@ import numpy as np
 from ..metrics.metric import Metric
 from ..study.statistics import FEWEST_BLOCKS
 from .car_sets import FEWEST_CARS, CarSet, Clusters, clusters
-from .chosen_metrics import OURS
+from .chosen_metrics import PAPERS
 from .detections import Detector
 from .matching import JudgedCars
 from .resampled_cars import Draws, Followed, ResampledCars, Resampling
@@ -111,7 +111,7 @@ def _of_set(
     mine, drawn = one.member & detector.in_range, resampling.clusters
     merits = {metric.name: metric.merit(judged.cars.scores[metric.name]) for metric in metrics}
     followed = followed_by_name(judged, detector, mine, resampling, merits)
-    others = [name for name in dict.fromkeys((metrics[0].name, OURS)) if name in followed]
+    others = [name for name in dict.fromkeys((metrics[0].name, PAPERS)) if name in followed]
     against = {other: against_one(followed, other, drawn.number) for other in others}
     return [
         Agreement(

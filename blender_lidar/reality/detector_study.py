@@ -9,7 +9,7 @@ from ..metrics.metric import Metric
 from .agreement import Agreement, agreements
 from .car_sets import ALL, CarSet, car_sets, main_set
 from .cars import score_cars
-from .chosen_metrics import OURS, comparable
+from .chosen_metrics import PAPERS, comparable
 from .detections import Detections
 from .distance_shape import Shape, shapes
 from .ground_returns import WithoutGround, without_ground
@@ -82,7 +82,7 @@ def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Me
         Of files that cannot be used or do not belong together.
     """
     frames = listed_frames(clouds, detections)
-    timed_first = sorted({OURS: comparable()[OURS], **{one.name: one for one in metrics}}.values(), key=_is_not_ours)
+    timed_first = [comparable()[PAPERS], *(one for one in metrics if one.name != PAPERS)]
     clearance = settings.ground_clearance_m
     cars = score_cars(clouds, frames, settings.classes, timed_first, clearance)
     judged = judged_cars(cars, detections, settings.classes)
@@ -104,7 +104,3 @@ def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Me
             without_ground(judged, judged_cars(other, detections, settings.classes).cars, main, metrics, settings.draws)
         ),
     )
-
-
-def _is_not_ours(metric: Metric) -> bool:
-    return metric.name != OURS

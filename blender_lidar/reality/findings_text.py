@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from .agreement import Agreement
 from .car_sets import TRAINING
-from .chosen_metrics import OURS
+from .chosen_metrics import PAPERS
 from .detector_study import Findings
 from .distance_shape import ANY, PERFORMANCE
 from .findings_tables import PAPER, speed
@@ -57,57 +57,58 @@ def _of_detector(findings: Findings, detector: str) -> list[str]:
         )
         texts = [f"{cell.text():{wide}}" for cell, wide in zip(cells, _TABLE.values(), strict=True)]
         lines.append(f"{one.metric:{width}}  " + "  ".join(texts).rstrip())
-    lines += _verdict(main)
-    return lines + _elsewhere(mine, first)
+    for name in dict.fromkeys((first.metric, PAPERS)):
+        lines += [line for one in main if one.metric == name for line in (_followed(one), *_rivals(main, name))]
+        lines += _elsewhere(mine, name, first.of_set)
+    return lines
 
 
-def _elsewhere(mine: Sequence[Agreement], first: Agreement) -> list[str]:
-    """What the other sets say of the metric named first."""
+def _elsewhere(mine: Sequence[Agreement], name: str, of_main: str) -> list[str]:
+    """What the other sets say of one metric."""
     lines = []
     for one in mine:
-        if one.metric == first.metric and one.of_set != first.of_set:
+        if one.metric == name and one.of_set != of_main:
             learned = ", learned from" if one.of_set == TRAINING else ""
-            better = [rival.metric for rival in mine if rival.of_set == one.of_set and _better(rival, first.metric)]
+            better = [rival.metric for rival in mine if rival.of_set == one.of_set and _better(rival, name)]
             lines.append(
                 f"  {one.of_set} ({one.cars} cars, {one.clusters.number} {_units(one)}{learned}): "
                 f"{one.statistics['spearman'].text()}, given distance and occlusion "
                 f"{one.statistics['partial_spearman'].text()}; better after Holm: {', '.join(better) or 'none'}"
             )
-    return [f"Spearman of {first.metric} on other sets:", *lines] if lines else []
+    return [f"Spearman of {name} on other sets:", *lines] if lines else []
 
 
-def _better(rival: Agreement, first: str) -> bool:
-    return first in rival.against and rival.against[first]["spearman"].p_holm < _SIGNIFICANT
+def _better(rival: Agreement, name: str) -> bool:
+    return name in rival.against and rival.against[name]["spearman"].p_holm < _SIGNIFICANT
 
 
-def _verdict(main: Sequence[Agreement]) -> list[str]:
-    """What the table says of the metric named first."""
-    first, rivals = main[0], main[1:]
-    lines = [_followed(first)]
-    held = [(one.metric, one.against[first.metric]["spearman"]) for one in rivals if first.metric in one.against]
-    told = [(name, of) for name, of in held if math.isfinite(of.difference.p_above)]
+def _rivals(main: Sequence[Agreement], name: str) -> list[str]:
+    """How the others do beside one metric."""
+    held = {one.metric: one.against[name] for one in main if name in one.against}
+    told = {metric: of["spearman"] for metric, of in held.items() if math.isfinite(of["spearman"].difference.p_above)}
     if not told:
-        return lines
-    better = [(name, of) for name, of in told if of.difference.p_above < _SIGNIFICANT]
-    kept = [(name, of) for name, of in better if of.p_holm < _SIGNIFICANT]
-    number = len({(of.difference, of.p_holm) for _, of in told})  # orders of the cars: twins count once
+        return []
+    number = len({(of.difference, of.p_holm) for of in told.values()})  # orders of the cars: twins count once
     many = f"{number} rival{'s' * (number != 1)}"
+    better = {metric: of for metric, of in told.items() if of.difference.p_above < _SIGNIFICANT}
+    kept = {metric: of for metric, of in better.items() if of.p_holm < _SIGNIFICANT}
+    lines = [f"None of {many} is significantly better in Spearman than {name} after Holm's correction."]
     if kept:
-        said = ", ".join(f"{name} by {_signed(of.difference)}" for name, of in kept)
-        lines.append(f"Significantly better in Spearman than {first.metric}, Holm's correction for {many}: {said}.")
-    else:
-        lines.append(f"None of {many} is significantly better in Spearman than {first.metric} after Holm's correction.")
-    if better:
-        said = ", ".join(f"{name} by {_signed(of.difference)}, p {of.difference.p_above:.3f}" for name, of in better)
-        lines.append(f"Without that correction {'are' if len(better) > 1 else 'is'} better: {said}.")
-    worse = [(name, of) for name, of in told if of.difference.high < 0.0]
+        said = ", ".join(f"{metric} by {_signed(of.difference)}" for metric, of in kept.items())
+        lines = [f"Significantly better in Spearman than {name}, with Holm's correction for {many}: {said}."]
+    if len(better) > len(kept):
+        said = ", ".join(
+            f"{metric} by {_signed(of.difference)}, p {of.difference.p_above:.3f}"
+            for metric, of in better.items()
+            if metric not in kept
+        )
+        lines.append(f"Better only without that correction: {said}.")
+    worse = [f"{metric} {_signed(of.difference)}" for metric, of in told.items() if of.difference.high < 0.0]
     if worse:
-        said = ", ".join(f"{name} {_signed(of.difference)}" for name, of in worse)
-        lines.append(f"Below it, by intervals that leave out 0: {said}.")
-    straight = [one for one in rivals if one.against.get(first.metric, {}).get("pearson")]
-    above = [one.metric for one in straight if one.against[first.metric]["pearson"].p_holm < _SIGNIFICANT]
-    if above:
-        lines.append(f"More linear in the detector (Pearson, after Holm) are: {', '.join(above)}.")
+        lines.append(f"Below it, by intervals that leave out 0: {', '.join(worse)}.")
+    straighter = [metric for metric, of in held.items() if of["pearson"].p_holm < _SIGNIFICANT]
+    if straighter:
+        lines.append(f"More linear in the detector (Pearson, after Holm): {', '.join(straighter)}.")
     return lines
 
 
@@ -144,7 +145,7 @@ def _by_distance(findings: Findings) -> list[str]:
         for one in findings.shapes
         if one.of_set == findings.main.name
         and one.bearing != ANY
-        and (one.quantity == OURS or one.quantity.endswith(PERFORMANCE))
+        and (one.quantity in (findings.metrics[0].name, PAPERS) or one.quantity.endswith(PERFORMANCE))
     ]
     if by_bearing:
         said = ", ".join(f"{one.quantity} {one.bearing} {_signed(one.lead, 2)} ({one.cars} cars)" for one in by_bearing)
