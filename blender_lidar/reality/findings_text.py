@@ -14,6 +14,7 @@ from .findings_tables import PAPER, speed
 from .significance import Difference
 
 _SIGNIFICANT = 0.05
+_NARROW = " that are too narrow (see below)"
 _TABLE = {"Spearman": 22, "given distance, occlusion": 25, "Pearson": 22, "Pearson, 10 m bins": 22, "isotonic R2": 22}
 """Columns and their widths."""
 
@@ -43,7 +44,7 @@ def _of_detector(findings: Findings, detector: str) -> list[str]:
     width = max(len(one.metric) for one in main)
     lines = [
         f"{detector}, {first.of_set}: {first.cars} cars, {first.clusters.number} resampled {_units(first)}; "
-        "with confidence x IoU, 90 % intervals",
+        f"with confidence x IoU, 90 % intervals{_NARROW if first.clusters.too_narrow else ''}",
         f"{'':{width}}  " + "  ".join(f"{name:{wide}}" for name, wide in _TABLE.items()).rstrip(),
     ]
     for one in main:
@@ -95,7 +96,8 @@ def _rivals(main: Sequence[Agreement], name: str) -> list[str]:
     lines = [f"None of {many} is significantly better in Spearman than {name} after Holm's correction."]
     if kept:
         said = ", ".join(f"{metric} by {_signed(of.difference)}" for metric, of in kept.items())
-        lines = [f"Significantly better in Spearman than {name}, with Holm's correction for {many}: {said}."]
+        narrow = f", by intervals{_NARROW}" if main[0].clusters.too_narrow else ""
+        lines = [f"Significantly better in Spearman than {name}, with Holm's correction for {many}{narrow}: {said}."]
     if len(better) > len(kept):
         said = ", ".join(
             f"{metric} by {_signed(of.difference)}, p {of.difference.p_above:.3f}"

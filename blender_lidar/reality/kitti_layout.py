@@ -40,7 +40,8 @@ def read_velodyne(path: Path) -> np.ndarray:
     if len(content) % 16:
         raise InputError(f"{path}: {len(content)} bytes; allowed: 16 for each point (x, y, z, reflectance as float32)")
     points = np.frombuffer(content, dtype="<f4").reshape(-1, 4)[:, :3].astype(float)
-    return points[np.isfinite(points).all(axis=1)]
+    finite = np.isfinite(points)
+    return points if finite.all() else points[finite.all(axis=1)]
 
 
 def read_calibration(path: Path) -> np.ndarray:
