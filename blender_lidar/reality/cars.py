@@ -33,8 +33,8 @@ class ScoredCars:
     scores : mapping of str to ndarray, (n,)
         By the metric's name, in its own unit.
     seconds : mapping of str to float
-        What the stages took, over all sweeps: ``read``, ``assign``, ``pe_vgop``, and ``all_metrics``, which holds what
-        metrics share but not reading and assigning.
+        Processor time of the stages over all sweeps, which other programs do not lengthen: ``read``, ``assign``,
+        ``pe_vgop``, and ``all_metrics``, which holds what metrics share but not reading and assigning.
     """
 
     frame: np.ndarray
@@ -147,13 +147,13 @@ def _returns(points: np.ndarray, boxes: LabelledBoxes, row: np.ndarray) -> Vehic
 
 
 class _Watch:
-    """Adds the time since it was last stopped to the stages named."""
+    """Adds the processor time since it was last stopped to the stages named."""
 
     def __init__(self, seconds: dict[str, float]) -> None:
-        self._seconds, self._since = seconds, time.perf_counter()
+        self._seconds, self._since = seconds, time.process_time()
 
     def stop(self, *stages: str) -> None:
-        now = time.perf_counter()
+        now = time.process_time()
         for stage in stages:
             self._seconds[stage] += now - self._since
         self._since = now

@@ -78,7 +78,7 @@ def as_json(findings: Findings, clouds: LabelledClouds, about: Mapping[str, obje
 
 
 def speed(findings: Findings) -> dict[str, dict[str, float]]:
-    """Milliseconds a frame and a car of each stage, beside the paper's."""
+    """Milliseconds of processor time a frame and a car of each stage, beside the paper's."""
     seconds, cars = findings.judged.cars.seconds, len(findings.judged) + findings.judged.unlisted
     whole = seconds["read"] + seconds["assign"]
     stages = {
