@@ -170,8 +170,8 @@ def _speed(findings: Findings) -> list[str]:
     each = speed(findings)
     ours, every, paper = each["file_to_pe_vgop"], each["file_to_all_metrics"], each["paper"]
     return [
-        f"PE-VGOP from file to score, processor time: {ours['ms_per_frame']:.2f} ms a frame, {ours['ms_per_car']:.2f} ms a car "
-        f"(reading {each['read']['ms_per_frame']:.2f}, assigning {each['assign']['ms_per_frame']:.2f}, scoring "
+        f"PE-VGOP from file to score, processor time: {ours['ms_per_frame']:.2f} ms a frame, {ours['ms_per_car']:.2f} ms a "
+        f"car (reading {each['read']['ms_per_frame']:.2f}, assigning {each['assign']['ms_per_frame']:.2f}, scoring "
         f"{each['pe_vgop']['ms_per_frame']:.2f} a frame); all metrics {every['ms_per_frame']:.2f} and "
         f"{every['ms_per_car']:.2f}.",
         f"The paper: {PAPER['seconds']:.0f} s for {PAPER['frames']:,} frames, {paper['ms_per_frame']:.2f} ms a frame, "
