@@ -168,15 +168,17 @@ def _ground(findings: Findings) -> list[str]:
 
 def _speed(findings: Findings) -> list[str]:
     each = speed(findings)
-    ours, every, paper = each["file_to_pe_vgop"], each["file_to_all_metrics"], each["paper"]
+    read, assign, score = (each[stage]["ms_per_frame"] for stage in ("read", "assign", "pe_vgop"))
+    ours, every, paper = (_milliseconds(each[name]) for name in ("file_to_pe_vgop", "file_to_all_metrics", "paper"))
     return [
-        f"PE-VGOP from file to score, processor time: {ours['ms_per_frame']:.2f} ms a frame, {ours['ms_per_car']:.2f} ms a "
-        f"car (reading {each['read']['ms_per_frame']:.2f}, assigning {each['assign']['ms_per_frame']:.2f}, scoring "
-        f"{each['pe_vgop']['ms_per_frame']:.2f} a frame); all metrics {every['ms_per_frame']:.2f} and "
-        f"{every['ms_per_car']:.2f}.",
-        f"The paper: {PAPER['seconds']:.0f} s for {PAPER['frames']:,} frames, {paper['ms_per_frame']:.2f} ms a frame, "
-        f"{paper['ms_per_car']:.2f} ms a car, on a machine that it does not name.",
+        f"PE-VGOP from file to score, processor time: {ours} (reading {read:.2f}, assigning {assign:.2f}, scoring "
+        f"{score:.2f} ms a frame); all metrics {every}.",
+        f"The paper: {PAPER['seconds']:.0f} s for {PAPER['frames']:,} frames, {paper}; it names no machine.",
     ]
+
+
+def _milliseconds(each: dict[str, float]) -> str:
+    return f"{each['ms_per_frame']:.2f} ms a frame, {each['ms_per_car']:.2f} ms a car"
 
 
 def _cautions(findings: Findings) -> list[str]:
