@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_lidar.plots.agreement import Against, Decline, plot_against, plot_declines
 from blender_lidar.plots.blind_zones import plot_blind_zones
 from blender_lidar.plots.by_distance import plot_by_distance
 from blender_lidar.plots.changes import Bands, Mean, Point, plot_before_after, plot_effects, plot_settings
@@ -46,6 +47,24 @@ def views(share: float, size: tuple[float, float, float] = CAR) -> OccupancyView
     length, width, height = (math.ceil(side / 0.05) for side in size)
     shapes = {"top": (length, width), "side": (length, height), "front": (width, height)}
     return OccupancyViews({view: rng.random(shape) < share for view, shape in shapes.items()}, size)
+
+
+def decline(name: str, seed: int) -> Decline:
+    rng = np.random.default_rng(seed)
+    distance_m, mean = rng.uniform(3.0, 60.0, 80), np.linspace(1.0, 0.0, 5)
+    values = 1.0 - distance_m / 50.0 + rng.normal(0.0, 0.1, 80)
+    return Decline(
+        name, distance_m, values, np.arange(5.0, 50.0, 10.0), mean, mean - 0.1, np.append(mean[:-1] + 0.1, np.nan)
+    )
+
+
+def against(name: str, unit: str) -> Against:
+    rng = np.random.default_rng(3)
+    values = rng.uniform(0.0, 1.5, 60)
+    performance = np.clip(0.5 * values + rng.normal(0.0, 0.1, 60), 0.0, 1.0)
+    return Against(
+        name, unit, values, performance, (np.array([0.0, 0.7, 1.5]), np.array([0.1, 0.4, 0.7])), "0.85 (0.82 to 0.88)"
+    )
 
 
 def score_map_arguments() -> dict[str, object]:
@@ -106,6 +125,20 @@ def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
                 "boxes": boxes,
                 "detectable": (seen, ~seen),
                 "sensor_xy": (0.0, 0.0),
+            },
+        ),
+        "declines": (
+            plot_declines,
+            {
+                "metrics": [decline(name, seed) for seed, name in enumerate(("a", "b", "c", "d", "e"))],
+                "detectors": [decline("one: confidence x IoU", 8), decline("other: confidence x IoU", 9)],
+            },
+        ),
+        "against": (
+            plot_against,
+            {
+                "metrics": [against("a", ""), against("b", "bits"), against("c", "points/m²"), against("d", "m")],
+                "label": "Confidence x IoU",
             },
         ),
         "gain_maps": (plot_gain_maps, {"maps": [gain_map("RS-16"), gain_map("RS-80", interval=False)]}),

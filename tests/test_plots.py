@@ -11,6 +11,7 @@ import pytest
 from blender_lidar.errors import InputError, OutputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.plots import canvas
+from blender_lidar.plots.agreement import plot_against, plot_declines
 from blender_lidar.plots.blind_zones import plot_blind_zones
 from blender_lidar.plots.by_distance import FEWEST_VEHICLES, plot_by_distance
 from blender_lidar.plots.changes import Mean, plot_before_after, plot_effects, plot_settings
@@ -385,9 +386,11 @@ def test_gain_maps_outline_what_is_near_best_and_name_the_rivals(tmp_path, figur
         lambda path: plot_gain_maps(path, []),
         lambda path: plot_before_after(path, [], share_label="", change_label=""),
         lambda path: plot_settings(path, {}, {}, label=""),
+        lambda path: plot_declines(path, [], []),
+        lambda path: plot_against(path, [], label=""),
     ],
 )
-def test_charts_of_the_case_study_refuse_to_show_nothing(tmp_path, draw):
+def test_charts_of_studies_refuse_to_show_nothing(tmp_path, draw):
     with pytest.raises(InputError, match="at least one is needed"):
         draw(tmp_path / "c.png")
     assert not list(tmp_path.iterdir())

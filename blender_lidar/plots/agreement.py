@@ -129,7 +129,7 @@ def plot_against(
             curve = axes.plot(*one.curve, color=OPTIMISED["color"], label="rising curve that fits best", zorder=3)
             axes.text(0.97, 0.96, one.note, transform=axes.transAxes, ha="right", va="top", fontsize=6.5)
             axes.set_title(one.name, fontsize=SMALL_PT)
-            axes.set_xlabel(one.unit, fontsize=SMALL_PT, labelpad=1.0)
+            axes.set_xlabel(f"[{one.unit}]" if one.unit else "", fontsize=SMALL_PT, labelpad=1.0)
             axes.set_ylim(-0.03, 1.22)  # room for the note above what performance can be
             axes.grid(visible=True)
             axes.xaxis.get_major_locator().set_params(nbins=4)

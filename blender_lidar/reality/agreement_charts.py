@@ -54,7 +54,7 @@ def draw_charts(findings: Findings, draws: Draws, file: Callable[[str], Path]) -
     for detector in findings.judged.detectors:
         panels = _against(findings, detector)
         if panels:
-            names.append(f"against_{_safe(detector.name)}.png")
+            names.append(_file_name(detector.name, names))
             plot_against(
                 file(names[-1]),
                 panels,
@@ -106,6 +106,8 @@ def _against(findings: Findings, detector: Detector) -> list[Against]:
     return panels
 
 
-def _safe(name: str) -> str:
-    """A detector's name as part of a file's."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name)
+def _file_name(detector: str, taken: list[str]) -> str:
+    """A file's name with the detector's, as far as file systems allow, that is not taken."""
+    stem = "against_" + re.sub(r"[^A-Za-z0-9._-]+", "_", detector)
+    stems = (stem if number == 1 else f"{stem}_{number}" for number in range(1, len(taken) + 2))
+    return next(f"{one}.png" for one in stems if f"{one}.png" not in taken)
