@@ -112,6 +112,31 @@ def test_the_same_seed_gives_the_same_findings_and_another_one_other_intervals(s
     assert other["spearman"].low != first["spearman"].low
 
 
+def test_resamples_worked_on_in_parts_give_the_same(sample, findings, monkeypatch):
+    monkeypatch.setattr("blender_lidar.reality.resampled_cars._CELLS", 700)  # about ten resamples at a time
+    parts = compare(open_labelled(sample[0]), read_detections(sample[1]), chosen_metrics(METRICS), FEW)
+    for one, other in zip(findings.agreements, parts.agreements, strict=True):
+        for name, estimate in one.statistics.items():
+            np.testing.assert_allclose(other.statistics[name], estimate, atol=1e-12)
+        for name, grouped in one.groups.items():
+            assert (grouped.number, grouped.spearman) == (other.groups[name].number, other.groups[name].spearman)
+            np.testing.assert_allclose(other.groups[name].pearson, grouped.pearson, atol=1e-9)
+
+
+def test_a_detector_that_does_the_same_with_all_cars_or_sees_none_is_told_without_numbers(sample, tmp_path, capsys):
+    lines = sample[1].read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    flat = [",".join([*row[:2], "0.5", "0.5", *row[4:6], "0"]) for row in rows]
+    (tmp_path / "cars.csv").write_text("\n".join([lines[0], *flat]) + "\n", encoding="utf-8")
+    assert run((sample[0], tmp_path / "cars.csv"), tmp_path / "out", "--metrics", "pe-vgop,points") == 0
+    said = capsys.readouterr().out
+    assert "blind: too few cars or frames of all in its range for intervals" in said
+    result = json.loads((tmp_path / "out" / "compare.json").read_text(encoding="utf-8"))
+    assert {one["detector"] for one in result["correlations"]} == {"good"}
+    assert all(one["spearman"] == {"value": None, "interval_90": None} for one in result["correlations"])
+    assert "pe-vgop: Spearman -, no interval." in said
+
+
 def test_order_of_rows_and_cars_that_are_not_listed_change_nothing_for_the_others(sample, tmp_path, findings):
     lines = sample[1].read_text(encoding="utf-8").splitlines()
     shuffled = tmp_path / "cars.csv"

@@ -13,10 +13,11 @@ from .car_sets import FEWEST_CARS, CarSet, Clusters, clusters
 from .chosen_metrics import PAPERS
 from .detections import Detector
 from .matching import JudgedCars
-from .resampled_cars import Draws, Followed, ResampledCars, Resampling
+from .resampled_cars import Draws, Followed, ResampledCars, Resampling, isotonic_r2
 from .significance import Difference, Estimate, holm, of_correlation, of_difference, of_resamples
 
-COMPARED = ("spearman", "partial_spearman", "pearson", "isotonic_r2")
+ISOTONIC = "isotonic_r2"
+COMPARED = ("spearman", "partial_spearman", "pearson", ISOTONIC)
 
 
 class Against(NamedTuple):
@@ -98,11 +99,18 @@ def followed_by_name(
     resampling: Resampling,
     merits: Mapping[str, np.ndarray],
 ) -> dict[str, Followed]:
-    """How each metric goes with a detector's performance on the cars that a mask picks; `merits` are of all cars."""
+    """How each metric goes with a detector's performance on the cars that a mask picks; `merits` are of all cars.
+
+    The first of the resamples is those cars themselves.
+    """
     boxes = judged.cars.boxes.select(mine)
-    occlusion = boxes.occlusion.astype(float)
-    cars = ResampledCars(detector.performance[mine], boxes.distance_m, occlusion, resampling)
-    return {name: cars.followed_by(merit[mine]) for name, merit in merits.items()}
+    about = detector.performance[mine], boxes.distance_m, boxes.occlusion.astype(float)
+    parts: dict[str, list[Followed]] = {name: [] for name in merits}
+    for weights in resampling.in_parts():
+        cars = ResampledCars(*about, weights)
+        for name, merit in merits.items():
+            parts[name].append(cars.followed_by(merit[mine]))
+    return {name: Followed.joined(of) for name, of in parts.items()}
 
 
 def _of_set(
@@ -112,7 +120,12 @@ def _of_set(
     merits = {metric.name: metric.merit(judged.cars.scores[metric.name]) for metric in metrics}
     followed = followed_by_name(judged, detector, mine, resampling, merits)
     others = [name for name in dict.fromkeys((metrics[0].name, PAPERS)) if name in followed]
-    against = {other: against_one(followed, other, drawn.number) for other in others}
+    values = {
+        name: {statistic: getattr(found, statistic) for statistic in COMPARED if statistic != ISOTONIC}
+        | {ISOTONIC: isotonic_r2(merits[name][mine], detector.performance[mine], resampling)}
+        for name, found in followed.items()
+    }
+    against = {other: against_one(values, other, drawn.number) for other in others}
     return [
         Agreement(
             detector=detector.name,
@@ -120,7 +133,7 @@ def _of_set(
             metric=name,
             cars=int(mine.sum()),
             clusters=drawn,
-            statistics={statistic: _estimate(found, statistic, drawn.number) for statistic in COMPARED},
+            statistics={key: _estimate(key, of, drawn.number) for key, of in values[name].items()},
             groups={
                 by: Groups(means.groups, of_correlation(means.pearson, drawn.number), means.spearman)
                 for by, means in found.groups.items()
@@ -131,12 +144,23 @@ def _of_set(
     ]
 
 
-def against_one(followed: Mapping[str, Followed], other: str, number: int) -> dict[str, dict[str, Against]]:
-    """Every metric held against that other one, by metric and statistic; `number` clusters were resampled."""
-    rivals = [name for name in followed if name != other]
+def against_one(
+    resampled: Mapping[str, Mapping[str, np.ndarray]], other: str, number: int
+) -> dict[str, dict[str, Against]]:
+    """Every metric held against that other one, by metric and statistic.
+
+    Parameters
+    ----------
+    resampled : mapping
+        By metric and statistic of `COMPARED`: its values, (1 + r,).
+    other : str
+    number : int
+        Clusters that were resampled.
+    """
+    rivals = [name for name in resampled if name != other]
     held: dict[str, dict[str, Against]] = {name: {} for name in rivals}
     for statistic in COMPARED:
-        values = {name: getattr(found, statistic) for name, found in followed.items()}
+        values = {name: of[statistic] for name, of in resampled.items()}
         apart = {name: of_difference(values[name], values[other], number) for name in rivals}
         # A metric that orders all cars as another does, such as its logarithm, is no further comparison.
         twins = {name: values[name].tobytes() for name in rivals}
@@ -147,6 +171,5 @@ def against_one(followed: Mapping[str, Followed], other: str, number: int) -> di
     return held
 
 
-def _estimate(found: Followed, statistic: str, number: int) -> Estimate:
-    estimate = of_resamples if statistic == "isotonic_r2" else of_correlation
-    return estimate(getattr(found, statistic), number)
+def _estimate(statistic: str, values: np.ndarray, number: int) -> Estimate:
+    return (of_resamples if statistic == ISOTONIC else of_correlation)(values, number)

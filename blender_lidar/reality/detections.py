@@ -89,7 +89,7 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
     table = _Table(path)
     for name in ("frame", "label_line"):
         table.need(name)
-    names = [name.removesuffix(CONFIDENCE) for name in table.header if name.endswith(CONFIDENCE)]
+    names = [name.removesuffix(CONFIDENCE) for name in table.header if name.endswith(CONFIDENCE) and name != CONFIDENCE]
     if not names:
         raise InputError(f"{path}: no column NAME{CONFIDENCE}; it has {_listed(table.header)}")
     frame, label_line = table.texts("frame"), table.whole_numbers("label_line")

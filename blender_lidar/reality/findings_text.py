@@ -117,7 +117,7 @@ def _rivals(main: Sequence[Agreement], name: str) -> list[str]:
 def _followed(one: Agreement) -> str:
     rank, given = one.statistics["spearman"], one.statistics["partial_spearman"]
     if not math.isfinite(rank.low):
-        return f"{one.metric}: Spearman {rank.text()}, too few resamples for an interval."
+        return f"{one.metric}: Spearman {rank.text()}, no interval."
     follows = "follows" if rank.low > 0.0 else "goes against" if rank.high < 0.0 else "cannot be shown to follow"
     return (
         f"{one.metric} {follows} {one.detector} car by car: Spearman {rank.text()}; beyond what distance and occlusion "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from .isotonic import isotonic_fit, predict
 
 BANDS_M = (5.0, 10.0)
 DECILES = 10
+_CELLS = 1 << 18  # of resamples by cars that are worked on at a time: their tables stay in the processor's cache
 FEWEST_IN_BAND = 5  # cars: fewer make no mean
 
 
@@ -52,9 +54,15 @@ class Resampling:
         self.fold = folds_of(clusters.of_car, rng)
         self.clusters = clusters
 
+    def in_parts(self) -> Iterator[np.ndarray]:
+        """The weights, some resamples at a time."""
+        rows = max(_CELLS // self.weights.shape[1], 1)
+        for first in range(0, len(self.weights), rows):
+            yield self.weights[first : first + rows]
+
 
 class Grouped(NamedTuple):
-    """Correlation of mean metric and mean performance over groups of cars: Pearson's under resampling, (1 + r,)."""
+    """Correlation over groups of cars of mean metric and mean performance: Pearson's, (r,), Spearman's of the first."""
 
     groups: int
     pearson: np.ndarray
@@ -62,7 +70,7 @@ class Grouped(NamedTuple):
 
 
 class Followed(NamedTuple):
-    """How a metric goes with the performance; arrays are (1 + r,), the first that of the cars themselves.
+    """How a metric goes with the performance; arrays are (r,), one for each resample.
 
     Attributes
     ----------
@@ -72,8 +80,6 @@ class Followed(NamedTuple):
         The rank correlation with distance and occlusion held fixed: Pearson's r of what is left of both when least
         squares on the ranks of distance, the ranks of occlusion and a constant are taken from their ranks. NaN where
         nothing is left. Occlusion without spread holds nothing fixed.
-    isotonic_r2 : ndarray
-        Share of the performance's variance that a rising curve of the metric foretells in frames not fitted to.
     groups : dict of str to Grouped
         Over bands of distance with enough cars, ``bins_5m`` and ``bins_10m``, and over tenths of the cars from those
         with the lowest metric to those with the highest, ``deciles``.
@@ -82,12 +88,22 @@ class Followed(NamedTuple):
     spearman: np.ndarray
     partial_spearman: np.ndarray
     pearson: np.ndarray
-    isotonic_r2: np.ndarray
     groups: dict[str, Grouped]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Followed]) -> Followed:
+        """Of resamples that were worked on in parts, the first of which begins with the cars themselves."""
+        first = parts[0]
+        groups = {
+            name: grouped._replace(pearson=np.concatenate([part.groups[name].pearson for part in parts]))
+            for name, grouped in first.groups.items()
+        }
+        arrays = (np.concatenate([part[number] for part in parts]) for number in range(3))
+        return cls(*arrays, groups)
 
 
 class ResampledCars:
-    """n cars with what a detector made of them.
+    """n cars with what a detector made of them, under some resamples.
 
     Parameters
     ----------
@@ -95,14 +111,14 @@ class ResampledCars:
         0 where the car was missed.
     distance_m, occlusion : ndarray, (n,)
         What partial correlations hold fixed.
-    resampling : Resampling
+    weights : ndarray, (r, n)
+        How often each resample draws each car.
     """
 
     def __init__(
-        self, performance: np.ndarray, distance_m: np.ndarray, occlusion: np.ndarray, resampling: Resampling
+        self, performance: np.ndarray, distance_m: np.ndarray, occlusion: np.ndarray, weights: np.ndarray
     ) -> None:
-        self._weights, self._fold = resampling.weights, resampling.fold
-        self._performance = performance
+        self._weights, self._performance = weights, performance
         self._ranks = centred_ranks(performance, self._weights)
         held = [centred_ranks(values, self._weights) for values in (distance_m, occlusion)]
         self._controls = orthogonal(held, self._weights)
@@ -116,18 +132,11 @@ class ResampledCars:
             spearman=correlation(ranks, self._ranks, self._weights),
             partial_spearman=correlation(residual(ranks, self._controls, self._weights), self._left, self._weights),
             pearson=pearson(merit, self._performance, self._weights),
-            isotonic_r2=self._isotonic_r2(merit),
             groups={
                 **{name: self._by_band(merit, band) for name, band in self._bands.items()},
                 "deciles": self._by_decile(merit, ranks),
             },
         )
-
-    def _isotonic_r2(self, merit: np.ndarray) -> np.ndarray:
-        def foretell(fitted: np.ndarray, told: np.ndarray) -> np.ndarray:
-            return predict(isotonic_fit(merit[fitted], self._performance[fitted]), merit[told])
-
-        return share_foretold(self._performance, self._fold, foretell, self._weights)
 
     def _by_band(self, merit: np.ndarray, band: np.ndarray) -> Grouped:
         count = np.bincount(band)
@@ -148,3 +157,15 @@ def _grouped(metric: np.ndarray, performance: np.ndarray) -> Grouped:
     ranks = [centred_ranks(values[0, there], one) if one.size else one for values in (metric, performance)]
     spearman = float(correlation(*ranks, one)[0]) if one.size >= 3 else np.nan
     return Grouped(one.size, correlation_of_means(metric, performance), spearman)
+
+
+def isotonic_r2(merit: np.ndarray, performance: np.ndarray, resampling: Resampling) -> np.ndarray:
+    """Share of the performance's variance that a rising curve of a metric foretells in frames not fitted to, (1 + r,).
+
+    `merit` and `performance` are (n,).
+    """
+
+    def foretell(fitted: np.ndarray, told: np.ndarray) -> np.ndarray:
+        return predict(isotonic_fit(merit[fitted], performance[fitted]), merit[told])
+
+    return share_foretold(performance, resampling.fold, foretell, resampling.weights)
