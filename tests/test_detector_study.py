@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
+from blender_lidar.errors import InputError
 from blender_lidar.reality.car_sets import car_sets, clusters, kinds, main_set
 from blender_lidar.reality.chosen_metrics import chosen_metrics
 from blender_lidar.reality.detections import read_detections
@@ -204,6 +205,40 @@ def test_a_straight_and_a_logarithmic_fall_are_told_apart(findings):
     assert found["good performance"].lead.low > 0.0
     assert found["bent performance"].lead.high < 0.0
     assert found["good performance"].linear > 0.9
+
+
+def test_priors_are_learned_from_training_frames_alone_and_frozen(sample, tmp_path):
+    """Fewer frames that judge leave the others' scores as they are; other frames to learn from do not."""
+    names = "pe-vgop,covered-entropy-per-car,s-mig-per-car,m-sog-per-car"
+
+    def scores(frames, learned):
+        lines = sample[1].read_text(encoding="utf-8").splitlines()
+        kept = [line for line in lines if line.split(",")[0] in (*frames, *learned, "frame")]
+        (tmp_path / "cars.csv").write_text("\n".join(kept) + "\n", encoding="utf-8")
+        table = ["frame,split", *(f"{one},val" for one in frames), *(f"{one},train" for one in learned)]
+        (tmp_path / "frames.csv").write_text("\n".join(table) + "\n", encoding="utf-8")
+        found = compare(open_labelled(sample[0]), read_detections(tmp_path / "cars.csv"), chosen_metrics(names), FEW)
+        mine = np.isin(found.judged.cars.frame, list(frames)[:3])
+        return found.untaught, {name: values[mine] for name, values in found.judged.cars.scores.items()}
+
+    frames = [f"{number:06d}" for number in range(16)]
+    _, first = scores(frames[:6], frames[8:])
+    _, fewer = scores(frames[:3], frames[8:])
+    _, other = scores(frames[:6], frames[9:])
+    for name in names.split(",")[1:]:
+        np.testing.assert_array_equal(first[name], fewer[name])
+        assert not np.array_equal(first[name], other[name])
+    np.testing.assert_array_equal(first["s-mig-per-car"], -first["covered-entropy-per-car"])
+    untaught, none = scores(frames[:6], [])
+    assert untaught == ("covered-entropy-per-car", "s-mig-per-car", "m-sog-per-car")
+    assert set(none) == {"pe-vgop"}
+
+
+def test_a_metric_that_nothing_can_teach_is_refused_where_it_is_asked_for_alone(sample, tmp_path):
+    lines = sample[1].read_text(encoding="utf-8").splitlines()
+    (tmp_path / "cars.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"--metrics: s-mig-per-car learns from frames of split train; there are none"):
+        compare(open_labelled(sample[0]), read_detections(tmp_path / "cars.csv"), chosen_metrics("s-mig-per-car"), FEW)
 
 
 def run(sample, out, *words):

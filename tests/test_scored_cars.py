@@ -15,11 +15,13 @@ from blender_lidar.reality.cars import bearing_deg, score_cars
 from blender_lidar.reality.chosen_metrics import chosen_metrics, comparable
 from blender_lidar.reality.labelled import LabelledBoxes
 from blender_lidar.reality.layouts import open_labelled
+from blender_lidar.reality.learned_metrics import LEARNED
 from tests.labelled_samples import sample_cars, write_kitti, write_sustech
 
 KITTI = Path(__file__).parents[1].parent / "shared" / "data" / "kitti"
 needs_kitti = pytest.mark.skipif(not KITTI.is_dir(), reason=f"no KITTI excerpt at {KITTI}")
 CELL_M = 0.05
+KNOWING = [one for one in chosen_metrics(None) if one.name not in LEARNED]  # without being taught
 
 
 def slow_views(points, centre, size, heading):
@@ -77,7 +79,7 @@ def assert_as_slowly(clouds, cars):
 @pytest.mark.parametrize("write", [write_kitti, write_sustech])
 def test_views_equal_sets_of_cells_in_both_layouts(tmp_path, write):
     clouds = open_labelled(write(tmp_path / "data", sample_cars(3)))
-    cars = score_cars(clouds, clouds.frames, ["Car"], chosen_metrics(None))
+    cars = score_cars(clouds, clouds.frames, ["Car"], KNOWING)
     assert len(cars) == 12
     assert cars.count.min() > 0
     assert_as_slowly(clouds, cars)
@@ -106,9 +108,7 @@ def test_points_in_real_boxes_are_those_that_the_excerpt_counts():
 def test_the_layouts_agree_on_the_same_cars(tmp_path):
     found = sample_cars(2)
     folders = write_kitti(tmp_path / "kitti", found), write_sustech(tmp_path / "sustech", found, "CAR")
-    kitti, sustech = (
-        score_cars(clouds, clouds.frames, ["car"], chosen_metrics(None)) for clouds in map(open_labelled, folders)
-    )
+    kitti, sustech = (score_cars(clouds, clouds.frames, ["car"], KNOWING) for clouds in map(open_labelled, folders))
     np.testing.assert_array_equal(kitti.count, sustech.count)
     for name, values in kitti.scores.items():
         np.testing.assert_allclose(values, sustech.scores[name], rtol=1e-5, err_msg=name)
@@ -116,7 +116,7 @@ def test_the_layouts_agree_on_the_same_cars(tmp_path):
 
 def test_a_ground_clearance_takes_only_the_lowest_points(tmp_path):
     clouds = open_labelled(write_kitti(tmp_path / "data", sample_cars(2)))
-    kept, stripped = (score_cars(clouds, clouds.frames, ["Car"], chosen_metrics(None), m) for m in (0.0, 0.3))
+    kept, stripped = (score_cars(clouds, clouds.frames, ["Car"], KNOWING, m) for m in (0.0, 0.3))
     assert (stripped.count < kept.count).any()
     assert (stripped.occupancy <= kept.occupancy + 1e-12).all()
     np.testing.assert_array_equal(stripped.boxes.centre_m, kept.boxes.centre_m)
@@ -125,7 +125,7 @@ def test_a_ground_clearance_takes_only_the_lowest_points(tmp_path):
 def test_labels_that_none_of_the_sweeps_has_are_refused_with_those_there_are(tmp_path):
     clouds = open_labelled(write_kitti(tmp_path / "data", sample_cars(1)))
     with pytest.raises(InputError, match=r"--class: Lorry: .* labels none in 1 sweeps; it labels Car"):
-        score_cars(clouds, clouds.frames, ["Lorry"], chosen_metrics(None))
+        score_cars(clouds, clouds.frames, ["Lorry"], KNOWING)
 
 
 def test_a_car_straight_ahead_is_end_on_and_one_across_is_side_on():

@@ -96,8 +96,7 @@ def score_cars(
         sweep = clouds.read(frame)
         watch.stop("read")
         met.update(sweep.boxes.label.tolist())
-        mine = np.array([label.lower() in wanted for label in sweep.boxes.label.tolist()], dtype=bool)
-        boxes, row = _assigned(sweep, mine, ground_clearance_m)
+        boxes, row = _assigned(sweep, _labelled(sweep, wanted), ground_clearance_m)
         watch.stop("assign")
         returns = _returns(sweep.points, boxes, row)
         scores = {metrics[0].name: metrics[0].values(returns)}
@@ -122,10 +121,39 @@ def score_cars(
     )
 
 
+def returns_of_cars(
+    clouds: LabelledClouds, frames: Sequence[str], classes: Sequence[str], ground_clearance_m: float = 0.0
+) -> VehicleReturns | None:
+    """The points of every labelled car of some sweeps in one, for metrics to learn from; None without such a car.
+
+    Parameters as in `score_cars`.
+    """
+    wanted = {name.lower() for name in classes}
+    points, vehicle, parts = [], [], []
+    cars = 0
+    for frame in frames:
+        sweep = clouds.read(frame)
+        boxes, row = _assigned(sweep, _labelled(sweep, wanted), ground_clearance_m)
+        inside = np.flatnonzero(row != NO_BOX)
+        points.append(to_vehicle_frame(sweep.points[inside], boxes.centre_m, boxes.heading_rad, row[inside]))
+        vehicle.append(row[inside] + cars)
+        parts.append(boxes)
+        cars += len(boxes)
+    if not cars:
+        return None
+    boxes = LabelledBoxes.joined(parts)
+    return vehicle_returns(np.concatenate(points), np.concatenate(vehicle), boxes.size_m, boxes.distance_m)
+
+
 def bearing_deg(boxes: LabelledBoxes) -> np.ndarray:
     """Angle between the line of sight to each box's centre and its axis, (n,): 0 (end-on) to 90 (side-on)."""
     sight = np.arctan2(boxes.centre_m[:, 1], boxes.centre_m[:, 0])
     return np.degrees(np.arccos(np.clip(np.abs(np.cos(boxes.heading_rad - sight)), 0.0, 1.0)))
+
+
+def _labelled(sweep: LabelledSweep, wanted: set[str]) -> np.ndarray:
+    """Which boxes bear one of the labels, in small letters, that are wanted, (n,) bool."""
+    return np.array([label.lower() in wanted for label in sweep.boxes.label.tolist()], dtype=bool)
 
 
 def _assigned(sweep: LabelledSweep, mine: np.ndarray, ground_clearance_m: float) -> tuple[LabelledBoxes, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Which metrics are held against detectors: the catalogue's, and the logarithm of PE-VGOP."""
+"""Which metrics are held against detectors: the catalogue's, PE-VGOP's logarithm, and those that learn from cars."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import InputError, unknown_name
 from ..metrics.catalogue import METRICS
 from ..metrics.metric import VIEW, Metric, VehicleReturns
+from .learned_metrics import LEARNED
 
 OURS = "view-coverage"
 PAPERS = "pe-vgop"
@@ -22,10 +23,10 @@ LOG_PE_VGOP = Metric("log-pe-vgop", "ln(PE-VGOP + 0.001)", "", higher_is_better=
 
 
 def comparable() -> dict[str, Metric]:
-    """Metrics that score a car by its own points, by name: those that learn from a scene's traffic are left out."""
+    """Metrics of single cars, by name: those that learn from a scene's traffic are left out."""
     of_cars = {name: one for name, one in METRICS.items() if one.learn is None and VIEW not in one.needs}
     first = {name: of_cars.pop(name) for name in (OURS, PAPERS)}
-    return {**first, LOG_PE_VGOP.name: LOG_PE_VGOP, **of_cars}
+    return {**first, LOG_PE_VGOP.name: LOG_PE_VGOP, **of_cars, **LEARNED}
 
 
 def chosen_metrics(names: str | None, option: str = "--metrics") -> tuple[Metric, ...]:

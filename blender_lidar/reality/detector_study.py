@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..errors import InputError
 from ..metrics.metric import Metric
 from .agreement import Agreement, agreements
-from .car_sets import ALL, CarSet, car_sets, main_set
-from .cars import score_cars
+from .car_sets import ALL, TRAINING, CarSet, car_sets, main_set
+from .cars import returns_of_cars, score_cars
 from .chosen_metrics import PAPERS, comparable
 from .detections import Detections
 from .distance_shape import Shape, shapes
 from .ground_returns import WithoutGround, without_ground
 from .labelled import LabelledClouds
-from .matching import JudgedCars, judged_cars, listed_frames
+from .learned_metrics import LEARNED, taught
+from .matching import JudgedCars, judged_cars, listed_frames, training_frames
 from .resampled_cars import Draws
 
 OTHER_CLEARANCE_M = 0.1  # as `score --assign box` has it
@@ -50,6 +52,8 @@ class Findings:
         Sweeps that the detections name.
     metrics : tuple of Metric
         The first is the one that others are held against.
+    untaught : tuple of str
+        Metrics that were left out for want of frames to learn from.
     sets : tuple of CarSet
     main : CarSet
         The set that judges.
@@ -65,6 +69,7 @@ class Findings:
     judged: JudgedCars
     frames: int
     metrics: tuple[Metric, ...]
+    untaught: tuple[str, ...]
     sets: tuple[CarSet, ...]
     main: CarSet
     agreements: tuple[Agreement, ...]
@@ -82,8 +87,12 @@ def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Me
         Of files that cannot be used or do not belong together.
     """
     frames = listed_frames(clouds, detections)
-    timed_first = [comparable()[PAPERS], *(one for one in metrics if one.name != PAPERS)]
     clearance = settings.ground_clearance_m
+    training = returns_of_cars(clouds, training_frames(detections), settings.classes, clearance)
+    asked, metrics = metrics, taught(metrics, training)
+    if not metrics:
+        raise InputError(f"--metrics: {asked[0].name} learns from frames of split {TRAINING}; there are none")
+    timed_first = [comparable()[PAPERS], *(one for one in metrics if one.name != PAPERS)]
     cars = score_cars(clouds, frames, settings.classes, timed_first, clearance)
     judged = judged_cars(cars, detections, settings.classes)
     other_m = 0.0 if clearance > 0.0 else OTHER_CLEARANCE_M
@@ -95,6 +104,7 @@ def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Me
         judged=judged,
         frames=len(frames),
         metrics=tuple(metrics),
+        untaught=tuple(one.name for one in asked if one.name in LEARNED and training is None),
         sets=tuple(sets),
         main=main,
         agreements=tuple(agreements(judged, sets, metrics, settings.draws)),

@@ -192,7 +192,9 @@ def _cautions(findings: Findings) -> list[str]:
     elif "drive" not in findings.judged.about:
         lines.append("Nothing tells which frames are of one drive; if some are, intervals are too narrow.")
     if any(one.name == TRAINING for one in findings.sets):
-        lines.append(f"Frames of {TRAINING} are those that detectors learned from: no test of them.")
+        lines.append(f"Frames of {TRAINING} are those that detectors and priors learned from: no test of them.")
+    if findings.untaught:
+        lines.append(f"Left out, as no frame of split {TRAINING} can teach them: {', '.join(findings.untaught)}.")
     return lines
 
 

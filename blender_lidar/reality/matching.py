@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from .car_sets import TRAINING
 from .cars import ScoredCars
 from .detections import Detections, Detector
 from .labelled import LabelledClouds
@@ -53,6 +54,13 @@ def listed_frames(clouds: LabelledClouds, detections: Detections) -> tuple[str, 
                 f"{clouds.frames[0]} to {clouds.frames[-1]}"
             )
     return tuple(sorted(set(detections.frame.tolist())))
+
+
+def training_frames(detections: Detections) -> tuple[str, ...]:
+    """The sweeps that detectors learned from, as far as it is told, sorted."""
+    if "split" not in detections.about:
+        return ()
+    return tuple(sorted(set(detections.frame[detections.about["split"] == TRAINING].tolist())))
 
 
 def judged_cars(cars: ScoredCars, detections: Detections, classes: Sequence[str]) -> JudgedCars:

@@ -1,0 +1,31 @@
+"""S-MIG and M-SOG of single cars: metrics with a prior of where cars return from.
+
+Both are published for a region; `metrics.vehicle_prior` says in which form they score a car. The prior is learned from
+the frames that detectors learned from, and frozen before any other car is scored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ..metrics.metric import POINTS, Metric, VehicleReturns
+from ..metrics.vehicle_prior import VehiclePrior
+
+_NEEDS = frozenset({POINTS})
+COVERED_ENTROPY = Metric(
+    "covered-entropy-per-car", "entropy of the voxels hit", "nats", higher_is_better=True, needs=_NEEDS
+)
+S_MIG = Metric("s-mig-per-car", "S-MIG of a car, as published", "nats", higher_is_better=True, needs=_NEEDS)
+M_SOG = Metric("m-sog-per-car", "M-SOG of a car, as published", "nats", higher_is_better=True, needs=_NEEDS)
+LEARNED = {metric.name: metric for metric in (COVERED_ENTROPY, S_MIG, M_SOG)}
+"""Without a score until they are `taught`."""
+
+
+def taught(metrics: Sequence[Metric], training: VehicleReturns | None) -> list[Metric]:
+    """The metrics, those of `LEARNED` with what the training cars taught them; left out where there is no such car."""
+    if training is None or not len(training):
+        return [metric for metric in metrics if metric.name not in LEARNED]
+    prior = VehiclePrior.learn(training)
+    scores = {COVERED_ENTROPY.name: prior.covered_entropy, S_MIG.name: prior.s_mig, M_SOG.name: prior.m_sog}
+    return [replace(one, score=scores[one.name]) if one.name in LEARNED else one for one in metrics]
