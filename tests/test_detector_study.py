@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from blender_lidar.reality.chosen_metrics import chosen_metrics
 from blender_lidar.reality.detections import read_detections
 from blender_lidar.reality.detector_study import Settings, compare
 from blender_lidar.reality.distance_shape import of_bearing, shapes
+from blender_lidar.reality.findings_text import findings_text
 from blender_lidar.reality.layouts import open_labelled
 from blender_lidar.reality.matching import JudgedCars
 from blender_lidar.reality.resampled_cars import Draws
@@ -241,6 +243,41 @@ def test_a_metric_that_nothing_can_teach_is_refused_where_it_is_asked_for_alone(
         compare(open_labelled(sample[0]), read_detections(tmp_path / "cars.csv"), chosen_metrics("s-mig-per-car"), FEW)
 
 
+def test_the_verdict_names_who_is_better_and_who_is_not(sample):
+    found = compare(open_labelled(sample[0]), read_detections(sample[1]), chosen_metrics("distance,points"), FEW)
+    text = findings_text(found)
+    good = text[text.index("good, val") : text.index("blind, val")]
+    assert "Significantly better in Spearman than distance, with Holm's correction for 1 rival: points by +0." in good
+    assert "None of 1 rival is significantly better in Spearman than distance after" in text[text.index("blind, val") :]
+    turned = compare(open_labelled(sample[0]), read_detections(sample[1]), chosen_metrics("points,distance"), FEW)
+    text = findings_text(turned)
+    assert "Below it, by intervals that leave out 0: distance -0." in text[: text.index("blind, val")]
+    assert "None of 1 rival is significantly better in Spearman than points after" in text
+    assert "Nothing tells which frames are of one drive" in text
+
+
+def test_frames_of_one_drive_are_feared_where_none_is_told_and_drawn_together_where_it_is(sample, tmp_path):
+    def text(*columns):
+        rows = [",".join([frame, *(column(number) for column in columns)])
+                for number, frame in enumerate(f"{number:06d}" for number in range(16))]  # fmt: skip
+        header = ",".join(["frame", "label_kind", "drive"][: len(columns) + 1])
+        (tmp_path / "frames.csv").write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+        detections = read_detections(sample[1], tmp_path / "frames.csv")
+        return findings_text(compare(open_labelled(sample[0]), detections, chosen_metrics("points,distance"), FEW))
+
+    feared = text(lambda number: "KITTI tracking label")
+    assert (
+        "64 cars, 16 resampled frames; with confidence x IoU, 90 % intervals that are too narrow (see below)" in feared
+    )
+    assert "Too narrow: the intervals of all." in feared
+    told = text(lambda number: "tracking", lambda number: f"drive {number // 4}")
+    assert "64 cars, 4 resampled drives; with confidence x IoU, 90 % intervals\n" in told
+    assert "narrow" not in told
+    two = text(lambda number: "tracking", lambda number: f"drive {number // 8}")
+    assert "16 resampled frames" in two
+    assert "no drives, or fewer than three, are told" in two
+
+
 def run(sample, out, *words):
     return main(["compare", "--kitti", str(sample[0]), "--detections", str(sample[1]), "--out", str(out), *words])
 
@@ -285,6 +322,14 @@ def test_json_alone_is_on_stdout_and_results_are_not_written_over(sample, tmp_pa
     assert told["speed"]["paper"] == {"ms_per_frame": 4.8491, "ms_per_car": 1.2537}
     assert run(sample, out) == 2
     assert "holds compare.json already; give another folder" in capsys.readouterr().err
+
+
+def test_without_matplotlib_there_are_tables_and_a_note(sample, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert run(sample, tmp_path / "out", "--metrics", "pe-vgop,points") == 0
+    assert "note: no pictures: charts need matplotlib" in capsys.readouterr().err
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"compare.json", "cars.csv", "correlation.csv"}
 
 
 def test_sustechpoints_folders_are_compared_too(tmp_path, capsys):
