@@ -1,0 +1,170 @@
+"""Which ring of the sensor each point of a real sweep comes from, and where that ring looks: from the sweep alone.
+
+Files of rotating LiDARs such as KITTI's keep ring after ring, in each of which the azimuth turns once; a new ring
+starts where it wraps. Lasers do not fire from one point: in KITTI's HDL-64E the rays of the upper block cross the axis
+0.20 m above the origin of the coordinates, those of the lower one 0.12 m, and they pass it by 0.026 m, ring by ring in
+turn to the left and to the right. Seen from the origin a ring's elevation therefore depends on the range, by a degree
+between 10 m and far away, which is two to three rings; and azimuths shift by nearly a step at 10 m. Seen from the laser
+neither does. So each ring is the cone ``z = height + tan(elevation) * rho``, which its points miss by 0.3 mm (median
+over KITTI's sweeps), with the same heights and elevations in all sweeps to 1 mm and 0.001 degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..errors import InputError
+
+FEWEST_RINGS, MOST_RINGS = 4, 256
+_FEWEST_RETURNS = 8  # of half of the rings; high ones may see next to nothing
+_LEAST_ORDERED = 0.9  # share of neighbouring rings of which the one is above the other as all others are
+_NEW_RING_RAD = 0.1  # falls the azimuth so far, a ring begins; edges of near things and jitter take it back by less
+_BACKWARDS_RAD, _MOST_BACKWARDS = 1e-4, 0.01  # share of steps between neighbours that may go against the turn
+_OFF_CONE_M, _MOST_OFF_CONE = 0.05, 0.1  # a return is off its ring's cone from here on; share of them that may be
+_MOST_HEIGHT_M = 0.6  # of a laser; a plane, such as the road through parts of two rings, is a cone of greater height
+_FITS = 25
+_FINE_M = 5e-4  # distances below do not count as less
+_HEIGHT_PRIOR_M = 0.2  # a ring that sees one range alone says nothing of its height: it is near 0
+_LATERAL_M = np.linspace(-0.06, 0.06, 61)  # candidates
+_LEVEL = 0.002  # [1/m]: neighbours whose inverse ranges differ by less have no parallax
+_CLEARLY_BETTER = 0.7  # of the misfit of a laser on the axis
+_TURN = 2.0 * math.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rings:
+    """The rings of one sweep; ring 0 is the lowest.
+
+    Attributes
+    ----------
+    ring : ndarray of int64, (n,)
+        Ring of each point.
+    elevation_rad : ndarray, (r,)
+        Angle of each ring above the horizontal, seen from its own laser [rad]; rising, but for rings of few returns.
+    height_m : ndarray, (r,)
+        Where the ring's rays cross the vertical axis, above the origin [m].
+    lateral_m : ndarray, (r,)
+        How far its rays pass the axis by, to the left of their direction [m].
+    step_rad : float
+        Mean azimuth from one firing to the next [rad].
+    spread_m : float
+        Median distance of the points from their rings' cones, upwards [m].
+    """
+
+    ring: np.ndarray
+    elevation_rad: np.ndarray
+    height_m: np.ndarray
+    lateral_m: np.ndarray
+    step_rad: float
+    spread_m: float
+
+    def __len__(self) -> int:
+        return len(self.elevation_rad)
+
+    def origins(self, ring: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+        """Where rays start, (k, 3) [m, sensor frame]: `azimuth` counter-clockwise from +x, of the ray itself [rad]."""
+        lateral = self.lateral_m[ring]
+        return np.column_stack([-lateral * np.sin(azimuth), lateral * np.cos(azimuth), self.height_m[ring]])
+
+    def azimuths(self, points: np.ndarray, ring: np.ndarray) -> np.ndarray:
+        """Azimuth of the rays that points (k, 3) lie on, (k,) [rad]; the points' own less the parallax."""
+        rho = np.hypot(points[:, 0], points[:, 1])
+        parallax = np.arcsin(np.clip(self.lateral_m[ring] / np.maximum(rho, 1e-9), -1.0, 1.0))
+        return np.arctan2(points[:, 1], points[:, 0]) - parallax
+
+
+def recover_rings(points: np.ndarray, where: str = "the sweep") -> Rings:
+    """The rings of a sweep whose points are in ring order.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        Returns in the sensor's levelled frame, in the order of the file [m].
+    where : str
+        What to call the sweep in a message.
+
+    Raises
+    ------
+    InputError
+        Where the points are not ring after ring, each with the azimuth turning once, from one end of the field of view
+        to the other: such as PCD files that were filtered, merged or written column by column.
+    """
+    points = np.asarray(points, dtype=float)
+    rho, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    for starts in _ring_starts(azimuth):
+        ends = np.append(starts, len(points))
+        ring = np.repeat(np.arange(len(starts)), np.diff(ends))
+        cones = np.array([_cone(rho[a:b], z[a:b]) for a, b in pairwise(ends)])
+        off = np.abs(z - cones[ring, 0] - cones[ring, 1] * rho)
+        rising = np.diff(cones[:, 1])
+        ordered = max((rising > 0).mean(), (rising < 0).mean()) >= _LEAST_ORDERED
+        if ordered and (off > _OFF_CONE_M).mean() <= _MOST_OFF_CONE and np.abs(cones[:, 0]).max() <= _MOST_HEIGHT_M:
+            break
+    else:
+        raise InputError(
+            f"{where}: its {len(points)} points are not in ring order; allowed: ring after ring from the top or from "
+            "the bottom, each one turn that starts ahead (+x) or behind (-x), as in KITTI's .bin files and `scan`'s"
+        )
+    level = (np.diff(ring) == 0) & (np.abs(np.diff(1.0 / np.maximum(rho, 1e-9))) < _LEVEL)
+    step = _mean_step(np.abs(_wrapped(np.diff(azimuth)))[level])
+    lateral = np.array([_lateral(azimuth[a:b], rho[a:b], step) for a, b in pairwise(ends)])
+    if (rising < 0).mean() > 0.5:
+        ring, cones, lateral = len(cones) - 1 - ring, cones[::-1], lateral[::-1]
+    return Rings(ring, np.arctan(cones[:, 1]), cones[:, 0].copy(), lateral.copy(), step, float(np.median(off)))
+
+
+def _ring_starts(azimuth: np.ndarray) -> Iterator[np.ndarray]:
+    """First points of the rings, for every way and place that turns may start from and that fits."""
+    for seam in (0.0, math.pi):  # ahead or behind
+        for way in (1.0, -1.0):
+            step = np.diff(np.mod(way * (azimuth - seam), _TURN))
+            wraps = step < -_NEW_RING_RAD
+            backwards = (step < -_BACKWARDS_RAD) & ~wraps
+            starts = np.concatenate([[0], np.flatnonzero(wraps) + 1])
+            usual = np.median(np.diff(np.append(starts, len(azimuth))))
+            ordered = usual >= _FEWEST_RETURNS and backwards.mean() <= _MOST_BACKWARDS
+            if ordered and FEWEST_RINGS <= len(starts) <= MOST_RINGS:
+                yield starts
+
+
+def _cone(rho: np.ndarray, z: np.ndarray) -> tuple[float, float]:
+    """Height and tangent of the elevation of the cone about the vertical axis that most points lie on."""
+    design = np.column_stack([np.ones_like(rho), rho])
+    height, slope = 0.0, float(np.median(z / np.maximum(rho, 1e-9)))
+    for _ in range(_FITS):  # least absolute distances, by weights
+        weight = 1.0 / np.maximum(np.abs(z - height - slope * rho), _FINE_M)
+        normal = (weight[:, None] * design).T @ design
+        normal[0, 0] += 1.0 / _HEIGHT_PRIOR_M
+        height, slope = np.linalg.solve(normal, design.T @ (weight * z))
+    return float(height), float(slope)
+
+
+def _mean_step(steps: np.ndarray) -> float:
+    """Mean azimuth between firings, from those that both returned; encoders round it, so the median alone is off."""
+    usual = float(np.median(steps))
+    return float(steps[(steps > 0.25 * usual) & (steps < 1.25 * usual)].mean())
+
+
+def _lateral(azimuth: np.ndarray, rho: np.ndarray, step: float) -> float:
+    """How far a ring's rays pass the axis by [m]: what puts its returns on one grid of azimuths at any range."""
+    between, nearer = np.abs(_wrapped(np.diff(azimuth))), np.diff(1.0 / np.maximum(rho, 1.0))
+    way = np.sign(np.median(_wrapped(np.diff(azimuth))))
+    telling = (np.abs(nearer) > 0.004) & (between < 10.0 * step)
+    if telling.sum() < 12:
+        return 0.0
+    grid = 0.5 * step  # encoders of half a step are common
+    phase = (between[telling] - way * _LATERAL_M[:, None] * nearer[telling]) / grid
+    weight = np.minimum(np.abs(nearer[telling]), 0.05)
+    misfit = np.abs(phase - np.round(phase)) @ weight / weight.sum()
+    best = int(np.argmin(misfit))
+    return float(_LATERAL_M[best]) if misfit[best] < _CLEARLY_BETTER * misfit[len(_LATERAL_M) // 2] else 0.0
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    return np.mod(angle + math.pi, _TURN) - math.pi
