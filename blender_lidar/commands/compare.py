@@ -5,27 +5,29 @@ from __future__ import annotations
 import argparse
 
 from ..errors import InputError
-from . import compare_detections
+from . import compare_detections, compare_paired
 
 
 def add_parser(subparsers) -> None:
     """Describe the verb to argparse."""
     parser = subparsers.add_parser(
         "compare",
-        help="hold metrics against reality",
-        description="Compare with real, labelled sweeps: metrics beside what real detectors made of each car.",
+        help="hold shapes, beams and metrics against reality",
+        description="Compare with real, labelled sweeps: the same rays cast against our shapes (--paired), or metrics "
+        "beside what real detectors made of each car (--detections).",
     )
     parser.add_argument(
         "--kitti", required=True, metavar="DIR", help="labelled sweeps in the layout of KITTI or SUSTechPOINTS"
     )
     parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
     parser.add_argument("--json", action="store_true", help="print the results as JSON, and nothing else, on stdout")
+    compare_paired.add_options(parser)
     compare_detections.add_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    if args.detections is None:
-        raise InputError("compare: give --detections CARS.csv")
-    return compare_detections.run(args)
+    if args.paired == (args.detections is not None):
+        raise InputError("compare: give either --paired or --detections CARS.csv")
+    return compare_paired.run(args) if args.paired else compare_detections.run(args)

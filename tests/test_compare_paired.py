@@ -1,0 +1,313 @@
+"""Sweeps cast against our shapes: those that a sweep was made of are recognised, what hides a car is set aside."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar.casting import is_available
+from blender_lidar.cli import main
+from blender_lidar.errors import InputError
+from blender_lidar.metrics.vgop import occupancy, pe_vgop
+from blender_lidar.reality.frame_list import tuned_frames
+from blender_lidar.reality.labelled import LabelledBoxes, LabelledSweep
+from blender_lidar.reality.labelled_scene import shape_names
+from blender_lidar.reality.layouts import open_labelled
+from blender_lidar.reality.paired_cars import pair_cars
+from blender_lidar.reality.paired_statistics import aggregate, cheapest_within_noise, median_interval
+from blender_lidar.reality.variants import MEASURED, variants
+from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from tests.real_sweeps import cloud_of, in_kitti_frame, street, write_kitti
+
+KITTI = Path(__file__).parents[1].parent / "shared" / "data" / "kitti"
+CASTER = "embree" if is_available("embree") else "exact"
+NO_MARGIN = (0.0, 0.0, 0.0)
+LEVELS = ("box", "body", "detailed")
+PLAIN = tuple(way for way in variants(LEVELS) if way.losses == "none")
+
+
+@pytest.fixture(scope="module")
+def true_bodies(tmp_path_factory):
+    """Three sweeps over streets whose cars are bodies."""
+    folder = tmp_path_factory.mktemp("bodies")
+    for seed in (1, 2, 3):
+        vehicles = street(seed)
+        write_kitti(folder, f"00000{seed}", cloud_of(vehicles)[1], vehicles)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def paired(true_bodies):
+    return pair_cars(open_labelled(true_bodies), PLAIN, CASTER, NO_MARGIN)
+
+
+def test_the_level_that_the_sweep_was_made_of_has_no_error_and_the_others_have(paired):
+    error = {way.detail: np.abs(paired.errors(index)) for index, way in enumerate(paired.variants)}
+    assert len(paired) > 15
+    assert error["body"].max() < 0.03
+    assert np.median(error["body"]) < 0.002
+    assert np.median(error["box"]) > 0.05
+    assert np.median(error["detailed"]) > 0.01
+    found = cheapest_within_noise(aggregate(paired, None)["all"], LEVELS)
+    assert found["best"] == found["cheapest"] == {"detail": "body", "losses": "none"}
+
+
+def test_with_the_true_shapes_every_ray_gives_the_same_point(paired):
+    of = paired.of[[way.detail for way in paired.variants].index("body")]
+    real, simulated, both = paired.cars["real_points"].sum(), of["simulated_points"].sum(), of["both_points"].sum()
+    assert real > 3000
+    assert both > 0.995 * max(real, simulated)
+    assert np.nanmax(of["residual_abs_median_m"]) < 1e-4
+
+
+def test_the_columns_are_those_of_the_metric(true_bodies, paired):
+    """One car by hand: the points in its box, as `metrics` scores them."""
+    sweep = open_labelled(true_bodies).read("000001")
+    boxes = sweep.boxes
+    row = int(np.argmin(boxes.distance_m))
+    cos, sin = np.cos(boxes.heading_rad[row]), np.sin(boxes.heading_rad[row])
+    away = sweep.points - boxes.centre_m[row]
+    local = np.column_stack([cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0], away[:, 2]])
+    half = 0.5 * boxes.size_m[row]
+    mine = (np.abs(local) <= half + 0.05).all(axis=1) & (local[:, 2] >= 0.15 - half[2])
+    at = np.flatnonzero((paired.cars["frame"] == "000001") & (paired.cars["label_line"] == boxes.label_line[row]))[0]
+    size, first = boxes.size_m[row : row + 1], np.zeros(int(mine.sum()), dtype=int)
+    assert paired.cars["real_points"][at] == mine.sum() > 100
+    assert paired.cars["real_entropy_bits"][at] == pytest.approx(pe_vgop(local[mine], first, size)[0])
+    shares = [paired.cars[f"real_p_{view}"][at] for view in ("top", "side", "front")]
+    np.testing.assert_allclose(shares, occupancy(local[mine], first, size)[0])
+    assert paired.cars["hidden_share"][at] == 0.0
+
+
+def test_losses_are_those_that_scans_know(tmp_path):
+    """A sweep that lost its weak returns is matched by the variant that loses them, and by it alone."""
+    weak = Imperfections(range_at_10_percent_m=20.0)
+    for seed in (1, 2, 3):
+        vehicles = street(seed)
+        perfect, lossy = cloud_of(vehicles)[0], cloud_of(vehicles, imperfections=weak)[0]
+        road, cars = perfect.vehicle_id < 0, lossy.vehicle_id >= 0  # of the far road nothing would be left
+        parts = [(cloud.ring[kept], cloud.azimuth_rad[kept]) for cloud, kept in ((perfect, road), (lossy, cars))]
+        order = np.lexsort(tuple(np.concatenate(column) for column in zip(*parts, strict=True))[::-1])
+        points = in_kitti_frame(np.concatenate([perfect.xyz[road], lossy.xyz[cars]])[order])
+        write_kitti(tmp_path, f"00000{seed}", points, vehicles)
+    ways = variants(("body",), replace(MEASURED, range_at_10_percent_m=20.0))
+    paired = pair_cars(open_labelled(tmp_path), ways, CASTER, NO_MARGIN)
+    error = {way.losses: np.abs(paired.errors(index)) for index, way in enumerate(ways)}
+    assert np.median(error["weak"]) < 0.005
+    assert all(np.median(error[losses]) > 0.03 for losses in ("none", "glass", "any", "both"))
+
+
+def test_shares_that_are_lost_by_chance_are_lost():
+    vehicles = street(4)
+    ways = variants(("body",), Imperfections(0.02, 0.3, glass_dropout=1.0, range_at_10_percent_m=1e3))
+    counts = {}
+
+    class OneSweep:
+        folder, frames = "here", ("1",)
+
+        def __len__(self):
+            return 1
+
+        def read(self, frame):
+            return sweep_of(vehicles, cloud_of(vehicles)[1])
+
+    paired = pair_cars(OneSweep(), ways, CASTER, NO_MARGIN)
+    for index, way in enumerate(ways):
+        counts[way.losses] = int(paired.of[index]["simulated_points"].sum())
+    assert counts["any"] == pytest.approx(0.7 * counts["none"], rel=0.05)
+    assert counts["both"] == pytest.approx(0.7 * counts["glass"], rel=0.05)
+    assert counts["glass"] < 0.95 * counts["none"] == 0.95 * counts["weak"]
+
+
+def sweep_of(vehicles, points):
+    """A labelled sweep without files."""
+    count = len(vehicles)
+    boxes = LabelledBoxes(
+        label_line=np.arange(count),
+        label=np.full(count, "Car"),
+        centre_m=in_kitti_frame(vehicles.centre_m),
+        size_m=vehicles.size_m,
+        heading_rad=vehicles.heading_rad - 0.5 * np.pi,
+        occlusion=np.zeros(count, dtype=np.int8),
+        truncation=np.zeros(count),
+    )
+    return LabelledSweep("1", points, boxes)
+
+
+def test_what_an_unlabelled_thing_hid_counts_on_neither_side(tmp_path):
+    """A second car stands before half of the first, and is labelled in one of two otherwise equal folders."""
+    vehicles = street(5, cars=1)
+    target = replace(vehicles, centre_m=np.array([[0.0, 25.0, 0.75]]), heading_rad=np.array([0.0]))
+    before = np.array([[1.3, 15.0, 0.75]])
+    both = replace(
+        target,
+        vehicle_id=np.arange(2),
+        class_index=np.zeros(2, dtype=np.int8),
+        centre_m=np.concatenate([target.centre_m, before]),
+        size_m=np.repeat(target.size_m, 2, axis=0),
+        heading_rad=np.array([0.0, 1.2]),
+        lane=np.ones(2, dtype=np.int16),
+    )
+    points = cloud_of(both)[1]
+    results = {}
+    for name, labels in {"told": ["Car", "Car"], "untold": ["Car", "DontCare"]}.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        write_kitti(folder, "1", points, both, labels)
+        paired = pair_cars(open_labelled(folder), PLAIN[1:2], CASTER, NO_MARGIN)
+        assert paired.cars["label_line"][0] == 0
+        results[name] = paired
+    told, untold = results["told"], results["untold"]
+    assert 0.1 < untold.cars["hidden_share"][0] < 0.9
+    assert abs(untold.errors(0)[0]) < 0.02  # the hidden rays are set aside
+    assert untold.errors(0, hidden_kept=True)[0] > 0.1  # and would otherwise be the car's
+    assert abs(told.errors(0, hidden_kept=True)[0]) < 0.05  # what is labelled hides in the simulation too
+
+
+def test_labels_become_the_shapes_that_traffic_has():
+    vehicles = street(1, cars=8)
+    size = np.repeat([[4.0, 1.8, 1.5], [5.0, 1.9, 1.8], [8.0, 2.5, 3.0], [12.0, 2.5, 3.5]], 2, axis=0)
+    boxes = replace(
+        sweep_of(vehicles, np.zeros((0, 3))).boxes,
+        size_m=size,
+        label=np.array(["Car", "Pedestrian", "Car", "Van", "Truck", "Cyclist", "Truck", "Tram"]),
+    )
+    assert shape_names(boxes) == ["car", None, "van", "van", "truck", "motorcycle", "long_truck", "bus"]
+
+
+def test_intervals_cover_the_median_of_frames_that_differ():
+    """Of 200 sets of 20 frames of 8 cars, whose frames differ as much as their cars, nine in ten hold the truth."""
+    rng = np.random.default_rng(6)
+    frame = np.repeat(np.arange(20), 8)
+    held = 0
+    for _ in range(200):
+        values = rng.normal(size=20)[frame] + rng.normal(size=160)
+        low, high = median_interval(values, frame)["interval_90"]
+        held += low <= 0.0 <= high
+    assert 165 <= held <= 195
+
+
+def test_which_frames_were_tuned_on_is_read_from_the_list(tmp_path):
+    assert tuned_frames(tmp_path) is None
+    rows = [("1", "train", "object"), ("2", "val", "object"), ("3", "val", "tracking"), ("4", "val", "object label_2")]
+    rows += [("5", "val", "object"), ("6", "train", "tracking")]
+    text = "frame,split,label_kind\n" + "\n".join(map(",".join, rows)) + "\n"
+    (tmp_path / "frames.csv").write_text(text, encoding="utf-8")
+    assert tuned_frames(tmp_path) == {"1", "2", "5", "6"}
+    (tmp_path / "frames.csv").write_text(text.replace("split", "part"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"frames.csv: no column 'split'; needed: frame, split, label_kind"):
+        tuned_frames(tmp_path)
+
+
+def run(*words):
+    return main(["compare", "--paired", *map(str, words)])
+
+
+def test_the_verb_leaves_a_table_and_aggregates_that_agree(true_bodies, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ("--kitti", true_bodies, "--label-margin", 0, 0, 0, "--caster", CASTER, "--details", "detailed,body")
+    assert run(*words, "--out", out, "--json") == 0
+    printed = capsys.readouterr()
+    result = json.loads(printed.out)
+    assert result == json.loads((out / "paired.json").read_text())
+    assert "body, no loss" in printed.err
+    with (out / "paired.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    of = result["sets"]["all"]
+    assert len(rows) == of["cars"] * len(of["variants"]) == of["cars"] * 12
+    for one in of["variants"]:
+        mine = [row for row in rows if (row["detail"], row["losses"]) == (one["detail"], one["losses"])]
+        error = np.abs([float(row["error_bits"]) for row in mine])
+        assert np.median(error) == pytest.approx(one["absolute_error_bits"]["median"], abs=1e-5)
+        assert sum(int(row["both_points"]) for row in mine) == one["hits"]["both"]
+        assert sum(group["cars"] for group in one["by_distance"]) == of["cars"]
+        assert sum(group["cars"] for group in one["by_bearing"]) == of["cars"]
+    assert run(*words, "--out", tmp_path / "again") == 0
+    assert (tmp_path / "again" / "paired.csv").read_bytes() == (out / "paired.csv").read_bytes()
+
+
+def test_a_single_sweep_is_compared_without_intervals(tmp_path, capsys):
+    vehicles = street(1)
+    (tmp_path / "one").mkdir()
+    write_kitti(tmp_path / "one", "1", cloud_of(vehicles)[1], vehicles)
+    words = ("--kitti", tmp_path / "one", "--label-margin", 0, 0, 0, "--caster", CASTER, "--out", tmp_path / "out")
+    assert run(*words) == 0
+    printed = capsys.readouterr().out
+    assert "Smallest error: body" in printed
+    assert "with fewer than 3 frames there are no intervals" in printed
+    of = json.loads((tmp_path / "out" / "paired.json").read_text())["sets"]["all"]
+    assert all(one["within_noise"] is None and one["interval_90"] is None for one in of["differences"])
+
+
+def test_without_a_kind_of_comparison_the_verb_asks_for_one(true_bodies, capsys):
+    assert main(["compare", "--kitti", str(true_bodies)]) == 2
+    assert "--paired" in capsys.readouterr().err
+
+
+def test_the_verb_draws_its_pictures(true_bodies, tmp_path):
+    pytest.importorskip("matplotlib", reason="charts need matplotlib")
+    assert run("--kitti", true_bodies, "--caster", CASTER, "--out", tmp_path / "out") == 0
+    for name in ("error.png", "scores.png", "cars.png", "residuals.png"):
+        assert (tmp_path / "out" / name).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--details", "body,fine"), "--details: "),
+        (("--losses", "glass_dropout=2"), "--losses: glass_dropout is 2.0; allowed: 0 to 1"),
+        (("--losses", "glass=0.5"), "--losses: "),
+        (("--losses", "dropout=much"), "--losses: 'dropout=much'; allowed: NAME=VALUE"),
+        (("--label-margin", "0", "0", "2"), "--label-margin: is 2.0; allowed: 0 to 1"),
+        (("--label-margin", "0", "nan", "0"), "--label-margin: is nan"),
+    ],
+)
+def test_wrong_options_end_in_one_line(true_bodies, tmp_path, capsys, words, told):
+    assert run("--kitti", true_bodies, "--out", tmp_path / "out", *words) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert told in lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_folders_end_in_one_line_and_leave_nothing(true_bodies, tmp_path, capsys):
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "mine.txt").write_text("mine", encoding="utf-8")
+    assert run("--kitti", true_bodies, "--out", full) != 0
+    assert "is not empty; name a new folder" in capsys.readouterr().err
+    shuffled = tmp_path / "shuffled"
+    shuffled.mkdir()
+    vehicles = street(1)
+    points = cloud_of(vehicles)[1]
+    write_kitti(shuffled, "1", points[np.random.default_rng(1).permutation(len(points))], vehicles)
+    assert run("--kitti", shuffled, "--caster", CASTER, "--out", tmp_path / "out") == 2
+    message = capsys.readouterr().err.strip().splitlines()[-1]
+    assert f"{shuffled}: 1: its {len(points)} points are not in ring order" in message
+    far = replace(vehicles, centre_m=vehicles.centre_m * [3.0, 3.0, 1.0])
+    write_kitti(shuffled, "1", points, far)
+    assert run("--kitti", shuffled, "--caster", CASTER, "--out", tmp_path / "out") == 2
+    assert "none of its 1 sweeps has a whole car at 10 to 50 m" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(not KITTI.is_dir(), reason=f"no KITTI excerpt at {KITTI}")
+def test_real_sweeps_give_an_hdl_64e_and_the_shapes_beat_the_box():
+    clouds = open_labelled(KITTI)
+    few = replace(clouds, frames=clouds.frames[::6])
+    ways = tuple(way for way in variants(LEVELS, MEASURED) if way.losses in ("none", "weak"))
+    paired = pair_cars(few, ways, CASTER)
+    assert paired.sensor["rings"] == [64]
+    np.testing.assert_allclose(paired.sensor["height_m"][-32:], 0.204, atol=0.007)
+    np.testing.assert_allclose(paired.sensor["height_m"][:32], 0.12, atol=0.015)
+    assert paired.sensor["off_cone_median_m"] < 0.001
+    assert paired.sensor["elevation_spread_deg"] < 0.003
+    error = {(way.detail, way.losses): np.median(np.abs(paired.errors(index))) for index, way in enumerate(ways)}
+    assert error["detailed", "weak"] < 0.08 < error["box", "none"]
+    assert error["detailed", "weak"] < error["detailed", "none"]
+    assert ways[0].imperfections == PERFECT
