@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +44,10 @@ class Detector:
         """Confidence times IoU, (n,): the paper's `Performance`."""
         return self.confidence * self.iou3d
 
+    def select(self, which: np.ndarray) -> Detector:
+        """The rows that `which`, a (n,) mask or an index array, picks."""
+        return Detector(self.name, self.confidence[which], self.iou3d[which], self.in_range[which])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
@@ -68,6 +72,17 @@ class Detections:
     label_line: np.ndarray
     detectors: tuple[Detector, ...]
     about: Mapping[str, np.ndarray]
+
+    def select(self, which: np.ndarray) -> Detections:
+        """The rows that `which`, a (n,) mask or an index array, picks."""
+        return replace(
+            self,
+            line=self.line[which],
+            frame=self.frame[which],
+            label_line=self.label_line[which],
+            detectors=tuple(one.select(which) for one in self.detectors),
+            about={name: values[which] for name, values in self.about.items()},
+        )
 
 
 def read_detections(path: str | Path, frames_table: str | Path | None = None) -> Detections:

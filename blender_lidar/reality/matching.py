@@ -89,10 +89,7 @@ def judged_cars(cars: ScoredCars, detections: Detections, classes: Sequence[str]
     order = np.argsort(rows)
     return JudgedCars(
         cars=cars.select(np.array(rows)[order]),
-        detectors=tuple(
-            Detector(one.name, one.confidence[order], one.iou3d[order], one.in_range[order])
-            for one in detections.detectors
-        ),
+        detectors=tuple(one.select(order) for one in detections.detectors),
         about={name: values[order] for name, values in detections.about.items()},
         unlisted=len(cars) - len(rows),
     )
