@@ -43,29 +43,33 @@ def written_out(values, weights):
     return np.repeat(values, weights.astype(int))
 
 
-@st.composite
-def resampled(draw, columns):
+def resampled(seed, columns):
     """Some columns of few values, so that ties abound, and weights with zeros."""
-    number = draw(st.integers(3, 12))
-    rng = np.random.default_rng(draw(st.integers(0, 10_000)))
+    rng = np.random.default_rng(seed)
+    number = rng.integers(3, 13)
     weights = rng.integers(0, 4, (5, number)).astype(float)
     weights[0] = 1.0
     weights[:, 0] += 1.0  # none is empty
-    return [rng.integers(0, draw(st.integers(1, 8)), number).astype(float) for _ in range(columns)], weights
+    return [rng.integers(0, rng.integers(1, 9), number).astype(float) for _ in range(columns)], weights
 
 
-@given(resampled(1))
-def test_ranks_equal_those_of_the_observations_written_out(sample):
-    (values,), weights = sample
+SEEDS = given(seed=st.integers(0, 2**32 - 1))
+
+
+@settings(deadline=None)
+@SEEDS
+def test_ranks_equal_those_of_the_observations_written_out(seed):
+    (values,), weights = resampled(seed, 1)
     ranks = centred_ranks(values, weights)
     for row, drawn in zip(ranks, weights, strict=True):
         expected = mean_ranks(written_out(values, drawn))
         np.testing.assert_allclose(np.repeat(row, drawn.astype(int)), expected - expected.mean(), atol=1e-9)
 
 
-@given(resampled(2))
-def test_spearman_and_pearson_equal_those_of_the_observations_written_out(sample):
-    (x, y), weights = sample
+@settings(deadline=None)
+@SEEDS
+def test_spearman_and_pearson_equal_those_of_the_observations_written_out(seed):
+    (x, y), weights = resampled(seed, 2)
     by_rank = correlation(centred_ranks(x, weights), centred_ranks(y, weights), weights)
     straight = pearson(x, y, weights)
     for number, drawn in enumerate(weights):
@@ -75,10 +79,10 @@ def test_spearman_and_pearson_equal_those_of_the_observations_written_out(sample
         np.testing.assert_allclose(straight[number], plain_r(much_x, much_y), atol=1e-7)
 
 
-@settings(max_examples=60)
-@given(resampled(4))
-def test_partial_spearman_is_that_of_what_least_squares_leave_of_the_ranks(sample):
-    (x, y, *controls), weights = sample
+@settings(max_examples=60, deadline=None)
+@SEEDS
+def test_partial_spearman_is_that_of_what_least_squares_leave_of_the_ranks(seed):
+    (x, y, *controls), weights = resampled(seed, 4)
     held = orthogonal([centred_ranks(values, weights) for values in controls], weights)
     left = [residual(centred_ranks(values, weights), held, weights) for values in (x, y)]
     partial = correlation(*left, weights)
@@ -128,11 +132,11 @@ def test_ranks_and_correlations_agree_with_scipy():
     np.testing.assert_allclose(pearson(x, y, weights), stats.pearsonr(x, y)[0], atol=1e-12)
 
 
-@settings(max_examples=40)
-@given(resampled(1), st.booleans())
-def test_group_means_equal_a_loop(sample, one_for_all):
-    (values,), weights = sample
-    rng = np.random.default_rng(len(values))
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), one_for_all=st.booleans())
+def test_group_means_equal_a_loop(seed, one_for_all):
+    (values,), weights = resampled(seed, 1)
+    rng = np.random.default_rng(seed)
     group = rng.integers(0, 3, len(values) if one_for_all else weights.shape)
     found = group_means(values, group, 4, weights)
     for row, drawn in enumerate(weights):

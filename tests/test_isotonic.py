@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.reality.cross_validation import folds_of, share_foretold
@@ -25,6 +25,7 @@ def by_max_of_min(x, y):
     return np.array(knots), np.array(fitted)
 
 
+@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 8), st.integers(-5, 5)), min_size=1, max_size=14))
 def test_the_fit_equals_the_max_min_formula(pairs):
     x, y = np.array(pairs, dtype=float).T

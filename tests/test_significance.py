@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.reality.association import centred_ranks, correlation
@@ -43,6 +43,7 @@ def test_holm_of_a_worked_example():
     assert math.isnan(holm([0.6, math.nan, 0.7])[1])
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), max_size=8))
 def test_holm_never_lowers_a_p_value_and_keeps_their_order(p_values):
     adjusted = holm(p_values)
