@@ -4,15 +4,34 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import InputError
 from ..metrics.assignment import NO_BOX, points_in_boxes
+from ..metrics.context import FrameBoxes, Mountings, View
 from ..metrics.metric import Metric, VehicleReturns, vehicle_returns
 from ..metrics.vgop import to_vehicle_frame
 from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep
+
+_AT_THE_ORIGIN = Mountings(np.zeros((1, 3)), np.eye(3)[None])
+
+
+class TrainingCars(NamedTuple):
+    """Labelled cars that metrics learn from.
+
+    Attributes
+    ----------
+    returns : VehicleReturns
+        Of all of them.
+    frames : tuple of FrameBoxes
+        Their boxes sweep by sweep, in the sensor's frame.
+    """
+
+    returns: VehicleReturns
+    frames: tuple[FrameBoxes, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,10 +140,10 @@ def score_cars(
     )
 
 
-def returns_of_cars(
+def training_cars(
     clouds: LabelledClouds, frames: Sequence[str], classes: Sequence[str], ground_clearance_m: float = 0.0
-) -> VehicleReturns | None:
-    """The points of every labelled car of some sweeps in one, for metrics to learn from; None without such a car.
+) -> TrainingCars | None:
+    """The labelled cars of some sweeps, for metrics to learn from; None without such a car.
 
     Parameters as in `score_cars`.
     """
@@ -142,7 +161,8 @@ def returns_of_cars(
     if not cars:
         return None
     boxes = LabelledBoxes.joined(parts)
-    return vehicle_returns(np.concatenate(points), np.concatenate(vehicle), boxes.size_m, boxes.distance_m)
+    returns = vehicle_returns(np.concatenate(points), np.concatenate(vehicle), boxes.size_m, boxes.distance_m)
+    return TrainingCars(returns, tuple(_seen_from_the_sensor(one).boxes for one in parts))
 
 
 def bearing_deg(boxes: LabelledBoxes) -> np.ndarray:
@@ -171,7 +191,14 @@ def _assigned(sweep: LabelledSweep, mine: np.ndarray, ground_clearance_m: float)
 def _returns(points: np.ndarray, boxes: LabelledBoxes, row: np.ndarray) -> VehicleReturns:
     inside = np.flatnonzero(row != NO_BOX)
     local = to_vehicle_frame(points[inside], boxes.centre_m, boxes.heading_rad, row[inside])
-    return vehicle_returns(local, row[inside], boxes.size_m, boxes.distance_m)
+    returns = vehicle_returns(local, row[inside], boxes.size_m, boxes.distance_m)
+    return replace(returns, view=_seen_from_the_sensor(boxes))
+
+
+def _seen_from_the_sensor(boxes: LabelledBoxes) -> View:
+    """A frame's cars and the sensor, which is the origin of their frame."""
+    placed = FrameBoxes(0, boxes.centre_m, boxes.size_m, boxes.heading_rad, np.ones(len(boxes), dtype=bool))
+    return View(_AT_THE_ORIGIN, placed)
 
 
 class _Watch:

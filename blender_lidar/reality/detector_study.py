@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..metrics.metric import Metric
 from .agreement import Agreement, agreements
 from .car_sets import ALL, TRAINING, CarSet, car_sets, main_set
-from .cars import returns_of_cars, score_cars
+from .cars import score_cars, training_cars
 from .chosen_metrics import PAPERS, comparable
 from .detections import Detections
 from .distance_shape import Shape, shapes
@@ -88,7 +88,7 @@ def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Me
     """
     frames = listed_frames(clouds, detections)
     clearance = settings.ground_clearance_m
-    training = returns_of_cars(clouds, training_frames(detections), settings.classes, clearance)
+    training = training_cars(clouds, training_frames(detections), settings.classes, clearance)
     asked, metrics = metrics, taught(metrics, training)
     if not metrics:
         raise InputError(f"--metrics: {asked[0].name} learns from frames of split {TRAINING}; there are none")

@@ -60,8 +60,7 @@ def _of_detector(findings: Findings, detector: str) -> list[str]:
         lines.append(f"{one.metric:{width}}  " + "  ".join(texts).rstrip())
     for name in dict.fromkeys((first.metric, PAPERS)):
         lines += [line for one in main if one.metric == name for line in (_followed(one), *_rivals(main, name))]
-        lines += _elsewhere(mine, name, first.of_set)
-    return lines
+    return lines + _elsewhere(mine, first.metric, first.of_set)
 
 
 def _elsewhere(mine: Sequence[Agreement], name: str, of_main: str) -> list[str]:
@@ -105,9 +104,13 @@ def _rivals(main: Sequence[Agreement], name: str) -> list[str]:
             if metric not in kept
         )
         lines.append(f"Better only without that correction: {said}.")
-    worse = [f"{metric} {_signed(of.difference)}" for metric, of in told.items() if of.difference.high < 0.0]
+    worse = {metric for metric, of in told.items() if of.difference.high < 0.0}
     if worse:
-        lines.append(f"Below it, by intervals that leave out 0: {', '.join(worse)}.")
+        open_yet = [
+            f"{metric} {_signed(of.difference)}" for metric, of in told.items() if metric not in {*worse, *better}
+        ]
+        beside = f"; cannot be told apart from it: {', '.join(open_yet)}" if open_yet else ""
+        lines.append(f"Below it, by intervals that leave out 0: {len(worse)} of {len(told)}{beside}.")
     straighter = [metric for metric, of in held.items() if of["pearson"].p_holm < _SIGNIFICANT]
     if straighter:
         lines.append(f"More linear in the detector (Pearson, after Holm): {', '.join(straighter)}.")
