@@ -55,15 +55,17 @@ def shape(name: str, detail: str = "body") -> Shape:
 # Cross-sections from tail to nose. Each: position along the length (0 tail, 1 nose), half-width at the sill, at the
 # belt line and at the roof edge (0.5 = half the box), height of the belt line and of the top (0 ground, 1 roof), and
 # whether the upper band that leads to the next cross-section is glass on its sides and on its top. Proportions by eye
-# from common vehicles; sills reach the ground, so that the box is filled to its floor.
+# from common vehicles, those of the car fitted to ranges that a real LiDAR measured (README, "Against reality"); sills
+# reach the ground, so that the box is filled to its floor.
 _BODIES = {
     "car": (
-        (0.00, 0.44, 0.46, 0.42, 0.45, 0.62, False, False),
-        (0.12, 0.47, 0.50, 0.44, 0.50, 0.66, True, True),
-        (0.28, 0.48, 0.50, 0.36, 0.54, 0.98, True, False),
-        (0.52, 0.48, 0.50, 0.36, 0.54, 1.00, True, True),
-        (0.72, 0.48, 0.50, 0.43, 0.50, 0.64, False, False),
-        (1.00, 0.42, 0.45, 0.38, 0.35, 0.46, False, False),
+        (0.00, 0.40, 0.42, 0.38, 0.43, 0.60, False, False),
+        (0.07, 0.46, 0.50, 0.40, 0.56, 0.72, True, True),
+        (0.19, 0.46, 0.50, 0.33, 0.61, 0.97, False, False),
+        (0.23, 0.47, 0.50, 0.33, 0.61, 1.00, True, False),
+        (0.47, 0.49, 0.50, 0.34, 0.61, 1.00, True, True),
+        (0.73, 0.49, 0.50, 0.42, 0.58, 0.68, False, False),
+        (1.00, 0.41, 0.43, 0.33, 0.34, 0.48, False, False),
     ),
     "van": (
         (0.00, 0.45, 0.48, 0.40, 0.48, 0.90, True, True),
