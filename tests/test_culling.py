@@ -65,6 +65,7 @@ def mount(place, vehicles, rng):
     angles=st.tuples(ANGLES, ANGLES, ANGLES),
 )
 @example(1, 1, "above", "RS-BPearl", 25, "box", 150.0, (0.0, 0.0, 0.0))
+@example(59, 3, "above", "RS-LiDAR-32", 17, "box", 6.0, (0.0, 0.0, 0.0))  # a piece's middle on the very axis
 @example(2, 1, "inside", "RS-16", 25, "body", 150.0, (0.0, 0.0, 0.0))
 @example(3, 5, "behind", "RS-LiDAR-32", 25, "body", 150.0, (0.2, 0.0, 0.0))
 @example(4, 5, "roadside", "RS-LiDAR-32", 17, "detailed", 150.0, (0.2, 0.0, 0.0))

@@ -171,7 +171,8 @@ def _angular_bounds(x: np.ndarray, y: np.ndarray, z: np.ndarray):
     centre = np.arctan2(across, ahead)  # clockwise from +y, Eq. 1
     off_centre = np.arctan2(x * ahead - y * across, x * across + y * ahead)
     first, last = off_centre.min(axis=0), off_centre.max(axis=0)
-    about_axis = ~(last - first < np.pi)
+    # A middle on the very axis has no azimuth: all corners would seem to lie at 0.
+    about_axis = ~(last - first < np.pi) | ((across == 0.0) & (ahead == 0.0))
     first, last = np.where(about_axis, 0.0, first + centre), np.where(about_axis, _TURN, last + centre)
     about_sensor = ~(cosine > _LEAST_COSINE)
     return (
