@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
+from blender_lidar.metrics import scene_metrics
 from blender_lidar.metrics.catalogue import METRICS, metric_named
-from blender_lidar.metrics.context import Field, SceneContext
+from blender_lidar.metrics.context import Field, SceneContext, View
 from blender_lidar.metrics.expected_visibility import expected_visibility
 from blender_lidar.metrics.ground_returns import field_area, ground_density, nuc
 from blender_lidar.metrics.metric import VehicleReturns
@@ -126,6 +127,25 @@ def test_the_frame_and_the_company_in_which_mountings_are_scored_do_not_matter()
                     VehicleScores(scoring(name), SEEN, FRAMES).of(frame, scorer, [pose], mountings_of([pose])).values
                 )
                 np.testing.assert_array_equal(alone[0], values)
+
+
+def test_each_mounting_is_valued_once_for_all_frames_however_many_are_scored_together(monkeypatch):
+    """A swarm may be larger than what is kept from one to the next."""
+    monkeypatch.setattr(scene_metrics, "_MOUNTINGS_KEPT", 2)
+    asked = []
+
+    def value(_, origin, rotation):
+        asked.append(origin[2])
+        return origin[2]
+
+    score = scene_metrics.SceneScore(context(), lambda known: known, value)
+    mountings = mountings_of([Pose(height_m=height) for height in (2.0, 3.0, 4.0, 5.0)])
+    for frame in (*FRAMES, *FRAMES):
+        n = 4 * frame.counted.sum()
+        view = View(mountings, frame.boxes)
+        returns = VehicleReturns(np.ones((n, 3)), np.zeros(n, dtype=np.int64), np.zeros((n, 3)), view=view)
+        assert score(returns).reshape(4, -1)[:, 0].tolist() == [2.0, 3.0, 4.0, 5.0]
+    assert asked == [2.0, 3.0, 4.0, 5.0]
 
 
 def test_two_workers_give_the_same_bits_as_one():

@@ -32,7 +32,7 @@ from .voxel_walk import covered_voxels
 VOXEL_M = 0.4
 """That of the published code for expected visibility: a car is about 11 x 5 x 4 voxels. S-MIG's authors take 0.05 m,
 with which a carriageway has 70 million. Sums grow with the number of voxels: those of two sizes do not compare."""
-_MOUNTINGS_KEPT = 128  # more than are scored together
+_MOUNTINGS_KEPT = 128  # at least; as many as are scored together, where these are more
 
 
 class Road:
@@ -111,18 +111,19 @@ class SceneScore:
             return np.zeros(0)
         if boxes.frame not in self._row:
             raise InputError(f"frame {boxes.frame} is none of those that the metric has learnt from")
-        of_frames = [self._of(*mount) for mount in zip(mountings.origin_m, mountings.rotation, strict=True)]
+        most = max(_MOUNTINGS_KEPT, len(mountings))
+        of_frames = [self._of(*mount, most) for mount in zip(mountings.origin_m, mountings.rotation, strict=True)]
         return returns.view.to_rows(np.array([value[self._row[boxes.frame]] for value in of_frames]))
 
     @cached_property
     def _ready(self):
         return self._prepare(self._context)
 
-    def _of(self, origin, rotation):
-        """Values of all frames under a mounting, (f,), kept for the other frames to come."""
+    def _of(self, origin, rotation, most):
+        """Values of all frames under a mounting, (f,), kept with those of `most` for the other frames to come."""
         key = origin.tobytes() + rotation.tobytes()
         if key not in self._kept:
-            if len(self._kept) >= _MOUNTINGS_KEPT:
+            if len(self._kept) >= most:
                 del self._kept[next(iter(self._kept))]
             self._kept[key] = np.broadcast_to(self._values(self._ready, origin, rotation), len(self._row))
         return self._kept[key]
