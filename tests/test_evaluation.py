@@ -172,6 +172,30 @@ def test_workers_leave_ctrl_c_to_the_parent_and_end_with_it():
     assert not any(child.is_alive() for child in set(children) - before)
 
 
+def test_ctrl_c_while_the_workers_end_waits_until_they_have(monkeypatch):
+    """As when it is pressed twice: the first ends the search, the second comes while workers finish what they do."""
+    before = set(multiprocessing.active_children())
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    evaluator = Evaluator(FRAMES, SEEN, SCORING, workers=2).__enter__()
+    children = set(multiprocessing.active_children()) - before
+    executor = evaluator._pool._executor
+    shutdown = executor.shutdown
+
+    def interrupted(**how):
+        signal.raise_signal(signal.SIGINT)
+        shutdown(**how)
+
+    monkeypatch.setattr(executor, "shutdown", interrupted)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            evaluator.__exit__(None, None, None)
+        assert len(children) == 2
+        assert not any(child.is_alive() for child in children)
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        shutdown(wait=True, cancel_futures=True)
+
+
 def totals_until_refused(evaluator):
     """The pool notices a dead worker a moment later, or when it is next asked."""
     for _ in range(200):

@@ -70,8 +70,12 @@ class WorkerPool:
             return list(self._executor.map(_call, *arguments))
 
     def close(self) -> None:
-        """End the processes, after the calls that they are busy with."""
-        self._executor.shutdown(wait=True, cancel_futures=True)
+        """End the processes, after the calls that they are busy with; until then Ctrl-C waits.
+
+        Python takes a thread whose `join` Ctrl-C has cut short for ended, leaves, and waits for the processes for ever.
+        """
+        with _sigint_deferred():
+            self._executor.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
