@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from .errors import InputError, MissingFileError
+from .sensors.detection_range import STATED_RANGE_LIMITS_M
 from .sensors.imperfections import MOST_RANGE_NOISE_M
 from .sensors.model import LidarModel, load_model
 from .sensors.unit import MOST_SPREAD_DEG, unit_of
@@ -72,7 +73,9 @@ def _of_any_model(table: TomlTable) -> dict:
         "range_noise_m": table.number_or_text("range_noise_m", None, DATASHEET, low=0.0, high=MOST_RANGE_NOISE_M),
         "dropout": table.number("dropout", None, low=0.0, below=1.0),
         "glass_dropout": table.number("glass_dropout", None, low=0.0, high=1.0),
-        "range_at_10_percent_m": table.number_or_text("range_at_10_percent_m", None, DATASHEET, above=0.0),
+        "range_at_10_percent_m": table.number_or_text(
+            "range_at_10_percent_m", None, DATASHEET, low=STATED_RANGE_LIMITS_M[0], high=STATED_RANGE_LIMITS_M[1]
+        ),
         "unit_spread_deg": table.number("unit_spread_deg", None, low=0.0, high=MOST_SPREAD_DEG),
     }
 

@@ -81,14 +81,14 @@ class TomlTable:
             return None
         return self._checked_number(value, key, low, high, above, below)
 
-    def number_or_text(self, key, default, text: str, *, low=-math.inf, high=math.inf, above=-math.inf):
-        """A finite number in [low, high] and greater than `above`, or this one text."""
+    def number_or_text(self, key, default, text: str, *, low=-math.inf, high=math.inf):
+        """A finite number in [low, high], or this one text."""
         value = self._get(key, default)
         if value is None or value == text:
             return value
         if isinstance(value, str):
             raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a number, or {_value(text)}")
-        return self._checked_number(value, key, low, high, above)
+        return self._checked_number(value, key, low, high)
 
     def whole(self, key, default=_REQUIRED, *, low=-_LARGEST_WHOLE, high=_LARGEST_WHOLE):
         """A whole number in [low, high]."""

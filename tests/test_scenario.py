@@ -238,7 +238,8 @@ def test_imperfections_that_cannot_be_are_refused_with_what_is_allowed(tmp_path)
         'range_noise_m = "high"': "range_noise_m: is 'high'; allowed: a number, or \"datasheet\"",
         "range_noise_m = -1": "range_noise_m: is -1; allowed: at least 0 and at most 10",
         "glass_dropout = 1.5": "glass_dropout: is 1.5; allowed: at least 0 and at most 1",
-        "range_at_10_percent_m = 0": "range_at_10_percent_m: is 0; allowed: more than 0",
+        "range_at_10_percent_m = 0": "range_at_10_percent_m: is 0; allowed: at least 0.01 and at most 100000",
+        "range_at_10_percent_m = 1e308": "range_at_10_percent_m: is 1e+308; allowed: at least 0.01 and at most 100000",
         "unit_spread_deg = 6": "unit_spread_deg: is 6; allowed: at least 0 and at most 5",
     }.items():
         assert refusal(tmp_path, f"{MINIMAL}[sensor]\n{line}\n") == f"[sensor] {allowed}"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 STATED_REFLECTIVITY = 0.1
+STATED_RANGE_LIMITS_M = (0.01, 1e5)  # that sensor tables and scenes may state
 
 
 def detection_range_m(

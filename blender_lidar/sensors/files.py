@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, MissingFileError, unknown_name
+from .detection_range import STATED_RANGE_LIMITS_M
 
 SUFFIXES = (".toml", ".csv")
 MAX_FILE_BYTES = 4_000_000
@@ -181,7 +182,7 @@ def _checked(table: dict[str, Any], rows: Sequence[Row], path: Path) -> SensorFi
     at_10_percent = table.get("range_at_10_percent_m")
     if at_10_percent is not None:
         at_10_percent = _number(at_10_percent, f"{path}:range_at_10_percent_m")
-        _check_between(at_10_percent, 0.01, 1e5, f"{path}:range_at_10_percent_m")
+        _check_between(at_10_percent, *STATED_RANGE_LIMITS_M, f"{path}:range_at_10_percent_m")
     rates, default_rate = _rotation(table, path)
     beams = _checked_beams(rows, path)
     _check_turn(rates, numbers["block_time_us"], len(beams), path)
