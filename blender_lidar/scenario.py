@@ -46,6 +46,7 @@ COORDINATE_LIMITS = {
 # What an option of the key's name puts out of force in the file: frames are listed or spread evenly.
 _RIVALS = {("traffic", "frame_ids"): ("frames", "spacing_s"), ("traffic", "frames"): ("frame_ids",)}
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
+_MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT_LIMIT = 10.0  # of DE-PSO's coefficients; the paper's are below 1, and huge ones overflow
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
@@ -175,7 +176,7 @@ def _objective(table: TomlTable) -> ObjectiveSettings:
         cell_m=table.number("cell_m", 0.05, low=0.005, high=1.0),
         threshold=table.number("threshold", 0.005, low=0.0, high=1.0),
         view=table.text("view", "mean", allowed=VIEWS),
-        loss=table.number("loss", _PAPERS_LOSS if metric == PE_VGOP.name else None),
+        loss=table.number("loss", _PAPERS_LOSS if metric == PE_VGOP.name else None, low=-_MOST_LOSS, high=_MOST_LOSS),
     )
 
 

@@ -365,7 +365,7 @@ KEYS = [
     ("objective", "cell_m", '"a"', "0"),
     ("objective", "threshold", "true", "1.5"),
     ("objective", "view", "[1]", '"top"'),
-    ("objective", "loss", '"-1"', None),
+    ("objective", "loss", '"-1"', "-1e10"),
     ("search", "method", "1", '"pso"'),
     ("search", "seed", "1.5", "-1"),
     ("search", "particles", '"20"', "2"),
