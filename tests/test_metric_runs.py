@@ -16,6 +16,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.metrics.context import Field
 from blender_lidar.metrics.metric import VIEW, Metric, vehicle_returns
+from blender_lidar.reporting.answer import answer
 from blender_lidar.reporting.page import report_html
 from blender_lidar.results import RunFolder
 from blender_lidar.scenario import load_scenario
@@ -163,6 +164,14 @@ def test_what_is_told_of_a_run_has_the_metrics_unit_and_no_other(runs, name):
     if metric.unit != "bits":
         assert "bits" not in page
         assert "bits" not in sheet
+
+
+@pytest.mark.parametrize("name", ["points", "distance", "expected-visibility", "m-sog"])
+def test_a_vehicle_gains_what_a_metric_of_vehicles_has_more_of_and_the_objective_all_else(runs, name):
+    said = answer(result_of(runs / name))
+    assert ("a vehicle gains " in said or "a vehicle loses " in said) == (name == "points")
+    assert ("the objective gains " in said or "the objective loses " in said) == (name != "points")
+    assert METRICS[name].unit in said
 
 
 def test_a_run_goes_on_with_its_metric_alone(runs, capsys):
@@ -372,6 +381,13 @@ def test_score_adds_the_metrics_that_are_asked_for(cloud, capsys, tmp_path):
     assert lines[0].split()[-3:] == ["log-points", "voxel-entropy-0.1", "distance"]
     assert lines[1].split()[-3:] == ["1.6094", "1.5000", "5.000"]
     assert "distance: 27.500 m per vehicle" in lines
+
+
+def test_score_offers_the_metrics_that_it_can_make_and_no_others(capsys):
+    code, out, _ = cli(capsys, "score", "--help")
+    assert code == 0
+    offered = "".join(out.split()).split("orall:")[1].split("--lidarX")[0]
+    assert offered.split(",") == WITHOUT_MEMORY
 
 
 def test_score_says_no_more_than_before_unless_asked(cloud, capsys):

@@ -66,7 +66,7 @@ def add_parser(subparsers) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help=f"another metric beside PE-VGOP, again for more, or all: {', '.join(METRICS)}",
+        help=f"another metric beside PE-VGOP, again for more, or all: {', '.join(_of_vehicles())}",
     )
     parser.add_argument(
         "--lidar",
@@ -109,6 +109,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _of_vehicles() -> dict[str, Metric]:
+    """The metrics that need no scene to learn from."""
+    return {name: metric for name, metric in METRICS.items() if metric.learn is None}
+
+
 def _metrics(args) -> list[Metric]:
     """The metrics that were asked for beside PE-VGOP, each once."""
     found = {}
@@ -119,7 +124,7 @@ def _metrics(args) -> list[Metric]:
                 raise InputError(f"--metric: {name} needs to know where the LiDAR is; give --lidar X Y")
             continue
         known = {POINTS} if args.lidar is None else {POINTS, DISTANCE}
-        of_cloud = {key: metric for key, metric in METRICS.items() if metric.learn is None and metric.needs <= known}
+        of_cloud = {key: metric for key, metric in _of_vehicles().items() if metric.needs <= known}
         found |= of_cloud
         if left_out := METRICS.keys() - of_cloud.keys():
             print(f"blender-lidar: note: left out: {', '.join(sorted(left_out))}", file=sys.stderr)

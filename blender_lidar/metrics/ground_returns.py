@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 
 DISC_RADIUS_M, DISCS, SEED = 0.7, 6000, 1
-"""r and D of `nuc` as in the authors' code; theirs has no fixed seed."""
+"""r and D of `nuc` as in the authors' code; theirs has no fixed seed, and draws no return twice."""
 _PAIRS_AT_A_TIME = 1 << 16  # whose temporaries stay in cache
 
 

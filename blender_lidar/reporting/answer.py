@@ -68,8 +68,10 @@ def _worth(result):
 def _gained(metric, gain):
     """What the mounting is worth to a vehicle."""
     amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.amount(abs(gain))}"
-    # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better.
-    return f"a vehicle {amount}" if metric.higher_is_better else f"the objective {amount} per vehicle"
+    # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better, and what
+    # a scene gains is not a vehicle's.
+    of_vehicles = metric.higher_is_better and not metric.of_scene
+    return f"a vehicle {amount}" if of_vehicles else f"the objective {amount} per vehicle"
 
 
 def _interval(result, metric, gain):
