@@ -105,6 +105,20 @@ def test_frames_have_their_own_shares_of_a_value_so_that_blocks_of_time_differ()
         assert (np.ptp(of_frames) > 1e-6) == (name in WITH_PRIOR), name
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_value_does_not_depend_on_where_the_frames_origin_is(name):
+    """A field about another place than x = y = 0, as a scene with [deployment] x_m and y_m has it."""
+    by = np.array([40.0, -12.0, 0.0])  # of whole voxels, so that the same centres lie in the same boxes
+    moved = [
+        replace(frame, vehicles=replace(frame.vehicles, centre_m=frame.vehicles.centre_m + by)) for frame in FRAMES
+    ]
+    poses = [replace(pose, x_m=pose.x_m + by[0], y_m=pose.y_m + by[1]) for pose in POSES]
+    field = Field((40.0, -12.0), 30.0, (-10.0, 11.96))
+    with Evaluator(moved, SEEN, scoring(name, field)) as evaluator:
+        found = evaluator.totals(poses).per_vehicle()
+    np.testing.assert_allclose(found, per_vehicle(name), rtol=1e-3)
+
+
 def test_all_vehicles_of_a_frame_have_its_value():
     for name in NAMES:
         scores = VehicleScores(scoring(name), SEEN, FRAMES)
