@@ -8,7 +8,9 @@ Those with a prior learn it from the very frames that they then score, searched 
 Each frame has its own share of the value: the surprisal of what is and is not occupied in it, or the number of its
 voxels that can be expected to be seen. The mean of the shares is the published value under that prior (see
 `OccupiedFrames.surprisal`), and their scatter is what intervals over blocks of time need, which take the prior as it
-is. Ground returns are the same in every frame.
+is. For entropies that is as good as learning anew from each resample, since to first order entropy changes with the
+frames as mean surprisal does; for expected visibility, where the prior also hides voxels, it makes the intervals too
+narrow. Ground returns are the same in every frame.
 
 Beams are those of a perfect sensor, and neither the vehicles of the moment nor scenery stop them.
 """
