@@ -47,11 +47,12 @@ def draw_charts(site: Site, outcome: Outcome, folder: RunFolder) -> list[str]:
         _draw_convergence(folder, drawn, outcome, about)
     if outcome.score_map is not None:
         _draw_map(folder, drawn, outcome, about)
+    by_entropy = metric is PE_VGOP or metric.of_scene  # the value of a scene is no vehicle's
     plot_by_distance(
         _file(folder, drawn, "by_distance.png"),
         *tables,
-        metric=metric,
-        column=METRIC_VALUE if METRIC_VALUE in outcome.optimised else "entropy_bits",
+        metric=PE_VGOP if by_entropy else metric,
+        column="entropy_bits" if by_entropy else METRIC_VALUE,
         names=_names(outcome),
         title="What is seen, by distance",
         subtitle=f"{about}, and held-out frames",

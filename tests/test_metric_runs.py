@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from blender_lidar import run_charts
 from blender_lidar.case_study.sites import QUICK, open_case
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
@@ -18,6 +19,7 @@ from blender_lidar.metrics.context import Field
 from blender_lidar.metrics.metric import VIEW, Metric, vehicle_returns
 from blender_lidar.reporting.answer import answer
 from blender_lidar.reporting.page import report_html
+from blender_lidar.reporting.summary import group_scores
 from blender_lidar.results import RunFolder
 from blender_lidar.scenario import load_scenario
 from blender_lidar.sensors.beams import beam_lattice
@@ -29,6 +31,7 @@ from blender_lidar.study.objective_text import objective_text
 from blender_lidar.study.scoring import CountedFrame, Scoring, mountings_of
 from blender_lidar.study.site import prepare
 from blender_lidar.study.vehicle_table import METRIC_VALUE, vehicle_table
+from blender_lidar.study.verdict import distance_bands
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import cli, without_charts, write_scene
 
@@ -195,6 +198,26 @@ def test_groups_of_vehicles_are_scored_by_the_metric(runs):
         near = [row for row in csv.DictReader(stream) if row["split"] == "search" and float(row["distance_m"]) < 10.0]
     mean = -sum(float(row["distance_m"]) for row in near) / len(near)
     assert f"\N{MINUS SIGN}{abs(mean):.2f}" in (runs / "distance" / "report.html").read_text(encoding="utf-8")
+
+
+def test_groups_of_vehicles_have_no_share_of_what_a_scene_is_worth(runs):
+    folder = RunFolder(runs / "s-mig")
+    tables = [folder.read_vehicles(name) for name in ("vehicles_baseline.csv", "vehicles.csv")]
+    for _, cells, _ in group_scores(distance_bands, result_of(folder.path), *tables).rows:
+        assert [cell == "-" for cell in cells] == 2 * [True, True, False, False]
+
+
+def test_by_distance_a_chart_shows_what_is_a_vehicles(tmp_path, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(run_charts, "plot_by_distance", lambda path, *tables, **how: drawn.update(how))
+    others = ("plot_blind_zones", "plot_clouds", "plot_occupancy", "plot_convergence", "plot_score_map")
+    for plot in others:
+        monkeypatch.setattr(run_charts, plot, lambda *given, **how: None)
+    scene = write_scene(tmp_path, {"traffic": {"frames": 2}})
+    for name, column in (("pe-vgop", "entropy_bits"), ("points", METRIC_VALUE), ("s-mig", "entropy_bits")):
+        assert main(["evaluate", str(scene), "--metric", name, "--height", "4", "--out", str(tmp_path / name)]) == 0
+        assert drawn["column"] == column
+        assert drawn["metric"].name == ("points" if name == "points" else "pe-vgop")
 
 
 def test_a_run_with_another_metric_has_its_charts(tmp_path, capsys, monkeypatch):

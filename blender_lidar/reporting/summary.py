@@ -48,7 +48,8 @@ class GroupScores:
         ``"searched"`` or ``"scored"``, and ``"held out"`` where anything was.
     rows : list of (str, list of str, int)
         A group's name; for each split the objective per vehicle before and after, then detectable per cent before and
-        after, ``"-"`` where it has no vehicle; how many vehicles it has in all splits.
+        after, ``"-"`` where it has no vehicle or the objective is the whole scene's; how many vehicles it has in all
+        splits.
     """
 
     measure: str
@@ -134,7 +135,7 @@ def group_scores(
         for split in splits:
             mine = [chosen & (table["split"] == split) for table in tables]
             cells += [
-                metric.number(score[rows_of].mean()) if rows_of.any() else "-"
+                metric.number(score[rows_of].mean()) if rows_of.any() and not metric.of_scene else "-"
                 for score, rows_of in zip(scores, mine, strict=True)
             ]
             cells += [
