@@ -232,6 +232,17 @@ def test_thinned_beams_are_beams_less_than_a_voxel_apart_and_cover_nearly_all():
         assert thinned.sum() > 0.93 * whole.sum()
 
 
+def test_voxels_nearer_than_the_sensor_reports_are_neither_covered_nor_reached():
+    every, kept = Road(context()), Road(replace(context(), min_range_m=12.0))
+    away = np.linalg.norm(every.grid.centres(np.arange(len(every.grid))) - POSES[1].position, axis=1)
+    far = away >= 12.0 - 0.5 * math.sqrt(3.0) * VOXEL_M
+    covered, reached = (look(POSES[1].position, POSES[1].rotation) for look in (kept.covered, kept.reached))
+    assert every.covered(POSES[1].position, POSES[1].rotation)[~far].any()
+    for found in (covered, reached):
+        assert found[far].any()
+        assert not found[~far].any()
+
+
 # --- ground returns ---------------------------------------------------------------------------------------------------
 
 
