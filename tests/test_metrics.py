@@ -244,7 +244,7 @@ def test_merit_turns_the_sign_of_metrics_in_which_lower_is_better():
     values = np.array([1.0, 2.0])
     for name, metric in METRICS.items():
         better_first = metric.merit(values)[0] > metric.merit(values)[1]
-        assert better_first == (name in ("distance", "ap-entropy", "ground-uniformity")), name
+        assert better_first == (name in ("distance", "ap-entropy", "ground-nuc")), name
 
 
 # --- entropy of the position ------------------------------------------------------------------------------------------

@@ -131,7 +131,7 @@ def test_all_vehicles_of_a_frame_have_its_value():
 
 def test_the_frame_and_the_company_in_which_mountings_are_scored_do_not_matter():
     """What is kept from one call to the next belongs to the mounting."""
-    for name in ("m-sog", "expected-visibility", "ground-uniformity"):
+    for name in ("m-sog", "expected-visibility", "ground-nuc"):
         together = VehicleScores(scoring(name), SEEN, FRAMES)
         for frame in (FRAMES[3], FRAMES[0]):
             scorer = FrameScorer(frame.vehicles, frame.counted, SEEN)
@@ -262,7 +262,7 @@ def test_ground_returns_are_those_of_a_scan_of_the_empty_road(pose):
     points = ground_points(context(), pose.position, pose.rotation)
     np.testing.assert_allclose(points, cloud[inside, :2], atol=1e-9)
     area = field_area(30.0, (2.0, 23.96))
-    found = [per_vehicle(name, [pose])[0] for name in ("ground-density", "ground-uniformity")]
+    found = [per_vehicle(name, [pose])[0] for name in ("ground-density", "ground-nuc")]
     np.testing.assert_allclose(found, [ground_density(points, area), -nuc(points, area)], rtol=1e-12)
     assert (len(points) > 0) == (pose is not OUT_OF_REACH)
 

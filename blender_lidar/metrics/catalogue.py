@@ -7,7 +7,7 @@ from .ap_entropy import AP_ENTROPY
 from .metric import Metric
 from .nearness import DISTANCE_METRIC
 from .point_counts import AREAL_DENSITY, LOG_POINTS, POINTS, VOLUMETRIC_DENSITY
-from .scene_metrics import COVERED_ENTROPY, EXPECTED_VISIBILITY, GROUND_DENSITY, GROUND_UNIFORMITY, M_SOG, S_MIG
+from .scene_metrics import COVERED_ENTROPY, EXPECTED_VISIBILITY, GROUND_DENSITY, GROUND_NUC, M_SOG, S_MIG
 from .view_coverage import VIEW_COVERAGE
 from .views import PE_VGOP, SUM_OF_VIEWS
 from .voxels import VOXEL_ENTROPY_01, VOXEL_ENTROPY_02, VOXEL_OCCUPANCY, VOXEL_OCCUPANCY_ENTROPY
@@ -31,7 +31,7 @@ _ALL = (
     M_SOG,
     EXPECTED_VISIBILITY,
     GROUND_DENSITY,
-    GROUND_UNIFORMITY,
+    GROUND_NUC,
 )
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 

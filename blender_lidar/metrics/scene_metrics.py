@@ -242,8 +242,8 @@ GROUND_DENSITY = _metric(
     "how densely beams sample the empty road",
     3,
 )
-GROUND_UNIFORMITY = _metric(
-    "ground-uniformity",
+GROUND_NUC = _metric(
+    "ground-nuc",
     "non-uniformity of ground returns (NUC)",
     "",
     _itself,
