@@ -17,7 +17,7 @@ from ..reality.findings_tables import as_json
 from ..reality.findings_text import findings_text
 from ..reality.layouts import open_labelled
 from ..reality.resampled_cars import Draws
-from .options import checked_number
+from .options import checked_number, new_folder
 
 SCHEMA = 1
 _MOST_BLOCK_FRAMES = 100_000
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     settings = _settings(args)
     metrics = chosen_metrics(args.metrics)
-    folder = Path(args.out) if args.out is not None else _new_folder(Path(args.kitti))
+    folder = Path(args.out) if args.out is not None else new_folder(f"compare_{Path(args.kitti).resolve().name}")
     check_place(folder)
     clouds = open_labelled(args.kitti)
     detections = read_detections(args.detections, args.frames_table)
@@ -106,10 +106,3 @@ def _settings(args: argparse.Namespace) -> Settings:
         raise InputError(f"--seed: is {args.seed}; allowed: 0 or more")
     clearance = checked_number(args.ground_clearance, "--ground-clearance", low=0.0)
     return Settings(classes, clearance, Draws(args.block_frames, args.seed))
-
-
-def _new_folder(data: Path) -> Path:
-    """A folder under runs/ that is not there yet, named after the data."""
-    stem = f"compare_{data.resolve().name}".lower()
-    candidates = (Path("runs") / (stem if number == 1 else f"{stem}_{number}") for number in range(1, 1_000_000))
-    return next(path for path in candidates if not path.exists())

@@ -22,6 +22,7 @@ from ..reality.pairing import CLEARANCE_M, GROWN_M, SHORT_M
 from ..reality.variants import MEASURED, variants
 from ..sensors.imperfections import Imperfections
 from ..world.shapes import DETAILS
+from .options import new_folder
 from .progress import Progress
 
 _MOST_MARGIN_M = 1.0
@@ -135,5 +136,4 @@ def _folder(given: str | None) -> Path:
         if folder.is_dir() and any(folder.iterdir()):
             raise OutputError(f"--out: {folder}: is not empty; name a new folder")
         return folder
-    stems = (Path("runs") / ("paired" if number == 1 else f"paired_{number}") for number in range(1, 1_000_000))
-    return next(path for path in stems if not path.exists())
+    return new_folder("paired")

@@ -184,6 +184,11 @@ def parse_frames(text: str, option: str) -> list[int]:
 
 def default_folder(scenario: Scenario) -> Path:
     """A folder under runs/ that is not there yet, named after scene and sensor."""
-    stem = f"{Path(scenario.source).stem}_{Path(scenario.sensor.name).stem}".lower()
+    return new_folder(f"{Path(scenario.source).stem}_{Path(scenario.sensor.name).stem}")
+
+
+def new_folder(name: str) -> Path:
+    """A folder under runs/ that is not there yet: of that name, in small letters, with a number where it is taken."""
+    stem = name.lower()
     candidates = (Path("runs") / (stem if number == 1 else f"{stem}_{number}") for number in range(1, 1_000_000))
     return next(path for path in candidates if not path.exists())
