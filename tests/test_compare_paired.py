@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -200,7 +201,23 @@ def test_which_frames_were_tuned_on_is_read_from_the_list(tmp_path):
     (tmp_path / "frames.csv").write_text(text, encoding="utf-8")
     assert tuned_frames(tmp_path) == {"1", "2", "5", "6"}
     (tmp_path / "frames.csv").write_text(text.replace("split", "part"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"frames.csv: no column 'split'; needed: frame, split, label_kind"):
+    assert tuned_frames(tmp_path) is None
+    (tmp_path / "frames.csv").write_text("\ufeff" + text, encoding="utf-8")
+    assert tuned_frames(tmp_path) == {"1", "2", "5", "6"}
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("frame,split,label_kind\n1,val,object\n2,val\n", "frames.csv:3: 2 fields; the header has 3"),
+        ("frame,split,label_kind\n1,,object\n", "frames.csv:2: split is empty"),
+        ("name,split,label_kind\n1,val,object\n", "frames.csv: has no column 'frame'"),
+        ("", "frames.csv: has no row below its header"),
+    ],
+)
+def test_a_list_of_frames_that_cannot_be_used_is_named(tmp_path, text, told):
+    (tmp_path / "frames.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(told)):
         tuned_frames(tmp_path)
 
 
@@ -229,6 +246,21 @@ def test_the_verb_leaves_a_table_and_aggregates_that_agree(true_bodies, tmp_path
         assert sum(group["cars"] for group in one["by_bearing"]) == of["cars"]
     assert run(*words, "--out", tmp_path / "again") == 0
     assert (tmp_path / "again" / "paired.csv").read_bytes() == (out / "paired.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("split", "told"),
+    [("train", "the frames that shapes and losses were tuned on"), ("test", "that nothing was tuned on")],
+)
+def test_a_folder_of_tuned_or_of_untouched_frames_alone_says_so(tmp_path, capsys, split, told):
+    vehicles = street(1)
+    write_kitti(tmp_path, "1", cloud_of(vehicles)[1], vehicles)
+    (tmp_path / "frames.csv").write_text(f"frame,split,label_kind\n1,{split},tracking\n", encoding="utf-8")
+    words = ("--kitti", tmp_path, "--details", "box", "--caster", CASTER, "--out", tmp_path / "out")
+    assert run(*words) == 0
+    printed = capsys.readouterr().out
+    assert told in printed
+    assert "on the tuned frames and" not in printed
 
 
 def test_a_single_sweep_is_compared_without_intervals(tmp_path, capsys):

@@ -99,3 +99,11 @@ def test_files_that_are_not_there_or_no_tables_are_refused(tmp_path):
     cars = written(tmp_path, HEADER, *ROWS)
     with pytest.raises(MissingFileError, match=r"nowhere.csv: there is no such file"):
         read_detections(cars, tmp_path / "nowhere.csv")
+
+
+def test_long_names_of_frames_and_detectors_stay_whole(tmp_path):
+    frame, detector = "sweep_" * 12, "a_detector_of_three_ensembles_and_more"
+    cars = written(tmp_path, f"frame,label_line,{detector}_confidence,{detector}_iou3d", f"{frame},0,1,1")
+    found = read_detections(cars)
+    assert found.frame.tolist() == [frame]
+    assert [one.name for one in found.detectors] == [detector]

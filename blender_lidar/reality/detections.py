@@ -7,18 +7,18 @@ The frames' are ``frame`` and perhaps ``split, label_kind, drive``; the first tw
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, MissingFileError, printable, unknown_name
+from ..errors import InputError
+from .frame_list import FRAMES_FILE
+from .text_table import TextTable, listed
 
 CONFIDENCE, IOU, IOU_BEV, IN_RANGE = "_confidence", "_iou3d", "_iou_bev", "_in_range"
 FRAME_COLUMNS = ("split", "label_kind", "drive")
-_LONGEST_NAME = 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,12 +101,12 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
         Naming the file, and the line or the column.
     """
     path = Path(path)
-    table = _Table(path)
+    table = TextTable(path)
     for name in ("frame", "label_line"):
         table.need(name)
     names = [name.removesuffix(CONFIDENCE) for name in table.header if name.endswith(CONFIDENCE) and name != CONFIDENCE]
     if not names:
-        raise InputError(f"{path}: no column NAME{CONFIDENCE}; it has {_listed(table.header)}")
+        raise InputError(f"{path}: no column NAME{CONFIDENCE}; it has {listed(table.header)}")
     frame, label_line = table.texts("frame"), table.whole_numbers("label_line")
     seen: dict[tuple[str, int], int] = {}
     for line, car in zip(table.lines, zip(frame, label_line.tolist(), strict=True), strict=True):
@@ -114,8 +114,8 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
             raise InputError(f"{path}:{line}: frame {car[0]}, label_line {car[1]} is in line {seen[car]} already")
         seen[car] = line
     about = {name: np.array(table.texts(name)) for name in FRAME_COLUMNS if name in table.header}
-    if frames_table is None and (path.parent / "frames.csv").is_file():
-        frames_table = path.parent / "frames.csv"
+    if frames_table is None and (path.parent / FRAMES_FILE).is_file():
+        frames_table = path.parent / FRAMES_FILE
     if frames_table is not None:
         about |= _about_frames(Path(frames_table), frame, path, table.lines)
     return Detections(
@@ -128,7 +128,7 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
     )
 
 
-def _detector(table: _Table, name: str) -> Detector:
+def _detector(table: TextTable, name: str) -> Detector:
     table.need(name + IOU)
     if name + IOU_BEV in table.header:
         table.shares(name + IOU_BEV)  # is not used, but checked
@@ -144,7 +144,7 @@ def _detector(table: _Table, name: str) -> Detector:
 
 def _about_frames(path: Path, frame: list[str], cars: Path, lines: list[int]) -> dict[str, np.ndarray]:
     """What the table of frames tells, for each row of the cars."""
-    table = _Table(path)
+    table = TextTable(path)
     table.need("frame")
     row: dict[str, int] = {}
     for number, name in enumerate(table.texts("frame")):
@@ -156,79 +156,3 @@ def _about_frames(path: Path, frame: list[str], cars: Path, lines: list[int]) ->
             raise InputError(f"{cars}:{line}: frame {name} has no row in {path}")
     rows = [row[name] for name in frame]
     return {name: np.array(table.texts(name))[rows] for name in FRAME_COLUMNS if name in table.header}
-
-
-class _Table:
-    """A CSV file as texts, column by column, with the line of each row."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
-                reader = csv.reader(stream)
-                header = [printable(name.strip(), _LONGEST_NAME) for name in next(reader, [])]
-                rows = [(reader.line_num, row) for row in reader if any(text.strip() for text in row)]
-        except FileNotFoundError as error:
-            raise MissingFileError(f"{path}: there is no such file") from error
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-        except csv.Error as error:
-            raise InputError(f"{path}: is no table ({error})") from error
-        twice = [name for number, name in enumerate(header) if name in header[:number]]
-        if twice:
-            raise InputError(f"{path}: has two columns {twice[0]!r}")
-        if not rows:
-            raise InputError(f"{path}: has no row below its header")
-        for line, row in rows:
-            if len(row) != len(header):
-                raise InputError(f"{path}:{line}: {len(row)} fields; the header has {len(header)}")
-        self.header = header
-        self.lines = [line for line, _ in rows]
-        self._columns = dict(zip(header, zip(*(row for _, row in rows), strict=True), strict=True))
-
-    def need(self, name: str) -> None:
-        """Refuse a table without that column."""
-        if name not in self.header:
-            raise unknown_column(name, self.header, str(self.path))
-
-    def texts(self, name: str) -> list[str]:
-        """A column of names, none of them empty."""
-        texts = [printable(text.strip(), _LONGEST_NAME) for text in self._columns[name]]
-        for line, text in zip(self.lines, texts, strict=True):
-            if not text:
-                raise InputError(f"{self.path}:{line}: {name} is empty")
-        return texts
-
-    def whole_numbers(self, name: str) -> np.ndarray:
-        """A column of numbers from 0 on that count something."""
-        found = []
-        for line, text in zip(self.lines, self.texts(name), strict=True):
-            if not (text.isascii() and text.isdigit() and len(text) < 10):
-                raise InputError(f"{self.path}:{line}: {name} is {text!r}; allowed: a whole number of 0 or more")
-            found.append(int(text))
-        return np.array(found, dtype=np.int64)
-
-    def shares(self, name: str) -> np.ndarray:
-        """A column of numbers from 0 to 1."""
-        found = []
-        for line, text in zip(self.lines, self.texts(name), strict=True):
-            try:
-                value = float(text)
-            except ValueError:
-                value = np.nan
-            if not 0.0 <= value <= 1.0:
-                raise InputError(f"{self.path}:{line}: {name} is {text!r}; allowed: 0 to 1")
-            found.append(value)
-        return np.array(found)
-
-
-def unknown_column(name: str, header: list[str], where: str) -> InputError:
-    """An error for a column that is not there, with the nearest one that is."""
-    known = unknown_name(name, header, "column")
-    _, _, hint = str(known).partition("; ")
-    near = hint.partition("? ")[0] + "? " if hint.startswith("did you mean") else ""
-    return InputError(f"{where}: has no column {name!r}; {near}it has {_listed(header)}")
-
-
-def _listed(header: list[str]) -> str:
-    return ", ".join(header) or "none"

@@ -29,7 +29,7 @@ def findings_text(findings: Findings) -> str:
 def _head(findings: Findings) -> list[str]:
     judged = findings.judged
     sets = ", ".join(f"{one.name} {int(one.member.sum())}" for one in findings.sets)
-    lines = [f"{len(judged)} cars in {findings.frames} frames; sets: {sets}"]
+    lines = [f"{len(judged)} cars in {findings.frames} frame{'s' * (findings.frames != 1)}; sets: {sets}"]
     if judged.unlisted:
         lines.append(f"{judged.unlisted} further labelled cars of these frames are not in the detections: left out")
     return lines

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
-from ..errors import InputError
+from .car_sets import TRAINING
+from .text_table import TextTable
 
 FRAMES_FILE = "frames.csv"
 TUNED, UNTOUCHED = "tuned", "untouched"
@@ -13,28 +13,25 @@ RULE = (
     "tuned: the frames of KITTI's train split, and every second one of the others with labels of the object benchmark, "
     "the first, third ... by name; untouched: all others, with them the whole tracking drive"
 )
-_COLUMNS = ("frame", "split", "label_kind")
 
 
 def tuned_frames(folder: Path) -> frozenset[str] | None:
-    """Names of the sweeps of a folder that shapes and figures were tuned on, by `RULE`; None without a ``frames.csv``.
+    """Names of the sweeps of a folder that shapes and figures were tuned on, by `RULE`; None where no
+    ``frames.csv`` tells split and kind of labels.
 
     Raises
     ------
     InputError
-        If that file lacks a column.
+        If that file cannot be used, naming its line or column.
     """
     path = folder / FRAMES_FILE
     if not path.is_file():
         return None
-    try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.DictReader(stream))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from error
-    missing = [name for name in _COLUMNS if rows and rows[0].get(name) is None]
-    if missing:
-        raise InputError(f"{path}: no column {missing[0]!r}; needed: {', '.join(_COLUMNS)}")
-    train = {row["frame"] for row in rows if row["split"] == "train"}
-    others = sorted(row["frame"] for row in rows if row["split"] != "train" and row["label_kind"].startswith("object"))
+    table = TextTable(path)
+    if not {"split", "label_kind"} <= set(table.header):
+        return None
+    table.need("frame")
+    rows = list(zip(*(table.texts(name) for name in ("frame", "split", "label_kind")), strict=True))
+    train = {frame for frame, split, _ in rows if split == TRAINING}
+    others = sorted(frame for frame, split, kind in rows if split != TRAINING and kind.startswith("object"))
     return frozenset(train | set(others[::2]))

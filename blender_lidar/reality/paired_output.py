@@ -52,6 +52,8 @@ def summary(result: Mapping) -> str:
     ]
     if name == UNTOUCHED:
         lines.append(f"Judged on  {of['cars']} cars in {of['frames']} frames that nothing was tuned on")
+    elif TUNED in sets:
+        lines.append("Judged on  the frames that shapes and losses were tuned on, so that errors are too small")
     lines += ["", "PE-VGOP of each car, simulated less real [bits], and its rays", _HEAD]
     lines += [_row(one) for one in of["variants"]]
     lines += ["", "median error at              10-20 m  20-30 m  30-40 m  40-50 m   end-on  oblique  side-on"]
@@ -59,7 +61,7 @@ def summary(result: Mapping) -> str:
     counts = of["variants"][0]
     lines.append(f"{'cars':<26}" + "".join(f"{group['cars']:>9}" for key in _GROUPS for group in counts[key]))
     lines += ["", *_verdict(result["cheapest_within_noise"], of["frames"])]
-    if TUNED in sets:
+    if TUNED in sets and UNTOUCHED in sets:
         best = result["cheapest_within_noise"]["best"]
         error = {key: _find(sets[key], best)["absolute_error_bits"]["median"] for key in (TUNED, UNTOUCHED)}
         lines.append(f"It is {error[TUNED]:.3f} on the tuned frames and {error[UNTOUCHED]:.3f} on the untouched ones.")
