@@ -254,6 +254,7 @@ def test_the_verdict_names_who_is_better_and_who_is_not(sample):
     assert "Below it, by intervals that leave out 0: " in text[: text.index("blind, val")]
     assert "None of 1 rival is significantly better in Spearman than points after" in text
     assert "Nothing tells which frames are of one drive" in text
+    assert "tell no occlusion" not in text
 
 
 def test_frames_of_one_drive_are_feared_where_none_is_told_and_drawn_together_where_it_is(sample, tmp_path):
@@ -337,7 +338,9 @@ def test_sustechpoints_folders_are_compared_too(tmp_path, capsys):
     folder = write_sustech(tmp_path / "scene", found, "Sedan")
     cars = write_detections(tmp_path / "cars.csv", found, first_entry=0)
     assert run((folder, cars), tmp_path / "out", "--class", "sedan", "--metrics", "pe-vgop,points") == 0
-    assert "32 cars in 8 frames" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "32 cars in 8 frames" in said
+    assert "The labels tell no occlusion" in said
     result = json.loads((tmp_path / "out" / "compare.json").read_text(encoding="utf-8"))
     assert result["layout"] == "SUSTechPOINTS"
     assert run((folder, cars), tmp_path / "other") == 2

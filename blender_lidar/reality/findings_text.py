@@ -11,6 +11,7 @@ from .chosen_metrics import PAPERS
 from .detector_study import Findings
 from .distance_shape import ANY, PERFORMANCE
 from .findings_tables import PAPER, speed
+from .labelled import NOT_TOLD
 from .significance import Difference
 
 _SIGNIFICANT = 0.05
@@ -196,6 +197,8 @@ def _cautions(findings: Findings) -> list[str]:
         lines.append("Nothing tells which frames are of one drive; if some are, intervals are too narrow.")
     if any(one.name == TRAINING for one in findings.sets):
         lines.append(f"Frames of {TRAINING} are those that detectors and priors learned from: no test of them.")
+    if (findings.judged.cars.boxes.occlusion == NOT_TOLD).all():
+        lines.append("The labels tell no occlusion: where it is said to be held fixed, distance alone is.")
     if findings.untaught:
         lines.append(f"Left out, as no frame of split {TRAINING} can teach them: {', '.join(findings.untaught)}.")
     return lines
