@@ -138,6 +138,7 @@ def test_a_detector_that_does_the_same_with_all_cars_or_sees_none_is_told_withou
     assert {one["detector"] for one in result["correlations"]} == {"good"}
     assert all(one["spearman"] == {"value": None, "interval_90": None} for one in result["correlations"])
     assert "pe-vgop: Spearman -, no interval." in said
+    assert "nan" not in said
 
 
 def test_order_of_rows_and_cars_that_are_not_listed_change_nothing_for_the_others(sample, tmp_path, findings):
@@ -207,6 +208,15 @@ def test_a_straight_and_a_logarithmic_fall_are_told_apart(findings):
     assert found["good performance"].lead.low > 0.0
     assert found["bent performance"].lead.high < 0.0
     assert found["good performance"].linear > 0.9
+
+
+def test_a_box_about_the_sensor_itself_does_not_hide_how_the_others_fall(findings):
+    judged = findings.judged
+    centre_m = judged.cars.boxes.centre_m.copy()
+    centre_m[0, :2] = 0.0
+    moved = replace(judged, cars=replace(judged.cars, boxes=replace(judged.cars.boxes, centre_m=centre_m)))
+    found = shapes(moved, car_sets({}, len(judged)), findings.metrics[:1], FEW.draws)
+    assert all(math.isfinite(one.logarithmic) and math.isfinite(one.lead.high) for one in found)
 
 
 def test_priors_are_learned_from_training_frames_alone_and_frozen(sample, tmp_path):

@@ -22,6 +22,7 @@ PERFORMANCE = " performance"
 BEARINGS = {"end-on": (0.0, 20.0), "oblique": (20.0, 70.0), "side-on": (70.0, 90.0)}
 """Between the line of sight and the car's axis [deg]; the upper end belongs to the next but for the last."""
 ANY = "any"
+_NEAREST_M = 0.1  # so that a box about the sensor itself has a logarithm
 
 
 class Shape(NamedTuple):
@@ -97,7 +98,7 @@ def _among(
         y, distance_m = values[used], judged.cars.boxes.distance_m[used]
         linear, logarithmic = (
             share_foretold(y, resampling.fold, _line(x, y), resampling.weights)
-            for x in (distance_m, np.log(distance_m))
+            for x in (distance_m, np.log(np.maximum(distance_m, _NEAREST_M)))
         )
         clusters = resampling.clusters.number
         lead = of_difference(linear, logarithmic, clusters)

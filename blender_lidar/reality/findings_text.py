@@ -151,6 +151,7 @@ def _by_distance(findings: Findings) -> list[str]:
         for one in findings.shapes
         if one.of_set == findings.main.name
         and one.bearing != ANY
+        and math.isfinite(one.lead.value)
         and (one.quantity in (findings.metrics[0].name, PAPERS) or one.quantity.endswith(PERFORMANCE))
     ]
     if by_bearing:
@@ -160,14 +161,15 @@ def _by_distance(findings: Findings) -> list[str]:
 
 
 def _ground(findings: Findings) -> list[str]:
-    ours = [one for one in findings.without_ground if one.metric == findings.metrics[0].name]
+    name = findings.metrics[0].name
+    ours = [one for one in findings.without_ground if one.metric == name and math.isfinite(one.change.value)]
     if not ours:
         return []
     kept = findings.other_clearance_m == 0.0
     less = f"Without returns under {findings.other_clearance_m:g} m above floors"
     what = "With ground returns kept" if kept else less
     said = "; ".join(f"{one.detector} {one.spearman.text()}, {_signed(one.change)}" for one in ours)
-    return [f"{what}, {findings.metrics[0].name} has Spearman: {said}."]
+    return [f"{what}, {name} has Spearman: {said}."]
 
 
 def _speed(findings: Findings) -> list[str]:
