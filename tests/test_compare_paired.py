@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from blender_lidar.casting import is_available
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.vgop import occupancy, pe_vgop
-from blender_lidar.reality.frame_list import tuned_frames
+from blender_lidar.reality.frame_list import FrameList, read_frame_list
 from blender_lidar.reality.labelled import LabelledBoxes, LabelledSweep
 from blender_lidar.reality.labelled_scene import shape_names
 from blender_lidar.reality.layouts import open_labelled
@@ -54,7 +55,7 @@ def test_the_level_that_the_sweep_was_made_of_has_no_error_and_the_others_have(p
     assert np.median(error["body"]) < 0.002
     assert np.median(error["box"]) > 0.05
     assert np.median(error["detailed"]) > 0.01
-    found = cheapest_within_noise(aggregate(paired, None)["all"], LEVELS)
+    found = cheapest_within_noise(aggregate(paired, FrameList(None, {}))["all"], LEVELS)
     assert found["best"] == found["cheapest"] == {"detail": "body", "losses": "none"}
 
 
@@ -193,17 +194,42 @@ def test_intervals_cover_the_median_of_frames_that_differ():
     assert 165 <= held <= 195
 
 
-def test_which_frames_were_tuned_on_is_read_from_the_list(tmp_path):
-    assert tuned_frames(tmp_path) is None
-    rows = [("1", "train", "object"), ("2", "val", "object"), ("3", "val", "tracking"), ("4", "val", "object label_2")]
-    rows += [("5", "val", "object"), ("6", "train", "tracking")]
+def test_which_frames_were_fitted_to_is_read_from_the_list_whatever_others_are_there(tmp_path):
+    assert read_frame_list(tmp_path).tuned is None
+    rows = [("1", "train", "object"), ("2", "val", "object"), ("3", "val", "tracking"), ("000006", "val", "object")]
     text = "frame,split,label_kind\n" + "\n".join(map(",".join, rows)) + "\n"
-    (tmp_path / "frames.csv").write_text(text, encoding="utf-8")
-    assert tuned_frames(tmp_path) == {"1", "2", "5", "6"}
+    for written in (text, "\ufeff" + text, text + "4,val,object\n"):
+        (tmp_path / "frames.csv").write_text(written, encoding="utf-8")
+        assert read_frame_list(tmp_path).tuned == {"1", "000006"}
     (tmp_path / "frames.csv").write_text(text.replace("split", "part"), encoding="utf-8")
-    assert tuned_frames(tmp_path) is None
-    (tmp_path / "frames.csv").write_text("\ufeff" + text, encoding="utf-8")
-    assert tuned_frames(tmp_path) == {"1", "2", "5", "6"}
+    assert read_frame_list(tmp_path).tuned is None
+
+
+def test_a_drive_that_is_told_is_resampled_as_one(true_bodies, tmp_path, capsys):
+    frames = open_labelled(true_bodies).frames
+    folder = tmp_path / "drives"
+    shutil.copytree(true_bodies, folder)
+    words = ("--kitti", folder, "--label-margin", 0, 0, 0, "--caster", CASTER, "--details", "box,body", "--json")
+
+    def told(*columns):
+        rows = [",".join([frame, *(str(column(number)) for column in columns)]) for number, frame in enumerate(frames)]
+        return "\n".join(rows) + "\n"
+
+    assert len(frames) >= 3
+    (folder / "frames.csv").write_text("frame,label_kind\n" + told(lambda n: "tracking"), encoding="utf-8")
+    assert run(*words, "--out", tmp_path / "a") == 0
+    first = capsys.readouterr()
+    assert json.loads(first.out)["sets"]["all"]["resampled"] == {
+        "unit": "frame",
+        "number": len(frames),
+        "too_narrow": True,
+    }
+    assert "They are too narrow" in first.err
+    (folder / "frames.csv").write_text("frame,drive\n" + told(lambda n: n % 3), encoding="utf-8")
+    assert run(*words, "--out", tmp_path / "b") == 0
+    second = capsys.readouterr()
+    assert json.loads(second.out)["sets"]["all"]["resampled"] == {"unit": "drive", "number": 3, "too_narrow": False}
+    assert "too narrow" not in second.err
 
 
 @pytest.mark.parametrize(
@@ -218,7 +244,7 @@ def test_which_frames_were_tuned_on_is_read_from_the_list(tmp_path):
 def test_a_list_of_frames_that_cannot_be_used_is_named(tmp_path, text, told):
     (tmp_path / "frames.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=re.escape(told)):
-        tuned_frames(tmp_path)
+        read_frame_list(tmp_path)
 
 
 def run(*words):
@@ -250,9 +276,9 @@ def test_the_verb_leaves_a_table_and_aggregates_that_agree(true_bodies, tmp_path
 
 @pytest.mark.parametrize(
     ("split", "told"),
-    [("train", "the frames that shapes and losses were tuned on"), ("test", "that nothing was tuned on")],
+    [("train", "the frames that shapes and losses were fitted to"), ("test", "that nothing was fitted to")],
 )
-def test_a_folder_of_tuned_or_of_untouched_frames_alone_says_so(tmp_path, capsys, split, told):
+def test_a_folder_of_fitted_or_of_other_frames_alone_says_so(tmp_path, capsys, split, told):
     vehicles = street(1)
     write_kitti(tmp_path, "1", cloud_of(vehicles)[1], vehicles)
     (tmp_path / "frames.csv").write_text(f"frame,split,label_kind\n1,{split},tracking\n", encoding="utf-8")
@@ -260,7 +286,7 @@ def test_a_folder_of_tuned_or_of_untouched_frames_alone_says_so(tmp_path, capsys
     assert run(*words) == 0
     printed = capsys.readouterr().out
     assert told in printed
-    assert "on the tuned frames and" not in printed
+    assert "on the frames of the fit and" not in printed
 
 
 def test_a_single_sweep_is_compared_without_intervals(tmp_path, capsys):

@@ -12,7 +12,7 @@ from ..casting import CASTERS, resolve
 from ..errors import InputError, OutputError, unknown_name
 from ..formats.atomic import check_folder
 from ..provenance import versions
-from ..reality.frame_list import RULE, tuned_frames
+from ..reality.frame_list import RULE, read_frame_list
 from ..reality.labelled_scene import LABEL_MARGIN_M
 from ..reality.layouts import open_labelled
 from ..reality.paired_cars import pair_cars
@@ -61,14 +61,14 @@ def run(args: argparse.Namespace) -> int:
     lossy = _losses(args.losses)
     caster = resolve(args.caster, "--caster")
     clouds = open_labelled(args.kitti)
-    tuned = tuned_frames(clouds.folder)
+    told = read_frame_list(clouds.folder)
     folder = _folder(args.out)
     progress = Progress(len(clouds), "sweeps")
     try:
         paired = pair_cars(clouds, variants(details, lossy), caster, margin_m, lambda: progress.advance(1))
     finally:
         progress.close()
-    sets = aggregate(paired, tuned)
+    sets = aggregate(paired, told)
     result = {
         "folder": str(args.kitti),
         "layout": clouds.layout,
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
         "label_margin_m": list(margin_m),
         "clearance_m": CLEARANCE_M,
         "hidden_if_nearer_than_box_by_m": GROWN_M + SHORT_M,
-        "tuning": None if tuned is None else RULE,
+        "tuning": None if told.tuned is None else RULE,
         "sensor": paired.sensor,
         "left_out": paired.left_out,
         "sets": sets,
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         "versions": versions(caster),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    written = write_results(folder, paired, result, tuned)
+    written = write_results(folder, paired, result, told)
     text = f"{summary(result)}\n\nResults in {folder}: {', '.join(written)}"
     print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
     if args.json:

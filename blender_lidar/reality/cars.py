@@ -16,6 +16,8 @@ from ..metrics.metric import Metric, VehicleReturns, vehicle_returns
 from ..metrics.vgop import to_vehicle_frame
 from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep
 
+BEARINGS = {"end-on": (0.0, 20.0), "oblique": (20.0, 70.0), "side-on": (70.0, 90.0)}
+"""Between the line of sight and the car's axis [deg]; the upper end belongs to the next but for the last."""
 _AT_THE_ORIGIN = Mountings(np.zeros((1, 3)), np.eye(3)[None])
 
 
@@ -169,6 +171,14 @@ def bearing_deg(boxes: LabelledBoxes) -> np.ndarray:
     """Angle between the line of sight to each box's centre and its axis, (n,): 0 (end-on) to 90 (side-on)."""
     sight = np.arctan2(boxes.centre_m[:, 1], boxes.centre_m[:, 0])
     return np.degrees(np.arccos(np.clip(np.abs(np.cos(boxes.heading_rad - sight)), 0.0, 1.0)))
+
+
+def of_bearing(bearing_deg: np.ndarray) -> dict[str, np.ndarray]:
+    """Which cars, (n,) bool, are seen end-on, obliquely and from the side."""
+    last = list(BEARINGS)[-1]
+    return {
+        name: (bearing_deg >= low) & ((bearing_deg < high) | (name == last)) for name, (low, high) in BEARINGS.items()
+    }
 
 
 def _labelled(sweep: LabelledSweep, wanted: set[str]) -> np.ndarray:

@@ -13,14 +13,13 @@ import numpy as np
 from ..metrics.metric import Metric
 from .agreement import resampling_of
 from .car_sets import CarSet
+from .cars import of_bearing
 from .cross_validation import share_foretold
 from .matching import JudgedCars
 from .resampled_cars import Draws, Resampling
 from .significance import Difference, of_difference
 
 PERFORMANCE = " performance"
-BEARINGS = {"end-on": (0.0, 20.0), "oblique": (20.0, 70.0), "side-on": (70.0, 90.0)}
-"""Between the line of sight and the car's axis [deg]; the upper end belongs to the next but for the last."""
 ANY = "any"
 _NEAREST_M = 0.1  # so that a box about the sensor itself has a logarithm
 
@@ -68,14 +67,6 @@ def shapes(judged: JudgedCars, sets: Sequence[CarSet], metrics: Sequence[Metric]
         for bearing, member in {ANY: everywhere, **of_bearing(judged.cars.bearing_deg)}.items():
             found += _among(judged, one, bearing, one.member & member, quantities, draws)
     return found
-
-
-def of_bearing(bearing_deg: np.ndarray) -> dict[str, np.ndarray]:
-    """Which cars, (n,) bool, are seen end-on, obliquely and from the side."""
-    last = list(BEARINGS)[-1]
-    return {
-        name: (bearing_deg >= low) & ((bearing_deg < high) | (name == last)) for name, (low, high) in BEARINGS.items()
-    }
 
 
 def _among(

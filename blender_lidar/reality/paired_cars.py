@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from .cars import BEARINGS, bearing_deg
 from .labelled import LabelledClouds, LabelledSweep
 from .labelled_scene import CAR, LABEL_MARGIN_M
 from .paired_sweep import Outcome, PairedSweep
@@ -17,8 +18,6 @@ from .rings import Rings, recover_rings
 from .variants import DRAWN, Variant
 
 NEAREST_M, FARTHEST_M = 10.0, 50.0
-BEARINGS = {"end-on": (0.0, 20.0), "oblique": (20.0, 70.0), "side-on": (70.0, 90.1)}
-"""Angle between the line of sight and a car's axis, folded into a quarter turn [deg]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,7 +132,7 @@ def pair_cars(
 def _chosen(sweep: LabelledSweep, left_out: Counter) -> np.ndarray:
     """Rows of the cars to compare; the others are counted by the reason why not."""
     boxes = sweep.boxes
-    car = boxes.label == CAR
+    car = np.char.lower(boxes.label.astype(str)) == CAR.lower()
     cut = car & (boxes.truncation > 0.0)  # NaN where the data set does not say
     near, far = car & ~cut & (boxes.distance_m < NEAREST_M), car & ~cut & (boxes.distance_m >= FARTHEST_M)
     for reason, which in {"cut off by the picture": cut, "nearer": near, "farther": far}.items():
@@ -144,7 +143,7 @@ def _chosen(sweep: LabelledSweep, left_out: Counter) -> np.ndarray:
 def _picture(pictured: dict, paired: PairedSweep, ways: tuple[Variant, ...], outcomes: list[Outcome]) -> None:
     """Keep the car with the most points of those seen along, and of those seen across their axis."""
     sweep, rays = paired.sweep, paired.rays
-    for row, bearing in zip(paired.rows.tolist(), paired.bearing_deg().tolist(), strict=True):
+    for row, bearing in zip(paired.rows.tolist(), bearing_deg(sweep.boxes.select(paired.rows)).tolist(), strict=True):
         kind = bearing >= BEARINGS["oblique"][0]
         real = paired.real[rays.box[paired.real] == row]
         if kind in pictured and len(real) <= len(pictured[kind].real):

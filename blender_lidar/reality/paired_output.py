@@ -15,7 +15,7 @@ from ..plots.paired_cars import plot_paired_cars, plot_paired_scores
 from ..plots.paired_errors import Series, plot_paired_errors
 from ..plots.paired_residuals import plot_paired_residuals
 from ..study.statistics import FEWEST_BLOCKS
-from .frame_list import TUNED, UNTOUCHED
+from .frame_list import TUNED, VALIDATION, FrameList
 from .paired_cars import PairedCars
 from .paired_statistics import judging, sets_of
 from .variants import DRAWN, LOSSES
@@ -24,12 +24,12 @@ RESULT, TABLE = "paired.json", "paired.csv"
 _FIVE, _THREE = 5, 3  # digits
 
 
-def write_results(folder: Path, paired: PairedCars, result: Mapping, tuned: frozenset[str] | None) -> list[str]:
+def write_results(folder: Path, paired: PairedCars, result: Mapping, told: FrameList) -> list[str]:
     """Write the table, the pictures and, last, all aggregates; returns the names of the files.
 
     Without matplotlib there are no pictures, and the last name says so.
     """
-    write_columns(folder / TABLE, _rows(paired, tuned), _decimals(paired))
+    write_columns(folder / TABLE, _rows(paired, told), _decimals(paired))
     pictures, note = [], []
     try:
         pictures = _draw(folder, paired, result)
@@ -50,25 +50,33 @@ def summary(result: Mapping) -> str:
         f"Cars       {sets['all']['cars']} whole ones at 10 to 50 m; {_left_out(result['left_out'])}",
         f"Casting    {result['caster']}; losses: {_losses(result['losses'])}",
     ]
-    if name == UNTOUCHED:
-        lines.append(f"Judged on  {of['cars']} cars in {of['frames']} frames that nothing was tuned on")
+    if name == VALIDATION:
+        lines.append(f"Judged on  {of['cars']} cars in {of['frames']} frames that nothing was fitted to")
     elif TUNED in sets:
-        lines.append("Judged on  the frames that shapes and losses were tuned on, so that errors are too small")
+        lines.append("Judged on  the frames that shapes and losses were fitted to, so that errors are too small")
     lines += ["", "PE-VGOP of each car, simulated less real [bits], and its rays", _HEAD]
     lines += [_row(one) for one in of["variants"]]
     lines += ["", "median error at              10-20 m  20-30 m  30-40 m  40-50 m   end-on  oblique  side-on"]
     lines += [_band_row(one) for one in of["variants"]]
     counts = of["variants"][0]
     lines.append(f"{'cars':<26}" + "".join(f"{group['cars']:>9}" for key in _GROUPS for group in counts[key]))
-    lines += ["", *_verdict(result["cheapest_within_noise"], of["frames"])]
-    if TUNED in sets and UNTOUCHED in sets:
+    lines += ["", *_LEGEND, "", *_verdict(result["cheapest_within_noise"], of["resampled"]["number"])]
+    if TUNED in sets and VALIDATION in sets:
         best = result["cheapest_within_noise"]["best"]
-        error = {key: _find(sets[key], best)["absolute_error_bits"]["median"] for key in (TUNED, UNTOUCHED)}
-        lines.append(f"It is {error[TUNED]:.3f} on the tuned frames and {error[UNTOUCHED]:.3f} on the untouched ones.")
+        error = {key: _find(sets[key], best)["absolute_error_bits"]["median"] for key in (TUNED, VALIDATION)}
+        lines.append(
+            f"It errs by {error[TUNED]:.3f} on the frames of the fit and by {error[VALIDATION]:.3f} on the others."
+        )
+    lines += _cautions(of["resampled"])
     return "\n".join(lines)
 
 
 _GROUPS = ("by_distance", "by_bearing")
+_LEGEND = (
+    "both, real only, sim. only: rays to the cars that return from them in reality, against our shapes, or in both",
+    "with hidden: the median error with the rays that something unlabelled stopped before the car",
+    "|range|: real less simulated range of the rays that return in both; median of the cars' medians",
+)
 _HEAD = (
     f"{'detail, losses':<26}  median error  90 % interval     bias  with hidden     both  real only  sim. only  |range|"
 )
@@ -91,17 +99,28 @@ def _band_row(one: Mapping) -> str:
     return f"{_name(one):<26}" + "".join(f"{text:>9}" for text in texts)
 
 
-def _verdict(found: Mapping, frames: int) -> list[str]:
-    best, cheapest = _name(found["best"]), _name(found["cheapest"])
-    if frames < FEWEST_BLOCKS:
-        return [f"Smallest error: {best}; with fewer than {FEWEST_BLOCKS} frames there are no intervals."]
+def _verdict(found: Mapping, number: int) -> list[str]:
+    best, cheapest = found["best"], found["cheapest"]
+    if number < FEWEST_BLOCKS:
+        return [f"Smallest error: {_name(best)}; with fewer than {FEWEST_BLOCKS} frames there are no intervals."]
     if best == cheapest:
-        return [f"Best: {best}. No cheaper level of detail is within the noise of it."]
+        return [f"Best: {_name(best)}. No cheaper level of detail is within the noise of it."]
     low, high = found["interval_90"]
     return [
-        f"Best: {best}. The cheapest level of detail within its noise: {cheapest},",
+        f"Best: {_name(best)}. The cheapest level of detail within its noise: {cheapest['detail']},",
         f"whose median error is {found['difference_bits']:+.3f} bits off it (90 % interval {low:+.3f} to {high:+.3f}).",
     ]
+
+
+def _cautions(resampled: Mapping) -> list[str]:
+    number, unit = resampled["number"], resampled["unit"]
+    lines = [f"Intervals are of {number} resampled {unit}{'s' * (number != 1)}."] if number >= FEWEST_BLOCKS else []
+    if lines and resampled["too_narrow"]:
+        lines.append(
+            "They are too narrow: frames of one drive show the same cars again, and a column drive of frames.csv tells "
+            "no drives, or fewer than three."
+        )
+    return lines
 
 
 def _find(of: Mapping, wanted: Mapping) -> Mapping:
@@ -136,12 +155,12 @@ def _losses(losses: Mapping) -> str:
     )
 
 
-def _rows(paired: PairedCars, tuned: frozenset[str] | None) -> dict[str, np.ndarray]:
+def _rows(paired: PairedCars, told: FrameList) -> dict[str, np.ndarray]:
     """One row for each car and variant, variant after variant."""
     ways, cars = paired.variants, len(paired)
-    sets = sets_of(paired, tuned)
-    name = np.full(cars, "all", dtype="<U9")
-    for key in (TUNED, UNTOUCHED):
+    sets = sets_of(paired, told.tuned)
+    name = np.full(cars, "all", dtype="<U10")
+    for key in (TUNED, VALIDATION):
         if key in sets:
             name[sets[key]] = key
     table = {key: np.tile(values, len(ways)) for key, values in {"set": name, **paired.cars}.items()}
@@ -165,6 +184,7 @@ def _draw(folder: Path, paired: PairedCars, result: Mapping) -> list[str]:
     sets = result["sets"]
     judges = judging(sets)
     of = sets[judges]
+    resampled = f"resampled {of['resampled']['unit']}s"
     drawn = [index for index, way in enumerate(paired.variants) if way.losses == DRAWN]
     plain = [index for index, way in enumerate(paired.variants) if way.losses == "none"]
     names = {
@@ -172,7 +192,7 @@ def _draw(folder: Path, paired: PairedCars, result: Mapping) -> list[str]:
             path,
             [_series(one) for one in of["variants"]],
             title="Error of simulated PE-VGOP against a real LiDAR's",
-            subtitle=f"{of['cars']} cars in {of['frames']} real sweeps, ray by ray; bars: 90 % of resampled frames",
+            subtitle=f"{of['cars']} cars in {of['frames']} real sweeps, ray by ray; bars: 90 % of {resampled}",
         ),
         "scores.png": lambda path: plot_paired_scores(
             path,

@@ -10,6 +10,7 @@ from ..metrics.vgop import entropy, occupancy
 from ..sensors.detection_range import detection_range_m
 from ..sensors.imperfections import Imperfections
 from ..world.meshes import GLASS, REFLECTIVITY
+from .cars import bearing_deg
 from .labelled import LabelledSweep
 from .pairing import CarRays, Simulated, hits_of, points_along, simulate
 from .rays import NO_POINT
@@ -103,7 +104,7 @@ class PairedSweep:
             "frame": np.full(len(rows), self.sweep.frame),
             "label_line": boxes.label_line[rows],
             "distance_m": boxes.distance_m[rows],
-            "bearing_deg": self.bearing_deg(),
+            "bearing_deg": bearing_deg(self.sweep.boxes.select(self.rows)),
             **{f"{side}_m": boxes.size_m[rows, axis] for axis, side in enumerate(("length", "width", "height"))},
             "occlusion": boxes.occlusion[rows].astype(int),
             "rays": toward,
@@ -138,12 +139,6 @@ class PairedSweep:
     def residuals(self, outcome: Outcome) -> np.ndarray:
         """Real less simulated range of the rays that hit in both [m]."""
         return self.rays.rays.range_m[outcome.both] - outcome.distance_m[outcome.both]
-
-    def bearing_deg(self) -> np.ndarray:
-        """Angle between the line of sight and each car's axis, (c,), 0 end-on to 90 side-on [deg]."""
-        boxes, rows = self.sweep.boxes, self.rows
-        sight = np.arctan2(boxes.centre_m[rows, 1], boxes.centre_m[rows, 0]) - boxes.heading_rad[rows]
-        return np.degrees(np.arcsin(np.minimum(np.abs(np.sin(sight)), 1.0)))
 
     def _scores(self, local: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         share = occupancy(local, self.rays.box[rays], self.sweep.boxes.size_m)[self.rows]

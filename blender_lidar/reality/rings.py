@@ -2,11 +2,12 @@
 
 Files of rotating LiDARs such as KITTI's keep ring after ring, in each of which the azimuth turns once; a new ring
 starts where it wraps. Lasers do not fire from one point: in KITTI's HDL-64E the rays of the upper block cross the axis
-0.20 m above the origin of the coordinates, those of the lower one 0.12 m, and they pass it by 0.026 m, ring by ring in
-turn to the left and to the right. Seen from the origin a ring's elevation therefore depends on the range, by a degree
-between 10 m and far away, which is two to three rings; and azimuths shift by nearly a step at 10 m. Seen from the laser
-neither does. So each ring is the cone ``z = height + tan(elevation) * rho``, which its points miss by 0.3 mm (median
-over KITTI's sweeps), with the same heights and elevations in all sweeps to 1 mm and 0.001 degrees.
+0.20 m above the origin of the coordinates, those of the lower one 0.12 m, and where a sweep tells it, in a third of the
+rings, they pass it by about 0.02 m to the left or to the right. Seen from the origin a ring's elevation therefore
+depends on the range, by a degree between 10 m and far away, which is two to three rings; and azimuths shift by nearly a
+step at 10 m. Seen from the laser neither does. So each ring is the cone ``z = height + tan(elevation) * rho``, which
+its points miss by 0.3 mm (median over KITTI's sweeps), with the same heights and elevations in all sweeps to 1 mm and
+0.001 degrees.
 """
 
 from __future__ import annotations
