@@ -337,7 +337,7 @@ def test_wrong_folders_end_in_one_line_and_leave_nothing(true_bodies, tmp_path, 
     full = tmp_path / "full"
     full.mkdir()
     (full / "mine.txt").write_text("mine", encoding="utf-8")
-    assert run("--kitti", true_bodies, "--out", full) != 0
+    assert run("--kitti", true_bodies, "--caster", CASTER, "--out", full) != 0
     assert "is not empty; name a new folder" in capsys.readouterr().err
     shuffled = tmp_path / "shuffled"
     shuffled.mkdir()
