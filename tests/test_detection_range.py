@@ -10,35 +10,18 @@ import pytest
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.casting.standing import StandingScenery
-from blender_lidar.scan import scan
-from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.detection_range import detection_range_m
-from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.world.meshes import REFLECTIVITY, ROAD, STRUCTURE, SURFACES
 from blender_lidar.world.scenery import structure
 from blender_lidar.world.triangles import vehicle_triangles
-from tests.sample_traffic import dense_traffic
+from tests.lossy_street import LATTICE, POSE, TRAFFIC, beams_of, cloud_of
 
-LATTICE = beam_lattice(load_model("RS-LiDAR-32"), stride=4)
-TRAFFIC = dense_traffic(vehicles=16, length_m=45.0, frame=7)
-POSE = Pose(1.0, -0.5, 3.6, 0.3, 0.07, -0.5)
 MOUNTINGS = (POSE, Pose(height_m=4.1))
 WEAK = Imperfections(range_at_10_percent_m=9.0)  # paint that faces the sensor to 20 m
-
-
-def cloud_of(imperfections=PERFECT, detail="body", vehicles=TRAFFIC, pose=POSE, **changes):
-    options = {"caster": "exact", "min_range_m": 0.4, "max_range_m": 60.0} | changes
-    return scan(vehicles, LATTICE, pose, detail=detail, imperfections=imperfections, **options)
-
-
-def beams_of(cloud):
-    """Flat index of each point's beam by (ring, slot)."""
-    ring = cloud.ring.astype(int)
-    slot = np.round((cloud.azimuth_rad - LATTICE.slot_azimuth0_rad[ring]) / LATTICE.step_rad).astype(int)
-    return ring * LATTICE.columns + slot
 
 
 def seen(imperfections, detail="body", caster="exact", poses=MOUNTINGS):

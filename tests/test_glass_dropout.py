@@ -10,34 +10,17 @@ import pytest
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.casting.standing import StandingScenery
-from blender_lidar.scan import scan
-from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
-from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.world.scenery import Scenery, structure
 from blender_lidar.world.shapes import GLASS
 from blender_lidar.world.triangles import vehicle_triangles
-from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.lossy_street import LATTICE, POSE, TRAFFIC, beams_of, cloud_of
+from tests.sample_traffic import one_vehicle
 
-LATTICE = beam_lattice(load_model("RS-LiDAR-32"), stride=4)
-TRAFFIC = dense_traffic(vehicles=16, length_m=45.0, frame=7)
-POSE = Pose(1.0, -0.5, 3.6, 0.3, 0.07, -0.5)
 WINDOWS = ("body", "detailed")
 ODDS = {"none": (0.0, 1.0), "half": (0.0, 0.5), "half and drop-out": (0.2, 0.5), "none and drop-out": (0.2, 1.0)}
-
-
-def cloud_of(imperfections=PERFECT, detail="body", vehicles=TRAFFIC, pose=POSE, **changes):
-    options = {"caster": "exact", "min_range_m": 0.4, "max_range_m": 60.0} | changes
-    return scan(vehicles, LATTICE, pose, detail=detail, imperfections=imperfections, **options)
-
-
-def beams_of(cloud):
-    """Flat index of each point's beam by (ring, slot)."""
-    ring = cloud.ring.astype(int)
-    slot = np.round((cloud.azimuth_rad - LATTICE.slot_azimuth0_rad[ring]) / LATTICE.step_rad).astype(int)
-    return ring * LATTICE.columns + slot
 
 
 def beams_on_glass(detail, vehicles=TRAFFIC, pose=POSE):
