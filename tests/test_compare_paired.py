@@ -289,6 +289,29 @@ def test_a_folder_of_fitted_or_of_other_frames_alone_says_so(tmp_path, capsys, s
     assert "on the frames of the fit and" not in printed
 
 
+def test_what_counts_as_a_car_may_be_named(tmp_path, capsys):
+    vehicles = street(1)
+    write_kitti(tmp_path, "1", cloud_of(vehicles)[1], vehicles)
+    path = tmp_path / "label_2" / "1.txt"
+    cars = path.read_text(encoding="utf-8")
+    lines = cars.splitlines()
+    rows = [row for row, line in enumerate(lines) if line.startswith("Car ")]
+    for row in rows[::2]:
+        lines[row] = lines[row].replace("Car ", "Van ", 1)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    words = ("--kitti", tmp_path, "--details", "box", "--caster", CASTER, "--json")
+    counts = []
+    for number, classes in enumerate((("car",), ("VAN",), ("Car", "Van"))):
+        named = [word for name in classes for word in ("--class", name)]
+        assert run(*words, *named, "--out", tmp_path / f"out{number}") == 0
+        counts.append(json.loads(capsys.readouterr().out)["sets"]["all"]["cars"])
+    assert counts[0] > 0
+    assert counts[1] > 0
+    assert counts[2] == counts[0] + counts[1]
+    assert run(*words, "--class", " ", "--out", tmp_path / "none") == 2
+    assert "--class: is empty" in capsys.readouterr().err
+
+
 def test_a_single_sweep_is_compared_without_intervals(tmp_path, capsys):
     vehicles = street(1)
     (tmp_path / "one").mkdir()
@@ -350,7 +373,7 @@ def test_wrong_folders_end_in_one_line_and_leave_nothing(true_bodies, tmp_path, 
     far = replace(vehicles, centre_m=vehicles.centre_m * [3.0, 3.0, 1.0])
     write_kitti(shuffled, "1", points, far)
     assert run("--kitti", shuffled, "--caster", CASTER, "--out", tmp_path / "out") == 2
-    assert "none of its 1 sweeps has a whole car at 10 to 50 m" in capsys.readouterr().err
+    assert "none of its 1 sweeps has a whole Car at 10 to 50 m" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

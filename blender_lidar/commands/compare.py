@@ -19,6 +19,13 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--kitti", required=True, metavar="DIR", help="labelled sweeps in the layout of KITTI or SUSTechPOINTS"
     )
+    parser.add_argument(
+        "--class",
+        dest="classes",
+        action="append",
+        metavar="NAME",
+        help="what the labels call a car; may be repeated (default Car, in small or capital letters)",
+    )
     parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
     parser.add_argument("--json", action="store_true", help="print the results as JSON, and nothing else, on stdout")
     compare_paired.add_options(parser)

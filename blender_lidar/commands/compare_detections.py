@@ -17,7 +17,7 @@ from ..reality.findings_tables import as_json
 from ..reality.findings_text import findings_text
 from ..reality.layouts import open_labelled
 from ..reality.resampled_cars import Draws
-from .options import checked_number, new_folder
+from .options import checked_number, label_classes, new_folder
 
 SCHEMA = 1
 _MOST_BLOCK_FRAMES = 100_000
@@ -35,13 +35,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--frames-table",
         metavar="CSV",
         help="split, label_kind and drive of each frame; by default frames.csv beside CARS.csv, if it is there",
-    )
-    group.add_argument(
-        "--class",
-        dest="classes",
-        action="append",
-        metavar="NAME",
-        help="what the labels call a car; may be repeated (default Car, in small or capital letters)",
     )
     group.add_argument(
         "--metrics",
@@ -97,12 +90,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _settings(args: argparse.Namespace) -> Settings:
-    classes = tuple(name.strip() for name in args.classes or ["Car"])
-    if not all(classes):
-        raise InputError("--class: is empty; allowed: a name that the labels use")
     if not 1 <= args.block_frames <= _MOST_BLOCK_FRAMES:
         raise InputError(f"--block-frames: is {args.block_frames}; allowed: 1 to {_MOST_BLOCK_FRAMES}")
     if args.seed < 0:
         raise InputError(f"--seed: is {args.seed}; allowed: 0 or more")
     clearance = checked_number(args.ground_clearance, "--ground-clearance", low=0.0)
-    return Settings(classes, clearance, Draws(args.block_frames, args.seed))
+    return Settings(label_classes(args), clearance, Draws(args.block_frames, args.seed))

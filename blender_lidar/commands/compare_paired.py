@@ -22,7 +22,7 @@ from ..reality.pairing import CLEARANCE_M, GROWN_M, SHORT_M
 from ..reality.variants import MEASURED, variants
 from ..sensors.imperfections import Imperfections
 from ..world.shapes import DETAILS
-from .options import new_folder
+from .options import label_classes, new_folder
 from .progress import Progress
 
 _MOST_MARGIN_M = 1.0
@@ -58,14 +58,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     details, margin_m = _details(args.details), _margin(args.label_margin)
-    lossy = _losses(args.losses)
+    lossy, classes = _losses(args.losses), label_classes(args)
     caster = resolve(args.caster, "--caster")
     clouds = open_labelled(args.kitti)
     told = read_frame_list(clouds.folder)
     folder = _folder(args.out)
     progress = Progress(len(clouds), "sweeps")
     try:
-        paired = pair_cars(clouds, variants(details, lossy), caster, margin_m, lambda: progress.advance(1))
+        paired = pair_cars(clouds, variants(details, lossy), caster, margin_m, classes, lambda: progress.advance(1))
     finally:
         progress.close()
     sets = aggregate(paired, told)
@@ -74,6 +74,7 @@ def run(args: argparse.Namespace) -> int:
         "layout": clouds.layout,
         "sweeps": len(clouds),
         "unpaired_files": clouds.unpaired,
+        "classes": list(classes),
         "caster": caster,
         "details": list(details),
         "losses": {name: getattr(lossy, name) for name in _LOSSES},

@@ -192,3 +192,11 @@ def new_folder(name: str) -> Path:
     stem = name.lower()
     candidates = (Path("runs") / (stem if number == 1 else f"{stem}_{number}") for number in range(1, 1_000_000))
     return next(path for path in candidates if not path.exists())
+
+
+def label_classes(args: argparse.Namespace) -> tuple[str, ...]:
+    """What ``--class`` calls a car, in the words of a data set's labels."""
+    classes = tuple(name.strip() for name in args.classes or ["Car"])
+    if not all(classes):
+        raise InputError("--class: is empty; allowed: a name that the labels use")
+    return classes

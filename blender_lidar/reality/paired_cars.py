@@ -75,6 +75,7 @@ def pair_cars(
     ways: tuple[Variant, ...],
     caster: str,
     margin_m: Sequence[float] = LABEL_MARGIN_M,
+    classes: Sequence[str] = (CAR,),
     report: Callable[[], None] = lambda: None,
 ) -> PairedCars:
     """Compare every car at 10 to 50 m that the picture did not cut off.
@@ -87,6 +88,8 @@ def pair_cars(
         A name of `casting.CASTERS`.
     margin_m : sequence of float, (3,)
         By how much labels are longer, wider and higher than what they are drawn about [m].
+    classes : sequence of str
+        What counts as a car, in the data set's words; capitals do not matter. All else that is labelled only hides.
     report : callable
         Called after each sweep.
 
@@ -101,7 +104,7 @@ def pair_cars(
     residuals: dict[str, list] = {way.detail: [] for way in ways}
     for number, frame in enumerate(clouds.frames):
         sweep = clouds.read(frame)
-        rows = _chosen(sweep, left_out)
+        rows = _chosen(sweep, classes, left_out)
         if len(rows):
             rings.append(recover_rings(sweep.points, f"{clouds.folder}: {frame}"))
             paired = PairedSweep(sweep, car_rays(sweep, rows, rings[-1]), rows, number)
@@ -116,7 +119,8 @@ def pair_cars(
         report()
     if not cars:
         raise InputError(
-            f"{clouds.folder}: none of its {len(clouds)} sweeps has a whole car at {NEAREST_M:g} to {FARTHEST_M:g} m"
+            f"{clouds.folder}: none of its {len(clouds)} sweeps has a whole {' or '.join(classes)} at "
+            f"{NEAREST_M:g} to {FARTHEST_M:g} m"
         )
     return PairedCars(
         variants=ways,
@@ -129,10 +133,10 @@ def pair_cars(
     )
 
 
-def _chosen(sweep: LabelledSweep, left_out: Counter) -> np.ndarray:
+def _chosen(sweep: LabelledSweep, classes: Sequence[str], left_out: Counter) -> np.ndarray:
     """Rows of the cars to compare; the others are counted by the reason why not."""
     boxes = sweep.boxes
-    car = np.char.lower(boxes.label.astype(str)) == CAR.lower()
+    car = np.isin(np.char.lower(boxes.label.astype(str)), [name.lower() for name in classes])
     cut = car & (boxes.truncation > 0.0)  # NaN where the data set does not say
     near, far = car & ~cut & (boxes.distance_m < NEAREST_M), car & ~cut & (boxes.distance_m >= FARTHEST_M)
     for reason, which in {"cut off by the picture": cut, "nearer": near, "farther": far}.items():
