@@ -27,10 +27,13 @@ from .toml_table import to_toml
 __all__ = ["SCHEMA", "VEHICLES", "VEHICLES_BASELINE", "RunFolder", "run_identity", "versions"]
 
 SCHEMA = 1
-RESULT, CHECKPOINT, SCENE, HISTORY = "result.json", "checkpoint.json", "scene.toml", "history.csv"
+RESULT, CHECKPOINT, SCENE = "result.json", "checkpoint.json", "scene.toml"
+HISTORY, HISTORY_SHARP = "history.csv", "history_sharp.csv"
 VEHICLES, VEHICLES_BASELINE, SCORE_MAP = "vehicles.csv", "vehicles_baseline.csv", "score_map.csv"
 INSTALLATION, REPORT = "installation.txt", "report.html"
-_FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION, REPORT)
+_FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, HISTORY_SHARP)
+_FILES += (VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION, REPORT)
+SHARP, ROBUST = "search", "robust"  # the searches of a checkpoint: of mountings as planned, and over a tolerance
 _SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a run has written
 
 _BLOCK_OBJECTIVE, _BLOCK_VEHICLES = "objective_block_", "vehicles_block_"  # columns of the score map
@@ -123,12 +126,12 @@ class RunFolder:
                 tables["world"][key] = str(Path(tables["world"][key]).resolve())
         write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n" + to_toml(tables))
 
-    def write_checkpoint(self, identity: Mapping, state: Mapping) -> None:
-        """Store how far a search has come."""
-        write_text(self.file(CHECKPOINT), json.dumps({"identity": identity, "search": state}))
+    def write_checkpoint(self, identity: Mapping, states: Mapping[str, Mapping]) -> None:
+        """Store how far the searches have come, each under its name, `SHARP` or `ROBUST`."""
+        write_text(self.file(CHECKPOINT), json.dumps({"identity": identity, **states}))
 
-    def read_checkpoint(self, identity: Mapping) -> dict | None:
-        """The stored state of a search, None where none is stored.
+    def read_checkpoint(self, identity: Mapping) -> dict[str, dict]:
+        """The stored states of the searches that have begun, by name.
 
         Raises
         ------
@@ -137,11 +140,11 @@ class RunFolder:
         """
         content = self._read_json(CHECKPOINT)
         if content is None:
-            return None
-        if "search" not in content:
+            return {}
+        if SHARP not in content:
             raise InputError(f"{self.file(CHECKPOINT)}: is not the checkpoint of a run")
         self._check_identity(content, identity)
-        return content["search"]
+        return {name: content[name] for name in (SHARP, ROBUST) if name in content}
 
     def read_result(self, identity: Mapping) -> dict | None:
         """The result of a run that has ended, None where none has; settings are checked as for a checkpoint."""
@@ -175,11 +178,14 @@ class RunFolder:
         write_text(self.file(RESULT), json.dumps(result, indent=2) + "\n")
         self.file(CHECKPOINT).unlink(missing_ok=True)
 
-    def write_history(self, history: np.ndarray, variables: tuple[str, ...]) -> None:
-        """Write every evaluation: number, iteration, particle, variables, objective, best so far."""
+    def write_history(self, name: str, history: np.ndarray, variables: tuple[str, ...]) -> None:
+        """Write every evaluation: number, iteration, particle, variables, objective, best so far.
+
+        `name` is `HISTORY`, or `HISTORY_SHARP` for the search of mountings as planned beside one over a tolerance.
+        """
         rows = ([*map(int, row[:3]), *map(repr, row[3:])] for row in history.tolist())
         header = ["evaluation", "iteration", "particle", *variables, "objective", "best"]
-        write_text(self.file(HISTORY), to_csv(header, rows))
+        write_text(self.file(name), to_csv(header, rows))
 
     def write_vehicles(self, name: str, table: Mapping[str, np.ndarray]) -> None:
         """Write a vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""

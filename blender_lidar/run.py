@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -12,8 +13,18 @@ import numpy as np
 
 from .metrics.catalogue import metric_named
 from .optimise import DePsoSettings, Search, make_search, search_from_state
-from .plots.binning import near_best_threshold
-from .results import INSTALLATION, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder, versions
+from .results import (
+    HISTORY,
+    HISTORY_SHARP,
+    INSTALLATION,
+    ROBUST,
+    SCHEMA,
+    SHARP,
+    VEHICLES,
+    VEHICLES_BASELINE,
+    RunFolder,
+    versions,
+)
 from .scenario import Scenario, pose_at
 from .study.circumstances import scenery_counts
 from .study.evaluation import Evaluator
@@ -21,9 +32,10 @@ from .study.installation import installation_text
 from .study.score_map import ScoreMap, map_scores
 from .study.site import Site
 from .study.vehicle_table import join_tables, vehicle_table
-from .study.verdict import judge
+from .study.tolerance import best_over_tolerance, objective_over
+from .study.tolerance_verdict import judge_over_tolerance, tolerance_result
+from .study.verdict import judge, map_verdict
 
-REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
 _CHECKPOINT_EVERY_S = 2.0
 
 
@@ -31,7 +43,7 @@ class Listener(Protocol):
     """Told how a run comes along; every method may do nothing."""
 
     def searching(self, search: Search) -> None:
-        """After each batch of evaluations, and once before the first."""
+        """After each batch of evaluations, and once before the first; where there is a tolerance, of both searches."""
 
     def mapping(self, points: int) -> None:
         """After `points` more of the score map's grid points."""
@@ -50,7 +62,7 @@ class Outcome:
     score_map : ScoreMap or None
         The landscape over height and tilt, where both were searched.
     history : ndarray or None
-        Every evaluation, where there was a search.
+        Every evaluation of the search that found the mounting, where there was one.
     """
 
     result: dict
@@ -82,25 +94,33 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     started = time.perf_counter()
     scenario = site.scenario
     identity = site.identity
-    stored = folder.read_checkpoint(identity) if resume else None
-    search = fresh_search(scenario) if stored is None else search_from_state(stored)
+    searches = _searches(scenario, folder.read_checkpoint(identity) if resume else {})
     folder.write_scene(scenario)
     with site.evaluator(site.search) as evaluator:
-        _search(search, evaluator, scenario, folder, identity, listener)
-        best = scenario.deployment.coordinates(search.best_x)
-        score_map = map_scores(evaluator, scenario.deployment, best, site.plan.search_block, listener.mapping)
-        mountings = {"optimised": pose_at(best), "baseline": scenario.baseline_pose}
+        for name, search in searches.items():
+            objective = partial(_OBJECTIVES[name], evaluator, scenario)
+            _search(search, objective, listener, lambda: folder.write_checkpoint(identity, _states(searches)))
+        found = [scenario.deployment.coordinates(search.best_x) for search in searches.values()]
+        sharp, best = found[0], best_over_tolerance(evaluator, found[::-1], scenario.objective.tolerance)
+        score_map = map_scores(evaluator, scenario.deployment, sharp, site.plan.search_block, listener.mapping)
+        mountings = {"optimised": best, "baseline": scenario.baseline}
+        if ROBUST in searches:
+            mountings["sharp"] = sharp
+        over_tolerance = judge_over_tolerance(site, mountings, evaluator, scenario.search.seed)
         if score_map is not None:
-            mountings["best_of_map"] = pose_at(score_map.best_coordinates(best))
-        verdict = judge(site, mountings, evaluator, scenario.search.seed)
+            mountings["best_of_map"] = score_map.best_coordinates(sharp)
+        verdict = _judge(site, mountings, evaluator)
+    evaluations = {name: search.evaluations for name, search in searches.items()}
+    mapped = "sharp" if ROBUST in searches else "optimised"
     searched = {
         "search": scenario.search.method,
         "seed": scenario.search.seed,
-        "evaluations": search.evaluations,
-        "map": None if score_map is None else _map_summary(score_map, scenario, verdict),
+        "evaluations": sum(evaluations.values()),
+        "map": None if score_map is None else map_verdict(score_map, verdict, mapped, scenario.search.seed),
     }
-    result = _result(site, identity, best, verdict, searched, time.perf_counter() - started)
-    return _finish(site, folder, result, best, score_map, search.history)
+    tolerance = tolerance_result(scenario.objective.tolerance, over_tolerance, sharp, verdict, evaluations)
+    result = _result(site, identity, best, verdict, searched, tolerance, time.perf_counter() - started)
+    return _finish(site, folder, result, score_map, [search.history for search in searches.values()])
 
 
 def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float]) -> Outcome:
@@ -109,12 +129,14 @@ def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float
     scenario = site.scenario
     folder.write_scene(scenario)
     with site.evaluator(site.search) as evaluator:
-        mountings = {"optimised": pose_at(coordinates), "baseline": scenario.baseline_pose}
-        verdict = judge(site, mountings, evaluator, scenario.search.seed)
+        mountings = {"optimised": coordinates, "baseline": scenario.baseline}
+        over_tolerance = judge_over_tolerance(site, mountings, evaluator, scenario.search.seed)
+        verdict = _judge(site, mountings, evaluator)
     searched = {"search": None, "seed": scenario.search.seed, "evaluations": 1, "map": None}
     identity = site.identity
-    result = _result(site, identity, coordinates, verdict, searched, time.perf_counter() - started)
-    return _finish(site, folder, result, coordinates, None, None)
+    tolerance = tolerance_result(scenario.objective.tolerance, over_tolerance)
+    result = _result(site, identity, coordinates, verdict, searched, tolerance, time.perf_counter() - started)
+    return _finish(site, folder, result, None, [])
 
 
 def fresh_search(scenario: Scenario) -> Search:
@@ -138,46 +160,48 @@ def fresh_search(scenario: Scenario) -> Search:
     )
 
 
-def _search(search, evaluator: Evaluator, scenario, folder, identity, listener):
-    deployment = scenario.deployment
+def _searches(scenario: Scenario, states: Mapping[str, dict]) -> dict[str, Search]:
+    """The searches of a run in their order, each from its stored state where there is one."""
+    names = (SHARP,) if scenario.objective.tolerance is None else (SHARP, ROBUST)
+    return {name: search_from_state(states[name]) if name in states else fresh_search(scenario) for name in names}
+
+
+def _states(searches: Mapping[str, Search]) -> dict[str, dict]:
+    """How far each search that has begun has come."""
+    return {name: search.state() for name, search in searches.items() if search.evaluations}
+
+
+def _objective(evaluator: Evaluator, scenario: Scenario, x: np.ndarray) -> np.ndarray:
+    """The objective of mountings that hang as planned, (s,), at points `x` (s, d) of the search space."""
+    return evaluator.totals([scenario.deployment.pose(row) for row in x]).objective.sum(axis=1)
+
+
+def _objective_over_tolerance(evaluator: Evaluator, scenario: Scenario, x: np.ndarray) -> np.ndarray:
+    """The same over the scene's tolerance."""
+    plans = [scenario.deployment.coordinates(row) for row in x]
+    return objective_over(evaluator, plans, scenario.objective.tolerance)
+
+
+_OBJECTIVES = {SHARP: _objective, ROBUST: _objective_over_tolerance}
+
+
+def _search(search: Search, objective: Callable, listener: Listener, store: Callable[[], None]) -> None:
     listener.searching(search)
     stored_at = -np.inf
     while not search.done:
-        poses = [deployment.pose(x) for x in search.ask()]
-        search.tell(evaluator.totals(poses).objective.sum(axis=1))
+        search.tell(objective(search.ask()))
         if time.monotonic() - stored_at >= _CHECKPOINT_EVERY_S or search.done:
-            folder.write_checkpoint(identity, search.state())
+            store()
             stored_at = time.monotonic()
         listener.searching(search)
 
 
-def _map_summary(score_map: ScoreMap, scenario, verdict) -> dict:
-    """The landscape in numbers; shares of the gain are None where nothing is better than the baseline."""
-    height, tilt, value = score_map.best
-    base = verdict["baseline"]["objective_per_vehicle"]
-    found = verdict["optimised"]["objective_per_vehicle"]
-    best = max(value, found)
-    gains = best > base
-    near_best = near_best_threshold(best, base, REGION_SHARE)
-    intervals = score_map.optimum_intervals_90(scenario.search.seed)
-    return {
-        "points": list(score_map.per_vehicle.shape),
-        "best": {"height_m": height, "tilt_x_deg": tilt, "objective_per_vehicle": value},
-        "search_shortfall": (best - found) / (best - base) if gains else None,
-        "holdout_regret": _regret(*(verdict[name]["holdout"] for name in ("best_of_map", "optimised"))),
-        "optimum_interval_90": None if intervals is None else {key: list(pair) for key, pair in intervals.items()},
-        "share_within_1_percent": float((score_map.per_vehicle >= near_best).mean()) if gains else None,
-    }
+def _judge(site: Site, mountings: Mapping[str, Mapping[str, float]], evaluator: Evaluator) -> dict:
+    poses = {name: pose_at(coordinates) for name, coordinates in mountings.items()}
+    return judge(site, poses, evaluator, site.scenario.search.seed)
 
 
-def _regret(best, found):
-    """Share of the gain of the map's best mounting that the found one lacks, on held-out frames; below 0 if better."""
-    if best is None or not best["gain_over_baseline"] > 0.0:
-        return None
-    return 1.0 - found["gain_over_baseline"] / best["gain_over_baseline"]
-
-
-def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
+def _result(site: Site, identity, best, verdict, searched, tolerance, seconds) -> dict:
     scenario, metric = site.scenario, metric_named(site.scoring.metric)
     return {
         "schema": SCHEMA,
@@ -201,6 +225,7 @@ def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
         "deployment": dict(best),
         **verdict["optimised"],
         "baseline": {"deployment": dict(scenario.baseline), **verdict["baseline"]},
+        "tolerance": tolerance,
         "notes": list(site.plan.notes),
         "traffic_report": site.recording.report.as_dict(),
         "identity": identity,
@@ -209,17 +234,18 @@ def _result(site: Site, identity, best, verdict, searched, seconds) -> dict:
     }
 
 
-def _finish(site: Site, folder: RunFolder, result, best, score_map, history) -> Outcome:
-    tables = [_both_splits(site, pose_at(best)), _both_splits(site, site.scenario.baseline_pose)]
-    if history is not None:
-        folder.write_history(history, site.scenario.deployment.variables)
+def _finish(site: Site, folder: RunFolder, result, score_map, histories) -> Outcome:
+    """Write all that a run leaves; of the histories the last is that of the search that found the mounting."""
+    tables = [_both_splits(site, pose_at(mount)) for mount in (result["deployment"], site.scenario.baseline)]
+    for name, history in zip((HISTORY, HISTORY_SHARP), histories[::-1], strict=False):
+        folder.write_history(name, history, site.scenario.deployment.variables)
     if score_map is not None:
         folder.write_score_map(score_map)
     folder.write_vehicles(VEHICLES, tables[0])
     folder.write_vehicles(VEHICLES_BASELINE, tables[1])
     folder.write_text(INSTALLATION, installation_text(site, result))
     folder.finish(result)
-    return Outcome(result, tables[0], tables[1], score_map, history)
+    return Outcome(result, tables[0], tables[1], score_map, histories[-1] if histories else None)
 
 
 def _both_splits(site: Site, pose):

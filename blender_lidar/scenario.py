@@ -25,6 +25,7 @@ from .settings import (
     TrafficSettings,
     pose_at,
 )
+from .tolerance_table import tolerance_settings
 from .toml_table import TomlTable, read_toml
 from .traffic import FORMATS, RoadFrame
 from .traffic.frames import DEFAULT_COUNT
@@ -177,6 +178,7 @@ def _objective(table: TomlTable) -> ObjectiveSettings:
         threshold=table.number("threshold", 0.005, low=0.0, high=1.0),
         view=table.text("view", "mean", allowed=VIEWS),
         loss=table.number("loss", _PAPERS_LOSS if metric == PE_VGOP.name else None, low=-_MOST_LOSS, high=_MOST_LOSS),
+        tolerance=tolerance_settings(table.optional_table("tolerance")),
     )
 
 

@@ -123,10 +123,46 @@ class Deployment:
 
 
 @dataclass(frozen=True, slots=True)
+class Tolerance:
+    """[objective] tolerance: how far off its plan a mounting may end up, as half-widths.
+
+    Each error is uniform between minus and plus its half-width and independent of the others.
+
+    Attributes
+    ----------
+    height_m : float
+        Of the height [m].
+    tilt_deg : float
+        Of both tilts, across the road and along it [degrees]: the inclinometer that sets the one has to level the other.
+    yaw_deg : float
+        Of the yaw [degrees].
+    aim : {"mean", "low"}
+        What is maximised of the objective over these errors: its mean, or what it reaches in nine cases of ten.
+    """
+
+    height_m: float
+    tilt_deg: float
+    yaw_deg: float
+    aim: str
+
+    @property
+    def half_widths(self) -> dict[str, float]:
+        """Of each of `COORDINATES` that is not exact, in their order [m, degrees]."""
+        widths = {
+            "height_m": self.height_m,
+            "tilt_x_deg": self.tilt_deg,
+            "tilt_y_deg": self.tilt_deg,
+            "yaw_deg": self.yaw_deg,
+        }
+        return {key: width for key, width in widths.items() if width > 0.0}
+
+
+@dataclass(frozen=True, slots=True)
 class ObjectiveSettings:
     """[objective]: what is maximised.
 
-    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do.
+    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do; `tolerance` is None
+    where mountings are taken to hang as planned.
     """
 
     metric: str
@@ -135,6 +171,7 @@ class ObjectiveSettings:
     threshold: float
     view: str
     loss: float | None
+    tolerance: Tolerance | None = None
 
 
 @dataclass(frozen=True, slots=True)

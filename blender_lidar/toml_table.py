@@ -66,6 +66,10 @@ class TomlTable:
         self._values, self._where, self._origins = dict(values), where, dict(origins or {})
         self._known: list[str] = []
 
+    def __str__(self) -> str:
+        """What an error names: the table itself."""
+        return self._where
+
     def where(self, key: str) -> str:
         """Where the value of `key` came from, as an error names it."""
         return self._origins.get(key, f"{self._where} {key}")
@@ -149,7 +153,13 @@ class TomlTable:
         """A table within this one; empty where the key is missing."""
         self._known.append(key)
         where = f"{self._where[:-1]}.{key}]" if self._where.endswith("]") else f"{self._where}: [{key}]"
-        return TomlTable(self._values.get(key, {}), where)
+        return TomlTable(self._values.get(key, {}), self._origins.get(key, where))
+
+    def optional_table(self, key) -> TomlTable | None:
+        """A table within this one; None where the key is missing."""
+        table = self.table(key) if self._values.get(key) is not None else None
+        self._known.append(key)
+        return table
 
     def tables(self) -> dict[str, TomlTable]:
         """All tables within this one, whatever their names."""

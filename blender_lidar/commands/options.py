@@ -61,6 +61,15 @@ _SETTINGS = (
     ("--caster", "model", "caster", str, ("auto", *CASTERS), "what casts the rays"),
     ("--detail", "world", "detail", str, DETAILS, "level of detail of the vehicles"),
     ("--metric", "objective", "metric", str, None, f"what is maximised: {', '.join(METRICS)}"),
+    (
+        "--tolerance",
+        "objective",
+        "tolerance",
+        str,
+        None,
+        "how far off its plan the mounting may end up, as half-widths: tilt_deg=1,height_m=0.05; also yaw_deg, and "
+        "aim=mean or aim=low; none: it hangs as planned",
+    ),
     ("--reading", "objective", "reading", str, READINGS, "the paper's equations as corrected, or as printed"),
     ("--workers", "model", "workers", int, None, "processes; 0 takes one for each processor"),
     ("--search", "search", "method", str, SEARCHES, "how the best mounting is looked for"),
@@ -84,7 +93,7 @@ _POSE_HELP = {
     "yaw_deg": "counter-clockwise seen from above",
 }
 SEARCH_OPTIONS = ("--search", "--particles", "--iterations")
-_FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--reading", "--workers", "--seed")
+_FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--tolerance", "--reading", "--workers", "--seed")
 
 
 def option_name(key: str) -> str:
@@ -137,7 +146,7 @@ def scenario_from(args: argparse.Namespace) -> Scenario:
     for option, table, key, _, _, _ in _SETTINGS:
         value = getattr(args, option[2:].replace("-", "_"), None)
         if value is not None and option not in args.left_out:
-            overrides[table, key] = (value, option)
+            overrides[table, key] = (_READ_AS.get(option, _as_it_is)(value, option), option)
     if getattr(args, "frame_ids", None) is not None:
         overrides["traffic", "frame_ids"] = (parse_frames(args.frame_ids, "--frame-ids"), "--frame-ids")
     return load_scenario(args.scene, overrides)
@@ -180,6 +189,27 @@ def parse_frames(text: str, option: str) -> list[int]:
             )
         frames += range(first, last + 1, step)
     return frames
+
+
+def parse_tolerance(text: str, option: str) -> dict[str, float | str] | None:
+    """A table of half-widths from "tilt_deg=1,height_m=0.05", None from "none"; the scene's checks see to its keys."""
+    if text == "none":
+        return None
+    table: dict[str, float | str] = {}
+    for part in text.split(","):
+        key, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals or not value or key in table:
+            fault = "is there twice" if key in table else "is no key=value"
+            raise InputError(f"{option}: {part!r} {fault}; allowed: such as tilt_deg=1,height_m=0.05, or none")
+        table[key] = _number_or_text(value)
+    return table
+
+
+def _as_it_is(value: object, _option: str) -> object:
+    return value
+
+
+_READ_AS = {"--tolerance": parse_tolerance}  # settings that an option writes in another way than a scene
 
 
 def default_folder(scenario: Scenario) -> Path:

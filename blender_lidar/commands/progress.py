@@ -46,7 +46,7 @@ class Progress:
 
 
 class RunProgress:
-    """Shows how a run comes along, first the search, then the map; a `run.Listener` and a context manager.
+    """Shows how a run comes along, first the search, or both where there is a tolerance, then the map; a `run.Listener` and a context manager.
 
     Parameters
     ----------
@@ -59,6 +59,7 @@ class RunProgress:
     def __init__(self, variables: Sequence[str], metric: Metric = PE_VGOP) -> None:
         self._metric = metric
         self._names = [option_name(key).removeprefix("--") for key in variables]
+        self._searched: Search | None = None
         self._search: Progress | None = None
         self._map: Progress | None = None
         self._evaluations = 0
@@ -72,11 +73,18 @@ class RunProgress:
                 progress.close()
 
     def searching(self, search: Search) -> None:
-        if self._search is None:
-            self._search = Progress(search.budget, "search", search.evaluations)
+        if search is not self._searched:
+            self._begin(search)
         else:
             self._search.advance(search.evaluations - self._evaluations, self._best(search))
         self._evaluations = search.evaluations
+
+    def _begin(self, search: Search) -> None:
+        """Show a search from where it is; the second one is that over the tolerance."""
+        what = "search" if self._searched is None else "search over the tolerance"
+        if self._search is not None:
+            self._search.close()
+        self._searched, self._search = search, Progress(search.budget, what, search.evaluations)
 
     def mapping(self, points: int) -> None:
         if self._map is None:

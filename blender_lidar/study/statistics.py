@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 RESAMPLES = 2000
@@ -76,6 +78,25 @@ def difference_interval_90(
     spread = float(np.std(ratios[0] - ratios[1]))
     middle = float(first[0].sum() / first[1].sum() - second[0].sum() / second[1].sum())
     reach = student_t_95(int(filled.sum()) - 1) * spread
+    return middle - reach, middle + reach
+
+
+def statistic_interval_90(
+    statistic: Callable[[np.ndarray], np.ndarray], vehicles: np.ndarray, seed: int
+) -> tuple[float, float] | None:
+    """90 % interval of a statistic of blocks, of which each has so many vehicles, (b,).
+
+    As `ratio_interval_90`, which it equals for a ratio; `statistic` takes how often each block counts, (r, b), and
+    gives its value for each of the r.
+    """
+    filled = vehicles > 0
+    blocks = int(filled.sum())
+    if blocks < FEWEST_BLOCKS:
+        return None
+    weights = np.zeros((RESAMPLES, len(filled)))
+    weights[:, filled] = resampled_weights(blocks, np.random.default_rng(seed))
+    reach = student_t_95(blocks - 1) * float(np.std(statistic(weights)))
+    middle = float(statistic(np.ones((1, len(filled))))[0])
     return middle - reach, middle + reach
 
 

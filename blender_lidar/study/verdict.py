@@ -6,10 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..plots.binning import near_best_threshold
 from ..sensors.pose import Pose
 from .evaluation import Evaluator, Totals
+from .score_map import ScoreMap
 from .site import Site
 from .statistics import block_sums, ratio_interval_90
+
+REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
 
 
 def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed: int) -> dict:
@@ -47,6 +51,32 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
     }
 
 
+def map_verdict(score_map: ScoreMap, verdict: Mapping[str, dict], found: str, seed: int) -> dict:
+    """The landscape in numbers; shares of the gain are None where nothing is better than the baseline.
+
+    Parameters
+    ----------
+    verdict : mapping
+        What `judge` says of the ``"baseline"``, of the ``"best_of_map"`` and of the mounting that was `found`.
+    seed : int
+        For the resampling of blocks.
+    """
+    height, tilt, value = score_map.best
+    base, reached = (verdict[name]["objective_per_vehicle"] for name in ("baseline", found))
+    best = max(value, reached)
+    gains = best > base
+    near_best = near_best_threshold(best, base, REGION_SHARE)
+    intervals = score_map.optimum_intervals_90(seed)
+    return {
+        "points": list(score_map.per_vehicle.shape),
+        "best": {"height_m": height, "tilt_x_deg": tilt, "objective_per_vehicle": value},
+        "search_shortfall": (best - reached) / (best - base) if gains else None,
+        "holdout_regret": _regret(*(verdict[name]["holdout"] for name in ("best_of_map", found))),
+        "optimum_interval_90": None if intervals is None else {key: list(pair) for key, pair in intervals.items()},
+        "share_within_1_percent": float((score_map.per_vehicle >= near_best).mean()) if gains else None,
+    }
+
+
 def distance_bands(table: dict[str, np.ndarray], width_m: float = 10.0) -> list[tuple[str, np.ndarray]]:
     """Names of the distance bands that hold vehicles, and which rows of a vehicle table each holds."""
     band = (table["distance_m"] // width_m).astype(int)
@@ -76,3 +106,10 @@ def _held_out(totals: Totals, row: int, base: int, block: Sequence[int], seed: i
         "frames": len(totals.vehicles),
         "blocks": len(np.unique(block)),
     }
+
+
+def _regret(best, found):
+    """Share of the gain of the map's best mounting that the found one lacks, on held-out frames; below 0 if better."""
+    if best is None or not best["gain_over_baseline"] > 0.0:
+        return None
+    return 1.0 - found["gain_over_baseline"] / best["gain_over_baseline"]
