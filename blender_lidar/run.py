@@ -31,9 +31,9 @@ from .study.evaluation import Evaluator
 from .study.installation import installation_text
 from .study.score_map import ScoreMap, map_scores
 from .study.site import Site
-from .study.vehicle_table import join_tables, vehicle_table
 from .study.tolerance import best_over_tolerance, objective_over
 from .study.tolerance_verdict import judge_over_tolerance, tolerance_result
+from .study.vehicle_table import join_tables, vehicle_table
 from .study.verdict import judge, map_verdict
 
 _CHECKPOINT_EVERY_S = 2.0

@@ -13,7 +13,7 @@ from .plots.clouds import plot_clouds
 from .plots.convergence import plot_convergence
 from .plots.occupancy import OccupancyViews, plot_occupancy
 from .plots.score_map import plot_score_map
-from .reporting.summary import mounting_name, mounting_text
+from .reporting.summary import mounting_name, mounting_text, sharp_of
 from .results import RunFolder
 from .run import Outcome
 from .scan import scan
@@ -83,35 +83,45 @@ def _file(folder, drawn, name):
 
 
 def _draw_convergence(folder, drawn, outcome, about):
+    """The search that found the mounting: over a tolerance, its values and the baseline's are those over it."""
     result, history = outcome.result, outcome.history
-    vehicles = result["vehicles"]
+    vehicles, over = result["vehicles"], "" if sharp_of(result) is None else " over the tolerance"
+    baseline = result["tolerance"]["robust"]["baseline"] if over else result["baseline"]
     plot_convergence(
         _file(folder, drawn, "convergence.png"),
         history[:, 0],
         history[:, -2] / vehicles,
         history[:, -1] / vehicles,
-        result["baseline"]["objective_per_vehicle"],
+        baseline["objective_per_vehicle"],
         metric=metric_named(result["metric"]),
-        title=f"Search: {result['search']}, seed {result['seed']}, {result['reading']} reading",
+        title=f"Search{over}: {result['search']}, seed {result['seed']}, {result['reading']} reading",
         subtitle=about,
     )
 
 
 def _draw_map(folder, drawn, outcome, about):
+    """The landscape of mountings that hang as planned: its optimum is the sharp one where the run's is robust."""
     result, score_map = outcome.result, outcome.score_map
-    mounts = [result["deployment"], result["baseline"]["deployment"]]
+    sharp = sharp_of(result)
+    optimum = result if sharp is None else sharp
     plot_score_map(
         _file(folder, drawn, "score_map.png"),
         score_map.height_m,
         score_map.tilt_deg,
         score_map.per_vehicle,
-        *((mount["height_m"], mount["tilt_x_deg"]) for mount in mounts),
+        _height_and_tilt(optimum),
+        _height_and_tilt(result["baseline"]),
         baseline_value=result["baseline"]["objective_per_vehicle"],
-        optimum_value=result["objective_per_vehicle"],
+        optimum_value=optimum["objective_per_vehicle"],
+        robust=None if sharp is None else (_height_and_tilt(result), result["objective_per_vehicle"]),
         metric=metric_named(result["metric"]),
         title="Objective over height and tilt",
         subtitle=about,
     )
+
+
+def _height_and_tilt(scores):
+    return scores["deployment"]["height_m"], scores["deployment"]["tilt_x_deg"]
 
 
 def _draw_clouds(site, folder, drawn, outcome, sensor_xy, mountings):

@@ -133,7 +133,7 @@ class Tolerance:
     height_m : float
         Of the height [m].
     tilt_deg : float
-        Of both tilts, across the road and along it [degrees]: the inclinometer that sets the one has to level the other.
+        Of both tilts, across the road and along it [degrees]: the inclinometer that sets the one sets the other too.
     yaw_deg : float
         Of the yaw [degrees].
     aim : {"mean", "low"}

@@ -93,7 +93,16 @@ _POSE_HELP = {
     "yaw_deg": "counter-clockwise seen from above",
 }
 SEARCH_OPTIONS = ("--search", "--particles", "--iterations")
-_FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--tolerance", "--reading", "--workers", "--seed")
+_FOR_SEARCHES = (
+    *SEARCH_OPTIONS,
+    "--frames",
+    "--frame-ids",
+    "--metric",
+    "--tolerance",
+    "--reading",
+    "--workers",
+    "--seed",
+)
 
 
 def option_name(key: str) -> str:

@@ -46,7 +46,9 @@ class Progress:
 
 
 class RunProgress:
-    """Shows how a run comes along, first the search, or both where there is a tolerance, then the map; a `run.Listener` and a context manager.
+    """Shows how a run comes along, first the search, or both where there is a tolerance, then the map.
+
+    It is a `run.Listener` and a context manager.
 
     Parameters
     ----------

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import asdict
 
 import numpy as np
 
 from ..metrics.catalogue import metric_named
 from ..metrics.views import PE_VGOP
 from ..optimise import DePso
-from ..reporting.summary import (
-    COORDINATE_NAMES,
-    cautions,
-    comparison_sections,
-    group_scores,
-    mounting_name,
-)
+from ..reporting.comparison import compared_names, comparison_sections
+from ..reporting.summary import COORDINATE_NAMES, cautions, group_scores
 from ..results import RunFolder
 from ..run import Outcome
 from ..study.circumstances import imperfections_text, scenery_counts, scenery_text
 from ..study.objective_text import objective_text
 from ..study.site import Site
+from ..study.tolerance import SEARCHED_POINTS
+from ..study.tolerance_text import aim_text, tolerance_text
 from ..study.verdict import distance_bands, lanes
 
 _NOTE_WIDTH = 120
@@ -47,6 +45,7 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
             f"{_frames(site.search, plan.search_block)} of {plan.block_s:g} s; a vehicle counts in every frame",
         ),
         ("Held out", _held_out(site)),
+        *_given("Tolerance", _tolerance_text(scenario, searched)),
         *(("", note) for note in plan.notes),
         (
             "Casting",
@@ -66,10 +65,10 @@ def _given(name, text):
 def comparison(outcome: Outcome) -> str:
     """The mounting and the baseline side by side: scores, then detectable shares by distance and by lane."""
     result = outcome.result
-    rows = [("Mounting", "baseline", mounting_name(result))]
+    rows = [("Mounting", *compared_names(result))]
     for section in comparison_sections(result):
         if section.heading != rows[0][0]:
-            rows.append((section.heading, "", ""))
+            rows.append((section.heading,))
         rows += [(f"  {what}", *numbers) for what, *numbers in section.rows]
     tables = [_table(rows), _table(_group_rows("distance", distance_bands, outcome))]
     if outcome.baseline["lane"].any():
@@ -118,6 +117,15 @@ def _held_out(site):
     if not len(site.holdout):
         return "nothing"
     return f"{_frames(site.holdout, site.plan.holdout_block)}; none of them is in a searched frame"
+
+
+def _tolerance_text(scenario, searched):
+    tolerance = scenario.objective.tolerance
+    if tolerance is None:
+        return ""
+    settings = asdict(tolerance)
+    then = f"; searched after the sharp mounting, over {SEARCHED_POINTS} errors of each" if searched else ""
+    return f"{tolerance_text(settings)}: {aim_text(settings)}{then}"
 
 
 def _search_text(scenario):

@@ -29,6 +29,7 @@ def plot_score_map(
     *,
     baseline_value: float,
     optimum_value: float | None = None,
+    robust: tuple[tuple[float, float], float] | None = None,
     region_share: float = 0.01,
     metric: Metric = PE_VGOP,
     title: str = "",
@@ -50,6 +51,8 @@ def plot_score_map(
         Objective per vehicle of the baseline.
     optimum_value : float, optional
         That of the optimum; the largest of `value` unless given.
+    robust : ((float, float), float), optional
+        Height [m] and tilt [deg] of the best mounting over an installer's errors, and its objective per vehicle.
     region_share : float
         The region drawn holds the mountings that lose at most this share of the gain of the best one over the baseline.
     metric : Metric
@@ -67,6 +70,7 @@ def plot_score_map(
     highest = float(np.nanmax(value))
     best = highest if optimum_value is None else optimum_value
     shown = np.ma.masked_invalid(value)
+    name = "optimum" if robust is None else "sharp"
     with sheet(path, 115.0, title, subtitle) as figure:
         axes = figure.add_subplot()
         mesh = axes.pcolormesh(tilt_deg, height_m, shown, cmap=colours(SCORE_COLOURS), shading="gouraud")
@@ -76,13 +80,16 @@ def plot_score_map(
             axes.clabel(lines, fontsize=6.5)
         threshold = near_best_threshold(max(best, highest), baseline_value, region_share)
         handles = [
-            _mark(axes, optimum, (height_m, tilt_deg), "*", 13.0, "optimum", metric.amount(best)),
+            _mark(axes, optimum, (height_m, tilt_deg), "*", 13.0, name, metric.amount(best)),
             _mark(axes, baseline, (height_m, tilt_deg), "s", 7.0, "baseline", metric.amount(baseline_value)),
             _draw_region(axes, tilt_deg, height_m, shown, threshold, region_share),
         ]
+        if robust is not None:
+            mounting, its = robust
+            handles.insert(1, _mark(axes, mounting, (height_m, tilt_deg), "D", 7.0, "robust", metric.amount(its)))
         axes.set_xlabel("Tilt across the road, positive down towards +y [deg]")
         axes.set_ylabel("Mounting height above the road [m]")
-        legend_below(figure, handles, columns=3)
+        legend_below(figure, handles, columns=len(handles))
 
 
 def _check_grid(height_m: np.ndarray, tilt_deg: np.ndarray, value: np.ndarray) -> None:

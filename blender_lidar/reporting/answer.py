@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 
 from ..metrics.catalogue import METRICS, metric_named
+from ..study.tolerance_text import kept_text
 from .elements import minus
 from .summary import better_than_baseline, was_searched
 
@@ -17,7 +18,9 @@ _SPACE_BEFORE_UNIT = re.compile(rf"(?<=\d) (?=%|(?:m|{_UNITS})(?!\w))")
 
 def answer(result: Mapping) -> str:
     """The mounting and what it is worth against the baseline, with the interval where there is one."""
-    return _SPACE_BEFORE_UNIT.sub(_NO_BREAK, f"{_what_to_do(result)}: {_worth(result)}.")
+    forgives = "" if result.get("tolerance") is None else kept_text(result)
+    told = f"{_what_to_do(result)}: {_worth(result)}." + (f" {forgives[0].upper()}{forgives[1:]}." if forgives else "")
+    return _SPACE_BEFORE_UNIT.sub(_NO_BREAK, told)
 
 
 def key_figures(result: Mapping) -> list[tuple[str, str]]:

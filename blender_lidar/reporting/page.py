@@ -25,12 +25,13 @@ from .pictures import (
     CONVERGENCE,
     OCCUPANCY,
     SCORE_MAP,
+    SCORE_MAP_WITH_BOTH,
     chart_figure,
     render_figures,
 )
 from .sheet import sheet_markup
 from .stored_run import StoredRun, read_run
-from .summary import cautions, mounting_name, was_searched
+from .summary import cautions, mounting_name, sharp_of, was_searched
 from .tables import comparison_table, computing_table, group_table
 
 _STYLE = Path(__file__).parent / "report.css"
@@ -137,6 +138,14 @@ def _scores(run: StoredRun):
         "detectable": f"occupancy ({identity['[objective] view']} of the three views) of at least "
         f"{identity['[objective] threshold']:g}: a threshold on the metric, not a detector.",
     }
+    if run.result.get("tolerance") is not None:
+        words["gain kept"] = (
+            "what an error of installation leaves of the gain over the baseline, each error uniform within what is "
+            "stated. The sharp mounting is the best where there is none; the robust one the best over all of them."
+            if sharp_of(run.result)
+            else "what an error of installation leaves of the gain over the baseline, each error uniform within what "
+            "is stated."
+        )
     if run.result["holdout"]:
         words |= {
             "held-out frames": "frames later in the recording that show none of the others' vehicles: what chose a "
@@ -180,7 +189,8 @@ def _where(run: StoredRun):
 
 
 def _optimum(run: StoredRun):
-    figures = [figure for chart in (SCORE_MAP, CONVERGENCE) if (figure := chart_figure(run.folder, chart))]
+    charts = (SCORE_MAP if sharp_of(run.result) is None else SCORE_MAP_WITH_BOTH, CONVERGENCE)
+    figures = [figure for chart in charts if (figure := chart_figure(run.folder, chart))]
     return _section("How sure the optimum is", *figures) if figures else None
 
 

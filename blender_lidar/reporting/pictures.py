@@ -32,6 +32,12 @@ SCORE_MAP = Chart(
     "Brighter is better; the star is the mounting found, the square the baseline. Where a wide area is nearly as "
     "bright as the star, exact values matter little.",
 )
+SCORE_MAP_WITH_BOTH = Chart(
+    SCORE_MAP.file,
+    "Objective over mounting height and tilt, of mountings that hang as planned",
+    "Brighter is better where a mounting hangs as planned; the star is the best of these, the diamond the robust one, "
+    "the square the baseline. The robust one stands where the surroundings are bright too.",
+)
 CONVERGENCE = Chart(
     "convergence.png",
     "Objective of every mounting tried, in order, and the best so far",

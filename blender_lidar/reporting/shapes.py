@@ -59,6 +59,10 @@ PAIR = Kind(
     "two numbers",
     lambda value: isinstance(value, list) and len(value) == 2 and all(is_number(entry) for entry in value),
 )
+PAIR_TABLE = Kind(
+    "a table of pairs of numbers",
+    lambda value: isinstance(value, dict) and all(PAIR.fits(entry) for entry in value.values()),
+)
 NUMBER_OR_PAIR = Kind("a number or two", lambda value: NUMBER.fits(value) or PAIR.fits(value))
 TEXT_TABLE = Kind(
     "a table of texts",

@@ -14,6 +14,7 @@ from ..optimise import READINGS
 from ..results import INSTALLATION, RESULT, SCENE, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
 from ..settings import COORDINATES
 from ..study.vehicle_table import columns_for
+from ..tolerance_table import AIMS
 from ..toml_table import read_toml
 from ..traffic.report import RepairReport
 from .shapes import (
@@ -21,6 +22,7 @@ from .shapes import (
     NUMBER,
     NUMBER_OR_PAIR,
     PAIR,
+    PAIR_TABLE,
     TEXT,
     TEXT_TABLE,
     TEXTS,
@@ -60,6 +62,22 @@ _IMPERFECTIONS = {
     "range_at_10_percent_m": MayLack(or_null(NUMBER)),
     **dict.fromkeys(("unit", "noise_seed"), COUNT),
 }
+_OVER_SHARP = {"objective_per_vehicle": NUMBER, "interval_90": or_null(PAIR)}
+_OVER = _SCORES | {"gain_kept": or_null(NUMBER), "loss_at_limits": PAIR_TABLE}
+_OVER_HELD_OUT = _OVER | {
+    "gain_over_baseline": NUMBER,
+    "interval_90": or_null(PAIR),
+    "over_sharp": MayLack(dict.fromkeys(("as_planned", "over_tolerance"), _OVER_SHARP)),
+}
+_OVER_TOLERANCE = _OVER | {"objective": NUMBER, "holdout": Nullable(_OVER_HELD_OUT)}
+_TOLERANCE = {
+    "settings": {**dict.fromkeys(("height_m", "tilt_deg", "yaw_deg"), NUMBER), "aim": one_of(AIMS)},
+    "searched_errors": or_null(COUNT),
+    "judged_errors": COUNT,
+    "evaluations": Nullable(dict.fromkeys(("sharp", "robust"), COUNT)),
+    "robust": {**dict.fromkeys(("optimised", "baseline"), _OVER_TOLERANCE), "sharp": MayLack(_OVER_TOLERANCE)},
+    "sharp": Nullable(_JUDGED),
+}
 _KINDS = {int: COUNT, float: NUMBER, str: TEXT, tuple: TEXTS}
 _RESULT = _JUDGED | {
     "scene": MayLack(TEXT),
@@ -73,6 +91,7 @@ _RESULT = _JUDGED | {
     "search": or_null(TEXT),
     "map": Nullable(_MAP),
     "baseline": _JUDGED,
+    "tolerance": MayLack(Nullable(_TOLERANCE)),
     "notes": TEXTS,
     "traffic_report": {field.name: MayLack(_KINDS[type(field.default)]) for field in fields(RepairReport)},
     "identity": _IDENTITY,
@@ -128,6 +147,7 @@ def read_run(folder: RunFolder) -> StoredRun:
     check_shape(result, _RESULT, where)
     if (result["holdout"] is None) != (result["baseline"]["holdout"] is None):
         raise InputError(f"{where}: only one of holdout and baseline.holdout is null")
+    _check_tolerance(result, where)
     scene = read_toml(folder.file(SCENE))
     check_shape(scene, {"traffic": {"path": TEXT}}, str(folder.file(SCENE)))
     optimised, baseline = folder.read_vehicles(VEHICLES), folder.read_vehicles(VEHICLES_BASELINE)
@@ -147,6 +167,19 @@ def read_run(folder: RunFolder) -> StoredRun:
         scene=_text(folder.file(SCENE)),
         installation=_text(folder.file(INSTALLATION)),
     )
+
+
+def _check_tolerance(result: Mapping, where: str) -> None:
+    """Refuse a block of which one half tells of a search or of held-out frames, and the other does not."""
+    if result.get("tolerance") is None:
+        return
+    block = result["tolerance"]
+    parts = (block["sharp"], block["robust"].get("sharp"), block["evaluations"], result["search"])
+    if len({part is None for part in parts}) > 1:
+        raise InputError(f"{where}: tolerance: only a part of it tells of a search")
+    judged = [scores["holdout"] for scores in (*block["robust"].values(), *parts[:1]) if scores is not None]
+    if {held is None for held in judged} != {result["holdout"] is None}:
+        raise InputError(f"{where}: tolerance: only a part of it tells of held-out frames")
 
 
 def _scene_name(result: Mapping, folder: RunFolder) -> str:

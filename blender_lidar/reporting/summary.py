@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..metrics.metric import Metric
 from ..optimise import vehicle_score
+from ..study.tolerance_text import tolerance_notes
 from ..study.vehicle_table import metric_values
 
 COORDINATE_NAMES = {
@@ -22,18 +22,9 @@ COORDINATE_NAMES = {
 }
 _SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
 _ON_A_BOUND = 0.001  # of the width between two bounds
-_ALWAYS_SHOWN = ("height_m", "tilt_x_deg")
 _SPLITS = ("search", "holdout")
 
 Table = Mapping[str, np.ndarray]
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """Rows of a comparison under one heading, each ``(what, baseline, mounting)``; the numbers are texts."""
-
-    heading: str
-    rows: list[tuple[str, str, str]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +54,15 @@ def was_searched(result: Mapping) -> bool:
 
 
 def mounting_name(result: Mapping) -> str:
-    """What the run's mounting is called beside the baseline."""
-    return "optimised" if was_searched(result) else "given"
+    """What the run's mounting is called beside the baseline, and beside the sharp one where it had a tolerance."""
+    if not was_searched(result):
+        return "given"
+    return "optimised" if sharp_of(result) is None else "robust"
+
+
+def sharp_of(result: Mapping) -> Mapping | None:
+    """The best mounting that hangs as planned and its scores, where a search over a tolerance found the run's."""
+    return (result.get("tolerance") or {}).get("sharp")  # results of earlier versions have no such block
 
 
 def mounting_text(mount: Mapping[str, float]) -> str:
@@ -75,37 +73,6 @@ def mounting_text(mount: Mapping[str, float]) -> str:
     if mount["yaw_deg"]:
         parts.append(f"yaw {mount['yaw_deg']:.1f}°")
     return ", ".join(parts)
-
-
-def comparison_sections(result: Mapping) -> list[Section]:
-    """The mounting and the baseline side by side; `result` is the content of result.json."""
-    base = result["baseline"]
-    mounts = base["deployment"], result["deployment"]
-    metric = metric_named(result["metric"])
-    totals = (metric.number(scores["objective"], -2) for scores in (base, result))
-    total = (metric.in_unit("objective"), *totals)
-    sections = [
-        Section(
-            "Mounting",
-            [
-                (f"{name} [{unit}]", *(f"{mount[key]:.2f}" for mount in mounts))
-                for key, (name, unit) in COORDINATE_NAMES.items()
-                if key in _ALWAYS_SHOWN or any(mount[key] for mount in mounts)
-            ],
-        ),
-        Section(
-            "Searched frames" if was_searched(result) else "Scored frames", [total, *_score_rows(metric, base, result)]
-        ),
-    ]
-    if result["holdout"]:
-        held = result["holdout"]
-        rows = _score_rows(metric, base["holdout"], held)
-        rows.append((metric.in_unit("gain per vehicle"), "", metric.number(held["gain_over_baseline"], 1, "+")))
-        if held["interval_90"]:
-            low, high = (metric.number(end, 1, "+") for end in held["interval_90"])
-            rows.append((f"90 % interval, {held['blocks']} blocks", "", f"{low} to {high}"))
-        sections.append(Section("Held-out frames", rows))
-    return sections
 
 
 def group_scores(
@@ -150,6 +117,8 @@ def group_scores(
 def cautions(result: Mapping) -> list[str]:
     """What the search and the map say about how far to trust the optimum, as sentences."""
     found = []
+    if result.get("tolerance") is not None:
+        found += tolerance_notes(result)
     if not was_searched(result):
         return found
     if not better_than_baseline(result):
@@ -160,7 +129,7 @@ def cautions(result: Mapping) -> list[str]:
             name = COORDINATE_NAMES[key][0]
             found.append(f"The best {name} lies on a bound of [deployment]; beyond may be better.")
     if result["map"]:
-        found += _map_notes(result["map"])
+        found += _map_notes(result["map"], "mounting found" if sharp_of(result) is None else "sharp mounting")
     return found
 
 
@@ -175,23 +144,12 @@ def search_bounds(result: Mapping) -> dict[str, tuple[float, float]]:
     return {key: tuple(pair) for key, pair in bounds.items() if isinstance(pair, list)}
 
 
-def _score_rows(metric: Metric, base, found):
-    both = (base, found)
-    return [
-        (
-            metric.in_unit("objective per vehicle"),
-            *(metric.number(scores["objective_per_vehicle"], 1) for scores in both),
-        ),
-        ("detectable share [%]", *(f"{100 * scores['detectable_share']:.1f}" for scores in both)),
-    ]
-
-
-def _map_notes(score_map):
+def _map_notes(score_map, mounting):
     grid = f"a grid of {score_map['points'][0]} x {score_map['points'][1]} heights and tilts"
     shortfall, best = score_map["search_shortfall"], score_map["best"]
     found = []
     if shortfall == 0:
-        found.append(f"No point of {grid} is better than the mounting found.")
+        found.append(f"No point of {grid} is better than the {mounting}.")
     elif shortfall is not None and shortfall < _SMALL_SHORTFALL:
         found.append(f"The search found all but {100 * shortfall:.2f} % of the gain that {grid} offers.")
     elif shortfall is not None:
@@ -203,7 +161,7 @@ def _map_notes(score_map):
     regret = score_map.get("holdout_regret")  # not in the results of earlier versions
     if regret is not None and regret > _SMALL_SHORTFALL:
         lacks = f"lacks {100 * regret:.1f} % of the gain that the best point of that grid has there"
-        found.append(f"On the held-out frames the mounting found {lacks}.")
+        found.append(f"On the held-out frames the {mounting} {lacks}.")
     if score_map["share_within_1_percent"] is not None:
         share = 100 * score_map["share_within_1_percent"]
         how_many = (

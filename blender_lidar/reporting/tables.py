@@ -4,27 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from .comparison import compared_names, comparison_sections
 from .elements import Markup, element, minus
 from .stored_run import StoredRun
-from .summary import comparison_sections, group_scores, mounting_name, was_searched
+from .summary import group_scores, was_searched
 
 _NONE = "\N{EN DASH}"
 
 
 def comparison_table(result: Mapping) -> Markup:
-    """The mounting and the baseline side by side."""
-    columns = [element("th", name, scope="col") for name in ("", "baseline", mounting_name(result))]
-    columns[0] = element("td")
+    """The mountings of a run side by side."""
+    names = compared_names(result)
+    columns = [element("td"), *(element("th", name, scope="col") for name in names)]
     bodies = []
     for section in comparison_sections(result):
-        heading = element("th", section.heading, scope="rowgroup", colspan=3)
-        rows = [
-            element("tr", element("th", what, scope="row"), *_compared(before, after))
-            for what, before, after in section.rows
-        ]
+        heading = element("th", section.heading, scope="rowgroup", colspan=1 + len(names))
+        rows = [element("tr", element("th", what, scope="row"), *_compared(numbers)) for what, *numbers in section.rows]
         bodies.append(element("tbody", element("tr", heading), *rows))
     head = element("thead", element("tr", *columns))
-    return _table(f"Baseline and {mounting_name(result)} mounting", head, *bodies)
+    return _table(f"{', '.join(names[:-1]).capitalize()} and {names[-1]} mounting", head, *bodies)
 
 
 def group_table(heading: str, groups: Callable, run: StoredRun) -> Markup:
@@ -51,6 +49,12 @@ def group_table(heading: str, groups: Callable, run: StoredRun) -> Markup:
 def computing_table(result: Mapping) -> Markup:
     """What a result depends on beside the scene: how it was computed, and by what."""
     search = f"{result['search']}, seed {result['seed']}, {result['evaluations']:,} evaluations"
+    if (result.get("tolerance") or {}).get("evaluations"):
+        block = result["tolerance"]
+        search += (
+            f": {block['evaluations']['sharp']:,} of mountings as planned and {block['evaluations']['robust']:,} over "
+            f"the tolerance, with {block['searched_errors']} errors each"
+        )
     rows = {
         "Search": search if was_searched(result) else "none: the mounting was given",
         "Metric": f"{result['metric']}, {result['reading']} reading",
@@ -63,9 +67,11 @@ def computing_table(result: Mapping) -> Markup:
     return _table("Methods and versions", element("tbody", *lines), class_="settings")
 
 
-def _compared(before: str, after: str) -> list[Markup]:
-    """Cells of a row; what has no counterpart, such as a gain, takes the room of both."""
-    return [_number(before), _number(after)] if before else [_number(after, colspan=2)]
+def _compared(numbers: list[str]) -> list[Markup]:
+    """Cells of a row; what has no counterpart, such as a gain, takes the room of the one before it too."""
+    if numbers[0]:
+        return [_number(number) for number in numbers]
+    return [_number(numbers[1], colspan=2), *(_number(number) for number in numbers[2:])]
 
 
 def _table(caption: str, *parts: Markup, class_: str | None = None) -> Markup:

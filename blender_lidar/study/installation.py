@@ -13,6 +13,7 @@ from ..sensors.pose import Pose
 from .circumstances import imperfections_text, scenery_counts, scenery_text
 from .objective_text import objective_text
 from .site import Site
+from .tolerance_text import costliest_text, kept_text, tolerance_text
 
 _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
 
@@ -27,6 +28,7 @@ def installation_text(site: Site, result: dict) -> str:
         ["", "Check on site"],
         _checks(site, pose),
         ["", *_expected(result), *_circumstances(site)],
+        _errors(result),
     )
     return "\n".join(line for part in parts for line in part) + "\n"
 
@@ -123,6 +125,24 @@ def _expected(result):
         lines += [
             f"- other traffic of this kind would put the best height between {height[0]:.1f} and {height[1]:.1f} m and",
             f"  the best tilt between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time)",
+        ]
+    return lines
+
+
+def _errors(result):
+    """What the installer's errors cost, and which mounting would be best without any."""
+    block = result.get("tolerance")
+    if block is None:
+        return []
+    kept, costliest = kept_text(result), costliest_text(result)
+    lines = ["", f"If it hangs only nearly so: {tolerance_text(block['settings'])}"]
+    lines += [f"- {line}" for line in (kept, costliest) if line]
+    if block["sharp"] is not None and block["sharp"]["deployment"] != result["deployment"]:
+        mount = block["sharp"]["deployment"]
+        angles = f"tilt {mount['tilt_x_deg']:.1f} deg across the road, {mount['tilt_y_deg']:.1f} deg along it"
+        lines += [
+            f"- without any error the best mounting would be another: height {mount['height_m']:.2f} m,",
+            f"  {angles}, yaw {mount['yaw_deg']:.1f} deg; this one forgives more",
         ]
     return lines
 

@@ -27,7 +27,7 @@ def lattice(dimensions: int, points: int) -> np.ndarray:
     """A rank-1 lattice in the cube from -1 to 1, (points, dimensions), every point of the same weight.
 
     It is centred: with a point it holds its mirror image, so that what falls on one side of a plan as it rises on the
-    other cancels. In each dimension the points are evenly spaced and as far from the rims as the midpoint rule has them.
+    other cancels. In each dimension the points lie as those of the midpoint rule.
 
     Parameters
     ----------
@@ -136,6 +136,11 @@ class ToleranceLosses:
     def aimed_per_vehicle(self) -> float:
         """Objective per vehicle over the tolerance: the mean or the low quantile, as it aims."""
         return float(aimed(self.per_vehicle, self.tolerance.aim))
+
+    @property
+    def aimed_share(self) -> float:
+        """Share of vehicles at or above the threshold over the tolerance: the mean or the low quantile, as it aims."""
+        return float(aimed(self.installed.detectable_share(), self.tolerance.aim))
 
     @property
     def limit_losses(self) -> dict[str, tuple[float, float]]:

@@ -1,4 +1,4 @@
-"""Mountings over a tolerance against the baseline as planned: what each keeps of its gain where it hangs a little off."""
+"""Mountings over a tolerance: what each keeps of its gain over the baseline where it hangs a little off."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def judge_over_tolerance(
     Returns
     -------
     dict
-        For each name ``objective`` and ``objective_per_vehicle`` over the tolerance in the metric's unit, the mean
+        For each name ``objective`` and ``objective_per_vehicle`` over the tolerance in the metric's unit,
         ``detectable_share``, ``gain_kept``: the share of the gain as planned that is kept, None without one,
         ``loss_at_limits`` for each coordinate that is not exact, and ``holdout`` with the same per vehicle,
         ``gain_over_baseline`` and its ``interval_90``; and, where a mounting is called ``"sharp"``, for the one called
@@ -88,7 +88,9 @@ def tolerance_result(
         "settings": asdict(tolerance),
         "searched_errors": None if evaluations is None else SEARCHED_POINTS,
         "judged_errors": JUDGED_POINTS,
-        "evaluations": None if evaluations is None else dict(zip(("sharp", "robust"), evaluations.values(), strict=True)),
+        "evaluations": None
+        if evaluations is None
+        else dict(zip(("sharp", "robust"), evaluations.values(), strict=True)),
         "robust": dict(over_tolerance),
         "sharp": None if sharp is None else {"deployment": dict(sharp), **verdict["sharp"]},
     }
@@ -97,7 +99,7 @@ def tolerance_result(
 def _per_vehicle(losses: ToleranceLosses, baseline: ToleranceLosses) -> dict:
     return {
         "objective_per_vehicle": losses.aimed_per_vehicle,
-        "detectable_share": float(losses.installed.detectable_share().mean()),
+        "detectable_share": losses.aimed_share,
         "gain_kept": losses.kept(baseline.planned_per_vehicle),
         "loss_at_limits": {key: list(pair) for key, pair in losses.limit_losses.items()},
     }
