@@ -18,7 +18,7 @@ from ..run import Outcome
 from ..study.circumstances import imperfections_text, scenery_counts, scenery_text
 from ..study.objective_text import objective_text
 from ..study.site import Site
-from ..study.tolerance import SEARCHED_POINTS
+from ..study.tolerance import SEARCHED_BASE
 from ..study.tolerance_text import aim_text, tolerance_text
 from ..study.verdict import distance_bands, lanes
 
@@ -124,7 +124,11 @@ def _tolerance_text(scenario, searched):
     if tolerance is None:
         return ""
     settings = asdict(tolerance)
-    then = f"; searched after the sharp mounting, over {SEARCHED_POINTS} errors of each" if searched else ""
+    then = (
+        f"; searched after the sharp mounting, over {SEARCHED_BASE[tolerance.aim] ** 2} errors of each"
+        if searched
+        else ""
+    )
     return f"{tolerance_text(settings)}: {aim_text(settings)}{then}"
 
 

@@ -1,7 +1,7 @@
 """What a mounting is worth when it hangs only nearly as planned: the objective over an installer's errors.
 
-The errors of [objective] tolerance fill a box about the plan. A lattice stands for it, the same for every mounting, so
-that a search meets no noise: it has few points, and the verdict many others, none of which the search has seen.
+The errors of [objective] tolerance fill a box about the plan. A net of points stands for it, the same for every mounting,
+so that a search meets no noise: few points while it searches, many others for the verdict.
 """
 
 from __future__ import annotations
@@ -18,34 +18,42 @@ from .evaluation import Evaluator, Totals
 from .statistics import block_sums
 
 LOW_SHARE = 0.1  # the share of installations that may fall below what "low" aims at
-SEARCHED_POINTS, JUDGED_POINTS = 16, 128
-# Korobov generators: of the odd ones, the first with the least P2 (Sloan and Joe 1994) in three dimensions.
-GENERATORS = {SEARCHED_POINTS: 3, JUDGED_POINTS: 25}
+# Squares of these are how many errors stand for all: a quantile needs more of them than a mean, a verdict most.
+SEARCHED_BASE = {"mean": 3, "low": 5}
+JUDGED_BASE = 11
 
 
-def lattice(dimensions: int, points: int) -> np.ndarray:
-    """A rank-1 lattice in the cube from -1 to 1, (points, dimensions), every point of the same weight.
+def net(dimensions: int, base: int) -> np.ndarray:
+    """Points spread evenly in the cube from -1 to 1, (base^2, dimensions), every point of the same weight.
 
-    It is centred: with a point it holds its mirror image, so that what falls on one side of a plan as it rises on the
-    other cancels. In each dimension the points lie as those of the midpoint rule.
+    Each coordinate takes base^2 evenly spaced values, once each; each pair of coordinates falls once into each of
+    base x base squares, an orthogonal array of strength 2 (Owen 1992, Tang 1993). With a point the mirrored one is
+    there, so that what falls on one side of a plan as it rises on the other cancels, and no two coordinates correlate.
 
     Parameters
     ----------
     dimensions : int
         1 to 4.
-    points : int
-        `SEARCHED_POINTS` or `JUDGED_POINTS`.
+    base : int
+        An odd prime.
     """
-    steps = np.array([pow(GENERATORS[points], power, points) for power in range(dimensions)])
-    return 2.0 * ((np.arange(points)[:, None] + 0.5) * steps / points % 1.0) - 1.0
+    half = base // 2
+    first, second = (digit.ravel() - half for digit in np.meshgrid(*2 * [np.arange(base)], indexing="ij"))
+    coarse = [(digit + half) % base - half for digit in (first, second, first + second, first + 2 * second)]
+    fine = [coarse[1], -coarse[0], coarse[3], -coarse[2]]  # the sign is what keeps the pairs from correlating
+    points = [2.0 * (base * square + place) / base**2 for square, place in zip(coarse, fine, strict=True)]
+    return np.column_stack(points)[:, :dimensions]
 
 
-def installation_errors(tolerance: Tolerance, points: int = SEARCHED_POINTS) -> np.ndarray:
-    """Errors that stand for all that the tolerance allows, (points, 6) [m, degrees], in the order of `COORDINATES`."""
-    widths = tolerance.half_widths
-    errors = np.zeros((points, len(COORDINATES)))
+def installation_errors(tolerance: Tolerance, base: int | None = None) -> np.ndarray:
+    """Errors that stand for all that the tolerance allows, (base^2, 6) [m, degrees], in the order of `COORDINATES`.
+
+    The base is that of a search with this tolerance unless given.
+    """
+    base, widths = base or SEARCHED_BASE[tolerance.aim], tolerance.half_widths
+    errors = np.zeros((base**2, len(COORDINATES)))
     columns = [COORDINATES.index(key) for key in widths]
-    errors[:, columns] = lattice(len(widths), points) * list(widths.values())
+    errors[:, columns] = net(len(widths), base) * list(widths.values())
     return errors
 
 
@@ -71,13 +79,13 @@ def objective_over(
     evaluator: Evaluator,
     plans: Sequence[Mapping[str, float]],
     tolerance: Tolerance,
-    points: int = SEARCHED_POINTS,
+    base: int | None = None,
 ) -> np.ndarray:
     """The objective of each plan over the tolerance, (s,), in the metric's unit: what a robust search maximises.
 
     Against 512 other points the mean over the 16 here errs by ...
     """
-    errors = installation_errors(tolerance, points)
+    errors = installation_errors(tolerance, base)
     poses = [pose for plan in plans for pose in installed(plan, errors)]
     objective = evaluator.totals(poses).objective.sum(axis=1)
     return aimed(objective.reshape(len(plans), len(errors)), tolerance.aim)
@@ -92,7 +100,7 @@ def best_over_tolerance(
     """
     if tolerance is None:
         return plans[0]
-    return plans[int(np.argmax(objective_over(evaluator, plans, tolerance, JUDGED_POINTS)))]
+    return plans[int(np.argmax(objective_over(evaluator, plans, tolerance, JUDGED_BASE)))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,7 +193,6 @@ def losses_over_tolerance(
     plan: Mapping[str, float],
     tolerance: Tolerance,
     block: Sequence[int],
-    points: int = JUDGED_POINTS,
 ) -> ToleranceLosses:
     """Score a mounting as planned, under errors that fill the tolerance, and at the limits of each coordinate.
 
@@ -199,17 +206,15 @@ def losses_over_tolerance(
         How far off it may end up.
     block : sequence of int, (f,)
         Block of time of each of the evaluator's frames.
-    points : int
-        How many errors: `JUDGED_POINTS` or `SEARCHED_POINTS`.
     """
-    errors = installation_errors(tolerance, points)
+    errors = installation_errors(tolerance, JUDGED_BASE)
     limits = {
         key: [[sign * width * (other == key) for other in COORDINATES] for sign in (-1.0, 1.0)]
         for key, width in tolerance.half_widths.items()
     }
     tried = np.concatenate([np.zeros((1, len(COORDINATES))), errors, *limits.values()])
     totals = evaluator.totals(installed(plan, tried))
-    first = 1 + points
+    first = 1 + len(errors)
 
     def rows(start: int, stop: int) -> Totals:
         return Totals(totals.objective[start:stop], totals.detectable[start:stop], totals.vehicles)

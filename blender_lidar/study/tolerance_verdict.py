@@ -9,7 +9,7 @@ from ..settings import Tolerance
 from .evaluation import Evaluator
 from .site import Site
 from .statistics import statistic_interval_90
-from .tolerance import JUDGED_POINTS, SEARCHED_POINTS, ToleranceLosses, losses_over_tolerance
+from .tolerance import JUDGED_BASE, SEARCHED_BASE, ToleranceLosses, losses_over_tolerance
 
 BASELINE = "baseline"
 
@@ -86,8 +86,8 @@ def tolerance_result(
         return None
     return {
         "settings": asdict(tolerance),
-        "searched_errors": None if evaluations is None else SEARCHED_POINTS,
-        "judged_errors": JUDGED_POINTS,
+        "searched_errors": evaluations and SEARCHED_BASE[tolerance.aim] ** 2,
+        "judged_errors": JUDGED_BASE**2,
         "evaluations": None
         if evaluations is None
         else dict(zip(("sharp", "robust"), evaluations.values(), strict=True)),

@@ -1,0 +1,277 @@
+"""The objective over an installer's errors, on landscapes whose mean is known and on a real scene."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from blender_lidar.optimise import make_search, run
+from blender_lidar.scenario import COORDINATE_LIMITS, COORDINATES, load_scenario, pose_at
+from blender_lidar.settings import Tolerance
+from blender_lidar.study.evaluation import Totals
+from blender_lidar.study.site import prepare
+from blender_lidar.study.statistics import block_sums, ratio_interval_90, statistic_interval_90
+from blender_lidar.study.tolerance import (
+    JUDGED_BASE,
+    SEARCHED_BASE,
+    aimed,
+    best_over_tolerance,
+    installation_errors,
+    installed,
+    losses_over_tolerance,
+    net,
+    objective_over,
+)
+from tests.small_scene import write_scene
+
+PLAN = {"x_m": 1.0, "y_m": -0.5, "height_m": 3.0, "tilt_x_deg": 12.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
+TOLERANCE = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=0.0, aim="mean")
+EVERY = Tolerance(height_m=0.1, tilt_deg=2.0, yaw_deg=3.0, aim="mean")
+EXACT = Tolerance(height_m=0.0, tilt_deg=0.0, yaw_deg=0.0, aim="mean")
+
+
+class Landscape:
+    """In place of an evaluator: one frame of one vehicle, whose score is a function of the six coordinates."""
+
+    def __init__(self, function):
+        self.function, self.vehicles, self.asked = function, np.array([1]), []
+
+    def totals(self, poses):
+        self.asked += poses
+        table = np.array([[p.x_m, p.y_m, p.height_m, *np.degrees([p.tilt_x, p.tilt_y, p.yaw])] for p in poses])
+        values = self.function(dict(zip(COORDINATES, table.T, strict=True)))
+        return Totals(values[:, None], (values > 0)[:, None].astype(int), self.vehicles)
+
+
+def dense(function, plan, tolerance, points=31):
+    """Values on a fine grid of errors, each cell's in its middle: an oracle by brute force."""
+    widths = tolerance.half_widths
+    axis = (np.arange(points) + 0.5) / points * 2.0 - 1.0
+    grids = np.meshgrid(*[plan[key] + width * axis for key, width in widths.items()], indexing="ij")
+    size = grids[0].size
+    hung = {key: np.full(size, value) for key, value in plan.items()}
+    return function(hung | {key: grid.ravel() for key, grid in zip(widths, grids, strict=True)})
+
+
+def bumpy(at):
+    """Smooth, with slopes, curvature and a product of errors in different coordinates."""
+    height, tilt, along = at["height_m"] - 3.3, at["tilt_x_deg"] - 14.0, at["tilt_y_deg"]
+    return 1.0 - height**2 - 0.02 * tilt**2 - 0.05 * along**2 + 0.3 * height * tilt + 0.2 * np.sin((tilt + along) / 3.0)
+
+
+# --- the errors -------------------------------------------------------------------------------------------------------
+
+
+BASES = [*SEARCHED_BASE.values(), JUDGED_BASE]
+
+
+@pytest.mark.parametrize("base", BASES)
+@pytest.mark.parametrize("dimensions", [1, 2, 3, 4])
+def test_errors_are_spread_evenly_and_come_with_their_mirror_images(base, dimensions):
+    errors = net(dimensions, base)
+    middles = (2.0 * np.arange(base**2) + 1.0) / base**2 - 1.0
+    for column in errors.T:
+        np.testing.assert_allclose(np.sort(column), middles, atol=1e-12)
+    assert {tuple(row) for row in np.round(errors, 9) + 0.0} == {tuple(row) for row in np.round(-errors, 9) + 0.0}
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_each_pair_of_coordinates_falls_once_into_each_square_and_none_correlate(base):
+    errors = net(4, base)
+    square = np.floor((errors + 1.0) / 2.0 * base).astype(int)
+    for one in range(4):
+        for other in range(one):
+            assert len({*zip(square[:, one].tolist(), square[:, other].tolist(), strict=True)}) == base**2
+    np.testing.assert_allclose(np.cov(errors.T), np.diag(np.var(errors, axis=0, ddof=1)), atol=1e-12)
+
+
+def test_the_verdict_meets_no_error_that_the_search_met_but_none_at_all():
+    for base in SEARCHED_BASE.values():
+        searched, judged = net(3, base), net(3, JUDGED_BASE)
+        apart = np.abs(searched[:, None] - judged[None]).max(axis=2).min(axis=1)
+        assert np.count_nonzero(apart < 1e-3) == 1
+        assert not searched[np.argmin(apart)].any()
+
+
+def test_an_error_stays_within_its_half_width_and_exact_coordinates_have_none():
+    errors = dict(zip(COORDINATES, installation_errors(TOLERANCE).T, strict=True))
+    for key, width in {"height_m": 0.05, "tilt_x_deg": 1.0, "tilt_y_deg": 1.0}.items():
+        assert 0.8 * width < np.abs(errors[key]).max() < width
+    assert not any(errors[key].any() for key in ("x_m", "y_m", "yaw_deg"))
+
+
+def test_a_mounting_hangs_where_the_error_puts_it_even_beyond_what_was_searched():
+    low, high = installed({**PLAN, "height_m": 4.5}, np.array([[0, 0, -0.05, 0, 0, 0], [0, 0, 0.05, 1, -1, 2]]))
+    assert low == pose_at({**PLAN, "height_m": 4.45})
+    assert high == pose_at({**PLAN, "height_m": 4.55, "tilt_x_deg": 13.0, "tilt_y_deg": -1.0, "yaw_deg": 2.0})
+
+
+def test_only_what_a_coordinate_can_be_at_all_stops_an_error():
+    plan = {**PLAN, "height_m": 0.12, "tilt_x_deg": 89.5}
+    (pose,) = installed(plan, np.array([[0, 0, -0.05, 1.0, 0, 0]]))
+    assert pose == pose_at({**plan, "height_m": COORDINATE_LIMITS["height_m"][0], "tilt_x_deg": 90.0})
+
+
+# --- the objective over them ------------------------------------------------------------------------------------------
+
+
+def test_without_errors_it_is_the_sharp_objective():
+    landscape = Landscape(bumpy)
+    plans = [PLAN, {**PLAN, "tilt_x_deg": 3.0}]
+    sharp = landscape.totals([pose_at(plan) for plan in plans]).objective.sum(axis=1)
+    for aim in ("mean", "low"):
+        exact = Tolerance(0.0, 0.0, 0.0, aim)
+        np.testing.assert_allclose(objective_over(landscape, plans, exact), sharp, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("base", "most"), [(3, 2e-3), (5, 3e-4), (11, 2e-4)])
+@pytest.mark.parametrize("tolerance", [TOLERANCE, EVERY], ids=["tilts and height", "yaw too"])
+def test_the_mean_is_that_of_a_dense_grid_of_errors(base, most, tolerance):
+    reference = dense(bumpy, PLAN, tolerance, 31 if tolerance is TOLERANCE else 21)
+    found = objective_over(Landscape(bumpy), [PLAN], tolerance, base)[0]
+    assert found == pytest.approx(reference.mean(), abs=most)
+    assert abs(bumpy({key: np.array(value) for key, value in PLAN.items()}) - reference.mean()) > 2 * most
+
+
+@pytest.mark.parametrize(("base", "most"), [(5, 0.05), (11, 0.03)])
+def test_the_low_aim_is_what_nine_of_ten_errors_reach(base, most):
+    low = Tolerance(TOLERANCE.height_m, TOLERANCE.tilt_deg, 0.0, "low")
+    values = dense(bumpy, PLAN, low)
+    found = objective_over(Landscape(bumpy), [PLAN], low, base)[0]
+    assert (values < found).mean() == pytest.approx(0.1, abs=most)
+
+
+def test_the_low_aim_of_evenly_spread_values_is_their_tenth():
+    assert aimed((np.arange(121) + 0.5) / 121, "low") == pytest.approx(0.1)
+    assert aimed((np.arange(25) + 0.5) / 25, "low") == pytest.approx(0.1)
+
+
+@given(st.floats(0.0, 3.0), st.floats(0.0, 0.4))
+def test_a_symmetric_landscape_keeps_its_optimum(tilt, height):
+    def cone(at):
+        return -np.abs(at["tilt_x_deg"] - 12.0) - np.abs(at["height_m"] - 3.0) - 0.1 * np.abs(at["tilt_y_deg"])
+
+    off = [{**PLAN, "tilt_x_deg": 12.0 + s * tilt, "height_m": 3.0 + s * height} for s in (-1.0, 0.0, 1.0)]
+    left, middle, right = objective_over(Landscape(cone), off, TOLERANCE)
+    assert left == pytest.approx(right, abs=1e-9)
+    assert middle >= left - 1e-9
+
+
+def spike_and_hill(at):
+    """A peak a fifth of a degree wide at 5 degrees, and beside it a broad hill, less high, at 18."""
+    tilt = at["tilt_x_deg"]
+    return 1.2 * np.exp(-(((tilt - 5.0) / 0.1) ** 2)) + np.exp(-(((tilt - 18.0) / 5.0) ** 2))
+
+
+@pytest.mark.parametrize("aim", ["mean", "low"])
+def test_the_sharp_search_takes_the_spike_and_the_robust_one_the_hill(aim):
+    landscape = Landscape(spike_and_hill)
+    tolerance = Tolerance(0.05, 1.0, 0.0, aim)
+    plan = partial(dict, PLAN)
+
+    def sharp(x):
+        return landscape.totals([pose_at(plan(tilt_x_deg=tilt)) for (tilt,) in x]).objective.sum(axis=1)
+
+    def robust(x):
+        return objective_over(landscape, [plan(tilt_x_deg=tilt) for (tilt,) in x], tolerance)
+
+    found = {}
+    for name, objective in (("sharp", sharp), ("robust", robust)):
+        found[name] = run(make_search("grid", [0.0], [25.0], seed=1, evaluations=501), objective).x[0]
+    assert found["sharp"] == pytest.approx(5.0, abs=0.1)
+    assert found["robust"] == pytest.approx(18.0, abs=0.3)
+    plans = [plan(tilt_x_deg=found[name]) for name in ("sharp", "robust")]
+    assert best_over_tolerance(landscape, plans, tolerance) is plans[1]
+    assert best_over_tolerance(landscape, plans, None) is plans[0]
+
+
+def test_of_equals_the_first_is_the_best_over_the_tolerance():
+    plans = [PLAN, dict(PLAN)]
+    assert best_over_tolerance(Landscape(bumpy), plans, TOLERANCE) is plans[0]
+
+
+def test_all_errors_of_all_plans_are_scored_in_one_call():
+    landscape = Landscape(bumpy)
+    calls = []
+    totals, landscape.totals = landscape.totals, lambda poses: calls.append(len(poses)) or totals(poses)
+    objective_over(landscape, [PLAN] * 3, TOLERANCE)
+    losses_over_tolerance(landscape, PLAN, TOLERANCE, [0])
+    assert calls == [3 * 9, 1 + 121 + 6]
+
+
+# --- on a scene -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    return prepare(load_scenario(write_scene(tmp_path_factory.mktemp("scene"))))
+
+
+@pytest.fixture(scope="module")
+def losses(site):
+    with site.evaluator(site.search) as evaluator:
+        return losses_over_tolerance(evaluator, PLAN | {"x_m": 0.0, "y_m": 0.0}, TOLERANCE, site.plan.search_block)
+
+
+def test_each_error_has_the_score_that_its_mounting_has_alone(site, losses):
+    plan = PLAN | {"x_m": 0.0, "y_m": 0.0}
+    with site.evaluator(site.search) as evaluator:
+        for row in (0, 17, 120):
+            hung = {key: plan[key] + error for key, error in zip(COORDINATES, losses.errors[row], strict=True)}
+            alone = evaluator.totals([pose_at(hung)])
+            np.testing.assert_array_equal(alone.objective[0], losses.installed.objective[row])
+            assert losses.per_vehicle[row] == alone.per_vehicle()[0]
+        planned = evaluator.totals([pose_at(plan)]).per_vehicle()[0]
+        assert losses.planned_per_vehicle == planned
+        assert set(losses.limit_losses) == {"height_m", "tilt_x_deg", "tilt_y_deg"}
+        for key, ends in losses.limit_losses.items():
+            for sign, loss in zip((-1.0, 1.0), ends, strict=True):
+                off = evaluator.totals([pose_at(plan | {key: plan[key] + sign * TOLERANCE.half_widths[key]})])
+                assert loss == pytest.approx(planned - off.per_vehicle()[0], abs=1e-12)
+        objective = objective_over(evaluator, [plan], TOLERANCE, JUDGED_BASE)[0]
+    assert objective / losses.planned.vehicles.sum() == pytest.approx(losses.aimed_per_vehicle, rel=1e-12)
+    assert losses.per_vehicle.std() > 0.0
+
+
+def test_sums_of_blocks_add_up_and_counting_each_once_changes_nothing(site, losses):
+    assert losses.block_objective.shape == (121, len(np.unique(site.plan.search_block)))
+    vehicles = losses.block_vehicles.sum()
+    np.testing.assert_allclose(losses.block_objective.sum(axis=1) / vehicles, losses.per_vehicle)
+    once = np.ones((1, len(losses.block_vehicles)))
+    assert losses.aimed_under(once)[0] == pytest.approx(losses.aimed_per_vehicle)
+    assert losses.planned_under(once)[0] == pytest.approx(losses.planned_per_vehicle)
+    assert losses.block_planned.sum() / vehicles == pytest.approx(losses.planned_per_vehicle)
+
+
+def test_the_interval_of_a_mean_is_that_of_the_mean_mounting(losses):
+    mean = losses.block_objective.mean(axis=0)
+    found = statistic_interval_90(losses.aimed_under, losses.block_vehicles, 3)
+    assert found == pytest.approx(ratio_interval_90(mean, losses.block_vehicles, 3))
+
+
+def test_what_is_kept_is_a_share_of_the_gain_and_needs_one(losses):
+    base = losses.planned_per_vehicle - 0.5
+    assert losses.kept(base) == pytest.approx(1.0 + (losses.aimed_per_vehicle - losses.planned_per_vehicle) / 0.5)
+    assert losses.kept(losses.planned_per_vehicle) is None
+    assert losses.kept(losses.planned_per_vehicle + 0.1) is None
+
+
+# --- the interval of any statistic ------------------------------------------------------------------------------------
+
+
+def test_the_interval_of_a_ratio_is_the_same_either_way_empty_blocks_or_not():
+    rng = np.random.default_rng(2)
+    vehicles = np.array([5, 0, 7, 3, 0, 9, 4])
+    values = rng.normal(size=7) * vehicles
+    found = statistic_interval_90(lambda weights: weights @ values / (weights @ vehicles), vehicles, 5)
+    assert found == pytest.approx(ratio_interval_90(values, vehicles, 5), rel=1e-12)
+    assert statistic_interval_90(lambda weights: weights @ values, np.array([1, 0, 0, 2, 0, 0, 0]), 5) is None
+
+
+def test_blocks_are_those_of_the_frames():
+    objective = np.array([[1.0, 2.0, 4.0]])
+    assert block_sums(objective, np.array([7, 7, 2])).tolist() == [[4.0, 3.0]]
