@@ -48,6 +48,7 @@ ROOMS = {
     "plots": {"metrics", "sensors"},
     "settings": {"sensors", "traffic"},
     "sensor_table": {"sensors", "settings", "toml_table"},
+    "tolerance_table": {"settings", "toml_table"},
     "world_table": {"settings", "toml_table", "world"},
     "scenario": {
         "casting",
@@ -55,6 +56,7 @@ ROOMS = {
         "optimise",
         "sensor_table",
         "settings",
+        "tolerance_table",
         "toml_table",
         "traffic",
         "world",

@@ -12,6 +12,7 @@ from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scenario import COORDINATES, Scenario, load_scenario
 from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
+from blender_lidar.settings import Tolerance
 from blender_lidar.toml_table import to_toml
 from tests.small_scene import write_scene
 
@@ -366,6 +367,11 @@ KEYS = [
     ("objective", "threshold", "true", "1.5"),
     ("objective", "view", "[1]", '"top"'),
     ("objective", "loss", '"-1"', "-1e10"),
+    ("objective.tolerance", "height_m", '"low"', "1.1"),
+    ("objective.tolerance", "tilt_deg", "nan", "-1"),
+    ("objective.tolerance", "tilt_deg", "[0, 1]", "11"),
+    ("objective.tolerance", "yaw_deg", "true", "10.5"),
+    ("objective.tolerance", "aim", "1", '"median"'),
     ("search", "method", "1", '"pso"'),
     ("search", "seed", "1.5", "-1"),
     ("search", "particles", '"20"', "2"),
@@ -391,8 +397,43 @@ def test_a_wrong_value_is_refused_with_the_file_the_table_and_the_key(tmp_path, 
 
 def test_every_key_of_a_scene_is_among_those_tested(tmp_path):
     written = load_scenario(scene(tmp_path, MINIMAL)).as_tables()
-    known = {(table, key) for table, content in written.items() for key in content} - {("traffic", "height_m")}
+    known = {(table, key) for table, content in written.items() for key in content} - {
+        ("traffic", "height_m"),
+        ("objective", "tolerance"),
+    }
     assert known <= {(table, key) for table, key, *_ in KEYS}
+
+
+def test_a_tolerance_is_none_unless_said_and_its_half_widths_are_nought(tmp_path):
+    assert load_scenario(scene(tmp_path, MINIMAL)).objective.tolerance is None
+    text = MINIMAL + "[objective]\ntolerance = {tilt_deg = 1, height_m = 0.05}\n"
+    tolerance = load_scenario(scene(tmp_path, text)).objective.tolerance
+    assert tolerance == Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=0.0, aim="mean")
+    assert tolerance.half_widths == {"height_m": 0.05, "tilt_x_deg": 1.0, "tilt_y_deg": 1.0}
+
+
+@pytest.mark.parametrize("content", ["", "tilt_deg = 0", "height_m = 0.0\nyaw_deg = 0", 'aim = "low"'])
+def test_a_tolerance_that_leaves_everything_exact_is_refused(tmp_path, content):
+    text = refusal(tmp_path, f"{MINIMAL}[objective.tolerance]\n{content}\n")
+    assert text == (
+        "[objective.tolerance]: leaves every coordinate exact; allowed: at least one of height_m, tilt_deg, yaw_deg "
+        "above 0"
+    )
+
+
+def test_a_tolerance_that_is_no_table_or_has_an_unknown_key_is_refused(tmp_path):
+    assert (
+        refusal(tmp_path, MINIMAL + "[objective]\ntolerance = 1\n") == "[objective.tolerance]: is 1; allowed: a table"
+    )
+    text = refusal(tmp_path, MINIMAL + "[objective]\ntolerance = {tilt_x_deg = 1}\n")
+    assert text.startswith("[objective.tolerance]: unknown key 'tilt_x_deg'; did you mean 'tilt_deg'? allowed: ")
+
+
+def test_a_scene_with_a_tolerance_is_the_same_when_written_and_read_again(tmp_path):
+    text = MINIMAL + '[objective]\ntolerance = {yaw_deg = 2.5, aim = "low"}\n'
+    scenario = load_scenario(scene(tmp_path, text))
+    again = load_scenario(scene(tmp_path, to_toml(scenario.as_tables())))
+    assert again.objective == scenario.objective
 
 
 @pytest.mark.parametrize("table", ["traffic", "road", "world", "sensor", "deployment", "baseline", "objective"])

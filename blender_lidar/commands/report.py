@@ -124,11 +124,8 @@ def _tolerance_text(scenario, searched):
     if tolerance is None:
         return ""
     settings = asdict(tolerance)
-    then = (
-        f"; searched after the sharp mounting, over {SEARCHED_BASE[tolerance.aim] ** 2} errors of each"
-        if searched
-        else ""
-    )
+    errors = SEARCHED_BASE[tolerance.aim] ** 2
+    then = f"; searched after the sharp mounting, over {errors} errors of each" if searched else ""
     return f"{tolerance_text(settings)}: {aim_text(settings)}{then}"
 
 

@@ -1,7 +1,7 @@
 """What a mounting is worth when it hangs only nearly as planned: the objective over an installer's errors.
 
-The errors of [objective] tolerance fill a box about the plan. A net of points stands for it, the same for every mounting,
-so that a search meets no noise: few points while it searches, many others for the verdict.
+The errors of [objective] tolerance fill a box about the plan. A net of points stands for it, the same for every
+mounting, so that a search meets no noise: few points while it searches, many others for the verdict.
 """
 
 from __future__ import annotations
