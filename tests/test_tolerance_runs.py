@@ -1,0 +1,417 @@
+"""Runs with a tolerance: both optima in every file, the sharp one as without one, stopped and resumed at will."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar.cli import main
+from blender_lidar.commands.options import parse_tolerance
+from blender_lidar.errors import InputError
+from blender_lidar.reporting.answer import answer
+from blender_lidar.reporting.page import report_html
+from blender_lidar.reporting.summary import cautions
+from blender_lidar.results import RunFolder
+from blender_lidar.study.tolerance_text import costliest_text, kept_text, tolerance_text
+from tests.report_samples import Page, change, result_of
+from tests.small_scene import MAPPED, cli, without_charts, without_times, write_scene
+from tests.test_resume import PROGRAM
+
+FEW = {"traffic": {"frames": 4}, "search": {"particles": 3, "iterations": 3}}
+TOLERANCE = "tilt_deg=4,height_m=0.3"  # so wide that the two searches part on a handful of vehicles
+WORDS = ("--tolerance", TOLERANCE)
+NAMES = ("baseline", "sharp", "optimised")
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    without_charts(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """A run with a tolerance, one without, and one mounting evaluated over it, all of the same scene."""
+    folder = tmp_path_factory.mktemp("runs")
+    scene = str(write_scene(folder, {**FEW, **MAPPED}))
+    verbs = {
+        "robust": ["optimise", scene, *WORDS],
+        "plain": ["optimise", scene],
+        "given": ["evaluate", scene, *WORDS, "--height", "3.3", "--tilt-x", "14"],
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        without_charts(patch)
+        for name, words in verbs.items():
+            assert main([*words, "--out", str(folder / name)]) == 0
+    return folder
+
+
+@pytest.fixture
+def folder(runs, tmp_path) -> RunFolder:
+    """A copy of the run with a tolerance, to be changed."""
+    shutil.copytree(runs / "robust", tmp_path / "run")
+    return RunFolder(tmp_path / "run")
+
+
+def stored(folder: Path) -> dict:
+    return json.loads((folder / "result.json").read_text())
+
+
+def history(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+# --- what a run leaves ------------------------------------------------------------------------------------------------
+
+
+def test_without_a_tolerance_nothing_but_a_null_key_is_added(runs):
+    assert stored(runs / "plain")["tolerance"] is None
+    assert not (runs / "plain" / "history_sharp.csv").exists()
+    assert "tolerance" not in (runs / "plain" / "scene.toml").read_text()
+
+
+def test_the_sharp_search_is_that_of_a_run_without_a_tolerance(runs):
+    plain, robust = stored(runs / "plain"), stored(runs / "robust")
+    sharp = robust["tolerance"]["sharp"]
+    assert {key: plain[key] for key in sharp} == sharp
+    assert (runs / "robust" / "history_sharp.csv").read_bytes() == (runs / "plain" / "history.csv").read_bytes()
+    assert (runs / "robust" / "score_map.csv").read_bytes() == (runs / "plain" / "score_map.csv").read_bytes()
+    assert robust["map"] == plain["map"]
+    assert robust["baseline"] == plain["baseline"]
+
+
+def test_the_block_says_what_was_allowed_and_what_it_took(runs):
+    block = stored(runs / "robust")["tolerance"]
+    assert block["settings"] == {"height_m": 0.3, "tilt_deg": 4.0, "yaw_deg": 0.0, "aim": "mean"}
+    assert (block["searched_errors"], block["judged_errors"]) == (9, 121)
+    assert block["evaluations"] == {"sharp": 9, "robust": 9}
+    assert stored(runs / "robust")["evaluations"] == 18
+    assert set(block["robust"]) == set(NAMES)
+
+
+def test_the_mounting_is_the_best_of_both_searches_over_the_tolerance(runs):
+    result = stored(runs / "robust")
+    robust = result["tolerance"]["robust"]
+    assert robust["optimised"]["objective"] >= robust["sharp"]["objective"]
+    assert result["tolerance"]["sharp"]["objective"] >= result["objective"]
+    table = history(runs / "robust" / "history.csv")
+    best = table[int(np.argmax([float(row["objective"]) for row in table]))]
+    found = {key: float(best[key]) for key in ("height_m", "tilt_x_deg")}
+    deployments = (result["deployment"], result["tolerance"]["sharp"]["deployment"])
+    assert found in [{key: mount[key] for key in found} for mount in deployments]
+
+
+def test_scores_over_the_tolerance_are_those_that_evaluate_finds(runs, tmp_path, capsys):
+    result = stored(runs / "robust")
+    for name, mount in (("optimised", result["deployment"]), ("sharp", result["tolerance"]["sharp"]["deployment"])):
+        words = ["--height", repr(mount["height_m"]), "--tilt-x", repr(mount["tilt_x_deg"])]
+        code, out, err = cli(
+            capsys, "evaluate", runs / "scene.toml", *WORDS, *words, "--out", tmp_path / name, "--json"
+        )
+        assert code == 0, err
+        found, expected = json.loads(out)["tolerance"]["robust"], result["tolerance"]["robust"]
+        assert found["baseline"] == expected["baseline"]
+        told = {**expected[name], "holdout": dict(expected[name]["holdout"])}
+        told["holdout"].pop("over_sharp", None)
+        assert found["optimised"] == told
+
+
+def test_numbers_over_the_tolerance_agree_with_each_other(runs):
+    result = stored(runs / "robust")
+    block, base = result["tolerance"], result["baseline"]
+    scores = {"sharp": block["sharp"], "optimised": result}
+    for name, planned in scores.items():
+        over = block["robust"][name]
+        for mine, exact, reference in (
+            (over, planned, base),
+            (over["holdout"], planned["holdout"], base["holdout"]),
+        ):
+            gain = exact["objective_per_vehicle"] - reference["objective_per_vehicle"]
+            kept = (mine["objective_per_vehicle"] - reference["objective_per_vehicle"]) / gain
+            assert mine["gain_kept"] == (pytest.approx(kept) if gain > 0 else None)
+            assert set(mine["loss_at_limits"]) == {"height_m", "tilt_x_deg", "tilt_y_deg"}
+        assert over["objective"] == pytest.approx(over["objective_per_vehicle"] * result["vehicles"])
+        held = over["holdout"]
+        low, high = held["interval_90"]
+        assert low <= held["gain_over_baseline"] <= high
+    beside = block["robust"]["optimised"]["holdout"]["over_sharp"]
+    for name, parts in (
+        ("as_planned", (result["holdout"], block["sharp"]["holdout"])),
+        ("over_tolerance", [block["robust"][key]["holdout"] for key in ("optimised", "sharp")]),
+    ):
+        mine, sharp = (part["objective_per_vehicle"] for part in parts)
+        assert beside[name]["objective_per_vehicle"] == pytest.approx(mine - sharp, abs=1e-12)
+        low, high = beside[name]["interval_90"]
+        assert low <= mine - sharp <= high
+
+
+def test_an_evaluation_over_a_tolerance_has_no_sharp_mounting(runs):
+    result = stored(runs / "given")
+    block = result["tolerance"]
+    assert (block["sharp"], block["evaluations"], block["searched_errors"]) == (None, None, None)
+    assert set(block["robust"]) == {"baseline", "optimised"}
+    assert (runs / "given" / "history_sharp.csv").exists() is False
+    assert result["deployment"]["height_m"] == 3.3
+
+
+def test_the_low_aim_asks_for_more_errors_and_promises_less(runs, tmp_path):
+    words = ["evaluate", str(runs / "scene.toml"), "--height", "3.3", "--tilt-x", "14"]
+    assert main([*words, "--tolerance", f"{TOLERANCE},aim=low", "--out", str(tmp_path / "low")]) == 0
+    low, mean = (stored(place)["tolerance"]["robust"]["optimised"] for place in (tmp_path / "low", runs / "given"))
+    assert low["objective_per_vehicle"] < mean["objective_per_vehicle"]
+    assert low["loss_at_limits"] == mean["loss_at_limits"]
+
+
+def kept_on_held_out(result: dict) -> list[str]:
+    """Shares of the gain that the sharp and the robust mounting keep, as a table has them."""
+    shares = [result["tolerance"]["robust"][name]["holdout"]["gain_kept"] for name in ("sharp", "optimised")]
+    return ["-" if share is None else f"{100 * share:.1f}" for share in shares]
+
+
+# --- what is told -----------------------------------------------------------------------------------------------------
+
+
+def test_the_table_shows_both_optima_and_what_they_keep(runs, tmp_path, capsys):
+    shutil.copytree(runs / "robust", tmp_path / "run")
+    code, out, err = cli(capsys, "optimise", runs / "scene.toml", *WORDS, "--out", tmp_path / "run", "--resume")
+    assert code == 0, err
+    assert "Tolerance  +/-0.3 m of height, +/-4 deg of either tilt: mean; searched after" in out
+    lines = out.splitlines()
+    heading = next(line for line in lines if line.startswith("Mounting"))
+    assert heading.split() == ["Mounting", "baseline", "sharp", "robust"]
+    result = stored(runs / "robust")
+    heights = next(line for line in lines if "height [m]" in line).split()[-3:]
+    mounts = (result["baseline"], result["tolerance"]["sharp"], result)
+    assert heights == [f"{mount['deployment']['height_m']:.2f}" for mount in mounts]
+    assert "Held-out frames, +/-0.3 m of height, +/-4 deg of either tilt: mean" in lines
+    assert [line.split()[-2:] for line in lines if "gain kept [%]" in line][-1] == kept_on_held_out(result)
+
+
+def test_the_page_shows_both_optima(runs):
+    page = Page((runs / "robust" / "report.html").read_text(encoding="utf-8"))
+    result = stored(runs / "robust")
+    captions = {page.text(page.within("caption", n)[0]): n for n in page.find("table")}
+    table = captions["Baseline, sharp and robust mounting"]
+    rows = {page.text(page.within("th", n)[0]): n for n in page.within("tr", table) if page.within("th", n)}
+    gains = [page.text(cell) for cell in page.within("td", rows["gain kept [%]"])]
+    assert [gain.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-") for gain in gains] == kept_on_held_out(
+        result
+    )
+    items = [page.text(number) for number in page.find("li")]
+    assert all(note in items for note in cautions(result))
+    assert page.text(page.find("p", **{"class": "answer"})[0]) == answer(result)
+    assert "9 of mountings as planned and 9 over the tolerance, with 9 errors each" in page.text(
+        page.find("table", **{"class": "settings"})[0]
+    )
+
+
+def test_the_sheet_tells_what_is_kept_what_costs_most_and_where_the_sharp_mounting_is(runs):
+    result, sheet = stored(runs / "robust"), (runs / "robust" / "installation.txt").read_text()
+    assert f"If it hangs only nearly so: {tolerance_text(result['tolerance']['settings'])}" in sheet
+    assert f"- {kept_text(result)}" in sheet
+    assert f"- {costliest_text(result)}" in sheet
+    sharp = result["tolerance"]["sharp"]["deployment"]
+    if sharp != result["deployment"]:
+        assert f"height {sharp['height_m']:.2f} m,\n  tilt {sharp['tilt_x_deg']:.1f} deg across the road" in sheet
+    assert "hangs only nearly so" not in (runs / "plain" / "installation.txt").read_text()
+
+
+def test_the_costliest_single_error_is_the_one_that_loses_most(runs):
+    result = stored(runs / "given")
+    losses = {"height_m": [0.01, -0.2], "tilt_x_deg": [0.25, 0.1], "tilt_y_deg": [0.0, 0.0]}
+    result["tolerance"]["robust"]["optimised"]["holdout"]["loss_at_limits"] = losses
+    assert costliest_text(result) == (
+        "of the single errors tilt across the road -4 deg costs most: 0.250 bits per vehicle (held-out frames)"
+    )
+    result["tolerance"]["robust"]["optimised"]["holdout"]["loss_at_limits"] = {"height_m": [-0.1, 0.0]}
+    assert costliest_text(result) == ""
+
+
+def test_a_search_that_found_nothing_better_says_so(runs):
+    result = stored(runs / "robust")
+    result["tolerance"]["sharp"]["deployment"] = result["deployment"]
+    assert "The search over the tolerance found no better mounting than the sharp one." in cautions(result)
+
+
+def test_a_result_of_before_there_were_tolerances_has_its_page(runs, tmp_path):
+    shutil.copytree(runs / "plain", tmp_path / "run")
+    old = RunFolder(tmp_path / "run")
+    before = report_html(old)
+    result = result_of(old)
+    del result["tolerance"]
+    change(old, result)
+    assert report_html(old) == before
+
+
+@pytest.mark.parametrize(
+    ("keys", "value"),
+    [
+        (("settings",), None),
+        (("settings", "aim"), "best"),
+        (("judged_errors",), -1),
+        (("robust", "optimised"), None),
+        (("robust", "optimised", "gain_kept"), "all"),
+        (("robust", "optimised", "loss_at_limits"), {"height_m": [1]}),
+        (("robust", "optimised", "holdout"), None),
+        (("robust", "sharp"), None),
+        (("sharp",), None),
+        (("sharp", "deployment", "height_m"), "high"),
+        (("evaluations",), None),
+    ],
+)
+def test_a_damaged_block_is_refused_by_name(folder, keys, value):
+    result = result_of(folder)
+    table = result["tolerance"]
+    for key in keys[:-1]:
+        table = table[key]
+    table[keys[-1]] = value
+    change(folder, result)
+    with pytest.raises(InputError, match=r"result\.json: tolerance") as caught:
+        report_html(folder)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+# --- options ----------------------------------------------------------------------------------------------------------
+
+
+def test_an_option_reads_as_the_scenes_table():
+    assert parse_tolerance("tilt_deg=1, height_m = 0.05,aim=low", "--tolerance") == {
+        "tilt_deg": 1.0,
+        "height_m": 0.05,
+        "aim": "low",
+    }
+    assert parse_tolerance("none", "--tolerance") is None
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("tilt=1", "--tolerance: unknown key 'tilt'; did you mean 'tilt_deg'? allowed: height_m, tilt_deg, yaw_deg"),
+        ("tilt_deg=-1", "--tolerance tilt_deg: is -1.0; allowed: at least 0 and at most 10"),
+        ("tilt_deg=11", "--tolerance tilt_deg: is 11.0; allowed: at least 0 and at most 10"),
+        ("height_m=1.5", "--tolerance height_m: is 1.5; allowed: at least 0 and at most 1"),
+        ("height_m=nan", "--tolerance height_m: is nan; allowed: a number"),
+        ("height_m=low", "--tolerance height_m: is 'low'; allowed: a number"),
+        ("tilt_deg=1,aim=best", "--tolerance aim: unknown aim 'best'; allowed: mean, low"),
+        ("tilt_deg=0", "--tolerance: leaves every coordinate exact; allowed: at least one of height_m, tilt_deg"),
+        ("1", "--tolerance: '1' is no key=value; allowed: such as tilt_deg=1,height_m=0.05, or none"),
+        ("", "--tolerance: '' is no key=value; allowed: such as tilt_deg=1,height_m=0.05, or none"),
+        ("yaw_deg=1,yaw_deg=2", "--tolerance: 'yaw_deg=2' is there twice; allowed: such as"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["optimise", "evaluate"])
+def test_a_wrong_tolerance_is_one_line_that_names_the_key(tmp_path, capsys, verb, given, told):
+    code, out, err = cli(capsys, verb, write_scene(tmp_path), "--tolerance", given, "--out", tmp_path / "run")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"blender-lidar: {told}")
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_option_can_take_a_scenes_tolerance_away(tmp_path):
+    scene = write_scene(tmp_path, {**FEW, "objective": {"tolerance": {"tilt_deg": 2.0}}})
+    words = ["evaluate", str(scene), "--height", "3", "--out"]
+    assert main([*words, str(tmp_path / "with")]) == 0
+    assert main([*words, str(tmp_path / "without"), "--tolerance", "none"]) == 0
+    assert stored(tmp_path / "with")["tolerance"]["settings"]["tilt_deg"] == 2.0
+    assert stored(tmp_path / "without")["tolerance"] is None
+
+
+# --- resumed ----------------------------------------------------------------------------------------------------------
+
+# Written one after the other: the scene, checkpoints of 3 sharp iterations and of 3 robust ones, both histories, the
+# vehicle tables and the sheet, the result, the page.
+BEFORE_THE_ROBUST_SEARCH, IN_ITS_MIDDLE, AT_THE_SECOND_HISTORY = 5, 7, 9
+FILES = ("history.csv", "history_sharp.csv", "vehicles.csv", "installation.txt")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """A scene of one variable, which saves the map, and the folder of a run of it that nobody disturbed."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    scene = write_scene(folder, FEW)
+    with pytest.MonkeyPatch.context() as patch:
+        without_charts(patch)
+        assert main(["optimise", str(scene), *WORDS, "--out", str(folder / "run")]) == 0
+    return scene, folder / "run"
+
+
+def killed(scene: Path, out: Path, write: int) -> Path:
+    """The folder of a run that was killed at a write."""
+    command = [sys.executable, "-c", PROGRAM, str(write), "SIGKILL", "optimise", str(scene), "--out", str(out), *WORDS]
+    done = subprocess.run(command, capture_output=True, timeout=120, check=False)
+    assert done.returncode == -signal.SIGKILL
+    return out
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+@pytest.mark.parametrize(
+    ("write", "begun"),
+    [
+        (BEFORE_THE_ROBUST_SEARCH, {"search": 9}),
+        (IN_ITS_MIDDLE, {"search": 9, "robust": 6}),
+        (AT_THE_SECOND_HISTORY, {"search": 9, "robust": 9}),
+    ],
+)
+def test_a_run_killed_in_either_search_goes_on_to_the_same_result(tmp_path, undisturbed, write, begun):
+    scene, expected = undisturbed
+    out = killed(scene, tmp_path / "run", write)
+    content = json.loads((out / "checkpoint.json").read_text())
+    assert {name: len(state["values"]) for name, state in content.items() if name != "identity"} == begun
+    assert main(["optimise", str(scene), *WORDS, "--out", str(out), "--resume"]) == 0
+    assert without_times(stored(out)) == without_times(stored(expected))
+    for name in FILES:
+        assert (out / name).read_bytes() == (expected / name).read_bytes()
+    assert {path.name for path in out.iterdir()} == {path.name for path in expected.iterdir()}
+
+
+def test_a_run_with_another_tolerance_or_none_is_not_gone_on_with(undisturbed, capsys):
+    scene, folder = undisturbed
+    for words, named in (
+        ((), "not None; give it the same settings"),
+        (("--tolerance", "tilt_deg=4,height_m=0.2"), "[objective] tolerance = {'height_m': 0.3, "),
+    ):
+        code, _, err = cli(capsys, "optimise", scene, *words, "--out", folder, "--resume")
+        assert code == 2
+        assert "the run there had [objective] tolerance = " in err
+        assert named in err
+        assert len(err.splitlines()) == 1
+
+
+def test_a_checkpoint_of_before_there_were_tolerances_is_gone_on_with_where_none_is_asked_for(
+    tmp_path, undisturbed, runs, capsys
+):
+    scene, _ = undisturbed
+    command = [sys.executable, "-c", PROGRAM, "4", "SIGKILL", "optimise", str(scene), "--out", str(tmp_path / "run")]
+    subprocess.run(command, capture_output=True, timeout=120, check=False)
+    path = tmp_path / "run" / "checkpoint.json"
+    content = json.loads(path.read_text())
+    assert set(content) == {"identity", "search"}
+    del content["identity"]["[objective] tolerance"]
+    path.write_text(json.dumps(content))
+    code, _, err = cli(capsys, "optimise", scene, *WORDS, "--out", tmp_path / "run", "--resume")
+    assert code == 2
+    assert "the run there had [objective] tolerance = None, not {" in err
+    assert main(["optimise", str(scene), "--out", str(tmp_path / "run"), "--resume"]) == 0
+    assert stored(tmp_path / "run")["evaluations"] == 9
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+def test_a_damaged_state_of_the_second_search_is_refused(tmp_path, undisturbed, capsys):
+    scene, _ = undisturbed
+    out = killed(scene, tmp_path / "run", IN_ITS_MIDDLE)
+    content = json.loads((out / "checkpoint.json").read_text())
+    for state in (None, {}, {"search": "de-pso"}, 3):
+        (out / "checkpoint.json").write_text(json.dumps({**content, "robust": state}))
+        code, _, err = cli(capsys, "optimise", scene, *WORDS, "--out", out, "--resume")
+        assert code == 2
+        assert len(err.splitlines()) == 1
+        assert "stored" in err
