@@ -83,7 +83,10 @@ def objective_over(
 ) -> np.ndarray:
     """The objective of each plan over the tolerance, (s,), in the metric's unit: what a robust search maximises.
 
-    Against 512 other points the mean over the 16 here errs by ...
+    On scenes/i80.toml with the RS-16, 1 degree and 0.05 m, at five mountings within 0.3 m and 4 degrees of the best
+    one, beside 256 other points: the mean over the 9 errs by 0.0020 bits per vehicle (root mean square), 0.6 % of the
+    gain over the baseline, over 25 by 0.0009 and over the verdict's 121 by 0.0004; the 10 % quantile of 25 by 0.0017,
+    of 121 by 0.0011. The mounting as planned is, alone, 0.006 off that mean.
     """
     errors = installation_errors(tolerance, base)
     poses = [pose for plan in plans for pose in installed(plan, errors)]
