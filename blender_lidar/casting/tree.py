@@ -21,7 +21,7 @@ from functools import partial
 
 import numpy as np
 
-from .exact import ExactCaster
+from .exact import ExactSearch
 from .planes import TrianglePlanes
 from .protocol import MISS, Caster, Returns, origins_of
 
@@ -52,7 +52,7 @@ class TreeCaster(Caster):
     def _prepare(self):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
         self._planes = TrianglePlanes(self._corners, self._normal)
-        self._exact = ExactCaster(self._corners)
+        self._exact = ExactSearch(self._corners, self._planes)
         self._middle, self._reach, self._far = (
             None,
             0.0,
