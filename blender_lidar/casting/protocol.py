@@ -13,6 +13,7 @@ MISS = -1
 _UNIT_TOLERANCE = 1e-6
 _LEAST_HEIGHT = 1e-12  # of a triangle, relative to its size and coordinates: what is flatter is rounding, not area
 _FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit whatever the range
+MOST_M = 1e15  # of a coordinate: the squares and cubes of what is farther away would leave float32
 
 
 class Hits(NamedTuple):
@@ -59,6 +60,11 @@ class Caster(ABC):
     closed : bool
         Whether the triangles bound solids, so that a ray from outside meets no inside first. It changes no result,
         but lets leaks be told by the insides that they lead to: faster for rays from outside, slow for others.
+
+    Raises
+    ------
+    InputError
+        For a wrong shape, or a triangle that is not finite or farther away than `MOST_M`, by its row from 0.
     """
 
     name: str
@@ -68,16 +74,19 @@ class Caster(ABC):
         corners = np.asarray(corners, dtype=float)
         if corners.ndim != 3 or corners.shape[1:] != (3, 3):
             raise InputError(f"triangles have shape {corners.shape}; allowed: (m, 3, 3)")
-        if not np.isfinite(corners).all():
-            raise InputError("a triangle has a corner that is not finite")
         flat = corners.reshape(-1, 3)
-        self._origin = 0.5 * (flat.min(axis=0) + flat.max(axis=0)) if len(flat) else np.zeros(3)
+        coordinate = np.abs(corners).max(axis=(1, 2), initial=0.0)  # largest of each triangle
+        if not (coordinate <= MOST_M).all():  # also catches NaN
+            row = int(np.flatnonzero(~(coordinate <= MOST_M))[0])
+            raise InputError(f"triangle {row} has {_unusable(corners[row], 'a corner')}")
+        # About the middle one of the corners, so that a vehicle at a place that is a mistake moves no other.
+        self._origin = np.median(flat, axis=0) if len(flat) else np.zeros(3)
         corners = corners - self._origin
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(normal, axis=1)  # twice: base times height
         base = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
         self._given = len(corners)
-        self._solid = np.flatnonzero(area > _LEAST_HEIGHT * base * (base + np.abs(flat).max(initial=0.0)))
+        self._solid = np.flatnonzero(area > _LEAST_HEIGHT * base * (base + coordinate))
         self._normal = normal[self._solid] / area[self._solid, None]
         self._corners = corners[self._solid]
         if len(self._solid):
@@ -106,7 +115,8 @@ class Caster(ABC):
         Raises
         ------
         InputError
-            For wrong shapes, a direction that is not finite and of unit length, or an origin that is not finite.
+            For wrong shapes, a direction that is not finite and of unit length, or an origin that is not finite, by the
+            number of its row from 0.
         """
         origins, directions = _checked(origins, directions, max_range)
         found = self.meet(origins, directions, max_range)
@@ -144,10 +154,26 @@ def _checked(origins, directions, max_range):
     if origins.shape not in ((3,), directions.shape):
         raise InputError(f"origins have shape {origins.shape}; allowed: (3,) or {directions.shape}")
     length = np.einsum("ij,ij->i", directions, directions)
-    if not (np.abs(length - 1.0) <= _UNIT_TOLERANCE).all():  # also catches NaN, which casters would miss silently
-        raise InputError("a direction is not finite and of unit length")
-    if not np.isfinite(origins).all():
-        raise InputError("an origin is not finite")
+    good = np.abs(length - 1.0) <= _UNIT_TOLERANCE
+    if not good.all():  # also catches NaN, which casters would miss silently
+        row = int(np.flatnonzero(~good)[0])
+        raise InputError(f"direction {row} is {directions[row].tolist()}; allowed: finite and of unit length")
+    good = (np.abs(origins) <= MOST_M).all(axis=-1)
+    if not good.all():
+        which, row = ("the origin", origins) if origins.ndim == 1 else _first_bad("origin", origins, good)
+        raise InputError(f"{which} has {_unusable(row, 'a coordinate')}")
     if not max_range >= 0.0:
         raise InputError(f"max_range is {max_range}; allowed: a distance of 0 m or more")
     return origins, directions / np.sqrt(length)[:, None]  # as float32 rounded them, say
+
+
+def _first_bad(what, rows, good):
+    at = int(np.flatnonzero(~good)[0])
+    return f"{what} {at}", rows[at]
+
+
+def _unusable(numbers, what):
+    """What is wrong with coordinates that are not all finite and near enough, in words."""
+    worst = numbers.ravel()[int(np.argmin(np.abs(numbers.ravel()) <= MOST_M))]
+    problem = f"that is {worst:g} m off" if np.isfinite(worst) else "that is not finite"
+    return f"{what} {problem}; allowed: up to {MOST_M:g} m"

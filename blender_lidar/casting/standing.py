@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..errors import InputError
 from ..world.scenery import Scenery
 from . import caster_class
 from .protocol import Caster
@@ -44,9 +45,17 @@ class StandingScenery:
             Unit directions.
         distance : ndarray, (n,)
             How far along each [m].
+
+        Raises
+        ------
+        InputError
+            For a distance that is not a number.
         """
         hidden = np.zeros(len(distance), dtype=bool)
         if len(distance):
-            found = self.tree.meet(origins, directions, float(distance.max()))
+            reach = float(distance.max())  # NaN if any is
+            if not reach >= 0.0:
+                raise InputError(f"rays are followed for {reach} m; allowed: a distance of 0 m or more")
+            found = self.tree.meet(origins, directions, reach)
             hidden[found.ray] = found.distance < distance[found.ray]
         return hidden

@@ -8,10 +8,10 @@ boxes and of triangles do not agree with each other. Here nothing is left to tha
 - range and place of every hit are computed again in float64, with the triangle as it was given;
 - a ray that met nothing but such a margin is decided by the float64 caster, and so is one that met the inside of a
   closed mesh first, having leaked where a flat side is seen so nearly edge-on that the margin does not show: a few in
-  10,000 hits.
+  10,000 hits;
+- a ray that starts so near a surface that float32 cannot tell on which side is left to the float64 caster.
 
-So all casters find the same hits and ranges, and differ in speed alone; but for rays that start within about 1e-5 m of
-a surface, which float32 cannot tell from those that start behind it.
+So all casters find the same hits and ranges, and differ in speed alone.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 from .exact import ExactSearch
 from .planes import TrianglePlanes
 from .protocol import MISS, Caster, Returns, origins_of
+from .touching import Touching
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
@@ -33,6 +34,7 @@ _MARGIN_OPEN = 16 * _MARGIN  # where no inside tells of a leak: shows on flat si
 # Of the farthest triangle's distance: how far rays' starts may move before the tree is made again, and how wide a
 # region of such starts it may come to serve.
 _ROAM, _REGION = 0.05, 0.25
+_FAR = 4.0  # times the triangles' median distance at most: one that is farther makes the tree coarser for none
 _MUCH_WIDER = 4.0  # than the rays need: a tree made for such wide starts is coarser than it has to be
 _LEAST_COSINE_SUM = 1e-5  # bounds how far the tip of a needle moves: a few hundred margins
 _REACH_SLACK = 1e-5  # relative: back-ends look a little farther than asked and float64 decides at the limit
@@ -53,14 +55,31 @@ class TreeCaster(Caster):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
         self._planes = TrianglePlanes(self._corners, self._normal)
         self._exact = ExactSearch(self._corners, self._planes)
-        self._middle, self._reach, self._far = (
-            None,
-            0.0,
-            0.0,
-        )  # where rays may start; the tree is made at the first cast
+        # Where rays may start; the tree is made at the first cast.
+        self._middle, self._reach, self._far, self._touching = None, 0.0, 0.0, None
 
     def _meet(self, origins, directions, max_range):
-        away = self._from_middle(origins)
+        low, high = (origins, origins) if origins.ndim == 1 else (origins.min(axis=0), origins.max(axis=0))
+        if not self._serves(low, high):
+            self._make_tree(low, high)
+        if not self._touching.any(low, high):
+            return self._meet_by_tree(origins, directions, max_range)
+        if origins.ndim == 1:
+            return self._exact.meet(origins, directions, max_range)
+        touches = self._touching.of(origins)
+        parts = []
+        for rays, meet in ((~touches, self._meet_by_tree), (touches, self._exact.meet)):
+            rays = np.flatnonzero(rays)
+            if len(rays):
+                found = meet(origins[rays], directions[rays], max_range)
+                parts.append(found._replace(ray=rays[found.ray]))
+        both = Returns(*map(np.concatenate, zip(*parts, strict=True)))
+        order = np.argsort(both.ray)
+        return Returns(*(column[order] for column in both))
+
+    def _meet_by_tree(self, origins, directions, max_range):
+        """As `_meet`, where no ray starts at a surface."""
+        away = origins - self._middle
         reach = max_range * (1.0 + _REACH_SLACK) + _REACH_SLACK
         triangle = self._first(away, directions, reach)
         ray = np.flatnonzero(triangle != MISS)
@@ -84,13 +103,6 @@ class TreeCaster(Caster):
         distance[doubtful] = np.inf
         distance[doubtful[found.ray]], triangle[doubtful[found.ray]] = found.distance, found.triangle
 
-    def _from_middle(self, origins):
-        """Where the rays start as the tree counts, which is made anew if it is not there or made for elsewhere."""
-        low, high = (origins, origins) if origins.ndim == 1 else (origins.min(axis=0), origins.max(axis=0))
-        if not self._serves(low, high):
-            self._make_tree(low, high)
-        return origins - self._middle
-
     def _serves(self, low, high):
         """Whether the tree was made for rays that start between two corners, and not for far wider ones."""
         if self._middle is None or max((high - self._middle).max(), (self._middle - low).max()) > self._reach:
@@ -106,9 +118,11 @@ class TreeCaster(Caster):
                 low, high = both
         self._middle = 0.5 * (low + high)
         away = np.abs(self._corners - self._middle).max(axis=(1, 2))
-        self._far = float(away.max())
+        self._far = float(min(away.max(), _FAR * np.median(away)))
         self._reach = float(0.5 * (high - low).max() + _ROAM * self._far)
         self._build(grown(self._corners, self._normal, self._margin * (away + self._reach)) - self._middle)
+        served = self._middle - self._reach, self._middle + self._reach
+        self._touching = Touching(self._corners, self._normal, _MARGIN_OPEN * (away + self._reach), *served)
 
 
 def grown(corners: np.ndarray, normal: np.ndarray, margin: np.ndarray | float) -> np.ndarray:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
+
 
 def rotation_matrix(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
     """The sensor's orientation, for row vectors: ``world = sensor @ R``.
@@ -45,6 +47,11 @@ class Pose:
         Position of the optical centre [m]; `height_m` above the road surface.
     tilt_x, tilt_y, yaw : float
         Orientation [rad], as in `rotation_matrix`.
+
+    Raises
+    ------
+    InputError
+        For a coordinate that is not finite: all rays from there would miss without a word.
     """
 
     x_m: float = 0.0
@@ -53,6 +60,11 @@ class Pose:
     tilt_x: float = 0.0
     tilt_y: float = 0.0
     yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(f"the mounting's {name} is {getattr(self, name)}; allowed: a finite number")
 
     @property
     def position(self) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..traffic.vehicles import Vehicles
 from .shapes import shape, shape_of
 
@@ -35,7 +36,14 @@ class Triangles:
 
 
 def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
-    """Every vehicle of a frame as triangles at the level of detail `detail` of `shapes.DETAILS`."""
+    """Every vehicle of a frame as triangles at the level of detail `detail` of `shapes.DETAILS`.
+
+    Raises
+    ------
+    InputError
+        For a vehicle whose place is not finite or whose size is not above 0, by its number: no ray would meet it.
+    """
+    _check_boxes(vehicles)
     names = shape_names(vehicles)
     corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
     for name in sorted(set(names.tolist())):
@@ -46,6 +54,19 @@ def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
         owner.append(np.repeat(rows.astype(np.int32), len(unit.faces)))
         surface.append(np.tile(unit.surface, len(rows)))
     return Triangles(np.concatenate(corners), np.concatenate(owner), np.concatenate(surface))
+
+
+def _check_boxes(vehicles):
+    placed = np.isfinite(vehicles.centre_m).all(axis=1) & np.isfinite(vehicles.heading_rad)
+    sized = ((vehicles.size_m > 0.0) & np.isfinite(vehicles.size_m)).all(axis=1)
+    if (placed & sized).all():
+        return
+    row = int(np.flatnonzero(~(placed & sized))[0])
+    who = f"vehicle {vehicles.vehicle_id[row]} of frame {vehicles.frame}"
+    if not placed[row]:
+        at = [*vehicles.centre_m[row].tolist(), vehicles.heading_rad[row].item()]
+        raise InputError(f"{who}: its centre and heading are {at}; allowed: finite numbers")
+    raise InputError(f"{who}: its size is {vehicles.size_m[row].tolist()} m; allowed: lengths above 0 m")
 
 
 def shape_names(vehicles: Vehicles) -> np.ndarray:
