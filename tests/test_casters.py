@@ -222,7 +222,7 @@ def test_no_ray_leaks_at_a_vertex_or_an_edge(caster, closed, detail, name):
 
 @pytest.mark.parametrize("caster", FAST)
 @pytest.mark.parametrize(
-    ("detail", "vehicles", "aimed", "knife_edges"), [("body", 130, 2000, 1), ("detailed", 30, 1000, 3)]
+    ("detail", "vehicles", "aimed", "knife_edges"), [("body", 130, 2000, 0), ("detailed", 30, 1000, 0)]
 )
 @pytest.mark.parametrize("origin", [[0.0, 0.0, 4.4], [-120.0, -1.0, 4.5]], ids=["amid", "at the end"])
 def test_rays_aimed_at_vertices_and_edges_of_a_whole_frame_meet_what_the_oracle_meets(

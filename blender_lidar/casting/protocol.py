@@ -77,8 +77,8 @@ class Caster(ABC):
         flat = corners.reshape(-1, 3)
         coordinate = np.abs(corners).max(axis=(1, 2), initial=0.0)  # largest of each triangle
         if not (coordinate <= MOST_M).all():  # also catches NaN
-            row = int(np.flatnonzero(~(coordinate <= MOST_M))[0])
-            raise InputError(f"triangle {row} has {_unusable(corners[row], 'a corner')}")
+            row = int(np.argmin(coordinate <= MOST_M))
+            raise InputError(f"triangle {row} {_unusable(corners[row])}")
         # About the middle one of the corners, so that a vehicle at a place that is a mistake moves no other.
         self._origin = np.median(flat, axis=0) if len(flat) else np.zeros(3)
         corners = corners - self._origin
@@ -156,24 +156,21 @@ def _checked(origins, directions, max_range):
     length = np.einsum("ij,ij->i", directions, directions)
     good = np.abs(length - 1.0) <= _UNIT_TOLERANCE
     if not good.all():  # also catches NaN, which casters would miss silently
-        row = int(np.flatnonzero(~good)[0])
+        row = int(np.argmin(good))
         raise InputError(f"direction {row} is {directions[row].tolist()}; allowed: finite and of unit length")
     good = (np.abs(origins) <= MOST_M).all(axis=-1)
     if not good.all():
-        which, row = ("the origin", origins) if origins.ndim == 1 else _first_bad("origin", origins, good)
-        raise InputError(f"{which} has {_unusable(row, 'a coordinate')}")
+        row = int(np.argmin(good))
+        which = "the origin" if origins.ndim == 1 else f"origin {row}"
+        raise InputError(f"{which} {_unusable(np.atleast_2d(origins)[row])}")
     if not max_range >= 0.0:
         raise InputError(f"max_range is {max_range}; allowed: a distance of 0 m or more")
     return origins, directions / np.sqrt(length)[:, None]  # as float32 rounded them, say
 
 
-def _first_bad(what, rows, good):
-    at = int(np.flatnonzero(~good)[0])
-    return f"{what} {at}", rows[at]
-
-
-def _unusable(numbers, what):
+def _unusable(numbers):
     """What is wrong with coordinates that are not all finite and near enough, in words."""
-    worst = numbers.ravel()[int(np.argmin(np.abs(numbers.ravel()) <= MOST_M))]
-    problem = f"that is {worst:g} m off" if np.isfinite(worst) else "that is not finite"
-    return f"{what} {problem}; allowed: up to {MOST_M:g} m"
+    farthest = np.abs(numbers).max()
+    if not np.isfinite(farthest):
+        return "is not finite"
+    return f"lies {farthest:g} m from the origin of coordinates; allowed: up to {MOST_M:g} m"
