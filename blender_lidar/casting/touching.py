@@ -28,10 +28,16 @@ class Touching:
         lower, upper = corners.min(axis=1) - gap[:, None], corners.max(axis=1) + gap[:, None]
         near = np.flatnonzero(((lower <= high) & (upper >= low)).all(axis=1))
         self._lower, self._upper, self._gap = lower[near], upper[near], gap[near]
+        # As Python's numbers, which compare faster than arrays of three.
+        self._low = self._lower.min(axis=0, initial=np.inf).tolist()
+        self._high = self._upper.max(axis=0, initial=-np.inf).tolist()
         self._normal, self._offset = normal[near], np.einsum("ti,ti->t", normal[near], corners[near, 0])
 
     def any(self, low: np.ndarray, high: np.ndarray) -> bool:
-        """Whether starts between two corners (3,) [m] may touch one at all; for a single start rather sure."""
+        """Whether any start between two corners (3,) [m], which may be one and the same array, may touch one."""
+        ends = zip(low.tolist(), high.tolist(), self._low, self._high, strict=True)
+        if any(b < lower or a > upper for a, b, lower, upper in ends):  # as at most roadsides, and soon told
+            return False
         near = ((self._lower <= high) & (self._upper >= low)).all(axis=1)
         return bool(near.any()) and (low is not high or bool(self._of(low[None])[0]))
 
