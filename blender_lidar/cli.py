@@ -13,7 +13,7 @@ from contextlib import suppress
 from . import __version__
 from .errors import BlenderLidarError, printable
 
-_VERBS = ("optimise", "evaluate", "scan", "score", "compare", "build", "render", "sensors", "doctor")
+_VERBS = ("optimise", "evaluate", "stability", "scan", "score", "compare", "build", "render", "sensors", "doctor")
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
 
 

@@ -13,7 +13,7 @@ from ..study.site import prepare
 from .options import add_scene, scenario_from
 from .progress import RunProgress
 from .report import describe_site
-from .run_output import add_output, folder_from, report, say
+from .run_output import add_output, check_resume, folder_from, report, say
 
 
 def add_parser(subparsers) -> None:
@@ -32,8 +32,7 @@ def add_parser(subparsers) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    if args.resume and args.out is None:
-        raise InputError("--resume: needs --out DIR, the folder of the run that was stopped")
+    check_resume(args)
     scenario = scenario_from(args)
     if not scenario.deployment.bounds:
         raise InputError(

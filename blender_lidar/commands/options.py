@@ -221,9 +221,9 @@ def _as_it_is(value: object, _option: str) -> object:
 _READ_AS = {"--tolerance": parse_tolerance}  # settings that an option writes in another way than a scene
 
 
-def default_folder(scenario: Scenario) -> Path:
-    """A folder under runs/ that is not there yet, named after scene and sensor."""
-    return new_folder(f"{Path(scenario.source).stem}_{Path(scenario.sensor.name).stem}")
+def default_folder(scenario: Scenario, *more: str) -> Path:
+    """A folder under runs/ that is not there yet, named after scene, sensor and perhaps more."""
+    return new_folder("_".join([Path(scenario.source).stem, Path(scenario.sensor.name).stem, *more]))
 
 
 def new_folder(name: str) -> Path:

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from ..errors import MissingExtraError
+from ..errors import InputError, MissingExtraError
 from ..reporting.page import write_report
 from ..results import RunFolder
 from ..run import Outcome
@@ -22,6 +22,12 @@ def add_output(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", action="store_true", help="print the content of result.json, and nothing else, on stdout"
     )
+
+
+def check_resume(args: argparse.Namespace) -> None:
+    """Refuse ``--resume`` without the folder that it is about."""
+    if args.resume and args.out is None:
+        raise InputError("--resume: needs --out DIR, the folder of the run that was stopped")
 
 
 def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:

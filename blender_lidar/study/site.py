@@ -76,6 +76,20 @@ class Site:
         standing = self.observation.scenery
         return run_identity(self.scenario, self.observation.caster, standing and standing.scenery.digest)
 
+    @property
+    def region(self) -> Region:
+        """Where vehicles count."""
+        return Region(self.scenario.deployment.nominal_xy, self.scenario.sensor.range_gate_m)
+
+    @property
+    def reach_m(self) -> float:
+        """How far from the middle of the region vehicles are looked at: farther ones hide none that count [m]."""
+        return _reach_m(self.scenario, None)
+
+    def counted(self, vehicles: Vehicles) -> CountedFrame:
+        """A frame of other traffic at this site: those within reach, and which of them count."""
+        return _counted(vehicles, self.region, self.reach_m)
+
     def evaluator(self, frames: tuple[CountedFrame, ...]) -> Evaluator:
         """Something that scores mountings on `frames`."""
         return Evaluator(frames, self.observation, self.scoring, self.workers)
@@ -125,7 +139,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     check_mount_is_clear(scenario, frames)
     if mount is not None:
         check_mount_is_clear(scenario, frames, {"--x, --y": mount})
-    reach = scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, mount)
+    reach = _reach_m(scenario, mount)
     searched = tuple(_counted(frame, region, reach) for frame in frames[: len(plan.search)])
     held_out = tuple(_counted(frame, region, reach, plan.searched_ids) for frame in frames[len(plan.search) :])
     if not sum(int(frame.counted.sum()) for frame in searched):
@@ -229,6 +243,11 @@ def _counted(vehicles, region, reach, not_counted=()) -> CountedFrame:
     near = vehicles.select(region.distance(vehicles) <= reach)
     counted = region.holds(near) & ~np.isin(near.vehicle_id, not_counted)
     return CountedFrame(near, counted)
+
+
+def _reach_m(scenario: Scenario, mount: Mapping[str, float] | None) -> float:
+    """How far from the nominal place vehicles matter to a mounting [m]."""
+    return scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, mount)
 
 
 def _travel(scenario: Scenario, mount: Mapping[str, float] | None) -> float:

@@ -84,6 +84,10 @@ class StudyFolder:
             self._sweep()
             yield self
 
+    def holds(self, name: str) -> bool:
+        """Whether an earlier run has stored that stage."""
+        return self._stored(name).exists()
+
     def stage(self, name: str, compute: Callable[[], object]) -> object:
         """What `compute` returns, from the folder if an earlier run has stored it there.
 
@@ -94,7 +98,7 @@ class StudyFolder:
         InputError
             When the stored file is not as a run has left it.
         """
-        path = self.file(STAGES) / f"{name}.json"
+        path = self._stored(name)
         if not path.exists():
             text = json.dumps(compute())
             write_text(path, f'{{"{_DIGEST}": "{_digest(text)}", "{_VALUE}": {text}}}\n')
@@ -107,6 +111,9 @@ class StudyFolder:
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: is damaged: {error}; remove it to have it made again") from error
         return stored[_VALUE]
+
+    def _stored(self, name: str) -> Path:
+        return self.file(STAGES) / f"{name}.json"
 
     def _check_identity(self, resume: bool) -> None:
         path = self.file(IDENTITY)

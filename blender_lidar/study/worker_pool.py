@@ -59,15 +59,19 @@ class WorkerPool:
                 self._executor = _started(path, workers)
 
     def map(self, *arguments: Iterable) -> list:
-        """What the function returns for each set of arguments, in their order, as the builtin `map`.
+        """What the function returns for each set of arguments, in their order.
 
         Raises
         ------
         WorkerError
             When a process has ended abruptly.
         """
+        return list(self.each(*arguments))
+
+    def each(self, *arguments: Iterable) -> Iterator:
+        """As `map`, one after another as soon as it is known; all calls are under way from the first on."""
         with _failures_as_worker_errors():
-            return list(self._executor.map(_call, *arguments))
+            yield from self._executor.map(_call, *arguments)
 
     def close(self) -> None:
         """End the processes, after the calls that they are busy with; until then Ctrl-C waits.
