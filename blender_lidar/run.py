@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -142,21 +142,14 @@ def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float
 def fresh_search(scenario: Scenario) -> Search:
     """The search that a scene asks for, before its first evaluation."""
     settings = scenario.search
+    names = {field.name for field in fields(DePsoSettings)} - {"reading"}
+    given = {name: value for name, value in asdict(settings).items() if name in names and value is not None}
     return make_search(
         settings.method,
         np.array(scenario.deployment.lower),
         np.array(scenario.deployment.upper),
         seed=settings.seed,
-        settings=DePsoSettings(
-            particles=settings.particles,
-            iterations=settings.iterations,
-            inertia=settings.inertia,
-            differential_weight=settings.differential_weight,
-            cognitive=settings.cognitive,
-            social=settings.social,
-            differential_threshold=settings.differential_threshold,
-            reading=scenario.objective.reading,
-        ),
+        settings=DePsoSettings(**given, reading=scenario.objective.reading),
     )
 
 

@@ -7,13 +7,14 @@ checked, so both pass the same checks.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from .casting import CASTERS
 from .errors import InputError
 from .metrics.catalogue import METRICS
 from .metrics.views import PE_VGOP
-from .optimise import READINGS, SEARCHES, VIEWS, DePsoSettings, GridSearch
+from .optimise import READINGS, SEARCHES, VIEWS, DePso, DePsoSettings, GridSearch, Hardened
 from .sensor_table import sensor_settings
 from .settings import (
     COORDINATES,
@@ -46,6 +47,7 @@ COORDINATE_LIMITS = {
 }
 # What an option of the key's name puts out of force in the file: frames are listed or spread evenly.
 _RIVALS = {("traffic", "frame_ids"): ("frames", "spacing_s"), ("traffic", "frames"): ("frame_ids",)}
+_DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT_LIMIT = 10.0  # of DE-PSO's coefficients; the paper's are below 1, and huge ones overflow
@@ -78,6 +80,8 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
         root.table(name)  # refuses what is no table
         options = {key: given for (table, key), given in overrides.items() if table == name}
         rivals = {rival for key in options for rival in _RIVALS.get((name, key), ())}
+        if name == "search" and options.get("method", (DePso.name,))[0] != DePso.name:
+            rivals.update(_DE_PSO_ALONE)  # the file's settings of a search that the option replaces
         content = {key: value for key, value in values.get(name, {}).items() if key not in rivals}
         content |= {key: value for key, (value, _) in options.items()}
         origins = {key: origin for key, (_, origin) in options.items()}
@@ -184,15 +188,22 @@ def _objective(table: TomlTable) -> ObjectiveSettings:
 
 def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
     paper = DePsoSettings()
-    coefficients = ("inertia", "differential_weight", "cognitive", "social")
     settings = SearchSettings(
-        method=table.text("method", "de-pso", allowed=SEARCHES),
+        method=table.text("method", Hardened.name, allowed=SEARCHES),
         seed=table.whole("seed", 1, low=0),
         particles=table.whole("particles", paper.particles, low=3, high=10_000),
         iterations=table.whole("iterations", paper.iterations, low=1, high=1_000_000),
-        **{key: table.number(key, getattr(paper, key), low=0.0, high=_COEFFICIENT_LIMIT) for key in coefficients},
-        differential_threshold=table.number("differential_threshold", paper.differential_threshold, low=0.0, high=1.0),
+        **{key: table.number(key, None, low=0.0, high=_COEFFICIENT_LIMIT) for key in _DE_PSO_ALONE[:-1]},
+        differential_threshold=table.number("differential_threshold", None, low=0.0, high=1.0),
     )
+    given = [key for key in _DE_PSO_ALONE if getattr(settings, key) is not None]
+    if settings.method == DePso.name:
+        settings = replace(settings, **{key: getattr(paper, key) for key in _DE_PSO_ALONE if key not in given})
+    elif given:
+        raise InputError(
+            f"{table.where(given[0])}: a setting of {DePso.name} alone, but the method is {settings.method}; "
+            f'allowed: method = "{DePso.name}", or leave it out'
+        )
     corners = 2 ** len(deployment.bounds)
     if settings.method == GridSearch.name and settings.particles * settings.iterations < corners:
         raise InputError(

@@ -176,17 +176,17 @@ class ObjectiveSettings:
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
-    """[search]: how the best mounting is looked for."""
+    """[search]: how the best mounting is looked for; what is DE-PSO's alone is None with any other method."""
 
     method: str
     seed: int
     particles: int
     iterations: int
-    inertia: float
-    differential_weight: float
-    cognitive: float
-    social: float
-    differential_threshold: float
+    inertia: float | None
+    differential_weight: float | None
+    cognitive: float | None
+    social: float | None
+    differential_threshold: float | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -201,7 +201,7 @@ def test_the_literal_reading_differs_and_says_so(tmp_path, capsys):
     assert readings["paper"]["reading"] == "paper"
 
 
-@pytest.mark.parametrize("method", ["grid", "random", "de-pso"])
+@pytest.mark.parametrize("method", ["grid", "random", "de-pso", "hardened"])
 def test_every_search_stays_within_its_budget_and_its_bounds(tmp_path, capsys, method):
     result = run(capsys, write_scene(tmp_path), "run", "--search", method, "--particles", 5, "--iterations", 3)
     assert result["search"] == method

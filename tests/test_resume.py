@@ -333,7 +333,7 @@ CHANGES = [
     (["--glass-dropout", "1"], "[sensor] glass_dropout = 0.0, not 1.0"),
     (["--range-at-10-percent", "datasheet"], "[sensor] range_at_10_percent_m = None, not 56.6"),
     (["--unit-spread", "0.1"], "[sensor] unit_spread_deg = 0.0, not 0.1"),
-    (["--search", "random"], "[search] method = 'de-pso', not 'random'"),
+    (["--search", "random"], "[search] method = 'hardened', not 'random'"),
 ]
 
 

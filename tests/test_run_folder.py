@@ -110,7 +110,7 @@ def test_the_result_has_every_key_of_the_contract(mapped_run):
     assert {"blender_lidar", "python", "numpy"} <= set(result["versions"])
     assert (result["sensor"], result["caster"], result["detail"]) == ("RS-16", CASTER, "box")
     assert result["metric"] == "pe-vgop"
-    assert (result["search"], result["reading"], result["seed"]) == ("de-pso", "corrected", 1)
+    assert (result["search"], result["reading"], result["seed"]) == ("hardened", "corrected", 1)
     assert (result["frames"], result["evaluations"]) == (6, 12)
 
 

@@ -46,7 +46,8 @@ def test_a_scene_needs_no_more_than_its_traffic(tmp_path):
     assert scenario.sensor.rotation_hz == load_model("RS-16").default_rotation_hz
     assert scenario.deployment.bounds == {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
     assert scenario.baseline == {**dict.fromkeys(COORDINATES, 0.0), "height_m": 2.0}
-    assert (scenario.search.particles, scenario.search.iterations, scenario.search.method) == (20, 100, "de-pso")
+    assert (scenario.search.particles, scenario.search.iterations, scenario.search.method) == (20, 100, "hardened")
+    assert scenario.search.inertia is None
     assert (scenario.objective.metric, scenario.objective.reading) == ("pe-vgop", "corrected")
     assert scenario.traffic.frames >= 30
 
@@ -390,13 +391,14 @@ WRONG = [(table, key, value) for table, key, *values in KEYS for value in values
 @pytest.mark.parametrize(("table", "key", "value"), WRONG, ids=[f"{t}.{k}={v}" for t, k, v in WRONG])
 def test_a_wrong_value_is_refused_with_the_file_the_table_and_the_key(tmp_path, table, key, value):
     tables = {"traffic": 'path = "traffic.csv"\n'}
+    tables["search"] = 'method = "de-pso"\n' if key != "method" else ""  # which alone has all of [search]'s keys
     tables[table] = f"{key} = {value}\n" if key == "path" else tables.get(table, "") + f"{key} = {value}\n"
     text = "".join(f"[{name}]\n{content}" for name, content in tables.items())
     assert refusal(tmp_path, text).startswith(f"[{table}] {key}: ")
 
 
 def test_every_key_of_a_scene_is_among_those_tested(tmp_path):
-    written = load_scenario(scene(tmp_path, MINIMAL)).as_tables()
+    written = load_scenario(scene(tmp_path, MINIMAL + '[search]\nmethod = "de-pso"\n')).as_tables()
     known = {(table, key) for table, content in written.items() for key in content} - {
         ("traffic", "height_m"),
         ("objective", "tolerance"),
@@ -487,6 +489,41 @@ def test_a_grid_with_fewer_evaluations_than_corners_is_refused_when_the_scene_is
     )
 
 
+DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
+
+
+@pytest.mark.parametrize("key", DE_PSO_ALONE)
+@pytest.mark.parametrize("method", ["", 'method = "hardened"\n', 'method = "random"\n', 'method = "grid"\n'])
+def test_a_setting_of_de_pso_is_refused_with_another_search_instead_of_being_ignored(tmp_path, key, method):
+    name = method.split('"')[1] if method else "hardened"
+    assert refusal(tmp_path, MINIMAL + f"[search]\n{method}{key} = 0.5\n") == (
+        f"[search] {key}: a setting of de-pso alone, but the method is {name}; "
+        'allowed: method = "de-pso", or leave it out'
+    )
+
+
+def test_an_option_that_names_another_search_puts_de_pso_s_settings_in_the_file_out_of_force(tmp_path):
+    path = scene(tmp_path, MINIMAL + '[search]\nmethod = "de-pso"\ninertia = 0.5\n')
+    assert load_scenario(path, {("search", "method"): ("hardened", "--search")}).search.inertia is None
+    assert load_scenario(path, {("search", "method"): ("de-pso", "--search")}).search.inertia == 0.5
+
+
+def test_with_de_pso_what_is_left_out_is_the_papers(tmp_path):
+    path = scene(tmp_path, MINIMAL + '[search]\nmethod = "de-pso"\nsocial = 0.5\n')
+    search = load_scenario(path).search
+    assert [getattr(search, key) for key in DE_PSO_ALONE] == [0.7, 0.5, 0.3, 0.5, 0.1]
+
+
+@pytest.mark.parametrize("method", ["hardened", "random", "de-pso"])
+def test_the_search_of_a_scene_as_used_is_read_again_as_the_same(tmp_path, method):
+    scenario = load_scenario(scene(tmp_path, MINIMAL + f'[search]\nmethod = "{method}"\nparticles = 7\n'))
+    written = to_toml(scenario.as_tables())
+    assert ("inertia" in written) == (method == "de-pso")
+    again = tmp_path / "again.toml"
+    again.write_text(written, encoding="utf-8")
+    assert load_scenario(again).search == scenario.search
+
+
 # --- round trip -------------------------------------------------------------------------------------------------------
 
 FULL = {
@@ -512,7 +549,7 @@ FULL = {
         "noise_seed": 2**53,
     },
     "objective": {"reading": "paper", "cell_m": 0.1, "view": "max", "loss": -2.0, "threshold": 0.01},
-    "search": {"method": "random", "inertia": 0.9, "seed": 2**53 - 1},
+    "search": {"method": "de-pso", "inertia": 0.9, "seed": 2**53 - 1},
     "world": {"detail": "box"},
 }
 

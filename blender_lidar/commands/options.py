@@ -74,14 +74,14 @@ _SETTINGS = (
     ("--workers", "model", "workers", int, None, "processes; 0 takes one for each processor"),
     ("--search", "search", "method", str, SEARCHES, "how the best mounting is looked for"),
     ("--seed", "search", "seed", int, None, "seed of everything random"),
-    ("--particles", "search", "particles", int, None, "particles of DE-PSO"),
+    ("--particles", "search", "particles", int, None, "particles of the swarm, hardened or DE-PSO's"),
     (
         "--iterations",
         "search",
         "iterations",
         int,
         None,
-        "iterations of DE-PSO; grid and random get particles x iterations",
+        "every search gets particles x iterations evaluations",
     ),
 )
 _POSE_HELP = {

@@ -1,7 +1,11 @@
-"""What to maximise (Eqs. 10, 11) and how: DE-PSO and its rivals. A function in, a best point out; needs numpy alone."""
+"""What to maximise (Eqs. 10, 11) and how: the hardened search, DE-PSO and its rivals.
+
+A function in, a best point out; needs numpy alone.
+"""
 
 from ..metrics.readings import READINGS
 from .build import SEARCHES, make_search, search_from_state
+from .hardened import Hardened, HardenedSettings
 from .objective import VIEWS, detectable, vehicle_score
 from .protocol import Search
 from .rivals import GridSearch, RandomSearch
@@ -15,6 +19,8 @@ __all__ = [
     "DePso",
     "DePsoSettings",
     "GridSearch",
+    "Hardened",
+    "HardenedSettings",
     "Objective",
     "RandomSearch",
     "Search",

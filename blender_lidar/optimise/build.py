@@ -10,11 +10,12 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from .checks import check_whole
+from .hardened import Hardened, HardenedSettings
 from .protocol import Search
 from .rivals import GridSearch, RandomSearch, grid_points
 from .swarm import DePso, DePsoSettings
 
-_CLASSES: dict[str, type[Search]] = {search.name: search for search in (DePso, GridSearch, RandomSearch)}
+_CLASSES: dict[str, type[Search]] = {search.name: search for search in (Hardened, DePso, GridSearch, RandomSearch)}
 SEARCHES = tuple(_CLASSES)
 
 
@@ -42,7 +43,7 @@ def make_search(
         The budget, never exceeded: DE-PSO makes as many whole iterations as fit, a grid is as fine as fits. Left out,
         every search gets what `settings` comes to.
     settings : DePsoSettings, optional
-        Settings of DE-PSO; the paper's when left out.
+        Settings of DE-PSO, the paper's when left out; of them the hardened search takes the number of particles.
     points : sequence of int, (d,), optional
         The grid's points along each variable, in place of a budget.
 
@@ -62,6 +63,9 @@ def make_search(
         return GridSearch(lower, upper, points=points)
     if name == RandomSearch.name:
         return RandomSearch(lower, upper, seed=seed, evaluations=evaluations)
+    if name == Hardened.name:
+        use = HardenedSettings(particles=settings.particles, evaluations=evaluations)
+        return Hardened(lower, upper, seed=seed, settings=use)
     evaluations = check_whole(evaluations, settings.particles, f"evaluations with {settings.particles} particles")
     return DePso(lower, upper, seed=seed, settings=replace(settings, iterations=evaluations // settings.particles))
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from .checks import check_bounds, check_values
+from .stored import read_array, read_values, write_values
 
 
 class RecordedSearch(ABC):
@@ -82,25 +83,29 @@ class RecordedSearch(ABC):
 
     @property
     def history(self) -> np.ndarray:
-        row = np.arange(self.evaluations)
         values = np.array(self._values)
+        iteration, particle = self._numbering()
         return np.column_stack(
             [
-                row + 1,
-                row // self._per_iteration + 1,
-                row % self._per_iteration + 1,
+                np.arange(self.evaluations) + 1,
+                iteration + 1,
+                particle + 1,
                 np.reshape(self._x, (-1, self._lower.size)),
                 values,
                 np.maximum.accumulate(values),
             ]
         )
 
+    def _numbering(self) -> tuple[np.ndarray, np.ndarray]:
+        """Iteration of every evaluation and its place there, both from 0."""
+        return np.divmod(np.arange(self.evaluations), self._per_iteration)
+
     def state(self) -> dict[str, Any]:
         return {
             "search": self.name,
             "arguments": {"lower": self._lower.tolist(), "upper": self._upper.tolist(), **self._arguments()},
             "x": [list(x) for x in self._x],
-            "values": [None if value == -math.inf else value for value in self._values],
+            "values": write_values(self._values),
         }
 
     @classmethod
@@ -118,18 +123,8 @@ class RecordedSearch(ABC):
 
     def _restore(self, state: dict[str, Any]) -> None:
         """Take over the record from `state`; a subclass adds what else it remembers."""
-        values = np.array([-math.inf if value is None else value for value in state["values"]], dtype=float)
-        candidates = stored_array(state, "x", (len(values), self._lower.size))
+        values = read_values(state, "values", len(state["values"]))
+        candidates = read_array(state, "x", (len(values), self._lower.size))
         if len(values) > self._budget:
             raise InputError(f"values: {len(values)} of {self._budget}")
         self._record(candidates.tolist(), check_values(values, candidates).tolist())
-
-
-def stored_array(state: dict[str, Any], key: str, shape: tuple[int, ...]) -> np.ndarray:
-    """``state[key]`` as a finite float array of `shape`, or `InputError` naming the key."""
-    array = np.array(state[key], dtype=float)
-    if array.size == 0 and 0 in shape:
-        return np.empty(shape)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(f"{key}: shape {array.shape}; allowed: finite numbers, {shape}")
-    return array

@@ -125,7 +125,7 @@ def maximise(
     *,
     seed: int,
     evaluations: int = 2000,
-    search: str = "de-pso",
+    search: str = "hardened",
 ) -> SearchResult:
     """Maximise `objective` over a box with the search of that name.
 
@@ -139,7 +139,7 @@ def maximise(
         Same seed, same answer.
     evaluations : int
         The budget, never exceeded; a grid, or a swarm in whole iterations, may use less.
-    search : {"de-pso", "grid", "random"}
+    search : {"hardened", "de-pso", "grid", "random"}
 
     Returns
     -------

@@ -23,8 +23,9 @@ import numpy as np
 from ..errors import InputError
 from ..metrics.readings import check_reading
 from .checks import check_number, check_whole
-from .recorded import RecordedSearch, stored_array
+from .recorded import RecordedSearch
 from .sampling import generator, latin_hypercube
+from .stored import read_array
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +182,8 @@ class DePso(RecordedSearch):
         super()._restore(state)
         if self.evaluations % self._turn.size:
             raise InputError(f"values: {self.evaluations}, not whole swarms of {self._turn.size}")
-        self._position = stored_array(state, "position", self._position.shape)
-        self._velocity = stored_array(state, "velocity", self._velocity.shape)
+        self._position = read_array(state, "position", self._position.shape)
+        self._velocity = read_array(state, "velocity", self._velocity.shape)
         self._rng.bit_generator.state = state["random"]
         values = np.array(self._values)
         for row, x in enumerate(np.reshape(self._x, (-1, self._lower.size))):

@@ -1,0 +1,202 @@
+"""A swarm whose particles fly (constricted particle swarm) or jump (success-history differential evolution).
+
+Both moves act on one set of personal bests, as in Zhang and Xie's DEPSO (2003). What the moves are made of:
+
+- flight: constriction coefficients of Clerc and Kennedy (2002), fresh draws for every variable, towards the particle's
+  own best and one of the swarm's better ones;
+- jump: current-to-pbest/1 with an archive of replaced points (Zhang and Sanderson's JADE, 2009), scale factor and
+  crossover rate learnt from what succeeded (Tanabe and Fukunaga's SHADE, 2013) but weighted by rank, never by value;
+  crossover in the eigenvectors of the better half (Guo and Yang, 2015), so that a turned landscape is as easy;
+- bounds reflect, and turn the velocity round; a tie is accepted, so that a swarm drifts over a plateau.
+
+Only the order of values counts. Positions are shares of the box, 0 to 1 in every variable.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .sampling import latin_hypercube
+from .stored import read_array, read_count, read_values, write_values
+
+CONSTRICTION = 0.7298  # Clerc and Kennedy (2002)
+ATTRACTION = 1.49618  # each of both: 0.7298 * 4.1 / 2
+MEMORY = 5  # entries of the success history
+FIRST_SCALE, FIRST_CROSSOVER = 0.5, 0.7
+DRAW_WIDTH = 0.1  # of scale factors (Cauchy) and crossover rates (normal) about the memory
+LEAST_SCALE = 0.05
+COLLAPSED = 1e-3  # of the box: a swarm no wider than that in every variable has nothing left to tell apart
+PATIENCE = 30  # generations without a better best
+
+
+class AdaptiveSwarm:
+    """Particles that fly or jump, generation by generation.
+
+    Parameters
+    ----------
+    rng : Generator
+        Shared with the caller, who stores its state.
+    particles, variables : int
+        4 or more particles; 1 or more variables.
+    flights : float
+        Chance of a flight in place of a jump, 0 to 1.
+    greed : float
+        Share of the personal bests that count as the swarm's better ones.
+
+    Attributes
+    ----------
+    candidates : ndarray, (particles, variables)
+        What to evaluate next.
+    best, value : ndarray, (particles, variables) and (particles,)
+        Personal bests and their values; ``-inf`` before the first.
+    """
+
+    def __init__(self, rng: np.random.Generator, particles: int, variables: int, flights: float, greed: float) -> None:
+        self._rng = rng
+        self._flights = flights
+        self._greedy = max(2, round(greed * particles))
+        self._position = latin_hypercube(rng, particles, np.zeros(variables), np.ones(variables))
+        self._velocity = np.zeros((particles, variables))
+        self.best, self.value = self._position.copy(), np.full(particles, -math.inf)
+        self.candidates = self._position.copy()
+        self._next_velocity = self._velocity.copy()
+        self._flown = np.zeros(particles, dtype=bool)
+        self._scale = np.full(particles, FIRST_SCALE)
+        self._crossover = np.full(particles, FIRST_CROSSOVER)
+        self._scales, self._crossovers = np.full(MEMORY, FIRST_SCALE), np.full(MEMORY, FIRST_CROSSOVER)
+        self._oldest = 0  # of the memory
+        self._replaced = np.empty((0, variables))
+        self._idle = 0
+
+    @property
+    def order(self) -> np.ndarray:
+        """Particles from the best personal best to the worst."""
+        return np.argsort(-self.value, kind="stable")
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the swarm has collapsed, or has long found nothing better."""
+        return bool(self._idle >= PATIENCE or np.ptp(self.best, axis=0).max() < COLLAPSED)
+
+    def tell(self, values: np.ndarray) -> None:
+        """Take the values, (particles,), of `candidates`, and keep what is at least as good."""
+        reached = self.value.max()
+        kept, better = values >= self.value, values > self.value
+        self._learn(values, better & ~self._flown)
+        self._archive(self.best[better & np.isfinite(self.value)])
+        moved = kept | self._flown
+        self._position[moved], self._velocity[moved] = self.candidates[moved], self._next_velocity[moved]
+        self.best[kept], self.value[kept] = self.candidates[kept], values[kept]
+        self._idle = 0 if values.max() > reached else self._idle + 1
+
+    def move(self) -> None:
+        """Draw the next `candidates`."""
+        particles, variables = self.best.shape
+        guide = self.best[self.order[self._rng.integers(self._greedy, size=particles)]]
+        target = self.best + self._jumps(guide)
+        self._flown = self._rng.random(particles) < self._flights
+        own, social = self._rng.random((2, particles, variables))
+        flight = CONSTRICTION * self._velocity
+        flight += ATTRACTION * own * (self.best - self._position)
+        flight += ATTRACTION * social * (guide - self._position)
+        flown = self._flown[:, None]
+        velocity = np.where(flown, flight, target - self.best)
+        target = np.where(flown, self._position + flight, target)
+        outside = (target < 0.0) | (target > 1.0)
+        self.candidates = reflected(target)
+        self._next_velocity = np.where(outside, -0.5 * velocity, velocity)
+
+    def _jumps(self, guide: np.ndarray) -> np.ndarray:
+        """Steps of current-to-pbest/1 from the personal bests, crossed over in the better half's eigenvectors."""
+        particles, variables = self.best.shape
+        self._draw_rates()
+        i = np.arange(particles)
+        pool = np.concatenate([self.best, self._replaced])
+        j, k = distinct_donors(self._rng, particles, len(pool))
+        step = self._scale[:, None] * (guide - self.best + self.best[j] - pool[k])
+        crossed = self._rng.random((particles, variables)) < self._crossover[:, None]
+        crossed[i, self._rng.integers(variables, size=particles)] = True
+        better = self.best[self.order[: max(2, particles // 2)]]
+        _, axes = np.linalg.eigh(np.cov(better.T).reshape(variables, variables))
+        return np.where(crossed, step @ axes, 0.0) @ axes.T
+
+    def _draw_rates(self) -> None:
+        """Scale factors (Cauchy, redrawn by reflection above 0) and crossover rates (normal) about the memory."""
+        particles = len(self.best)
+        entry = self._rng.integers(MEMORY, size=particles)
+        cauchy = np.tan(math.pi * (self._rng.random(particles) - 0.5))
+        self._scale = np.clip(np.abs(self._scales[entry] + DRAW_WIDTH * cauchy), LEAST_SCALE, 1.0)
+        self._crossover = np.clip(self._rng.normal(self._crossovers[entry], DRAW_WIDTH), 0.0, 1.0)
+
+    def _learn(self, values: np.ndarray, succeeded: np.ndarray) -> None:
+        """Overwrite the oldest entry of the memory by what succeeded, weighted by the rank of what it reached."""
+        if not succeeded.any() or not np.isfinite(self.value).all():
+            return
+        weight = 1.0 + np.argsort(np.argsort(values, kind="stable"), kind="stable")[succeeded]
+        scale, crossover = self._scale[succeeded], self._crossover[succeeded]
+        self._scales[self._oldest] = (weight * scale**2).sum() / (weight * scale).sum()
+        self._crossovers[self._oldest] = (weight * crossover).sum() / weight.sum()
+        self._oldest = (self._oldest + 1) % MEMORY
+
+    def _archive(self, replaced: np.ndarray) -> None:
+        if len(replaced):
+            kept = np.concatenate([self._replaced, replaced])
+            chosen = self._rng.permutation(len(kept))[: len(self.best)]
+            self._replaced = kept[np.sort(chosen)]
+
+    def state(self) -> dict[str, Any]:
+        """Everything but the random generator, for JSON."""
+        return {
+            **{key: getattr(self, f"_{key}").tolist() for key in self._shapes()},
+            "best": self.best.tolist(),
+            "value": write_values(self.value.tolist()),
+            "candidates": self.candidates.tolist(),
+            "flown": self._flown.tolist(),
+            "replaced": self._replaced.tolist(),
+            "oldest": self._oldest,
+            "idle": self._idle,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Become what `state` described; raises `InputError` naming what is damaged."""
+        shape = self.best.shape
+        for key, size in self._shapes().items():
+            setattr(self, f"_{key}", read_array(state, key, size))
+        self.best, self.candidates = read_array(state, "best", shape), read_array(state, "candidates", shape)
+        self.value = read_values(state, "value", shape[0])
+        self._flown = read_array(state, "flown", shape[:1]).astype(bool)
+        self._replaced = read_array(state, "replaced", (len(state["replaced"]), shape[1]))
+        self._oldest = read_count(state, "oldest", MEMORY - 1)
+        self._idle = read_count(state, "idle")
+
+    def _shapes(self) -> dict[str, tuple[int, ...]]:
+        particles, variables = self.best.shape
+        each, every = (particles,), (particles, variables)
+        return {
+            "position": every,
+            "velocity": every,
+            "next_velocity": every,
+            "scale": each,
+            "crossover": each,
+            "scales": (MEMORY,),
+            "crossovers": (MEMORY,),
+        }
+
+
+def reflected(target: np.ndarray) -> np.ndarray:
+    """Points folded back into the unit box at its walls, however far outside they lie."""
+    folded = np.mod(target, 2.0)
+    return np.where(folded > 1.0, 2.0 - folded, folded)
+
+
+def distinct_donors(rng: np.random.Generator, particles: int, pool: int) -> tuple[np.ndarray, np.ndarray]:
+    """For every particle i two others, j among the particles and k among the `pool`, all three different."""
+    i = np.arange(particles)
+    j = rng.integers(particles - 1, size=particles)
+    j = j + (j >= i)
+    k = rng.integers(pool - 2, size=particles)
+    k = k + (k >= np.minimum(i, j))
+    return j, k + (k >= np.maximum(i, j))

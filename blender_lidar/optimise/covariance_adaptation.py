@@ -1,0 +1,188 @@
+"""CMA-ES: a Gaussian that climbs, its covariance learnt from the ranks of what it tried (Hansen, arXiv 1604.00772).
+
+With weighted recombination, cumulative step-size adaptation, rank-one and rank-mu updates and negative weights for the
+worse half. Samples outside the box are drawn again. Positions are shares of the box, 0 to 1 in every variable; only
+the order of values counts.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .stored import read_array, read_count, read_values
+
+NARROW = 1e-6  # of the box: a Gaussian no wider than that has arrived
+ILL_CONDITIONED = 1e7  # longest over shortest axis
+WIDEST = 3.0  # of the box, in standard deviations: it has lost its way
+REDRAWS = 100  # of samples outside the box, before they are put on the bound
+FLAT_GROWTH = 1.3  # of the step size after a generation of equal values
+PATIENCE = 10  # generations without a better best, and more for more variables
+_LEAST_VARIANCE = 1e-20
+
+
+class CovarianceAdaptation:
+    """One climb from a mean and a step size.
+
+    Parameters
+    ----------
+    rng : Generator
+        Shared with the caller, who stores its state.
+    mean : ndarray, (d,)
+        Where it starts.
+    step : float
+        Standard deviation it starts with, in shares of the box.
+    samples : int
+        Candidates to a generation, 4 or more.
+
+    Attributes
+    ----------
+    candidates : ndarray, (samples, d)
+        What to evaluate next.
+    """
+
+    def __init__(self, rng: np.random.Generator, mean: np.ndarray, step: float, samples: int) -> None:
+        d = mean.size
+        self._rng = rng
+        self._mean, self._step = mean.copy(), float(step)
+        self.samples = samples
+        self._weights, self._rates = _constants(d, samples)
+        self._step_path, self._path = np.zeros(d), np.zeros(d)
+        self._covariance, self._axes, self._lengths = np.eye(d), np.eye(d), np.ones(d)
+        self._generation = 0
+        self._reached, self._idle = -math.inf, 0
+        self.candidates = np.empty((samples, d))
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether it has arrived, lost its way, or has long found nothing better."""
+        longest, shortest = self._lengths.max(), self._lengths.min()
+        return bool(
+            self._step * longest < NARROW
+            or longest > ILL_CONDITIONED * shortest
+            or self._step > WIDEST
+            or self._idle > PATIENCE + 30 * self._mean.size // self.samples
+        )
+
+    def move(self) -> None:
+        """Draw the next `candidates`."""
+        self.candidates = self._drawn(self.samples)
+        for _ in range(REDRAWS):
+            outside = ((self.candidates < 0.0) | (self.candidates > 1.0)).any(axis=1)
+            if not outside.any():
+                return
+            self.candidates[outside] = self._drawn(int(outside.sum()))
+        self.candidates = np.clip(self.candidates, 0.0, 1.0)
+
+    def _drawn(self, count: int) -> np.ndarray:
+        normal = self._rng.standard_normal((count, self._mean.size))
+        return self._mean + self._step * (normal * self._lengths) @ self._axes.T
+
+    def tell(self, values: np.ndarray) -> None:
+        """Take the values, (samples,), of `candidates`, and move and shape the Gaussian by their ranks."""
+        d, use = self._mean.size, self._rates
+        self._generation += 1
+        steps = ((self.candidates - self._mean) / self._step)[np.argsort(-values, kind="stable")]
+        parents = self.samples // 2
+        mean_step = self._weights[:parents] @ steps[:parents]
+        self._mean = np.clip(self._mean + self._step * mean_step, 0.0, 1.0)
+        whitened = self._axes @ ((mean_step @ self._axes) / self._lengths)
+        self._step_path = (1.0 - use.c_step) * self._step_path
+        self._step_path += math.sqrt(use.c_step * (2.0 - use.c_step) * use.mass) * whitened
+        length = float(np.linalg.norm(self._step_path))
+        self._step *= math.exp(min(1.0, use.c_step / use.damping * (length / use.expected - 1.0)))
+        settled = math.sqrt(1.0 - (1.0 - use.c_step) ** (2 * self._generation + 2))
+        steady = float(length / settled < (1.4 + 2.0 / (d + 1.0)) * use.expected)
+        self._path = (1.0 - use.c_path) * self._path
+        self._path += steady * math.sqrt(use.c_path * (2.0 - use.c_path) * use.mass) * mean_step
+        weights = self._weights.copy()
+        worse = weights < 0.0
+        lengths = np.square((steps[worse] @ self._axes) / self._lengths).sum(axis=1)
+        weights[worse] *= d / np.maximum(lengths, 1e-12)  # keeps the covariance positive definite
+        kept = (
+            1.0
+            - use.c_one
+            - use.c_mu * self._weights.sum()
+            + (1.0 - steady) * use.c_one * use.c_path * (2.0 - use.c_path)
+        )
+        self._covariance = (
+            kept * self._covariance
+            + use.c_one * np.outer(self._path, self._path)
+            + use.c_mu * (steps.T * weights) @ steps
+        )
+        self._decompose()
+        self._watch(values)
+
+    def _decompose(self) -> None:
+        self._covariance = (self._covariance + self._covariance.T) / 2.0
+        variances, self._axes = np.linalg.eigh(self._covariance)
+        self._lengths = np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
+
+    def _watch(self, values: np.ndarray) -> None:
+        best = float(values.max())
+        if best == values.min():
+            self._step *= FLAT_GROWTH  # a plateau: look further
+        self._idle = 0 if best > self._reached else self._idle + 1
+        self._reached = max(best, self._reached)
+
+    def state(self) -> dict[str, Any]:
+        """Everything but the random generator, for JSON."""
+        return {
+            "mean": self._mean.tolist(),
+            "step": self._step,
+            "samples": self.samples,
+            "step_path": self._step_path.tolist(),
+            "path": self._path.tolist(),
+            "covariance": self._covariance.tolist(),
+            "axes": self._axes.tolist(),
+            "lengths": self._lengths.tolist(),
+            "generation": self._generation,
+            "reached": None if self._reached == -math.inf else self._reached,
+            "idle": self._idle,
+            "candidates": self.candidates.tolist(),
+        }
+
+    @classmethod
+    def restored(cls, rng: np.random.Generator, d: int, state: dict[str, Any]) -> CovarianceAdaptation:
+        """What `state` described; raises `InputError` naming what is damaged."""
+        samples = max(4, read_count(state, "samples", 1_000_000))
+        climb = cls(rng, read_array(state, "mean", (d,)), float(read_array(state, "step", ())), samples)
+        climb._step_path, climb._path = read_array(state, "step_path", (d,)), read_array(state, "path", (d,))
+        climb._covariance, climb._axes = read_array(state, "covariance", (d, d)), read_array(state, "axes", (d, d))
+        climb._lengths = read_array(state, "lengths", (d,))
+        climb._generation, climb._idle = read_count(state, "generation"), read_count(state, "idle")
+        climb._reached = float(read_values({"reached": [state["reached"]]}, "reached", 1)[0])
+        climb.candidates = read_array(state, "candidates", (samples, d))
+        return climb
+
+
+class _Rates:
+    """Learning rates for `d` variables and a selection mass, Table 1 of Hansen's tutorial."""
+
+    def __init__(self, d: int, mass: float) -> None:
+        self.mass = mass  # variance-effective selection mass, mu_eff
+        self.c_one = 2.0 / ((d + 1.3) ** 2 + mass)
+        self.c_mu = min(1.0 - self.c_one - 1e-8, 2.0 * (mass - 2.0 + 1.0 / mass) / ((d + 2.0) ** 2 + mass))
+        self.c_step = (mass + 2.0) / (d + mass + 5.0)
+        self.damping = 1.0 + 2.0 * max(0.0, math.sqrt((mass - 1.0) / (d + 1.0)) - 1.0) + self.c_step
+        self.c_path = (4.0 + mass / d) / (d + 4.0 + 2.0 * mass / d)
+        self.expected = math.sqrt(d) * (1.0 - 1.0 / (4.0 * d) + 1.0 / (21.0 * d * d))  # length of a normal vector
+
+
+def _constants(d: int, samples: int) -> tuple[np.ndarray, _Rates]:
+    """Weights from the best sample to the worst, (samples,), and the rates."""
+    weights = math.log((samples + 1) / 2) - np.log(np.arange(1, samples + 1))
+    parents = samples // 2
+    positive = weights[:parents] / weights[:parents].sum()
+    rates = _Rates(d, float(1.0 / np.square(positive).sum()))
+    negative = np.minimum(weights[parents:], 0.0)
+    total = -negative.sum()
+    negative_mass = total**2 / np.square(negative).sum()
+    share = min(
+        1.0 + rates.c_one / rates.c_mu,
+        1.0 + 2.0 * negative_mass / (rates.mass + 2.0),
+        (1.0 - rates.c_one - rates.c_mu) / (d * rates.c_mu),
+    )
+    return np.concatenate([positive, negative / total * share]), rates

@@ -1,0 +1,321 @@
+"""The hardened search: what must not change its answer, what must not stop it, and what it must find."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.errors import InputError
+from blender_lidar.optimise import Hardened, HardenedSettings, maximise, run, search_from_state
+from blender_lidar.optimise.adaptive_swarm import AdaptiveSwarm, distinct_donors, reflected
+from blender_lidar.optimise.covariance_adaptation import CovarianceAdaptation
+from blender_lidar.optimise.sampling import generator
+from tests.search_landscapes import LOWER, OPTIMUM, UPPER, ackley, sphere, terraces
+
+SHORT = HardenedSettings(particles=8, evaluations=400)
+
+
+def points_of(history):
+    return history[:, 3:-2]
+
+
+def searched(objective, seed, lower=LOWER, upper=UPPER, use=SHORT):
+    return run(Hardened(lower, upper, seed=seed, settings=use), objective)
+
+
+def feasible_high_up(x):
+    return np.where(x[:, 0] > 4.2, sphere(x), -np.inf)
+
+
+# --- what must not change the answer ----------------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_the_same_trace_and_another_seed_another():
+    first, again, other = (searched(ackley, seed) for seed in (5, 5, 6))
+    assert np.array_equal(first.history, again.history)
+    assert not np.array_equal(first.history, other.history)
+
+
+@settings(max_examples=10)
+@given(st.tuples(*[st.integers(-1000, 1000)] * 2), st.integers(0, 1000))
+def test_moving_the_domain_moves_every_candidate_and_changes_nothing_else(shift, seed):
+    shift = np.array(shift, dtype=float)
+    here = searched(sphere, seed)
+    there = searched(lambda x: sphere(x - shift), seed, LOWER + shift, UPPER + shift)
+    np.testing.assert_allclose(points_of(there.history) - shift, points_of(here.history), rtol=0.0, atol=1e-6)
+
+
+@settings(max_examples=10)
+@given(st.tuples(*[st.sampled_from([2.0**-20, 0.25, 2.0, 1024.0])] * 2), st.integers(0, 1000))
+def test_the_unit_of_a_variable_plays_no_part(scale, seed):
+    scale = np.array(scale)
+    here = searched(ackley, seed)
+    there = searched(lambda x: ackley(x / scale), seed, LOWER * scale, UPPER * scale)
+    assert np.array_equal(points_of(there.history), points_of(here.history) * scale)
+
+
+@pytest.mark.parametrize("rising", [lambda v: 1e6 + 1e3 * v, np.exp, lambda v: v**3], ids=["line", "exp", "cube"])
+@pytest.mark.parametrize("objective", [sphere, terraces, feasible_high_up])
+def test_only_the_order_of_values_counts(objective, rising):
+    def raised(x):
+        values = objective(x)
+        return np.where(values == -np.inf, -np.inf, rising(values))
+
+    assert np.array_equal(points_of(searched(raised, 11).history), points_of(searched(objective, 11).history))
+
+
+@pytest.mark.parametrize("objective", [terraces, feasible_high_up, lambda x: np.zeros(len(x))])
+def test_a_search_resumed_before_every_batch_comes_to_the_same_to_the_last_bit(objective):
+    whole, search = searched(objective, 2), Hardened(LOWER, UPPER, seed=2, settings=SHORT)
+    climbed = set()
+    while not search.done:
+        state = search.state()
+        climbed.add((state["climbing"], state["climbs"]))
+        search = search_from_state(json.loads(json.dumps(state, allow_nan=False)))
+        assert np.array_equal(search.ask(), search.ask())
+        search.tell(objective(search.ask()))
+    assert {(False, 0), (True, 1)} <= climbed
+    if objective is terraces:
+        assert {(False, 1), (True, 2)} <= climbed  # a restart of either part too
+    assert np.array_equal(search.history, whole.history)
+
+
+def test_a_refused_value_leaves_the_search_as_it_was():
+    search = Hardened(LOWER, UPPER, seed=2, settings=SHORT)
+    search.tell(sphere(search.ask()))
+    before = search.state()
+    for values in (np.full(len(search.ask()), np.nan), np.full(len(search.ask()), np.inf), np.zeros(3)):
+        with pytest.raises(InputError, match="objective"):
+            search.tell(values)
+    assert search.state() == before
+
+
+# --- budget and bounds ------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 8), st.integers(1, 400), st.integers(3, 40), st.integers(0, 2**32))
+def test_the_budget_is_spent_to_the_last_and_no_candidate_leaves_the_box(variables, budget, particles, seed):
+    lower, upper = np.full(variables, -3.0), np.linspace(1.0, 1e4, variables)
+    target = upper + 1.0  # the best lies on every bound
+
+    def objective(x):
+        assert (x >= lower).all()
+        assert (x <= upper).all()
+        return -np.square((x - target) / (upper - lower)).sum(axis=1)
+
+    result = searched(objective, seed, lower, upper, HardenedSettings(particles=particles, evaluations=budget))
+    assert result.evaluations == len(result.history) == budget
+    assert result.value == result.history[:, -2].max()
+
+
+def test_history_numbers_every_batch_as_an_iteration():
+    search, sizes = Hardened(LOWER, UPPER, seed=0, settings=SHORT), []
+    while not search.done:
+        sizes.append(len(search.ask()))
+        search.tell(sphere(search.ask()))
+        assert search.iteration == len(sizes)
+    numbers = search.history[:, :3].astype(int).tolist()
+    assert numbers == [
+        [sum(sizes[:batch]) + place + 1, batch + 1, place + 1]
+        for batch, size in enumerate(sizes)
+        for place in range(size)
+    ]
+
+
+def test_a_budget_of_a_dozen_is_enough_to_begin():
+    result = maximise(sphere, LOWER, UPPER, seed=0, evaluations=12)
+    assert result.evaluations == 12
+    assert result.value > np.median(sphere(points_of(result.history)))
+
+
+@given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=5))
+def test_the_bounds_reflect(targets):
+    found = reflected(np.array(targets))
+    for target, share in zip(targets, found.tolist(), strict=True):
+        while not 0.0 <= target <= 1.0:  # one wall after the other
+            target = -target if target < 0.0 else 2.0 - target
+        assert share == pytest.approx(target, abs=1e-9)
+        assert 0.0 <= share <= 1.0
+
+
+# --- the swarm --------------------------------------------------------------------------------------------------------
+
+
+@given(st.integers(4, 30), st.integers(0, 30), st.integers(0, 2**32))
+def test_the_donors_of_a_jump_are_distinct_and_not_the_particle(particles, archived, seed):
+    j, k = distinct_donors(generator(seed), particles, particles + archived)
+    i = np.arange(particles)
+    assert not ((i == j) | (i == k) | (j == k)).any()
+    assert 0 <= j.min() <= j.max() < particles
+    assert 0 <= k.min() <= k.max() < particles + archived
+
+
+def test_every_pair_of_donors_is_drawn_equally_often():
+    rng, pairs = generator(1), []
+    for _ in range(20_000):
+        j, k = distinct_donors(rng, 4, 5)
+        pairs.append((int(j[1]), int(k[1])))
+    _, counts = np.unique(pairs, axis=0, return_counts=True)
+    assert counts.size == 9  # j of 3 others, k of the 3 that are left
+    assert counts == pytest.approx(20_000 / 9, rel=0.08)
+
+
+def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
+    swarm = AdaptiveSwarm(generator(3), 10, 2, flights=0.3, greed=0.2)
+    for _ in range(60):
+        before = swarm.value.copy()
+        values = -np.abs(swarm.candidates - 0.3).sum(axis=1)
+        swarm.tell(values)
+        assert (swarm.value >= before).all()
+        assert np.array_equal(swarm.value, np.maximum(before, values))
+        swarm.move()
+        state = swarm.state()
+        assert (np.array(state["scales"]) >= 0.05).all()
+        assert (np.array(state["scales"] + state["crossovers"]) <= 1.0).all()
+        assert len(state["replaced"]) <= 10
+
+
+def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
+    """x = best = guide and no velocity is where particle swarms stay for ever on a quantised objective."""
+    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2)
+    for _ in range(100):
+        swarm.tell(np.zeros(10))
+        swarm.move()
+    seen = [swarm.best.copy()]
+    for _ in range(10):
+        swarm.tell(np.zeros(10))
+        swarm.move()
+        seen.append(swarm.best.copy())
+    assert all((a != b).any(axis=1).all() for a, b in pairwise(seen))
+
+
+def test_a_collapsed_swarm_says_so():
+    swarm = AdaptiveSwarm(generator(0), 10, 3, flights=0.2, greed=0.2)
+    generations = 0
+    while not swarm.exhausted:
+        swarm.tell(-np.square(swarm.candidates - 0.6).sum(axis=1))
+        swarm.move()
+        generations += 1
+    assert 20 < generations < 400
+    np.testing.assert_allclose(swarm.best[swarm.order[0]], 0.6, atol=5e-3)
+
+
+# --- the climb --------------------------------------------------------------------------------------------------------
+
+
+def test_a_climb_is_cma_es_as_the_cmaes_package_has_it():
+    """Mean, step size and covariance after each of 25 generations fed with the same samples."""
+    cmaes = pytest.importorskip("cmaes")
+    mean = np.array([0.4, 0.6, 0.55])
+    ours = CovarianceAdaptation(generator(0), mean, 0.1, 8)
+    theirs = cmaes.CMA(mean=mean, sigma=0.1, population_size=8, seed=0)
+    slope = np.array([1.0, 30.0, 900.0])
+    for _ in range(25):
+        ours.move()
+        values = -(slope * np.square(ours.candidates - [0.5, 0.52, 0.5])).sum(axis=1)
+        theirs.tell([(x, -value) for x, value in zip(ours.candidates, values, strict=True)])
+        ours.tell(values)
+        state = ours.state()
+        np.testing.assert_allclose(state["mean"], theirs._mean, rtol=1e-6)
+        assert state["step"] == pytest.approx(theirs._sigma, rel=1e-5)
+        np.testing.assert_allclose(state["covariance"], theirs._C, rtol=1e-4, atol=1e-7)
+
+
+def test_a_climb_on_a_plateau_widens_and_then_gives_up():
+    climb = CovarianceAdaptation(generator(0), np.array([0.5, 0.5]), 0.001, 6)
+    for _ in range(10):
+        climb.move()
+        climb.tell(np.zeros(6))
+    assert climb.state()["step"] > 0.003
+    for _ in range(20):
+        climb.move()
+        climb.tell(np.zeros(6))
+    assert climb.exhausted
+
+
+# --- what it must find ------------------------------------------------------------------------------------------------
+
+
+def turned(values, d, seed):
+    """`values` of offsets from an optimum somewhere in a box of width 10, turned at random; and the box."""
+    rng = np.random.default_rng([seed, d])
+    axes, _ = np.linalg.qr(rng.standard_normal((d, d)))
+    lower = 10.0 + 90.0 * rng.random(d)
+    optimum = lower + 10.0 * (0.15 + 0.7 * rng.random(d))
+    return (lambda x: -values((x - optimum) @ axes)), lower, lower + 10.0
+
+
+def ellipsoid(z):
+    return (10.0 ** (4.0 * np.arange(z.shape[1]) / (z.shape[1] - 1)) * z * z).sum(axis=1)
+
+
+def rosenbrock(z):
+    z = z + 1.0
+    return (100.0 * (z[:, 1:] - z[:, :-1] ** 2) ** 2 + (z[:, :-1] - 1.0) ** 2).sum(axis=1)
+
+
+def steps(z):
+    return np.floor(20.0 * np.sqrt(np.square(z).sum(axis=1))) / 20.0
+
+
+@pytest.mark.parametrize("d", [2, 4, 6])
+@pytest.mark.parametrize("values", [ellipsoid, rosenbrock, steps])
+def test_ill_conditioned_turned_curved_and_stepped_landscapes_are_solved_with_every_seed(values, d):
+    for seed in range(4):
+        objective, lower, upper = turned(values, d, seed)
+        assert maximise(objective, lower, upper, seed=seed, evaluations=6000).value >= -1e-2
+
+
+def test_many_local_maxima_are_left_behind_with_every_seed():
+    for seed in range(11):
+        found = maximise(ackley, LOWER, UPPER, seed=seed)
+        np.testing.assert_allclose(found.x, OPTIMUM, rtol=1e-3)
+
+
+def test_an_optimum_in_a_corner_is_reached():
+    for seed in range(5):
+        found = maximise(lambda x: x[:, 0] - x[:, 1], LOWER, UPPER, seed=seed, evaluations=1000)
+        np.testing.assert_allclose(found.x, [4.5, 0.0], atol=1e-3)
+
+
+def test_a_small_feasible_corner_is_found_and_used():
+    for seed in range(5):
+        found = maximise(feasible_high_up, LOWER, UPPER, seed=seed, evaluations=1000)
+        np.testing.assert_allclose(found.x, [4.2, 17.0], rtol=1e-2)
+
+
+def test_where_nothing_is_feasible_it_keeps_looking_everywhere():
+    history = searched(lambda x: np.full(len(x), -np.inf), 0).history
+    shares = (points_of(history)[-50:] - LOWER) / (UPPER - LOWER)
+    assert np.ptp(shares, axis=0).min() > 0.8
+    assert (history[:, -1] == -np.inf).all()
+
+
+def test_it_is_not_drawn_to_the_bounds():
+    shares = [
+        ((points == LOWER) | (points == UPPER)).any(axis=1).mean()
+        for points in (points_of(maximise(sphere, LOWER, UPPER, seed=seed).history) for seed in range(5))
+    ]
+    assert max(shares) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"particles": 0}, "particles: 0; allowed: 1 or more"),
+        ({"evaluations": 2.5}, "evaluations: 2.5; allowed: a whole number"),
+        ({"opening": 0}, "opening: 0; allowed: 1 or more"),
+        ({"flights": 1.5}, "flights: 1.5; allowed: a finite number from 0 to 1"),
+        ({"greed": "all"}, "greed: 'all'; allowed: a finite number"),
+        ({"first_step": -1.0}, "first_step: -1.0; allowed: a finite number"),
+    ],
+)
+def test_unusable_settings_are_refused(setting, message):
+    with pytest.raises(InputError, match=message):
+        HardenedSettings(**setting)
