@@ -30,6 +30,9 @@ LIBRARIES = {
     "pyarrow": ("traffic/sumo_parquet.py",),
     "matplotlib": ("plots/",),
     "tqdm": ("commands/progress.py",),
+    "scipy": ("search_study/",),
+    "cmaes": ("search_study/solvers.py",),
+    "ioh": ("search_study/bbob.py",),
 }
 # Rooms, and the rooms that each may import; all may import `errors`. Traffic's frozen table of boxes is what
 # `world` makes triangles of and what `casting` culls by, so both know it.
@@ -70,6 +73,7 @@ NEAR_THE_DOOR = {
     "case_study",
     "stability",
     "reality",
+    "search_study",
     "results",
     "run",
     "run_charts",
@@ -200,7 +204,7 @@ def test_the_metric_and_the_search_need_numpy_alone():
 
 def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     body = """
-        rooms = "casting case_study commands formats optimise plots reality reporting sensors stability study"
+        rooms = "casting case_study commands formats optimise plots reality reporting search_study sensors stability study"
         for room in (*rooms.split(), "traffic", "world"):
             package = importlib.import_module("blender_lidar." + room)
             for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):

@@ -198,7 +198,7 @@ def test_the_rivals_go_on_as_well(start, tmp_path, method):
 
 
 def test_the_literal_reading_goes_on_in_the_middle_of_an_iteration(start, tmp_path):
-    words = ["--reading", "paper"]  # asks for one candidate at a time
+    words = ["--search", "de-pso", "--reading", "paper"]  # asks for one candidate at a time
     scene = write_scene(tmp_path)
     assert main(["optimise", str(scene), "--out", str(tmp_path / "whole"), *words]) == 0
     start(scene, tmp_path / "run", *words, dies_at=8).wait(_WAIT_S)

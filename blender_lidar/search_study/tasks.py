@@ -1,0 +1,98 @@
+"""The study in pieces that can be carried out apart: each is a stage, and says what all solvers made of one instance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import bbob, development
+from .counted import Counted
+from .problems import Problem
+from .scene_problems import CASES, scene_problem
+from .solvers import SOLVERS, UNSEEDED, solve
+from .tuning import CHOICES
+
+FIRST_INSTANCE = 1
+PARTS = ("bbob", *CASES)
+_TUNING_SEEDS = 1000  # the first of them; none is judged on
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A piece of the study.
+
+    Attributes
+    ----------
+    name : str
+        Of its stage.
+    part : str
+        "bbob", a name of `CASES`, or "tuning".
+    what : str
+        The dimension of BBOB, or the choice that is tuned.
+    instance : int
+        Which instance, and which seed; of the tuning how many.
+    budget : int
+        Evaluations of each run.
+    scene : str
+        Path of the scene file.
+    """
+
+    name: str
+    part: str
+    what: str
+    instance: int
+    budget: int
+    scene: str
+
+    def run(self) -> list[dict]:
+        """One dictionary for each run: solver, problem, and what `Counted.record` keeps."""
+        if self.part == "tuning":
+            return list(self._tuning())
+        return list(self._bbob() if self.part == "bbob" else self._scene())
+
+    def _bbob(self) -> Iterator[dict]:
+        for function in bbob.FUNCTIONS:
+            problem = bbob.bbob_problem(function, int(self.what), self.instance)
+            for name in SOLVERS:
+                yield self._judged(problem, name)
+
+    def _scene(self) -> Iterator[dict]:
+        with scene_problem(self.scene, self.part) as (problem, baseline):
+            for name in SOLVERS:
+                if name not in UNSEEDED or self.instance == FIRST_INSTANCE:
+                    yield {**self._judged(problem, name), "baseline": baseline}
+
+    def _judged(self, problem: Problem, name: str) -> dict:
+        found = solve(SOLVERS[name], Counted(problem, self.budget), self.instance)
+        return {"solver": name, "problem": problem.name, "optimum": problem.best, **found}
+
+    def _tuning(self) -> Iterator[dict]:
+        for problem_name in development.NAMES:
+            for dimension in development.DIMENSIONS:
+                solved = 0
+                for seed in range(_TUNING_SEEDS, _TUNING_SEEDS + self.instance):
+                    problem = development.development_problem(problem_name, dimension, seed)
+                    found = solve(CHOICES[self.what], Counted(problem, self.budget), seed)
+                    solved += -found["best"][-1] <= development.TARGET
+                yield {"problem": problem_name, "dimension": dimension, "solved": solved, "seeds": self.instance}
+
+
+def judging(parts: list[str], seeds: int, budget: int, scene: str | Path) -> list[Task]:
+    """The pieces of the judging: instance by instance, so that a study that was stopped has all problems evenly."""
+    found = []
+    for instance in range(FIRST_INSTANCE, FIRST_INSTANCE + seeds):
+        if "bbob" in parts:
+            for d in bbob.DIMENSIONS:
+                found.append(Task(f"bbob_{d}d_{instance}", "bbob", str(d), instance, budget, str(scene)))
+    for case in CASES:
+        if case in parts:
+            for instance in range(FIRST_INSTANCE, FIRST_INSTANCE + seeds):
+                name = f"{case}_{instance}".replace(" ", "_")
+                found.append(Task(name, case, "", instance, budget, str(scene)))
+    return found
+
+
+def tuning(seeds: int, budget: int) -> list[Task]:
+    """The pieces of the tuning: one for each choice."""
+    return [Task(f"tuning_{place}", "tuning", choice, seeds, budget, "") for place, choice in enumerate(CHOICES)]
