@@ -41,7 +41,7 @@ def test_the_same_seed_gives_the_same_trace_and_another_seed_another():
     assert not np.array_equal(first.history, other.history)
 
 
-@settings(max_examples=10)
+@settings(max_examples=10, deadline=None)
 @given(st.tuples(*[st.integers(-1000, 1000)] * 2), st.integers(0, 1000))
 def test_moving_the_domain_moves_every_candidate_and_changes_nothing_else(shift, seed):
     shift = np.array(shift, dtype=float)
@@ -50,7 +50,7 @@ def test_moving_the_domain_moves_every_candidate_and_changes_nothing_else(shift,
     np.testing.assert_allclose(points_of(there.history) - shift, points_of(here.history), rtol=0.0, atol=1e-6)
 
 
-@settings(max_examples=10)
+@settings(max_examples=10, deadline=None)
 @given(st.tuples(*[st.sampled_from([2.0**-20, 0.25, 2.0, 1024.0])] * 2), st.integers(0, 1000))
 def test_the_unit_of_a_variable_plays_no_part(scale, seed):
     scale = np.array(scale)
@@ -134,6 +134,7 @@ def test_a_budget_of_a_dozen_is_enough_to_begin():
     assert result.value > np.median(sphere(points_of(result.history)))
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=5))
 def test_the_bounds_reflect(targets):
     found = reflected(np.array(targets))

@@ -86,9 +86,9 @@ def plot_changes(
     """
     if not changes:
         raise InputError("changes: none given; at least one is needed")
-    from matplotlib.lines import Line2D
-
     with sheet(path, _HEADING_MM + _ROW_MM * len(changes), title, subtitle) as figure:
+        from matplotlib.lines import Line2D
+
         lost, moved = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1.0))
         for row, one in enumerate(changes):
             look = {"linestyle": "none", "markersize": 4.0, "clip_on": False, "zorder": 3, **VERDICT_LOOKS[one.verdict]}

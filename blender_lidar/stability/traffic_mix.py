@@ -99,7 +99,7 @@ def queued(
         places += x[rows[middle]] - places[middle]
         period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
         x[rows] = places
-        if not 0 <= number < road.lanes:  # a ramp ends where it ends
+        if not 0 <= number < road.lanes or period < new.sum():  # a ramp ends where it ends; a pile cannot be continued
             continue
         for turn in _turns(places[0] - anchor_x_m, places[-1] - anchor_x_m, period, filled_to_m):
             copied_rows.append(rows)
@@ -118,8 +118,6 @@ def queued(
 
 def _turns(first: float, last: float, period: float, reach: float) -> list[int]:
     """By how many periods the copies of a lane are shifted that fill it from -reach to reach; not 0, itself."""
-    if period <= 0.0:  # all in one another
-        return []
     before = max(0, int(np.ceil((first + reach) / period)))
     after = max(0, int(np.ceil((reach - last) / period)))
     return [*range(-before, 0), *range(1, after + 1)]

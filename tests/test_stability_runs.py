@@ -1,0 +1,247 @@
+"""The verb stability: every change on a small scene, whole studies, stopped ones, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import InputError
+from blender_lidar.metrics.catalogue import METRICS
+from blender_lidar.scenario import load_scenario, pose_at
+from blender_lidar.stability import study
+from blender_lidar.stability.effort import Effort
+from blender_lidar.stability.landscapes import HELD_OUT, Job, landscapes
+from blender_lidar.stability.metric_variations import metric_variations
+from blender_lidar.stability.mountings import mountings_about
+from blender_lidar.stability.report import HEADINGS
+from blender_lidar.stability.sensor_variations import sensor_variations
+from blender_lidar.stability.traffic_variations import traffic_variations
+from blender_lidar.stability.variations import AS_IT_IS, TRAFFIC, Variation
+from blender_lidar.study.site import prepare
+from tests.small_scene import MAPPED, cli, write_scene
+
+TINY = Effort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
+ATTACKS = ("vertices", "ranges at the gate")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    return prepare(load_scenario(write_scene(tmp_path_factory.mktemp("scene"), MAPPED)))
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    """Whole studies of seconds: fewer changes and attacks of each kind, all of them real."""
+    for name, most in (("metric_variations", 3), ("sensor_variations", 3), ("traffic_variations", 3)):
+        every = getattr(study, name)
+        monkeypatch.setattr(study, name, lambda *given, every=every, most=most: every(*given)[:most])
+    monkeypatch.setattr(study, "ATTACKS", {name: study.ATTACKS[name] for name in ATTACKS})
+    monkeypatch.setattr("blender_lidar.commands.stability.QUICK", TINY)
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+
+
+def mountings(site):
+    return mountings_about(site.scenario, {**site.scenario.baseline, "height_m": 4.0, "tilt_x_deg": 12.0}, 2, 3)
+
+
+def every_variation(site):
+    return [*traffic_variations(site, 2), *metric_variations(site), *sensor_variations(site, 2)]
+
+
+# --- changes ----------------------------------------------------------------------------------------------------------
+
+
+def test_every_change_has_a_name_of_its_own_and_can_be_sent_to_a_worker(site):
+    variations = every_variation(site)
+    assert len({variation.stage for variation in variations}) == len(variations)
+    assert [variation.stage for variation in pickle.loads(pickle.dumps(variations))] == [
+        variation.stage for variation in variations
+    ]
+
+
+def test_no_change_is_what_the_scene_has_already(site):
+    for variation in every_variation(site):
+        changed = variation.changed(site)
+        assert len(changed.search) == len(site.search)
+        same = (
+            changed.observation == site.observation
+            and changed.scoring == site.scoring
+            and all(one.vehicles is other.vehicles for one, other in zip(changed.search, site.search, strict=True))
+        )
+        assert not same, variation
+
+
+def test_every_metric_but_the_scenes_own_takes_its_turn(site):
+    tried = {variation.value for variation in metric_variations(site) if variation.what == "other metric"}
+    assert tried == set(METRICS) - {site.scoring.metric}
+
+
+def test_a_scene_without_a_loss_has_none_to_vary(site):
+    without = replace(site, scoring=replace(site.scoring, loss=None))
+    assert not any("abs(C)" in variation.what for variation in metric_variations(without))
+
+
+def test_changes_of_the_sensor_leave_traffic_and_score_alone_and_the_others_leave_the_sensor(site):
+    for variation in sensor_variations(site, 1):
+        changed = variation.changed(site)
+        assert changed.scoring == site.scoring
+        assert changed.search is site.search
+    for variation in (*metric_variations(site), *traffic_variations(site, 1)):
+        assert variation.changed(site).observation.lattice is site.observation.lattice
+
+
+def test_changed_traffic_never_counts_a_searched_vehicle_or_its_copy_among_the_held_out(site):
+    for variation in traffic_variations(site, 2):
+        changed = variation.changed(site)
+        step = int(site.recording.vehicle_id.max()) + 1
+        judged = np.concatenate([frame.vehicles.vehicle_id[frame.counted] for frame in changed.holdout])
+        assert not np.isin(judged % step, site.plan.searched_ids).any(), variation
+
+
+def test_lorries_have_the_share_that_was_asked_for(site):
+    for variation in traffic_variations(site, 1):
+        if variation.what == "lorries":
+            frames = variation.changed(site).search
+            kinds: dict[int, str] = {}
+            for vehicles in (frame.vehicles for frame in frames):
+                kinds |= dict(zip(vehicles.vehicle_id.tolist(), vehicles.class_name.tolist(), strict=True))
+            large = np.mean([kind in ("truck", "bus") for kind in kinds.values()])
+            assert large == pytest.approx(float(variation.value.split()[0]) / 100.0, abs=0.2)
+            if variation.value == "0 %":
+                assert large == 0.0
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_landscapes_equal_what_the_evaluator_says_whatever_the_number_of_workers(site, workers):
+    site = replace(site, scenario=replace(site.scenario, model=replace(site.scenario.model, workers=workers)))
+    poses = mountings(site).poses
+    refused = Variation(TRAFFIC, "what cannot be", "", _refuse)
+    jobs = [Job(AS_IT_IS, poses), Job(refused, poses), Job(AS_IT_IS, poses[:2], HELD_OUT)]
+    counted = []
+    searched, text, held_out = landscapes(site, jobs, counted.append)
+    for scored, frames in ((searched, site.search), (held_out, site.holdout)):
+        with site.evaluator(frames) as evaluator:
+            totals = evaluator.totals(poses[: len(scored.objective)])
+        np.testing.assert_array_equal(scored.objective, totals.objective)
+        np.testing.assert_array_equal(scored.vehicles, totals.vehicles)
+    assert text == "it cannot be"
+    assert sum(counted) == 2 * len(site.search) + len(site.holdout)
+
+
+def _refuse(site):
+    raise InputError("it cannot be")
+
+
+def test_a_changed_site_is_scored_as_a_scene_that_says_so(site, tmp_path):
+    """Independent of the study: the scene file itself asks for the change."""
+    for variation, table, key, value in (
+        (("metric", "cell size", "10 cm"), "objective", "cell_m", 0.1),
+        (("metric", "view of Eq. 11", "min"), "objective", "view", "min"),
+        (("metric", "other metric", "log-points"), "objective", "metric", "log-points"),
+        (("metric", "other metric", "covered-entropy"), "objective", "metric", "covered-entropy"),
+        (("sensor", "glass drop-out", "1"), "sensor", "glass_dropout", 1.0),
+        (("sensor", "rotation rate", "10 Hz"), "sensor", "rotation_hz", 10.0),
+    ):
+        chosen = next(one for one in every_variation(site) if (one.section, one.what, one.value) == variation)
+        asked = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, table: {key: value}})))
+        poses = [pose_at({**site.scenario.baseline, "height_m": 4.0}), site.scenario.baseline_pose]
+        with asked.evaluator(asked.search) as evaluator:
+            expected = evaluator.totals(poses).objective
+        (found,) = landscapes(site, [Job(chosen, tuple(poses))])
+        np.testing.assert_allclose(found.objective, expected, rtol=1e-12)
+
+
+# --- whole studies ----------------------------------------------------------------------------------------------------
+
+
+def test_a_study_leaves_table_report_and_result_with_a_verdict_on_every_line(tiny, tmp_path, capsys):
+    scene = write_scene(tmp_path, MAPPED)
+    code, out, err = cli(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
+    assert code == 0, err
+    result = json.loads((tmp_path / "run" / "stability.json").read_text())
+    with (tmp_path / "run" / "stability.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(result["findings"])
+    assert {row["verdict"] for row in rows} <= {"stable", "fragile", "fails", "undecided"}
+    assert {row["section"] for row in rows} == {"traffic", "mounting", "metric", "sensor", "search", "casters"}
+    report = (tmp_path / "run" / "report.md").read_text()
+    for row in rows:
+        assert row["text"] in report
+    for heading in HEADINGS.values():
+        assert f"\n{heading}\n" in out
+        assert f"\n{heading}: " in out
+    assert "hardened, seed 1" in out
+
+
+def test_a_study_that_was_stopped_goes_on_to_the_same_result(tiny, tmp_path, capsys):
+    scene = write_scene(tmp_path, MAPPED)
+    words = ("stability", scene, "--quick", "--out", tmp_path / "run")
+    assert cli(capsys, *words)[0] == 0
+    whole = (tmp_path / "run" / "stability.json").read_bytes()
+    stages = sorted((tmp_path / "run" / "stages").glob("*.json"))
+    for stage in stages[1::3]:
+        stage.unlink()
+    (tmp_path / "run" / "stability.json").unlink()
+    code, _, err = cli(capsys, *words)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "holds a study already" in err
+    assert cli(capsys, *words, "--resume")[0] == 0
+    assert (tmp_path / "run" / "stability.json").read_bytes() == whole
+
+
+def test_workers_change_nothing_and_json_prints_the_result_alone(tiny, tmp_path, capsys):
+    scene = write_scene(tmp_path, MAPPED)
+    _, alone, _ = cli(capsys, "stability", scene, "--quick", "--json", "--out", tmp_path / "one")
+    _, together, _ = cli(capsys, "stability", scene, "--quick", "--json", "--out", tmp_path / "two", "--workers", 2)
+    assert json.loads(alone) == json.loads(together)
+    assert json.loads(alone) == json.loads((tmp_path / "one" / "stability.json").read_text())
+
+
+def test_a_mounting_of_ones_own_is_the_one_in_question(tiny, tmp_path, capsys):
+    scene = write_scene(tmp_path, MAPPED)
+    code, out, _ = cli(
+        capsys, "stability", scene, "--quick", "--height", 3.1, "--tilt-x", 7, "--out", tmp_path / "run", "--json"
+    )
+    result = json.loads(out)
+    assert code == 0
+    assert result["mounting_given"]
+    assert (result["mounting"]["height_m"], result["mounting"]["tilt_x_deg"]) == (3.1, 7.0)
+
+
+def test_a_scene_that_holds_nothing_out_is_judged_on_the_searched_frames_and_says_so(tiny, tmp_path, capsys):
+    scene = write_scene(tmp_path, {**MAPPED, "traffic": {"holdout": 0.0}})
+    code, out, err = cli(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
+    assert code == 0, err
+    assert "same frames, as nothing is held out" in out
+    assert "undecided gain on held-out traffic" in out
+
+
+def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(site):
+    scenario = load_scenario(site.scenario.source)
+    fixed = replace(
+        scenario.deployment,
+        fixed={**scenario.deployment.fixed, "tilt_x_deg": 12.0},
+        bounds={"height_m": (2.0, 4.5)},
+    )
+    found = mountings_about(replace(scenario, deployment=fixed), {**scenario.baseline, "tilt_x_deg": 12.0}, 6, 26)
+    assert found.tilt_deg.tolist() == [12.0] * 6
+    assert found.height_m.tolist() == [2.0, 2.5, 3.0, 3.5, 4.0, 4.5]
+
+
+def test_a_scene_that_fixes_height_and_tilt_is_refused_in_one_line(tmp_path, capsys):
+    scene = write_scene(tmp_path, {"deployment": {"height_m": 4.0, "y_m": [-1.0, 0.0]}})
+    code, _, err = cli(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "fixes height_m and tilt_x_deg" in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_resume_needs_a_folder(tmp_path, capsys):
+    code, _, err = cli(capsys, "stability", write_scene(tmp_path, MAPPED), "--resume")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--resume: needs --out DIR" in err

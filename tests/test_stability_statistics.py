@@ -1,0 +1,292 @@
+"""What a mounting loses and how certain an optimum is: against brute force, and on landscapes whose top is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.metrics.views import PE_VGOP
+from blender_lidar.settings import Tolerance
+from blender_lidar.stability.answers import search_findings
+from blender_lidar.stability.attacked import attack_finding
+from blender_lidar.stability.caster_attacks import AttackCount
+from blender_lidar.stability.findings import (
+    FAILS,
+    FRAGILE,
+    MOST_FRAGILE_LOSS,
+    MOST_STABLE_LOSS,
+    STABLE,
+    UNDECIDED,
+    Finding,
+    by_loss,
+    lost,
+    worst,
+)
+from blender_lidar.stability.installation import installation_findings
+from blender_lidar.stability.landscape import Landscape, losses_to, losses_to_best
+from blender_lidar.stability.mountings import CANDIDATES, Mountings
+from blender_lidar.stability.sample_size import ASKED_DEG, sample_size
+from blender_lidar.stability.traffic_sample import gain_finding, optimum_finding, sample_size_finding
+from blender_lidar.stability.varied import Draw, Intervals, finding_of
+
+REFERENCE = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 10.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
+CHANGE = ("metric", "what", "value")
+
+
+def grid(tilts):
+    return Mountings(REFERENCE, None, np.full(len(tilts), 4.0), np.asarray(tilts, dtype=float))
+
+
+def landscape(rows, vehicles=None):
+    rows = np.atleast_2d(np.asarray(rows, dtype=float))
+    return Landscape(rows, np.ones(rows.shape[1], dtype=np.int64) if vehicles is None else np.asarray(vehicles))
+
+
+# --- losses -----------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 6), st.integers(1, 5))
+def test_losses_equal_those_by_hand(seed, candidates, columns):
+    values = np.random.default_rng(seed).normal(size=(CANDIDATES + candidates, columns))
+    for column in range(columns):
+        reference, baseline, *others = values[:, column]
+        best = max([reference, *others])
+        expected = (best - reference) / (best - baseline) if best > baseline else np.nan
+        np.testing.assert_allclose(losses_to_best(values)[column], expected)
+        gain = others[0] - baseline
+        np.testing.assert_allclose(losses_to(values)[column], (others[0] - reference) / gain if gain > 0 else np.nan)
+
+
+def test_the_best_of_all_loses_nothing_to_the_grid_and_is_better_than_a_candidate():
+    values = np.array([[1.0], [0.0], [0.5], [0.8]])
+    assert losses_to_best(values).tolist() == [0.0]
+    assert losses_to(values, 1).tolist() == [pytest.approx(-0.25)]
+
+
+def test_where_no_mounting_gains_there_is_no_loss():
+    values = np.array([[0.0], [1.0], [0.5]])
+    assert np.isnan(losses_to_best(values)).all()
+    assert np.isnan(losses_to(values)).all()
+
+
+@pytest.mark.parametrize(
+    ("loss", "verdict"),
+    [
+        (-0.3, STABLE),
+        (0.0, STABLE),
+        (MOST_STABLE_LOSS, STABLE),
+        (MOST_STABLE_LOSS + 1e-9, FRAGILE),
+        (MOST_FRAGILE_LOSS, FRAGILE),
+        (MOST_FRAGILE_LOSS + 1e-9, FAILS),
+        (1.5, FAILS),
+        (None, UNDECIDED),
+    ],
+)
+def test_a_verdict_follows_from_the_loss(loss, verdict):
+    assert by_loss(loss) == verdict
+
+
+def test_the_worst_verdict_counts_and_what_is_undecided_does_not():
+    assert worst([STABLE, UNDECIDED, FRAGILE]) == FRAGILE
+    assert worst([FAILS, STABLE]) == FAILS
+    assert worst([UNDECIDED]) == UNDECIDED
+
+
+@pytest.mark.parametrize(
+    ("share", "interval", "text"),
+    [
+        (0.034, (-0.01, 0.07), "loses 3.4 % (-1.0 to 7.0)"),
+        (-0.091, (-0.148, -0.034), "is better by 9.1 % (3.4 to 14.8)"),
+        (-0.0001, None, "loses 0.0 %"),
+        (0.5, None, "loses 50.0 %"),
+    ],
+)
+def test_losses_read_as_losses_and_their_opposite_as_such(share, interval, text):
+    assert lost(share, interval) == text
+
+
+# --- one change -------------------------------------------------------------------------------------------------------
+
+
+def drawn(reference, baseline, best, row=1, chooses=True):
+    return Draw(row, chooses, landscape([reference, baseline, best]))
+
+
+def found(draws, intervals=None, block=None):
+    frames = next((draw.judged.objective.shape[1] for draw in draws if isinstance(draw, Draw)), 1)
+    return finding_of(CHANGE, draws, grid([5.0, 10.0]), intervals, np.arange(frames) if block is None else block, 1)
+
+
+def test_several_draws_are_judged_by_their_mean_with_an_interval_about_it():
+    rng = np.random.default_rng(0)
+    draws = [drawn(0.9 + 0.01 * rng.normal(size=12), np.zeros(12), 1.0 + 0.01 * rng.normal(size=12)) for _ in range(3)]
+    finding = found(draws)
+    losses = [1 - draw.judged.objective[0].sum() / draw.judged.objective[2].sum() for draw in draws]
+    assert finding.numbers["losses"] == pytest.approx(losses)
+    assert finding.numbers["loss"] == pytest.approx(np.mean(losses))
+    low, high = finding.numbers["interval_90"]
+    assert low < finding.numbers["loss"] < high
+    assert finding.verdict == FRAGILE
+
+
+def test_the_interval_covers_the_true_loss_about_as_often_as_it_says():
+    covered, trials = 0, 200
+    for seed in range(trials):
+        rng = np.random.default_rng(seed)
+        reference, baseline, best = (level + 0.2 * rng.normal(size=20) for level in (0.8, 0.0, 1.0))
+        low, high = found([drawn(reference, baseline, best)]).numbers["interval_90"]
+        covered += low <= 0.2 <= high
+    assert 0.82 <= covered / trials <= 0.97
+
+
+def test_optima_are_told_as_inside_or_outside_the_interval_of_resampled_traffic():
+    one, other = drawn([1.0] * 4, [0.0] * 4, [1.0] * 4, row=0), drawn([1.0] * 4, [0.0] * 4, [1.0] * 4, row=1)
+    intervals = Intervals((3.5, 4.5), (8.0, 12.0))
+    assert found([other], intervals).text.endswith("best at 4.00 m, 10 deg: inside")
+    assert found([one], intervals).text.endswith("best at 4.00 m, 5 deg: outside")
+    assert found([one, other], intervals).text.endswith("best at 4.00 m, 5 to 10 deg: 1 of 2 inside")
+
+
+def test_a_metric_that_does_not_choose_and_a_site_that_refuses_are_undecided():
+    assert found([drawn([1.0], [1.0], [1.0], chooses=False)]).verdict == UNDECIDED
+    finding = found(["no vehicle is left in the region"])
+    assert (finding.verdict, finding.text) == (UNDECIDED, "no vehicle is left in the region")
+    nothing_gained = found([drawn([0.5] * 4, [1.0] * 4, [0.9] * 4)])
+    assert nothing_gained.verdict == UNDECIDED
+
+
+def test_a_flat_landscape_chooses_nothing():
+    assert not landscape([[1.0, 2.0]] * 4).chooses
+    assert landscape([[1.0, 2.0], [1.0, 2.0], [1.0, 2.1]]).chooses
+
+
+# --- the sample -------------------------------------------------------------------------------------------------------
+
+TILTS = np.linspace(0.0, 25.0, 101)
+TOP, WIDTH, NOISE = 14.0, 8.0, 1.5
+
+
+def hills(blocks, seed):
+    """Blocks of one vehicle each, whose objective is a parabola with a top that strays about `TOP`."""
+    tops = TOP + NOISE * np.random.default_rng(seed).normal(size=blocks)
+    values = 1.0 - ((TILTS[:, None] - tops) / WIDTH) ** 2
+    return np.concatenate([np.zeros((CANDIDATES, blocks)), values])
+
+
+def test_the_uncertainty_of_the_tilt_equals_that_of_independent_samples():
+    """The best tilt of parabolas is the mean of their tops, to the grid: its 90 % interval is known."""
+    blocks = 60
+    found = sample_size(hills(blocks, 3), np.ones(blocks), TILTS, 1)
+    tops = np.std(np.random.default_rng(3).normal(size=blocks)) * NOISE
+    for count, reach in zip(found.vehicles, found.reach_deg, strict=True):
+        assert reach == pytest.approx(1.645 * tops / np.sqrt(count), rel=0.25, abs=0.15)
+    assert found.vehicles[-1] == pytest.approx(blocks)
+    assert found.power == pytest.approx(0.5, abs=0.1)
+
+
+def test_what_is_needed_is_what_brings_the_interval_down_to_what_is_asked():
+    blocks = 10
+    objective = hills(blocks, 5)
+    found = sample_size(objective, np.ones(blocks), TILTS, 1)
+    expected = (1.645 * NOISE / ASKED_DEG) ** 2
+    assert found.needed == pytest.approx(expected, rel=1.0)
+    certain = sample_size(hills(200, 5), np.ones(200), TILTS, 1)
+    assert certain.reach_deg[-1] < ASKED_DEG
+    assert certain.needed <= certain.vehicles[-1]
+
+
+def test_blocks_without_vehicles_change_nothing():
+    objective = hills(20, 1)
+    padded = np.concatenate([objective, np.zeros((len(objective), 5))], axis=1)
+    assert sample_size(padded, np.r_[np.ones(20), np.zeros(5)], TILTS, 1) == sample_size(
+        objective, np.ones(20), TILTS, 1
+    )
+
+
+def test_too_few_blocks_tell_nothing():
+    assert sample_size(hills(5, 1), np.ones(5), TILTS, 1) is None
+    assert sample_size_finding(None).verdict == UNDECIDED
+
+
+def test_the_optimum_of_resampled_blocks_lies_where_the_tops_lie():
+    scored = Landscape(hills(30, 2), np.ones(30, dtype=np.int64))
+    finding, intervals = optimum_finding(scored, grid(TILTS), np.arange(30), 1)
+    low, high = intervals.tilt_deg
+    assert low < TOP < high
+    assert high - low < 3.0
+    assert finding.verdict == FAILS  # the mounting in question is worth 0 there, as the baseline is
+
+
+def test_two_blocks_are_too_few_for_an_interval_of_the_optimum():
+    finding, intervals = optimum_finding(
+        Landscape(hills(2, 2), np.ones(2, dtype=np.int64)), grid(TILTS), np.arange(2), 1
+    )
+    assert finding.verdict == UNDECIDED
+    assert intervals is None
+
+
+@pytest.mark.parametrize(
+    ("interval", "verdict"), [((0.2, 0.4), STABLE), ((0.1, 0.5), FRAGILE), ((-0.01, 0.61), FAILS), (None, UNDECIDED)]
+)
+def test_a_gain_is_as_certain_as_the_lower_end_of_its_interval(interval, verdict):
+    held_out = {"gain_over_baseline": 0.3, "interval_90": interval, "vehicles": 10, "blocks": 5}
+    assert gain_finding({"holdout": held_out}, PE_VGOP).verdict == verdict
+    assert gain_finding({"holdout": None}, PE_VGOP).verdict == UNDECIDED
+
+
+# --- the other sections -----------------------------------------------------------------------------------------------
+
+
+def test_an_installer_is_told_what_each_error_costs_in_shares_of_the_gain():
+    told = {
+        "gain": 0.5,
+        "kept": 0.9,
+        "limits": {"height_m": [0.0, 0.01], "tilt_x_deg": [0.2, -0.05]},
+        "robust": {"mounting": {**REFERENCE, "tilt_x_deg": 12.0}, "sharp_gain": 0.45, "robust_gain": 0.5},
+    }
+    height, tilt, together, robust = installation_findings(told, Tolerance(0.05, 1.0, 0.0, "mean"))
+    assert (height.verdict, tilt.verdict, together.verdict, robust.verdict) == (STABLE, FAILS, FRAGILE, FRAGILE)
+    assert tilt.text == "loses 40.0 % where it is less, is better by 10.0 % where it is more"
+    assert "12.0 deg" in robust.text
+    (nothing,) = installation_findings({**told, "gain": 0.0}, Tolerance(0.05, 1.0, 0.0, "mean"))
+    assert nothing.verdict == UNDECIDED
+
+
+def answer(value, tilt):
+    return {"seed": 1, "mounting": {**REFERENCE, "tilt_x_deg": tilt}, "per_vehicle": value, "evaluations": 12}
+
+
+def test_a_search_is_judged_by_the_worst_of_its_seeds():
+    answers = [answer(1.0, 10.0), answer(0.98, 11.0), answer(0.7, 20.0)]
+    regret, spread = search_findings(answers, 0.9, 0.0, {"baseline": 0.0, "answers": [0.5, 0.5, 0.45]})
+    assert regret.numbers["regrets"] == pytest.approx([0.0, 0.02, 0.3])
+    assert regret.verdict == FAILS
+    assert spread.numbers["loss"] == pytest.approx(0.1)
+    assert "tilt 10.0 to 20.0 deg" in spread.text
+    (nothing,) = search_findings([answer(0.0, 10.0)], 0.0, 0.1, {"baseline": 0.0, "answers": [0.0]})
+    assert nothing.verdict == UNDECIDED
+
+
+def count(**differences):
+    zeros = dict.fromkeys(("silent_misses", "false_hits", "wrong_distances", "knife_edges"), 0)
+    given = {"attack": "needles", "caster": "bvh", "rays": 9, "hits": 8, "largest_error_m": 0.0}
+    return AttackCount(**{**given, **zeros, **differences})
+
+
+@pytest.mark.parametrize(
+    ("differences", "verdict"),
+    [
+        ({}, STABLE),
+        ({"knife_edges": 3}, STABLE),
+        ({"wrong_distances": 1}, FRAGILE),
+        ({"false_hits": 1}, FAILS),
+        ({"silent_misses": 1}, FAILS),
+    ],
+)
+def test_a_silent_miss_of_any_caster_fails_and_a_knife_edge_does_not(differences, verdict):
+    finding = attack_finding([count(caster="embree"), count(**differences)])
+    assert isinstance(finding, Finding)
+    assert finding.verdict == verdict
