@@ -201,10 +201,9 @@ def test_the_page_shows_both_optima(runs):
     captions = {page.text(page.within("caption", n)[0]): n for n in page.find("table")}
     table = captions["Baseline, sharp and robust mounting"]
     rows = {page.text(page.within("th", n)[0]): n for n in page.within("tr", table) if page.within("th", n)}
-    gains = [page.text(cell) for cell in page.within("td", rows["gain kept [%]"])]
-    assert [gain.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "-") for gain in gains] == kept_on_held_out(
-        result
-    )
+    signs = str.maketrans({"\N{MINUS SIGN}": "-", "\N{EN DASH}": "-"})
+    kept = [page.text(cell).translate(signs) for cell in page.within("td", rows["gain kept [%]"])]
+    assert kept == kept_on_held_out(result)
     items = [page.text(number) for number in page.find("li")]
     assert all(note in items for note in cautions(result))
     assert page.text(page.find("p", **{"class": "answer"})[0]) == answer(result)
