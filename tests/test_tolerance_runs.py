@@ -101,7 +101,6 @@ def test_the_mounting_is_the_best_of_both_searches_over_the_tolerance(runs):
     result = stored(runs / "robust")
     robust = result["tolerance"]["robust"]
     assert robust["optimised"]["objective"] >= robust["sharp"]["objective"]
-    assert result["tolerance"]["sharp"]["objective"] >= result["objective"]
     table = history(runs / "robust" / "history.csv")
     best = table[int(np.argmax([float(row["objective"]) for row in table]))]
     found = {key: float(best[key]) for key in ("height_m", "tilt_x_deg")}
@@ -336,7 +335,7 @@ FILES = ("history.csv", "history_sharp.csv", "vehicles.csv", "installation.txt")
 def undisturbed(tmp_path_factory):
     """A scene of one variable, which saves the map, and the folder of a run of it that nobody disturbed."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    scene = write_scene(folder, FEW)
+    scene = write_scene(folder, {**FEW, "search": {**FEW["search"], "method": "de-pso"}})  # whole swarms at a time
     with pytest.MonkeyPatch.context() as patch:
         without_charts(patch)
         assert main(["optimise", str(scene), *WORDS, "--out", str(folder / "run")]) == 0
