@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import sys
 import warnings
@@ -11,7 +12,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from . import __version__
-from .errors import BlenderLidarError, printable
+from .errors import BlenderLidarError, output_error, printable
+from .stop_signals import stops_watched
 
 _VERBS = ("optimise", "evaluate", "stability", "scan", "score", "compare", "build", "render", "sensors", "doctor")
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
@@ -30,8 +32,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         0 good, 1 failed, 2 wrong input (one line on stderr says what and where).
     """
-    if argv is None:
-        _keep_stdout()
+    if argv is not None:
+        return _told(argv)
+    _open_streams()
+    _keep_stdout()
+    with stops_watched():
+        return _told(None)
+
+
+def _told(argv: Sequence[str] | None) -> int:
+    """The exit code of what the arguments ask for; what went wrong is told in one line."""
     with warnings.catch_warnings():  # which puts back what shows warnings
         warnings.showwarning = _one_line_warning
         try:
@@ -49,7 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _failed("out of memory; try fewer --frames or --workers 1", FAILED)
         except OSError as error:
             if error.filename is not None:
-                return _failed(f"{error.filename}: {error.strerror}", WRONG_INPUT)
+                told = output_error(str(error.filename), error)
+                return _failed(str(told), told.exit_code)
             _drop_stdout()
             return _failed(f"output cannot be written: {error.strerror or error}", FAILED)
 
@@ -67,13 +78,38 @@ def _failed(text: str, code: int) -> int:
     return code
 
 
+def _open_streams() -> None:
+    """Let a stream that whoever started us has closed go nowhere, and what stderr cannot take be lost.
+
+    Else the next file that is opened would take the stream's number, and what libraries print; a run would end because
+    the disk with its log is full, or its terminal closed.
+    """
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r" if name == "stdin" else "w"))
+    with suppress(AttributeError):  # no real stream
+        encoding = sys.stderr.encoding
+        sys.stderr = _Unfailing(sys.stderr.detach(), encoding, "backslashreplace", line_buffering=True)
+
+
+class _Unfailing(io.TextIOWrapper):
+    """A stream of messages, none of which is worth failing for."""
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            super().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            super().flush()
+
+
 def _keep_stdout() -> None:
     """Let what libraries written in C print on stdout, as Blender does when it starts, go to stderr.
 
     It stays so until the process ends, as they may print what they have buffered only then.
     """
-    if sys.stdout is None or sys.stderr is None:  # closed by whoever started us
-        return
     with suppress(OSError):  # no real files
         ours = os.dup(sys.stdout.fileno())
         os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

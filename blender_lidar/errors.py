@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
 
 
@@ -28,10 +29,33 @@ class OutputError(BlenderLidarError, OSError):
     """A file or folder that cannot be written."""
 
 
+class WriteError(OutputError):
+    """A file or folder that could not be written by no fault of the input's, as on a full disk."""
+
+    exit_code = 1
+
+
 class WorkerError(BlenderLidarError, RuntimeError):
     """A worker process that did not start or ended abruptly: no fault of the input's."""
 
     exit_code = 1
+
+
+_NO_FAULT_OF_THE_INPUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EMFILE, errno.ENFILE}
+
+
+def output_error(text: str, error: OSError) -> OutputError:
+    """An error for what cannot be written: `text`, and why; a `WriteError` where the place is good but the disk full.
+
+    Parameters
+    ----------
+    text : str
+        The file or folder and what cannot be done: ``"a.csv: cannot be written"``.
+    error : OSError
+        What the system said.
+    """
+    kind = WriteError if error.errno in _NO_FAULT_OF_THE_INPUT else OutputError
+    return kind(f"{text}: {error.strerror or error}")
 
 
 def printable(text: str, longest: int | None = None) -> str:

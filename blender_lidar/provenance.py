@@ -6,7 +6,8 @@ import hashlib
 import json
 import platform
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -33,6 +34,33 @@ def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = N
         tables["world"]["scenery"] = f"triangles with SHA-256 {scenery_digest}"
     flat = {f"[{table}] {key}": value for table, content in tables.items() for key, value in content.items()}
     return json.loads(json.dumps({"blender_lidar": __version__, **flat}))
+
+
+@contextmanager
+def unchanged_inputs(scenario: Scenario) -> Iterator[None]:
+    """Refuse a file that a scene names and that changes while the block reads it: its digest would be another's.
+
+    Raises
+    ------
+    InputError
+        Naming the file.
+    """
+    names = [scenario.traffic.path, scenario.traffic.vehicle_types]
+    names += [scenario.sensor.name] if scenario.sensor.is_file else []
+    before = {name: _stamp(name) for name in names if name is not None}
+    yield
+    for name, stamp in before.items():
+        if _stamp(name) != stamp:
+            raise InputError(f"{name}: was changed while it was read; start again when it is complete")
+
+
+def _stamp(path: str | Path) -> tuple[int, int, int] | None:
+    """What tells that a file is the same as before; None without one."""
+    try:
+        status = Path(path).stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def file_digest(path: str | Path) -> str:

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from . import __version__
-from .errors import InputError, MissingFileError, OutputError
-from .formats.atomic import check_folder, write_text
+from .errors import InputError, MissingFileError
+from .formats.atomic import check_folder, make_folder, write_text
 from .formats.lock import folder_lock
 from .formats.tables import to_csv, write_columns
 from .provenance import run_identity, versions
@@ -90,11 +90,8 @@ class RunFolder:
         OutputError
             When another run is at work there, or the folder cannot be made or written.
         """
-        try:
-            missing = [place for place in (self.path, *self.path.parents) if not place.exists()]
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"--out: {self.path}: the folder cannot be made: {error.strerror}") from error
+        missing = [place for place in (self.path, *self.path.parents) if not place.exists()]
+        make_folder(self.path, "--out")
         try:
             with folder_lock(self.path):
                 self._sweep()
@@ -256,8 +253,9 @@ class RunFolder:
         for name in map(Path, _FILES):
             for leftover in self.path.glob(f".{name.stem}-????????{name.suffix}"):
                 leftover.unlink(missing_ok=True)
-        for leftover in self.path.glob(".*.png.*.part"):
-            leftover.unlink(missing_ok=True)
+        for pattern in (".*.png.*.part", ".render_*-????????.png"):
+            for leftover in self.path.glob(pattern):
+                leftover.unlink(missing_ok=True)
 
     def _read_json(self, name):
         path = self.file(name)

@@ -24,6 +24,7 @@ from blender_lidar.casting import CASTERS
 from blender_lidar.commands.progress import Progress
 from blender_lidar.errors import BlenderLidarError
 from blender_lidar.optimise import READINGS
+from blender_lidar.stop_signals import stops_watched
 from blender_lidar.study.stages import StudyFolder
 
 SCENE = Path(__file__).parents[1] / "scenes" / "paper.toml"
@@ -83,4 +84,5 @@ def _study(args):
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with stops_watched():
+        sys.exit(main())

@@ -38,13 +38,14 @@ LIBRARIES = {
 # `world` makes triangles of and what `casting` culls by, so both know it.
 ROOMS = {
     "errors": set(),
+    "stop_signals": set(),
     "toml_table": set(),
     "metrics": set(),
     "optimise": {"metrics"},
     "sensors": {"toml_table"},
     "traffic": set(),
     "world": {"traffic"},
-    "world/blender": {"formats", "scan", "sensors", "traffic", "world"},
+    "world/blender": {"formats", "scan", "sensors", "stop_signals", "traffic", "world"},
     "casting": {"sensors", "traffic", "world"},
     "scan": {"casting", "sensors", "traffic", "world"},
     "formats": {"scan", "traffic"},

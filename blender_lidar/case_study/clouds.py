@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import OutputError
+from ..formats.atomic import make_folder
 from ..formats.clouds import write_cloud
 from ..moments import mounted_sensor
 from ..optimise.objective import detectable
@@ -32,10 +32,7 @@ def busiest_frame(site: Site) -> CountedFrame:
 
 def write_clouds(site: Site, folder: Path, mountings: Mapping[str, Coordinates]) -> list[str]:
     """Write one PCD for each mounting into `folder`, as `blender-lidar scan` would; returns their names."""
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: the folder cannot be made: {error.strerror}") from error
+    make_folder(folder, "--out")
     vehicles = busiest_frame(site).vehicles
     written = []
     for name, mount in mountings.items():

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 from ..errors import InputError
 from ..metrics.views import PE_VGOP
-from ..provenance import run_identity
 from ..scenario import Scenario, load_scenario
 from ..study.score_map import AXES
 from ..study.site import Site, prepare
@@ -87,10 +86,7 @@ class CaseStudy:
         """What the study's numbers depend on."""
         found: dict[str, object] = {}
         for sensor in SENSORS:
-            site = self.site(sensor)
-            found |= {
-                f"{sensor} {key}": value for key, value in run_identity(site.scenario, site.observation.caster).items()
-            }
+            found |= {f"{sensor} {key}": value for key, value in self.site(sensor).identity.items()}
         effort = {f"effort {name}": getattr(self.effort, name) for name in self.effort.__slots__}
         return found | effort
 

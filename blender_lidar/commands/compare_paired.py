@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..casting import CASTERS, resolve
 from ..errors import InputError, OutputError, unknown_name
-from ..formats.atomic import check_folder
+from ..formats.atomic import check_folder, make_folder
 from ..provenance import versions
 from ..reality.frame_list import RULE, read_frame_list
 from ..reality.labelled_scene import LABEL_MARGIN_M
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         "cheapest_within_noise": cheapest_within_noise(sets[judging(sets)], details),
         "versions": versions(caster),
     }
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "--out")
     written = write_results(folder, paired, result, told)
     text = f"{summary(result)}\n\nResults in {folder}: {', '.join(written)}"
     print(text, file=sys.stderr if args.json else sys.stdout, flush=True)

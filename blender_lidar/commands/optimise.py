@@ -51,10 +51,10 @@ def run(args: argparse.Namespace) -> int:
         try:
             with RunProgress(scenario.deployment.variables, metric_named(scenario.objective.metric)) as listener:
                 outcome = optimise_site(site, folder, listener, resume=args.resume)
+            return report(args, site, outcome, folder)
         except KeyboardInterrupt:
             print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
             return 1
-        return report(args, site, outcome, folder)
 
 
 def _stored_outcome(folder: RunFolder, result: dict) -> Outcome:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..formats.atomic import check_place
+from ..formats.atomic import check_place, make_folder
 from ..formats.clouds import WRITERS, check_cloud_name, write_cloud
 from ..formats.sustechpoints import write_sustechpoints
 from ..moments import MountedSensor, mounted_sensor
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
             f"{len(frames[0])} vehicles ({scanner.named})"
         )
         return 0
-    Path(args.out).mkdir(parents=True, exist_ok=True)
+    make_folder(Path(args.out), "--out")
     progress, points = Progress(len(frames), "scan"), 0
     try:
         for path, vehicles in zip(paths, frames, strict=True):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import OutputError
+from ..errors import OutputError, output_error
 
 
 @contextmanager
@@ -38,7 +38,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     except OutputError:  # says already what and where
         raise
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise output_error(f"{path}: cannot be written", error) from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -67,9 +67,23 @@ def check_folder(path: Path, option: str) -> None:
     try:
         there = next(place for place in (path, *path.absolute().parents) if place.exists())
     except OSError as error:  # a name too long, say
-        raise OutputError(f"{option}: {path}: the folder cannot be made: {error.strerror}") from error
+        raise output_error(f"{option}: {path}: the folder cannot be made", error) from error
     if not there.is_dir():
         raise OutputError(f"{option}: {path}: the folder cannot be made: {there} is a file")
+
+
+def make_folder(path: Path, option: str) -> None:
+    """Make a folder, and those above it, unless it is there; `option` says what gave it.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(f"{option}: {path}: the folder cannot be made", error) from error
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from ..errors import OutputError
+from ..errors import OutputError, output_error
+from .atomic import make_folder
 
 
 @contextmanager
@@ -33,11 +35,16 @@ def _locked(path: Path, folder: Path) -> IO[str]:
     """The lock file, open and locked."""
     while True:
         try:
-            stream = path.open("w")
+            stream = path.open("a")
+        except FileNotFoundError as error:
+            if folder.is_dir():
+                raise output_error(f"--out: {folder}: cannot be written", error) from error
+            make_folder(folder, "--out")  # a run that has failed removed it after we had found or made it
+            continue
         except OSError as error:
-            raise OutputError(f"--out: {folder}: cannot be written: {error.strerror}") from error
+            raise output_error(f"--out: {folder}: cannot be written", error) from error
         try:
-            _take(stream)
+            _take(stream, folder)
             if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
                 return stream
         except BlockingIOError as error:
@@ -48,7 +55,7 @@ def _locked(path: Path, folder: Path) -> IO[str]:
         stream.close()  # a run that has just ended removed the file between our opening and locking it
 
 
-def _take(stream: IO[str]) -> None:
+def _take(stream: IO[str], folder: Path) -> None:
     try:
         import fcntl
     except ImportError:  # a system without such locks
@@ -57,5 +64,6 @@ def _take(stream: IO[str]) -> None:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise
-    except OSError:  # a file system without them
-        return
+    except OSError as error:  # a file system without them
+        text = f"{folder}: another run there would not be noticed, as it cannot be locked: {error.strerror}"
+        warnings.warn(text, stacklevel=2)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..scan import PointCloud
 from ..traffic.vehicles import Vehicles
-from .atomic import write_text
+from .atomic import make_folder, write_text
 from .kitti import levelled
 from .pcd import write_pcd
 
@@ -32,7 +32,7 @@ def write_sustechpoints(folder: str | Path, cloud: PointCloud, vehicles: Vehicle
     """
     folder = Path(folder)
     for part in ("lidar", "label"):
-        (folder / part).mkdir(parents=True, exist_ok=True)
+        make_folder(folder / part, "--out")
     pose = header["pose"]
     seen = np.flatnonzero(np.isin(vehicles.vehicle_id, cloud.vehicle_id))
     centre = levelled(vehicles.centre_m[seen], pose)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import MissingExtraError, OutputError
+from ..errors import MissingExtraError, output_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -142,7 +142,7 @@ def save(figure: Figure, path: str | Path) -> None:
             partial.unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise OutputError(f"{path}: the chart cannot be written: {error.strerror or error}") from error
+        raise output_error(f"{path}: the chart cannot be written", error) from error
 
 
 def header_mm(title: str, subtitle: str) -> float:

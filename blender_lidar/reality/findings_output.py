@@ -6,8 +6,8 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..errors import InputError, MissingExtraError, OutputError
-from ..formats.atomic import check_folder, write_text
+from ..errors import InputError, MissingExtraError
+from ..formats.atomic import check_folder, make_folder, write_text
 from ..formats.tables import to_csv, write_columns
 from .agreement_charts import draw_charts
 from .detector_study import Findings
@@ -39,10 +39,7 @@ def write_findings(findings: Findings, result: Mapping, draws: Draws, folder: Pa
     OutputError
         If a file or the folder cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"--out: {folder}: the folder cannot be made: {error.strerror}") from error
+    make_folder(folder, "--out")
     write_columns(folder / CARS, car_columns(findings))
     write_text(folder / CORRELATION, to_csv(*correlation_table(findings)))
     pictures, note = [], ""

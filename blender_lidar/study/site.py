@@ -11,7 +11,7 @@ import numpy as np
 from ..casting import resolve
 from ..casting.standing import StandingScenery
 from ..errors import InputError
-from ..provenance import run_identity
+from ..provenance import run_identity, unchanged_inputs
 from ..scenario import Scenario
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model
@@ -50,6 +50,8 @@ class Site:
         Searched and held-out frames.
     search, holdout : tuple of CountedFrame
         The frames of both; a vehicle counted in the search is never counted in the hold-out.
+    identity : dict
+        What must be the same for two runs on it to have the same result, by the files as they were read.
     """
 
     scenario: Scenario
@@ -60,6 +62,7 @@ class Site:
     plan: FramePlan
     search: tuple[CountedFrame, ...]
     holdout: tuple[CountedFrame, ...]
+    identity: dict[str, object]
 
     @property
     def workers(self) -> int:
@@ -69,12 +72,6 @@ class Site:
         if self.scenario.model.workers:
             return self.scenario.model.workers
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-    @property
-    def identity(self) -> dict[str, object]:
-        """What must be the same for two runs on it to have the same result."""
-        standing = self.observation.scenery
-        return run_identity(self.scenario, self.observation.caster, standing and standing.scenery.digest)
 
     @property
     def region(self) -> Region:
@@ -108,8 +105,14 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     Raises
     ------
     BlenderLidarError
-        When a file cannot be read, no vehicle is in the region, or the mount would stand in traffic.
+        When a file cannot be read or changes meanwhile, no vehicle is in the region, or the mount would stand in
+        traffic.
     """
+    with unchanged_inputs(scenario):
+        return _prepared(scenario, mount)
+
+
+def _prepared(scenario: Scenario, mount: Mapping[str, float] | None) -> Site:
     lattice, caster = lattice_of(scenario.sensor), resolve(scenario.model.caster, "caster")
     model, objective = lattice.model, scenario.objective
     observation = Observation(
@@ -156,7 +159,9 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         metric=objective.metric,
         field=scene_field(objective.metric, scenario.road, region.centre_xy, region.radius_m, searched),
     )
-    return Site(scenario, model, observation, scoring, recording, plan, searched, held_out)
+    standing = observation.scenery
+    identity = run_identity(scenario, caster, standing and standing.scenery.digest)
+    return Site(scenario, model, observation, scoring, recording, plan, searched, held_out, identity)
 
 
 def lattice_of(sensor: SensorSettings) -> BeamLattice:

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import InputError, OutputError
-from ..formats.atomic import check_folder, write_text
+from ..errors import InputError
+from ..formats.atomic import check_folder, make_folder, write_text
 from ..formats.lock import folder_lock
 
 IDENTITY = "study.json"
@@ -73,10 +73,7 @@ class StudyFolder:
             As `check`.
         """
         self.check(resume=resume)
-        try:
-            self.file(STAGES).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"--out: {self.path}: the folder cannot be made: {error.strerror}") from error
+        make_folder(self.file(STAGES), "--out")
         with folder_lock(self.path):
             self.check(resume=resume)  # again: another run may have come between the first check and the lock
             if not self.file(IDENTITY).exists():
@@ -135,10 +132,12 @@ class StudyFolder:
                 )
 
     def _sweep(self) -> None:
-        """Remove what a killed run had not finished writing."""
-        for folder in (self.path, self.file(STAGES)):
-            for leftover in folder.glob(".*-????????.*"):
-                leftover.unlink(missing_ok=True)
+        """Remove what a killed run had not finished writing, also in folders among the results."""
+        folders = [self.file(name) for name in self._results if self.file(name).is_dir()]
+        for folder in (self.path, self.file(STAGES), *folders):
+            for pattern in (".*-????????.*", ".*.png.*.part"):
+                for leftover in folder.glob(pattern):
+                    leftover.unlink(missing_ok=True)
 
 
 def _digest(text: str) -> str:

@@ -8,18 +8,23 @@ from __future__ import annotations
 import multiprocessing
 import os
 import pickle
+import shutil
 import signal
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from multiprocessing import resource_tracker
 from pathlib import Path
 
 from ..errors import WorkerError
+from ..stop_signals import stops_deferred
+
+_STOP_ON_ITS_WAY_S = 0.5
 
 
 def within_blender() -> bool:
@@ -50,13 +55,8 @@ class WorkerPool:
     """
 
     def __init__(self, function: Callable, workers: int) -> None:
-        # By way of a file: through the pipe to a process that has died, much data would be written for ever.
-        with tempfile.TemporaryDirectory(prefix="blender_lidar-") as folder:
-            path = Path(folder) / "function.pickle"
-            with path.open("wb") as file:
-                pickle.dump(function, file, pickle.HIGHEST_PROTOCOL)
-            with _failures_as_worker_errors():
-                self._executor = _started(path, workers)
+        with _stored(function) as path, _failures_as_worker_errors():
+            self._executor = _started(path, workers)
 
     def map(self, *arguments: Iterable) -> list:
         """What the function returns for each set of arguments, in their order.
@@ -74,11 +74,11 @@ class WorkerPool:
             yield from self._executor.map(_call, *arguments)
 
     def close(self) -> None:
-        """End the processes, after the calls that they are busy with; until then Ctrl-C waits.
+        """End the processes, after the calls that they are busy with; until then a stop waits.
 
         Python takes a thread whose `join` Ctrl-C has cut short for ended, leaves, and waits for the processes for ever.
         """
-        with _sigint_deferred():
+        with stops_deferred():
             self._executor.shutdown(wait=True, cancel_futures=True)
 
 
@@ -87,21 +87,41 @@ def _failures_as_worker_errors() -> Iterator[None]:
     try:
         yield
     except BrokenProcessPool as error:
+        time.sleep(_STOP_ON_ITS_WAY_S)  # a SIGTERM to all of us may have reached a worker first; ours ends this here
         raise WorkerError("a worker process ended abruptly, perhaps for want of memory; try --workers 1") from error
 
 
 # --- in the process that starts the workers ---------------------------------------------------------------------------
 
 
+@contextmanager
+def _stored(function: Callable) -> Iterator[Path]:
+    """A file that holds a function: through the pipe to a process that has died, much data would be written for ever.
+
+    Where this process is killed, its workers remove it.
+    """
+    with ExitStack() as stack:
+        try:
+            path = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="blender_lidar-"))) / "function.pickle"
+            with path.open("wb") as file:
+                pickle.dump(function, file, pickle.HIGHEST_PROTOCOL)
+        except OSError as error:
+            why = error.strerror or error
+            raise WorkerError(
+                f"the temporary folder {tempfile.tempdir or ''} cannot be written, which worker processes need: {why}; "
+                "make room, set TMPDIR to another one, or try --workers 1"
+            ) from error
+        yield path
+
+
 def _started(path: Path, workers: int) -> ProcessPoolExecutor:
     """A pool whose processes have all read their function."""
-    others = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_start_worker, initargs=(path, context.Barrier(workers))
-    )
+    others, executor = set(multiprocessing.active_children()), None
     try:
-        with _sigint_deferred(), _sigint_blocked(), _single_threaded_children(), _no_folders_of_blender():
+        with stops_deferred(), _stops_blocked(), _single_threaded_children(), _no_folders_of_blender():
+            context = multiprocessing.get_context("spawn")
+            start = (_start_worker, (path, context.Barrier(workers)))
+            executor = ProcessPoolExecutor(workers, context, *start)
             ready = executor.map(_ready, range(workers))  # starts them all, as none is idle before the last
         list(ready)
     except OSError as error:
@@ -113,41 +133,28 @@ def _started(path: Path, workers: int) -> ProcessPoolExecutor:
     return executor
 
 
-def _abandon(executor: ProcessPoolExecutor, others: set) -> None:
+def _abandon(executor: ProcessPoolExecutor | None, others: set) -> None:
     """End a pool that may have started in part: its processes wait for those that never came."""
     for child in set(multiprocessing.active_children()) - others:
         child.kill()
-    executor.shutdown(wait=True, cancel_futures=True)
+    if executor is not None:
+        executor.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
-def _sigint_deferred() -> Iterator[None]:
-    """Let Ctrl-C wait until the block ends, lest it leaves a process half started."""
-    handler, held = signal.getsignal(signal.SIGINT), []
-    if not callable(handler) or threading.current_thread() is not threading.main_thread():
-        yield  # it does not interrupt us
-        return
-    signal.signal(signal.SIGINT, lambda number, frame: held.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        if held:
-            signal.raise_signal(signal.SIGINT)
+def _stops_blocked() -> Iterator[None]:
+    """Keep Ctrl-C and the closing of the terminal from processes started here, from their first moment on.
 
-
-@contextmanager
-def _sigint_blocked() -> Iterator[None]:
-    """Keep Ctrl-C from processes started here, from their first moment on.
-
-    In this one it is no more than kept from this thread: another one may take it.
+    In this one they are no more than kept from this thread: another one may take them. SIGTERM passes: it is how a pool
+    ends the processes that are left when one has died.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    resource_tracker.ensure_running()  # its start would let the signal through again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     try:
+        resource_tracker.ensure_running()  # later its start would let SIGINT through again
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -193,14 +200,15 @@ _function: Callable | None = None
 def _start_worker(path: Path, all_started: threading.Barrier) -> None:
     global _function
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=[path.parent], daemon=True).start()
     _function = pickle.loads(path.read_bytes())
     all_started.wait()  # so that no worker takes the first task of another, and the file is no longer needed
 
 
-def _end_with_parent() -> None:
-    """A parent that was killed cannot end its workers, which would wait for ever."""
+def _end_with_parent(folder: Path) -> None:
+    """A parent that was killed cannot end its workers, which would wait for ever, nor remove its temporary folder."""
     multiprocessing.parent_process().join()
+    shutil.rmtree(folder, ignore_errors=True)
     os._exit(1)
 
 

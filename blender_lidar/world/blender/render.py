@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import tempfile
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
 
 from ...errors import InputError, OutputError
 from ...formats.atomic import write_bytes
+from ...stop_signals import stops_end_at_once
 from .quiet import first_error, quiet
 from .roles import FAN, role
 from .stage import ABOVE, FROM_POLE
@@ -59,24 +56,11 @@ def render_picture(
         picture = Path(folder) / "picture.png"
         scene.render.filepath = str(picture)
         try:
-            with quiet(), _ended_by_interrupt():
+            with quiet(), stops_end_at_once():  # Cycles would swallow them and go on
                 bpy.ops.render.render(write_still=True, scene=scene.name)
         except RuntimeError as error:
             raise OutputError(f"{path}: cannot be rendered: {first_error(error)}") from error
         write_bytes(path, picture.read_bytes())
-
-
-@contextmanager
-def _ended_by_interrupt() -> Iterator[None]:
-    """While it lasts, Ctrl-C ends the process at once: Cycles would swallow it and go on."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _settings(scene, size, samples):

@@ -1,0 +1,289 @@
+"""Attacks on runs: the real command line as a process of its own, hit at any moment, and what must hold afterwards.
+
+    python -m tests.run_attacks FOLDER [--hits 100] [--seed 1] [--charts] [--signals KILL,INT,TERM,HUP]
+
+hits `optimise` that often, at moments drawn evenly from the life of a run, with one worker and with two, and prints
+what did not hold; `test_runs_under_attack.py` draws a handful of such hits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tests.small_scene import without_times, write_scene
+
+WAIT_S = 90.0
+WITHOUT_CHARTS = """
+import sys
+sys.modules["matplotlib"] = None
+if __name__ == "__main__":
+    from blender_lidar.cli import main
+    sys.exit(main())
+"""
+TABLES = ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "installation.txt", "score_map.csv")
+
+
+class Failure(AssertionError):
+    """Something that must hold after an attack did not."""
+
+
+@dataclass
+class Attacked:
+    """A command of its own session, with a folder for temporary files of its own.
+
+    Attributes
+    ----------
+    folder : Path
+        Holds stdout, stderr and the temporary files.
+    process : Popen
+    """
+
+    folder: Path
+    words: Sequence[object]
+    charts: bool = False
+    settings: dict = field(default_factory=dict)  # of Popen
+    environment: dict = field(default_factory=dict)
+    process: subprocess.Popen = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.temporary.mkdir(parents=True, exist_ok=True)
+        how = ["-m", "blender_lidar"] if self.charts else ["-c", WITHOUT_CHARTS]
+        command = [sys.executable, *how, *map(str, self.words)]
+        environment = {**os.environ, "TMPDIR": str(self.temporary), **self.environment}
+        streams = {name: (self.folder / name).open("wb") for name in ("stdout", "stderr") if name not in self.settings}
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, start_new_session=True, env=environment, **streams, **self.settings
+        )
+        for stream in streams.values():
+            stream.close()
+
+    @property
+    def temporary(self) -> Path:
+        """Where it puts what is only for a moment."""
+        return self.folder / "tmp"
+
+    @property
+    def stderr(self) -> str:
+        """What it has printed there."""
+        return (self.folder / "stderr").read_text(errors="replace")
+
+    def send(self, number: int, *, group: bool = False) -> None:
+        """Send a signal to it, or to all of its processes."""
+        with suppress(ProcessLookupError):
+            (os.killpg if group else os.kill)(self.process.pid, number)
+
+    def code(self) -> int:
+        """How it has ended."""
+        return self.process.wait(WAIT_S)
+
+    def survivors(self) -> list[int]:
+        """Those of its processes that are still alive."""
+        return [pid for pid, (state, session) in sessions().items() if session == self.process.pid and state != "Z"]
+
+    def end(self) -> None:
+        """Leave none of it behind."""
+        for pid in self.survivors():
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self.process.wait(WAIT_S)
+
+
+def sessions() -> dict[int, tuple[str, int]]:
+    """State and session of every process, as /proc tells."""
+    table = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has just ended
+            state, _, _, session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+            table[int(folder.name)] = (state, int(session))
+    return table
+
+
+def wait_for(condition, what: str = "", at_most_s: float = WAIT_S) -> None:
+    """Wait until something holds."""
+    end = time.monotonic() + at_most_s
+    while not condition():
+        if time.monotonic() > end:
+            raise Failure(f"waited in vain {what}")
+        time.sleep(0.01)
+
+
+def check_nobody_is_left(attacked: Attacked) -> None:
+    """Every process that it started has ended."""
+    wait_for(lambda: not attacked.survivors(), f"for {attacked.survivors()} to end", 20.0)
+
+
+def check_whole(folder: Path) -> None:
+    """Every file that can be seen is complete."""
+    for path in sorted(folder.rglob("[!.]*")):
+        if not path.is_file():
+            continue
+        data = path.read_bytes()
+        if path.suffix == ".json":
+            json.loads(data)
+        elif path.suffix == ".csv":
+            rows = data.decode().splitlines()
+            if not data.endswith(b"\n") or len({len(row) for row in csv.reader(rows)}) != 1:
+                raise Failure(f"{path} is half written")
+        elif path.suffix == ".png":
+            if not data.endswith(b"IEND\xaeB`\x82"):
+                raise Failure(f"{path} is half written")
+        elif not data.endswith(b"\n"):
+            raise Failure(f"{path} is half written")
+
+
+def content(folder: Path, *, charts: bool = False) -> dict[str, object]:
+    """What a run has left but for what differs between runs that ought to agree: times and the number of workers."""
+    found: dict[str, object] = {}
+    for path in folder.iterdir():
+        if path.name == "result.json":
+            found[path.name] = without_times(json.loads(path.read_text()))
+        elif path.name == "scene.toml":
+            found[path.name] = [line for line in path.read_text().splitlines() if not line.startswith("workers = ")]
+        elif path.name in TABLES or (charts and path.suffix == ".png"):
+            found[path.name] = path.read_bytes()
+        else:
+            found[path.name] = "there"
+    return found
+
+
+def check_same(folder: Path, undisturbed: Path, *, charts: bool = False) -> None:
+    """Two folders of runs hold the same."""
+    here, there = content(folder, charts=charts), content(undisturbed, charts=charts)
+    for name in sorted({*here, *there}):
+        if here.get(name) != there.get(name):
+            raise Failure(f"{folder / name} is not as in the run that nobody disturbed")
+
+
+def check_stopped(attacked: Attacked) -> None:
+    """One line says that it was stopped, and nothing that it needed for a moment is left."""
+    lines = [line for line in attacked.stderr.splitlines() if line.startswith("blender-lidar: ")]
+    stops = [line for line in lines if line.startswith("blender-lidar: stopped")]
+    for sign in ("Traceback", "Exception ignored", "leaked", "Error"):
+        if sign in attacked.stderr:
+            raise Failure(f"stderr: {attacked.stderr[-1500:]}")
+    if attacked.process.returncode < 0 and not attacked.stderr:
+        return  # before the command line had begun, or after it had ended
+    if attacked.process.returncode != 1 or len(stops) != 1:
+        raise Failure(f"exit code {attacked.process.returncode}, stderr: {attacked.stderr[-1500:]}")
+    if left := list(attacked.temporary.iterdir()):
+        raise Failure(f"left behind: {left}")
+
+
+# --- many hits --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Hit:
+    """One attack on a run."""
+
+    signals: tuple[int, ...]
+    after_s: float
+    workers: int
+    group: bool
+    apart_s: float
+
+    def __str__(self) -> str:
+        names = "+".join(signal.Signals(number).name for number in self.signals)
+        return f"{names} after {self.after_s:.3f} s, {self.workers} workers, {'group' if self.group else 'process'}"
+
+
+def draw_hit(rng: random.Random, numbers: Sequence[int], life_s: dict[int, float]) -> Hit:
+    """A hit at a moment drawn evenly from a run's life."""
+    number, workers = rng.choice(list(numbers)), rng.choice((1, 2))
+    twice = number != signal.SIGKILL and rng.random() < 0.4
+    return Hit(
+        (number,) * (1 + twice), rng.uniform(0.0, life_s[workers]), workers, rng.random() < 0.5, rng.uniform(0.0, 0.3)
+    )
+
+
+def strike(hit: Hit, scene: Path, undisturbed: Path, folder: Path, *, charts: bool = False) -> str:
+    """Hit a run, check what it has left, and go on with it; returns how it went on before the hit.
+
+    Raises
+    ------
+    Failure
+        When something did not hold.
+    """
+    out = folder / "run"
+    attacked = Attacked(folder, ["optimise", scene, "--out", out, "--workers", hit.workers], charts)
+    try:
+        time.sleep(hit.after_s)
+        for number in hit.signals:
+            attacked.send(number, group=hit.group)
+            time.sleep(hit.apart_s if len(hit.signals) > 1 else 0.0)
+        code = attacked.code()
+        check_nobody_is_left(attacked)
+        if out.exists():
+            check_whole(out)
+        if signal.SIGKILL not in hit.signals and code != 0:
+            check_stopped(attacked)
+            if out.exists() and (hidden := list(out.rglob(".*"))):
+                raise Failure(f"left behind: {hidden}")
+        if left := list(attacked.temporary.iterdir()):
+            raise Failure(f"left behind: {left}")
+        stage = _how_far(out)
+    finally:
+        attacked.end()
+    again = Attacked(folder / "again", ["optimise", scene, "--out", out, "--resume", "--workers", 1], charts)
+    try:
+        if again.code() != 0:
+            raise Failure(f"{stage}: --resume: {again.stderr[-1500:]}")
+        check_same(out, undisturbed, charts=charts)
+    finally:
+        again.end()
+    return f"{stage}, exit code {code}"
+
+
+def _how_far(out: Path) -> str:
+    names = ("report.html", "result.json", "history.csv", "checkpoint.json", "scene.toml")
+    return next((name for name in names if (out / name).exists()), "nothing written")
+
+
+def main() -> int:
+    """Many hits."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--hits", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--charts", action="store_true")
+    parser.add_argument("--signals", default="KILL,INT,TERM,HUP")
+    args = parser.parse_args()
+    rng = random.Random(args.seed)
+    numbers = [getattr(signal, f"SIG{name}") for name in args.signals.split(",")]
+    scene, life_s = write_scene(args.folder, {"traffic": {"frames": 4}}), {}
+    for workers in (1, 2):
+        began = time.monotonic()
+        out = args.folder / f"undisturbed_{workers}"
+        whole = Attacked(
+            args.folder / f"u{workers}", ["optimise", scene, "--out", out, "--workers", workers], args.charts
+        )
+        if whole.code() != 0:
+            raise Failure(whole.stderr)
+        life_s[workers] = time.monotonic() - began
+    failures, stages = 0, {}
+    for number in range(args.hits):
+        hit = draw_hit(rng, numbers, life_s)
+        try:
+            stage = strike(hit, scene, out, args.folder / f"hit_{number}", charts=args.charts)
+            stages[stage] = stages.get(stage, 0) + 1
+        except (Failure, ValueError, subprocess.TimeoutExpired) as failure:
+            failures += 1
+            print(f"--- hit {number}, {hit}: {failure}", flush=True)
+    print(f"{args.hits} hits, {failures} failures; {life_s}; {stages}")
+    return min(failures, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
