@@ -6,7 +6,7 @@ import hashlib
 import json
 import platform
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,17 +23,27 @@ def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = N
     """
     tables = scenario.as_tables()
     tables["model"] = {"caster": caster}  # the number of workers changes nothing
-    tables["traffic"]["path"] = f"file with SHA-256 {file_digest(scenario.traffic.path)}"
-    if scenario.traffic.vehicle_types is not None:
-        tables["traffic"]["vehicle_types"] = f"file with SHA-256 {file_digest(scenario.traffic.vehicle_types)}"
-    if scenario.sensor.is_file:
-        tables["sensor"]["name"] = f"file with SHA-256 {file_digest(scenario.sensor.name)}"
+    for (table, key), path in _input_files(scenario).items():
+        tables[table][key] = _named_by_content(path)
     if scenery_digest is not None:
         files = [key for key in ("blend", "mesh") if tables["world"][key] is not None]
         tables["world"] |= dict.fromkeys(files, "file that is read")  # it may draw on further files
         tables["world"]["scenery"] = f"triangles with SHA-256 {scenery_digest}"
     flat = {f"[{table}] {key}": value for table, content in tables.items() for key, value in content.items()}
     return json.loads(json.dumps({"blender_lidar": __version__, **flat}))
+
+
+def check_same_inputs(scenario: Scenario, identity: Mapping[str, object]) -> None:
+    """Refuse files that are no longer those of a run, whose `run_identity` is given.
+
+    Raises
+    ------
+    InputError
+        Naming the file.
+    """
+    for (table, key), path in _input_files(scenario).items():
+        if identity.get(f"[{table}] {key}") != _named_by_content(path):
+            raise InputError(f"{path}: is not as it was when the run read it")
 
 
 @contextmanager
@@ -45,13 +55,23 @@ def unchanged_inputs(scenario: Scenario) -> Iterator[None]:
     InputError
         Naming the file.
     """
-    names = [scenario.traffic.path, scenario.traffic.vehicle_types]
-    names += [scenario.sensor.name] if scenario.sensor.is_file else []
-    before = {name: _stamp(name) for name in names if name is not None}
+    before = {path: _stamp(path) for path in _input_files(scenario).values()}
     yield
-    for name, stamp in before.items():
-        if _stamp(name) != stamp:
-            raise InputError(f"{name}: was changed while it was read; start again when it is complete")
+    for path, stamp in before.items():
+        if _stamp(path) != stamp:
+            raise InputError(f"{path}: was changed while it was read; start again when it is complete")
+
+
+def _input_files(scenario: Scenario) -> dict[tuple[str, str], str]:
+    """The files that a scene names, but for scenery, by table and key."""
+    files = {("traffic", "path"): scenario.traffic.path, ("traffic", "vehicle_types"): scenario.traffic.vehicle_types}
+    if scenario.sensor.is_file:
+        files["sensor", "name"] = scenario.sensor.name
+    return {place: path for place, path in files.items() if path is not None}
+
+
+def _named_by_content(path: str) -> str:
+    return f"file with SHA-256 {file_digest(path)}"
 
 
 def _stamp(path: str | Path) -> tuple[int, int, int] | None:

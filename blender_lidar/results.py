@@ -288,12 +288,14 @@ def _columns_in(table: Mapping) -> tuple[str, ...]:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[dict[str, np.ndarray]]:
-    """The columns of a table that a run wrote, numbers as floats; a damaged table is refused by name."""
+    """The columns of a table that a run wrote, numbers as floats; a missing or damaged one is refused by name."""
     try:
         with path.open(encoding="utf-8", newline="") as stream:
             header, *rows = csv.reader(stream)
         columns = dict(zip(header, zip(*rows, strict=True), strict=True))
         yield {name: _numbers_or_texts(texts) for name, texts in columns.items()}
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: there is no such file") from error
     except (OSError, ValueError, LookupError, csv.Error) as error:
         raise InputError(f"{path}: is damaged: {error}") from error
 

@@ -22,7 +22,7 @@ def stops_watched() -> Iterator[None]:
 
     It does so once. Another one within two seconds changes nothing: schedulers send several, and impatience is no
     reason to leave things lying about. A later one ends the process at once, as if it were killed. For a whole process:
-    what comes while Python ends changes nothing after a stop, and ends one that was done.
+    what comes after it, while Python ends, changes nothing.
     """
     stopped_at: list[float] = []
 
@@ -41,7 +41,7 @@ def stops_watched() -> Iterator[None]:
         yield
     finally:
         for number in watched:
-            signal.signal(number, signal.SIG_IGN if stopped_at else signal.SIG_DFL)
+            signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import closing
 
 import numpy as np
 
 from ..errors import InputError
 from ..moments import mounted_sensor
+from ..provenance import check_same_inputs
 from ..reporting.page import write_report
 from ..reporting.pictures import RENDER_VIEWS, render_file
 from ..reporting.stored_run import read_run
@@ -44,12 +46,13 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= samples <= _MOST_SAMPLES:
         raise InputError(f"--samples: is {samples}; allowed: 1 to {_MOST_SAMPLES}")
     scenario = load_scenario(folder.scene)
+    check_same_inputs(scenario, result["identity"])
     recording = read_recording(scenario)
     number = _fullest_frame(folder) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
     mounts = {"baseline": result["baseline"]["deployment"], "optimised": result["deployment"]}
-    progress, written = Progress(len(mounts) * len(RENDER_VIEWS), "render"), []
-    try:
+    written = []
+    with folder.locked(), closing(Progress(len(mounts) * len(RENDER_VIEWS), "render")) as progress:
         for name, mount in mounts.items():
             scene = building.empty_scene()
             building.build_scene(scene, mounted_sensor(scenario, mount).moment(vehicles))
@@ -59,9 +62,7 @@ def run(args: argparse.Namespace) -> int:
                     written[-1], scene, rendering.CAMERAS[view], size=rendering.SIZE, samples=samples
                 )
                 progress.advance(1)
-    finally:
-        progress.close()
-    written.append(write_report(folder))
+        written.append(write_report(folder))
     print(f"frame {number}: " + ", ".join(map(str, written)))
     return 0
 

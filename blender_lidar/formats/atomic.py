@@ -65,7 +65,11 @@ def check_folder(path: Path, option: str) -> None:
         Naming the folder, and the file that stands in its way.
     """
     try:
+        if path.is_symlink() and not path.exists():
+            raise OutputError(f"{option}: {path}: the folder cannot be made: a link there leads nowhere")
         there = next(place for place in (path, *path.absolute().parents) if place.exists())
+    except OutputError:
+        raise
     except OSError as error:  # a name too long, say
         raise output_error(f"{option}: {path}: the folder cannot be made", error) from error
     if not there.is_dir():

@@ -1,0 +1,396 @@
+"""Runs that are killed, stopped, starved of space or robbed of their files end in one line and lose nothing.
+
+`tests/run_attacks.py` hits runs by the hundred; here is a handful of its hits, and each failure that it once found.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from blender_lidar.errors import InputError, OutputError, WorkerError, WriteError, output_error
+from blender_lidar.formats.lock import folder_lock
+from blender_lidar.results import RunFolder
+from blender_lidar.run import evaluate_site
+from blender_lidar.scenario import load_scenario
+from blender_lidar.study import site as site_module
+from blender_lidar.study.site import prepare
+from blender_lidar.study.stages import STAGES, StudyFolder
+from blender_lidar.study.worker_pool import WorkerPool
+from tests.run_attacks import (
+    WITHOUT_CHARTS,
+    Attacked,
+    Hit,
+    check_nobody_is_left,
+    check_same,
+    check_stopped,
+    check_whole,
+    strike,
+    wait_for,
+)
+from tests.small_scene import cli, without_charts, write_scene
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="this system has no /proc")
+
+ENDLESS = ("--iterations", 100_000)  # a search that does not end before it is stopped
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return write_scene(tmp_path, {"traffic": {"frames": 4}})
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A scene, and the folder of a run of it that nobody disturbed."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    scene = write_scene(folder, {"traffic": {"frames": 4}})
+    run = Attacked(folder, ["optimise", scene, "--out", folder / "run"])
+    assert run.code() == 0, run.stderr
+    return scene, folder / "run"
+
+
+@pytest.fixture
+def attack(tmp_path):
+    """Starts the command line as a process of its own, and leaves nothing of it behind."""
+    started = []
+
+    def begin(*words: object, **how) -> Attacked:
+        started.append(Attacked(tmp_path / f"process_{len(started)}", words, **how))
+        return started[-1]
+
+    yield begin
+    for attacked in started:
+        attacked.end()
+
+
+@contextmanager
+def small_disk(folder: Path, kilobytes: int):
+    """A disk of that size; root alone can have one."""
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={kilobytes}k", "small_disk", folder]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        pytest.skip("there is no mount")
+    if done.returncode != 0:
+        pytest.skip(f"no small disk can be mounted: {done.stderr.strip()}")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", folder], check=True)
+
+
+# --- hit at any moment ------------------------------------------------------------------------------------------------
+
+HITS = [
+    Hit((signal.SIGKILL,), 0.0, 1, False, 0.0),
+    Hit((signal.SIGKILL,), 0.0, 2, False, 0.0),
+    Hit((signal.SIGINT, signal.SIGINT), 0.0, 1, True, 0.1),
+    Hit((signal.SIGTERM,), 0.0, 2, True, 0.0),
+]
+
+
+@pytest.mark.parametrize("hit", HITS, ids=lambda hit: "_".join(signal.Signals(n).name for n in hit.signals))
+def test_a_run_hit_at_a_random_moment_leaves_nothing_half_done_and_goes_on_to_the_same(tmp_path, finished, hit):
+    scene, undisturbed = finished
+    moment = random.Random(HITS.index(hit)).uniform(0.2, 1.5 * hit.workers)
+    strike(replace(hit, after_s=moment), scene, undisturbed, tmp_path)
+
+
+# --- stopped ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("numbers", "workers", "group"),
+    [((signal.SIGTERM, signal.SIGTERM), 2, True), ((signal.SIGHUP,), 2, True), ((signal.SIGTERM,), 1, False)],
+)
+def test_sigterm_and_a_closed_terminal_ended_a_run_without_a_word_and_left_semaphores(
+    attack, tmp_path, scene, numbers, workers, group
+):
+    out = tmp_path / "run"
+    run = attack("optimise", scene, "--out", out, "--workers", workers, *ENDLESS)
+    wait_for((out / "checkpoint.json").exists)
+    for number in numbers:
+        run.send(number, group=group)
+    assert run.code() == 1
+    check_nobody_is_left(run)
+    check_stopped(run)
+    assert run.stderr.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
+    assert not list(out.glob(".*"))
+    json.loads((out / "checkpoint.json").read_text())
+
+
+def python(program: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-c", "import signal, time\nfrom blender_lidar import stop_signals\n" + program]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_a_run_under_nohup_outlives_its_terminal():
+    done = python(
+        "signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "with stop_signals.stops_watched(): signal.raise_signal(signal.SIGHUP)\n"
+        "print('done')"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+
+
+@pytest.mark.parametrize(("tidying_s", "code", "printed"), [(60.0, 0, "tidied\n"), (0.0, -signal.SIGTERM, "")])
+def test_a_second_stop_cut_tidying_up_short_and_only_a_late_one_does(tidying_s, code, printed):
+    done = python(
+        f"stop_signals._TIDYING_S = {tidying_s}\n"
+        "with stop_signals.stops_watched():\n"
+        "    try: signal.raise_signal(signal.SIGINT)\n"
+        "    except KeyboardInterrupt:\n"
+        "        time.sleep(0.01); signal.raise_signal(signal.SIGTERM); print('tidied')\n"
+        "signal.raise_signal(signal.SIGINT)  # while Python ends"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (code, printed, "")
+
+
+def test_what_is_deferred_comes_when_the_block_ends_and_once():
+    done = python(
+        "with stop_signals.stops_watched():\n"
+        "    try:\n"
+        "        with stop_signals.stops_deferred():\n"
+        "            signal.raise_signal(signal.SIGTERM); signal.raise_signal(signal.SIGINT); print('whole')\n"
+        "        print('never')\n"
+        "    except KeyboardInterrupt: print('stopped')"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "whole\nstopped\n", "")
+
+
+def test_a_stop_while_charts_are_drawn_did_not_say_how_to_go_on(attack, tmp_path, scene):
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "run"
+    run = attack("optimise", scene, "--out", out, charts=True)
+    wait_for((out / "result.json").exists)
+    run.send(signal.SIGINT)
+    assert run.code() == 1
+    check_stopped(run)
+    assert run.stderr.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
+    check_whole(out)
+
+
+# --- killed -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_killed_while_its_workers_started_left_their_function_in_the_temporary_folder(attack, tmp_path, scene):
+    run = attack("optimise", scene, "--out", tmp_path / "run", "--workers", 2)
+    wait_for(lambda: len(run.survivors()) == 4)  # itself, what counts semaphores, and two workers
+    run.send(signal.SIGKILL)
+    run.code()
+    check_nobody_is_left(run)
+    assert not list(run.temporary.iterdir())
+
+
+def test_what_a_killed_render_had_not_finished_writing_was_never_swept_away(tmp_path):
+    (tmp_path / ".render_baseline_above-abcd1234.png").write_text("half")
+    with RunFolder(tmp_path).locked():
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_killed_study_had_not_finished_writing_stayed_among_its_clouds_and_charts(tmp_path):
+    (tmp_path / "clouds").mkdir()
+    leftovers = ["clouds/.rs-16_baseline-abcd1234.pcd", ".fig8_rs-16.png.123.part"]
+    with StudyFolder(tmp_path, {"seed": 1}).locked():
+        for name in leftovers:
+            (tmp_path / name).write_text("half")
+    with StudyFolder(tmp_path, {"seed": 1}, ["clouds"]).locked(resume=True):
+        assert {path.name for path in tmp_path.iterdir()} == {".lock", "clouds", STAGES, "study.json"}
+        assert not list((tmp_path / "clouds").iterdir())
+
+
+# --- no space ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kilobytes", [4, 16, 24, 36])
+def test_a_run_whose_disk_is_full_fails_naming_the_file_and_goes_on_when_there_is_space(
+    tmp_path, finished, capsys, monkeypatch, kilobytes
+):
+    """It was called wrong input."""
+    without_charts(monkeypatch)
+    scene, undisturbed = finished
+    with small_disk(tmp_path / "disk", kilobytes) as disk:
+        out = disk / "run"
+        code, _, err = cli(capsys, "optimise", scene, "--out", out)
+        assert code == 1
+        assert err.splitlines()[-1].startswith(f"blender-lidar: {out}")
+        assert err.splitlines()[-1].endswith(": cannot be written: No space left on device")
+        assert not list(out.glob(".*"))
+        check_whole(out)
+        subprocess.run(["mount", "-o", "remount,size=1m", disk], check=True)
+        code, _, err = cli(capsys, "optimise", scene, "--out", out, "--resume")
+        assert code == 0, err
+        check_same(out, undisturbed)
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "code"), [("ENOSPC", WriteError, 1), ("EIO", WriteError, 1), ("EROFS", OutputError, 2)]
+)
+def test_a_good_place_on_a_full_disk_is_no_wrong_input(number, kind, code):
+    error = OSError(getattr(errno, number), "why")
+    told = output_error("a.csv: cannot be written", error)
+    assert type(told) is kind
+    assert told.exit_code == code
+    assert str(told) == "a.csv: cannot be written: why"
+
+
+def test_a_temporary_folder_that_cannot_be_written_was_called_the_output(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with pytest.raises(WorkerError, match=r"the temporary folder .*missing cannot be written.*; make room, set TMPDIR"):
+        WorkerPool(abs, 2)
+
+
+def test_semaphores_that_cannot_be_made_were_called_the_output(tmp_path, scene):
+    words = [sys.executable, "-c", WITHOUT_CHARTS, "optimise", scene, "--out", tmp_path / "run", "--workers", "2"]
+    hidden = ["unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o ro none /dev/shm || exit 77; "$@"', "sh"]
+    try:
+        done = subprocess.run([*hidden, *map(str, words)], capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        pytest.skip("there is no unshare")
+    if done.returncode != 1:
+        pytest.skip(f"/dev/shm cannot be hidden here: {done.stderr.strip()}")
+    assert done.stderr == (
+        "blender-lidar: 2 worker processes cannot be started: Read-only file system; try --workers 1\n"
+    )
+    assert not (tmp_path / "run" / "checkpoint.json").exists()
+
+
+# --- streams ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_a_run_was_lost_because_its_messages_could_not_be_written(attack, tmp_path, finished):
+    scene, undisturbed = finished
+    with Path("/dev/full").open("w") as full:
+        run = attack("optimise", scene, "--out", tmp_path / "run", settings={"stderr": full})
+    assert run.code() == 0
+    check_same(tmp_path / "run", undisturbed)
+
+
+def test_with_stderr_closed_messages_went_among_the_json(attack, tmp_path, scene):
+    command = ["sh", "-c", 'exec "$@" 2>&-', "sh", sys.executable, "-c", WITHOUT_CHARTS]
+    words = ["evaluate", scene, "--out", tmp_path / "run", "--json"]
+    done = subprocess.run([*command, *map(str, words)], capture_output=True, text=True, check=True)
+    assert done.stdout == (tmp_path / "run" / "result.json").read_text()
+
+
+# --- files that vanish or change --------------------------------------------------------------------------------------
+
+
+def test_an_evaluation_was_lost_when_its_traffic_had_vanished_meanwhile(tmp_path, scene):
+    site = prepare(load_scenario(scene))
+    (tmp_path / "traffic.csv").unlink()
+    outcome = evaluate_site(site, RunFolder(tmp_path), site.scenario.baseline)
+    assert outcome.result["identity"]["[traffic] path"].startswith("file with SHA-256 ")
+
+
+def test_traffic_that_changed_while_it_was_read_was_identified_by_what_had_not_been_read(scene, monkeypatch):
+    read = site_module.read_recording
+
+    def read_as_it_grows(scenario):
+        recording = read(scenario)
+        with Path(scenario.traffic.path).open("a") as stream:
+            stream.write("\n")
+        return recording
+
+    monkeypatch.setattr(site_module, "read_recording", read_as_it_grows)
+    with pytest.raises(InputError, match=r"traffic\.csv: was changed while it was read"):
+        prepare(load_scenario(scene))
+
+
+def test_render_pictured_other_traffic_than_the_runs(tmp_path, scene, capsys, monkeypatch):
+    pytest.importorskip("bpy")
+    without_charts(monkeypatch)
+    assert cli(capsys, "evaluate", scene, "--out", tmp_path / "run")[0] == 0
+    table = tmp_path / "traffic.csv"
+    table.write_text(table.read_text().replace("1.5", "1.6"))
+    code, _, err = cli(capsys, "render", tmp_path / "run")
+    assert code == 2
+    assert err == f"blender-lidar: {table}: is not as it was when the run read it\n"
+    assert not list((tmp_path / "run").glob("render_*"))
+
+
+def test_a_vanished_table_was_called_damaged(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"vehicles\.csv: there is no such file"):
+        RunFolder(tmp_path).read_vehicles("vehicles.csv")
+
+
+# --- the folder -------------------------------------------------------------------------------------------------------
+
+
+def test_of_many_runs_at_once_in_one_folder_one_is_carried_out(attack, tmp_path, finished):
+    scene, undisturbed = finished
+    runs = [attack("optimise", scene, "--out", tmp_path / "run") for _ in range(3)]
+    codes = [run.code() for run in runs]
+    assert codes.count(0) == 1
+    for run, code in zip(runs, codes, strict=True):
+        told = run.stderr.splitlines()
+        assert code == 0 or (code == 2 and len(told) == 1)
+    check_same(tmp_path / "run", undisturbed)
+
+
+def test_a_folder_that_a_failed_run_removed_before_it_was_locked_is_made_again(tmp_path):
+    with folder_lock(tmp_path / "deep" / "run"):
+        assert (tmp_path / "deep" / "run").is_dir()
+
+
+def test_a_lock_that_leads_nowhere_is_refused_and_not_tried_for_ever(tmp_path):
+    (tmp_path / ".lock").symlink_to(tmp_path / "none" / "lock")
+    with pytest.raises(OutputError, match="cannot be written"), folder_lock(tmp_path):
+        pass
+
+
+def test_a_file_that_the_lock_leads_to_was_emptied(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / ".lock").symlink_to(tmp_path / "mine.txt")
+    with folder_lock(tmp_path):
+        pass
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+def test_a_file_system_without_locks_went_unmentioned(tmp_path, monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(*_):
+        raise OSError(errno.ENOTSUP, "Operation not supported")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    text = "another run there would not be noticed, as it cannot be locked: Operation not supported"
+    with pytest.warns(UserWarning, match=text), folder_lock(tmp_path):
+        pass
+
+
+def test_a_link_that_leads_nowhere_was_called_a_file_that_exists(tmp_path):
+    (tmp_path / "run").symlink_to(tmp_path / "none")
+    with pytest.raises(OutputError, match="the folder cannot be made: a link there leads nowhere"):
+        RunFolder(tmp_path / "run").check()
+
+
+def test_a_run_whose_folder_of_work_has_gone_is_refused_or_does_without(tmp_path, finished, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    try:
+        relative = cli(capsys, "optimise", finished[0], "--out", "run")
+        absolute = cli(capsys, "optimise", finished[0], "--out", tmp_path / "run")
+    finally:
+        with suppress(OSError):
+            os.chdir(tmp_path)
+    assert relative[0] == 2
+    assert relative[2] == "blender-lidar: --out: run: the folder cannot be made: No such file or directory\n"
+    assert absolute[0] == 0
