@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from . import __version__
 from .errors import BlenderLidarError, output_error, printable
-from .stop_signals import stops_watched
+from .stop_signals import stops_deferred, stops_watched
 
 _VERBS = ("optimise", "evaluate", "stability", "scan", "score", "compare", "build", "render", "sensors", "doctor")
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
@@ -131,8 +131,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"blender_lidar {__version__}")
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=_OneLineParser)
-    for verb in _VERBS:
-        importlib.import_module(f".commands.{verb}", __package__).add_parser(subparsers)
+    with stops_deferred():  # an import that is interrupted may fail in any way
+        for verb in _VERBS:
+            importlib.import_module(f".commands.{verb}", __package__).add_parser(subparsers)
     return parser
 
 

@@ -171,6 +171,21 @@ def test_what_is_deferred_comes_when_the_block_ends_and_once():
     assert (done.returncode, done.stdout, done.stderr) == (0, "whole\nstopped\n", "")
 
 
+def test_a_stop_while_blender_started_was_swallowed_or_crashed_it():
+    pytest.importorskip("bpy")
+    done = python(
+        "import os, sys, threading\n"
+        "from blender_lidar.world.needs_blender import blender_room\n"
+        "with stop_signals.stops_watched():\n"
+        "    try:\n"
+        "        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM)).start()\n"
+        "        blender_room('scene', 'a test')\n"
+        "        time.sleep(60)\n"
+        "    except KeyboardInterrupt: print('stopped')"
+    )
+    assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "stopped", "")
+
+
 def test_a_stop_while_charts_are_drawn_did_not_say_how_to_go_on(attack, tmp_path, scene):
     pytest.importorskip("matplotlib")
     out = tmp_path / "run"

@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 
 from ..errors import MissingExtraError, unknown_name
+from ..stop_signals import stops_deferred
 from .protocol import Caster, Hits
 
 CASTERS = ("bvh", "embree", "exact")
@@ -49,5 +50,6 @@ def resolve(name: str, where: str = "") -> str:
 
 def caster_class(name: str) -> type[Caster]:
     """The class behind a caster's name; `name` as from `resolve`."""
-    module = importlib.import_module(f".{name}", __package__)
+    with stops_deferred():  # Blender swallows what interrupts its start, or crashes
+        module = importlib.import_module(f".{name}", __package__)
     return getattr(module, f"{name.capitalize()}Caster")

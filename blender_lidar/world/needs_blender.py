@@ -6,6 +6,7 @@ import importlib
 from types import ModuleType
 
 from ..errors import MissingExtraError
+from ..stop_signals import stops_deferred
 
 
 def blender_room(name: str, needed_by: str) -> ModuleType:
@@ -17,7 +18,8 @@ def blender_room(name: str, needed_by: str) -> ModuleType:
         When Blender is not installed; `needed_by` says what needs it.
     """
     try:
-        return importlib.import_module(f".blender.{name}", __package__)
+        with stops_deferred():  # Blender swallows what interrupts its start, or crashes
+            return importlib.import_module(f".blender.{name}", __package__)
     except ImportError as error:
         if error.name != "bpy":
             raise
