@@ -7,6 +7,7 @@ and a triangle, after a bounding-sphere test in float64 that leaves far too much
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 
@@ -21,13 +22,13 @@ def first_distances(triangles, origins, directions, max_range=np.inf) -> np.ndar
     middle = triangles.mean(axis=1)
     radius = np.linalg.norm(triangles - middle[:, None], axis=2).max(axis=1)
     found = np.full(len(directions), np.inf)
-    exactly = [[tuple(map(Fraction, corner)) for corner in triangle] for triangle in triangles.tolist()]
+    exactly = cache(lambda at: [tuple(map(Fraction, corner)) for corner in triangles[at].tolist()])
     for row, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
         towards = middle - origin
         off = np.linalg.norm(np.cross(towards, direction), axis=1)
         near = np.flatnonzero(off <= radius + 1e-6 * (1.0 + np.abs(towards).max(axis=1)))
         start, way = tuple(map(Fraction, origin.tolist())), tuple(map(Fraction, direction.tolist()))
-        distances = [distance for at in near if (distance := _distance(exactly[at], start, way)) is not None]
+        distances = [distance for at in near.tolist() if (distance := _distance(exactly(at), start, way)) is not None]
         if distances and min(distances) <= max_range:
             found[row] = float(min(distances))
     return found

@@ -221,14 +221,11 @@ def test_no_ray_leaks_at_a_vertex_or_an_edge(caster, closed, detail, name):
 
 
 @pytest.mark.parametrize("caster", FAST)
-@pytest.mark.parametrize(
-    ("detail", "vehicles", "aimed", "knife_edges"), [("body", 130, 2000, 0), ("detailed", 30, 1000, 0)]
-)
+@pytest.mark.parametrize(("detail", "vehicles", "aimed"), [("body", 130, 2000), ("detailed", 30, 1000)])
 @pytest.mark.parametrize("origin", [[0.0, 0.0, 4.4], [-120.0, -1.0, 4.5]], ids=["amid", "at the end"])
 def test_rays_aimed_at_vertices_and_edges_of_a_whole_frame_meet_what_the_oracle_meets(
-    caster, detail, vehicles, aimed, knife_edges, origin
+    caster, detail, vehicles, aimed, origin
 ):
-    """But for a few that graze an outline, where the oracle too meets the one or the other within 1e-7 rad."""
     corners = vehicle_triangles(dense_traffic(vehicles=vehicles), detail).corners
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
     targets = np.unique(np.concatenate([corners, middles]).reshape(-1, 3).round(12), axis=0)
@@ -236,14 +233,9 @@ def test_rays_aimed_at_vertices_and_edges_of_a_whole_frame_meet_what_the_oracle_
     origin, exact = np.array(origin), caster_class("exact")(corners)
     rays = unit_rows(targets - origin)
     expected = exact.cast(origin, rays).distance
-    beside = 1e-7 * np.random.default_rng(1).normal(size=(20, 3))
     for closed in (True, False):
         found = caster_class(caster)(corners, closed).cast(origin, rays).distance
-        different = np.flatnonzero(~np.isclose(found, expected, rtol=0.0, atol=1e-6))
-        assert len(different) <= knife_edges
-        for ray in different:
-            near = exact.cast(origin, unit_rows(rays[ray] + beside)).distance
-            assert np.isclose(near, found[ray], rtol=0.0, atol=1e-3).any()
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", FAST)
@@ -340,6 +332,7 @@ def test_the_margins_are_what_closes_the_leaks(name, monkeypatch):
     rays = unit_rows(aims - origins)
     assert np.isfinite(caster_class(name)(floor).cast(origins, rays).distance).all()
     monkeypatch.setattr("blender_lidar.casting.tree._MARGIN_OPEN", 0.0)
+    monkeypatch.setattr("blender_lidar.casting.tree._BESIDE", np.zeros(3))
     assert np.isinf(caster_class(name)(floor).cast(origins, rays).distance).sum() >= 5
 
 

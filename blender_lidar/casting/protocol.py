@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import InputError
+from ..world.triangles import MOST_M
 
 MISS = -1
 _UNIT_TOLERANCE = 1e-6
 _LEAST_HEIGHT = 1e-12  # of a triangle, relative to its size and coordinates: what is flatter is rounding, not area
 _FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit whatever the range
-MOST_M = 1e15  # of a coordinate: the squares and cubes of what is farther away would leave float32
 
 
 class Hits(NamedTuple):

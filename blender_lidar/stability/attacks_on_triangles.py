@@ -127,7 +127,7 @@ def needles(rng, quick):
 
 def fans_of_needles(rng, quick):
     """Cones whose hundreds of needles meet in one tip, closed and seen from outside."""
-    for sides, height in ((12, 2.0), (200, 2.0), (2000, 0.01)):
+    for sides, height in ((12, 2.0), (200, 2.0), (800, 0.01)):
         turn = 2.0 * np.pi * np.arange(sides) / sides
         rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(sides)])
         after, tip, foot = np.roll(rim, -1, axis=0), np.zeros((sides, 3)), np.zeros((sides, 3))

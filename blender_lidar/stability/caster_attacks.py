@@ -138,7 +138,7 @@ def _is_knife_edge(attack, row, found, truth, oracle):
     """Whether the oracle says of a ray beside the one in a row what the caster says of it."""
     distance = found.distance[row]
     nearest = min(distance, truth.distance[row])
-    if abs(nearest - attack.max_range_m) <= _KNIFE_GATE * attack.max_range_m:
+    if abs(nearest - attack.max_range_m) <= _KNIFE_GATE * nearest:
         return True
     rng = np.random.default_rng(0)
     reach = 10.0 ** rng.uniform(-4.0, 0.0, (_NEIGHBOURS, 1))  # near ones and far ones

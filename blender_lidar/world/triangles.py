@@ -11,6 +11,7 @@ from ..traffic.vehicles import Vehicles
 from .shapes import shape, shape_of
 
 STATIC = -1  # owner of what belongs to no vehicle
+MOST_M = 1e15  # of a coordinate: of what is farther away not even casters in float64 can tell the shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,7 @@ def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
     Raises
     ------
     InputError
-        For a vehicle whose place is not finite or whose size is not above 0, by its number: no ray would meet it.
+        For a vehicle whose place is not finite or whose size is not above 0, by its number: rays would miss it.
     """
     _check_boxes(vehicles)
     names = shape_names(vehicles)
@@ -57,15 +58,15 @@ def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
 
 
 def _check_boxes(vehicles):
-    placed = np.isfinite(vehicles.centre_m).all(axis=1) & np.isfinite(vehicles.heading_rad)
-    sized = ((vehicles.size_m > 0.0) & np.isfinite(vehicles.size_m)).all(axis=1)
+    placed = (np.abs(vehicles.centre_m) < MOST_M).all(axis=1) & np.isfinite(vehicles.heading_rad)
+    sized = ((vehicles.size_m > 0.0) & (vehicles.size_m < MOST_M)).all(axis=1)
     if (placed & sized).all():
         return
     row = int(np.flatnonzero(~(placed & sized))[0])
     who = f"vehicle {vehicles.vehicle_id[row]} of frame {vehicles.frame}"
     if not placed[row]:
-        at = [*vehicles.centre_m[row].tolist(), vehicles.heading_rad[row].item()]
-        raise InputError(f"{who}: its centre and heading are {at}; allowed: finite numbers")
+        at = f"{vehicles.centre_m[row].tolist()} m, its heading {vehicles.heading_rad[row]} rad"
+        raise InputError(f"{who}: its centre is {at}; allowed: finite, and less than {MOST_M:g} m from 0")
     raise InputError(f"{who}: its size is {vehicles.size_m[row].tolist()} m; allowed: lengths above 0 m")
 
 
