@@ -42,7 +42,7 @@ def moved(vehicles, away):
 
 
 def awkward_mountings():
-    """Within a vehicle, on its roof, above a corner of it, in the plane of its roof, on the road, and at the roadside."""
+    """Within a vehicle, on its roof, above its corner, in the plane of its roof, on the road, and at the roadside."""
     x, y, z = TRAFFIC.centre_m[0].tolist()
     half = 0.5 * TRAFFIC.size_m[0]
     return [
