@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from . import __version__
-from .errors import BlenderLidarError, output_error, printable
+from .errors import BlenderLidarError, one_line, output_error
 from .stop_signals import stops_deferred, stops_watched
 
 _VERBS = ("optimise", "evaluate", "stability", "scan", "score", "compare", "build", "render", "sensors", "doctor")
@@ -74,7 +74,7 @@ def _carried_out(argv: Sequence[str] | None) -> int:
 
 
 def _failed(text: str, code: int) -> int:
-    print(f"blender-lidar: {printable(' '.join(text.split()))}", file=sys.stderr)
+    print(f"blender-lidar: {one_line(text)}", file=sys.stderr)
     return code
 
 
@@ -144,9 +144,9 @@ class _OneLineParser(argparse.ArgumentParser):
         super().__init__(**settings, allow_abbrev=False)
 
     def error(self, message: str):
-        print(f"{self.prog}: {' '.join(message.split())} (see {self.prog} --help)", file=sys.stderr)
+        print(f"{self.prog}: {one_line(message)} (see {self.prog} --help)", file=sys.stderr)
         raise SystemExit(WRONG_INPUT)
 
 
 def _one_line_warning(message, category, filename, lineno, file=None, line=None) -> None:
-    print(f"blender-lidar: note: {' '.join(str(message).split())}", file=sys.stderr)
+    print(f"blender-lidar: note: {one_line(str(message))}", file=sys.stderr)

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import difflib
 import errno
+import reprlib
 from collections.abc import Iterable
+
+_LONGEST_LINE = 2_000
+_LONGEST_NAME = 200
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = _LONGEST_NAME
+_SHORT.maxlist = _SHORT.maxdict = 50
 
 
 class BlenderLidarError(Exception):
     """Base of them all; the command line prints one as a line and exits with the code."""
 
     exit_code = 2
+
+    def __str__(self) -> str:
+        """The text as one line of bearable length, whatever names and values of a file stand in it."""
+        text = super().__str__()
+        return text if text.isprintable() and len(text) <= _LONGEST_LINE else one_line(text)
 
 
 class InputError(BlenderLidarError, ValueError):
@@ -58,6 +70,12 @@ def output_error(text: str, error: OSError) -> OutputError:
     return kind(f"{text}: {error.strerror or error}")
 
 
+def one_line(text: str) -> str:
+    """A text as one line that a terminal may show, its middle left out where it is very long."""
+    line = printable(" ".join(text.split()))
+    return line if len(line) <= _LONGEST_LINE else f"{line[: _LONGEST_LINE - 500]} ... {line[-400:]}"
+
+
 def printable(text: str, longest: int | None = None) -> str:
     """A text from a file as a line on a terminal may hold it.
 
@@ -83,7 +101,12 @@ def unknown_name(given: object, allowed: Iterable[str], what: str, where: str = 
     """
     names = [str(name) for name in allowed]
     by_lower = {name.lower(): name for name in names}
-    near = difflib.get_close_matches(str(given).lower(), list(by_lower), n=1, cutoff=0.5)
+    near = difflib.get_close_matches(str(given).lower()[:_LONGEST_NAME], list(by_lower), n=1, cutoff=0.5)
     hint = f"did you mean {by_lower[near[0]]!r}? " if near else ""
     prefix = f"{where}: " if where else ""
-    return InputError(f"{prefix}unknown {what} {given!r}; {hint}allowed: {', '.join(names)}")
+    return InputError(f"{prefix}unknown {what} {shown(given)}; {hint}allowed: {', '.join(names)}")
+
+
+def shown(value: object) -> str:
+    """A value of a file, of any size and however deep it nests, as an error shows it."""
+    return _SHORT.repr(value)

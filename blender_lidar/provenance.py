@@ -13,6 +13,7 @@ from pathlib import Path
 
 from . import __version__
 from .errors import InputError, MissingFileError
+from .input_file import open_file
 from .settings import Scenario
 
 
@@ -86,7 +87,7 @@ def _stamp(path: str | Path) -> tuple[int, int, int] | None:
 def file_digest(path: str | Path) -> str:
     """SHA-256 of a file's content."""
     try:
-        with Path(path).open("rb") as stream:
+        with open_file(path) as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: there is no such file") from error

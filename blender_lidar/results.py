@@ -9,15 +9,17 @@ import csv
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
 
 from . import __version__
-from .errors import InputError, MissingFileError
+from .errors import InputError, MissingFileError, shown
 from .formats.atomic import check_folder, make_folder, write_text
 from .formats.lock import folder_lock
 from .formats.tables import to_csv, write_columns
+from .input_file import open_file, read_text
 from .provenance import run_identity, versions
 from .settings import Scenario
 from .study.score_map import ScoreMap
@@ -36,6 +38,7 @@ _FILES += (VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION, REPORT)
 SHARP, ROBUST = "search", "robust"  # the searches of a checkpoint: of mountings as planned, and over a tolerance
 _SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a run has written
 
+_LONGEST_TEXT, _LARGEST_WHOLE = 100, 2**53
 _BLOCK_OBJECTIVE, _BLOCK_VEHICLES = "objective_block_", "vehicles_block_"  # columns of the score map
 _DECIMALS = {
     **dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "distance_m"), 3),
@@ -215,7 +218,7 @@ class RunFolder:
         whole, texts = ("frame", "vehicle_id", "points", "lane"), ("class", "split")
         with _reading(self.file(name)) as columns:
             table = {key: columns[key] if key in texts else _finite(columns[key], key) for key in _columns_in(columns)}
-            table |= {key: table[key].astype(np.int64) for key in whole}
+            table |= {key: _whole(table[key], key) for key in whole}
             return table | {"detectable": table["detectable"] > 0}
 
     def read_score_map(self) -> ScoreMap | None:
@@ -243,8 +246,8 @@ class RunFolder:
     def _is_ours(self):
         """Whether a run has written its scene here, which is the first thing that a run writes."""
         try:
-            with self.file(SCENE).open(encoding="utf-8") as stream:
-                return stream.readline().startswith(_SCENE_MARK)
+            with open_file(self.file(SCENE)) as stream:
+                return stream.readline(len(_SCENE_MARK)) == _SCENE_MARK.encode()
         except (OSError, ValueError):
             return False
 
@@ -262,7 +265,7 @@ class RunFolder:
         if not path.exists():
             return None
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(read_text(path))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: cannot be read: {error}") from error
         if not isinstance(content, dict):
@@ -276,7 +279,8 @@ class RunFolder:
         for key in sorted({*stored, *identity}):
             if stored.get(key) != identity.get(key):
                 raise InputError(
-                    f"--resume: {self.path}: the run there had {key} = {stored.get(key)!r}, not {identity.get(key)!r}; "
+                    f"--resume: {self.path}: the run there had {key} = {shown(stored.get(key))}, not "
+                    f"{shown(identity.get(key))}; "
                     "give it the same settings, or another --out"
                 )
 
@@ -290,7 +294,7 @@ def _columns_in(table: Mapping) -> tuple[str, ...]:
 def _reading(path: Path) -> Iterator[dict[str, np.ndarray]]:
     """The columns of a table that a run wrote, numbers as floats; a missing or damaged one is refused by name."""
     try:
-        with path.open(encoding="utf-8", newline="") as stream:
+        with TextIOWrapper(open_file(path), encoding="utf-8", newline="") as stream:
             header, *rows = csv.reader(stream)
         columns = dict(zip(header, zip(*rows, strict=True), strict=True))
         yield {name: _numbers_or_texts(texts) for name, texts in columns.items()}
@@ -307,8 +311,17 @@ def _finite(values: np.ndarray, name: str) -> np.ndarray:
     return values
 
 
+def _whole(values: np.ndarray, name: str) -> np.ndarray:
+    """The values of a column, if all of them are whole numbers that a float holds exactly."""
+    if not ((np.abs(values) <= _LARGEST_WHOLE) & (np.rint(values) == values)).all():
+        raise ValueError(f"column {name} holds what is no whole number")
+    return values.astype(np.int64)
+
+
 def _numbers_or_texts(texts: tuple[str, ...]) -> np.ndarray:
     try:
         return np.array(texts, dtype=float)
     except ValueError:
+        if max(map(len, texts)) > _LONGEST_TEXT:  # an array would have that much room for each of them
+            raise ValueError(f"a text of more than {_LONGEST_TEXT} characters") from None
         return np.array(texts)

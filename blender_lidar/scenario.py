@@ -48,6 +48,7 @@ COORDINATE_LIMITS = {
 # What an option of the key's name puts out of force in the file: frames are listed or spread evenly.
 _RIVALS = {("traffic", "frame_ids"): ("frames", "spacing_s"), ("traffic", "frames"): ("frame_ids",)}
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
+_LARGEST_M, _LARGEST_ORIGIN_M = 1e6, 1e9  # of the road, and of a place in a net; sums and squares stay finite
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT_LIMIT = 10.0  # of DE-PSO's coefficients; the paper's are below 1, and huge ones overflow
@@ -123,7 +124,7 @@ def _traffic(table: TomlTable, folder: Path) -> TrafficSettings:
         format=table.text("format", "auto", allowed=FORMATS),
         period=table.text("period", None),
         location=table.text("location", None),
-        origin_m=table.numbers("origin_m", None, count=2),
+        origin_m=table.numbers("origin_m", None, count=2, largest=_LARGEST_ORIGIN_M),
         heading_deg=table.number("heading_deg", None, low=-360.0, high=360.0),
         lanes=table.whole_numbers("lanes", None),
         frames=DEFAULT_COUNT if frames is None and frame_ids is None and spacing_s is None else frames,
@@ -145,9 +146,9 @@ def _path(table: TomlTable, key: str, folder: Path, path: str) -> str:
 def _road(table: TomlTable) -> RoadFrame:
     default = RoadFrame()
     return RoadFrame(
-        station_m=table.number("station_m", default.station_m),
-        right_edge_m=table.number("right_edge_m", default.right_edge_m),
-        setback_m=table.number("setback_m", default.setback_m, low=0.0),
+        station_m=table.number("station_m", default.station_m, low=-_LARGEST_M, high=_LARGEST_M),
+        right_edge_m=table.number("right_edge_m", default.right_edge_m, low=-_LARGEST_M, high=_LARGEST_M),
+        setback_m=table.number("setback_m", default.setback_m, low=0.0, high=_LARGEST_M),
         lanes=table.whole("lanes", default.lanes, low=1, high=50),
         lane_width_m=table.number("lane_width_m", default.lane_width_m, above=0.0, high=10.0),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import reprlib
 import sys
 import tomllib
@@ -10,11 +11,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from .errors import InputError, MissingFileError, unknown_name
+from .input_file import read_file
 
 _MAX_BYTES = 1 << 20
 _LARGEST_WHOLE = 2**53  # what a float and a CSV column still hold exactly
 _LARGEST_FLOAT = sys.float_info.max
 _REQUIRED = object()
+_MOST_PARTS = 50
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{_MOST_PARTS},}}")
 
 
 def read_toml(path: str | Path) -> dict:
@@ -27,8 +32,7 @@ def read_toml(path: str | Path) -> dict:
     """
     path = Path(path)
     try:
-        with path.open("rb") as stream:
-            content = stream.read(_MAX_BYTES + 1)
+        content = read_file(path, _MAX_BYTES + 1)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: there is no such file") from error
     except IsADirectoryError as error:
@@ -38,13 +42,28 @@ def read_toml(path: str | Path) -> dict:
     if len(content) > _MAX_BYTES:
         raise InputError(f"{path}: is larger than {_MAX_BYTES} bytes; allowed: a TOML file of settings")
     try:
-        return tomllib.loads(content.decode("utf-8-sig"))
+        return parse_toml(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}); allowed: a TOML file"
         ) from error
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
         raise InputError(f"{path}: is not TOML: {str(error).splitlines()[0]}") from error
+
+
+def parse_toml(text: str) -> dict:
+    """The content of a text of TOML.
+
+    Raises
+    ------
+    ValueError, RecursionError
+        When it is not TOML, nests too deep, or has a key of so many parts that the parser would take hours.
+    """
+    found = _LONG_KEY.search(text)
+    if found:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"a key of more than {_MOST_PARTS} parts (at line {line})")
+    return tomllib.loads(text)
 
 
 class TomlTable:
@@ -117,14 +136,14 @@ class TomlTable:
             raise unknown_name(value, allowed, key, self.where(key))
         return value
 
-    def numbers(self, key, default=_REQUIRED, *, count: int):
-        """A list of `count` finite numbers, as a tuple."""
+    def numbers(self, key, default=_REQUIRED, *, count: int, largest=math.inf):
+        """A list of `count` finite numbers, none beyond `largest` on either side of 0, as a tuple."""
         value = self._get(key, default)
         if value is None:
             return None
         if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != count:
             raise InputError(f"{self.where(key)}: is {_shown(value)}; allowed: a list of {count} numbers")
-        return tuple(self._checked_number(entry, key) for entry in value)
+        return tuple(self._checked_number(entry, key, -largest, largest) for entry in value)
 
     def number_or_pair(self, key, default, *, low=-math.inf, high=math.inf):
         """A number, or a pair [low, high] with the first below the second."""

@@ -10,6 +10,7 @@ from .toml_table import TomlTable
 from .world.barriers import BARRIERS
 
 _BARRIER_X_M, _LONGEST_BARRIER_M = (-200.0, 200.0), 10_000.0
+_FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
 
 
 def world_settings(table: TomlTable, folder: Path) -> WorldSettings:
@@ -28,7 +29,7 @@ def world_settings(table: TomlTable, folder: Path) -> WorldSettings:
     return WorldSettings(
         ground=table.boolean("ground", True),
         **{key: None if name is None else str(folder / name) for key, name in files.items()},
-        origin_m=table.numbers("origin_m", (0.0, 0.0, 0.0), count=3),
+        origin_m=table.numbers("origin_m", (0.0, 0.0, 0.0), count=3, largest=1e9),
         heading_deg=table.number("heading_deg", 0.0, low=-360.0, high=360.0),
         boxes=tuple(_box(entry, number) for number, entry in enumerate(table.table_list("boxes"), start=1)),
         barriers=tuple(_barrier(entry) for entry in table.table_list("barriers")),
@@ -36,12 +37,12 @@ def world_settings(table: TomlTable, folder: Path) -> WorldSettings:
 
 
 def _box(table: TomlTable, number: int) -> BoxSettings:
-    size_m = table.numbers("size_m", count=3)
+    size_m = table.numbers("size_m", count=3, largest=_FARTHEST_M)
     if not all(length > 0.0 for length in size_m):
         raise InputError(f"{table.where('size_m')}: is {list(size_m)}; allowed: a length, width and height above 0")
     box = BoxSettings(
         name=table.text("name", f"box {number}"),
-        centre_m=table.numbers("centre_m", count=3),
+        centre_m=table.numbers("centre_m", count=3, largest=_FARTHEST_M),
         size_m=size_m,
         heading_deg=table.number("heading_deg", 0.0, low=-360.0, high=360.0),
     )
@@ -50,11 +51,13 @@ def _box(table: TomlTable, number: int) -> BoxSettings:
 
 
 def _barrier(table: TomlTable) -> BarrierSettings:
-    x_m = table.number_or_pair("x_m", _BARRIER_X_M)
+    x_m = table.number_or_pair("x_m", _BARRIER_X_M, low=-_FARTHEST_M, high=_FARTHEST_M)
     if not isinstance(x_m, tuple):
         raise InputError(f"{table.where('x_m')}: is {x_m}; allowed: a pair [from, to]")
     if x_m[1] - x_m[0] > _LONGEST_BARRIER_M:
         raise InputError(f"{table.where('x_m')}: is {list(x_m)}; allowed: at most {_LONGEST_BARRIER_M:g} m apart")
-    barrier = BarrierSettings(kind=table.text("kind", allowed=BARRIERS), y_m=table.number("y_m"), x_m=x_m)
+    barrier = BarrierSettings(
+        kind=table.text("kind", allowed=BARRIERS), y_m=table.number("y_m", low=-_FARTHEST_M, high=_FARTHEST_M), x_m=x_m
+    )
     table.finish()
     return barrier

@@ -38,17 +38,18 @@ LIBRARIES = {
 # `world` makes triangles of and what `casting` culls by, so both know it.
 ROOMS = {
     "errors": set(),
+    "input_file": set(),
     "stop_signals": set(),
-    "toml_table": set(),
+    "toml_table": {"input_file"},
     "metrics": set(),
     "optimise": {"metrics"},
-    "sensors": {"toml_table"},
-    "traffic": set(),
+    "sensors": {"input_file", "toml_table"},
+    "traffic": {"input_file"},
     "world": {"stop_signals", "traffic"},
     "world/blender": {"formats", "scan", "sensors", "stop_signals", "traffic", "world"},
     "casting": {"sensors", "stop_signals", "traffic", "world"},
     "scan": {"casting", "sensors", "traffic", "world"},
-    "formats": {"scan", "traffic"},
+    "formats": {"input_file", "scan", "traffic"},
     "plots": {"metrics", "sensors"},
     "settings": {"sensors", "traffic"},
     "sensor_table": {"sensors", "settings", "toml_table"},
@@ -66,7 +67,7 @@ ROOMS = {
         "world",
         "world_table",
     },
-    "provenance": {"settings"},
+    "provenance": {"input_file", "settings"},
 }
 NEAR_THE_DOOR = {
     "study",

@@ -124,7 +124,7 @@ def refusal(path):
             {"xyz": np.zeros((1, 3)), "vehicle_id": np.array(["7"])},
             "vehicle_id is of type <U1; allowed: whole numbers",
         ),
-        ({"xyz": np.array([["a", "b", "c"]])}, "is not a readable NPZ file"),
+        ({"xyz": np.array([["a", "b", "c"]])}, "xyz is of type <U1; allowed: numbers"),
         ({"xyz": np.array([[None, 1, 2]], dtype=object)}, "is not a readable NPZ file"),
     ],
 )
@@ -190,6 +190,7 @@ def test_a_file_that_may_not_be_opened_is_one_line(tmp_path, monkeypatch, suffix
 
     monkeypatch.setattr(Path, "open", refuse)
     monkeypatch.setattr("builtins.open", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     assert refusal(path) == "cannot be read (Permission denied)"
 
 

@@ -197,6 +197,8 @@ def parse_frames(text: str, option: str) -> list[int]:
                 f"{option}: {part!r}; allowed: a range from:to:step with to not below from and step 1 or more"
             )
         frames += range(first, last + 1, step)
+        if len(frames) > _MOST_FRAMES:
+            raise InputError(f"{option}: names more than {_MOST_FRAMES:,} frames")
     return frames
 
 

@@ -15,6 +15,7 @@ from ..scan import PointCloud, class_names
 from .atomic import write_bytes
 from .kitti import write_kitti
 from .las import write_las
+from .npz import read_npz
 from .pcd import read_pcd, write_pcd
 from .ply import write_ply
 
@@ -47,6 +48,7 @@ WRITERS: dict[str, Callable[[str | Path, PointCloud, dict], None]] = {
     ".laz": write_las,
 }
 READABLE = (".npz", ".pcd")
+_FARTHEST_M = 1e9  # farther is no place but a mark of no return, and its square may be none either
 
 
 def check_cloud_name(path: str | Path, option: str, formats: Iterable[str] = WRITERS) -> Path:
@@ -85,38 +87,27 @@ def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
         If there is no such file, or it cannot be used.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(READABLE)}")
-    check_cloud_name(path, "cloud", READABLE)
     try:
-        points, vehicle_id = _read_npz(path) if path.suffix.lower() == ".npz" else read_pcd(path)
+        if path.is_dir():
+            raise IsADirectoryError
+        check_cloud_name(path, "cloud", READABLE)
+        points, vehicle_id = read_npz(path) if path.suffix.lower() == ".npz" else read_pcd(path)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: there is no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(READABLE)}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"{path}: xyz has shape {points.shape}; allowed: (n, 3)")
     if vehicle_id is not None and vehicle_id.shape != (len(points),):
         raise InputError(f"{path}: vehicle_id has shape {vehicle_id.shape}; allowed: ({len(points)},)")
-    finite = np.isfinite(points).all(axis=1)
+    finite = (np.abs(points) <= _FARTHEST_M).all(axis=1)
     if not finite.all():
-        text = f"{path}: {np.count_nonzero(~finite)} of {len(points)} points left out: not finite"
+        farther = "" if np.isfinite(points).all(axis=1).sum() == finite.sum() else f", or beyond {_FARTHEST_M:g} m"
+        text = f"{path}: {np.count_nonzero(~finite)} of {len(points)} points left out: not finite{farther}"
         warnings.warn(text, stacklevel=2)
     return points[finite], None if vehicle_id is None else _whole_ids(path, vehicle_id[finite])
-
-
-def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    try:
-        with np.load(path, allow_pickle=False) as content:
-            if "xyz" not in content:
-                raise InputError(f"{path}: has no array 'xyz'; it has {', '.join(content.files) or 'nothing'}")
-            points = np.asarray(content["xyz"], dtype=float)
-            return points, content.get("vehicle_id")
-    except (InputError, OSError):
-        raise
-    except Exception as error:  # NumPy and zipfile raise many kinds for a damaged file
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: is not a readable NPZ file ({reason})") from error
 
 
 def _whole_ids(path: Path, vehicle_id: np.ndarray) -> np.ndarray:

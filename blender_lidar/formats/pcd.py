@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import InputError
+from ..input_file import open_file
 from ..scan import PointCloud
 from .atomic import write_bytes
 from .identifiers import check_ids_fit
@@ -28,6 +29,7 @@ _FIELDS = (
 _NUMPY_KINDS = {"F": "f", "U": "u", "I": "i"}
 _PADDING = "_"
 _LONGEST_LINE = 2**16
+_MOST_HEADER_LINES = 1_000
 
 
 def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
@@ -72,12 +74,13 @@ def read_pcd(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     OSError
         If it cannot be read.
     """
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         header = _read_header(path, stream)
         body = stream.read()
     try:
         columns = _READERS[header.encoding](header, body)
-        xyz = np.stack([np.asarray(columns[axis], dtype=float) for axis in "xyz"], axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):  # such points are left out later
+            xyz = np.stack([np.asarray(columns[axis], dtype=float) for axis in "xyz"], axis=1)
     except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{path}: damaged PCD file ({error})") from error
     return xyz, columns["vehicle_id"] if "vehicle_id" in header.names else None
@@ -95,8 +98,10 @@ class _Header:
 def _read_header(path: Path, stream: BinaryIO) -> _Header:
     """What the lines up to DATA say; `stream` then stands at the first point."""
     entries: dict[str, list[str]] = {}
+    lines = 0
     while "DATA" not in entries:
-        line = stream.readline(_LONGEST_LINE)
+        line = stream.readline(_LONGEST_LINE) if lines < _MOST_HEADER_LINES else b""
+        lines += 1
         words = line.decode("ascii", errors="replace").split()
         if not line or (not entries and words and not words[0].startswith("#") and words[0] != "VERSION"):
             raise InputError(f"{path}: is not a PCD file: no header with a DATA line")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, MissingFileError, printable
+from ..input_file import read_file
 from .labelled import LabelledBoxes, LabelledSweep
 
 FOLDERS = {"velodyne": ".bin", "label_2": ".txt", "calib": ".txt"}
@@ -39,7 +40,8 @@ def read_velodyne(path: Path) -> np.ndarray:
     content = _bytes_of(path)
     if len(content) % 16:
         raise InputError(f"{path}: {len(content)} bytes; allowed: 16 for each point (x, y, z, reflectance as float32)")
-    points = np.frombuffer(content, dtype="<f4").reshape(-1, 4)[:, :3].astype(float)
+    with np.errstate(invalid="ignore"):
+        points = np.frombuffer(content, dtype="<f4").reshape(-1, 4)[:, :3].astype(float)
     finite = np.isfinite(points)
     return points if finite.all() else points[finite.all(axis=1)]
 
@@ -54,7 +56,7 @@ def read_calibration(path: Path) -> np.ndarray:
     rectify[:3, :3] = _matrix(path, entries, *_RECTIFY).reshape(3, 3)
     to_camera[:3] = _matrix(path, entries, *_TO_CAMERA).reshape(3, 4)
     motion = rectify @ to_camera
-    if np.abs(motion[:3, :3] @ motion[:3, :3].T - np.eye(3)).max() > 1e-3:
+    if not np.abs(motion[:3, :3] @ motion[:3, :3].T - np.eye(3)).max() <= 1e-3:  # NaN is no rotation either
         raise InputError(f"{path}: {_RECTIFY[0]} times {_TO_CAMERA[0]} is no rotation")
     return motion
 
@@ -97,6 +99,8 @@ def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
         raise InputError(f"{path}:{line}: {error}") from error
     if not np.isfinite(numbers).all() or max(map(abs, numbers[10:13])) > _LARGEST_M:
         raise InputError(f"{path}:{line}: a number is not finite or a place is beyond {_LARGEST_M:g} m")
+    if max(map(abs, (*numbers[7:10], numbers[13]))) > _LARGEST_M:
+        raise InputError(f"{path}:{line}: a side of the box or its turn is beyond {_LARGEST_M:g}")
     if min(numbers[7:10]) <= 0.0:
         raise InputError(f"{path}:{line}: a side of the box is {min(numbers[7:10]):g} m; allowed: more than 0")
     if numbers[1] not in (-1, 0, 1, 2, 3):
@@ -114,6 +118,8 @@ def _matrix(path: Path, entries: dict[str, list[str]], name: str, count: int) ->
         raise InputError(f"{path}: {name}: {error}") from error
     if not np.isfinite(numbers).all():
         raise InputError(f"{path}: {name} holds a number that is not finite")
+    if np.abs(numbers).max() > _LARGEST_M:
+        raise InputError(f"{path}: {name} holds a number beyond {_LARGEST_M:g}")
     return numbers
 
 
@@ -123,7 +129,7 @@ def _lines_of(path: Path) -> list[str]:
 
 def _bytes_of(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_file(path)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: there is no such file") from error
     except OSError as error:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError, MissingFileError, printable
 from ..formats.clouds import read_points
+from ..input_file import read_text
 from .labelled import NOT_TOLD, LabelledBoxes, LabelledSweep
 
 FOLDERS = {"lidar": ".pcd", "label": ".json"}
@@ -49,7 +50,7 @@ def read_labels(path: Path) -> LabelledBoxes:
 
 def _objects(path: Path) -> list:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: there is no such file") from error
     except OSError as error:
@@ -73,8 +74,10 @@ def _box(path: Path, number: int, one: object) -> tuple[str, list[float]]:
         numbers.append(float(psr["rotation"]["z"]))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{where}: has no obj_type and psr with numbers (position, scale, rotation)") from error
+    if not isinstance(label, str):
+        raise InputError(f"{where}: obj_type is no text")
     if not np.isfinite(numbers).all() or max(map(abs, numbers)) > _LARGEST_M:
         raise InputError(f"{where}: a number is not finite or beyond {_LARGEST_M:g}")
     if min(numbers[3:6]) <= 0.0:
         raise InputError(f"{where}: a side of the box is {min(numbers[3:6]):g} m; allowed: more than 0")
-    return printable(str(label), 40), numbers
+    return printable(label, 40), numbers

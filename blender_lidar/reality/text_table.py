@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
+from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError, MissingFileError, printable, unknown_name
+from ..input_file import open_file
 
 _LONGEST_NAME = 255  # that of files, which frames are named after
+_MOST_COLUMNS = 1_000
 
 
 class TextTable:
@@ -28,9 +32,11 @@ class TextTable:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
+            with TextIOWrapper(open_file(path), encoding="utf-8-sig", errors="replace", newline="") as stream:
                 reader = csv.reader(stream)
                 header = [printable(name.strip(), _LONGEST_NAME) for name in next(reader, [])]
+                if len(header) > _MOST_COLUMNS:
+                    raise InputError(f"{path}: has {len(header):,} columns; allowed: at most {_MOST_COLUMNS:,}")
                 rows = [(reader.line_num, row) for row in reader if any(text.strip() for text in row)]
         except FileNotFoundError as error:
             raise MissingFileError(f"{path}: there is no such file") from error
@@ -38,7 +44,7 @@ class TextTable:
             raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
         except csv.Error as error:
             raise InputError(f"{path}: is no table ({error})") from error
-        twice = [name for number, name in enumerate(header) if name in header[:number]]
+        twice = [name for name, count in Counter(header).items() if count > 1]
         if twice:
             raise InputError(f"{path}: has two columns {twice[0]!r}")
         if not rows:
@@ -77,7 +83,7 @@ class TextTable:
         found = []
         for line, text in zip(self.lines, self.texts(name), strict=True):
             try:
-                value = float(text)
+                value = np.nan if "_" in text else float(text)  # "0_1" is 1 to Python alone
             except ValueError:
                 value = np.nan
             if not 0.0 <= value <= 1.0:

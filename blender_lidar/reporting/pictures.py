@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import InputError
+from ..input_file import read_file
 from ..results import RunFolder
 from .elements import Markup, element
 from .summary import mounting_name, mounting_text
@@ -115,7 +116,7 @@ def image(path: Path, alt: str) -> Markup:
         When the file cannot be read or is no whole PNG.
     """
     try:
-        data = path.read_bytes()
+        data = read_file(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     if not data.startswith(_SIGNATURE) or data[_FIRST] != b"IHDR" or data[_LAST] != b"IEND":

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, MissingFileError
+from ..input_file import read_text
 from ..metrics.catalogue import METRICS
 from ..optimise import READINGS
 from ..results import INSTALLATION, RESULT, SCENE, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
@@ -195,7 +196,7 @@ def _repairs(counts: Mapping) -> RepairReport:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: there is no such file") from error
     except (OSError, ValueError) as error:

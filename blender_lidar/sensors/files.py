@@ -5,15 +5,17 @@ from __future__ import annotations
 import csv
 import math
 import reprlib
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import InputError, MissingFileError, unknown_name
+from ..input_file import read_file
+from ..toml_table import parse_toml
 from .detection_range import STATED_RANGE_LIMITS_M
 
 SUFFIXES = (".toml", ".csv")
@@ -93,25 +95,38 @@ def read_sensor_file(path: Path) -> SensorFile:
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: a sensor file ends in {' or '.join(SUFFIXES)}")
     if suffix == ".csv":
-        return _checked({}, list(_csv_rows(text, path)), path)
+        return _checked({}, _few(_csv_rows(text, path), path), path)
     try:
-        table = tomllib.loads(text)
+        table = parse_toml(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
         raise InputError(f"{path}: not valid TOML: {error}") from None
     for key in table:
         if key not in _KEYS:
             raise unknown_name(key, _KEYS, "key", f"{path}:{key}")
-    return _checked(table, list(_toml_rows(table, path)), path)
+    return _checked(table, _few(_toml_rows(table, path), path), path)
+
+
+def _few(rows: Iterator[Row], path: Path) -> list[Row]:
+    """The rows, unless they are more than any sensor has: those beyond are counted, not kept."""
+    kept = list(islice(rows, MAX_RINGS))
+    beyond = sum(1 for _ in rows)
+    if beyond:
+        raise _wrong_number(len(kept) + beyond, path)
+    return kept
+
+
+def _wrong_number(rings: int, path: Path) -> InputError:
+    return InputError(f"{path}:beams: {rings} rings; allowed: 1 to {MAX_RINGS}")
 
 
 def _read_text(path: Path) -> str:
     try:
-        if path.is_dir():
-            raise InputError(f"{path}: a folder, where a sensor file ({' or '.join(SUFFIXES)}) is needed")
-        size = path.stat().st_size
-        raw = path.read_bytes() if size <= MAX_FILE_BYTES else b""
+        raw = read_file(path, MAX_FILE_BYTES + 1)
+        size = len(raw) if len(raw) <= MAX_FILE_BYTES else path.stat().st_size
     except FileNotFoundError:
         raise MissingFileError(f"{path}: no such sensor file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: a folder, where a sensor file ({' or '.join(SUFFIXES)}) is needed") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if size > MAX_FILE_BYTES:
@@ -224,7 +239,7 @@ def _check_turn(rates: Sequence[float], block_time_us: float, rings: int, path: 
 def _checked_beams(rows: Sequence[Row], path: Path) -> np.ndarray:
     count = len(rows)
     if not 1 <= count <= MAX_RINGS:
-        raise InputError(f"{path}:beams: {count} rings; allowed: 1 to {MAX_RINGS}")
+        raise _wrong_number(count, path)
     beams: dict[int, list[float]] = {}
     places: dict[int, str] = {}
     for where, row in rows:
@@ -285,6 +300,8 @@ def _text(value: object, where: str) -> str:
 
 def _parsed(cell: str, where: str) -> float:
     try:
+        if "_" in cell:  # "1_0" is 10 to Python alone
+            raise ValueError(cell)
         return float(cell)
     except ValueError:
         raise InputError(f"{where}: {_given(cell)} is not a number") from None

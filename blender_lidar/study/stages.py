@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..formats.atomic import check_folder, make_folder, write_text
 from ..formats.lock import folder_lock
+from ..input_file import read_text
 
 IDENTITY = "study.json"
 STAGES = "stages"
@@ -100,7 +101,7 @@ class StudyFolder:
             text = json.dumps(compute())
             write_text(path, f'{{"{_DIGEST}": "{_digest(text)}", "{_VALUE}": {text}}}\n')
         try:
-            stored = json.loads(path.read_text(encoding="utf-8"))
+            stored = json.loads(read_text(path))
             if not isinstance(stored, dict) or set(stored) != {_DIGEST, _VALUE}:
                 raise ValueError("it holds no stage")
             if stored[_DIGEST] != _digest(json.dumps(stored[_VALUE])):
@@ -115,7 +116,7 @@ class StudyFolder:
     def _check_identity(self, resume: bool) -> None:
         path = self.file(IDENTITY)
         try:
-            stored = json.loads(path.read_text(encoding="utf-8"))
+            stored = json.loads(read_text(path))
         except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: cannot be read: {error}") from error
         if not isinstance(stored, dict):
@@ -127,8 +128,8 @@ class StudyFolder:
         for key in sorted({*stored, *self._identity}):
             if stored.get(key) != self._identity.get(key):
                 raise InputError(
-                    f"--resume: {self.path}: the study there had {key} = {stored.get(key)!r}, not "
-                    f"{self._identity.get(key)!r}; give it the same settings, or another --out"
+                    f"--resume: {self.path}: the study there had {key} = {shown(stored.get(key))}, not "
+                    f"{shown(self._identity.get(key))}; give it the same settings, or another --out"
                 )
 
     def _sweep(self) -> None:

@@ -5,11 +5,11 @@ NGSIM files need pandas and SUMO's Parquet files pyarrow, imported when one is r
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ..errors import InputError, MissingExtraError, unknown_name
+from .csv_rows import fields_of
 from .frames import FramePlan, plan_frames
 from .instants import instants, well_populated_frames
 from .overlaps import overlapping_pairs
@@ -125,4 +125,4 @@ def _sniff(path: str | Path) -> str:
     if is_fcd(path):
         return "sumo"
     _, first = next(table_lines(path), (0, ""))
-    return "table" if is_table_header(next(csv.reader([first]), [])) else "ngsim"
+    return "table" if is_table_header(fields_of(first)) else "ngsim"

@@ -9,9 +9,17 @@ from itertools import islice
 from pathlib import Path
 
 from ..errors import InputError
-from .source import MAX_ROWS, open_bytes
+from .source import MAX_COLUMNS, MAX_ROWS, open_bytes
 
 _CHUNK_ROWS = 5_000  # more fill the processor's cache with short strings
+
+
+def fields_of(line: str, delimiter: str = ",") -> list[str]:
+    """The fields of one line; those of a line that is no CSV, as it holds a carriage return, with their quotes."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:
+        return line.split(delimiter)
 
 
 def csv_columns(
@@ -28,33 +36,29 @@ def csv_columns(
     Raises
     ------
     InputError
-        If a row has another number of fields than the header, or there are more than `MAX_ROWS`.
+        If a row has another number of fields than the header, or there are more than `MAX_ROWS` or `MAX_COLUMNS`.
     """
-    rows_read = 0
-    for lines, rows in _chunks(path, header_line, delimiter):
-        rows_read += len(rows)
-        if rows_read > MAX_ROWS:
-            raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
-        if set(map(len, rows)) != {len(header)}:
-            line, found = next(
-                (line, len(row)) for line, row in zip(lines, rows, strict=True) if len(row) != len(header)
-            )
-            raise InputError(f"{path}:{line}: {found} fields; the header has {len(header)}")
-        yield lines, list(zip(*rows, strict=True))
-
-
-def _chunks(path: str | Path, header_line: int, delimiter: str) -> Iterator[tuple[Sequence[int], list[list[str]]]]:
+    if len(header) > MAX_COLUMNS:
+        raise InputError(f"{path}:{header_line}: {len(header):,} columns; allowed: at most {MAX_COLUMNS:,}")
     with io.TextIOWrapper(open_bytes(path), encoding="utf-8", errors="replace", newline="") as text:
         reader = csv.reader(islice(text, header_line, None), delimiter=delimiter)
-        line = header_line + 1
+        rows = _filled_rows(reader, len(header), str(path), header_line)
         try:
-            while rows := list(islice(reader, _CHUNK_ROWS)):
-                lines: Sequence[int] = range(line, line + len(rows))
-                line += len(rows)
-                filled = [number for number, row in enumerate(rows) if len(row) > 1 or "".join(row).strip()]
-                if len(filled) < len(rows):
-                    lines, rows = [lines[number] for number in filled], [rows[number] for number in filled]
-                if rows:
-                    yield lines, rows
+            while chunk := list(islice(rows, _CHUNK_ROWS)):
+                lines, fields = zip(*chunk, strict=True)
+                yield lines, list(zip(*fields, strict=True))
         except csv.Error as error:
             raise InputError(f"{path}:{header_line + reader.line_num}: {error}") from error
+
+
+def _filled_rows(reader, width: int, path: str, header_line: int) -> Iterator[tuple[int, list[str]]]:
+    """The rows that are not blank, each with the number of the line that it begins in."""
+    line = header_line + 1
+    for number, row in enumerate(reader):
+        if number == MAX_ROWS:  # of which blank ones take time too
+            raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
+        if len(row) == width:
+            yield line, row
+        elif len(row) > 1 or "".join(row).strip():
+            raise InputError(f"{path}:{line}: {len(row)} fields; the header has {width}")
+        line = header_line + reader.line_num + 1

@@ -20,6 +20,7 @@ _SHORTEST_BLOCK_S = 5.0
 _TRANSIT_PERCENTILE = 95
 _FEWEST_HOLDOUT_BLOCKS = 2
 _LARGEST_HOLDOUT = 0.9
+_SHORTEST_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +158,8 @@ def _check(
     for name, value in (("the spacing of frames", spacing_s), ("the length of a block", block_s)):
         if value is not None and not 0 < value < math.inf:
             raise InputError(f"{name} is {value} s; more than 0 is needed")
+        if value is not None and value < _SHORTEST_S:
+            raise InputError(f"{name} is {value} s; at least {_SHORTEST_S:g} is needed")
     if not 0 <= holdout <= _LARGEST_HOLDOUT:
         raise InputError(f"holdout is {holdout}; allowed: 0 to {_LARGEST_HOLDOUT}")
 
@@ -210,11 +213,28 @@ def _spread(part: _Frames, count: int | None, spacing_s: float | None, notes: li
     if spacing_s is None:
         chosen = _evenly(part, min(count or DEFAULT_COUNT, len(part.frames)))
     else:
-        target = np.arange(part.time_s[0], part.time_s[-1] + 1e-9, spacing_s)[:count]
-        chosen = part.where(np.unique(np.abs(part.time_s - target[:, None]).argmin(axis=1)))
+        chosen = part.where(_nearest_to_multiples(part.time_s, spacing_s, count))
     if count is not None and len(chosen.frames) < count:
         notes.append(f"{len(chosen.frames)} frames instead of {count}: the searched part of the recording has no more")
     return chosen
+
+
+def _nearest_to_multiples(time_s: np.ndarray, spacing_s: float, count: int | None) -> np.ndarray:
+    """Places of the times (n,), ascending, that are nearest to one of the first `count` multiples from the first on.
+
+    Of the multiples, which may be far more than the times, only those about the middles between two times decide.
+    """
+    if len(time_s) == 1:
+        return np.zeros(1, dtype=np.int64)
+    step = (time_s[0] + spacing_s - time_s[0]) or spacing_s  # as NumPy's arange counts
+    multiples = math.ceil((time_s[-1] + 1e-9 - time_s[0]) / spacing_s)
+    last = (multiples if count is None else min(multiples, count)) - 1
+    middle = (time_s[1:] + time_s[:-1]) / 2 - time_s[0]
+    deciding = np.floor(middle / step)[:, None] + np.array([-1.0, 0.0, 1.0, 2.0])
+    target = time_s[0] + step * np.unique(np.clip(np.append(deciding, [0.0, last]), 0.0, last))
+    after = np.clip(np.searchsorted(time_s, target), 1, len(time_s) - 1)
+    is_before = np.abs(time_s[after - 1] - target) <= np.abs(time_s[after] - target)
+    return np.unique(np.where(is_before, after - 1, after))
 
 
 def _evenly(part: _Frames, count: int) -> _Frames:

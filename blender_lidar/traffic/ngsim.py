@@ -74,7 +74,7 @@ def read_ngsim(
     checked_heights(height_m or {})
     layout = sniff_layout(path)
     file = read_rows(path, layout, location)
-    step_ms = time_step_ms(file.rows)
+    step_ms = time_step_ms(file.rows, str(path))
     periods = find_periods(file.rows, step_ms)
     chosen = choose_period(periods, period, str(path))
     rows = file.rows if len(periods.names) == 1 else file.rows.take(periods.of_row == chosen)

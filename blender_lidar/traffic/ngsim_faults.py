@@ -25,6 +25,10 @@ def _finite(values: np.ndarray) -> np.ndarray:
     return np.isfinite(values)
 
 
+def _clock(values: np.ndarray) -> np.ndarray:
+    return np.abs(values) <= _LARGEST_WHOLE
+
+
 def _whole(values: np.ndarray) -> np.ndarray:
     return (np.abs(values) <= _LARGEST_WHOLE) & (np.rint(values) == values)
 
@@ -52,7 +56,7 @@ class Rule:
 RULES = {
     "vehicle_id": Rule(_whole, "a whole number"),
     "frame_id": Rule(_whole, "a whole number"),
-    "global_time": Rule(_finite, "milliseconds"),
+    "global_time": Rule(_clock, "milliseconds"),
     "local_x": Rule(_finite, "feet"),
     "local_y": Rule(_finite, "feet"),
     "v_length": Rule(_size, "feet, at least 0"),
@@ -79,11 +83,15 @@ def unreadable(path: str | Path, layout: Layout, reason: str) -> InputError:
 
 def bad_value(path: str | Path, layout: Layout, row: int) -> InputError:
     """The error for a row, counting from 0, that was read but holds a value against `RULES`."""
-    line, fields = next(islice(_rows(path, layout), row, None))
+    line, fields = next(islice(_rows(path, layout), row, None), (0, []))
+    if not line:  # lines end elsewhere than where rows do, or the file has changed
+        return InputError(f"{path}: cannot be read as NGSIM rows, each in a line of its own")
     if len(fields) != len(layout.columns):
         return _wrong_count(path, layout, line, fields)
     for column, rule in RULES.items():
         text = fields[layout.columns.index(column)]
+        if not _is_number_or_empty(text):
+            return _unusable(path, line, column, text)
         value = float(text.replace(",", "")) if text not in EMPTY else np.nan
         if not rule.accepts(np.array([value]))[0]:
             return _unusable(path, line, column, text)

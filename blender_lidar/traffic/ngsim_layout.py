@@ -5,13 +5,13 @@ Columns: NGSIM trajectory data dictionary (US DOT FHWA, DOI 10.21949/1504477).
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 from ..errors import InputError
-from .source import table_lines
+from .csv_rows import fields_of
+from .source import MAX_COLUMNS, table_lines
 
 NEEDED = (
     "vehicle_id",
@@ -81,7 +81,7 @@ class Layout:
         """The fields of one line, without quotes and padding."""
         if self.delimiter is None:
             return line.split()
-        return [field.strip() for field in next(csv.reader([line], delimiter=self.delimiter), [])]
+        return [field.strip() for field in fields_of(line, self.delimiter)]
 
 
 def shown(column: str) -> str:
@@ -128,6 +128,8 @@ def _without_header(path: str | Path, line: str, delimiter: str | None, number: 
 
 def _with_header(path: str | Path, line: str, delimiter: str | None, number: int) -> Layout:
     columns = [field.lower().replace(" ", "_") for field in Layout((), delimiter, number).split(line)]
+    if len(columns) > MAX_COLUMNS:
+        raise InputError(f"{path}:{number}: {len(columns):,} columns; allowed: at most {MAX_COLUMNS:,}")
     missing = [shown(column) for column in NEEDED if column not in columns]
     if missing:
         raise InputError(

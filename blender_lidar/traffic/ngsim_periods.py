@@ -14,6 +14,8 @@ from ..errors import InputError
 from .tracks import TrackRows
 
 SAME_PERIOD_S = 60.0
+STEP_LIMITS_MS = (10.0, 60_000.0)
+"""Milliseconds per frame number; the recordings have 100."""
 _USUAL_STEP_MS = 100.0
 # Nominal starts in Pacific Daylight Time; recording began up to 2 min 15 s earlier.
 _PACIFIC_H = -7
@@ -47,15 +49,28 @@ class Periods:
     of_row: np.ndarray
 
 
-def time_step_ms(rows: TrackRows) -> float:
-    """Milliseconds per frame number: the median over neighbouring rows of each vehicle; 100 if none has two."""
+def time_step_ms(rows: TrackRows, where: str) -> float:
+    """Milliseconds per frame number: the median over neighbouring rows of each vehicle; 100 if none has two.
+
+    Raises
+    ------
+    InputError
+        If it is beyond `STEP_LIMITS_MS`; `where` names the file.
+    """
     order = np.lexsort((rows.time_ms, rows.vehicle_id))
     frames = np.diff(rows.frame[order])
     usable = (np.diff(rows.vehicle_id[order]) == 0) & (frames != 0)
     if not usable.any():
         return _USUAL_STEP_MS
     step = float(np.median(np.diff(rows.time_ms[order])[usable] / frames[usable]))
-    return step if step > 0 else _USUAL_STEP_MS
+    if step <= 0:
+        return _USUAL_STEP_MS
+    if not STEP_LIMITS_MS[0] <= step <= STEP_LIMITS_MS[1]:
+        raise InputError(
+            f"{where}: Global_Time grows by {step:g} ms from one Frame_ID to the next; allowed: {STEP_LIMITS_MS[0]:g} "
+            f"to {STEP_LIMITS_MS[1]:g}"
+        )
+    return step
 
 
 def find_periods(rows: TrackRows, step_ms: float) -> Periods:

@@ -20,6 +20,7 @@ from .tracks import TrackRows
 FOOT_M = 0.3048
 """International foot, exactly; 0.3084 circulates."""
 _CHUNK_ROWS = 400_000
+_CHUNK_FIELDS = 10_000_000
 _FEW_ODD = 0.01  # of the rows; more, and the column is another one
 _ODD = -1
 
@@ -149,7 +150,7 @@ def _reader(stream: BinaryIO, layout: Layout) -> Iterator[pd.DataFrame]:
         keep_default_na=False,
         na_values=list(EMPTY),
         skipinitialspace=True,
-        chunksize=_CHUNK_ROWS,
+        chunksize=max(1, min(_CHUNK_ROWS, _CHUNK_FIELDS // len(names))),
         low_memory=False,
         encoding_errors="replace",
     )

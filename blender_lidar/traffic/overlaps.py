@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from ..errors import InputError
 from .vehicles import Recording, Vehicles
 
 _FRAMES_LOOKED_AT = 60
+_MOST_NEAR_PAIRS = 5_000_000  # in one frame; ten thousand vehicles spread over a city have a tenth of that
+_AT_ONCE = 200_000
 
 
 def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
@@ -23,18 +27,50 @@ def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
     -------
     ndarray, (p, 2) int64
         Rows of `vehicles`, the smaller first.
+
+    Raises
+    ------
+    InputError
+        If millions of pairs are close enough to overlap.
     """
     centre = vehicles.centre_m[:, :2]
     half = vehicles.size_m[:, :2] / 2
     reach = np.hypot(half[:, 0], half[:, 1])
-    first, second = np.triu_indices(len(vehicles), k=1)
-    near = np.abs(centre[second] - centre[first]).max(axis=1) < reach[first] + reach[second]
-    first, second = first[near], second[near]
     heading = vehicles.heading_rad
-    together = rectangles_overlap(
-        centre[first], half[first], heading[first], centre[second], half[second], heading[second]
-    )
-    return np.stack([first[together], second[together]], axis=1)
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for first, second in _near_pairs(centre, reach, vehicles.frame):
+        near = np.abs(centre[second] - centre[first]).max(axis=1) < reach[first] + reach[second]
+        first, second = first[near], second[near]
+        together = rectangles_overlap(
+            centre[first], half[first], heading[first], centre[second], half[second], heading[second]
+        )
+        found.append(np.sort(np.stack([first[together], second[together]], axis=1), axis=1))
+    pairs = np.concatenate(found)
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def _near_pairs(centre: np.ndarray, reach: np.ndarray, frame: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of circles, (n, 2) and (n,), that overlap along the axis on which the fewest do; a part of them at a time.
+
+    Swept along that axis, each is paired with those that begin before it ends.
+    """
+    order, following = min((_swept(along, reach) for along in centre.T), key=lambda sweep: int(sweep[1].sum()))
+    total = int(following.sum())
+    if total > _MOST_NEAR_PAIRS:
+        raise InputError(f"frame {frame}: {len(order):,} vehicles so close to one another are no traffic")
+    ends = np.cumsum(following)
+    for start in range(0, total, _AT_ONCE):
+        number = np.arange(start, min(start + _AT_ONCE, total))
+        row = np.searchsorted(ends, number, side="right")
+        yield order[row], order[row + 1 + number - (ends[row] - following[row])]
+
+
+def _swept(along: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Order by where circles begin along an axis, and how many begin within each after it."""
+    order = np.argsort(along - reach, kind="stable")
+    begin = (along - reach)[order]
+    within = np.searchsorted(begin, (along + reach)[order], side="left") - np.arange(1, len(order) + 1)
+    return order, np.maximum(within, 0)
 
 
 def rectangles_overlap(
@@ -81,5 +117,8 @@ def with_overlaps_reported(recording: Recording) -> Recording:
     """The same recording, its report telling the overlaps of up to 60 frames spread evenly over it."""
     total = len(recording.frames)
     looked_at = recording.frames[np.unique(np.linspace(0, total - 1, min(total, _FRAMES_LOOKED_AT)).astype(int))]
-    pairs = sum(len(overlapping_pairs(recording.vehicles(frame))) for frame in looked_at)
+    try:
+        pairs = sum(len(overlapping_pairs(recording.vehicles(frame))) for frame in looked_at)
+    except InputError as error:
+        raise InputError(f"{recording.source}: {error}") from error
     return replace(recording, report=replace(recording.report, overlaps=pairs, overlap_frames=len(looked_at)))

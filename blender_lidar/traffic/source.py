@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import gzip
 import io
+import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from ..errors import InputError, MissingFileError
+from ..input_file import MOST_TIMES_UNPACKED, most_unpacked, open_file
 
 MAX_ROWS = 20_000_000
 """The whole NGSIM portal file has 12 million."""
 MAX_BYTES = 4 * 2**30
-"""Room for `MAX_ROWS` rows of 200 bytes: a small gzip file that unpacks to more is refused."""
+"""Room for `MAX_ROWS` rows of 200 bytes: a gzip file that unpacks to more is refused."""
+MAX_COLUMNS = 1_000
+"""SUMO's tool xml2csv.py makes a hundred."""
 _LONGEST_LINE = 2**16
 _HEAD_BYTES = 2**17
 
@@ -21,8 +26,9 @@ _HEAD_BYTES = 2**17
 class _GuardedStream(io.RawIOBase):
     """The unpacked bytes of a file: turns damage into an `InputError` and stops a decompression bomb."""
 
-    def __init__(self, file: io.BufferedReader, path: Path) -> None:
+    def __init__(self, file: BinaryIO, path: Path) -> None:
         packed = file.peek(2)[:2] == b"\x1f\x8b"
+        self._most = most_unpacked(os.fstat(file.fileno()).st_size) if packed else MAX_BYTES
         self._file = file
         self._stream = gzip.GzipFile(fileobj=file) if packed else file
         self._path = path
@@ -51,6 +57,11 @@ class _GuardedStream(io.RawIOBase):
         self._total += len(data)
         if self._total > MAX_BYTES:
             raise InputError(f"{self._path}: more than {MAX_BYTES / 2**30:.0f} GiB of text; a recording has less")
+        if self._total > self._most:
+            raise InputError(
+                f"{self._path}: unpacks to more than {MOST_TIMES_UNPACKED} times its size; if it is a recording all "
+                "the same, unpack it first"
+            )
         last = data.rfind(b"\n")
         self._line = self._line + len(data) if last < 0 else len(data) - last - 1
         if self._line > _LONGEST_LINE:
@@ -65,7 +76,8 @@ def open_bytes(path: str | Path) -> io.BufferedReader:
     MissingFileError
         If there is no such file.
     InputError
-        If it is a folder or may not be read; later, from reading, if it is damaged or absurdly large.
+        If it is a folder, a pipe or a device, or may not be read; later, from reading, if it is damaged or absurdly
+        large.
     """
     path = Path(path)
     return io.BufferedReader(_GuardedStream(_opened(path), path), buffer_size=2**20)
@@ -89,13 +101,13 @@ def first_bytes(path: str | Path, count: int) -> bytes:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
-def _opened(path: Path) -> io.BufferedReader:
-    if path.is_dir():
-        raise InputError(f"{path}: a folder; a file of vehicles is needed")
+def _opened(path: Path) -> BinaryIO:
     try:
-        return path.open("rb")
+        return open_file(path)
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: a folder; a file of vehicles is needed") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import InputError
-from .csv_rows import csv_columns
+from .csv_rows import csv_columns, fields_of
 from .source import table_lines
 from .sumo_columns import chunk_of_vehicles, is_fcd_header, places_of_columns
 from .sumo_rows import FcdChunk
@@ -42,4 +41,4 @@ def is_fcd_line(line: str) -> bool:
 def _split(line: str) -> tuple[str, list[str]]:
     """The delimiter of a header, and its fields."""
     delimiter = max(_DELIMITERS, key=line.count)
-    return delimiter, next(csv.reader([line], delimiter=delimiter), [])
+    return delimiter, fields_of(line, delimiter)

@@ -14,6 +14,7 @@ NEEDED = ("time", "id", "x", "y", "angle")
 OPTIONAL = ("type", "lane", "z", "speed")
 _TEXTS = ("id", "type", "lane")
 _NO_POSITION = -(2.0**30)  # SUMO's INVALID_DOUBLE: the vehicle is nowhere, as while it teleports
+_LARGEST = 1e10  # metres, degrees, metres a second: squares and sums stay finite
 _LONGEST_SHOWN = 40
 
 Values = Sequence[str | float | None]
@@ -160,7 +161,7 @@ def _numbers(chunk: FcdChunk, name: str) -> np.ndarray:
         doubtful = True
     if doubtful:
         numbers = _numbers_one_by_one(chunk, name)
-    good = np.isfinite(numbers) | (np.isnan(numbers) & (name in OPTIONAL))
+    good = (np.abs(numbers) <= _LARGEST) | (np.isnan(numbers) & (name in OPTIONAL))
     if not good.all():
         raise _unusable(chunk, name, int(good.argmin()))
     return numbers
@@ -181,11 +182,7 @@ def _numbers_one_by_one(chunk: FcdChunk, name: str) -> np.ndarray:
 
 
 def _milliseconds(chunk: FcdChunk) -> np.ndarray:
-    time_s = _numbers(chunk, "time")
-    good = np.abs(time_s) < 1e12
-    if not good.all():
-        raise _unusable(chunk, "time", int(good.argmin()))
-    return np.rint(1000.0 * time_s).astype(np.int64)
+    return np.rint(1000.0 * _numbers(chunk, "time")).astype(np.int64)
 
 
 def _refuse_going_back(time_ms: np.ndarray, latest_ms: float, chunk: FcdChunk) -> None:
@@ -207,4 +204,12 @@ def _unusable(chunk: FcdChunk, name: str, row: int) -> InputError:
     given = text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "..."
     shown = repr(given) if isinstance(value, str) else given
     hint = " (leave out SUMO's --human-readable-time)" if name == "time" and ":" in str(value) else ""
-    return InputError(f"{chunk.where(row)}: {name} is {shown}; allowed: a finite number{hint}")
+    allowed = f"{-_LARGEST:g} to {_LARGEST:g}" if _is_finite(value) else "a finite number"
+    return InputError(f"{chunk.where(row)}: {name} is {shown}; allowed: {allowed}{hint}")
+
+
+def _is_finite(value: str | float) -> bool:
+    try:
+        return bool(np.isfinite(float(value))) and "_" not in str(value)
+    except ValueError:
+        return False

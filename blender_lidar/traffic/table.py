@@ -20,7 +20,6 @@ One row per vehicle and frame under a header; columns in any order, further ones
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .csv_rows import csv_columns
+from .csv_rows import csv_columns, fields_of
 from .overlaps import with_overlaps_reported
 from .report import RepairReport
 from .road import Placing, within_x
@@ -41,6 +40,11 @@ OPTIONAL = ("z_m", "time_s", "lane")
 _WHOLE = {"frame": 2**53, "vehicle_id": 2**53, "lane": 2**15 - 1}
 _NOT_NEGATIVE = ("vehicle_id",)  # -1 is what is no vehicle
 _POSITIVE = ("length_m", "width_m", "height_m")
+_SIDE_LIMITS_M = (1e-3, 1e3)
+_LARGEST = {"x_m": 1e9, "y_m": 1e9, "z_m": 1e9, "heading_deg": 1e9, "time_s": 1e12}  # sums and squares stay finite
+_TIME_STEP_LIMITS_S = (1e-3, 1e6)
+_SAME_TIME_S = 1e-6
+_LONGEST_SHOWN = 40
 _ASSUMED_TIME_STEP_S = 0.1
 
 
@@ -74,6 +78,9 @@ def read_table(
     placing = Placing(origin_m, heading_deg)
     if time_step_s is not None and not 0 < time_step_s < math.inf:
         raise InputError(f"time_step_s is {time_step_s}; more than 0 is needed")
+    low, high = _TIME_STEP_LIMITS_S
+    if time_step_s is not None and not low <= time_step_s <= high:
+        raise InputError(f"time_step_s is {time_step_s}; allowed: {low:g} to {high:g}")
     columns = _columns(path)
     rows_read = len(columns["frame"])
     values = np.column_stack([column for name, column in columns.items() if name not in ("frame", "vehicle_id")])
@@ -130,7 +137,7 @@ def _header(path: str | Path) -> tuple[list[str], int]:
     number, line = next(table_lines(path), (0, ""))
     if not line:
         raise InputError(f"{path}: no rows; a table of boxes is needed")
-    header = [field.strip().lower() for field in next(csv.reader([line]))]
+    header = [field.strip().lower() for field in fields_of(line)]
     missing = [name for name in NEEDED if name not in header]
     if missing:
         raise InputError(f"{path}:{number}: no column {', '.join(missing)}; needed: {', '.join(NEEDED)}")
@@ -144,30 +151,41 @@ def _numbers(path: str | Path, name: str, texts: tuple[str, ...], lines: Sequenc
     try:
         values = np.array(texts, dtype=np.float64)
         good = _accepted(name, values)
+        doubtful = "_" in "".join(texts)  # "1_0" is 10 to Python alone
     except ValueError:
+        doubtful = True
+    if doubtful:
         good = np.array([_is_accepted(name, text) for text in texts])
     if not good.all():
         at = int(good.argmin())
-        raise InputError(f"{path}:{lines[at]}: {name} is {texts[at]!r}; allowed: {_allowed(name)}")
+        text = texts[at] if len(texts[at]) <= _LONGEST_SHOWN else texts[at][:_LONGEST_SHOWN] + "..."
+        raise InputError(f"{path}:{lines[at]}: {name} is {text!r}; allowed: {_allowed(name, texts[at])}")
     return values
 
 
-def _allowed(name: str) -> str:
+def _allowed(name: str, text: str) -> str:
     if name in _WHOLE:
         return "a whole number of at least 0" if name in _NOT_NEGATIVE else "a whole number"
-    return "more than 0" if name in _POSITIVE else "a finite number"
+    try:
+        value = math.nan if "_" in text else float(text)
+    except ValueError:
+        value = math.nan
+    if name in _POSITIVE:
+        return f"{_SIDE_LIMITS_M[0]:g} to {_SIDE_LIMITS_M[1]:g}" if 0 < value < math.inf else "more than 0"
+    return f"{-_LARGEST[name]:g} to {_LARGEST[name]:g}" if math.isfinite(value) else "a finite number"
 
 
 def _accepted(name: str, values: np.ndarray) -> np.ndarray:
     if name in _WHOLE:
         lowest = 0 if name in _NOT_NEGATIVE else -_WHOLE[name]
         return (values >= lowest) & (values <= _WHOLE[name]) & (np.rint(values) == values)
-    return np.isfinite(values) & (values > 0) if name in _POSITIVE else np.isfinite(values)
+    low, high = _SIDE_LIMITS_M if name in _POSITIVE else (-_LARGEST[name], _LARGEST[name])
+    return (values >= low) & (values <= high)
 
 
 def _is_accepted(name: str, text: str) -> bool:
     try:
-        return bool(_accepted(name, np.array([float(text)]))[0])
+        return "_" not in text and bool(_accepted(name, np.array([float(text)]))[0])
     except ValueError:
         return False
 
@@ -194,12 +212,13 @@ def _times(
     time_s = columns["time_s"]
     frames, first, of_row = np.unique(frame, return_index=True, return_inverse=True)
     at = time_s[first]
-    astray = np.flatnonzero(np.abs(time_s - at[of_row]) > 1e-6)
+    astray = np.flatnonzero(np.abs(time_s - at[of_row]) > _SAME_TIME_S)
     if len(astray):
         raise InputError(f"{path}: frame {frame[astray[0]]:.0f} has more than one time_s")
     if len(frames) == 1:
         return time_s, _ASSUMED_TIME_STEP_S, ()
-    if (np.diff(at) <= 0).any():
-        late = frames[1:][np.diff(at) <= 0][0]
+    late = np.diff(at) < _SAME_TIME_S
+    if late.any():
+        late = frames[1:][late][0]
         raise InputError(f"{path}: time_s of frame {late:.0f} is not later than that of the frame before")
     return time_s, float(np.median(np.diff(at) / np.diff(frames))), ()

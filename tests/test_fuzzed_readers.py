@@ -1,0 +1,296 @@
+"""Every reader, fed with damaged files: an object that keeps its promises, or one line; never a traceback or a hang."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from blender_lidar.formats.clouds import read_points
+from blender_lidar.optimise import search_from_state
+from blender_lidar.reality import kitti_layout, sustech_layout
+from blender_lidar.reality.detections import read_detections
+from blender_lidar.reality.frame_list import read_frame_list
+from blender_lidar.reporting.page import report_html
+from blender_lidar.results import RunFolder
+from blender_lidar.run import fresh_search
+from blender_lidar.scenario import load_scenario
+from blender_lidar.sensors.model import DATA_FOLDER, load_model
+from blender_lidar.study.stages import StudyFolder
+from blender_lidar.traffic import Recording, plan_frames, read_traffic
+from blender_lidar.traffic.sumo_types import read_types
+from tests import sumo_samples, traffic_samples
+from tests.fuzzing import FUZZED, fuzz, kept_promise
+from tests.labelled_samples import sample_cars, write_detections, write_kitti, write_sustech
+from tests.report_samples import make_runs
+from tests.small_scene import HEADER, MAPPED, SETTINGS, traffic_rows, write_scene
+
+
+def table_text(rows) -> str:
+    return "\n".join(",".join(map(str, row)) for row in ((*HEADER, "lane"), *((*row, 1) for row in rows))) + "\n"
+
+
+_COLUMNS = traffic_samples.columns(vehicles=4, frames=25)
+_NGSIM = {
+    "native": traffic_samples.native(_COLUMNS),
+    "arterial": traffic_samples.native(_COLUMNS, arterial=True, separator="\t"),
+    "portal": traffic_samples.portal(_COLUMNS),
+    "api": traffic_samples.api(_COLUMNS),
+}
+_TRAFFIC = {
+    "table": table_text(traffic_rows(frames=12, vehicles=20)),
+    "sumo xml": sumo_samples.xml(sumo_samples.driving(4, 12)),
+    "sumo csv": sumo_samples.csv(sumo_samples.driving(4, 12)),
+    "xml2csv": sumo_samples.xml2csv(sumo_samples.driving(3, 6)),
+}
+_TYPES = (
+    '<additional>\n  <vType id="car" vClass="passenger" length="4.5" width="1.8" height="1.5"/>\n'
+    '  <vTypeDistribution id="mix">\n    <vType id="lorry" vClass="truck" guiShape="truck/trailer"/>\n'
+    '    <vType id="van" vClass="delivery" length="5.4"/>\n  </vTypeDistribution>\n</additional>\n'
+)
+
+
+def a_sound_recording(recording: Recording) -> None:
+    """What everything behind the readers counts on."""
+    rows = len(recording)
+    assert rows > 0
+    for name in ("frame", "vehicle_id", "class_index", "heading_rad", "lane"):
+        assert getattr(recording, name).shape == (rows,), name
+    assert recording.centre_m.shape == recording.size_m.shape == (rows, 3)
+    for name in ("centre_m", "size_m", "heading_rad", "frame_time_s"):
+        assert np.isfinite(getattr(recording, name)).all(), name
+    assert (recording.size_m > 0).all()
+    assert (np.diff(recording.frames) > 0).all()
+    assert (recording.class_index >= 0).all()
+    assert 0 < recording.time_step_s < np.inf
+
+
+def read_and_plan(path: Path) -> Recording:
+    recording = read_traffic(path)
+    plan_frames(recording, lambda vehicles: np.ones(len(vehicles), dtype=bool))
+    return recording
+
+
+@pytest.mark.parametrize("sample", _TRAFFIC)
+def test_damaged_traffic(tmp_path, sample):
+    fuzz(read_and_plan, tmp_path / "traffic", _TRAFFIC[sample].encode(), a_sound_recording, packed=True)
+
+
+@pytest.mark.parametrize("sample", _NGSIM)
+def test_damaged_ngsim(tmp_path, sample):
+    pytest.importorskip("pandas")
+
+    fuzz(read_and_plan, tmp_path / "traffic", _NGSIM[sample].encode(), a_sound_recording, packed=True)
+
+
+def test_damaged_parquet(tmp_path):
+    sumo_samples.need_pyarrow()
+    path = sumo_samples.write_parquet(tmp_path / "sample", sumo_samples.driving(4, 12))
+
+    fuzz(read_and_plan, tmp_path / "traffic", path.read_bytes(), a_sound_recording)
+
+
+def test_damaged_vehicle_types(tmp_path):
+    fuzz(read_types, tmp_path / "types.xml", _TYPES.encode(), packed=True)
+
+
+_SCENES = sorted((Path(__file__).parent.parent / "scenes").glob("*.toml"))
+
+
+def test_damaged_scenes(tmp_path):
+    samples = [path.read_bytes() for path in _SCENES]
+    samples.append(
+        write_scene(
+            tmp_path, {**MAPPED, "world": {"boxes": [{"centre_m": [1, 2, 3], "size_m": [1, 1, 1]}]}}
+        ).read_bytes()
+    )
+
+    def check(scenario):
+        for low, high in scenario.deployment.bounds.values():
+            assert -1e6 < low < high < 1e6
+
+    fuzz(load_scenario, tmp_path / "scene.toml", samples, check)
+
+
+_SENSOR_CSV = b"ring,elevation_deg,azimuth_offset_deg,fire_offset_us\n" + b"".join(
+    b"%d,%d,0.5,%d\n" % (ring, ring - 8, ring) for ring in range(16)
+)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".toml"])
+def test_damaged_sensor_files(tmp_path, suffix):
+    sample = _SENSOR_CSV if suffix == ".csv" else (DATA_FOLDER / "rs_16.toml").read_bytes()
+
+    def check(model):
+        assert np.isfinite(model.elevation_rad).all()
+        assert np.isfinite(model.azimuth_offset_rad).all()
+        assert 1 <= model.rings * model.columns() <= 10_000_000
+        assert 0 <= model.range_min_m < model.range_max_m
+
+    fuzz(load_model, tmp_path / f"sensor{suffix}", sample, check)
+
+
+# --- clouds -----------------------------------------------------------------------------------------------------------
+
+
+def npz(save=np.savez, **arrays) -> bytes:
+    stream = io.BytesIO()
+    save(stream, **arrays)
+    return stream.getvalue()
+
+
+def _clouds() -> dict[str, bytes]:
+    xyz = np.arange(60.0).reshape(20, 3)
+    header = "VERSION 0.7\nFIELDS x y z vehicle_id\nSIZE 4 4 4 4\nTYPE F F F I\nCOUNT 1 1 1 1\nWIDTH 20\nHEIGHT 1\n"
+    record = np.zeros(20, dtype=[("xyz", "<f4", 3), ("id", "<i4")])
+    record["xyz"] = xyz
+    text = "".join(f"{x} {y} {z} 3\n" for x, y, z in xyz)
+    return {
+        "plain.npz": npz(xyz=xyz, vehicle_id=np.arange(20)),
+        "packed.npz": npz(np.savez_compressed, xyz=xyz.astype(np.float32), vehicle_id=np.arange(20)),
+        "binary.pcd": f"{header}POINTS 20\nDATA binary\n".encode() + record.tobytes(),
+        "ascii.pcd": f"{header}POINTS 20\nDATA ascii\n{text}".encode(),
+    }
+
+
+@pytest.mark.parametrize("name", _clouds())
+def test_damaged_clouds(tmp_path, name):
+    def check(found):
+        points, vehicle_id = found
+        assert points.shape == (len(points), 3)
+        assert points.dtype == float
+        assert np.isfinite(points).all()
+        assert vehicle_id is None or (vehicle_id.shape == (len(points),) and vehicle_id.dtype == np.int64)
+
+    fuzz(read_points, tmp_path / name, _clouds()[name], check)
+
+
+_KINDS = ("<f8", "<f4", "<f2", "<i8", "<u8", "<i1", "?", "<c16", "<M8[s]", "<U3", "S5", "O", ">f8", "<f4,<i4")
+_SHAPES = ((4, 3), (0, 3), (4,), (), (3, 4), (2, 2, 3), (4, 0), (10**12, 3), (2**31, 3), (2**62, 3), (-1, 3))
+
+
+@FUZZED
+@given(
+    kinds=st.tuples(st.sampled_from(_KINDS), st.sampled_from(_KINDS)),
+    shapes=st.tuples(st.sampled_from(_SHAPES), st.sampled_from(_SHAPES)),
+    body=st.binary(max_size=300),
+    order=st.booleans(),
+)
+def test_arrays_of_any_kind_and_shape_as_a_cloud(tmp_path, kinds, shapes, body, order):
+    path = tmp_path / "cloud.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, kind, shape in zip(("xyz", "vehicle_id"), kinds, shapes, strict=True):
+            text = f"{{'descr': {kind!r}, 'fortran_order': {order}, 'shape': {shape!r}, }}".encode()
+            text += b" " * (-(len(text) + 11) % 64) + b"\n"
+            archive.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + body)
+    kept_promise(read_points, path)
+
+
+# --- labelled sweeps --------------------------------------------------------------------------------------------------
+
+
+def _of_boxes(boxes):
+    assert np.isfinite(boxes.centre_m).all()
+    assert np.isfinite(boxes.size_m).all()
+    assert np.isfinite(boxes.heading_rad).all()
+    assert boxes.centre_m.shape == boxes.size_m.shape == (len(boxes), 3)
+
+
+@pytest.mark.parametrize("part", ["velodyne", "label_2", "calib"])
+def test_damaged_kitti(tmp_path, part):
+    write_kitti(tmp_path / "kitti", sample_cars(frames=1))
+    path = tmp_path / "kitti" / part / f"000000{kitti_layout.FOLDERS[part]}"
+    sample = path.read_bytes()[:4000]
+
+    def check(sweep):
+        _of_boxes(sweep.boxes)
+        assert np.isfinite(sweep.points).all()
+
+    fuzz(lambda _: kitti_layout.read_sweep(tmp_path / "kitti", "000000"), path, sample, check)
+
+
+def test_damaged_sustechpoints_labels(tmp_path):
+    write_sustech(tmp_path / "scene", sample_cars(frames=1))
+    path = tmp_path / "scene" / "label" / "000000.json"
+
+    fuzz(sustech_layout.read_labels, path, path.read_bytes(), _of_boxes)
+
+
+@pytest.mark.parametrize("name", ["cars.csv", "frames.csv"])
+def test_damaged_tables_of_detections(tmp_path, name):
+    path = write_detections(tmp_path / "cars.csv", sample_cars(frames=4))
+
+    def read(_):
+        return read_detections(path), read_frame_list(tmp_path)
+
+    fuzz(read, tmp_path / name, (tmp_path / name).read_bytes())
+
+
+# --- what runs have stored --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    return make_runs(tmp_path_factory.mktemp("runs"))
+
+
+@pytest.mark.parametrize(
+    "name", ["result.json", "vehicles.csv", "vehicles_baseline.csv", "scene.toml", "installation.txt"]
+)
+def test_damaged_runs(tmp_path, runs, name):
+    shutil.copytree(runs / "searched", tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+
+    fuzz(lambda _: report_html(folder).encode("utf-8"), folder.file(name), folder.file(name).read_bytes())
+
+
+@pytest.mark.parametrize("name", ["history.csv", "score_map.csv"])
+def test_damaged_records_of_a_search(tmp_path, runs, name):
+    shutil.copytree(runs / "searched", tmp_path / "run")
+    folder = RunFolder(tmp_path / "run")
+
+    fuzz(
+        lambda _: folder.read_history() if name == "history.csv" else folder.read_score_map(),
+        folder.file(name),
+        folder.file(name).read_bytes(),
+    )
+
+
+@pytest.mark.parametrize("method", ["de-pso", "grid", "random"])
+def test_damaged_checkpoints(tmp_path, method):
+    scenario = load_scenario(write_scene(tmp_path, {**MAPPED, "search": {**SETTINGS["search"], "method": method}}))
+    search = fresh_search(scenario)
+    while search.evaluations < 8:
+        search.tell(-np.asarray(search.ask()).sum(axis=1))
+    folder = RunFolder(tmp_path)
+    folder.write_checkpoint({"seed": 1}, search.state())
+
+    def resumed(_):
+        state = folder.read_checkpoint({"seed": 1})
+        return None if state is None else search_from_state(state)
+
+    def check(found):
+        if found is not None and not found.done:
+            assert np.isfinite(found.ask()).all()
+
+    fuzz(resumed, folder.file("checkpoint.json"), folder.file("checkpoint.json").read_bytes(), check)
+
+
+@pytest.mark.parametrize("name", ["study.json", "stages/first.json"])
+def test_damaged_studies(tmp_path, name):
+    identity, value = {"seed": 1, "frames": [1, 2]}, {"a": [1.5, None], "b": {"c": "text"}}
+    study = StudyFolder(tmp_path / "study", identity)
+    with study.locked():
+        study.stage("first", lambda: value)
+
+    def resumed(_):
+        with study.locked(resume=True):
+            return study.stage("first", lambda: value)
+
+    fuzz(resumed, tmp_path / "study" / name, (tmp_path / "study" / name).read_bytes())
