@@ -16,6 +16,10 @@ MOST_TIMES_UNPACKED = 250
 """Traffic packs 4 to 15 to 1, a jam in which nothing moves 140 to 1 as XML; zeros and blank lines pack 1,000 to 1."""
 FREELY_UNPACKED_BYTES = 2**24
 """What any packed file may unpack to, however small it is."""
+MOST_RECORDS_A_BYTE = 4
+"""Lines, tags or rows for each byte of a packed file; that jam has 2.4."""
+FREE_RECORDS = 2**17
+"""What any packed file may hold of them."""
 _NO_FILES = {
     stat.S_IFIFO: "is a named pipe",
     stat.S_IFCHR: "is a device",
@@ -72,6 +76,11 @@ def read_text(path: str | Path) -> str:
         If it is no such text.
     """
     return read_file(path).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def most_records(packed_bytes: int) -> int:
+    """How many lines, tags or rows a packed file of that size may hold: each takes time and memory, however short."""
+    return FREE_RECORDS + MOST_RECORDS_A_BYTE * packed_bytes
 
 
 def most_unpacked(packed_bytes: int) -> int:

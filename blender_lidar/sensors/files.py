@@ -7,7 +7,6 @@ import math
 import reprlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +94,7 @@ def read_sensor_file(path: Path) -> SensorFile:
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: a sensor file ends in {' or '.join(SUFFIXES)}")
     if suffix == ".csv":
-        return _checked({}, _few(_csv_rows(text, path), path), path)
+        return _checked({}, list(_csv_rows(text, path)), path)
     try:
         table = parse_toml(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
@@ -103,16 +102,7 @@ def read_sensor_file(path: Path) -> SensorFile:
     for key in table:
         if key not in _KEYS:
             raise unknown_name(key, _KEYS, "key", f"{path}:{key}")
-    return _checked(table, _few(_toml_rows(table, path), path), path)
-
-
-def _few(rows: Iterator[Row], path: Path) -> list[Row]:
-    """The rows, unless they are more than any sensor has: those beyond are counted, not kept."""
-    kept = list(islice(rows, MAX_RINGS))
-    beyond = sum(1 for _ in rows)
-    if beyond:
-        raise _wrong_number(len(kept) + beyond, path)
-    return kept
+    return _checked(table, list(_toml_rows(table, path)), path)
 
 
 def _wrong_number(rings: int, path: Path) -> InputError:
@@ -143,7 +133,11 @@ def _read_text(path: Path) -> str:
 
 
 def _csv_rows(text: str, path: Path) -> Iterator[Row]:
-    reader = csv.reader(text.splitlines())
+    lines = text.splitlines()
+    rings = sum(1 for line in lines if line.strip(" \t,")) - 1
+    if rings > MAX_RINGS:
+        raise _wrong_number(rings, path)
+    reader = csv.reader(lines)
     columns: list[str] = []
     try:
         for cells in reader:
@@ -178,6 +172,8 @@ def _toml_rows(table: dict[str, Any], path: Path) -> Iterator[Row]:
     beams = table.get("beams")
     if not isinstance(beams, list):
         raise InputError(f"{path}:beams: {_given(beams)}, where a list of {layout} is needed")
+    if len(beams) > MAX_RINGS:
+        raise _wrong_number(len(beams), path)
     for index, row in enumerate(beams):
         where = f"{path}:beams[{index}]"
         if not isinstance(row, list) or not len(REQUIRED_COLUMNS) <= len(row) <= len(BEAM_COLUMNS):

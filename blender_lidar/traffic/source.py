@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ..errors import InputError, MissingFileError
-from ..input_file import MOST_TIMES_UNPACKED, most_unpacked, open_file
+from ..input_file import MOST_TIMES_UNPACKED, most_records, most_unpacked, open_file
 
 MAX_ROWS = 20_000_000
 """The whole NGSIM portal file has 12 million."""
@@ -28,11 +28,11 @@ class _GuardedStream(io.RawIOBase):
 
     def __init__(self, file: BinaryIO, path: Path) -> None:
         packed = file.peek(2)[:2] == b"\x1f\x8b"
-        self._most = most_unpacked(os.fstat(file.fileno()).st_size) if packed else MAX_BYTES
+        self._packed = os.fstat(file.fileno()).st_size if packed else None
         self._file = file
         self._stream = gzip.GzipFile(fileobj=file) if packed else file
         self._path = path
-        self._total = 0
+        self._total = self._records = 0
         self._line = 0
 
     def readable(self) -> bool:
@@ -57,15 +57,22 @@ class _GuardedStream(io.RawIOBase):
         self._total += len(data)
         if self._total > MAX_BYTES:
             raise InputError(f"{self._path}: more than {MAX_BYTES / 2**30:.0f} GiB of text; a recording has less")
-        if self._total > self._most:
-            raise InputError(
-                f"{self._path}: unpacks to more than {MOST_TIMES_UNPACKED} times its size; if it is a recording all "
-                "the same, unpack it first"
-            )
+        if self._packed is not None:
+            self._refuse_bomb(data, self._packed)
         last = data.rfind(b"\n")
         self._line = self._line + len(data) if last < 0 else len(data) - last - 1
         if self._line > _LONGEST_LINE:
             raise InputError(f"{self._path}: a line longer than {_LONGEST_LINE:,} characters; not a file of vehicles")
+
+    def _refuse_bomb(self, data: bytes, packed: int) -> None:
+        self._records += data.count(b"\n") + data.count(b"<")
+        if self._total > most_unpacked(packed):
+            what = f"unpacks to more than {MOST_TIMES_UNPACKED} times its size"
+        elif self._records > most_records(packed):
+            what = f"{packed:,} bytes that unpack to more than {most_records(packed):,} lines"
+        else:
+            return
+        raise InputError(f"{self._path}: {what}; if it is a recording all the same, unpack it first")
 
 
 def open_bytes(path: str | Path) -> io.BufferedReader:

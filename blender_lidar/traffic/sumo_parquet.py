@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError, MissingExtraError, printable
+from ..input_file import most_records
 from .source import MAX_BYTES, MAX_ROWS
 from .sumo_columns import chunk_of_vehicles, places_of_columns
 from .sumo_rows import FcdChunk, Values
@@ -63,7 +64,9 @@ def parquet_chunks(path: str | Path) -> Iterator[FcdChunk]:
                 columns = {attribute: _values(path, name, batch.column(name)) for attribute, name in names.items()}
                 yield chunk_of_vehicles(columns, lambda row, first=first: f"{path}: row {first + row}")
                 first += batch.num_rows
-    except (pyarrow.ArrowException, OSError) as error:
+    except InputError:  # a ValueError too
+        raise
+    except (pyarrow.ArrowException, OSError, ValueError, LookupError) as error:  # some of them of places beyond the end
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: truncated or damaged Parquet file ({reason})") from error
 
@@ -71,6 +74,9 @@ def parquet_chunks(path: str | Path) -> Iterator[FcdChunk]:
 def _refuse_excess(path: str | Path, metadata: pyarrow.parquet.FileMetaData) -> None:
     if metadata.num_rows > MAX_ROWS:
         raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
+    size = Path(path).stat().st_size
+    if metadata.num_rows > most_records(size):
+        raise InputError(f"{path}: {metadata.num_rows:,} rows in a file of {size:,} bytes are no recording")
     unpacked = sum(metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups))
     if unpacked > MAX_BYTES:
         raise InputError(f"{path}: more than {MAX_BYTES / 2**30:.0f} GiB unpacked; a recording has less")

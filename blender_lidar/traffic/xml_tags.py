@@ -12,6 +12,7 @@ from .source import open_bytes
 
 _BLOCK_BYTES = 2**18
 _DEEPEST = 32  # SUMO's files nest four or five deep
+_LONGEST_TOKEN = 2**20  # a tag or comment that never ends would be read again and again with every block
 
 
 class Tag(NamedTuple):
@@ -67,10 +68,10 @@ def start_tags(path: str | Path) -> Iterator[list[Tag]]:
     parser.EndElementHandler = end
     parser.StartDoctypeDeclHandler = refuse_document_type
     with open_bytes(path) as stream:
-        last = False
+        last, fed = False, 0
         while not last:
             block = stream.read(_BLOCK_BYTES)
-            last = not block
+            last, fed = not block, fed + len(block)
             try:
                 parser.Parse(block, last)
             except expat.ExpatError as error:
@@ -83,5 +84,8 @@ def start_tags(path: str | Path) -> Iterator[list[Tag]]:
                 raise InputError(
                     f"{path}: XML in an encoding that cannot be read ({error}); SUMO writes UTF-8"
                 ) from error
+            if fed - parser.CurrentByteIndex > _LONGEST_TOKEN + len(block):
+                line = parser.CurrentLineNumber
+                raise InputError(f"{path}:{line}: a tag or comment of more than {_LONGEST_TOKEN:,} bytes")
             yield tags
             tags = []
