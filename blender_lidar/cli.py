@@ -66,8 +66,12 @@ def _told(argv: Sequence[str] | None) -> int:
 
 
 def _carried_out(argv: Sequence[str] | None) -> int:
+    parser, words = _parser(), sys.argv[1:] if argv is None else argv
     try:
-        args = _parser().parse_args(argv)
+        for word in words:
+            if word.startswith("--") and word.endswith("=--"):  # of which argparse makes an empty list
+                parser.error(f"argument {word[:-3]}: expected one argument")
+        args = parser.parse_args(words)
     except SystemExit as stop:  # argparse has printed what was wrong, or the help
         return GOOD if not stop.code else WRONG_INPUT
     return args.run(args)

@@ -266,6 +266,33 @@ def test_without_an_out_no_runs_folder_is_left_either(tmp_path, capsys):
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.parametrize("words", [["--frame=--"], ["--frame", "30", "--height=--"], ["--frame", "30", "--sensor=--"]])
+def test_two_dashes_as_the_value_of_an_option(tmp_path, capsys, words):
+    line = refused(capsys, tmp_path, "scan", write_scene(tmp_path), "--out", tmp_path / "cloud.npz", *words)
+    assert "expected one argument" in line
+
+
+def test_what_a_terminal_would_obey_is_shown_as_text(tmp_path, capsys):
+    for words in (["--sensor", "\x1b[31m"], ["--detail", "\x1b[2J\n"], ["--period", "\x07"]):
+        line = refused(capsys, tmp_path, *words_for("scan", write_scene(tmp_path), tmp_path), *words)
+        assert line.isprintable()
+
+
+def test_a_scene_whose_name_is_no_text_is_run_to_its_end(tmp_path):
+    scene = write_scene(tmp_path)
+    odd = scene.with_name("a\udcffb.toml")
+    try:
+        scene.rename(odd)
+    except (OSError, UnicodeError):
+        pytest.skip("the system has no such names")
+    words = [sys.executable, "-m", "blender_lidar", "evaluate", odd, "--height", "3", "--out", tmp_path / "r\udcffn"]
+    here = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
+    done = subprocess.run(words, capture_output=True, env=here, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert b"Traceback" not in done.stderr
+    assert (tmp_path / "r\udcffn" / "report.html").exists()
+
+
 @pytest.mark.parametrize("words", [[], ["optimize"], ["optimise"], ["scan", "s.toml", "--out", "c.npz"]])
 def test_incomplete_commands(tmp_path, capsys, words):
     assert "--help" in refused(capsys, tmp_path, *words)

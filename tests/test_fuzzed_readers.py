@@ -19,7 +19,7 @@ from blender_lidar.optimise import search_from_state
 from blender_lidar.reality import kitti_layout, sustech_layout
 from blender_lidar.reality.detections import read_detections
 from blender_lidar.reality.frame_list import read_frame_list
-from blender_lidar.reporting.page import report_html
+from blender_lidar.reporting.page import write_report
 from blender_lidar.results import RunFolder
 from blender_lidar.run import fresh_search
 from blender_lidar.scenario import load_scenario
@@ -252,7 +252,7 @@ def test_damaged_runs(tmp_path, runs, name):
     shutil.copytree(runs / "searched", tmp_path / "run")
     folder = RunFolder(tmp_path / "run")
 
-    fuzz(lambda _: report_html(folder).encode("utf-8"), folder.file(name), folder.file(name).read_bytes())
+    fuzz(lambda _: write_report(folder), folder.file(name), folder.file(name).read_bytes())
 
 
 @pytest.mark.parametrize("name", ["history.csv", "score_map.csv"])
