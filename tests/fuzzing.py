@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from blender_lidar.errors import BlenderLidarError
 
-EXAMPLES = int(os.environ.get("BLENDER_LIDAR_FUZZ", "30"))
+EXAMPLES = int(os.environ.get("BLENDER_LIDAR_FUZZ", "20"))
 """Examples for each reader: few in the suite, always the same; ``BLENDER_LIDAR_FUZZ=20000`` looks for new failures."""
 FUZZED = settings(
     max_examples=EXAMPLES,

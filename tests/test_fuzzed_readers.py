@@ -20,7 +20,7 @@ from blender_lidar.reality import kitti_layout, sustech_layout
 from blender_lidar.reality.detections import read_detections
 from blender_lidar.reality.frame_list import read_frame_list
 from blender_lidar.reporting.page import write_report
-from blender_lidar.results import RunFolder
+from blender_lidar.results import SHARP, RunFolder
 from blender_lidar.run import fresh_search
 from blender_lidar.scenario import load_scenario
 from blender_lidar.sensors.model import DATA_FOLDER, load_model
@@ -267,22 +267,20 @@ def test_damaged_records_of_a_search(tmp_path, runs, name):
     )
 
 
-@pytest.mark.parametrize("method", ["de-pso", "grid", "random"])
+@pytest.mark.parametrize("method", ["de-pso", "hardened", "grid", "random"])
 def test_damaged_checkpoints(tmp_path, method):
     scenario = load_scenario(write_scene(tmp_path, {**MAPPED, "search": {**SETTINGS["search"], "method": method}}))
     search = fresh_search(scenario)
     while search.evaluations < 8:
         search.tell(-np.asarray(search.ask()).sum(axis=1))
     folder = RunFolder(tmp_path)
-    folder.write_checkpoint({"seed": 1}, search.state())
+    folder.write_checkpoint({"seed": 1}, {SHARP: search.state()})
 
     def resumed(_):
-        state = folder.read_checkpoint({"seed": 1})
-        return None if state is None else search_from_state(state)
+        return [search_from_state(state) for state in folder.read_checkpoint({"seed": 1}).values()]
 
     def check(found):
-        if found is not None and not found.done:
-            assert np.isfinite(found.ask()).all()
+        assert all(np.isfinite(search.ask()).all() for search in found if not search.done)
 
     fuzz(resumed, folder.file("checkpoint.json"), folder.file("checkpoint.json").read_bytes(), check)
 
