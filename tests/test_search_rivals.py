@@ -24,6 +24,7 @@ from blender_lidar.optimise import (
     search_from_state,
 )
 from blender_lidar.optimise.rivals import grid_points
+from blender_lidar.optimise.sampling import generator, uniform
 from tests.search_landscapes import LOWER, UPPER, ackley, sphere, terraces
 
 
@@ -171,6 +172,32 @@ def test_an_unknown_search_is_refused_with_the_known_ones(name):
 def test_unusable_budgets_are_refused(name, options, message):
     with pytest.raises(InputError, match=message):
         make_search(name, LOWER, UPPER, **{"seed": 0, **options})
+
+
+def test_a_budget_larger_than_memory_costs_nothing_before_it_is_spent():
+    """Ten thousand particles for a million iterations, the most that a scene may ask for."""
+    for method in ("grid", "random"):
+        search = make_search(method, LOWER[:1], UPPER[:1], seed=1, settings=DePsoSettings(10_000, 1_000_000))
+        assert search.budget == 10**10
+        assert search.ask().shape == (20, 1)
+
+
+def test_candidates_made_when_they_are_asked_for_are_those_of_a_list_made_at_once():
+    points, size = (7, 5), 23
+    grid = run(GridSearch(LOWER, UPPER, points=points, chunk=4), sphere)
+    axes = [np.linspace(*axis) for axis in zip(LOWER, UPPER, points, strict=True)]
+    assert np.array_equal(points_of(grid.history), np.array(list(itertools.product(*axes))))
+    found = run(RandomSearch(LOWER, UPPER, seed=3, evaluations=size, chunk=4), sphere)
+    assert np.array_equal(points_of(found.history), uniform(generator(3), size, np.array(LOWER), np.array(UPPER)))
+
+
+@pytest.mark.parametrize("variables", range(1, 7))
+def test_the_finest_grid_is_that_of_counting_up(variables):
+    for evaluations in (2**variables, 2**variables + 1, 999, 1000, 4095, 4096, 46656, 117_649):
+        even = 2
+        while (even + 1) ** variables <= evaluations:
+            even += 1
+        assert set(grid_points(max(evaluations, 2**variables), variables)) <= {even, even + 1}
 
 
 @pytest.mark.parametrize("search", [GridSearch, RandomSearch])

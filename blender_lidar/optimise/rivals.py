@@ -57,12 +57,14 @@ class GridSearch(_ListSearch):
                 f"grid points: {points!r}; allowed: one whole number for each of the {lower.size} variables"
             )
         self._points = tuple(check_whole(count, 2, "grid points") for count in points)
-        self._axes = [np.linspace(*axis) for axis in zip(lower, upper, self._points, strict=True)]
         super().__init__(lower, upper, budget=math.prod(self._points), chunk=chunk)
 
     def _rows(self, start: int, stop: int) -> np.ndarray:
         nodes = np.unravel_index(np.arange(start, stop), self._points)
-        return np.column_stack([axis[node] for axis, node in zip(self._axes, nodes, strict=True)])
+        last = np.array(self._points) - 1
+        node = np.column_stack(nodes)
+        x = node * ((self._upper - self._lower) / last) + self._lower  # as NumPy's linspace, which may not fit memory
+        return np.where(node == last, self._upper, x)
 
     def _arguments(self) -> dict[str, Any]:
         return {"points": list(self._points), "chunk": self._per_iteration}
@@ -95,10 +97,11 @@ class RandomSearch(_ListSearch):
     ) -> None:
         super().__init__(lower, upper, budget=check_whole(evaluations, 1, "evaluations"), chunk=chunk)
         self._seed = check_whole(seed, 0, "seed")
-        self._list = uniform(generator(self._seed), self.budget, self._lower, self._upper)
 
     def _rows(self, start: int, stop: int) -> np.ndarray:
-        return self._list[start:stop]
+        rng = generator(self._seed)  # a budget may be larger than memory
+        rng.bit_generator.advance(start * self._lower.size)
+        return uniform(rng, stop - start, self._lower, self._upper)
 
     def _arguments(self) -> dict[str, Any]:
         return {"seed": self._seed, "evaluations": self.budget, "chunk": self._per_iteration}
@@ -113,7 +116,7 @@ def grid_points(evaluations: int, variables: int) -> tuple[int, ...]:
         If the budget does not reach for both bounds of every variable, ``2 ** variables``.
     """
     evaluations = check_whole(evaluations, 2**variables, f"evaluations of a grid over {variables} variables")
-    even = 2
+    even = max(2, int(evaluations ** (1 / variables)) - 1)  # below the root, however that is rounded
     while (even + 1) ** variables <= evaluations:
         even += 1
     points = [even] * variables
