@@ -231,7 +231,7 @@ def test_a_study_that_was_stopped_comes_to_the_same_files(finished, scene, tmp_p
     without_charts(monkeypatch)
     out = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
-        study(scene, out, Counter("RS-32, de-pso"))
+        study(scene, out, Counter("RS-32, hardened"))
     assert not (out / "case_study.json").exists()
     kept = {path.name: path.stat().st_mtime_ns for path in (out / "stages").iterdir()}
     assert kept

@@ -245,13 +245,13 @@ def test_an_installer_is_told_what_each_error_costs_in_shares_of_the_gain():
         "gain": 0.5,
         "kept": 0.9,
         "limits": {"height_m": [0.0, 0.01], "tilt_x_deg": [0.2, -0.05]},
-        "robust": {"mounting": {**REFERENCE, "tilt_x_deg": 12.0}, "sharp_gain": 0.45, "robust_gain": 0.5},
     }
-    height, tilt, together, robust = installation_findings(told, Tolerance(0.05, 1.0, 0.0, "mean"))
+    beside = {"mounting": {**REFERENCE, "tilt_x_deg": 12.0}, "sharp_gain": 0.45, "robust_gain": 0.5}
+    height, tilt, together, robust = installation_findings(told, beside, Tolerance(0.05, 1.0, 0.0, "mean"))
     assert (height.verdict, tilt.verdict, together.verdict, robust.verdict) == (STABLE, FAILS, FRAGILE, FRAGILE)
     assert tilt.text == "loses 40.0 % where it is less, is better by 10.0 % where it is more"
     assert "12.0 deg" in robust.text
-    (nothing,) = installation_findings({**told, "gain": 0.0}, Tolerance(0.05, 1.0, 0.0, "mean"))
+    (nothing,) = installation_findings({**told, "gain": 0.0}, beside, Tolerance(0.05, 1.0, 0.0, "mean"))
     assert nothing.verdict == UNDECIDED
 
 

@@ -74,7 +74,7 @@ def beside_robust(
     return {"mounting": dict(robust), "sharp_gain": gains[0], "robust_gain": gains[1]}
 
 
-def installation_findings(found: Mapping, tolerance: Tolerance) -> list[Finding]:
+def installation_findings(found: Mapping, robust: Mapping, tolerance: Tolerance) -> list[Finding]:
     """A line for each coordinate that is off, one for all, and one for the robust optimum beside the sharp one."""
     if not found["gain"] > 0.0:
         return [Finding(MOUNTING, "installation", "", UNDECIDED, "the mounting gains nothing over the baseline")]
@@ -91,7 +91,7 @@ def installation_findings(found: Mapping, tolerance: Tolerance) -> list[Finding]
     return [
         *lines,
         Finding(MOUNTING, "all of these together", "", by_loss(loss), text, {"loss": loss}),
-        _robust(found["robust"]),
+        _robust(robust),
     ]
 
 

@@ -98,13 +98,13 @@ def study_stability(
     certainty = sample_size(*_blocks_of_all(site, as_it_is), fine.tilt_deg, seed)
 
     tolerance = scene.objective.tolerance or USUAL
-    hung = folder.stage("installation", lambda: _installation(site, judging, fine, tolerance, counter))
     verdict = folder.stage("held_out", lambda: _judged(site, reference, seed))
     views = folder.stage("views", lambda: views_beyond_the_peak(site, reference))
     judged_answers = folder.stage("answers", lambda: _judged_answers(site, judging, answers))
 
     few = with_fewer_frames(whole, effort.varied_frames)
     coarse = mountings_about(scene, reference, effort.heights, effort.tilts)
+    hung = folder.stage("installation", lambda: _installation(site, few, coarse, judging, tolerance, counter))
     varied = [
         replace(AS_IT_IS, section=TRAFFIC),
         *traffic_variations(few, effort.draws),
@@ -118,7 +118,7 @@ def study_stability(
         gain_finding(verdict["reference"], metric),
         optimum,
         sample_size_finding(certainty),
-        *installation_findings(hung["over_tolerance"], tolerance),
+        *installation_findings(hung["off_plan"], hung["robust"], tolerance),
         saturation_finding(views),
         *(finding_of(change, of, coarse, intervals, judging_block, seed) for change, of in draws.items()),
         *search_findings(answers, *_best_and_baseline(site, whole, as_it_is[0]), judged_answers),
@@ -248,20 +248,21 @@ def _frames(site: Site, split: str) -> tuple[tuple[CountedFrame, ...], np.ndarra
     return (site.search, site.plan.search_block) if split == SEARCHED else (site.holdout, site.plan.holdout_block)
 
 
-def _installation(site: Site, judging: str, mountings: Mountings, tolerance: Tolerance, counter: CounterMaker) -> dict:
-    """The mounting off its plan on the frames that judge; the robust optimum, as an optimum, on the searched ones."""
+def _installation(
+    site: Site, few: Site, mountings: Mountings, judging: str, tolerance: Tolerance, counter: CounterMaker
+) -> dict:
+    """The mounting off its plan, on the frames that judge; the robust optimum is looked for as each variation's is."""
+    frames, block = _frames(site if judging == HELD_OUT else few, judging)
     with _counting(counter, 3, "installed only nearly so") as advance:
-        frames, block = _frames(site, judging)
-        with site.evaluator(frames) as evaluator:
-            found = {"profiles": profiles(evaluator, mountings)}
-            advance(1)
-            found["over_tolerance"] = off_plan(evaluator, mountings, tolerance, block)
-            advance(1)
-        with site.evaluator(site.search) as evaluator:
+        with few.evaluator(few.search) as evaluator:
             robust = robust_candidate(evaluator, mountings, tolerance)
         advance(1)
         with site.evaluator(frames) as evaluator:
-            found["over_tolerance"]["robust"] = beside_robust(evaluator, mountings, robust, tolerance)
+            found = {"profiles": profiles(evaluator, mountings)}
+            advance(1)
+            found["off_plan"] = off_plan(evaluator, mountings, tolerance, block)
+            found["robust"] = beside_robust(evaluator, mountings, robust, tolerance)
+            advance(1)
     return found
 
 
