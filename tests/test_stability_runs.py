@@ -23,7 +23,7 @@ from blender_lidar.stability.sensor_variations import sensor_variations
 from blender_lidar.stability.traffic_variations import traffic_variations
 from blender_lidar.stability.variations import AS_IT_IS, TRAFFIC, Variation
 from blender_lidar.study.site import prepare
-from tests.small_scene import MAPPED, cli, write_scene
+from tests.small_scene import MAPPED, cli, traffic_rows, write_scene, write_table
 
 TINY = Effort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
 ATTACKS = ("vertices", "ranges at the gate")
@@ -95,12 +95,19 @@ def test_changes_of_the_sensor_leave_traffic_and_score_alone_and_the_others_leav
         assert variation.changed(site).observation.lattice is site.observation.lattice
 
 
-def test_changed_traffic_never_counts_a_searched_vehicle_or_its_copy_among_the_held_out(site):
+def test_changed_traffic_never_counts_a_searched_vehicle_or_its_copy_among_the_held_out(tmp_path):
+    """Searched up to a block before what is held out: a jam pulls in vehicles that as recorded only that shows."""
+    settings = {"frames": None, "frame_ids": [18, 20, 22], "block_s": 1.0}
+    write_table(tmp_path / "traffic.csv", traffic_rows(vehicles=120))
+    site = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "traffic": settings})))
+    step = int(site.recording.vehicle_id.max()) + 1
     for variation in traffic_variations(site, 2):
         changed = variation.changed(site)
-        step = int(site.recording.vehicle_id.max()) + 1
-        judged = np.concatenate([frame.vehicles.vehicle_id[frame.counted] for frame in changed.holdout])
-        assert not np.isin(judged % step, site.plan.searched_ids).any(), variation
+        searched, judged = (
+            np.concatenate([frame.vehicles.vehicle_id[frame.counted] % step for frame in frames])
+            for frames in (changed.search, changed.holdout)
+        )
+        assert not np.isin(judged, [*site.plan.searched_ids, *searched]).any(), variation
 
 
 def test_lorries_have_the_share_that_was_asked_for(site):

@@ -94,10 +94,16 @@ def _with_traffic(site: Site, change: Callable[[Vehicles], Vehicles]) -> Site:
         [site.counted(change(site.recording.vehicles(frame))) for frame in frames]
         for frames in (site.plan.search, site.plan.holdout)
     )
-    return replace(site, search=tuple(searched), holdout=tuple(_judging(site, frame) for frame in held_out))
+    step = _copies_from(site)
+    chose = [site.plan.searched_ids, *(frame.vehicles.vehicle_id[frame.counted] % step for frame in searched)]
+    judged = (_not_counting(frame, np.concatenate(chose), step) for frame in held_out)
+    return replace(site, search=tuple(searched), holdout=tuple(judged))
 
 
-def _judging(site: Site, frame: CountedFrame) -> CountedFrame:
-    """A held-out frame: what any searched frame shows is not counted, nor are copies of it."""
-    original = frame.vehicles.vehicle_id % _copies_from(site)
-    return replace(frame, counted=frame.counted & ~np.isin(original, site.plan.searched_ids))
+def _not_counting(frame: CountedFrame, ids: np.ndarray, copies_from: int) -> CountedFrame:
+    """A frame without some vehicles, nor copies of them, among those that count.
+
+    In held-out frames these are what counts in any searched frame, as recorded or changed: a queue that closes up
+    brings vehicles into the region that were not there yet.
+    """
+    return replace(frame, counted=frame.counted & ~np.isin(frame.vehicles.vehicle_id % copies_from, ids))
