@@ -81,9 +81,14 @@ def test_every_metric_but_the_scenes_own_takes_its_turn(site):
     assert tried == set(METRICS) - {site.scoring.metric}
 
 
-def test_a_scene_without_a_loss_has_none_to_vary(site):
+def test_without_a_loss_there_is_neither_c_nor_view_nor_delta_to_vary_as_the_objective_asks_for_none(site):
     without = replace(site, scoring=replace(site.scoring, loss=None))
-    assert not any("abs(C)" in variation.what for variation in metric_variations(without))
+    assert {variation.what for variation in metric_variations(without)} == {"cell size", "other metric"}
+    poses = mountings(site).poses
+    for change in ({"view": "min"}, {"threshold": 0.05}):
+        other = replace(without, scoring=replace(without.scoring, **change))
+        scored = [next(landscapes(one, [Job(AS_IT_IS, poses)])).objective for one in (without, other)]
+        np.testing.assert_array_equal(*scored)
 
 
 def test_changes_of_the_sensor_leave_traffic_and_score_alone_and_the_others_leave_the_sensor(site):

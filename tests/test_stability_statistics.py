@@ -28,6 +28,7 @@ from blender_lidar.stability.installation import installation_findings
 from blender_lidar.stability.landscape import Landscape, losses_to, losses_to_best
 from blender_lidar.stability.mountings import CANDIDATES, Mountings
 from blender_lidar.stability.sample_size import ASKED_DEG, sample_size
+from blender_lidar.stability.saturation import saturation_finding
 from blender_lidar.stability.traffic_sample import gain_finding, optimum_finding, sample_size_finding
 from blender_lidar.stability.varied import Draw, Intervals, finding_of
 
@@ -150,6 +151,13 @@ def test_optima_are_told_as_inside_or_outside_the_interval_of_resampled_traffic(
     assert found([one, other], intervals).text.endswith("best at 4.00 m, 5 to 10 deg: 1 of 2 inside")
 
 
+def test_an_interval_between_two_points_of_the_grid_holds_the_optimum_of_either():
+    """Certain to half a step of the finer grid that it is from: no point of the coarser one lies in it."""
+    draw = drawn([1.0] * 4, [0.0] * 4, [1.0] * 4, row=1)
+    assert found([draw], Intervals((4.0, 4.0), (7.5, 7.5))).numbers["inside"] == [True]
+    assert found([draw], Intervals((4.0, 4.0), (7.4, 7.4))).numbers["inside"] == [False]
+
+
 def test_a_metric_that_does_not_choose_and_a_site_that_refuses_are_undecided():
     assert found([drawn([1.0], [1.0], [1.0], chooses=False)]).verdict == UNDECIDED
     finding = found(["no vehicle is left in the region"])
@@ -268,6 +276,13 @@ def test_a_search_is_judged_by_the_worst_of_its_seeds():
     assert "tilt 10.0 to 20.0 deg" in spread.text
     (nothing,) = search_findings([answer(0.0, 10.0)], 0.0, 0.1, {"baseline": 0.0, "answers": [0.0]})
     assert nothing.verdict == UNDECIDED
+
+
+def test_where_nothing_is_seen_no_share_of_it_is_judged():
+    found = {"seen": 0, "share": None, "share_within_10_m": None}
+    assert saturation_finding(found).verdict == UNDECIDED
+    full = {"seen": 10, "share": 0.5, "share_within_10_m": None}
+    assert saturation_finding(full).verdict == FAILS
 
 
 def count(**differences):

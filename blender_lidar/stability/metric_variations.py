@@ -17,20 +17,23 @@ LOSSES = (0.0, 0.5, 1.0, 2.0, 4.0)  # abs(C), in the metric's unit
 
 
 def metric_variations(site: Site) -> list[Variation]:
-    """Cell size, view, delta and C of the scene's objective, and every other metric in its place."""
+    """Cell size, view, delta and C of the scene's objective, and every other metric in its place.
+
+    Without a C the objective asks for neither view nor delta.
+    """
     scoring, cell_m = site.scoring, site.observation.cell_m
     found = [
         Variation(METRIC, "cell size", f"{100 * value:g} cm", partial(_with_cells, cell_m=value))
         for value in CELLS_M
         if value != cell_m
     ]
-    settings = (
-        ("view of Eq. 11", "view", {view: view for view in VIEWS}, scoring.view),
-        ("delta of Eq. 11", "threshold", {f"{value:g}": value for value in THRESHOLDS}, scoring.threshold),
-    )
+    settings = []
     if scoring.loss is not None:
-        losses = {f"{value:g}": -value for value in LOSSES}
-        settings += (("abs(C) of Eq. 10", "loss", losses, -abs(scoring.loss)),)
+        settings = [
+            ("view of Eq. 11", "view", {view: view for view in VIEWS}, scoring.view),
+            ("delta of Eq. 11", "threshold", {f"{value:g}": value for value in THRESHOLDS}, scoring.threshold),
+            ("abs(C) of Eq. 10", "loss", {f"{value:g}": -value for value in LOSSES}, -abs(scoring.loss)),
+        ]
     for what, key, values, now in settings:
         found += [
             Variation(METRIC, what, text, partial(_with_scoring, key=key, value=value))

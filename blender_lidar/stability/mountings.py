@@ -42,6 +42,12 @@ class Mountings:
         ]
 
     @property
+    def steps(self) -> tuple[float, float]:
+        """From one height of the grid to the next [m], and from one tilt to the next [deg]; 0 where there is one."""
+        height, tilt = (float(np.diff(np.unique(axis)).max(initial=0.0)) for axis in (self.height_m, self.tilt_deg))
+        return height, tilt
+
+    @property
     def poses(self) -> tuple[Pose, ...]:
         """All of them, (2 + k)."""
         return pose_at(self.reference), self.baseline, *map(pose_at, self.grid)

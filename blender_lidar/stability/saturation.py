@@ -9,7 +9,7 @@ import numpy as np
 from ..scenario import pose_at
 from ..study.site import Site
 from ..study.vehicle_table import vehicle_table
-from .findings import FAILS, FRAGILE, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, STABLE, Finding, percent
+from .findings import FAILS, FRAGILE, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, STABLE, UNDECIDED, Finding, percent
 from .variations import METRIC
 
 PEAK = 1.0 / math.e
@@ -26,13 +26,15 @@ def views_beyond_the_peak(site: Site, mounting: dict[str, float]) -> dict:
 
 def saturation_finding(found: dict) -> Finding:
     """How much of what is seen lies where a denser view scores less."""
-    share = found["share"]
+    what, share = "views beyond P = 1/e", found["share"]
+    if share is None:
+        return Finding(METRIC, what, "", UNDECIDED, "no view of any vehicle has a return", found)
     verdict = STABLE if share <= MOST_STABLE_LOSS else FRAGILE if share <= MOST_FRAGILE_LOSS else FAILS
     near = found["share_within_10_m"]
     text = f"{percent(share)} of {found['seen']:,} seen views" + (
         "" if near is None else f", {percent(near)} of those nearer than 10 m: there a denser view scores less"
     )
-    return Finding(METRIC, "views beyond P = 1/e", "", verdict, text, found)
+    return Finding(METRIC, what, "", verdict, text, found)
 
 
 def _beyond(shares: np.ndarray) -> float | None:

@@ -20,10 +20,13 @@ class Intervals:
     height_m: tuple[float, float]
     tilt_deg: tuple[float, float]
 
-    def hold(self, height_m: float, tilt_deg: float) -> bool:
-        """Whether an optimum lies in both, which rounding does not decide."""
-        pairs = ((self.height_m, height_m), (self.tilt_deg, tilt_deg))
-        return all(low - 1e-6 <= value <= high + 1e-6 for (low, high), value in pairs)
+    def hold(self, height_m: float, tilt_deg: float, steps: tuple[float, float] = (0.0, 0.0)) -> bool:
+        """Whether an optimum lies in both, which neither rounding nor the grid that it is on decides.
+
+        `steps` of that grid, [m] and [deg]: no more is known of the optimum than that it is within half a step.
+        """
+        pairs = ((self.height_m, height_m, steps[0]), (self.tilt_deg, tilt_deg, steps[1]))
+        return all(low - 0.5 * step - 1e-6 <= value <= high + 0.5 * step + 1e-6 for (low, high), value, step in pairs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +82,7 @@ def finding_of(
     numbers = {
         "best_height_m": [height for height, _ in places],
         "best_tilt_deg": [tilt for _, tilt in places],
-        "inside": None if intervals is None else [intervals.hold(*place) for place in places],
+        "inside": None if intervals is None else [intervals.hold(*place, mountings.steps) for place in places],
         "vehicles_per_frame": float(np.mean([draw.judged.vehicles.mean() for draw in draws])),
     }
     losses = [float(losses_to(draw.judged.per_vehicle()[:, None])[0]) for draw in draws]
