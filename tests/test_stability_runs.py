@@ -245,6 +245,46 @@ def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(sit
     assert found.height_m.tolist() == [2.0, 2.5, 3.0, 3.5, 4.0, 4.5]
 
 
+def test_a_study_of_a_fixed_tilt_and_another_metric_tells_neither_of_the_best_tilt_nor_of_a_peak(
+    tiny, tmp_path, capsys
+):
+    scene = write_scene(tmp_path, {"objective": {"metric": "log-points"}})
+    code, out, err = cli(capsys, "stability", scene, "--quick", "--out", tmp_path / "run", "--json")
+    assert code == 0, err
+    told = {finding["what"] for finding in json.loads(out)["findings"]}
+    assert "optimum under resampled traffic" in told
+    assert not told & {"best tilt to 1 deg", "views beyond P = 1/e"}
+
+
+def test_a_mounting_that_sees_nothing_is_told_of_without_a_traceback(tiny, tmp_path, capsys):
+    words = ("--quick", "--height", 30, "--json", "--out", tmp_path / "run")  # beyond the range gate
+    code, out, err = cli(capsys, "stability", write_scene(tmp_path, MAPPED), *words)
+    assert code == 0, err
+    assert "no view of any vehicle has a return" in {finding["text"] for finding in json.loads(out)["findings"]}
+
+
+def test_frames_that_were_asked_for_by_number_are_all_searched_in_a_quick_study_too(tiny, tmp_path, capsys):
+    scene = write_scene(tmp_path, {**MAPPED, "traffic": {"frames": None}})
+    words = ("--quick", "--frame-ids", "0:20:4", "--json", "--out", tmp_path / "run")
+    _, out, err = cli(capsys, "stability", scene, *words)
+    assert json.loads(out)["answered_frames"] == 6 > TINY.frames, err
+
+
+def test_fewer_frames_are_not_so_few_that_they_are_empty(site):
+    empty = [replace(frame, counted=np.zeros_like(frame.counted)) for frame in site.search[1:]]
+    sparse = replace(site, search=(site.search[0], *empty))
+    assert study.with_fewer_frames(sparse, 2) is sparse
+    assert len(study.with_fewer_frames(site, 2).search) == 2
+
+
+def test_what_attacks_are_counted_of_is_part_of_what_a_resumed_study_must_share(site, monkeypatch):
+    before = study.study_identity(site, TINY, None)
+    monkeypatch.setattr(study, "is_available", lambda caster: caster == "bvh")
+    after = study.study_identity(site, TINY, None)
+    assert {key for key in after if after[key] != before[key]} <= {"study casters"}
+    assert after["study casters"] == ["bvh"]
+
+
 def test_a_scene_that_fixes_height_and_tilt_is_refused_in_one_line(tmp_path, capsys):
     scene = write_scene(tmp_path, {"deployment": {"height_m": 4.0, "y_m": [-1.0, 0.0]}})
     code, _, err = cli(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")

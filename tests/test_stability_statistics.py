@@ -214,6 +214,13 @@ def test_blocks_without_vehicles_change_nothing():
     )
 
 
+def test_a_tilt_is_no_more_certain_than_the_grid_that_it_is_told_from():
+    coarse = slice(None, None, 20)  # steps of 5 degrees, on which the optimum never strays
+    objective = hills(200, 5)
+    objective = np.concatenate([objective[:CANDIDATES], objective[CANDIDATES:][coarse]])
+    assert sample_size(objective, np.ones(200), TILTS[coarse], 1).reach_deg[-1] == 2.5
+
+
 def test_too_few_blocks_tell_nothing():
     assert sample_size(hills(5, 1), np.ones(5), TILTS, 1) is None
     assert sample_size_finding(None).verdict == UNDECIDED

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     given = any(getattr(args, f"pose_{key}") is not None for key in COORDINATES)
     mounting = mounting_from(args, scenario) if given else None
     effort = QUICK if args.quick else FULL
-    if args.frames is not None:  # asked for: none of them is left out
+    if args.frames is not None or args.frame_ids is not None:  # asked for: none of them is left out
         effort = replace(effort, frames=None)
     site = prepare(scenario, mounting)
     folder = StudyFolder(

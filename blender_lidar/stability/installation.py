@@ -75,7 +75,7 @@ def beside_robust(
 
 
 def installation_findings(found: Mapping, robust: Mapping, tolerance: Tolerance) -> list[Finding]:
-    """A line for each coordinate that is off, one for all, and one for the robust optimum beside the sharp one."""
+    """A line for each coordinate that is off, one for all, and one for the robust optimum beside this mounting."""
     if not found["gain"] > 0.0:
         return [Finding(MOUNTING, "installation", "", UNDECIDED, "the mounting gains nothing over the baseline")]
     lines = []
@@ -96,11 +96,11 @@ def installation_findings(found: Mapping, robust: Mapping, tolerance: Tolerance)
 
 
 def _robust(found: Mapping) -> Finding:
-    """What the sharp optimum leaves to the robust one where both hang only nearly as planned."""
+    """What the mounting in question leaves to the robust optimum where both hang only nearly as planned."""
     what, place = "robust optimum", found["mounting"]
     at = f"{place['height_m']:.2f} m, {place['tilt_x_deg']:.1f} deg"
     if not found["robust_gain"] > 0.0:
         return Finding(MOUNTING, what, "", UNDECIDED, f"{at}, which gains nothing over the baseline", dict(found))
     loss = 1.0 - found["sharp_gain"] / found["robust_gain"]
-    text = f"{at} is best where all of these may be off; there the sharp one {lost(loss)}"
+    text = f"{at}, best on the searched frames where all of these may be off; there the mounting {lost(loss)}"
     return Finding(MOUNTING, what, "", by_loss(loss), text, {"loss": loss, **found})

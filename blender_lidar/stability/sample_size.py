@@ -10,7 +10,7 @@ from ..study.statistics import FEWEST_BLOCKS, interval_90
 from .landscape import values_under
 from .mountings import CANDIDATES
 
-ASKED_DEG = 1.0
+ASKED_DEG = 1.0  # steps of the tilts that it is told from must not be wider
 _RESAMPLES = 1000
 _SLOWEST, _FASTEST = 1.0 / 3.0, 0.5  # powers of the sample that an optimum's error can fall with: of jumps, of a hill
 _SIZES = 8
@@ -25,7 +25,7 @@ class SampleSize:
     vehicles : tuple of float
         Vehicle observations of each size; the last is what is at hand.
     reach_deg : tuple of float
-        Half of the 90 % interval of the best tilt [deg].
+        Half of the 90 % interval of the best tilt [deg]; half a step of the grid where that is more.
     power : float
         The interval falls with this power of the observations: fitted, between 1/3 (Kim and Pollard 1990, where the
         objective jumps) and 1/2 (where it is a smooth hill).
@@ -44,7 +44,8 @@ def sample_size(objective: np.ndarray, vehicles: np.ndarray, tilt_deg: np.ndarra
 
     Blocks are drawn without replacement, up to half of them: of an argmax, unlike a mean, the bootstrap tells too
     little (Abrevaya and Huang 2005), as resamples share the accidents of the sample. A sample of m of b blocks strays
-    from the whole as an independent one of m / (1 - m / b) blocks strays from the truth, and counts as that many.
+    from the whole as an independent one of m / (1 - m / b) blocks strays from the truth, and counts as that many:
+    exactly so for a mean, about so for an argmax.
 
     Parameters
     ----------
@@ -68,8 +69,9 @@ def sample_size(objective: np.ndarray, vehicles: np.ndarray, tilt_deg: np.ndarra
     rng = np.random.default_rng(seed)
     sizes = np.unique(np.geomspace(FEWEST_BLOCKS, blocks // 2, _SIZES).round().astype(int))
     counts = [float(size / (1.0 - size / blocks) * vehicles.mean()) for size in sizes]
-    reach = [_reach_deg(objective, vehicles, tilt_deg, rng, size) for size in sizes]
-    power = _power(counts, reach)
+    finest = 0.5 * float(np.diff(np.unique(tilt_deg)).max(initial=0.0))
+    reach = [max(finest, _reach_deg(objective, vehicles, tilt_deg, rng, size)) for size in sizes]
+    power = _power(counts, reach, finest)
     return SampleSize(tuple(counts), tuple(reach), power, _needed(counts, reach, power))
 
 
@@ -90,9 +92,12 @@ def _needed(counts, reach, power) -> float:
     return counts[too_wide[-1] + 1] if len(too_wide) else counts[0]
 
 
-def _power(counts, reach) -> float:
-    """The slope through the sizes at which the optimum strays at all, kept to what theory allows."""
-    strays = np.array(reach) > 0.0
+def _power(counts, reach, finest) -> float:
+    """The slope through the sizes at which the optimum strays by more than the grid tells, kept to what theory allows.
+
+    `finest` is the reach that the grid tells [deg].
+    """
+    strays = np.array(reach) > finest
     if strays.sum() < 2:
         return _FASTEST
     slope = np.polyfit(np.log(np.array(counts)[strays]), np.log(np.array(reach)[strays]), 1)[0]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
@@ -12,9 +13,11 @@ import numpy as np
 
 from ..casting import is_available
 from ..metrics.catalogue import metric_named
+from ..metrics.views import PE_VGOP
 from ..provenance import versions
 from ..scenario import pose_at
 from ..settings import Tolerance
+from ..study.score_map import AXES
 from ..study.scoring import CountedFrame
 from ..study.site import Site
 from ..study.stages import StudyFolder
@@ -24,22 +27,23 @@ from .attacked import attack_finding
 from .attacks import ATTACKS
 from .caster_attacks import TREES, AttackCount, count_attack
 from .effort import Effort
-from .findings import MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, Finding
+from .findings import MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, UNDECIDED, Finding
 from .installation import USUAL, beside_robust, installation_findings, off_plan, profiles, robust_candidate
 from .landscape import Landscape
 from .landscapes import HELD_OUT, SEARCHED, Job, landscapes
 from .metric_variations import metric_variations
 from .mountings import BASELINE, CANDIDATES, REFERENCE, Mountings, mountings_about
-from .sample_size import sample_size
+from .sample_size import ASKED_DEG, sample_size
 from .saturation import saturation_finding, views_beyond_the_peak
 from .seeds import answer_of_seed, evaluations_of
 from .sensor_variations import sensor_variations
 from .traffic_sample import gain_finding, optimum_finding, sample_size_finding
 from .traffic_variations import traffic_variations
-from .variations import AS_IT_IS, SECTIONS, TRAFFIC, Variation
+from .variations import AS_IT_IS, CASTERS, SECTIONS, TRAFFIC, Variation
 from .varied import Draw, finding_of
 
 SCHEMA = 1  # of the stages and of the result
+TILT = AXES[1]
 
 
 class Counter(Protocol):
@@ -60,7 +64,8 @@ def study_identity(site: Site, effort: Effort, mounting: Mapping[str, float] | N
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"study {name}": value for name, value in asdict(effort).items()}
     limits = {"study losses": [MOST_STABLE_LOSS, MOST_FRAGILE_LOSS], "study schema": SCHEMA}
-    return {**site.identity, **asked, **limits, "study mounting": None if mounting is None else dict(mounting)}
+    given = {"study mounting": None if mounting is None else dict(mounting), "study casters": _attacked_casters()}
+    return {**site.identity, **asked, **limits, **given}
 
 
 def study_stability(
@@ -91,15 +96,25 @@ def study_stability(
     reference = dict(answers[0]["mounting"] if mounting is None else mounting)
     judging = HELD_OUT if sum(int(frame.counted.sum()) for frame in site.holdout) else SEARCHED
 
-    fine = mountings_about(scene, reference, effort.heights, effort.fine_tilts)
+    lowest, highest = scene.deployment.bounds.get(TILT, (0.0, 0.0))
+    fine_tilts = max(effort.fine_tilts, math.ceil((highest - lowest) / ASKED_DEG) + 1)
+    fine = mountings_about(scene, reference, effort.heights, fine_tilts)
     sampled = [Job(AS_IT_IS, fine.poses, split) for split in dict.fromkeys((SEARCHED, judging))]
     as_it_is = _landscapes(site, sampled, folder, counter, "the scene as it is")
     optimum, intervals = optimum_finding(as_it_is[0], fine, site.plan.search_block, seed)
-    certainty = sample_size(*_blocks_of_all(site, as_it_is), fine.tilt_deg, seed)
+    certainty = (
+        [sample_size_finding(sample_size(*_blocks_of_all(site, as_it_is), fine.tilt_deg, seed))]
+        if TILT in scene.deployment.bounds
+        else []  # there is no best tilt to be certain of
+    )
 
     tolerance = scene.objective.tolerance or USUAL
     verdict = folder.stage("held_out", lambda: _judged(site, reference, seed))
-    views = folder.stage("views", lambda: views_beyond_the_peak(site, reference))
+    views = (
+        [saturation_finding(folder.stage("views", lambda: views_beyond_the_peak(site, reference)))]
+        if metric.name == PE_VGOP.name
+        else []  # other metrics have no such peak
+    )
     judged_answers = folder.stage("answers", lambda: _judged_answers(site, judging, answers))
 
     few = with_fewer_frames(whole, effort.varied_frames)
@@ -117,9 +132,9 @@ def study_stability(
     findings = [
         gain_finding(verdict["reference"], metric),
         optimum,
-        sample_size_finding(certainty),
+        *certainty,
         *installation_findings(hung["off_plan"], hung["robust"], tolerance),
-        saturation_finding(views),
+        *views,
         *(finding_of(change, of, coarse, intervals, judging_block, seed) for change, of in draws.items()),
         *search_findings(answers, *_best_and_baseline(site, whole, as_it_is[0]), judged_answers),
         *_attacked(effort, folder, counter),
@@ -157,10 +172,12 @@ def study_stability(
 
 
 def with_fewer_frames(site: Site, frames: int | None) -> Site:
-    """The site with at most that many of its searched frames, spread evenly; None keeps all."""
+    """The site with at most that many of its searched frames, spread evenly; all for None, or where those are empty."""
     if frames is None or frames >= len(site.search):
         return site
     kept = ((np.arange(frames) + 0.5) * len(site.search) / frames).astype(int)
+    if not any(site.search[row].counted.any() for row in kept):
+        return site
     plan = replace(site.plan, search=site.plan.search[kept], search_block=site.plan.search_block[kept])
     return replace(site, plan=plan, search=tuple(site.search[row] for row in kept))
 
@@ -189,8 +206,11 @@ def _landscapes(
     missing = [(name, job) for name, job in zip(names, jobs, strict=True) if not folder.holds(name)]
     if missing:
         frames = sum(len(site.search if job.split == SEARCHED else site.holdout) for _, job in missing)
-        with _counting(counter, frames, what) as advance:
-            found = landscapes(site, [job for _, job in missing], advance)
+        scored = [job for _, job in missing]
+        with (
+            _counting(counter, frames, what) as advance,
+            closing(landscapes(site, scored, advance)) as found,  # a stop ends its processes
+        ):
             for (name, _), landscape in zip(missing, found, strict=True):
                 stored = landscape if isinstance(landscape, str) else landscape.as_dict()
                 folder.stage(name, lambda stored=stored: stored)
@@ -280,12 +300,17 @@ def _judged_answers(site: Site, judging: str, answers: Sequence[Mapping]) -> dic
     return {"baseline": values[0], "answers": values[1:]}
 
 
+def _attacked_casters() -> list[str]:
+    return [caster for caster in TREES if is_available(caster)]
+
+
 def _attacked(effort: Effort, folder: StudyFolder, counter: CounterMaker) -> list[Finding]:
     """Every caster that is installed under every attack."""
-    casters = [caster for caster in TREES if is_available(caster)]
-    found = []
+    casters, found = _attacked_casters(), []
+    if not casters:
+        return [Finding(CASTERS, "under attack", "", UNDECIDED, "none is installed but the oracle itself")]
     with _counting(counter, len(ATTACKS), "casters under attack") as advance:
-        for name in ATTACKS if casters else ():
+        for name in ATTACKS:
 
             def count(name=name) -> list[dict]:
                 return [asdict(count_attack(caster, name, quick=effort.quick)) for caster in casters]
