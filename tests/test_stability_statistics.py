@@ -25,12 +25,13 @@ from blender_lidar.stability.findings import (
     worst,
 )
 from blender_lidar.stability.installation import installation_findings
-from blender_lidar.stability.landscape import Landscape, losses_to, losses_to_best
+from blender_lidar.stability.landscape import Landscape, losses_to, losses_to_best, values_under
 from blender_lidar.stability.mountings import CANDIDATES, Mountings
 from blender_lidar.stability.sample_size import ASKED_DEG, sample_size
 from blender_lidar.stability.saturation import saturation_finding
 from blender_lidar.stability.traffic_sample import gain_finding, optimum_finding, sample_size_finding
 from blender_lidar.stability.varied import Draw, Intervals, finding_of
+from blender_lidar.study.statistics import statistic_interval_90
 
 REFERENCE = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 10.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
 CHANGE = ("metric", "what", "value")
@@ -118,7 +119,7 @@ def drawn(reference, baseline, best, row=1, chooses=True):
 
 def found(draws, intervals=None, block=None):
     frames = next((draw.judged.objective.shape[1] for draw in draws if isinstance(draw, Draw)), 1)
-    return finding_of(CHANGE, draws, grid([5.0, 10.0]), intervals, np.arange(frames) if block is None else block, 1)
+    return finding_of(CHANGE, draws, grid([5.0, 10.0]), intervals, np.arange(frames) if block is None else block)
 
 
 def test_several_draws_are_judged_by_their_mean_with_an_interval_about_it():
@@ -141,6 +142,26 @@ def test_the_interval_covers_the_true_loss_about_as_often_as_it_says():
         low, high = found([drawn(reference, baseline, best)]).numbers["interval_90"]
         covered += low <= 0.2 <= high
     assert 0.82 <= covered / trials <= 0.97
+
+
+def test_the_interval_is_that_of_resampled_blocks_where_there_is_much_to_gain():
+    rng = np.random.default_rng(4)
+    draws = [drawn(*(level + 0.05 * rng.normal(size=15) for level in (0.8, 0.0, 1.0))) for _ in range(2)]
+
+    def loss(weights):
+        return np.mean([losses_to(values_under(weights, draw.judged.objective, np.ones(15))) for draw in draws], axis=0)
+
+    expected = statistic_interval_90(loss, np.ones(15), 1)
+    np.testing.assert_allclose(found(draws).numbers["interval_90"], expected, atol=0.003)
+
+
+def test_there_is_an_interval_where_some_blocks_gain_nothing_or_one_draw_leaves_them_empty():
+    little = drawn([0.1, 0.0, 0.2, -0.1], [0.0] * 4, [0.9, -0.3, 0.8, -0.2])
+    low, high = found([little]).numbers["interval_90"]
+    assert low < found([little]).numbers["loss"] < high
+    empty = Draw(1, True, landscape([[0.8, 0.9, 0.7, 0.0], [0.0] * 4, [1.0, 1.0, 1.0, 0.0]], [1, 1, 1, 0]))
+    full = drawn([0.8, 0.9, 0.7, 0.8], [0.0] * 4, [1.0, 1.0, 1.0, 1.0])
+    assert found([empty, full]).numbers["interval_90"] is not None
 
 
 def test_optima_are_told_as_inside_or_outside_the_interval_of_resampled_traffic():
@@ -281,6 +302,10 @@ def test_a_search_is_judged_by_the_worst_of_its_seeds():
     assert regret.verdict == FAILS
     assert spread.numbers["loss"] == pytest.approx(0.1)
     assert "tilt 10.0 to 20.0 deg" in spread.text
+    assert "yaw" not in spread.text
+    answers[0]["mounting"]["yaw_deg"] = 40.0  # where more is searched, more is told
+    _, spread = search_findings(answers, 0.9, 0.0, {"baseline": 0.0, "answers": [0.5, 0.5, 0.45]})
+    assert "yaw 0.0 to 40.0 deg" in spread.text
     (nothing,) = search_findings([answer(0.0, 10.0)], 0.0, 0.1, {"baseline": 0.0, "answers": [0.0]})
     assert nothing.verdict == UNDECIDED
 

@@ -10,7 +10,15 @@ from .findings import UNDECIDED, Finding, by_loss, percent
 from .seeds import regrets
 from .variations import SEARCH
 
-_TEXTS = {"height_m": ("height", "m", 2), "tilt_x_deg": ("tilt", "deg", 1)}
+_TEXTS = {  # name, unit, digits; those that all answers share are told of the first two alone
+    "height_m": ("height", "m", 2),
+    "tilt_x_deg": ("tilt", "deg", 1),
+    "x_m": ("x", "m", 2),
+    "y_m": ("y", "m", 2),
+    "tilt_y_deg": ("tilt along the road", "deg", 1),
+    "yaw_deg": ("yaw", "deg", 1),
+}
+_ALWAYS_TOLD = ("height_m", "tilt_x_deg")
 
 
 def search_findings(answers: Sequence[dict], best: float, baseline: float, judged: Mapping) -> list[Finding]:
@@ -38,8 +46,11 @@ def _spread(answers: Sequence[dict], value: str, judged: Mapping) -> Finding:
     """How far apart answers lie, judged by what the least of them loses to the best on other traffic."""
     places, texts = {}, []
     for key, (name, unit, digits) in _TEXTS.items():
-        places[key] = [answer["mounting"][key] for answer in answers]
-        low, high = (f"{end:.{digits}f}" for end in (min(places[key]), max(places[key])))
+        found = [answer["mounting"][key] for answer in answers]
+        if key not in _ALWAYS_TOLD and len(set(found)) == 1:
+            continue
+        places[key] = found
+        low, high = (f"{end:.{digits}f}" for end in (min(found), max(found)))
         texts.append(f"{name} {low} to {high} {unit}")
     gains = np.array(judged["answers"]) - judged["baseline"]
     loss = float(1.0 - gains.min() / gains.max()) if gains.max() > 0.0 else None

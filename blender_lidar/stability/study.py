@@ -135,7 +135,7 @@ def study_stability(
         *certainty,
         *installation_findings(hung["off_plan"], hung["robust"], tolerance),
         *views,
-        *(finding_of(change, of, coarse, intervals, judging_block, seed) for change, of in draws.items()),
+        *(finding_of(change, of, coarse, intervals, judging_block) for change, of in draws.items()),
         *search_findings(answers, *_best_and_baseline(site, whole, as_it_is[0]), judged_answers),
         *_attacked(effort, folder, counter),
     ]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..study.statistics import statistic_interval_90
+from ..study.statistics import FEWEST_BLOCKS, student_t_95
 from .findings import UNDECIDED, Finding, by_loss, lost
-from .landscape import Landscape, losses_to, values_under
-from .mountings import Mountings
+from .landscape import Landscape, losses_to
+from .mountings import BASELINE, CANDIDATES, REFERENCE, Mountings
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,6 @@ def finding_of(
     mountings: Mountings,
     intervals: Intervals | None,
     block: np.ndarray,
-    seed: int,
 ) -> Finding:
     """What one change does to the mounting in question; several draws of it are judged by their mean.
 
@@ -69,8 +68,6 @@ def finding_of(
         Where resampled traffic puts the optimum of the scene as it is.
     block : ndarray of int, (f,)
         Block of each frame that judges.
-    seed : int
-        Of the resampling.
     """
     refused = [draw for draw in draws if isinstance(draw, str)]
     if refused:
@@ -89,20 +86,32 @@ def finding_of(
     if np.isnan(losses).any():
         text = "what is best on the searched frames gains nothing on those that judge"
         return Finding(*change, UNDECIDED, text, numbers)
-    loss, interval = float(np.mean(losses)), _interval(draws, block, seed)
+    loss, interval = float(np.mean(losses)), _interval(draws, block)
     numbers = {"loss": loss, "interval_90": interval, "losses": losses, **numbers}
     return Finding(*change, by_loss(loss), f"{lost(loss, interval)}; {_places(numbers)}", numbers)
 
 
-def _interval(draws: Sequence[Draw], block: np.ndarray, seed: int) -> list[float] | None:
-    """90 % interval of the mean loss over blocks of time, the same resamples for all draws."""
-    blocks = [draw.judged.blocks(block) for draw in draws]
+def _interval(draws: Sequence[Draw], block: np.ndarray) -> list[float] | None:
+    """90 % interval of the mean loss over blocks of time; None for too few of them.
 
-    def loss(weights: np.ndarray) -> np.ndarray:
-        return np.mean([losses_to(values_under(weights, *one)) for one in blocks], axis=0)
+    The loss is a ratio of sums over blocks, what the mounting leaves over what there is to gain, and is taken as linear
+    in them (Cochran 1977, section 6.4). Resamples would not do: where there is little to gain, it is nothing in some.
+    """
+    vehicles = sum(draw.judged.blocks(block)[1] for draw in draws)
+    influence = np.mean([_influence(draw.judged.blocks(block)[0]) for draw in draws], axis=0)[vehicles > 0]
+    blocks = len(influence)
+    if blocks < FEWEST_BLOCKS:
+        return None
+    reach = student_t_95(blocks - 1) * float(np.sqrt(blocks / (blocks - 1) * (influence**2).sum()))
+    loss = float(np.mean([losses_to(draw.judged.per_vehicle()[:, None]) for draw in draws]))
+    return [loss - reach, loss + reach]
 
-    interval = statistic_interval_90(loss, sum(vehicles for _, vehicles in blocks), seed)
-    return None if interval is None or not np.isfinite(interval).all() else list(interval)
+
+def _influence(objective: np.ndarray) -> np.ndarray:
+    """How far each block moves the loss, (b,), from the objective of a draw's three mountings, (3, b)."""
+    rival = objective[CANDIDATES]
+    left, gain = rival - objective[REFERENCE], rival - objective[BASELINE]
+    return (left - left.sum() / gain.sum() * gain) / gain.sum()
 
 
 def _places(numbers) -> str:
