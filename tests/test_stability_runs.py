@@ -18,7 +18,7 @@ from blender_lidar.stability.effort import Effort
 from blender_lidar.stability.landscapes import HELD_OUT, Job, landscapes
 from blender_lidar.stability.metric_variations import metric_variations
 from blender_lidar.stability.mountings import mountings_about
-from blender_lidar.stability.report import HEADINGS
+from blender_lidar.stability.report import HEADINGS, report_text
 from blender_lidar.stability.sensor_variations import sensor_variations
 from blender_lidar.stability.traffic_variations import traffic_variations
 from blender_lidar.stability.variations import AS_IT_IS, TRAFFIC, Variation
@@ -116,16 +116,17 @@ def test_changed_traffic_never_counts_a_searched_vehicle_or_its_copy_among_the_h
 
 
 def test_lorries_have_the_share_that_was_asked_for(site):
-    for variation in traffic_variations(site, 1):
+    """Of all vehicles that the recording knows, each counted once."""
+    every = replace(site, plan=replace(site.plan, search=site.recording.frames))
+    vehicles = len(np.unique(site.recording.vehicle_id))
+    for variation in traffic_variations(site, 2):
         if variation.what == "lorries":
-            frames = variation.changed(site).search
             kinds: dict[int, str] = {}
-            for vehicles in (frame.vehicles for frame in frames):
-                kinds |= dict(zip(vehicles.vehicle_id.tolist(), vehicles.class_name.tolist(), strict=True))
-            large = np.mean([kind in ("truck", "bus") for kind in kinds.values()])
-            assert large == pytest.approx(float(variation.value.split()[0]) / 100.0, abs=0.2)
-            if variation.value == "0 %":
-                assert large == 0.0
+            for frame in variation.changed(every).search:
+                kinds |= dict(zip(frame.vehicles.vehicle_id.tolist(), frame.vehicles.class_name.tolist(), strict=True))
+            large = sum(kind in ("truck", "bus") for kind in kinds.values())
+            assert len(kinds) == vehicles
+            assert large == round(float(variation.value.split()[0]) / 100.0 * vehicles)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -187,7 +188,7 @@ def test_a_study_leaves_table_report_and_result_with_a_verdict_on_every_line(tin
     for heading in HEADINGS.values():
         assert f"\n{heading}\n" in out
         assert f"\n{heading}: " in out
-    assert "hardened, seed 1" in out
+    assert "hardened, seed 1, on 3 of them" in out
 
 
 def test_a_study_that_was_stopped_goes_on_to_the_same_result(tiny, tmp_path, capsys):
@@ -217,12 +218,14 @@ def test_workers_change_nothing_and_json_prints_the_result_alone(tiny, tmp_path,
 def test_a_mounting_of_ones_own_is_the_one_in_question(tiny, tmp_path, capsys):
     scene = write_scene(tmp_path, MAPPED)
     code, out, _ = cli(
-        capsys, "stability", scene, "--quick", "--height", 3.1, "--tilt-x", 7, "--out", tmp_path / "run", "--json"
+        *(capsys, "stability", scene, "--quick", "--height", 3.1, "--tilt-x", 7, "--yaw", 30),
+        *("--out", tmp_path / "run", "--json"),
     )
     result = json.loads(out)
     assert code == 0
     assert result["mounting_given"]
     assert (result["mounting"]["height_m"], result["mounting"]["tilt_x_deg"]) == (3.1, 7.0)
+    assert "as given: 3.10 m, 7.0 deg across the road, yaw 30.0 deg; " in report_text(result)
 
 
 def test_a_scene_that_holds_nothing_out_is_judged_on_the_searched_frames_and_says_so(tiny, tmp_path, capsys):

@@ -55,16 +55,26 @@ def _of(result: Mapping, section: str) -> list[Mapping]:
 def _head(result: Mapping) -> list[str]:
     metric, mount = metric_named(result["metric"]), result["mounting"]
     origin = "as given" if result["mounting_given"] else f"found by {result['search']}, seed {result['seed']}"
+    if not result["mounting_given"] and result["answered_frames"] < result["frames"]:
+        origin += f", on {result['answered_frames']} of them"
     best, base = metric.number(result["objective_per_vehicle"]), metric.number(result["baseline_per_vehicle"])
     return [
         f"{result['sensor']}, {result['frames']} frames, {result['vehicles']:,} vehicle observations, "
         f"{result['caster']}, detail {result['detail']}",
-        f"Mounting in question, {origin}: {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg across the road; "
+        f"Mounting in question, {origin}: {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg across the road"
+        f"{_others(mount, result['baseline'])}; "
         f"{metric.in_unit('objective')} per vehicle {best}, baseline {base}",
-        f"Each change has its own best mounting, on {result['varied_frames']} of the searched frames; losses to it, "
-        f"with 90 % intervals, are on the {result['judged_frames']} {_JUDGED[result['judged_on']]}",
+        f"Each change has its own best height and tilt, on {result['varied_frames']} of the searched frames; losses to "
+        f"it, with 90 % intervals, are on the {result['judged_frames']} {_JUDGED[result['judged_on']]}; inside or "
+        "outside: of where resampled traffic puts the optimum of the scene as it is",
         f"Verdicts - {RULE}",
     ]
+
+
+def _others(mount: Mapping, baseline: Mapping) -> str:
+    """The other coordinates, where they are not the baseline's; candidates share them with the mounting."""
+    names = {"x_m": "x {:.2f} m", "y_m": "y {:.2f} m", "tilt_y_deg": "{:.1f} deg along it", "yaw_deg": "yaw {:.1f} deg"}
+    return "".join(f", {text.format(mount[key])}" for key, text in names.items() if mount[key] != baseline[key])
 
 
 _JUDGED = {"held out": "held-out frames", "searched": "same frames, as nothing is held out"}

@@ -159,6 +159,7 @@ def study_stability(
         "vehicles": int(as_it_is[0].vehicles.sum()),
         "effort": asdict(effort),
         "mounting": reference,
+        "baseline": dict(scene.baseline),
         "mounting_given": mounting is not None,
         "objective_per_vehicle": float(values[REFERENCE]),
         "baseline_per_vehicle": float(values[BASELINE]),
