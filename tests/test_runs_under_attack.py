@@ -369,6 +369,17 @@ def test_a_lock_that_leads_nowhere_is_refused_and_not_tried_for_ever(tmp_path):
         pass
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_named_pipe_in_place_of_the_lock_was_waited_for_without_end(tmp_path):
+    os.mkfifo(tmp_path / ".lock")
+    program = "import pathlib, sys; from blender_lidar.formats.lock import folder_lock\n"
+    program += "with folder_lock(pathlib.Path(sys.argv[1])): print('locked')"
+    command = [sys.executable, "-c", program, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].endswith(f"--out: {tmp_path}: cannot be written: {os.strerror(errno.ENXIO)}")
+
+
 def test_a_file_that_the_lock_leads_to_was_emptied(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     (tmp_path / ".lock").symlink_to(tmp_path / "mine.txt")

@@ -35,7 +35,7 @@ def _locked(path: Path, folder: Path) -> IO[str]:
     """The lock file, open and locked."""
     while True:
         try:
-            stream = path.open("a")
+            stream = _opened(path)
         except FileNotFoundError as error:
             if folder.is_dir():
                 raise output_error(f"--out: {folder}: cannot be written", error) from error
@@ -53,6 +53,12 @@ def _locked(path: Path, folder: Path) -> IO[str]:
         except FileNotFoundError:
             pass
         stream.close()  # a run that has just ended removed the file between our opening and locking it
+
+
+def _opened(path: Path) -> IO[str]:
+    """The file, made if need be and never emptied; a named pipe in its place is not waited for."""
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_NONBLOCK", 0), 0o666)
+    return os.fdopen(handle, "w")
 
 
 def _take(stream: IO[str], folder: Path) -> None:
