@@ -17,6 +17,7 @@ from blender_lidar.cli import main
 from blender_lidar.commands.options import parse_tolerance
 from blender_lidar.errors import InputError
 from blender_lidar.reporting.answer import answer
+from blender_lidar.reporting.comparison import comparison_sections
 from blender_lidar.reporting.page import report_html
 from blender_lidar.reporting.summary import cautions
 from blender_lidar.results import RunFolder
@@ -192,6 +193,17 @@ def test_the_table_shows_both_optima_and_what_they_keep(runs, tmp_path, capsys):
     assert heights == [f"{mount['deployment']['height_m']:.2f}" for mount in mounts]
     assert "Held-out frames, +/-0.3 m of height, +/-4 deg of either tilt: mean" in lines
     assert [line.split()[-2:] for line in lines if "gain kept [%]" in line][-1] == kept_on_held_out(result)
+
+
+def test_gains_beside_a_baseline_that_hangs_off_did_not_say_that_they_are_over_it_as_planned(runs):
+    result = stored(runs / "robust")
+    names = [row[0] for row in comparison_sections(result)[-1].rows]
+    assert "gain over the baseline as planned [bits]" in names
+    assert not any(name.startswith("gain per vehicle") for name in names)
+    held = result["tolerance"]["robust"]["optimised"]["holdout"]
+    planned = result["baseline"]["holdout"]["objective_per_vehicle"]
+    assert held["gain_over_baseline"] == pytest.approx(held["objective_per_vehicle"] - planned)
+    assert result["tolerance"]["robust"]["baseline"]["holdout"]["objective_per_vehicle"] != planned
 
 
 def test_the_page_shows_both_optima(runs):

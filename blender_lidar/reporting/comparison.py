@@ -68,7 +68,8 @@ def _sections_over_tolerance(result: Mapping) -> list[Section]:
         return [searched]
     held = [scores["holdout"] for scores in compared]
     interval = f"90 % interval, {result['holdout']['blocks']} blocks"
-    rows = [*_score_rows(metric, held), *_gain_rows(metric, held, interval), _kept_row(held)]
+    gain = "gain over the baseline as planned"
+    rows = [*_score_rows(metric, held), *_gain_rows(metric, held, interval, gain), _kept_row(held)]
     return [searched, Section(f"Held-out frames, {off}: {aim}", rows)]
 
 
@@ -87,10 +88,10 @@ def _score_rows(metric: Metric, compared):
     ]
 
 
-def _gain_rows(metric: Metric, compared, interval: str):
+def _gain_rows(metric: Metric, compared, interval: str, name: str = "gain per vehicle"):
     """Rows of the gains over the baseline, which comes first and has none, and of their intervals if they have any."""
     gains = (metric.number(scores["gain_over_baseline"], 1, "+") for scores in compared[1:])
-    rows = [(metric.in_unit("gain per vehicle"), "", *gains)]
+    rows = [(metric.in_unit(name), "", *gains)]
     if compared[-1]["interval_90"]:
         rows.append((interval, "", *(_span(metric, scores["interval_90"]) for scores in compared[1:])))
     return rows
