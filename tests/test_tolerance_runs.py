@@ -400,7 +400,7 @@ def test_a_run_with_another_tolerance_or_none_is_not_gone_on_with(undisturbed, c
     scene, folder = undisturbed
     for words, named in (
         ((), "not None; give it the same settings"),
-        (("--tolerance", "tilt_deg=4,height_m=0.2"), "[objective] tolerance = {'height_m': 0.3, "),
+        (("--tolerance", "tilt_deg=4,height_m=0.2"), "[objective] tolerance = {'aim': 'mean', 'height_m': 0.3, "),
     ):
         code, _, err = cli(capsys, "optimise", scene, *words, "--out", folder, "--resume")
         assert code == 2
