@@ -95,6 +95,17 @@ def test_a_refused_value_leaves_the_search_as_it_was():
     assert search.state() == before
 
 
+@pytest.mark.parametrize(("key", "value"), [("step", 0.0), ("step", -0.1), ("lengths", [0.0, 1.0])])
+def test_a_stored_climb_without_width_divided_by_zero(key, value):
+    search = Hardened(LOWER, UPPER, seed=2, settings=SHORT)
+    while search.state()["climb"] is None:
+        search.tell(sphere(search.ask()))
+    state = search.state()
+    state["climb"][key] = value
+    with pytest.raises(InputError, match=r"stored 'hardened' search cannot be used.* allowed: more than 0"):
+        search_from_state(state)
+
+
 # --- budget and bounds ------------------------------------------------------------------------------------------------
 
 

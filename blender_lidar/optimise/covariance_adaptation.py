@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from .stored import read_array, read_count, read_values
 
 NARROW = 1e-6  # of the box: a Gaussian no wider than that has arrived
@@ -152,6 +153,8 @@ class CovarianceAdaptation:
         climb._step_path, climb._path = read_array(state, "step_path", (d,)), read_array(state, "path", (d,))
         climb._covariance, climb._axes = read_array(state, "covariance", (d, d)), read_array(state, "axes", (d, d))
         climb._lengths = read_array(state, "lengths", (d,))
+        if climb._step <= 0.0 or (climb._lengths <= 0.0).any():
+            raise InputError(f"step {climb._step}, lengths {climb._lengths.tolist()}; allowed: more than 0")
         climb._generation, climb._idle = read_count(state, "generation"), read_count(state, "idle")
         climb._reached = float(read_values({"reached": [state["reached"]]}, "reached", 1)[0])
         climb.candidates = read_array(state, "candidates", (samples, d))
