@@ -6,6 +6,7 @@ the objective's own counter.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 
@@ -123,10 +124,8 @@ UNSEEDED = ("grid", "SciPy DIRECT")  # one run tells all on a problem without in
 
 def solve(solver: Solver, objective: Counted, seed: int) -> dict:
     """Run a solver to the end of the budget; what is kept of it."""
-    try:
+    with contextlib.suppress(BudgetSpent):
         solver(objective, seed)
-    except BudgetSpent:
-        pass
     return objective.record()
 
 

@@ -1,4 +1,4 @@
-"""The study in pieces that can be carried out apart: each is a stage, and says what all solvers made of one instance."""
+"""The study in pieces that can be carried out apart: a stage each, what all solvers made of one instance."""
 
 from __future__ import annotations
 

@@ -1,0 +1,159 @@
+"""The study as a page of Markdown: verdict, tables, tuning, how it was done."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from . import development
+from .solvers import OURS, SOLVERS
+from .tuning import CHOICES
+
+RULES = """\
+# The search, judged
+
+The rules, fixed before anything was judged (`blender_lidar/search_study/rules.py`): 2,000 evaluations to a run, counted
+by the objective itself; success on BBOB is f - f* <= 1e-2, on the scene a regret of at most 1 % of [best known -
+baseline], best known being the best that any run of any solver found. Instances and seeds are the same for all solvers.
+The hardened search is to be better than both forms of DE-PSO everywhere it matters, and not to fall short of the best
+rival by more than 5 points of success, the 95 % interval of the paired difference included.
+"""
+
+
+def report_text(judged: Mapping, tuned: Mapping[str, list[dict]], about: str) -> str:
+    """The whole page; `tuned` holds what each choice solved, `about` what was run with what."""
+    found = [RULES]
+    if judged["parts"]:
+        found += [_verdict(judged["verdict"]), _successes(judged["parts"]), *map(_part, judged["parts"])]
+        found += [_compared(judged["compared"]), _groups(judged["groups"])]
+    if tuned:
+        found.append(_tuning(tuned))
+    return "\n".join([*found, about])
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f}"
+
+
+def _points(estimate: Sequence[float]) -> str:
+    value, low, high = (100 * share for share in estimate)
+    return f"{value:+.1f} ({low:+.1f} to {high:+.1f})"
+
+
+def _verdict(verdict: Sequence[Mapping]) -> str:
+    rows = [
+        [
+            row["part"],
+            *row["de_pso"].values(),
+            row["best_rival"],
+            _points(row["ahead"]),
+            "yes" if row["within_margin"] else "**no**",
+        ]
+        for row in verdict
+    ]
+    head = ["", *(f"against {name}" for name in verdict[0]["de_pso"])]
+    head += ["best rival", "its lead [points of success] (95 %)", "at most 5 points"]
+    worse = [f"{row['part']}: {', '.join(row['worse_groups'])}" for row in verdict if row["worse_groups"]]
+    note = (
+        "Groups of problems where a rival's final regret is significantly lower (Wilcoxon, Holm): "
+        f"{'; '.join(worse)}.\n"
+        if worse
+        else "In no group of problems is a rival's final regret significantly lower (Wilcoxon, Holm).\n"
+    )
+    return f"\n## Verdict\n\n{table(head, rows)}\n{note}"
+
+
+def _successes(parts: Sequence[Mapping]) -> str:
+    rows = [
+        [f"**{name}**" if name == OURS else name]
+        + [
+            f"{_percent(s[0])} ({_percent(s[1])} to {_percent(s[2])})"
+            for s in (part["solvers"][name]["success"] for part in parts)
+        ]
+        for name in SOLVERS
+    ]
+    head = ["success [%], Wilson's 95 % interval", *(f"{part['label']}, {part['runs']} runs" for part in parts)]
+    pictures = "![Runtime ECDF on BBOB](search_ecdf_bbob.png)\n\n![Runtime ECDF on the scene](search_ecdf_scene.png)\n"
+    return f"\n## Success\n\n{table(head, rows)}\n{pictures}"
+
+
+def _part(part: Mapping) -> str:
+    scene = part["label"].startswith("scene")
+    also = list(part["solvers"][OURS]["also"])
+    head = ["solver", *(f"within {100 * float(t):g} % [%]" if scene else f"f - f* <= {t} [%]" for t in also)]
+    head += ["median regret", "90 % regret", "evaluations on a bound [%]"]
+    rows = []
+    for name, row in part["solvers"].items():
+        regret = [f"{100 * value:.3f} %" if scene else f"{value:.1e}" for value in row["regret"]]
+        rows.append([name, *(_percent(row["also"][target]) for target in also), *regret, _percent(row["on_bound"])])
+    text = f"\n### {part['label']}\n\n{table(head, rows)}"
+    if len(part["by_group"]) > 1:
+        head = ["success [%] by group", *part["by_group"]]
+        rows = [[name, *(f"{100 * group[name]:.0f}" for group in part["by_group"].values())] for name in SOLVERS]
+        text += "\n" + table(head, rows)
+    return text
+
+
+def _compared(compared: Sequence[Mapping]) -> str:
+    head = [
+        "",
+        OURS + " against",
+        "difference of success [points] (95 %)",
+        "McNemar",
+        "lower / higher regret",
+        "Wilcoxon",
+    ]
+    rows = [
+        [
+            row["part"],
+            row["rival"],
+            _points(row["difference"]),
+            _p(row["mcnemar_holm"]),
+            f"{row['lower']} / {row['higher']}",
+            _p(row["wilcoxon_holm"]),
+        ]
+        for row in compared
+    ]
+    return f"\n## Pair by pair\n\nThe same problem and seed for both; p-values after Holm.\n\n{table(head, rows)}"
+
+
+def _groups(groups: Sequence[Mapping]) -> str:
+    clear = [row for row in groups if row["wilcoxon_holm"] < 0.05]
+    better = sum(row["lower"] > row["higher"] for row in clear)
+    return (
+        f"\nOf the {len(groups)} comparisons of final regrets by group of problems and rival, {better} are "
+        f"significantly in our favour and {len(clear) - better} against us (Wilcoxon, Holm).\n"
+    )
+
+
+def _tuning(tuned: Mapping[str, list[dict]]) -> str:
+    head = ["solved [%]", "all", *(f"{d}-D" for d in development.DIMENSIONS), *development.NAMES]
+    rows = []
+    for name in CHOICES:
+        if name in tuned:
+            found = tuned[name]
+            rows.append([name, _solved(found)])
+            rows[-1] += [_solved([row for row in found if row["dimension"] == d]) for d in development.DIMENSIONS]
+            rows[-1] += [_solved([row for row in found if row["problem"] == p]) for p in development.NAMES]
+    seeds = next(iter(tuned.values()))[0]["seeds"]
+    return (
+        "\n## Tuning\n\nOn the development problems alone (`blender_lidar/search_study/development.py`): shifted, "
+        "turned, in boxes that hold neither\nthe origin nor, at their centre, the optimum; 2, 4 and 6 dimensions, "
+        f"{seeds} seeds, 2,000 evaluations, solved from 1e-2 on.\n\n{table(head, rows)}"
+    )
+
+
+def _solved(rows: Sequence[Mapping]) -> str:
+    return f"{100 * sum(row['solved'] for row in rows) / sum(row['seeds'] for row in rows):.0f}"
+
+
+def _p(value: float) -> str:
+    if math.isnan(value):
+        return "-"
+    return "< 0.0001" if value < 1e-4 else f"{value:.4f}"
