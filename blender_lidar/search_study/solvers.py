@@ -74,10 +74,15 @@ def scipy_de(population: int, init: str = "latinhypercube", strategy: str = "bes
 
 def scipy_direct(objective: Counted, seed: int) -> None:
     """SciPy's DIRECT; deterministic, so that the seed plays no part."""
+
+    def cost(x: np.ndarray) -> float:
+        # older versions cannot be left by an exception
+        return -float(objective(x)[0]) if objective.left else math.inf
+
     _scipy_optimize().direct(
-        lambda x: -float(objective(x)[0]),
+        cost,
         list(zip(objective.lower, objective.upper, strict=True)),
-        maxfun=objective.budget + 1,
+        maxfun=objective.budget,
         maxiter=objective.budget,
         vol_tol=0.0,
         len_tol=0.0,
