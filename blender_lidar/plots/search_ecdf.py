@@ -67,7 +67,7 @@ def plot_search_ecdf(
             ]
             axes.set_title(panel.title, color=INK)
             axes.set_xscale("log")
-            axes.set_xlim(1.0, panel.evaluations[-1])
+            axes.set_xlim(max(1.0, panel.evaluations[-1] / 200.0), panel.evaluations[-1])
             axes.set_ylim(0.0, 1.0)
             axes.xaxis.set_major_formatter("{x:,.0f}")
             axes.set_xlabel("Evaluations")

@@ -53,11 +53,15 @@ def write_results(folder: StudyFolder, tasks: Sequence[Task]) -> list[str]:
     write_text(folder.file(NUMBERS), json.dumps({**judged, "tuning": tuned}, indent=1) + "\n")
     written = [PAGE, NUMBERS]
     for name, chosen, what in (
-        (ECDF_BBOB, [part for part in parts if part.label.startswith("BBOB")], "BBOB: f - f* from 100 to 1e-8"),
+        (
+            ECDF_BBOB,
+            [part for part in parts if part.label.startswith("BBOB")],
+            "BBOB: how soon f - f* falls below targets from 100 to 1e-8",
+        ),
         (
             ECDF_SCENE,
             [part for part in parts if part.label.startswith("scene")],
-            "The scene: regret from 100 to 0.01 %",
+            "The scene: how soon the regret falls below targets from 100 to 0.01 %",
         ),
     ):
         if chosen and _drawn(folder.file(name), chosen, what):
@@ -68,7 +72,7 @@ def write_results(folder: StudyFolder, tasks: Sequence[Task]) -> list[str]:
 def _drawn(path: Path, parts: Sequence[Part], what: str) -> bool:
     panels = [
         Panel(
-            f"{part.label}, {len(part.group):,} problems and seeds",
+            f"{part.label}: {len(part.group):,} runs each",
             part.evaluations,
             {name: part.reached(name) for name in SOLVERS},
         )
@@ -76,7 +80,7 @@ def _drawn(path: Path, parts: Sequence[Part], what: str) -> bool:
     ]
     try:
         plot_search_ecdf(
-            path, panels, "Share of targets reached", title=what, subtitle="Share of (problem, target) pairs reached"
+            path, panels, "Share of targets reached", title=what, subtitle="Runtime ECDF over (problem, target) pairs"
         )
     except MissingExtraError:
         return False
