@@ -179,7 +179,7 @@ def test_every_pair_of_donors_is_drawn_equally_often():
 
 
 def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
-    swarm = AdaptiveSwarm(generator(3), 10, 2, flights=0.3, greed=0.2)
+    swarm = AdaptiveSwarm(generator(3), 10, 2, flights=0.3, greed=0.2, turned=0.5)
     for _ in range(60):
         before = swarm.value.copy()
         values = -np.abs(swarm.candidates - 0.3).sum(axis=1)
@@ -195,7 +195,7 @@ def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
 
 def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
     """x = best = guide and no velocity is where particle swarms stay for ever on a quantised objective."""
-    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2)
+    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
     for _ in range(100):
         swarm.tell(np.zeros(10))
         swarm.move()
@@ -208,7 +208,7 @@ def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
 
 
 def test_a_collapsed_swarm_says_so():
-    swarm = AdaptiveSwarm(generator(0), 10, 3, flights=0.2, greed=0.2)
+    swarm = AdaptiveSwarm(generator(0), 10, 3, flights=0.2, greed=0.2, turned=0.3)
     generations = 0
     while not swarm.exhausted:
         swarm.tell(-np.square(swarm.candidates - 0.6).sum(axis=1))
@@ -322,10 +322,11 @@ def test_it_is_not_drawn_to_the_bounds():
     [
         ({"particles": 0}, "particles: 0; allowed: 1 or more"),
         ({"evaluations": 2.5}, "evaluations: 2.5; allowed: a whole number"),
-        ({"opening": 0}, "opening: 0; allowed: 1 or more"),
+        ({"opening": 1.5}, "opening: 1.5; allowed: a finite number from 0 to 1"),
+        ({"reserve": -1}, "reserve: -1; allowed: 0 or more"),
         ({"flights": 1.5}, "flights: 1.5; allowed: a finite number from 0 to 1"),
         ({"greed": "all"}, "greed: 'all'; allowed: a finite number"),
-        ({"first_step": -1.0}, "first_step: -1.0; allowed: a finite number"),
+        ({"turned": -1.0}, "turned: -1.0; allowed: a finite number"),
     ],
 )
 def test_unusable_settings_are_refused(setting, message):

@@ -6,7 +6,8 @@ Both moves act on one set of personal bests, as in Zhang and Xie's DEPSO (2003).
   own best and one of the swarm's better ones;
 - jump: current-to-pbest/1 with an archive of replaced points (Zhang and Sanderson's JADE, 2009), scale factor and
   crossover rate learnt from what succeeded (Tanabe and Fukunaga's SHADE, 2013) but weighted by rank, never by value;
-  crossover in the eigenvectors of the better half (Guo and Yang, 2015), so that a turned landscape is as easy;
+  crossover variable by variable, or along the eigenvectors of the better half (Guo and Yang, 2015), as a landscape
+  may follow the variables or be turned;
 - bounds reflect, and turn the velocity round; a tie is accepted, so that a swarm drifts over a plateau.
 
 Only the order of values counts. Positions are shares of the box, 0 to 1 in every variable.
@@ -44,7 +45,9 @@ class AdaptiveSwarm:
     flights : float
         Chance of a flight in place of a jump, 0 to 1.
     greed : float
-        Share of the personal bests that count as the swarm's better ones.
+        Share of the personal bests that count as the swarm's better ones; two of them at least.
+    turned : float
+        Chance of a jump that is crossed over along eigenvectors, 0 to 1.
 
     Attributes
     ----------
@@ -54,9 +57,11 @@ class AdaptiveSwarm:
         Personal bests and their values; ``-inf`` before the first.
     """
 
-    def __init__(self, rng: np.random.Generator, particles: int, variables: int, flights: float, greed: float) -> None:
+    def __init__(
+        self, rng: np.random.Generator, particles: int, variables: int, *, flights: float, greed: float, turned: float
+    ) -> None:
         self._rng = rng
-        self._flights = flights
+        self._flights, self._turned = flights, turned
         self._greedy = max(2, round(greed * particles))
         self._position = latin_hypercube(rng, particles, np.zeros(variables), np.ones(variables))
         self._velocity = np.zeros((particles, variables))
@@ -75,6 +80,12 @@ class AdaptiveSwarm:
     def order(self) -> np.ndarray:
         """Particles from the best personal best to the worst."""
         return np.argsort(-self.value, kind="stable")
+
+    def shape(self) -> np.ndarray:
+        """Covariance of the better half of the personal bests, (variables, variables)."""
+        variables = self.best.shape[1]
+        better = self.best[self.order[: max(2, len(self.best) // 2)]]
+        return np.cov(better.T).reshape(variables, variables)
 
     @property
     def exhausted(self) -> bool:
@@ -110,7 +121,7 @@ class AdaptiveSwarm:
         self._next_velocity = np.where(outside, -0.5 * velocity, velocity)
 
     def _jumps(self, guide: np.ndarray) -> np.ndarray:
-        """Steps of current-to-pbest/1 from the personal bests, crossed over in the better half's eigenvectors."""
+        """Steps of current-to-pbest/1 from the personal bests, crossed over."""
         particles, variables = self.best.shape
         self._draw_rates()
         i = np.arange(particles)
@@ -119,9 +130,9 @@ class AdaptiveSwarm:
         step = self._scale[:, None] * (guide - self.best + self.best[j] - pool[k])
         crossed = self._rng.random((particles, variables)) < self._crossover[:, None]
         crossed[i, self._rng.integers(variables, size=particles)] = True
-        better = self.best[self.order[: max(2, particles // 2)]]
-        _, axes = np.linalg.eigh(np.cov(better.T).reshape(variables, variables))
-        return np.where(crossed, step @ axes, 0.0) @ axes.T
+        _, axes = np.linalg.eigh(self.shape())
+        turned = (self._rng.random(particles) < self._turned)[:, None]
+        return np.where(turned, np.where(crossed, step @ axes, 0.0) @ axes.T, np.where(crossed, step, 0.0))
 
     def _draw_rates(self) -> None:
         """Scale factors (Cauchy, redrawn by reflection above 0) and crossover rates (normal) about the memory."""

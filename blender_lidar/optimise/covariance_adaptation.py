@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InputError
 from .stored import read_array, read_count, read_values
 
-NARROW = 1e-6  # of the box: a Gaussian no wider than that has arrived
+NARROW = 1e-5  # of the box: a Gaussian no wider than that has arrived
 ILL_CONDITIONED = 1e7  # longest over shortest axis
 WIDEST = 3.0  # of the box, in standard deviations: it has lost its way
 REDRAWS = 100  # of samples outside the box, before they are put on the bound
@@ -25,7 +25,7 @@ _LEAST_VARIANCE = 1e-20
 
 
 class CovarianceAdaptation:
-    """One climb from a mean and a step size.
+    """One climb from a mean, a step size and a shape.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ class CovarianceAdaptation:
         Standard deviation it starts with, in shares of the box.
     samples : int
         Candidates to a generation, 4 or more.
+    covariance : ndarray, (d, d), optional
+        The shape it starts with, about 1 in the mean of its diagonal; round when left out.
 
     Attributes
     ----------
@@ -44,14 +46,23 @@ class CovarianceAdaptation:
         What to evaluate next.
     """
 
-    def __init__(self, rng: np.random.Generator, mean: np.ndarray, step: float, samples: int) -> None:
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        mean: np.ndarray,
+        step: float,
+        samples: int,
+        covariance: np.ndarray | None = None,
+    ) -> None:
         d = mean.size
         self._rng = rng
         self._mean, self._step = mean.copy(), float(step)
         self.samples = samples
         self._weights, self._rates = _constants(d, samples)
         self._step_path, self._path = np.zeros(d), np.zeros(d)
-        self._covariance, self._axes, self._lengths = np.eye(d), np.eye(d), np.ones(d)
+        self._covariance = np.eye(d) if covariance is None else covariance
+        self._axes, self._lengths = np.eye(d), np.ones(d)
+        self._decompose()
         self._generation = 0
         self._reached, self._idle = -math.inf, 0
         self.candidates = np.empty((samples, d))

@@ -1,9 +1,10 @@
 """The hardened search: a swarm for breadth, CMA-ES for depth, and restarts of either when it has nothing left to do.
 
-A swarm (`AdaptiveSwarm`: particle swarm and differential evolution) opens with a few generations. From its best point
-a Gaussian climbs (`CovarianceAdaptation`). When that has arrived, or is stuck, the swarm goes on until it has had as
-many evaluations as the climbs; then the next climb starts from the swarm's best point, as wide as the swarm's better
-half and with twice the samples. A swarm that has collapsed, or has long found nothing better, is replaced by a new one.
+A swarm (`AdaptiveSwarm`: particle swarm and differential evolution) opens, with up to half of the budget; the climbs
+are left what one usually needs. Then a Gaussian climbs (`CovarianceAdaptation`) from the swarm's best point, with the
+width and shape of its better half. When that has arrived, or is stuck, the swarm goes on until it has had as many
+evaluations as the climbs; then the next climb starts, with twice the samples. A swarm that has collapsed, or has long
+found nothing better, is replaced by a new one.
 
 It works in shares of the box and by the order of values alone, so that its candidates do not depend on origin and unit
 of a variable, nor on anything that raises all values in order. docs/search.md tells how it was chosen and judged.
@@ -27,6 +28,8 @@ from .stored import read_count
 
 _FEWEST = 4  # particles of a swarm, samples of a climb
 _NARROWEST, _WIDEST = 1e-3, 0.25  # step sizes that a climb may start with, in shares of the box
+_FEWEST_GENERATIONS = 3  # of the opening
+_ROUND = 0.1  # share of a round shape in that of a climb that starts: no direction is left out
 _MOST_SAMPLES = 1000
 
 
@@ -40,14 +43,16 @@ class HardenedSettings:
         Of the swarm, 4 or more; fewer where the budget is below ten generations of them.
     evaluations : int
         The budget, 1 or more.
-    opening : int
-        Generations of the swarm before the first climb.
+    opening : float
+        Largest share of the budget that the swarm opens with.
+    reserve : int
+        Evaluations for each variable that the opening leaves to the climbs, as far as three generations allow.
     flights : float
         Chance per particle and generation of a particle-swarm move in place of a differential jump.
     greed : float
         Share of the swarm that counts as its better ones.
-    first_step : float
-        Standard deviation that the first climb starts with, in shares of the box.
+    turned : float
+        Chance of a jump that is crossed over along the eigenvectors of the swarm in place of the variables.
 
     Raises
     ------
@@ -57,21 +62,27 @@ class HardenedSettings:
 
     particles: int = 20
     evaluations: int = 2000
-    opening: int = 3
+    opening: float = 0.5
+    reserve: int = 250
     flights: float = 0.2
-    greed: float = 0.2
-    first_step: float = 0.2
+    greed: float = 0.1
+    turned: float = 0.3
 
     def __post_init__(self) -> None:
-        for name, least in (("particles", 1), ("evaluations", 1), ("opening", 1)):
+        for name, least in (("particles", 1), ("evaluations", 1), ("reserve", 0)):
             object.__setattr__(self, name, check_whole(getattr(self, name), least, name))
-        for name, most in (("flights", 1.0), ("greed", 1.0), ("first_step", _WIDEST)):
-            object.__setattr__(self, name, check_number(getattr(self, name), 0.0, most, name))
+        for name in ("opening", "flights", "greed", "turned"):
+            object.__setattr__(self, name, check_number(getattr(self, name), 0.0, 1.0, name))
 
     @property
     def swarm(self) -> int:
         """Particles of a swarm within the budget."""
         return max(_FEWEST, min(self.particles, self.evaluations // 10))
+
+    def opening_evaluations(self, variables: int) -> int:
+        """Evaluations of the swarm before the first climb."""
+        left = max(self.evaluations - self.reserve * variables, _FEWEST_GENERATIONS * self.swarm)
+        return min(left, int(self.opening * self.evaluations))
 
 
 class Hardened(RecordedSearch):
@@ -109,7 +120,8 @@ class Hardened(RecordedSearch):
 
     def _fresh_swarm(self) -> AdaptiveSwarm:
         use = self.settings
-        return AdaptiveSwarm(self._rng, use.swarm, self._lower.size, use.flights, use.greed)
+        moves = {"flights": use.flights, "greed": use.greed, "turned": use.turned}
+        return AdaptiveSwarm(self._rng, use.swarm, self._lower.size, **moves)
 
     def _shares(self) -> np.ndarray:
         batch = self._climb.candidates if self._climbing else self._swarm.candidates
@@ -138,21 +150,19 @@ class Hardened(RecordedSearch):
         if self.best_value == -math.inf:  # nothing feasible yet: there is nothing to learn from
             self._swarm = self._fresh_swarm()
             return
-        if self._climbs == 0 and len(self._batches) < self.settings.opening:
-            return
-        if self._climbs > 0 and self._spent["swarm"] < self._spent["climbs"] and not self._swarm.exhausted:
-            return
-        self._start_climb()
+        opening = self.settings.opening_evaluations(self._lower.size)
+        share = self._spent["climbs"] if self._climbs else opening
+        if self._spent["swarm"] >= share or self._swarm.exhausted:
+            self._start_climb()
 
     def _start_climb(self) -> None:
-        swarm, samples = self._swarm, _FEWEST + int(3.0 * math.log(self._lower.size))
-        order = swarm.order
-        step = self.settings.first_step
-        if self._climbs:
-            spread = float(swarm.best[order[: max(2, len(order) // 2)]].std(axis=0).mean())
-            step = min(max(spread, _NARROWEST), _WIDEST)
-        samples = min(samples * 2**self._climbs, _MOST_SAMPLES)
-        self._climb = CovarianceAdaptation(self._rng, swarm.best[order[0]], step, samples)
+        swarm, d = self._swarm, self._lower.size
+        shape = swarm.shape()
+        mean_variance = max(float(np.trace(shape)) / d, _NARROWEST**2)
+        step = min(math.sqrt(mean_variance), _WIDEST)
+        shape = (1.0 - _ROUND) * shape / mean_variance + _ROUND * np.eye(d)
+        samples = min((_FEWEST + int(3.0 * math.log(d))) * 2**self._climbs, _MOST_SAMPLES)
+        self._climb = CovarianceAdaptation(self._rng, swarm.best[swarm.order[0]], step, samples, shape)
         self._climbing, self._climbs = True, self._climbs + 1
         if swarm.exhausted:
             self._swarm = self._fresh_swarm()

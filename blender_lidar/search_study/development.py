@@ -1,4 +1,4 @@
-"""The problems on which searches are tuned, and on nothing else: shifted, rotated, in boxes beside their optima.
+"""The problems on which searches are tuned, and on nothing else: shifted, most turned, in boxes beside their optima.
 
 Every box is 10 wide, lies wholly beyond the origin and is centred on nothing. The value at the optimum is 0; values are
 negative elsewhere, so that success is -value <= target.
@@ -15,7 +15,6 @@ from .problems import Problem
 DIMENSIONS = (2, 4, 6)
 TARGET = 1e-2
 WIDTH = 10.0
-_PEAKS = 12
 
 
 def sphere(z: np.ndarray) -> np.ndarray:
@@ -26,6 +25,11 @@ def sphere(z: np.ndarray) -> np.ndarray:
 def ellipsoid(z: np.ndarray) -> np.ndarray:
     """A sphere with axes from 1 to 100: condition number 1e4."""
     return (10.0 ** (4.0 * np.linspace(0.0, 1.0, z.shape[1])) * np.square(z)).sum(axis=1)
+
+
+def thin_ellipsoid(z: np.ndarray) -> np.ndarray:
+    """A sphere with axes from 1 to 1,000: condition number 1e6."""
+    return (10.0 ** (6.0 * np.linspace(0.0, 1.0, z.shape[1])) * np.square(z)).sum(axis=1)
 
 
 def rosenbrock(z: np.ndarray) -> np.ndarray:
@@ -58,13 +62,15 @@ def ridge(z: np.ndarray) -> np.ndarray:
 _TURNED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "sphere": sphere,
     "ellipsoid": ellipsoid,
+    "thin ellipsoid": thin_ellipsoid,
     "Rosenbrock": rosenbrock,
     "Rastrigin": rastrigin,
     "Ackley": ackley,
     "stepped Ackley": stepped_ackley,
     "ridge": ridge,
 }
-NAMES = (*_TURNED, "wall", "peaks")
+_ALONG_THE_AXES = ("Rastrigin along the axes", "rippled ellipsoid along the axes")
+NAMES = (*_TURNED, "wall", "peaks", "many peaks", *_ALONG_THE_AXES)
 
 
 def development_problem(name: str, dimension: int, instance: int) -> Problem:
@@ -76,7 +82,17 @@ def development_problem(name: str, dimension: int, instance: int) -> Problem:
     if name == "wall":
         cost = _wall(rng, lower, optimum, axes)
     elif name == "peaks":
-        cost = _peaks(rng, lower, optimum, axes)
+        cost = _peaks(rng, lower, optimum, axes, count=12, least=0.5, width=1.3)
+    elif name == "many peaks":
+        cost = _peaks(rng, lower, optimum, axes, count=60, least=0.3, width=0.55)
+    elif name == "Rastrigin along the axes":
+
+        def cost(x: np.ndarray) -> np.ndarray:
+            return rastrigin(x - optimum)
+    elif name == "rippled ellipsoid along the axes":
+
+        def cost(x: np.ndarray) -> np.ndarray:
+            return ellipsoid(x - optimum) + 5.0 * (1.0 - np.cos(np.pi * (x - optimum))).sum(axis=1)
     else:
 
         def cost(x: np.ndarray) -> np.ndarray:
@@ -98,13 +114,13 @@ def _wall(rng, lower, optimum, axes):
     return cost
 
 
-def _peaks(rng, lower, optimum, axes):
-    """A dozen Gaussian peaks of all widths, anywhere; the highest is 1, the others 0.5 to 0.9."""
+def _peaks(rng, lower, optimum, axes, *, count, least, width):
+    """Gaussian peaks of all widths, anywhere; the highest is 1, the others from `least` to 0.9."""
     d = lower.size
-    centres = lower + WIDTH * (0.05 + 0.9 * rng.random((_PEAKS, d)))
+    centres = lower + WIDTH * (0.05 + 0.9 * rng.random((count, d)))
     centres[0] = optimum
-    heights = np.concatenate([[1.0], 0.5 + 0.4 * rng.random(_PEAKS - 1)])
-    widths = 1.3 * d**0.5 * np.exp(rng.normal(0.0, 0.3, (_PEAKS, d)))
+    heights = np.concatenate([[1.0], least + (0.9 - least) * rng.random(count - 1)])
+    widths = width * d**0.5 * np.exp(rng.normal(0.0, 0.3, (count, d)))
 
     def cost(x: np.ndarray) -> np.ndarray:
         offset = ((x[:, None, :] - centres) @ axes) / widths
