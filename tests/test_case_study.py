@@ -231,7 +231,7 @@ def test_a_study_that_was_stopped_comes_to_the_same_files(finished, scene, tmp_p
     without_charts(monkeypatch)
     out = tmp_path / "run"
     with pytest.raises(KeyboardInterrupt):
-        study(scene, out, Counter("RS-32, hardened"))
+        study(scene, out, Counter("RS-32, de-pso"))
     assert not (out / "case_study.json").exists()
     kept = {path.name: path.stat().st_mtime_ns for path in (out / "stages").iterdir()}
     assert kept
@@ -293,6 +293,13 @@ def test_a_scene_that_searches_something_else_is_refused(tmp_path):
     scene = write_scene(tmp_path)  # its tilt is fixed
     with pytest.raises(InputError, match="must be pairs, and they alone"):
         open_case(str(scene), {}, TINY)
+
+
+@pytest.mark.parametrize("method", [None, "hardened", "grid"])
+def test_the_search_is_the_papers_whichever_the_scene_names(tmp_path, method):
+    scene = write_scene(tmp_path, MAPPED | {"search": {"method": method}})
+    settings = open_case(str(scene), {}, TINY).site("RS-16").scenario.search
+    assert (settings.method, settings.inertia) == ("de-pso", 0.7)
 
 
 def script():

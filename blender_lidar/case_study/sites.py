@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from ..errors import InputError
 from ..metrics.views import PE_VGOP
+from ..optimise import DePso
 from ..scenario import Scenario, load_scenario
 from ..study.score_map import AXES
 from ..study.site import Site, prepare
@@ -94,12 +95,15 @@ class CaseStudy:
 def open_case(scene: str, overrides: Overrides, effort: Effort) -> CaseStudy:
     """The case study of a scene; blocks are as long as the sensor with the widest region needs them.
 
+    The search is DE-PSO, the paper's, whichever the scene names.
+
     Raises
     ------
     BlenderLidarError
         When a file cannot be used, or the scene does not have both height and tilt searched and nothing else, or has
         another metric than the paper's.
     """
+    overrides = {**overrides, ("search", "method"): (DePso.name, "the case study")}
     case = CaseStudy(scene, overrides, effort)
     metric = case.scenario(SENSORS[0]).objective.metric
     if metric != PE_VGOP.name:
