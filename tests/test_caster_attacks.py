@@ -27,7 +27,7 @@ from blender_lidar.stability.attack_scenes import (
     vertices_of,
 )
 from blender_lidar.stability.attacks import ATTACKS, attacks
-from blender_lidar.stability.caster_attacks import TOLERANCE_M, attack_counts, count_attack
+from blender_lidar.stability.caster_attacks import TOLERANCE_M, attack_counts, count_attack, differences
 from tests.rational_oracle import first_distances
 
 FAST = [
@@ -90,6 +90,18 @@ def test_the_attacks_find_a_caster_that_leaks(caster, monkeypatch):
     monkeypatch.setattr("blender_lidar.casting.tree._MARGIN", 0.0)
     monkeypatch.setattr("blender_lidar.casting.tree._BESIDE", np.zeros(3))
     assert count_attack(caster, "grazing a box around another").failures >= 20
+
+
+def test_a_wrong_distance_to_the_right_triangle_is_no_knife_edge():
+    """It was taken for one, as a ray beside meets that triangle too."""
+    attack = next(attacks("vertices"))
+    oracle = ExactCaster(attack.triangles)
+    truth = oracle.cast(attack.origins, attack.directions, attack.max_range_m)
+    hits = int(np.isfinite(truth.distance).sum())
+    counts, error = differences(attack, truth._replace(distance=truth.distance + 0.5), truth, oracle)
+    assert counts.tolist()[2:] == [0, 0, hits, 0]
+    assert hits > 0
+    assert error == pytest.approx(0.5)
 
 
 def test_counts_are_plain_data_and_the_same_for_the_same_seed():

@@ -147,4 +147,6 @@ def _is_knife_edge(attack, row, found, truth, oracle):
     near = oracle.cast(moved, unit(turned), attack.max_range_m)
     if np.isinf(distance):
         return bool(np.isinf(near.distance).any())
-    return bool(((near.triangle == found.triangle[row]) | (np.abs(near.distance - distance) <= TOLERANCE_M)).any())
+    there = near.distance[near.triangle == found.triangle[row]]  # grazing rays meet a triangle over some way
+    within = bool(len(there)) and there.min() - TOLERANCE_M <= distance <= there.max() + TOLERANCE_M
+    return within or bool((np.abs(near.distance - distance) <= TOLERANCE_M).any())
