@@ -91,6 +91,20 @@ def test_a_verdict_follows_from_the_loss(loss, verdict):
     assert by_loss(loss) == verdict
 
 
+@pytest.mark.parametrize(
+    ("loss", "interval", "verdict"),
+    [
+        (0.21, (-0.10, 0.52), UNDECIDED),
+        (0.21, (0.06, 0.36), FAILS),
+        (0.03, (-0.20, 0.26), UNDECIDED),
+        (0.03, (-0.10, 0.16), STABLE),
+        (0.10, (-0.30, 0.50), FRAGILE),
+    ],
+)
+def test_a_loss_that_may_be_none_does_not_fail_and_one_that_may_be_large_is_not_stable(loss, interval, verdict):
+    assert by_loss(loss, interval) == verdict
+
+
 def test_the_worst_verdict_counts_and_what_is_undecided_does_not():
     assert worst([STABLE, UNDECIDED, FRAGILE]) == FRAGILE
     assert worst([FAILS, STABLE]) == FAILS

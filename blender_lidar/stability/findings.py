@@ -11,7 +11,8 @@ VERDICTS = (STABLE, FRAGILE, FAILS, UNDECIDED)
 MOST_STABLE_LOSS, MOST_FRAGILE_LOSS = 0.05, 0.20  # shares of the gain over the baseline
 RULE = (
     f"stable: the mounting loses at most {100 * MOST_STABLE_LOSS:g} % of the gain that it could have; fragile: at most "
-    f"{100 * MOST_FRAGILE_LOSS:g} %; fails: more"
+    f"{100 * MOST_FRAGILE_LOSS:g} %; fails: more, and surely more than {100 * MOST_STABLE_LOSS:g} %; undecided: "
+    f"nothing to gain, or too little traffic to tell {100 * MOST_STABLE_LOSS:g} from {100 * MOST_FRAGILE_LOSS:g} %"
 )
 
 
@@ -41,13 +42,19 @@ class Finding:
     numbers: dict = field(default_factory=dict)
 
 
-def by_loss(loss: float | None) -> str:
-    """The verdict on a share of the gain that is lost; None where there is no gain to lose."""
+def by_loss(loss: float | None, interval: Sequence[float] | None = None) -> str:
+    """The verdict on a share of the gain that is lost; None where there is no gain to lose.
+
+    Where its 90 % interval is known, a loss that may be none does not fail, and one that may be large is not stable.
+    """
     if loss is None:
         return UNDECIDED
+    low, high = (loss, loss) if interval is None else interval
     if loss <= MOST_STABLE_LOSS:
-        return STABLE
-    return FRAGILE if loss <= MOST_FRAGILE_LOSS else FAILS
+        return STABLE if high <= MOST_FRAGILE_LOSS else UNDECIDED
+    if loss <= MOST_FRAGILE_LOSS:
+        return FRAGILE
+    return FAILS if low > MOST_STABLE_LOSS else UNDECIDED
 
 
 def worst(verdicts: Sequence[str]) -> str:

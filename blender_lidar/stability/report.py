@@ -54,7 +54,9 @@ def _of(result: Mapping, section: str) -> list[Mapping]:
 
 def _head(result: Mapping) -> list[str]:
     metric, mount = metric_named(result["metric"]), result["mounting"]
-    origin = "as given" if result["mounting_given"] else f"found by {result['search']}, seed {result['seed']}"
+    origin = (
+        "as given" if result["mounting_given"] else f"found by {result['search']}, seed {result['seed']}, as planned"
+    )
     if not result["mounting_given"] and result["answered_frames"] < result["frames"]:
         origin += f", on {result['answered_frames']} of them"
     best, base = metric.number(result["objective_per_vehicle"]), metric.number(result["baseline_per_vehicle"])
@@ -64,9 +66,10 @@ def _head(result: Mapping) -> list[str]:
         f"Mounting in question, {origin}: {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg across the road"
         f"{_others(mount, result['baseline'])}; "
         f"{metric.in_unit('objective')} per vehicle {best}, baseline {base}",
-        f"Each change has its own best height and tilt, on {result['varied_frames']} of the searched frames; losses to "
-        f"it, with 90 % intervals, are on the {result['judged_frames']} {_JUDGED[result['judged_on']]}; inside or "
-        "outside: of where resampled traffic puts the optimum of the scene as it is",
+        f"Each change has its own best height and tilt, the other coordinates staying, on {result['varied_frames']} of "
+        f"the searched frames; losses to it are on the {result['judged_frames']} {_JUDGED[result['judged_on']]}, and "
+        "are to be read against the line 'as the scene has it'; inside or outside: of where other traffic of this kind "
+        "puts the optimum of the scene as it is",
         f"Verdicts - {RULE}",
     ]
 
@@ -77,7 +80,10 @@ def _others(mount: Mapping, baseline: Mapping) -> str:
     return "".join(f", {text.format(mount[key])}" for key, text in names.items() if mount[key] != baseline[key])
 
 
-_JUDGED = {"held out": "held-out frames", "searched": "same frames, as nothing is held out"}
+_JUDGED = {
+    "held out": "held-out frames, with 90 % intervals",
+    "searched": "same frames, as nothing is held out, and so without intervals",
+}
 
 
 def _lines(findings: Sequence[Mapping]) -> list[str]:

@@ -75,10 +75,16 @@ def sample_size(objective: np.ndarray, vehicles: np.ndarray, tilt_deg: np.ndarra
     return SampleSize(tuple(counts), tuple(reach), power, _needed(counts, reach, power))
 
 
-def _reach_deg(objective, vehicles, tilt_deg, rng, size) -> float:
-    order = rng.permuted(np.tile(np.arange(len(vehicles)), (_RESAMPLES, 1)), axis=1)
-    weights = np.zeros((_RESAMPLES, len(vehicles)))
+def samples_without_replacement(blocks: int, size: int, rng: np.random.Generator) -> np.ndarray:
+    """Which of `blocks` are in each of many samples of `size`, 1 or 0, (r, blocks)."""
+    order = rng.permuted(np.tile(np.arange(blocks), (_RESAMPLES, 1)), axis=1)
+    weights = np.zeros((_RESAMPLES, blocks))
     np.put_along_axis(weights, order[:, :size], 1.0, axis=1)
+    return weights
+
+
+def _reach_deg(objective, vehicles, tilt_deg, rng, size) -> float:
+    weights = samples_without_replacement(len(vehicles), size, rng)
     best = np.argmax(values_under(weights, objective, vehicles)[CANDIDATES:], axis=0)
     low, high = interval_90(tilt_deg[best])
     return 0.5 * (high - low)

@@ -8,11 +8,11 @@ from dataclasses import asdict
 import numpy as np
 
 from ..metrics.metric import Metric
-from ..study.statistics import FEWEST_BLOCKS, interval_90, resampled_weights
+from ..study.statistics import FEWEST_BLOCKS, interval_90
 from .findings import FAILS, FRAGILE, STABLE, UNDECIDED, Finding, by_loss, percent
 from .landscape import Landscape, losses_to_best, values_under
 from .mountings import CANDIDATES, Mountings
-from .sample_size import ASKED_DEG, SampleSize
+from .sample_size import ASKED_DEG, SampleSize, samples_without_replacement
 from .variations import TRAFFIC
 from .varied import Intervals
 
@@ -36,13 +36,17 @@ def gain_finding(verdict: Mapping, metric: Metric) -> Finding:
 def optimum_finding(
     landscape: Landscape, mountings: Mountings, block: np.ndarray, seed: int
 ) -> tuple[Finding, Intervals | None]:
-    """Where resampled blocks of time put the optimum, and what the mounting leaves to it in 95 % of them."""
-    what = "optimum under resampled traffic"
+    """Where other traffic would put the optimum, and what the mounting leaves to it in 95 % of such traffic.
+
+    Halves of the blocks of time, drawn without replacement, stand for samples as large as the whole: see `sample_size`.
+    """
+    what = "optimum on other traffic of this kind"
     objective, vehicles = landscape.blocks(block)
     filled = vehicles > 0
-    if filled.sum() < FEWEST_BLOCKS:
+    blocks = int(filled.sum())
+    if blocks < FEWEST_BLOCKS:
         return Finding(TRAFFIC, what, "", UNDECIDED, "too few blocks of time"), None
-    weights = resampled_weights(int(filled.sum()), np.random.default_rng(seed))
+    weights = samples_without_replacement(blocks, max(1, blocks // 2), np.random.default_rng(seed))
     values = values_under(weights, objective[:, filled], vehicles[filled])
     best = np.argmax(values[CANDIDATES:], axis=0)
     intervals = Intervals(interval_90(mountings.height_m[best]), interval_90(mountings.tilt_deg[best]))

@@ -53,7 +53,7 @@ def finding_of(
     draws: Sequence[Draw | str],
     mountings: Mountings,
     intervals: Intervals | None,
-    block: np.ndarray,
+    block: np.ndarray | None,
 ) -> Finding:
     """What one change does to the mounting in question; several draws of it are judged by their mean.
 
@@ -66,8 +66,8 @@ def finding_of(
     mountings : Mountings
     intervals : Intervals or None
         Where resampled traffic puts the optimum of the scene as it is.
-    block : ndarray of int, (f,)
-        Block of each frame that judges.
+    block : ndarray of int, (f,), or None
+        Block of each frame that judges; None where the same frames chose the best mounting, whose luck no interval has.
     """
     refused = [draw for draw in draws if isinstance(draw, str)]
     if refused:
@@ -86,9 +86,9 @@ def finding_of(
     if np.isnan(losses).any():
         text = "what is best on the searched frames gains nothing on those that judge"
         return Finding(*change, UNDECIDED, text, numbers)
-    loss, interval = float(np.mean(losses)), _interval(draws, block)
+    loss, interval = float(np.mean(losses)), None if block is None else _interval(draws, block)
     numbers = {"loss": loss, "interval_90": interval, "losses": losses, **numbers}
-    return Finding(*change, by_loss(loss), f"{lost(loss, interval)}; {_places(numbers)}", numbers)
+    return Finding(*change, by_loss(loss, interval), f"{lost(loss, interval)}; {_places(numbers)}", numbers)
 
 
 def _interval(draws: Sequence[Draw], block: np.ndarray) -> list[float] | None:
