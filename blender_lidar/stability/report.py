@@ -54,9 +54,8 @@ def _of(result: Mapping, section: str) -> list[Mapping]:
 
 def _head(result: Mapping) -> list[str]:
     metric, mount = metric_named(result["metric"]), result["mounting"]
-    origin = (
-        "as given" if result["mounting_given"] else f"found by {result['search']}, seed {result['seed']}, as planned"
-    )
+    search = f"found by {result['search']}, seed {result['seed']}, to hang as planned"
+    origin = "as given" if result["mounting_given"] else search
     if not result["mounting_given"] and result["answered_frames"] < result["frames"]:
         origin += f", on {result['answered_frames']} of them"
     best, base = metric.number(result["objective_per_vehicle"]), metric.number(result["baseline_per_vehicle"])
