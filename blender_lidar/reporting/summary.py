@@ -21,7 +21,7 @@ COORDINATE_NAMES = {
     "y_m": ("y across the road", "m"),
 }
 _SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
-_ON_A_BOUND = 0.001  # of the width between two bounds
+_ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
 _SPLITS = ("search", "holdout")
 
 Table = Mapping[str, np.ndarray]
