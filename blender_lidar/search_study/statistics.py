@@ -65,4 +65,4 @@ def wilcoxon(first: Sequence[float], second: Sequence[float]) -> float:
         raise MissingExtraError('the tests need SciPy: pip install "blender_lidar[study]"') from error
     difference = np.asarray(first, dtype=float) - np.asarray(second, dtype=float)
     difference = difference[difference != 0.0]
-    return float(stats.wilcoxon(difference, method="approx").pvalue) if difference.size else math.nan
+    return float(stats.wilcoxon(difference).pvalue) if difference.size else math.nan
