@@ -17,7 +17,8 @@ by the objective itself; success on BBOB is f - f* <= 1e-2, on the scene a regre
 baseline], best known being the best that any run of any solver found. Instances and seeds are the same for all solvers;
 with 31 of them there are 744 runs of each solver on BBOB in each number of dimensions and 31 on the scene, and where a
 table says fewer, the study was stopped early: `--resume` goes on with it. The scene is scenes/i80.toml with 2 frames,
-height and tilt searched, or y, height, both tilts and yaw.
+height and tilt searched, or y, height, both tilts and yaw. The grid and DIRECT draw nothing: on the scene theirs is one
+run, set beside every seed of the others, and its interval says nothing.
 The hardened search is to be better than both forms of DE-PSO everywhere it matters, and not to fall short of the best
 rival by more than 5 points of success, the 95 % interval of the paired difference included.
 """
@@ -31,7 +32,7 @@ in 5-D where CMA-ES had 53.6 %. It was weakest on separable functions and on tho
 axes, a thinner ellipsoid and many peaks then joined the development problems, and on those alone the second version was
 chosen: a swarm that opens with up to half of the budget, climbs that start with its width and shape, jumps along the
 variables too. It was frozen before anything of instances 32 to 62 was run; what is above is the second version's.
-On the scene only the second version was judged at 2,000 evaluations; a trial of the program ran two seeds of 200.
+On the scene only the second version was judged; trials of the program ran two seeds of 200 evaluations before.
 """
 
 
