@@ -33,14 +33,14 @@ axes, a thinner ellipsoid and many peaks then joined the development problems, b
 problems alone the second version was chosen: a swarm that opens with up to half of the budget, climbs that start with
 its width and shape, jumps along the variables too. The choice rests on trials in 2, 3 and 5 dimensions, on the problems
 that had not all been solved: the first version solved 72 % (20 seeds), the second 80 % (30 other seeds), with 16
-particles in place of 20 the same within chance. Some fifty variants were tried in all, so that 80 % flatter it a little.
+particles in place of 20 the same within chance. Some fifty variants were tried in all, so that 80 % flatter it.
 The table below is a coarser record with few seeds: differences of a few points in it are chance, and in it a short
 opening does as well as the one that was frozen.
 
 The second version was frozen before anything of instances 32 to 62 was run; what is above is its result. It was looked
-at three times while it ran; at the first two looks the interval in 3-D still reached beyond the margin. Where fewer than
-31 instances are told, the clock stopped the study, not what was seen, but the intervals allow for no looks. On the scene only the second version was judged;
-trials of the program ran two seeds of 200 evaluations before.
+at three times while it ran; at the first two looks the interval in 3-D still reached beyond the margin. Where fewer
+than 31 instances are told, the clock stopped the study, not what was seen, but the intervals make no allowance for
+looking. On the scene only the second version was judged; trials of the program ran two seeds of 200 evaluations before.
 """
 
 
