@@ -98,7 +98,7 @@ def test_a_line_without_end(tmp_path):
 
 def test_xml_that_unpacks_without_end(tmp_path, monkeypatch):
     monkeypatch.setattr(source, "MAX_BYTES", 2**20)
-    assert "GiB of text" in refused(write(tmp_path, gzip.compress(samples.xml(ROWS).encode() + b"\n" * 2**21)))
+    assert "GiB of text" in refused(write(tmp_path, gzip.compress(samples.xml(ROWS).encode() + (b" " * 1023 + b"\n") * 2**11)))
 
 
 def test_a_missing_timestep_number(tmp_path):

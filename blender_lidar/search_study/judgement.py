@@ -181,19 +181,19 @@ def _ranks(ours: np.ndarray, theirs: np.ndarray) -> dict:
 
 
 def _verdict(parts: Sequence[Part], compared: list[dict], groups: list[dict]) -> list[dict]:
-    """For every part: against both DE-PSO forms, and against the rival that did best there."""
+    """For every part: against both DE-PSO forms, the rival that did best, and whether any is ahead by too much."""
     found = []
     for part in parts:
         rows = {row["rival"]: row for row in compared if row["part"] == part.label}
         best = max(RIVALS, key=lambda rival, part=part: part.solved(rival).mean())
-        ahead = paired_difference(part.solved(best), part.solved(OURS))
+        leads = {rival: paired_difference(part.solved(rival), part.solved(OURS)) for rival in RIVALS}
         found.append(
             {
                 "part": part.label,
                 "de_pso": {form: _against(rows[form]) for form in DE_PSO_FORMS},
                 "best_rival": best,
-                "ahead": list(ahead),
-                "within_margin": ahead.high <= MARGIN,
+                "ahead": list(leads[best]),
+                "within_margin": all(lead.high <= MARGIN for lead in leads.values()),
                 "worse_groups": [
                     f"{row['group']} ({row['rival']})" for row in groups if row["part"] == part.label and _worse(row)
                 ],

@@ -1,4 +1,6 @@
-"""The searches that are judged: ours, both forms of DE-PSO, plain ones, and other people's at their best settings.
+"""The searches that are judged: ours, both forms of DE-PSO, plain ones and other people's.
+
+Of theirs only the population of SciPy's differential evolution is tuned; all else is as it comes.
 
 Each takes a counted objective and a seed. All work in shares of the box or in its units, as they please; what counts is
 the objective's own counter.
