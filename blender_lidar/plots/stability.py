@@ -123,7 +123,7 @@ def plot_changes(
         ]
         handles.append(Line2D([], [], color=INK, linewidth=0.8, linestyle="--", label="limits; the mounting"))
         if interval is not None:
-            handles.append(Line2D([], [], color=FAINT, linewidth=6.0, label="90 % of resampled optima"))
+            handles.append(Line2D([], [], color=FAINT, linewidth=6.0, label="90 % of optima on other traffic"))
         legend_below(figure, handles, columns=len(handles))
 
 
