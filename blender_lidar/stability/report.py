@@ -22,7 +22,7 @@ _WIDTH = 120
 
 def report_text(result: Mapping) -> str:
     """What `study_stability` came to, for a terminal."""
-    parts = [*_head(result), ""]
+    parts = [line for text in _head(result) for line in textwrap.wrap(text, _WIDTH, subsequent_indent="  ")] + [""]
     for section in SECTIONS:
         findings = _of(result, section)
         if findings:
