@@ -27,8 +27,8 @@ def add_parser(subparsers) -> None:
         "stability",
         help="where a scene's answer holds and where it breaks",
         description="Vary the traffic, the installation, the metric and the sensor one thing at a time, search with "
-        "other seeds, attack the casters, and say of each whether the mounting holds: the one that the search finds, or "
-        "one that is given.",
+        "other seeds, attack the casters, and say of each whether the mounting holds: the one that the search finds, "
+        "or one that is given.",
     )
     add_scene(parser)
     add_pose(parser)
