@@ -88,7 +88,7 @@ def test_the_rational_oracle_agrees_with_numbers_that_need_no_rounding():
 def test_the_attacks_find_a_caster_that_leaks(caster, monkeypatch):
     monkeypatch.setattr("blender_lidar.casting.tree._MARGIN_OPEN", 0.0)
     monkeypatch.setattr("blender_lidar.casting.tree._MARGIN", 0.0)
-    monkeypatch.setattr("blender_lidar.casting.tree._BESIDE", np.zeros(3))
+    monkeypatch.setattr("blender_lidar.casting.tree.fences", lambda corners, normal, height: [])
     assert count_attack(caster, "grazing a box around another").failures >= 20
 
 

@@ -332,7 +332,7 @@ def test_the_margins_are_what_closes_the_leaks(name, monkeypatch):
     rays = unit_rows(aims - origins)
     assert np.isfinite(caster_class(name)(floor).cast(origins, rays).distance).all()
     monkeypatch.setattr("blender_lidar.casting.tree._MARGIN_OPEN", 0.0)
-    monkeypatch.setattr("blender_lidar.casting.tree._BESIDE", np.zeros(3))
+    monkeypatch.setattr("blender_lidar.casting.tree.fences", lambda corners, normal, height: [])
     assert np.isinf(caster_class(name)(floor).cast(origins, rays).distance).sum() >= 5
 
 

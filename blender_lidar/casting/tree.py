@@ -6,11 +6,11 @@ boxes and of triangles do not agree with each other. Here nothing is left to tha
 - the tree is made about the place where the rays start, which is where float32 is finest, of triangles that are each
   grown within their plane by a little more than float32 can err there: neighbours overlap, and no ray slips between;
 - range and place of every hit are computed again in float64, with the triangle as it was given;
-- a ray that met nothing but such a margin is decided by the float64 caster, and so is one that met the inside of a
-  closed mesh first, having leaked where a flat side is seen so nearly edge-on that the margin does not show: a few in
-  10,000 hits;
-- of a mesh that need not be closed each ray is cast twice, the second time a hair beside, and decided by the float64
-  caster where the two differ;
+- a ray that met nothing but such a margin is decided by the float64 caster, and so are one that met a triangle so
+  nearly edge-on that float32 cannot tell how far away, and one that met the inside of a closed mesh first, having
+  leaked where a flat side is seen so nearly edge-on that the margin does not show: a few in 10,000 hits;
+- the triangles of a mesh that need not be closed get a fence along each side, which stands square to them and is as
+  high as the margin is wide: what slips past a triangle seen edge-on meets its fence, and is decided in float64 too;
 - a ray that starts so near a surface that float32 cannot tell on which side is left to the float64 caster.
 
 So all casters find the same hits and ranges, and differ in speed alone.
@@ -32,16 +32,14 @@ _take = partial(np.take, mode="clip")  # rows are in range: without that check t
 
 # Of a triangle's distance from where rays start: float32 keeps 6e-8 of it, and a ray-triangle test loses a few such.
 _MARGIN = 2e-7
-_MARGIN_OPEN = 16 * _MARGIN  # where no inside tells of a leak: shows on flat sides down to a few degrees edge-on
+_MARGIN_OPEN = 16 * _MARGIN  # where no inside tells of a leak
 # Of the farthest triangle's distance: how far rays' starts may move before the tree is made again, and how wide a
 # region of such starts it may come to serve.
 _ROAM, _REGION = 0.05, 0.25
 _FAR = 4.0  # times the triangles' median distance at most: one that is farther makes the tree coarser for none
 _MUCH_WIDER = 4.0  # than the rays need: a tree made for such wide starts is coarser than it has to be
 _LEAST_COSINE_SUM = 1e-5  # at a corner: a sharper one, of 0.26 degrees, would move by more than 450 margins
-# Leaks are far narrower; in no direction that meshes have. Rays so near to each other meet the same triangle, but for
-# a few in 10,000.
-_BESIDE = 3e-6 * np.array([0.531, -0.614, 0.584])
+_EDGE_ON = 1e-3  # cosine: what is met so nearly edge-on may lie centimetres behind what float32 takes it to hide
 _REACH_SLACK = 1e-5  # relative: back-ends look a little farther than asked and float64 decides at the limit
 
 
@@ -87,21 +85,18 @@ class TreeCaster(Caster):
         away = origins - self._middle
         reach = max_range * (1.0 + _REACH_SLACK) + _REACH_SLACK
         triangle = self._first(away, directions, reach)
-        if self._closed:
-            ray = np.flatnonzero(triangle != MISS)
-        else:
-            beside = self._first(away, directions + _BESIDE, reach)
-            differs = triangle != beside
-            triangle = np.where(triangle == MISS, beside, triangle)
-            ray = np.flatnonzero(triangle != MISS)
-            differs = _take(differs, ray)
+        ray = np.flatnonzero(triangle != MISS)
         triangle = _take(triangle, ray).astype(np.int64, copy=False)
+        if not self._closed:
+            fence = triangle >= len(self._corners)
+            triangle %= len(self._corners)  # each fence is the triangle's that it stands on
         there = self._planes.meet(origins_of(origins, ray).T, _take(directions.T, ray, axis=1), triangle)
         distance, doubtful = there.distance, ~there.inside
         if self._closed:
-            doubtful |= there.facing >= 0.0
+            doubtful |= there.facing > -_EDGE_ON
         else:
-            doubtful |= differs
+            doubtful |= fence
+            doubtful |= np.abs(there.facing) < _EDGE_ON
         self._decide(origins, directions, max_range, np.flatnonzero(doubtful), ray, triangle, distance)
         met = distance <= max_range
         if met.all():
@@ -134,7 +129,11 @@ class TreeCaster(Caster):
         away = np.abs(self._corners - self._middle).max(axis=(1, 2))
         self._far = float(min(away.max(), _FAR * np.median(away)))
         self._reach = float(0.5 * (high - low).max() + _ROAM * self._far)
-        self._build(grown(self._corners, self._normal, self._margin * (away + self._reach)) - self._middle)
+        margin = self._margin * (away + self._reach)
+        larger = grown(self._corners, self._normal, margin)
+        if not self._closed:
+            larger = np.concatenate([larger, *fences(larger, self._normal, margin)])
+        self._build(larger - self._middle)
         served = self._middle - self._reach, self._middle + self._reach
         self._touching = Touching(self._corners, self._normal, _MARGIN_OPEN * (away + self._reach), *served)
 
@@ -168,6 +167,32 @@ def grown(corners: np.ndarray, normal: np.ndarray, margin: np.ndarray | float) -
     if len(needles):
         larger[needles] = _around_needles(corners[needles], normal[needles], margin[needles, None])
     return larger
+
+
+def fences(corners: np.ndarray, normal: np.ndarray, height: np.ndarray) -> list[np.ndarray]:
+    """Triangles along the sides of triangles and square to them, which hold all that is so near to these sides.
+
+    Parameters
+    ----------
+    corners : ndarray, (m, 3, 3)
+        Corners [m], counter-clockwise about the normal.
+    normal : ndarray, (m, 3)
+        Unit normals.
+    height : ndarray, (m,)
+        How far each fence rises at least, to either side of the plane and beyond the ends of the side [m].
+
+    Returns
+    -------
+    list of three ndarray, (m, 3, 3)
+        One for each side: of the first and second corner, of the second and third, of the third and first.
+    """
+    made = []
+    for first, second in ((0, 1), (1, 2), (2, 0)):
+        side = corners[:, [first, second, second]]
+        along = side[:, 1] - side[:, 0]
+        outward = np.cross(along / np.linalg.norm(along, axis=1, keepdims=True), normal)
+        made.append(_around_needles(side, outward, height[:, None]))
+    return made
 
 
 def _around_needles(corners, normal, margin):
