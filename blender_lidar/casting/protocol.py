@@ -58,8 +58,9 @@ class Caster(ABC):
         Corners of each triangle [m], counter-clockwise seen from outside. Triangles without area, as far as float64
         can tell, are never met. Any size and place: the scene is re-centred in float64 before anything becomes float32.
     closed : bool
-        Whether the triangles bound solids, so that a ray from outside meets no inside first. It changes no result,
-        but lets leaks be told by the insides that they lead to: faster for rays from outside, slow for others.
+        Whether the triangles bound solids, so that a ray from outside meets no inside first. It changes no result, but
+        for what `tree` says of it: leaks are told by the insides that they lead to. Faster for rays from outside, slow
+        for others.
 
     Raises
     ------
