@@ -38,9 +38,9 @@ The table below is a coarser record with few seeds: differences of a few points 
 opening does as well as the one that was frozen.
 
 The second version was frozen before anything of instances 32 to 62 was run; what is above is its result. It was looked
-at three times while it ran; at the first two looks the interval in 3-D still reached beyond the margin. Where fewer
-than 31 instances are told, the clock stopped the study, not what was seen, but the intervals make no allowance for
-looking. On the scene only the second version was judged; trials of the program ran two seeds of 200 evaluations before.
+at three times while BBOB ran; at the first two looks the interval in 3-D still reached beyond the margin, with all 31
+instances it does not. The intervals make no allowance for looking. Five coordinates of the scene have not been judged
+yet. On the scene only the second version was judged; trials of the program ran two seeds of 200 evaluations before.
 """
 
 
