@@ -109,20 +109,31 @@ def fuzz(
     check: Callable[[object], None] | None = None,
     *,
     packed: bool = False,
-) -> None:
-    """Read a file whose samples are whole, then `EXAMPLES` that are not; `packed` ones also as gzip."""
+) -> int:
+    """Read a file whose samples are whole, then `EXAMPLES` that are not; `packed` ones also as gzip.
+
+    Returns
+    -------
+    int
+        How many were refused: a reader that takes whatever it is given refuses none.
+    """
     samples = [samples] if isinstance(samples, bytes) else samples
+    refused = 0
     for sample in samples:
         path.write_bytes(sample)
-        read(path)  # and with it every library that is imported when it is needed
+        found = read(path)  # and with it every library that is imported when it is needed
+        if check is not None:
+            check(found)
 
     @FUZZED
     @given(st.sampled_from(samples).flatmap(lambda sample: damaged(sample, packed=packed)))
     def keeps_its_promise(content: bytes) -> None:
+        nonlocal refused
         path.write_bytes(content)
-        kept_promise(read, path, check)
+        refused += not kept_promise(read, path, check)
 
     keeps_its_promise()
+    return refused
 
 
 _changes = st.lists(

@@ -274,7 +274,8 @@ PCD = "VERSION 0.7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {kinds}\nCOUNT {counts}\
 def test_a_pcd_header_that_promises_more_than_there_is(tmp_path, data, points, count):
     said = {"counts": f"1 1 1 {count}", "points": points, "data": data}
     text = PCD.format(fields="x y z w", sizes="4 4 4 4", kinds="F F F F", **said)
-    refused(read_points, written(tmp_path / "cloud.pcd", text.encode() + b"1 2 3 4\n"))
+    line = refused(read_points, written(tmp_path / "cloud.pcd", text.encode() + b"1 2 3 4\n"))
+    assert line.startswith("FILE: ")
 
 
 def test_a_pcd_header_without_end(tmp_path):

@@ -18,7 +18,7 @@ from blender_lidar.search_study.counted import BudgetSpent, Counted, checkpoints
 from blender_lidar.search_study.judgement import RIVALS, judgement, parts_of
 from blender_lidar.search_study.output import study_identity, write_results
 from blender_lidar.search_study.problems import Problem
-from blender_lidar.search_study.runs import carry_out, is_stored, stored
+from blender_lidar.search_study.runs import carry_out, stored
 from blender_lidar.search_study.scene_problems import CASES, scene_problem
 from blender_lidar.search_study.solvers import OURS, SOLVERS, UNSEEDED, scipy_de, solve
 from blender_lidar.search_study.statistics import mcnemar, paired_difference, wilcoxon, wilson
@@ -217,7 +217,7 @@ def test_a_stopped_study_goes_on_and_comes_to_the_same(tmp_path, workers):
 
     with stopped.locked(), pytest.raises(KeyboardInterrupt):
         carry_out(stopped, small_tasks(), workers, interrupted)
-    assert sum(is_stored(stopped, task) for task in small_tasks()) == 1
+    assert sum(stopped.holds(task.name) for task in small_tasks()) == 1
     told = []
     with stopped.locked(resume=True):
         carry_out(stopped, small_tasks(), workers, told.append)

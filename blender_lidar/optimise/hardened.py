@@ -40,7 +40,7 @@ class HardenedSettings:
     Parameters
     ----------
     particles : int
-        Of the swarm, 4 or more; fewer where the budget is below ten generations of them.
+        Of the swarm, 1 or more; fewer where the budget is below ten generations of them, but never fewer than 4.
     evaluations : int
         The budget, 1 or more.
     opening : float

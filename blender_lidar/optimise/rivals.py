@@ -1,4 +1,4 @@
-"""The plain rivals that DE-PSO has to beat: an exhaustive grid and uniform random points."""
+"""The plain rivals that a search has to beat: an exhaustive grid and uniform random points."""
 
 from __future__ import annotations
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
-from ..study.stages import STAGES, StudyFolder
+from ..study.stages import StudyFolder
 from .tasks import Task
 
 
@@ -23,7 +24,7 @@ def carry_out(folder: StudyFolder, tasks: Iterable[Task], workers: int, done: Ca
     """
     waiting = []
     for task in tasks:
-        if is_stored(folder, task):
+        if folder.holds(task.name):
             done(1)
         else:
             waiting.append(task)
@@ -32,7 +33,8 @@ def carry_out(folder: StudyFolder, tasks: Iterable[Task], workers: int, done: Ca
             folder.stage(task.name, task.run)
             done(1)
         return
-    with ProcessPoolExecutor(workers) as pool:
+    spawned = multiprocessing.get_context("spawn")  # as everywhere here: a fork takes half of the threads' locks along
+    with ProcessPoolExecutor(workers, mp_context=spawned) as pool:
         try:
             running = {pool.submit(_run, task): task for task in waiting}
             for future in as_completed(running):
@@ -46,12 +48,7 @@ def carry_out(folder: StudyFolder, tasks: Iterable[Task], workers: int, done: Ca
 
 def stored(folder: StudyFolder, tasks: Iterable[Task]) -> list[tuple[Task, list[dict]]]:
     """The tasks whose stages the folder holds, and what they came to."""
-    return [(task, folder.stage(task.name, task.run)) for task in tasks if is_stored(folder, task)]
-
-
-def is_stored(folder: StudyFolder, task: Task) -> bool:
-    """Whether the folder holds a task's stage."""
-    return (folder.file(STAGES) / f"{task.name}.json").exists()
+    return [(task, folder.stage(task.name, task.run)) for task in tasks if folder.holds(task.name)]
 
 
 def _run(task: Task) -> list[dict]:
