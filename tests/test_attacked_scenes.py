@@ -24,7 +24,7 @@ FAST = [
     pytest.param(
         name, marks=pytest.mark.skipif(not is_available(name), reason=f"the library of {name} is not installed")
     )
-    for name in ("bvh", "embree")
+    for name in ("raster", "bvh", "embree")
 ]
 EVERY = [*FAST, "exact"]
 LATTICE = beam_lattice(load_model("RS-16"), stride=12)

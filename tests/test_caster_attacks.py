@@ -34,7 +34,7 @@ FAST = [
     pytest.param(
         name, marks=pytest.mark.skipif(not is_available(name), reason=f"the library of {name} is not installed")
     )
-    for name in ("bvh", "embree")
+    for name in ("raster", "bvh", "embree")
 ]
 EVERY = [*FAST, "exact"]
 MAST = np.array([0.0, 0.0, 4.1])
@@ -84,7 +84,7 @@ def test_the_rational_oracle_agrees_with_numbers_that_need_no_rounding():
     assert first_distances(ground, origins, rays, 2.5).tolist() == [np.inf, np.inf, np.inf, 2.0, np.inf]
 
 
-@pytest.mark.parametrize("caster", FAST)
+@pytest.mark.parametrize("caster", FAST[1:])
 def test_the_attacks_find_a_caster_that_leaks(caster, monkeypatch):
     monkeypatch.setattr("blender_lidar.casting.tree._MARGIN_OPEN", 0.0)
     monkeypatch.setattr("blender_lidar.casting.tree._MARGIN", 0.0)

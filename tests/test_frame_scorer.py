@@ -19,12 +19,13 @@ from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
+CASTER = "raster"
 LATTICES = {name: beam_lattice(load_model(name), stride=20) for name in ("RS-16", "RS-LiDAR-32", "RS-BPearl")}
 POSE = Pose(height_m=4.1, tilt_x=math.radians(19.0))
 
 
 def observation(lattice=LATTICES["RS-16"], *, gate=50.0, near=0.4, detail="body", cell=0.05, reading="corrected"):
-    return Observation(lattice, gate, near, "exact", detail, cell, reading)
+    return Observation(lattice, gate, near, CASTER, detail, cell, reading)
 
 
 def everyone(vehicles):

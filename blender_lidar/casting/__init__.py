@@ -4,26 +4,45 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+from functools import cache
 
 from ..errors import MissingExtraError, unknown_name
 from ..stop_signals import stops_deferred
 from .protocol import Caster, Hits
 
-CASTERS = ("bvh", "embree", "exact")
+CASTERS = ("raster", "embree", "bvh", "exact")
+RASTER = CASTERS[0]  # the one that draws whole turns
 
-_MODULES = {"bvh": ("bpy", "blender"), "embree": ("embreex", "fast"), "exact": (None, None)}
+_MODULES = {
+    "raster": ("numba", "fast"),
+    "embree": ("embreex", "fast"),
+    "bvh": ("bpy", "blender"),
+    "exact": (None, None),
+}
 
-__all__ = ["CASTERS", "Caster", "Hits", "caster_class", "is_available", "resolve"]
+__all__ = ["CASTERS", "RASTER", "Caster", "Hits", "caster_class", "is_available", "resolve"]
 
 
 def is_available(name: str) -> bool:
     """Whether the library that the caster `name` stands on can be imported here."""
     library, _ = _MODULES[name]
-    return library is None or importlib.util.find_spec(library) is not None
+    if library is None or importlib.util.find_spec(library) is None:
+        return library is None
+    return library != "numba" or _imports(library)
+
+
+@cache
+def _imports(library: str) -> bool:
+    """Numba refuses to be imported where NumPy is newer than it knows."""
+    try:
+        importlib.import_module(library)
+    except ImportError:
+        return False
+    return True
 
 
 def resolve(name: str, where: str = "") -> str:
-    """The caster that `name` asks for: itself, or for "auto" `embree` when importable, else `bvh`.
+    """The caster that `name` asks for: itself, or for "auto" the first of `raster`, `embree`, `bvh` that is here.
 
     Raises
     ------
@@ -33,11 +52,11 @@ def resolve(name: str, where: str = "") -> str:
         When the library of the caster is not installed, naming the extra that brings it.
     """
     if name == "auto":
-        for candidate in ("embree", "bvh"):
+        for candidate in CASTERS[:-1]:
             if is_available(candidate):
                 return candidate
         raise MissingExtraError(
-            'no caster is installed; install one of: pip install "blender_lidar[fast]" (Embree) or '
+            'no caster is installed; install one of: pip install "blender_lidar[fast]" (raster, Embree) or '
             '"blender_lidar[blender]" (Blender)'
         )
     if name not in CASTERS:

@@ -9,6 +9,8 @@ import numpy as np
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
+_ROUNDING = 16.0 * float(np.finfo(float).eps)
+
 
 class PlaneHits(NamedTuple):
     """Where rays meet the planes of triangles.
@@ -49,6 +51,17 @@ class TrianglePlanes:
         # (function, axis, triangle), so that what is gathered for many rays lies side by side
         self._slope = np.ascontiguousarray(np.stack(functions).transpose(0, 2, 1))
         self._offset = np.einsum("fit,ti->ft", self._slope, corners[:, 0])
+        coordinate, side = np.abs(corners).max(axis=(1, 2)), np.abs(np.stack([first, second])).max(axis=(0, 2))
+        # Slopes are one over the triangle's heights, of which rounding takes that of the coordinates.
+        self._rounding = _ROUNDING * coordinate * side * np.square(self._slope[1:]).sum(axis=1).max(axis=0)
+
+    def as_rows(self) -> np.ndarray:
+        """Slope and offset of each triangle's three functions and the rounding of its weights, (m, 13).
+
+        The last one is what rounding of the corners and of the slopes may add to a weight at the triangle.
+        """
+        functions = np.concatenate([self._slope, self._offset[:, None]], axis=1).reshape(12, -1)
+        return np.ascontiguousarray(np.concatenate([functions, self._rounding[None]]).T)
 
     def meet(self, origins: np.ndarray, directions: np.ndarray, triangle: np.ndarray) -> PlaneHits:
         """Where k rays meet the planes of k triangles.
@@ -80,7 +93,7 @@ class TrianglePlanes:
     def _along(self, function, origins, directions, triangle):
         """An affine function of each triangle: what the origin lacks to its 0, and its growth along the ray."""
         slopes, offset, shared = self._slope[function], self._offset[function], origins.ndim == 1
-        missing = _take(offset - origins @ slopes if shared else offset, triangle)
+        missing = _take(offset - _sum_of_three(slopes, origins) if shared else offset, triangle)
         growth = 0.0
         for axis in range(3):
             slope = _take(slopes[axis], triangle)
@@ -89,3 +102,8 @@ class TrianglePlanes:
             slope *= directions[axis]
             growth += slope
         return missing, growth
+
+
+def _sum_of_three(slopes, place):
+    """Added up in this order everywhere, so that all casters measure alike; `@` may do it otherwise."""
+    return slopes[0] * place[0] + slopes[1] * place[1] + slopes[2] * place[2]

@@ -1,8 +1,4 @@
-"""The grids over a vehicle's top, side and front view, and how many of their cells hold a point (Eqs. 6 to 8).
-
-Points are not sorted: every point marks its cells in one array of bytes, in which each grid begins at a whole 64-bit
-word, and eight cells at a time are then summed as one number.
-"""
+"""The grids over a vehicle's top, side and front view, and what share of their cells holds a point (Eqs. 6 to 8)."""
 
 from __future__ import annotations
 
@@ -11,18 +7,16 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError
+from .cell_marks import VIEW_AXES, fastest_marks, whole_cells
 from .readings import check_reading
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 VIEWS = ("top", "side", "front")
-VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
 DEFAULT_CELL_M = 0.05
 
 _CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
 _WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
-_KEPT_WORDS = 1 << 19  # 4 MB: larger arrays are not kept from one cloud to the next
-_WORDS_TO_SUM = 255  # of eight bytes, each 0 or 1: the sum of so many overflows no byte
 
 
 def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
@@ -76,14 +70,7 @@ class ViewGrids:
         self._last = self._cells - 1.0
         sides = cells if reading == "corrected" else size / cell_m
         self._whole = np.stack([sides[:, row] * sides[:, column] for row, column in VIEW_AXES], axis=1)  # Eq. 8
-        words = -(-np.stack([cells[:, row] * cells[:, column] for row, column in VIEW_AXES]) // 8).ravel()
-        start = np.cumsum(words) - words
-        self._start = (8 * start).reshape(3, -1)  # cell at which each grid begins, by view and box
-        parts = -(-words // _WORDS_TO_SUM)
-        self._first_part = np.cumsum(parts) - parts  # of each grid
-        part = np.arange(parts.sum()) - np.repeat(self._first_part, parts)
-        self._part_start = np.repeat(start, parts) + _WORDS_TO_SUM * part
-        self._words = np.zeros((0, words.sum()), dtype=np.uint64)  # made for the first cloud
+        self.marks = fastest_marks()(self._cells)
 
     def __len__(self) -> int:
         return len(self._whole)
@@ -91,7 +78,7 @@ class ViewGrids:
     @property
     def clouds_at_a_time(self) -> int:
         """How many clouds can be scored together within the memory that is kept; 1 at least."""
-        return max(_KEPT_WORDS // max(self._words.shape[1], 1), 1)
+        return self.marks.clouds_at_a_time
 
     def occupancy(self, points: np.ndarray, vehicle: np.ndarray) -> np.ndarray:
         """P of the top, side and front view of each box (Eqs. 6 to 8), (n, 3).
@@ -104,14 +91,23 @@ class ViewGrids:
         vehicle : ndarray of int64, (k,)
             The box that each point belongs to; in range, which is not checked here either.
         """
-        self._clear(1)
+        self.marks.begin(1)
         for start in range(0, len(points), _CHUNK_POINTS):
             chunk = slice(start, start + _CHUNK_POINTS)
-            self._mark(*self.cells_of(points[chunk], vehicle[chunk]))
-        return self._marked()[0]
+            self.marks.mark(*self._places(points[chunk], vehicle[chunk]))
+        return self.shares(self.marks.counts())[0]
+
+    def shares(self, counts: np.ndarray) -> np.ndarray:
+        """P of views (Eq. 7) from the marked cells of each box's views, both (..., n, 3)."""
+        return counts / self._whole
 
     def cells_of(self, points: np.ndarray, vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cell of each point along each axis, (3, j), and its vehicle, (j,), without the points that are dropped."""
+        place, vehicle = self._places(points, vehicle)
+        return whole_cells(place, vehicle, self._cells), vehicle
+
+    def _places(self, points, vehicle):
+        """Places (3, j), in cells from the box's rear right lower corner, and boxes (j,) of the points kept."""
         place = np.empty((3, len(points)))
         for axis, along in enumerate(place):
             np.add(points[:, axis], _take(self._half[axis], vehicle), out=along)
@@ -119,7 +115,7 @@ class ViewGrids:
         kept = self._at_the_box(place, vehicle)
         if not kept.all():
             place, vehicle = place[:, kept], vehicle[kept]
-        return self._whole_cells(place, vehicle), vehicle
+        return place, vehicle
 
     def _at_the_box(self, place, vehicle):
         """Which of the places (3, k), in cells, lie in their box or at most one cell beyond it."""
@@ -128,44 +124,6 @@ class ViewGrids:
             kept &= along >= -1.0
             kept &= along - _take(self._last[axis], vehicle) < 2.0
         return kept
-
-    def _whole_cells(self, place, vehicle):
-        """Cells (3, k) of places (3, k) that are counted in cells from a box's rear right lower corner; in place."""
-        for axis, along in enumerate(place):
-            np.minimum(along, _take(self._last[axis], vehicle), out=along)
-            np.maximum(along, 0.0, out=along)
-        return place.astype(np.int64)
-
-    def _clear(self, clouds):
-        """Empty grids for some clouds."""
-        if clouds == len(self._words):
-            self._words.fill(0)
-        else:
-            self._words = np.zeros((clouds, self._words.shape[1]), dtype=np.uint64)
-
-    def _mark(self, cell, vehicle, cloud=None):
-        """Mark the cells that hold a point in all three views: Eq. 6, each once however many points it holds."""
-        marks = self._words.view(bool)
-        columns = {axis: _take(self._cells[axis], vehicle) for axis in (1, 2)}
-        before = None if cloud is None else cloud * marks.shape[1]  # cells of the clouds before
-        for view, (row, column) in enumerate(VIEW_AXES):
-            flat = cell[row] * columns[column]
-            flat += cell[column]
-            flat += _take(self._start[view], vehicle)
-            if before is not None:
-                flat += before
-            marks.reshape(-1)[flat] = True
-
-    def _marked(self):
-        """Share of the cells of each box's views that are marked, for each cloud, (clouds, n, 3)."""
-        if len(self) == 0:
-            return np.zeros((len(self._words), 0, 3))
-        of_part = np.add.reduceat(self._words, self._part_start, axis=1).view(np.uint8)
-        of_part = of_part.reshape(len(self._words), -1, 8).sum(axis=2, dtype=np.int64)
-        counts = np.add.reduceat(of_part, self._first_part, axis=1).reshape(len(self._words), 3, -1)
-        if self._words.size > _KEPT_WORDS:
-            self._words = self._words[:0].copy()
-        return counts.transpose(0, 2, 1) / self._whole  # Eq. 7
 
 
 class PlacedGrids(ViewGrids):
@@ -228,11 +186,8 @@ class PlacedGrids(ViewGrids):
             Whether returns may lie off that surface: those more than a cell beyond the box are then dropped. Otherwise
             that is not checked, and what lies beside the box falls into the rim's cell.
         """
-        x, y, z = np.moveaxis(origins[:, None] - self._centre, -1, 0)
-        turned = np.stack([self._cos * x + self._sin * y, self._cos * y - self._sin * x, z])  # Eqs. 4 and 5
-        # The origins as the grids count them, in cells from each box's rear right lower corner, (3, s n).
-        start = ((turned + self._half[:, None]) / self._cell_m).reshape(3, -1)
-        self._clear(len(origins))
+        start = self.starts(origins)
+        self.marks.begin(len(origins))
         for first in range(0, len(vehicle), _CHUNK_POINTS):
             chunk = slice(first, first + _CHUNK_POINTS)
             row, (x, y, z), cells_away = vehicle[chunk], directions[:, chunk], distance[chunk] / self._cell_m
@@ -251,5 +206,16 @@ class PlacedGrids(ViewGrids):
             if noisy:
                 kept = self._at_the_box(place, row)
                 place, row, number = place[:, kept], row[kept], None if number is None else number[kept]
-            self._mark(self._whole_cells(place, row), row, number)
-        return self._marked()
+            self.marks.mark(place, row, number)
+        return self.shares(self.marks.counts())
+
+    def starts(self, origins: np.ndarray) -> np.ndarray:
+        """Origins (s, 3) [m] as the grids count them, in cells from each box's rear right lower corner, (3, s n)."""
+        x, y, z = np.moveaxis(origins[:, None] - self._centre, -1, 0)
+        turned = np.stack([self._cos * x + self._sin * y, self._cos * y - self._sin * x, z])  # Eqs. 4 and 5
+        return ((turned + self._half[:, None]) / self._cell_m).reshape(3, -1)
+
+    @property
+    def turning(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Cosine and sine of the boxes' headings, (n,) each, and the side of a cell [m]."""
+        return self._cos, self._sin, self._cell_m

@@ -78,7 +78,9 @@ class Pose:
 
     def to_world(self, directions: np.ndarray) -> np.ndarray:
         """Directions (n, 3) from the sensor frame into the road frame; in memory coordinate after coordinate."""
-        return (self.rotation.T @ directions.T).T
+        x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+        # Added up in this order everywhere, so that all casters get the same rays; `@` may do it otherwise.
+        return np.stack([turned[0] * x + turned[1] * y + turned[2] * z for turned in self.rotation.T]).T
 
     def to_sensor(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) [m] from the road frame into the sensor frame."""

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..casting import caster_class
+from ..casting import RASTER, caster_class
 from ..casting.culling import cut_vehicles, reachable_beams
-from ..casting.protocol import origins_of
+from ..casting.protocol import Returns, origins_of
 from ..casting.standing import StandingScenery
 from ..metrics.vgop import to_vehicle_frame
 from ..metrics.view_grids import PlacedGrids
@@ -25,6 +25,7 @@ from ..world.triangles import vehicle_triangles
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
+_TURNS_AT_A_TIME = 16  # of several mountings: the rays that they keep fit into the cache
 _RAYS_AT_A_TIME = 1 << 14  # of several mountings: enough to amortise NumPy's calls, few enough for the cache
 
 
@@ -52,6 +53,8 @@ class Observation:
         What stands still and hides vehicles.
     imperfections : Imperfections
         Range noise and lost returns; none unless said.
+    culled : bool
+        Whether beams that can reach no vehicle are left out; it changes no result. `raster` always does without them.
     """
 
     lattice: BeamLattice
@@ -63,6 +66,7 @@ class Observation:
     reading: str = "corrected"
     scenery: StandingScenery | None = None
     imperfections: Imperfections = PERFECT
+    culled: bool = True
 
 
 class Seen(NamedTuple):
@@ -127,12 +131,19 @@ class FrameScorer:
             observation.cell_m,
             observation.reading,
         )
+        self._draws_turns = observation.caster == RASTER
+        self._compiled = self._compiled_turns() if self._draws_turns else None
 
     def __len__(self) -> int:
         return len(self.vehicles)
 
     def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
         """What each of s mountings sees of the n counted vehicles; the returns themselves only where they are kept."""
+        if self._compiled is not None and not keep_returns:
+            return self._see_compiled(poses)
+        return self._see(poses, keep_returns)
+
+    def _see(self, poses, keep_returns=False) -> Seen:
         points = np.zeros((len(poses), len(self)), dtype=np.int64)
         shares = np.zeros((len(poses), len(self), 3))
         kept = []
@@ -149,6 +160,25 @@ class FrameScorer:
                 kept.append((self._in_vehicle_frames(origin, directions, distance, row), first + row))
         return Seen(points, shares, _joined(kept) if keep_returns else None)
 
+    def _compiled_turns(self):
+        """What does the same in one go where all returns count as they are; None where something is lost or hidden."""
+        seen = self._observation
+        if self._draws is not None or self._reflectivity is not None or seen.scenery is not None or not len(self):
+            return None
+        from .compiled_turns import CompiledTurns
+
+        gate = seen.min_range_m, seen.max_range_m
+        return CompiledTurns(self._tree, self._counted_row, self._grids, seen.lattice, *gate)
+
+    def _see_compiled(self, poses) -> Seen:
+        """What mountings see; those at which rounding decides go the slow way."""
+        points, cells, undecided = self._compiled.see(poses)
+        shares = self._grids.shares(cells)
+        for row in undecided.tolist():
+            seen = self._see(poses[row : row + 1])
+            points[row], shares[row] = seen.points[0], seen.occupancy[0]
+        return Seen(points, shares)
+
     def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
         ((_, beams),) = self._groups([pose])
@@ -161,11 +191,14 @@ class FrameScorer:
         return to_vehicle_frame(points, self.vehicles.centre_m, self.vehicles.heading_rad, row)
 
     def _groups(self, poses):
-        """Mountings that are cast together, as a slice, with the beams of each that can reach a vehicle."""
-        seen = self._observation
+        """Mountings that are cast together, as a slice, with the beams of each that are cast; None where all are."""
+        if self._draws_turns:
+            step = min(self._grids.marks.clouds_at_a_time, _TURNS_AT_A_TIME)
+            yield from ((slice(first, min(first + step, len(poses))), None) for first in range(0, len(poses), step))
+            return
         first, group, rays = 0, [], 0
-        for beams in reachable_beams(seen.lattice, self.pieces, poses, self._reach_m):
-            if group and (rays + len(beams) > _RAYS_AT_A_TIME or len(group) == self._grids.clouds_at_a_time):
+        for beams in self._beams(poses):
+            if group and (rays + len(beams) > _RAYS_AT_A_TIME or len(group) == self._grids.marks.clouds_at_a_time):
                 yield slice(first, first + len(group)), group
                 first, group, rays = first + len(group), [], 0
             group.append(beams)
@@ -173,25 +206,22 @@ class FrameScorer:
         if group:
             yield slice(first, first + len(group)), group
 
+    def _beams(self, poses):
+        """Beams of each mounting that are cast."""
+        lattice = self._observation.lattice
+        if self._observation.culled:
+            return reachable_beams(lattice, self.pieces, poses, self._reach_m)
+        return (np.arange(lattice.rings * lattice.columns) for _ in poses)
+
     def _returns(self, poses, beams):
         """Returns from counted vehicles: row of the mounting, direction (3, k), distance and row of the vehicle.
 
         The row of the mounting is None where there is one.
         """
-        seen, components = self._observation, self._observation.lattice.components.reshape(3, -1)
-        directions = [
-            pose.to_world(_take(components, some, axis=1).T).T for pose, some in zip(poses, beams, strict=True)
-        ]
-        if len(poses) == 1:
-            mount, origins, directions = None, poses[0].position, directions[0]
-        else:
-            mount = np.repeat(np.arange(len(poses)), [len(some) for some in beams])
-            origins = _take(np.array([pose.position for pose in poses]).T, mount, axis=1).T
-            directions = np.concatenate(directions, axis=1)
-        found = self._tree.meet(origins, directions.T, self._reach_m)
+        seen = self._observation
+        mount, beam, origins, directions, found = self._drawn(poses) if beams is None else self._cast(poses, beams)
         row, distance = _take(self._counted_row, found.triangle), found.distance
         if self._draws is not None:
-            beam = beams[0] if len(beams) == 1 else np.concatenate(beams)
             of_glass = None if self._of_glass is None else _take(self._of_glass, found.triangle)
             distance = self._draws.measured(_take(beam, found.ray), distance, of_glass)
         wanted = np.flatnonzero((row >= 0) & (distance >= seen.min_range_m) & (distance <= seen.max_range_m))
@@ -208,12 +238,44 @@ class FrameScorer:
             _take(row, wanted),
         )
 
+    def _cast(self, poses, beams):
+        """Rays of given beams: rows of their mountings, beams, origins, directions (3, r), and what they meet."""
+        components = self._observation.lattice.components.reshape(3, -1)
+        directions = [
+            pose.to_world(_take(components, some, axis=1).T).T for pose, some in zip(poses, beams, strict=True)
+        ]
+        mount, origins = _mounted(poses, [len(some) for some in beams])
+        directions, beam = _end_to_end(directions, axis=1), _end_to_end(beams)
+        return mount, beam, origins, directions, self._tree.meet(origins, directions.T, self._reach_m)
+
+    def _drawn(self, poses):
+        """The same for all beams that meet something."""
+        turns = [self._tree.turn(self._observation.lattice, pose, self._reach_m) for pose in poses]
+        mount, origins = _mounted(poses, [len(turn.beam) for turn in turns])
+        beam, triangle, distance = (
+            _end_to_end([getattr(turn, name) for turn in turns]) for name in ("beam", "triangle", "distance")
+        )
+        directions = _end_to_end([turn.directions for turn in turns], axis=1)
+        return mount, beam, origins, directions, Returns(np.arange(len(beam)), triangle, distance)
+
     def _strong_enough(self, found, wanted, directions):
         """Which of some returns, by their rows in `found`, come from no farther than their surface is seen."""
         triangle, along = _take(found.triangle, wanted), _take(directions, _take(found.ray, wanted), axis=1)
         cosine = np.abs(np.einsum("ij,ji->i", self._tree.normals(triangle), along))
         seen_to_m = detection_range_m(self._seen_to_10_percent_m, _take(self._reflectivity, triangle), cosine)
         return _take(found.distance, wanted) <= seen_to_m
+
+
+def _mounted(poses, rays):
+    """Row of the mounting of each ray and its origin, for mountings with so many `rays`; None and (3,) for one."""
+    if len(poses) == 1:
+        return None, poses[0].position
+    mount = np.repeat(np.arange(len(poses)), rays)
+    return mount, _take(np.array([pose.position for pose in poses]).T, mount, axis=1).T
+
+
+def _end_to_end(parts, axis=0):
+    return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=axis)
 
 
 def _joined(parts):

@@ -1,0 +1,108 @@
+"""Our own caster, compiled by Numba: whole turns are drawn (`sweep`), other rays go through a tree (`ray_tree`).
+
+Both work in float64 with the planes that all casters measure with, and leave what rounding decides to `ExactSearch`:
+so they find the same hits and ranges as the other casters do.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..sensors.beams import BeamLattice
+from ..sensors.pose import Pose
+from .exact import ExactSearch
+from .planes import TrianglePlanes
+from .protocol import Caster
+from .ray_tree import RayTree
+from .shared_vertices import Mesh, mesh_of
+from .sweep import Canvas, Table, canvas, draw, table_of, take_returns
+
+
+class Turn(NamedTuple):
+    """What the beams of one turn met.
+
+    Attributes
+    ----------
+    beam : ndarray of int64, (k,)
+        Those that met something, flat indices into the lattice, rising.
+    triangle : ndarray of int64, (k,)
+        Row of the triangle that each met first.
+    distance : ndarray, (k,)
+        Distance along each [m].
+    directions : ndarray, (3, k)
+        Unit vectors in the road frame.
+    """
+
+    beam: np.ndarray
+    triangle: np.ndarray
+    distance: np.ndarray
+    directions: np.ndarray
+
+
+class RasterCaster(Caster):
+    """Draws a turn's beams triangle by triangle; in float64, and the fastest by far."""
+
+    name = "raster"
+
+    def _prepare(self):
+        planes = TrianglePlanes(self._corners, self._normal)
+        self._planes, self._mesh = planes.as_rows(), mesh_of(self._corners)
+        self._exact = ExactSearch(self._corners, planes)
+        self._tree: RayTree | None = None
+        self._drawn: BeamLattice | None = None  # the lattice that the canvas is made for
+        self._turns = 0
+
+    def _meet(self, origins, directions, max_range):
+        if self._tree is None:
+            self._tree = RayTree(self._corners, self._planes, self._exact)
+        return self._tree.meet(origins, directions, max_range)
+
+    def turn(self, lattice: BeamLattice, pose: Pose, max_range: float) -> Turn:
+        """What the beams of one turn meet first, no farther than `max_range` [m]."""
+        if len(self._solid) == 0:
+            return Turn(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), np.empty((3, 0)))
+        mesh, planes, closed, table, paper, turn = self.drawing(lattice)
+        origin, rotation, components = pose.position - self.origin, pose.rotation, lattice.components.reshape(3, -1)
+        touching = draw(mesh, planes, table, origin, rotation, max_range, closed, turn, paper)
+        *found, undecided = take_returns(paper, planes, components, origin, rotation, max_range)
+        found = Turn(*found)
+        if touching:
+            everything = pose.to_world(components.T)
+            met = self._exact.meet(origin, everything, max_range)
+            found = Turn(met.ray, met.triangle, met.distance, np.ascontiguousarray(everything[met.ray].T))
+            undecided = undecided[:0]
+        if len(undecided):
+            directions = pose.to_world(components[:, undecided].T)
+            decided = self._exact.meet(origin, directions, max_range)
+            beam = np.concatenate([found.beam, undecided[decided.ray]])
+            order = np.argsort(beam)
+            found = Turn(
+                beam[order],
+                np.concatenate([found.triangle, decided.triangle])[order],
+                np.concatenate([found.distance, decided.distance])[order],
+                np.concatenate([found.directions, directions[decided.ray].T], axis=1)[:, order],
+            )
+        return found._replace(triangle=self._solid[found.triangle])
+
+    @property
+    def origin(self) -> np.ndarray:
+        """What compiled code counts coordinates from, (3,) [m]."""
+        return self._origin
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Row, among the triangles that were given, of each that compiled code knows, (m,)."""
+        return self._solid
+
+    def drawing(self, lattice: BeamLattice, turns: int = 1) -> tuple[Mesh, np.ndarray, bool, Table, Canvas, int]:
+        """What compiled code needs to draw so many turns of a lattice; the room for the last lattice is kept.
+
+        Mesh, planes, whether they are closed, lattice, canvas, and the number of the first of these turns.
+        """
+        if lattice is not self._drawn:
+            self._drawn, self._table = lattice, table_of(lattice)
+            self._paper = canvas(lattice.rings * lattice.columns, len(self._mesh.vertices))
+        first, self._turns = self._turns, self._turns + turns
+        return self._mesh, self._planes, self._closed, self._table, self._paper, first
