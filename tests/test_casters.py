@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.casting import CASTERS, caster_class, is_available, resolve
+from blender_lidar.casting.planes import TrianglePlanes
 from blender_lidar.casting.protocol import MISS
 from blender_lidar.casting.tree import grown
 from blender_lidar.errors import InputError, MissingExtraError
@@ -18,7 +19,7 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose, rotation_matrix
 from blender_lidar.world.shapes import DETAILS, SHAPES, shape
 from blender_lidar.world.triangles import place, vehicle_triangles
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import dense_traffic, one_vehicle
 
 FAST = [
     pytest.param(
@@ -436,3 +437,57 @@ def test_casters_are_resolved_by_name_and_never_guessed_silently(monkeypatch):
     monkeypatch.setattr("blender_lidar.casting.is_available", lambda name: False)
     with pytest.raises(MissingExtraError, match=r"blender_lidar\[fast\].*blender_lidar\[blender\]"):
         resolve("auto")
+
+
+@pytest.mark.skipif(not is_available("raster"), reason="Numba is not installed")
+@pytest.mark.parametrize("shared", [True, False])
+def test_compiled_planes_measure_as_numpys_do_to_the_last_digit(shared):
+    from blender_lidar.casting.compiled_planes import CompiledPlanes
+
+    rng = np.random.default_rng(2)
+    corners = rng.normal(size=(200, 3, 3)) * 5.0
+    normal = unit_rows(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    triangle, rays = rng.integers(0, 200, 5000), unit_rows(rng.normal(size=(5000, 3))).T
+    origins = np.array([0.3, -2.0, 4.0]) if shared else rng.normal(size=(3, 5000))
+    ours = CompiledPlanes(corners, normal).meet(origins, rays, triangle)
+    for column, other in zip(ours, TrianglePlanes(corners, normal).meet(origins, rays, triangle), strict=True):
+        np.testing.assert_array_equal(column, other)
+
+
+TURNED = [Pose(height_m=4.1, tilt_x=0.3), Pose(2.0, 30.0, 1.5, -0.4, 0.2, 2.0), Pose(0.0, 8.0, 12.0, np.pi, 0.1, 0.0)]
+
+
+@pytest.mark.skipif(not is_available("raster"), reason="Numba is not installed")
+@pytest.mark.parametrize("detail", DETAILS)
+@pytest.mark.parametrize("sensor", ["RS-16", "RS-BPearl", "RS-LiDAR-32"])
+def test_a_turn_that_is_drawn_is_a_turn_that_is_cast(sensor, detail):
+    traffic, lattice = dense_traffic(seed=4, vehicles=50), beam_lattice(load_model(sensor), stride=7)
+    corners = vehicle_triangles(traffic, detail).corners
+    raster, oracle = caster_class("raster")(corners, closed=True), caster_class("exact")(corners)
+    inside = Pose(*traffic.centre_m[3].tolist())
+    for pose in (*TURNED, inside):
+        turn = raster.turn(lattice, pose, 60.0)
+        rays = pose.to_world(lattice.components.reshape(3, -1).T)
+        found = oracle.meet(pose.position, rays, 60.0)
+        np.testing.assert_array_equal(turn.beam, found.ray)
+        np.testing.assert_array_equal(turn.triangle, found.triangle)
+        np.testing.assert_allclose(turn.distance, found.distance, rtol=1e-12)
+        np.testing.assert_array_equal(turn.directions, rays[found.ray].T)
+
+
+@pytest.mark.skipif(not is_available("raster"), reason="Numba is not installed")
+def test_a_turn_drawn_from_a_surface_on_a_mesh_line_or_far_from_the_origin_is_the_one_that_is_cast():
+    """Where rounding decides everything: each beam goes the slow way."""
+    lattice = beam_lattice(load_model("RS-16"), stride=60)
+    car = one_vehicle("car", centre=(0.0, 6.0))
+    for shift in (0.0, 1e5):
+        corners = vehicle_triangles(car, "body").corners + np.array([shift, 0.0, 0.0])
+        raster, oracle = caster_class("raster")(corners, closed=True), caster_class("exact")(corners)
+        on_a_corner, on_a_side = corners[7, 0], corners[5].mean(axis=0)
+        above = corners.reshape(-1, 3)[corners.reshape(-1, 3)[:, 2].argmax()] + [0.0, 0.0, 1.0]
+        for start in (on_a_corner, on_a_side, above):
+            pose = Pose(*start.tolist(), np.pi / 2)
+            rays = pose.to_world(lattice.components.reshape(3, -1).T)
+            turn, found = raster.turn(lattice, pose, 40.0), oracle.meet(pose.position, rays, 40.0)
+            np.testing.assert_array_equal(turn.beam, found.ray)
+            np.testing.assert_allclose(turn.distance, found.distance, atol=1e-9)

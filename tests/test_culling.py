@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.casting import caster_class, is_available
+from blender_lidar.casting import caster_class, culling, is_available
 from blender_lidar.casting.culling import cut_vehicles, reachable_beams
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
@@ -202,3 +202,26 @@ def test_every_class_of_the_sample_traffic_is_in_the_property_test():
     """Guards the strategy above: it would be worthless if it drew cars alone."""
     drawn = {int(index) for seed in range(40) for index in dense_traffic(seed=seed, vehicles=5).class_index}
     assert drawn == set(range(len(SIZES)))
+
+
+@pytest.mark.skipif(not is_available("raster"), reason="Numba is not installed")
+@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("place", PLACES)
+def test_compiled_culling_keeps_the_beams_that_numpys_keeps(sensor, place, monkeypatch):
+    rng = np.random.default_rng(5)
+    traffic, lattice = dense_traffic(seed=3, vehicles=40, length_m=200.0), lattice_of(sensor, 3)
+    pieces = culling.cut_vehicles(traffic, "body")
+    poses = [Pose(*map(float, mount(place, traffic, rng)), *rng.uniform(-0.6, 0.6, 3)) for _ in range(4)]
+    fast = list(culling.reachable_beams(lattice, pieces, poses, 60.0))
+    monkeypatch.setattr(culling, "_compiled", lambda: None)
+    for ours, pose, slow in zip(fast, poses, culling.reachable_beams(lattice, pieces, poses, 60.0), strict=True):
+        np.testing.assert_array_equal(ours, slow)
+        np.testing.assert_array_equal(
+            culling.ray_directions(lattice, ours, pose), compiled_culling_directions(lattice, ours, pose)
+        )
+
+
+def compiled_culling_directions(lattice, beams, pose):
+    from blender_lidar.casting.compiled_culling import directions_of
+
+    return directions_of(lattice.components.reshape(3, -1), beams, pose.rotation)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.casting import caster_class
+from blender_lidar.casting import caster_class, is_available
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -19,13 +19,20 @@ from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
-CASTER = "raster"
 LATTICES = {name: beam_lattice(load_model(name), stride=20) for name in ("RS-16", "RS-LiDAR-32", "RS-BPearl")}
 POSE = Pose(height_m=4.1, tilt_x=math.radians(19.0))
 
 
 def observation(lattice=LATTICES["RS-16"], *, gate=50.0, near=0.4, detail="body", cell=0.05, reading="corrected"):
-    return Observation(lattice, gate, near, CASTER, detail, cell, reading)
+    return Observation(lattice, gate, near, observation.caster, detail, cell, reading)
+
+
+@pytest.fixture(params=["exact", "raster"], autouse=True)
+def caster(request):
+    """All that follows is asked of the path through NumPy and of the compiled one."""
+    if not is_available(request.param):
+        pytest.skip("Numba is not installed")
+    observation.caster = request.param
 
 
 def everyone(vehicles):

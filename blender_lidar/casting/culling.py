@@ -98,6 +98,47 @@ def reachable_beams(
     ndarray of int64, (k,)
         Flat indices into the lattice, ``ring * columns + slot``, ascending.
     """
+    fast = _compiled()
+    if fast is not None:
+        for pose in poses:
+            yield fast.beams_within(
+                pieces.corners,
+                pieces.middle,
+                pieces.radius,
+                pose.position,
+                pose.rotation,
+                float(max_range),
+                np.sin(lattice.elevation_rad),
+                lattice.slot_azimuth0_rad,
+                lattice.step_rad,
+                lattice.columns,
+                _MARGIN_RAD,
+                _LEAST_COSINE,
+            )
+        return
+    yield from _reachable_beams(lattice, pieces, poses, max_range)
+
+
+def ray_directions(lattice: BeamLattice, beams: np.ndarray, pose: Pose) -> np.ndarray:
+    """Directions (3, k) in the road frame of beams given by their flat indices (k,)."""
+    components = lattice.components.reshape(3, -1)
+    fast = _compiled()
+    if fast is not None:
+        return fast.directions_of(components, beams, pose.rotation)
+    return pose.to_world(np.take(components, beams, axis=1, mode="clip").T).T
+
+
+@cache
+def _compiled():
+    """The compiled twin of this module, or None where Numba is not installed."""
+    try:
+        from . import compiled_culling
+    except ImportError:
+        return None
+    return compiled_culling
+
+
+def _reachable_beams(lattice, pieces, poses, max_range):
     step = max(_PIECES_AT_A_TIME // max(len(pieces.radius), 1), 1)
     for start in range(0, len(poses), step):
         group = poses[start : start + step]

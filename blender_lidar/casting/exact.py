@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .planes import TrianglePlanes
+from .planes import TrianglePlanes, fastest_planes
 from .protocol import Caster, Returns, origins_of
 
 _EDGE_TOLERANCE = 1e-12  # barycentric: a ray at an edge belongs to both neighbours, so that it slips through neither
@@ -26,7 +26,7 @@ class ExactCaster(Caster):
     name = "exact"
 
     def _prepare(self):
-        self._search = ExactSearch(self._corners, TrianglePlanes(self._corners, self._normal))
+        self._search = ExactSearch(self._corners, fastest_planes()(self._corners, self._normal))
 
     def _meet(self, origins, directions, max_range):
         return self._search.meet(origins, directions, max_range)

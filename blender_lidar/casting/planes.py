@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -94,16 +94,23 @@ class TrianglePlanes:
         """An affine function of each triangle: what the origin lacks to its 0, and its growth along the ray."""
         slopes, offset, shared = self._slope[function], self._offset[function], origins.ndim == 1
         missing = _take(offset - _sum_of_three(slopes, origins) if shared else offset, triangle)
-        growth = 0.0
-        for axis in range(3):
-            slope = _take(slopes[axis], triangle)
-            if not shared:
-                missing -= slope * origins[axis]
-            slope *= directions[axis]
-            growth += slope
+        slopes = [_take(slope, triangle) for slope in slopes]
+        if not shared:
+            missing -= _sum_of_three(slopes, origins)
+        growth = _sum_of_three(slopes, directions)
         return missing, growth
 
 
+@cache
+def fastest_planes() -> type[TrianglePlanes]:
+    """The compiled twin where Numba is installed."""
+    try:
+        from .compiled_planes import CompiledPlanes
+    except ImportError:
+        return TrianglePlanes
+    return CompiledPlanes
+
+
 def _sum_of_three(slopes, place):
-    """Added up in this order everywhere, so that all casters measure alike; `@` may do it otherwise."""
+    """One function's slope times places; added up in this order everywhere, so that all casters measure alike."""
     return slopes[0] * place[0] + slopes[1] * place[1] + slopes[2] * place[2]

@@ -13,7 +13,7 @@ import numpy as np
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from .exact import ExactSearch
-from .planes import TrianglePlanes
+from .planes import fastest_planes
 from .protocol import Caster
 from .ray_tree import RayTree
 from .shared_vertices import Mesh, mesh_of
@@ -47,7 +47,7 @@ class RasterCaster(Caster):
     name = "raster"
 
     def _prepare(self):
-        planes = TrianglePlanes(self._corners, self._normal)
+        planes = fastest_planes()(self._corners, self._normal)
         self._planes, self._mesh = planes.as_rows(), mesh_of(self._corners)
         self._exact = ExactSearch(self._corners, planes)
         self._tree: RayTree | None = None

@@ -28,7 +28,7 @@ from functools import partial
 import numpy as np
 
 from .exact import ExactSearch
-from .planes import TrianglePlanes
+from .planes import fastest_planes
 from .protocol import MISS, Caster, Returns, origins_of
 from .touching import Touching
 
@@ -60,7 +60,7 @@ class TreeCaster(Caster):
 
     def _prepare(self):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
-        self._planes = TrianglePlanes(self._corners, self._normal)
+        self._planes = fastest_planes()(self._corners, self._normal)
         self._exact = ExactSearch(self._corners, self._planes)
         # Where rays may start; the tree is made at the first cast.
         self._middle, self._reach, self._far, self._touching = None, 0.0, 0.0, None

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..casting import RASTER, caster_class
-from ..casting.culling import cut_vehicles, reachable_beams
+from ..casting.culling import cut_vehicles, ray_directions, reachable_beams
 from ..casting.protocol import Returns, origins_of
 from ..casting.standing import StandingScenery
 from ..metrics.vgop import to_vehicle_frame
@@ -240,10 +240,8 @@ class FrameScorer:
 
     def _cast(self, poses, beams):
         """Rays of given beams: rows of their mountings, beams, origins, directions (3, r), and what they meet."""
-        components = self._observation.lattice.components.reshape(3, -1)
-        directions = [
-            pose.to_world(_take(components, some, axis=1).T).T for pose, some in zip(poses, beams, strict=True)
-        ]
+        lattice = self._observation.lattice
+        directions = [ray_directions(lattice, some, pose) for pose, some in zip(poses, beams, strict=True)]
         mount, origins = _mounted(poses, [len(some) for some in beams])
         directions, beam = _end_to_end(directions, axis=1), _end_to_end(beams)
         return mount, beam, origins, directions, self._tree.meet(origins, directions.T, self._reach_m)
