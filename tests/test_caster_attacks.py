@@ -110,9 +110,9 @@ def test_counts_are_plain_data_and_the_same_for_the_same_seed():
     for one, two in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.directions, two.directions)
     assert not np.array_equal(first[0].triangles, other.triangles)
-    with pytest.raises(InputError, match=r"unknown caster .* 'exact'; .*allowed: bvh, embree"):
+    with pytest.raises(InputError, match=r"unknown caster .* 'exact'; .*allowed: raster, embree, bvh"):
         attack_counts("exact")
-    here = [name for name in ("embree", "bvh") if is_available(name)]
+    here = [name for name in ("raster", "embree", "bvh") if is_available(name)]
     for name in here[:1]:
         count = count_attack(name, "triangle soup")
         assert json.loads(json.dumps(dataclasses.asdict(count)))["attack"] == "triangle soup"

@@ -73,7 +73,7 @@ def test_python_m_is_the_command_line():
 def test_help_needs_no_library_that_is_heavy():
     program = (
         "import sys; from blender_lidar.cli import main; main(['--help']);"
-        "heavy = {'bpy', 'matplotlib', 'embreex', 'tqdm', 'pandas'} & set(sys.modules); sys.exit(bool(heavy))"
+        "heavy = {'bpy', 'matplotlib', 'embreex', 'numba', 'tqdm', 'pandas'} & set(sys.modules); sys.exit(bool(heavy))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0
@@ -84,7 +84,7 @@ def test_doctor_finds_what_is_installed_and_scans_a_wall(capsys):
     assert err == ""
     assert out.startswith(f"blender_lidar {__version__}, Python 3.")
     assert "caster exact   works: " in out
-    works = any(f"caster {name:<7} works: " in out for name in ("bvh", "embree"))
+    works = any(f"caster {name:<7} works: " in out for name in ("raster", "bvh", "embree"))
     assert code == (0 if works else 1)
     assert ("All is well." in out) == works
 
@@ -132,9 +132,9 @@ def test_a_disk_that_is_full_is_one_line():
     assert done.stderr == "blender-lidar: output cannot be written: No space left on device\n"
 
 
-@pytest.mark.parametrize("caster", ["embree", "bvh"])
+@pytest.mark.parametrize("caster", ["raster", "embree", "bvh"])
 def test_stdout_holds_the_json_and_nothing_else_whatever_casts(tmp_path, caster):
-    pytest.importorskip({"embree": "embreex", "bvh": "bpy"}[caster])
+    pytest.importorskip({"raster": "numba", "embree": "embreex", "bvh": "bpy"}[caster])
     done = process("evaluate", write_scene(tmp_path), "--caster", caster, "--out", "run", "--json")
     assert done.returncode == 0, done.stderr
     assert done.stdout == Path("run/result.json").read_text()

@@ -68,7 +68,7 @@ def test_one_worker_and_two_give_the_same_bits(alone, pair):
             assert mine.tobytes() == theirs.tobytes()
 
 
-@pytest.mark.parametrize("caster", ["embree", "bvh"])
+@pytest.mark.parametrize("caster", ["raster", "embree", "bvh"])
 def test_one_worker_and_two_give_the_same_bits_with_every_caster(caster):
     """The one worker comes first, so that this process has loaded the caster's library when the others start."""
     if not is_available(caster):

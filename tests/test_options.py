@@ -216,9 +216,9 @@ def test_a_grid_holds_both_bounds(tmp_path, capsys):
     assert heights[[0, -1]].tolist() == [2.0, 4.5]
 
 
-@pytest.mark.parametrize("caster", ["embree", "bvh"])
+@pytest.mark.parametrize("caster", ["raster", "embree", "bvh"])
 def test_casters_agree_and_the_one_used_is_named(tmp_path, capsys, caster):
-    pytest.importorskip({"embree": "embreex", "bvh": "bpy"}[caster])
+    pytest.importorskip({"raster": "numba", "embree": "embreex", "bvh": "bpy"}[caster])
     scene = write_scene(tmp_path)
     mount = ("--height", 3, "--tilt-x", 15)
     fast, exact = (run(capsys, scene, name, "--caster", name, *mount, verb="evaluate") for name in (caster, "exact"))

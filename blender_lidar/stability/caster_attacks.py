@@ -7,14 +7,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..casting import caster_class
+from ..casting import CASTERS, caster_class
 from ..casting.exact import ExactCaster
 from ..casting.protocol import Caster, Hits, origins_of
 from ..errors import unknown_name
 from .attack_scenes import Attack, unit
 from .attacks import ATTACKS, attacks
 
-TREES = ("bvh", "embree")  # the casters that the oracle judges
+JUDGED = CASTERS[:-1]  # by the last one, the oracle
 TOLERANCE_M = 1e-5  # of a distance: sheets that lie nearer to each other than that count as one
 KNIFE_RAD, KNIFE_M = 1e-9, 1e-9  # how far a ray is turned and moved to see whether it runs along a knife's edge
 _KNIFE_GATE = 1e-9  # relative
@@ -73,7 +73,7 @@ def attack_counts(caster: str, *, quick: bool = True, seed: int = 1) -> list[Att
     Parameters
     ----------
     caster : str
-        A name of `TREES`; the third caster is the judge.
+        A name of `JUDGED`.
     quick : bool
         Fewer rays, for a few seconds in place of a minute.
     seed : int
@@ -82,10 +82,10 @@ def attack_counts(caster: str, *, quick: bool = True, seed: int = 1) -> list[Att
     Raises
     ------
     InputError
-        For a name that is none of `TREES`.
+        For a name that is none of `JUDGED`.
     """
-    if caster not in TREES:
-        raise unknown_name(caster, TREES, "caster to be judged by the float64 one")
+    if caster not in JUDGED:
+        raise unknown_name(caster, JUDGED, "caster to be judged by the float64 one")
     return [count_attack(caster, name, quick=quick, seed=seed) for name in ATTACKS]
 
 

@@ -12,7 +12,7 @@ from ..study.site import Site
 from ..study.stages import StudyFolder
 from .attacked import attack_finding
 from .attacks import ATTACKS
-from .caster_attacks import TREES, AttackCount, count_attack
+from .caster_attacks import JUDGED, AttackCount, count_attack
 from .effort import Effort
 from .findings import UNDECIDED, Finding
 from .landscape import Landscape
@@ -140,7 +140,7 @@ class StoredStages:
 
 def attacked_casters() -> list[str]:
     """The casters that are installed, but for the oracle itself."""
-    return [caster for caster in TREES if is_available(caster)]
+    return [caster for caster in JUDGED if is_available(caster)]
 
 
 def _never() -> object:
