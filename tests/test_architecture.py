@@ -227,6 +227,8 @@ def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     assert needing.pop("casting.embree").startswith("embreex")
     compiled = {name for name, missing in needing.items() if missing == "numba"}
     assert compiled == {
+        "casting.compiled_culling",
+        "casting.compiled_planes",
         "casting.raster",
         "casting.ray_tree",
         "casting.shared_vertices",
