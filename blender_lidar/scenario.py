@@ -6,12 +6,13 @@ checked, so both pass the same checks.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from .casting import CASTERS
-from .errors import InputError
+from .errors import InputError, shown
 from .metrics.catalogue import METRICS
 from .metrics.views import PE_VGOP
 from .optimise import READINGS, SEARCHES, VIEWS, DePso, DePsoSettings, GridSearch, Hardened
@@ -45,13 +46,19 @@ COORDINATE_LIMITS = {
     "tilt_y_deg": (-90.0, 90.0),
     "yaw_deg": (-360.0, 360.0),
 }
-# What an option of the key's name puts out of force in the file: frames are listed or spread evenly.
-_RIVALS = {("traffic", "frame_ids"): ("frames", "spacing_s"), ("traffic", "frames"): ("frame_ids",)}
+# What an option of the key's name puts out of force in the file: frames are listed or spread evenly, and so on.
+_RIVALS = {
+    ("traffic", "frame_ids"): ("frames", "spacing_s"),
+    ("traffic", "frames"): ("frame_ids",),
+    ("model", "workers"): ("cluster",),
+    ("model", "cluster"): ("workers",),
+}
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _LARGEST_M, _LARGEST_ORIGIN_M = 1e6, 1e9  # of the road, and of a place in a net; sums and squares stay finite
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT_LIMIT = 10.0  # of DE-PSO's coefficients; the paper's are below 1, and huge ones overflow
+_ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
 
@@ -215,8 +222,23 @@ def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
 
 
 def _model(world: TomlTable, model: TomlTable) -> ModelSettings:
+    workers, cluster = model.whole("workers", 0, low=0, high=256), model.text("cluster", None)
+    if cluster is not None and not _is_address(cluster):
+        raise InputError(f"{model.where('cluster')}: is {shown(cluster)}; allowed: such as tcp://host:8786")
+    if cluster is not None and (workers or model.overridden("workers")):
+        raise InputError(
+            f"{model.where('cluster')}: has its own workers, and {model.where('workers')} asks for {workers} processes "
+            "here; allowed: one of both"
+        )
     return ModelSettings(
         detail=world.text("detail", "body", allowed=DETAILS),
         caster=model.text("caster", "auto", allowed=("auto", *CASTERS)),
-        workers=model.whole("workers", 0, low=0, high=256),
+        workers=workers,
+        cluster=cluster,
     )
+
+
+def _is_address(text: str) -> bool:
+    """Whether a text is the address of a dask scheduler."""
+    found = _ADDRESS.fullmatch(text)
+    return found is not None and 0 < int(found["port"]) < 2**16

@@ -237,6 +237,7 @@ class ModelSettings:
     detail: str
     caster: str
     workers: int
+    cluster: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +277,7 @@ class Scenario:
             "baseline": dict(self.baseline),
             "objective": asdict(self.objective),
             "search": asdict(self.search),
-            "model": {"caster": self.model.caster, "workers": self.model.workers},
+            "model": {"caster": self.model.caster, "workers": self.model.workers, "cluster": self.model.cluster},
         }
 
 

@@ -34,6 +34,7 @@ LIBRARIES = {
     "scipy": ("search_study/",),
     "cmaes": ("search_study/solvers.py",),
     "ioh": ("search_study/bbob.py",),
+    "distributed": ("study/cluster.py",),
 }
 # Rooms, and the rooms that each may import; all may import `errors`. Traffic's frozen table of boxes is what
 # `world` makes triangles of and what `casting` culls by, so both know it.

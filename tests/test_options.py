@@ -96,6 +96,7 @@ REPLACED = [
     ("--frame-ids", "3:5", "traffic", "frame_ids", (3, 4, 5)),
     ("--caster", "bvh", "model", "caster", "bvh"),
     ("--workers", "3", "model", "workers", 3),
+    ("--cluster", "tcp://host:8786", "model", "cluster", "tcp://host:8786"),
     ("--detail", "box", "model", "detail", "box"),
     ("--metric", "pe-vgop", "objective", "metric", "pe-vgop"),
     ("--reading", "paper", "objective", "reading", "paper"),
@@ -104,6 +105,8 @@ REPLACED = [
     ("--particles", "11", "search", "particles", 11),
     ("--iterations", "12", "search", "iterations", 12),
 ]
+
+RIVALS = {("model", "cluster"): {("model", "workers")}}
 
 
 @pytest.mark.parametrize(
@@ -119,8 +122,8 @@ def test_an_option_replaces_its_setting_and_no_other(tmp_path, option, value, ta
         for field in content
         if content[field] != changed.as_tables()[name][field]
     }
-    # The level of detail stands in [world], and a list of frames takes the place of their number.
-    assert different <= {(table, key), ("world", key), ("traffic", "frames")}
+    # The level of detail stands in [world]; a list of frames takes the place of their number, a cluster of processes.
+    assert different <= {(table, key), ("world", key), ("traffic", "frames"), *RIVALS.get((table, key), ())}
 
 
 @pytest.mark.parametrize("value", ["nan", "-1", "inf", "much"])

@@ -214,6 +214,7 @@ KEYS = [
     ("search", "differential_threshold", '"a"', "1.1"),
     ("model", "caster", "1", '"optix"'),
     ("model", "workers", "1.5", "-1"),
+    ("model", "cluster", "8786", '"host:8786"'),
 ]
 WRONG = [(table, key, value) for table, key, *values in KEYS for value in values if value is not None]
 

@@ -72,6 +72,7 @@ _SETTINGS = (
     ),
     ("--reading", "objective", "reading", str, READINGS, "the paper's equations as corrected, or as printed"),
     ("--workers", "model", "workers", int, None, "processes; 0 takes one for each processor"),
+    ("--cluster", "model", "cluster", str, None, "dask scheduler whose workers are used instead: tcp://host:8786"),
     ("--search", "search", "method", str, SEARCHES, "how the best mounting is looked for"),
     ("--seed", "search", "seed", int, None, "seed of everything random"),
     ("--particles", "search", "particles", int, None, "particles of the swarm, hardened or DE-PSO's"),
@@ -101,6 +102,7 @@ _FOR_SEARCHES = (
     "--tolerance",
     "--reading",
     "--workers",
+    "--cluster",
     "--seed",
 )
 

@@ -49,7 +49,7 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
         *(("", note) for note in plan.notes),
         (
             "Casting",
-            f"{observation.caster}, detail {observation.detail}, {site.workers} worker{'s' * (site.workers != 1)}",
+            f"{observation.caster}, detail {observation.detail}, {site.workplace}",
         ),
     ]
     if searched:

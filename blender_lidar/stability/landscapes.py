@@ -1,4 +1,4 @@
-"""Mountings scored on many variations of a site, frame by frame over several processes."""
+"""Mountings scored on many variations of a site, frame by frame over several processes, of one machine or many."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from ..sensors.pose import Pose
 from ..study.frame_scorer import FrameScorer
 from ..study.scoring import CountedFrame, VehicleScores, mountings_of
 from ..study.site import Site
-from ..study.worker_pool import WorkerPool
 from .landscape import Landscape
 from .variations import Variation
 
@@ -44,10 +43,9 @@ def landscapes(
     columns = _Columns(site, tuple(jobs))
     frames = [len(_split(site, job.split)) for job in jobs]
     tasks = [(number, frame) for number, count in enumerate(frames) for frame in range(count)]
-    workers = max(1, min(site.workers, len(tasks)))
-    pool = WorkerPool(columns.of, workers) if workers > 1 else None
+    workers = site.workplace.employ(columns.of, len(tasks))
     try:
-        found = (columns.of(*task) for task in tasks) if pool is None else pool.each(*zip(*tasks, strict=True))
+        found = workers.each([number for number, _ in tasks], [frame for _, frame in tasks])
         for count in frames:
             scored = []
             for _ in range(count):
@@ -55,8 +53,7 @@ def landscapes(
                 progress(1)
             yield _joined(scored)
     finally:
-        if pool is not None:
-            pool.close()
+        workers.close()
 
 
 def _split(site: Site, split: str) -> tuple[CountedFrame, ...]:

@@ -1,4 +1,4 @@
-"""Many mountings over many frames, spread over processes.
+"""Many mountings over many frames, spread over processes, of one machine or several.
 
 A frame's result does not depend on which process computed it nor on what else was asked: casters look for hits in
 float32 but decide them in float64. So the number of workers changes the time that a run takes and nothing else.
@@ -15,9 +15,8 @@ import numpy as np
 from ..sensors.pose import Pose
 from .frame_scorer import FrameScorer, Observation
 from .scoring import CountedFrame, Scoring, VehicleScores, mountings_of
-from .worker_pool import WorkerPool
-
-_TASKS_PER_WORKER = 8  # few enough to amortise a task, enough to even out uneven frames
+from .workers import Alone, Workers
+from .workplace import Workplace
 
 
 class Totals(NamedTuple):
@@ -59,43 +58,44 @@ class Evaluator:
         The metric and the settings of Eqs. 10 and 11.
     workers : int
         Processes; 1 works in this one.
+    cluster : str, optional
+        Address of a dask scheduler, whose workers are used instead.
 
-    Use it as a context manager: leaving it ends the processes.
+    Use it as a context manager: leaving it ends the processes, or leaves the cluster.
     """
 
     def __init__(
-        self, frames: Sequence[CountedFrame], observation: Observation, scoring: Scoring, workers: int = 1
+        self,
+        frames: Sequence[CountedFrame],
+        observation: Observation,
+        scoring: Scoring,
+        workers: int = 1,
+        cluster: str | None = None,
     ) -> None:
         self._work = _Work(tuple(frames), observation, scoring)
         self.vehicles = np.array([int(frame.counted.sum()) for frame in frames], dtype=np.int64)
-        self._workers = max(1, min(workers, len(frames)))
-        self._pool: WorkerPool | None = None
+        self._workplace = Workplace(workers, cluster)
+        self._pool: Workers = Alone(self._work.totals)
 
     def __enter__(self) -> Evaluator:
-        if self._workers > 1:
-            self._pool = WorkerPool(self._work.totals, self._workers)
+        self._pool = self._workplace.employ(self._work.totals, len(self.vehicles))
         return self
 
     def __exit__(self, *exception) -> None:
-        if self._pool is not None:
-            self._pool.close()
-            self._pool = None
+        pool, self._pool = self._pool, Alone(self._work.totals)
+        pool.close()
 
     def totals(self, poses: Sequence[Pose]) -> Totals:
         """Score s mountings on every frame."""
-        tasks = self._tasks(len(poses))
-        if self._pool is None:
-            parts = [self._work.totals(frames, poses) for frames in tasks]
-        else:
-            parts = self._pool.map(tasks, [tuple(poses)] * len(tasks))
+        tasks = self._tasks()
+        parts = self._pool.map(tasks, [tuple(poses)] * len(tasks))
         objective = np.concatenate([part[0] for part in parts], axis=1)
         found = np.concatenate([part[1] for part in parts], axis=1)
         return Totals(objective, found, self.vehicles)
 
-    def _tasks(self, poses: int) -> list[range]:
+    def _tasks(self) -> list[range]:
         frames = len(self.vehicles)
-        tasks = min(frames, self._workers * _TASKS_PER_WORKER) if self._pool is not None else 1
-        bounds = np.linspace(0, frames, tasks + 1).astype(int).tolist()
+        bounds = np.linspace(0, frames, self._pool.tasks(frames) + 1).astype(int).tolist()
         return [range(start, stop) for start, stop in pairwise(bounds)]
 
 

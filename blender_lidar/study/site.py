@@ -25,6 +25,7 @@ from .keep_clear import check_mount_is_clear
 from .scenery import read_scenery
 from .scoring import CountedFrame, Scoring, scene_field
 from .worker_pool import within_blender
+from .workplace import Workplace
 
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
 _FEWEST_ON_ROAD = 0.1  # share; at an intersection, or with both directions in one recording, many drive elsewhere
@@ -74,6 +75,11 @@ class Site:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
     @property
+    def workplace(self) -> Workplace:
+        """Where evaluations are carried out."""
+        return Workplace(self.workers, self.scenario.model.cluster)
+
+    @property
     def region(self) -> Region:
         """Where vehicles count."""
         return Region(self.scenario.deployment.nominal_xy, self.scenario.sensor.range_gate_m)
@@ -89,7 +95,7 @@ class Site:
 
     def evaluator(self, frames: tuple[CountedFrame, ...]) -> Evaluator:
         """Something that scores mountings on `frames`."""
-        return Evaluator(frames, self.observation, self.scoring, self.workers)
+        return Evaluator(frames, self.observation, self.scoring, self.workers, self.scenario.model.cluster)
 
 
 def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Site:

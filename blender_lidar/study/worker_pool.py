@@ -14,15 +14,16 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from multiprocessing import resource_tracker
 from pathlib import Path
 
 from ..errors import WorkerError
 from ..stop_signals import stops_deferred
+from .workers import Workers
 
 _STOP_ON_ITS_WAY_S = 0.5
 
@@ -38,7 +39,7 @@ if within_blender():
     sys.modules.pop("__mp_main__", None)
 
 
-class WorkerPool:
+class WorkerPool(Workers):
     """Calls one function in several processes, each of which keeps a copy of it.
 
     Parameters
@@ -56,30 +57,10 @@ class WorkerPool:
 
     def __init__(self, function: Callable, workers: int) -> None:
         with _stored(function) as path, _failures_as_worker_errors():
-            self._executor = _started(path, workers)
+            super().__init__(_started(path, workers), _call, workers)
 
-    def map(self, *arguments: Iterable) -> list:
-        """What the function returns for each set of arguments, in their order.
-
-        Raises
-        ------
-        WorkerError
-            When a process has ended abruptly.
-        """
-        return list(self.each(*arguments))
-
-    def each(self, *arguments: Iterable) -> Iterator:
-        """As `map`, one after another as soon as it is known; all calls are under way from the first on."""
-        with _failures_as_worker_errors():
-            yield from self._executor.map(_call, *arguments)
-
-    def close(self) -> None:
-        """End the processes, after the calls that they are busy with; until then a stop waits.
-
-        Python takes a thread whose `join` Ctrl-C has cut short for ended, leaves, and waits for the processes for ever.
-        """
-        with stops_deferred():
-            self._executor.shutdown(wait=True, cancel_futures=True)
+    def _failures_told(self) -> AbstractContextManager:
+        return _failures_as_worker_errors()
 
 
 @contextmanager

@@ -1,0 +1,90 @@
+"""Workers: whoever calls one function that they hold, through an executor; here those that need no other process.
+
+Three kinds behind one door, which all come to the same results: this process (`Alone`), processes of our own
+(`worker_pool.WorkerPool`) and those of a cluster (`cluster.ClusterWorkers`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future
+from contextlib import AbstractContextManager, nullcontext
+
+from ..stop_signals import stops_deferred
+
+_TASKS_PER_WORKER = 8  # few enough to amortise a task, enough to even out uneven ones
+
+
+class Workers:
+    """Calls one function through an executor.
+
+    Parameters
+    ----------
+    executor : Executor
+        What carries the calls out.
+    call : callable
+        What is submitted to it: the function, or what finds it where it is held.
+    count : int
+        How many calls are carried out at a time.
+    """
+
+    def __init__(self, executor: Executor, call: Callable, count: int) -> None:
+        self._executor, self._call = executor, call
+        self.count = count
+
+    def tasks(self, items: int) -> int:
+        """Into how many tasks to divide so many items, of about the same work each."""
+        return min(items, self.count * _TASKS_PER_WORKER)
+
+    def map(self, *arguments: Iterable) -> list:
+        """What the function returns for each set of arguments, in their order.
+
+        Raises
+        ------
+        WorkerError
+            When workers are lost that nobody can replace.
+        """
+        return list(self.each(*arguments))
+
+    def each(self, *arguments: Iterable) -> Iterator:
+        """As `map`, one after another as soon as it is known; where others work, all calls are under way at once."""
+        with self._failures_told():
+            yield from self._executor.map(self._call, *arguments)
+
+    def close(self) -> None:
+        """End what belongs to us, after the calls that it is busy with; until then a stop waits.
+
+        Python takes a thread whose `join` Ctrl-C has cut short for ended, leaves, and waits for the processes for ever.
+        """
+        with stops_deferred():
+            self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def _failures_told(self) -> AbstractContextManager:
+        """Make one line of what can go wrong with such workers."""
+        return nullcontext()
+
+
+class Alone(Workers):
+    """This process calls the function, when its result is wanted."""
+
+    def __init__(self, function: Callable) -> None:
+        super().__init__(InProcessExecutor(), function, 1)
+
+    def tasks(self, items: int) -> int:
+        return 1
+
+
+class InProcessExecutor(Executor):
+    """Carries out each call in this process, before `submit` returns."""
+
+    def submit(self, function: Callable, /, *arguments, **keywords) -> Future:
+        future: Future = Future()
+        try:
+            future.set_result(function(*arguments, **keywords))
+        except Exception as error:  # a stop is no result
+            future.set_exception(error)
+        return future
+
+    def map(self, function: Callable, *iterables: Iterable, timeout: float | None = None, chunksize: int = 1):
+        """As the built-in: what nobody asks for is not computed, and progress can be told in between."""
+        return map(function, *iterables)
