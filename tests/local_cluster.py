@@ -44,11 +44,10 @@ class LocalCluster:
             raise
 
     def __exit__(self, *exception) -> None:
-        for process in self._started[::-1]:
+        for process in self._started[::-1]:  # a worker whose scheduler has gone waits for it
             process.terminate()
-        for process in self._started:
             try:
-                process.wait(10.0)
+                process.wait(5.0)
             except subprocess.TimeoutExpired:
                 with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import textwrap
 import threading
 import time
 import warnings
@@ -27,12 +28,13 @@ from blender_lidar.study.cluster_workers import ClusterWorkers, _held
 from blender_lidar.study.evaluation import Evaluator
 from blender_lidar.study.site import prepare
 from tests.local_cluster import ROOT, LocalCluster, wait_for
-from tests.small_scene import MAPPED, cli, without_charts, without_times, write_scene
+from tests.small_scene import CASTER, MAPPED, cli, without_charts, without_times, write_scene
 from tests.test_evaluation import POSES, SCORING, SEEN, frames_of
 
 pytest.importorskip("distributed", reason="dask.distributed, of the extra cluster, is not installed")
 
 FRAMES = frames_of(40)
+SEEN_HERE = replace(SEEN, caster=CASTER)
 FILES = ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "score_map.csv", "installation.txt")
 
 
@@ -51,7 +53,7 @@ def own_cluster(tmp_path):
 
 @pytest.fixture(scope="module")
 def alone():
-    with Evaluator(FRAMES, SEEN, SCORING) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING) as evaluator:
         return evaluator.totals(POSES)
 
 
@@ -70,6 +72,10 @@ def until_refused(evaluator):
 def held_by_workers():
     """How many functions a worker keeps."""
     return len(_held)
+
+
+def drop_all():
+    _held.clear()
 
 
 def in_all(address):
@@ -103,13 +109,13 @@ def test_a_run_comes_to_the_same_to_the_last_digit_here_with_two_processes_and_o
 
 
 def test_scores_are_the_same_bits_with_trees_new_and_kept(cluster, alone):
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
         for _ in range(3):
             check_same(evaluator.totals(POSES), alone)
         check_same(evaluator.totals(POSES[:1]), (alone.objective[:1], alone.detectable[:1], alone.vehicles))
-    with Evaluator(FRAMES[:1], SEEN, SCORING, cluster=cluster.address) as evaluator:
+    with Evaluator(FRAMES[:1], SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
         np.testing.assert_array_equal(evaluator.totals(POSES).objective, alone.objective[:, :1])
-    with Evaluator([], SEEN, SCORING, cluster=cluster.address) as evaluator:
+    with Evaluator([], SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
         assert evaluator.totals(POSES).objective.shape == (3, 0)
 
 
@@ -200,7 +206,7 @@ def test_each_worker_is_handed_the_function_once_whatever_the_number_of_tasks(cl
 
 
 def test_nothing_is_kept_on_the_cluster_once_it_is_left(cluster):
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
         evaluator.totals(POSES[:1])
         assert in_all(cluster.address) == 2
     wait_for(lambda: in_all(cluster.address) == 0)
@@ -221,7 +227,7 @@ def test_tasks_are_few_where_there_is_little_to_do_and_enough_to_even_out_much(c
 
 def test_a_worker_killed_midway_changes_nothing(own_cluster, alone):
     second = own_cluster.start_worker()
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=own_cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=own_cluster.address) as evaluator:
         killer = threading.Timer(0.2, second.kill)
         killer.start()
         while killer.is_alive() or second.poll() is None:
@@ -230,7 +236,7 @@ def test_a_worker_killed_midway_changes_nothing(own_cluster, alone):
 
 
 def test_a_worker_that_comes_later_is_used(own_cluster, alone):
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=own_cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=own_cluster.address) as evaluator:
         check_same(evaluator.totals(POSES), alone)
         own_cluster.start_worker()
         check_same(evaluator.totals(POSES), alone)
@@ -238,7 +244,7 @@ def test_a_worker_that_comes_later_is_used(own_cluster, alone):
 
 
 def test_when_the_only_worker_is_killed_another_one_takes_over(own_cluster, alone):
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=own_cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=own_cluster.address) as evaluator:
         check_same(evaluator.totals(POSES), alone)
         own_cluster.workers[0].kill()
         later = threading.Timer(1.0, own_cluster.start_worker)
@@ -250,7 +256,7 @@ def test_when_the_only_worker_is_killed_another_one_takes_over(own_cluster, alon
 def test_when_all_workers_are_gone_for_good_that_is_one_line(own_cluster, alone, monkeypatch):
     monkeypatch.setattr(cluster_module, "_LOOK_ROUND_S", 0.2)
     monkeypatch.setattr(cluster_module, "_NOBODY_S", 1.0)
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=own_cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=own_cluster.address) as evaluator:
         check_same(evaluator.totals(POSES), alone)
         own_cluster.workers[0].kill()
         with pytest.raises(WorkerError, match="the dask scheduler there has no workers") as failure:
@@ -261,15 +267,15 @@ def test_when_all_workers_are_gone_for_good_that_is_one_line(own_cluster, alone,
 def test_a_worker_that_drops_what_it_holds_is_handed_it_again(own_cluster, alone):
     """As where dask moves it to disk, short of memory."""
     other = ClusterExecutor(own_cluster.address)
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=own_cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=own_cluster.address) as evaluator:
         check_same(evaluator.totals(POSES), alone)
-        other.run(_held.clear)
+        other.run(drop_all)
         check_same(evaluator.totals(POSES), alone)
     other.shutdown()
 
 
 def test_when_the_scheduler_ends_that_is_one_line_at_once(own_cluster, alone):
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=own_cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=own_cluster.address) as evaluator:
         check_same(evaluator.totals(POSES), alone)
         own_cluster.scheduler.kill()
         began = time.monotonic()
@@ -281,8 +287,6 @@ def test_when_the_scheduler_ends_that_is_one_line_at_once(own_cluster, alone):
 
 def blender_lidar(*words, program="from blender_lidar.cli import main\nimport sys\nsys.exit(main())"):
     """The command line as a process of its own, without charts."""
-    import textwrap
-
     head = "import sys\nsys.modules['matplotlib'] = None\n"
     command = [sys.executable, "-c", head + textwrap.dedent(program), *map(str, words)]
     return subprocess.Popen(
@@ -304,7 +308,7 @@ def test_ctrl_c_ends_the_run_and_leaves_the_cluster_alive(cluster, tmp_path, alo
     assert err.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
     assert "Traceback" not in err
     wait_for(lambda: in_all(cluster.address) == 0)
-    with Evaluator(FRAMES, SEEN, SCORING, cluster=cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
         check_same(evaluator.totals(POSES), alone)
 
 
@@ -312,7 +316,8 @@ def test_ctrl_c_ends_the_run_and_leaves_the_cluster_alive(cluster, tmp_path, alo
 
 
 def refused(capsys, tmp_path, *words):
-    code, _, err = cli(capsys, "optimise", write_scene(tmp_path), "--out", tmp_path / "run", *words)
+    out = tmp_path / f"run_{len(list(tmp_path.iterdir()))}"
+    code, _, err = cli(capsys, "optimise", write_scene(tmp_path), "--out", out, *words)
     lines = err.splitlines()
     assert "Traceback" not in err
     return code, lines[-1]
@@ -371,7 +376,7 @@ def test_threads_that_would_be_idle_are_told_and_get_in_nobodys_way(tmp_path, al
     with LocalCluster(tmp_path, workers=0) as threaded:
         threaded.start_worker("--nthreads", 3)
         with pytest.warns(UserWarning, match="a worker process does one task at a time"):
-            evaluator = Evaluator(FRAMES, SEEN, SCORING, cluster=threaded.address).__enter__()
+            evaluator = Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=threaded.address).__enter__()
         with evaluator:
             check_same(evaluator.totals(POSES), alone)
 
