@@ -24,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import numpy as np
 
 from blender_lidar.scenario import load_scenario
+from blender_lidar.stop_signals import stops_watched
 from blender_lidar.study.evaluation import Evaluator
 from blender_lidar.study.site import Site, prepare
 from blender_lidar.study.workplace import Workplace
@@ -139,4 +140,5 @@ def told(found: dict) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with stops_watched():  # so that a stop leaves no cluster behind
+        sys.exit(main())

@@ -37,6 +37,7 @@ _SETTINGS = {
     "reading": ("objective", "reading"),
     "seed": ("search", "seed"),
     "workers": ("model", "workers"),
+    "cluster": ("model", "cluster"),
 }
 
 
@@ -62,11 +63,15 @@ def _arguments(argv):
     parser.add_argument("--reading", choices=READINGS, help="the paper's equations as corrected, or as printed")
     parser.add_argument("--caster", choices=("auto", *CASTERS))
     parser.add_argument("--seed", type=int)
-    parser.add_argument("--workers", type=int, default=2, help="processes; 0 takes one for each processor")
+    parser.add_argument("--workers", type=int, help="processes; 0 takes one for each processor; 2 without --cluster")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="dask scheduler whose workers are used instead")
     parser.add_argument("--out", default="runs/paper", metavar="DIR", help="folder of the results; runs/paper")
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out that was stopped")
     parser.add_argument("--quick", action="store_true", help="fewer frames, coarser grids")
-    return parser.parse_args(argv)
+    args = parser.parse_args(argv)
+    if args.workers is None and args.cluster is None:
+        args.workers = 2
+    return args
 
 
 def _study(args):

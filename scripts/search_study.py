@@ -49,7 +49,7 @@ def _arguments(argv):
     parser.add_argument("--tune", action="store_true", help="the record of the tuning, on the development problems")
     parser.add_argument("--part", action="append", choices=PARTS, help="only this part; may be given again")
     parser.add_argument("--report", action="store_true", help="run nothing: report what is stored")
-    parser.add_argument("--workers", type=_positive, default=1, help="processes; 1")
+    parser.add_argument("--workers", type=_positive, default=1, help="processes, of this machine alone; 1")
     return parser.parse_args(argv)
 
 

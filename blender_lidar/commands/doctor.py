@@ -24,6 +24,7 @@ _OPTIONAL = {
     "tqdm": "plots",
     "pyarrow": "parquet",
     "eclipse-sumo": "sumo",
+    "distributed": "cluster",
 }
 _TOLERANCE_M = 1e-4
 
