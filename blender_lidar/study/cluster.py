@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import pickle
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -59,17 +60,26 @@ class ClusterExecutor(Executor):
             raise
 
     def _connected(self):
+        """In a thread of its own: older versions wait for ever for what takes calls and says nothing."""
+        found: list = []
+        thread = threading.Thread(target=self._connect, args=[found], daemon=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # versions that differ are told by who knows which of them matter
+            thread.start()
+            thread.join(_ANSWER_S + 1.0)
+        if found and not isinstance(found[0], Exception):
+            return found[0]
+        raise WorkerError(
+            f"{self.address}: no dask scheduler answers there within {_ANSWER_S:g} s; start one with `dask scheduler`, "
+            "or leave --cluster out"
+        ) from (found[0] if found else None)
+
+    def _connect(self, found: list) -> None:
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # versions that differ are told by who knows which of them matter
-                return self._distributed.Client(
-                    self.address, timeout=_ANSWER_S, set_as_default=False, name="blender_lidar"
-                )
+            how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
+            found.append(self._distributed.Client(self.address, **how))
         except Exception as error:  # whatever else may listen there
-            raise WorkerError(
-                f"{self.address}: no dask scheduler answers there within {_ANSWER_S:g} s; start one with `dask "
-                "scheduler`, or leave --cluster out"
-            ) from error
+            found.append(error)
 
     def await_workers(self, at_most_s: float | None = None) -> list[str]:
         """`workers`, of which there is at least one; waits for that, as one that died may be started anew."""

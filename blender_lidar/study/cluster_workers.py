@@ -28,7 +28,7 @@ from .workers import Workers
 
 _LIBRARIES = ("numpy", "embreex", "numba", "bpy", "distributed")  # which may alter digits, or how we talk
 _LEAST_ITEMS = 16  # of a task, which costs some milliseconds
-_TASKS_PER_WORKER = 8
+_TASKS_PER_WORKER = 4
 _MOST_MISSES = 20
 
 
