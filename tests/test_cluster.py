@@ -168,6 +168,7 @@ def own_process(_number):
 def test_a_frame_goes_to_the_worker_that_has_its_tree(cluster):
     executor = ClusterExecutor(cluster.address)
     try:
+        assert executor.submit(abs, -3).result() == 3
         first, second = (list(executor.map(own_process, range(2))) for _ in range(2))
     finally:
         executor.shutdown()

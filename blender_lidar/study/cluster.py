@@ -120,10 +120,10 @@ class ClusterExecutor(Executor):
             calls[mine] = self._placed(tasks[mine], worker)
         return self._results(calls)
 
-    def run(self, function: Callable) -> dict[str, object]:
-        """What a function returns on each worker, or the error that it raises, whatever they are busy with."""
+    def run(self, function: Callable, workers: list[str] | None = None) -> dict[str, object]:
+        """What a function returns on these workers, or all, or the error that it raises; they may be busy meanwhile."""
         with self._scheduler_needed():
-            return self._client.run(pickle.loads, _packed(function, ()), on_error="return")
+            return self._client.run(pickle.loads, _packed(function, ()), workers=workers, on_error="return")
 
     def keep(self, function: Callable, argument: object, workers: Iterable[str]) -> dict[str, object]:
         """Call a function on each of these workers, which keep what it returns; by worker.

@@ -28,7 +28,7 @@ from .workers import Workers
 
 _LIBRARIES = ("numpy", "embreex", "numba", "bpy", "distributed")  # which may alter digits, or how we talk
 _LEAST_ITEMS = 16  # of a task, which costs some milliseconds
-_TASKS_PER_WORKER = 4
+_TASKS_PER_WORKER = 4  # half of what a process of our own gets, as dask evens out what is uneven
 _MOST_MISSES = 20
 
 
@@ -53,7 +53,6 @@ class ClusterWorkers(Workers):
     def __init__(self, function: Callable, address: str) -> None:
         executor = ClusterExecutor(address)
         try:
-            _check_alike(executor.run(_description), address)
             if executor.most_threads > 1:
                 warnings.warn(
                     f"{address}: a worker process does one task at a time, however many threads it has; start them "
@@ -84,7 +83,7 @@ class ClusterWorkers(Workers):
             if not isinstance(found, _NotHeld):
                 return found
             self._hand_out(found.worker)
-            found = self._executor.submit(self._call, *task).result()
+            (found,) = self._executor.map(self._call, *([one] for one in task))
         raise WorkerError(f"{self._executor.address}: the workers drop what they are handed, for want of memory")
 
     def _hand_out(self, *again: str) -> None:
@@ -93,6 +92,7 @@ class ClusterWorkers(Workers):
         self._kept = {worker: kept for worker, kept in self._kept.items() if worker in present and worker not in again}
         missing = [worker for worker in present if worker not in self._kept]
         if missing:
+            _check_alike(self._executor.run(_description, missing), self._executor.address)
             with self._failures_told():
                 self._kept |= self._executor.keep(_hold, self._parcel, missing)
 
@@ -110,6 +110,8 @@ def _check_alike(descriptions: dict[str, object], address: str) -> None:
     """Refuse workers with another blender_lidar, whose answers may differ; tell of other libraries that do."""
     ours, unlike = _description(), set()
     for worker, theirs in descriptions.items():
+        if isinstance(theirs, OSError):  # it has just been lost
+            continue
         if isinstance(theirs, Exception):
             raise WorkerError(
                 f"{address}: its worker {worker} cannot import blender_lidar: {theirs}; install it where that runs"
