@@ -399,3 +399,52 @@ def test_writing_is_stable(tmp_path):
 
     first = written(load_scenario(write_scene(tmp_path, FULL)))
     assert written(load_scenario(scene(tmp_path, first))) == first
+
+
+# --- a cluster --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("address", ["tcp://host:8786", "tls://10.0.0.1:1", "tcp://[fe80::1]:65535", "tcp://a-b.c:80"])
+def test_the_address_of_a_scheduler_is_a_cluster(tmp_path, address):
+    model = load_scenario(scene(tmp_path, MINIMAL + to_toml({"model": {"cluster": address}}))).model
+    assert (model.cluster, model.workers) == (address, 0)
+
+
+WRONG_ADDRESSES = [
+    "host",
+    "host:8786",
+    "tcp://host",
+    "tcp://:8786",
+    "tcp://host:0",
+    "tcp://host:65536",
+    "http://host:80",
+]
+
+
+@pytest.mark.parametrize(
+    "address", [*WRONG_ADDRESSES, "tcp://host:8786/", "tcp://a b:80", "tcp://host:٣", " tcp://a:1"]
+)
+def test_what_is_no_address_of_a_scheduler_is_refused(tmp_path, address):
+    text = refusal(tmp_path, MINIMAL, {("model", "cluster"): (address, "--cluster")})
+    assert text.startswith("--cluster: is ")
+    assert text.endswith("; allowed: such as tcp://host:8786")
+
+
+def test_a_cluster_and_processes_here_are_refused_together_and_an_option_puts_the_other_out_of_force(tmp_path):
+    cluster, two = ("tcp://host:8786", "--cluster"), (2, "--workers")
+    for workers in (two, (0, "--workers")):
+        text = refusal(tmp_path, MINIMAL, {("model", "cluster"): cluster, ("model", "workers"): workers})
+        assert text.startswith("--cluster: has its own workers, and --workers asks for ")
+    text = refusal(tmp_path, MINIMAL + '[model]\nworkers = 2\ncluster = "tcp://host:8786"\n')
+    assert text.startswith("[model] cluster: has its own workers, and ")
+    path = scene(tmp_path, MINIMAL + "[model]\nworkers = 2\n")
+    model = load_scenario(path, {("model", "cluster"): cluster}).model
+    assert (model.workers, model.cluster) == (0, "tcp://host:8786")
+    path = scene(tmp_path, MINIMAL + '[model]\ncluster = "tcp://host:8786"\n')
+    model = load_scenario(path, {("model", "workers"): two}).model
+    assert (model.workers, model.cluster) == (2, None)
+
+
+def test_a_scene_with_a_cluster_is_the_same_when_written_and_read_again(tmp_path):
+    scenario = load_scenario(scene(tmp_path, MINIMAL + '[model]\ncluster = "tcp://host:8786"\n'))
+    assert load_scenario(scene(tmp_path, to_toml(scenario.as_tables()))).model == scenario.model
