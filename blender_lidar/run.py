@@ -26,6 +26,9 @@ from .results import (
     versions,
 )
 from .scenario import Scenario, pose_at
+from .study.auto_scores import asked_objective, auto_search, screened
+from .study.auto_search import NAME as AUTO
+from .study.auto_search import AutoSearch
 from .study.circumstances import scenery_counts
 from .study.evaluation import Evaluator
 from .study.installation import installation_text
@@ -42,7 +45,7 @@ _CHECKPOINT_EVERY_S = 2.0
 class Listener(Protocol):
     """Told how a run comes along; every method may do nothing."""
 
-    def searching(self, search: Search) -> None:
+    def searching(self, search: Search | AutoSearch) -> None:
         """After each batch of evaluations, and once before the first; where there is a tolerance, of both searches."""
 
     def mapping(self, points: int) -> None:
@@ -62,7 +65,8 @@ class Outcome:
     score_map : ScoreMap or None
         The landscape over height and tilt, where both were searched.
     history : ndarray or None
-        Every evaluation of the search that found the mounting, where there was one.
+        Every evaluation of the search that found the mounting, where there was one; those at the reference where it
+        went from cheap to dear.
     """
 
     result: dict
@@ -94,15 +98,17 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     started = time.perf_counter()
     scenario = site.scenario
     identity = site.identity
-    searches = _searches(scenario, folder.read_checkpoint(identity) if resume else {})
+    searches = _searches(site, folder.read_checkpoint(identity) if resume else {})
     folder.write_scene(scenario)
     with site.evaluator(site.search) as evaluator:
         for name, search in searches.items():
-            objective = partial(_OBJECTIVES[name], evaluator, scenario)
-            _search(search, objective, listener, lambda: folder.write_checkpoint(identity, _states(searches)))
+            step = partial(_STEPS[AUTO if isinstance(search, AutoSearch) else name], search, evaluator, site)
+            _search(search, step, listener, lambda: folder.write_checkpoint(identity, _states(searches)))
         found = [scenario.deployment.coordinates(search.best_x) for search in searches.values()]
         sharp, best = found[0], best_over_tolerance(evaluator, found[::-1], scenario.objective.tolerance)
-        score_map = map_scores(evaluator, scenario.deployment, sharp, site.plan.search_block, listener.mapping)
+        score_map = None
+        if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
+            score_map = map_scores(evaluator, scenario.deployment, sharp, site.plan.search_block, listener.mapping)
         mountings = {"optimised": best, "baseline": scenario.baseline}
         if ROBUST in searches:
             mountings["sharp"] = sharp
@@ -110,12 +116,15 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
         if score_map is not None:
             mountings["best_of_map"] = score_map.best_coordinates(sharp)
         verdict = _judge(site, mountings, evaluator)
-    evaluations = {name: search.evaluations for name, search in searches.items()}
+    evaluations = {name: len(search.history) for name, search in searches.items()}
+    rungs = [search.spent for search in searches.values() if isinstance(search, AutoSearch)]
     mapped = "sharp" if ROBUST in searches else "optimised"
     searched = {
         "search": scenario.search.method,
         "seed": scenario.search.seed,
         "evaluations": sum(evaluations.values()),
+        "fidelity": scenario.search.fidelity,
+        "rungs": rungs[0] if rungs else None,
         "map": None if score_map is None else map_verdict(score_map, verdict, mapped, scenario.search.seed),
     }
     tolerance = tolerance_result(scenario.objective.tolerance, over_tolerance, sharp, verdict, evaluations)
@@ -132,15 +141,16 @@ def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float
         mountings = {"optimised": coordinates, "baseline": scenario.baseline}
         over_tolerance = judge_over_tolerance(site, mountings, evaluator, scenario.search.seed)
         verdict = _judge(site, mountings, evaluator)
-    searched = {"search": None, "seed": scenario.search.seed, "evaluations": 1, "map": None}
+    searched = {"search": None, "seed": scenario.search.seed, "evaluations": 1, "fidelity": "full", "rungs": None}
+    searched["map"] = None
     identity = site.identity
     tolerance = tolerance_result(scenario.objective.tolerance, over_tolerance)
     result = _result(site, identity, coordinates, verdict, searched, tolerance, time.perf_counter() - started)
     return _finish(site, folder, result, None, [])
 
 
-def fresh_search(scenario: Scenario) -> Search:
-    """The search that a scene asks for, before its first evaluation."""
+def fresh_search(scenario: Scenario, evaluations: int | None = None) -> Search:
+    """The search that a scene asks for, before its first evaluation; with another budget where one is given."""
     settings = scenario.search
     names = {field.name for field in fields(DePsoSettings)} - {"reading"}
     given = {name: value for name, value in asdict(settings).items() if name in names and value is not None}
@@ -149,12 +159,27 @@ def fresh_search(scenario: Scenario) -> Search:
         np.array(scenario.deployment.lower),
         np.array(scenario.deployment.upper),
         seed=settings.seed,
+        evaluations=evaluations,
         settings=DePsoSettings(**given, reading=scenario.objective.reading),
     )
 
 
-def _searches(scenario: Scenario, states: Mapping[str, dict]) -> dict[str, Search]:
+def fresh_auto_search(site: Site) -> AutoSearch:
+    """The search of `[search] fidelity = "auto"`, before its first evaluation: the scene's own method screens."""
+    settings, variables = site.scenario.search, len(site.scenario.deployment.variables)
+    budget = settings.particles * settings.iterations
+    screening = min(budget, max(screened(variables), settings.particles, 2**variables))
+    return auto_search(site, fresh_search(site.scenario, screening))
+
+
+def _searches(site: Site, states: Mapping[str, dict]) -> dict[str, Search | AutoSearch]:
     """The searches of a run in their order, each from its stored state where there is one."""
+    scenario = site.scenario
+    if scenario.search.fidelity == AUTO:
+        search = fresh_auto_search(site)
+        if SHARP in states:
+            search.restore(states[SHARP])
+        return {SHARP: search}
     names = (SHARP,) if scenario.objective.tolerance is None else (SHARP, ROBUST)
     return {name: search_from_state(states[name]) if name in states else fresh_search(scenario) for name in names}
 
@@ -164,25 +189,33 @@ def _states(searches: Mapping[str, Search]) -> dict[str, dict]:
     return {name: search.state() for name, search in searches.items() if search.evaluations}
 
 
-def _objective(evaluator: Evaluator, scenario: Scenario, x: np.ndarray) -> np.ndarray:
-    """The objective of mountings that hang as planned, (s,), at points `x` (s, d) of the search space."""
-    return evaluator.totals([scenario.deployment.pose(row) for row in x]).objective.sum(axis=1)
+def _step(search: Search, evaluator: Evaluator, site: Site) -> None:
+    """One batch of mountings that hang as planned."""
+    totals = evaluator.totals([site.scenario.deployment.pose(row) for row in search.ask()])
+    search.tell(totals.objective.sum(axis=1))
 
 
-def _objective_over_tolerance(evaluator: Evaluator, scenario: Scenario, x: np.ndarray) -> np.ndarray:
+def _step_over_tolerance(search: Search, evaluator: Evaluator, site: Site) -> None:
     """The same over the scene's tolerance."""
-    plans = [scenario.deployment.coordinates(row) for row in x]
-    return objective_over(evaluator, plans, scenario.objective.tolerance)
+    plans = [site.scenario.deployment.coordinates(row) for row in search.ask()]
+    search.tell(objective_over(evaluator, plans, site.scenario.objective.tolerance))
 
 
-_OBJECTIVES = {SHARP: _objective, ROBUST: _objective_over_tolerance}
+def _step_on_rungs(search: AutoSearch, evaluator: Evaluator, site: Site) -> None:
+    """The same on as many frames and beams as the search asks for."""
+    started = time.perf_counter()
+    objective = asked_objective(site, evaluator, search.ask())
+    search.tell(objective, time.perf_counter() - started)
 
 
-def _search(search: Search, objective: Callable, listener: Listener, store: Callable[[], None]) -> None:
+_STEPS = {SHARP: _step, ROBUST: _step_over_tolerance, AUTO: _step_on_rungs}
+
+
+def _search(search: Search | AutoSearch, step: Callable, listener: Listener, store: Callable[[], None]) -> None:
     listener.searching(search)
     stored_at = -np.inf
     while not search.done:
-        search.tell(objective(search.ask()))
+        step()
         if time.monotonic() - stored_at >= _CHECKPOINT_EVERY_S or search.done:
             store()
             stored_at = time.monotonic()

@@ -37,6 +37,7 @@ from .world_table import world_settings
 __all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_scenario", "pose_at"]
 
 TABLES = ("traffic", "road", "world", "sensor", "deployment", "baseline", "objective", "search", "model")
+FIDELITIES = ("full", "auto")
 HEIGHT_KEYS = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
 COORDINATE_LIMITS = {
     "x_m": (-1e5, 1e5),
@@ -97,6 +98,12 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     root.finish("table")
 
     deployment = _deployment(tables["deployment"])
+    objective, search = _objective(tables["objective"]), _search(tables["search"], deployment)
+    if search.fidelity == "auto" and objective.tolerance is not None:
+        raise InputError(
+            f'{tables["search"].where("fidelity")}: "auto" searches mountings that hang as planned, but '
+            f'{tables["objective"].where("tolerance")} is given; allowed: fidelity = "full", or no tolerance'
+        )
     scenario = Scenario(
         source=str(path),
         traffic=_traffic(tables["traffic"], path.parent),
@@ -105,8 +112,8 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
         sensor=sensor_settings(tables["sensor"], path.parent),
         deployment=deployment,
         baseline=_baseline(tables["baseline"], deployment),
-        objective=_objective(tables["objective"]),
-        search=_search(tables["search"], deployment),
+        objective=objective,
+        search=search,
         model=_model(tables["world"], tables["model"]),
     )
     for table in tables.values():
@@ -198,6 +205,7 @@ def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
     paper = DePsoSettings()
     settings = SearchSettings(
         method=table.text("method", Hardened.name, allowed=SEARCHES),
+        fidelity=table.text("fidelity", "full", allowed=FIDELITIES),
         seed=table.whole("seed", 1, low=0),
         particles=table.whole("particles", paper.particles, low=3, high=10_000),
         iterations=table.whole("iterations", paper.iterations, low=1, high=1_000_000),

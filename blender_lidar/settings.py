@@ -176,9 +176,14 @@ class ObjectiveSettings:
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
-    """[search]: how the best mounting is looked for; what is DE-PSO's alone is None with any other method."""
+    """[search]: how the best mounting is looked for; what is DE-PSO's alone is None with any other method.
+
+    `fidelity` is "full" where every mounting is scored on all searched frames with all beams, "auto" where most are
+    screened on less.
+    """
 
     method: str
+    fidelity: str
     seed: int
     particles: int
     iterations: int

@@ -204,6 +204,7 @@ KEYS = [
     ("objective.tolerance", "yaw_deg", "true", "10.5"),
     ("objective.tolerance", "aim", "1", '"median"'),
     ("search", "method", "1", '"pso"'),
+    ("search", "fidelity", "1", '"half"'),
     ("search", "seed", "1.5", "-1"),
     ("search", "particles", '"20"', "2"),
     ("search", "iterations", "true", "0"),

@@ -10,7 +10,7 @@ from ..casting import CASTERS
 from ..errors import InputError
 from ..metrics.catalogue import METRICS
 from ..optimise import READINGS, SEARCHES
-from ..scenario import COORDINATE_LIMITS, COORDINATES, Scenario, load_scenario
+from ..scenario import COORDINATE_LIMITS, COORDINATES, FIDELITIES, Scenario, load_scenario
 from ..world.shapes import DETAILS
 
 _MOST_FRAMES = 1_000_000
@@ -74,6 +74,15 @@ _SETTINGS = (
     ("--workers", "model", "workers", int, None, "processes; 0 takes one for each processor"),
     ("--cluster", "model", "cluster", str, None, "dask scheduler whose workers are used instead: tcp://host:8786"),
     ("--search", "search", "method", str, SEARCHES, "how the best mounting is looked for"),
+    (
+        "--fidelity",
+        "search",
+        "fidelity",
+        str,
+        FIDELITIES,
+        "full: every mounting is scored on all frames with all beams; auto: most are screened on less, and what is "
+        "reported is scored on all of it",
+    ),
     ("--seed", "search", "seed", int, None, "seed of everything random"),
     ("--particles", "search", "particles", int, None, "particles of the swarm, hardened or DE-PSO's"),
     (
@@ -93,7 +102,7 @@ _POSE_HELP = {
     "tilt_y_deg": "along the road, positive raises the side ahead",
     "yaw_deg": "counter-clockwise seen from above",
 }
-SEARCH_OPTIONS = ("--search", "--particles", "--iterations")
+SEARCH_OPTIONS = ("--search", "--fidelity", "--particles", "--iterations")
 _FOR_SEARCHES = (
     *SEARCH_OPTIONS,
     "--frames",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 
 from ..metrics.metric import Metric
 from ..metrics.views import PE_VGOP
 from ..optimise import Search
+from ..study.auto_search import AutoSearch
 from ..study.score_map import POINTS
 from .options import option_name
 
@@ -74,7 +76,7 @@ class RunProgress:
             if progress is not None:
                 progress.close()
 
-    def searching(self, search: Search) -> None:
+    def searching(self, search: Search | AutoSearch) -> None:
         if search is not self._searched:
             self._begin(search)
         else:
@@ -95,6 +97,8 @@ class RunProgress:
         self._map.advance(points)
 
     def _best(self, search):
+        if isinstance(search, AutoSearch) and search.best_value == -math.inf:
+            return search.stage
         mount = ", ".join(f"{name} {value:.2f}" for name, value in zip(self._names, search.best_x, strict=True))
         return f"best {self._metric.amount(search.best_value, -2)} at {mount}"
 

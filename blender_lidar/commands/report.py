@@ -15,6 +15,7 @@ from ..reporting.comparison import compared_names, comparison_sections
 from ..reporting.summary import COORDINATE_NAMES, cautions, group_scores
 from ..results import RunFolder
 from ..run import Outcome
+from ..study.auto_search import NAME as AUTO
 from ..study.circumstances import imperfections_text, scenery_counts, scenery_text
 from ..study.objective_text import objective_text
 from ..study.site import Site
@@ -141,6 +142,8 @@ def _search_text(scenario):
         if settings.method == DePso.name
         else f"{settings.particles * settings.iterations} evaluations"
     )
+    if settings.fidelity == AUTO:
+        budget = "from few frames and beams to all (fidelity auto)"
     objective = scenario.objective
     metric = "" if objective.metric == PE_VGOP.name else f", metric {objective.metric}"
     return (

@@ -90,6 +90,7 @@ _RESULT = _JUDGED | {
     **dict.fromkeys(("range_gate_m", "block_s", "seconds"), NUMBER),
     "reading": one_of(READINGS),
     "search": or_null(TEXT),
+    "fidelity": MayLack(TEXT),
     "map": Nullable(_MAP),
     "baseline": _JUDGED,
     "tolerance": MayLack(Nullable(_TOLERANCE)),

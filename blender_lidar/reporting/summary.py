@@ -128,6 +128,8 @@ def cautions(result: Mapping) -> list[str]:
         if not low + slack < result["deployment"][key] < high - slack:
             name = COORDINATE_NAMES[key][0]
             found.append(f"The best {name} lies on a bound of [deployment]; beyond may be better.")
+    if result.get("rungs"):
+        found.append(_rungs_note(result))
     if result["map"]:
         found += _map_notes(result["map"], "mounting found" if sharp_of(result) is None else "sharp mounting")
     return found
@@ -142,6 +144,15 @@ def search_bounds(result: Mapping) -> dict[str, tuple[float, float]]:
     """The coordinates that the scene leaves open, and between what bounds [m, deg]."""
     bounds = {key: result["identity"][f"[deployment] {key}"] for key in COORDINATE_NAMES}
     return {key: tuple(pair) for key, pair in bounds.items() if isinstance(pair, list)}
+
+
+def _rungs_note(result):
+    """What a search from cheap to dear has scored, and what it therefore cannot tell."""
+    tried = sum(rung["candidates"] for rung in result["rungs"])
+    return (
+        f"Of {tried:,} mountings {result['evaluations']:,} were scored with all frames and beams, the others with fewer "
+        "(fidelity auto); no grid was, so that what the search has missed is not known: --fidelity full draws it."
+    )
 
 
 def _map_notes(score_map, mounting):

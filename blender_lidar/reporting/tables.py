@@ -49,6 +49,11 @@ def group_table(heading: str, groups: Callable, run: StoredRun) -> Markup:
 def computing_table(result: Mapping) -> Markup:
     """What a result depends on beside the scene: how it was computed, and by what."""
     search = f"{result['search']}, seed {result['seed']}, {result['evaluations']:,} evaluations"
+    if result.get("rungs"):
+        search += " at full fidelity, after " + ", ".join(
+            f"{rung['candidates']:,} on {rung['frames']} frames in detail {rung['detail']} with 1 of {rung['stride']} beams"
+            for rung in result["rungs"][:-1]
+        )
     if (result.get("tolerance") or {}).get("evaluations"):
         block = result["tolerance"]
         search += (

@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..sensors.pose import Pose
+from .fidelity import Fidelity
 from .frame_scorer import FrameScorer, Observation
+from .rungs import coarse_observation
 from .scoring import CountedFrame, Scoring, VehicleScores, mountings_of
 from .workers import Alone, Workers
 from .workplace import Workplace
@@ -85,18 +87,20 @@ class Evaluator:
         pool, self._pool = self._pool, Alone(self._work.totals)
         pool.close()
 
-    def totals(self, poses: Sequence[Pose]) -> Totals:
-        """Score s mountings on every frame."""
-        tasks = self._tasks()
-        parts = self._pool.map(tasks, [tuple(poses)] * len(tasks))
+    def totals(
+        self, poses: Sequence[Pose], frames: Sequence[int] | None = None, fidelity: Fidelity | None = None
+    ) -> Totals:
+        """Score s mountings on every frame, or on those of these places, in their order; through a coarser fidelity?"""
+        tasks = self._tasks(range(len(self.vehicles)) if frames is None else frames)
+        parts = self._pool.map(tasks, [tuple(poses)] * len(tasks), [fidelity] * len(tasks))
         objective = np.concatenate([part[0] for part in parts], axis=1)
         found = np.concatenate([part[1] for part in parts], axis=1)
-        return Totals(objective, found, self.vehicles)
+        return Totals(objective, found, self.vehicles if frames is None else self.vehicles[list(frames)])
 
-    def _tasks(self) -> list[range]:
-        frames = len(self.vehicles)
-        bounds = np.linspace(0, frames, self._pool.tasks(frames) + 1).astype(int).tolist()
-        return [range(start, stop) for start, stop in pairwise(bounds)]
+    def _tasks(self, frames: Sequence[int]) -> list[Sequence[int]]:
+        """The frames in as many parts as there are calls."""
+        bounds = np.linspace(0, len(frames), self._pool.tasks(len(frames)) + 1).astype(int).tolist()
+        return [frames[start:stop] for start, stop in pairwise(bounds)]
 
 
 class _Work:
@@ -104,27 +108,36 @@ class _Work:
 
     def __init__(self, frames, observation, scoring) -> None:
         self._frames, self._observation, self._scoring = frames, observation, scoring
-        self._scorers: dict[int, FrameScorer] = {}
-        self._scores: VehicleScores | None = None
+        self._scorers: dict[tuple[Fidelity | None, int], FrameScorer] = {}
+        self._seen: dict[Fidelity | None, tuple[Observation, VehicleScores]] = {}
 
     def __getstate__(self):
-        return {**vars(self), "_scorers": {}, "_scores": None}
+        return {**vars(self), "_scorers": {}, "_seen": {}}
 
-    def totals(self, frames, poses):
+    def totals(self, frames, poses, fidelity):
         """Objective and number of detectable vehicles, (s, frames) each."""
         objective = np.empty((len(poses), len(frames)))
         found = np.empty((len(poses), len(frames)), dtype=np.int64)
-        if self._scores is None:
-            self._scores = VehicleScores(self._scoring, self._observation, self._frames)
+        observation, scores = self._through(fidelity)
         mountings = mountings_of(poses)
         for column, frame in enumerate(frames):
-            scored = self._scores.of(self._frames[frame], self._scorer(frame), poses, mountings)
+            scorer = self._scorer(frame, fidelity, observation)
+            scored = scores.of(self._frames[frame], scorer, poses, mountings)
             objective[:, column] = scored.objective.sum(axis=1)  # Eq. 10
             found[:, column] = scored.detectable.sum(axis=1)
         return objective, found
 
-    def _scorer(self, frame) -> FrameScorer:
-        if frame not in self._scorers:
+    def _through(self, fidelity):
+        """How vehicles are seen through a fidelity, and what scores them; None is the observation as it is."""
+        if fidelity not in self._seen:
+            observation = self._observation
+            if fidelity is not None:
+                observation = coarse_observation(observation, fidelity)
+            self._seen[fidelity] = observation, VehicleScores(self._scoring, observation, self._frames)
+        return self._seen[fidelity]
+
+    def _scorer(self, frame, fidelity, observation) -> FrameScorer:
+        if (fidelity, frame) not in self._scorers:
             chosen = self._frames[frame]
-            self._scorers[frame] = FrameScorer(chosen.vehicles, chosen.counted, self._observation)
-        return self._scorers[frame]
+            self._scorers[fidelity, frame] = FrameScorer(chosen.vehicles, chosen.counted, observation)
+        return self._scorers[fidelity, frame]

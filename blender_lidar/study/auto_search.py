@@ -1,0 +1,271 @@
+"""A search that spends little: it screens on the cheapest rung, halves from rung to rung and climbs where it is told.
+
+It is told the objective of each candidate on each frame of what it asks for. As a `Search`, it neither scores nor
+stores by itself: between any two calls it can be stored with `state` and goes on as if never stopped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InputError
+from ..optimise import Search, search_from_state
+from ..optimise.checks import check_values
+from ..optimise.stored import read_array, read_count
+from .fidelity import Fidelity
+from .halving import diverse, survivors
+from .raced_climb import RacedClimb
+from .rung_record import RungRecord
+from .rungs import Rung
+
+NAME = "auto"
+_STEP, _NARROW_STEP = 0.06, 0.03  # of the box, with which climbs start: the first one, and the later ones
+_SAMPLES = 6  # to a generation of a climb, and more for more variables
+_FIRST_SHARE = 0.3  # of the frames that all samples of a climb at the reference meet
+_APART, _BARELY_APART = 0.04, 0.004  # of the box: what is nearer counts as the same mounting
+
+
+class Asked(NamedTuple):
+    """What is to be scored next.
+
+    Attributes
+    ----------
+    fidelity : Fidelity
+        With which shapes and beams.
+    frames : tuple of int
+        On which of the searched frames.
+    x : ndarray, (s, d)
+        The candidates.
+    """
+
+    fidelity: Fidelity
+    frames: tuple[int, ...]
+    x: np.ndarray
+
+
+class AutoSearch:
+    """Screening, successive halving and climbs.
+
+    Parameters
+    ----------
+    screen : Search
+        Searches on the first rung; fresh, or restored.
+    rungs : sequence of Rung
+        From the cheapest to the reference, two or more.
+    block : sequence of int, (f,)
+        Block of time of each searched frame.
+    lower, upper : sequence of float, (d,)
+        The box.
+    seed : int
+        Of the climbs.
+    """
+
+    def __init__(
+        self,
+        screen: Search,
+        rungs: Sequence[Rung],
+        block: Sequence[int],
+        lower: Sequence[float],
+        upper: Sequence[float],
+        *,
+        seed: int,
+    ) -> None:
+        self._screen, self._rungs, self._block = screen, tuple(rungs), np.asarray(block)
+        self._lower, self._upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
+        self._seed = seed
+        self._level = 0  # of the rung that is at work
+        self._x = np.empty((0, self._lower.size))  # candidates that came to this rung
+        self._known = np.empty((0, 0))  # what they have on its frames from the rung below
+        self._record = self._fresh_record()
+        self._climb: RacedClimb | None = None
+        self._done = False
+        self._tried, self._casts, self._seconds = ([0] * len(rungs) for _ in range(3))
+
+    @property
+    def done(self) -> bool:
+        """Whether the climb at the reference has ended."""
+        return self._done
+
+    @property
+    def stage(self) -> str:
+        """What is at work, in words."""
+        what = "climb" if self._climb is not None else "halving" if self._level else "screen"
+        return f"{what}: {self._rung.fidelity.name}, {len(self._rung.frames)} frames"
+
+    @property
+    def budget(self) -> int:
+        """Candidates that the whole search scores at most, on any rung."""
+        return self._screen.budget + sum(rung.candidates + rung.climb for rung in self._rungs[1:])
+
+    @property
+    def evaluations(self) -> int:
+        """Candidates scored so far, on any rung."""
+        return sum(self._tried)
+
+    @property
+    def confirmed(self) -> RungRecord:
+        """Candidates scored at the reference."""
+        return self._record if self._at_reference else RungRecord(self._lower.size, self._rungs[-1].frames)
+
+    @property
+    def best_x(self) -> np.ndarray:
+        """The best candidate at the reference, (d,); raises `InputError` before there is one."""
+        return self.confirmed.x[self.confirmed.best].copy()
+
+    @property
+    def best_value(self) -> float:
+        """Its value; ``-inf`` before there is one."""
+        return self.confirmed.best_value
+
+    @property
+    def history(self) -> np.ndarray:
+        """One row for each candidate scored at the reference, as `Search.history`."""
+        return self.confirmed.history
+
+    @property
+    def spent(self) -> list[dict[str, Any]]:
+        """What each rung has taken: fidelity, frames, candidates, casts of a frame, seconds."""
+        return [
+            {
+                "detail": rung.fidelity.detail,
+                "stride": rung.fidelity.stride,
+                "frames": len(rung.frames),
+                "candidates": tried,
+                "frame_casts": casts,
+                "seconds": round(seconds, 3),
+            }
+            for rung, tried, casts, seconds in zip(self._rungs, self._tried, self._casts, self._seconds, strict=True)
+        ]
+
+    @property
+    def _rung(self) -> Rung:
+        return self._rungs[self._level]
+
+    @property
+    def _at_reference(self) -> bool:
+        return self._level == len(self._rungs) - 1
+
+    def ask(self) -> Asked:
+        """What to score next; asking again returns the same."""
+        rung = self._rung
+        if self._level == 0:
+            return Asked(rung.fidelity, rung.frames, self._screen.ask())
+        if self._climb is None:
+            return Asked(rung.fidelity, rung.frames[self._known.shape[1] :], self._x.copy())
+        unit, frames = self._climb.ask()
+        return Asked(rung.fidelity, rung.frames[frames], self._in_box(unit))
+
+    def tell(self, objective: np.ndarray, seconds: float = 0.0) -> None:
+        """Take the objective of what was asked for, (s, frames asked for), and what it took to score."""
+        asked, level = self.ask(), self._level
+        totals = check_values(objective.sum(axis=1), asked.x)
+        self._casts[level] += objective.size
+        self._seconds[level] += seconds
+        if self._climb is not None:
+            self._tried[level] += len(totals) if asked.frames[0] == self._rung.frames[0] else 0
+            met, whole = self._climb.tell(objective)
+            self._record.add(self._in_box(met), whole)
+            if self._climb.done:
+                self._go_on()
+            return
+        self._tried[level] += len(totals)
+        if level == 0:
+            self._screen.tell(totals)
+            self._record.add(asked.x, objective)
+            if self._screen.done:
+                self._go_on()
+            return
+        self._record.add(self._x, np.concatenate([self._known, objective], axis=1))
+        if self._rung.climb:
+            self._climb = self._fresh_climb()
+        else:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Send the best to the next rung; from the last one there is none."""
+        if self._at_reference:
+            self._done = True
+            return
+        below, record = self._rung, self._record
+        self._level += 1
+        kept = self._chosen(record, below)
+        self._climb, self._record = None, self._fresh_record()
+        self._x, self._known = record.x[kept], record.objective[kept, : self._met_below(self._level)]
+
+    def _chosen(self, record: RungRecord, below: Rung) -> np.ndarray:
+        """Rows of what goes on from a rung: diverse ones of a search or a climb, else what is not clearly behind."""
+        most, rung = self._rung.candidates, self._rung
+        if self._level == 1 or below.climb:
+            distance = _APART if self._level == 1 else _BARELY_APART
+            return diverse(record.x, record.totals, most, distance, self._lower, self._upper)
+        alike = below.fidelity == rung.fidelity
+        return survivors(record.objective, self._block[list(below.frames)], most, tell_apart=alike)
+
+    def _met_below(self, level: int) -> int:
+        """On how many of a rung's frames its candidates were scored on the rung below."""
+        below, rung = self._rungs[level - 1 : level + 1]
+        return len(below.frames) if below.fidelity == rung.fidelity else 0
+
+    def _fresh_record(self) -> RungRecord:
+        return RungRecord(self._lower.size, self._rung.frames)
+
+    def _fresh_climb(self) -> RacedClimb:
+        d, frames, wanted = self._lower.size, self._rung.frames, self._rung.climb
+        samples = _SAMPLES + int(3.0 * math.log(d))
+        mean = (self._record.x[self._record.best] - self._lower) / (self._upper - self._lower)
+        first = math.ceil((_FIRST_SHARE if self._at_reference else 1.0) * len(frames))
+        step = _NARROW_STEP if self._at_reference else _STEP
+        block = self._block[list(frames)]
+        return RacedClimb(mean, step, samples, max(1, wanted // samples), first, block, self._seed + self._level)
+
+    def _in_box(self, unit: np.ndarray) -> np.ndarray:
+        return np.clip(self._lower + unit * (self._upper - self._lower), self._lower, self._upper)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that it is but for its arguments, for JSON."""
+        return {
+            "search": NAME,
+            "screen": self._screen.state(),
+            "level": self._level,
+            "x": self._x.tolist(),
+            "known": self._known.tolist(),
+            "record": self._record.state(),
+            "climb": None if self._climb is None else self._climb.state(),
+            "done": self._done,
+            "spent": {"tried": self._tried, "casts": self._casts, "seconds": self._seconds},
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Become what `state` described.
+
+        Raises
+        ------
+        InputError
+            If the state is incomplete or contradicts itself.
+        """
+        try:
+            self._restore(state)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise InputError(f"stored {NAME!r} search cannot be used: {type(error).__name__}: {error}") from None
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        if state["search"] != NAME:
+            raise InputError(f"search: {state['search']!r}; allowed: {NAME!r}")
+        self._screen = search_from_state(state["screen"])
+        self._level = read_count(state, "level", len(self._rungs) - 1)
+        self._x = read_array(state, "x", (len(state["x"]), self._lower.size))
+        met = self._met_below(self._level) if self._level else 0
+        self._known = read_array(state, "known", (len(self._x), met)) if met else np.empty((len(self._x), 0))
+        self._record = self._fresh_record()
+        self._record.restore(state["record"])
+        self._done = bool(state["done"])
+        spent = {key: read_array(state["spent"], key, (len(self._rungs),)).tolist() for key in state["spent"]}
+        self._tried, self._casts = ([int(number) for number in spent[key]] for key in ("tried", "casts"))
+        self._seconds = spent["seconds"]
+        if state["climb"] is not None:
+            self._climb = self._fresh_climb()
+            self._climb.restore(state["climb"])
