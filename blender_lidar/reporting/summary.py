@@ -150,8 +150,8 @@ def _rungs_note(result):
     """What a search from cheap to dear has scored, and what it therefore cannot tell."""
     tried = sum(rung["candidates"] for rung in result["rungs"])
     return (
-        f"Of {tried:,} mountings {result['evaluations']:,} were scored with all frames and beams, the others with fewer "
-        "(fidelity auto); no grid was, so that what the search has missed is not known: --fidelity full draws it."
+        f"Of {tried:,} mountings {result['evaluations']:,} were scored with all frames and beams, the others with "
+        "fewer (fidelity auto); no grid was, so that what the search has missed is not known: --fidelity full draws it."
     )
 
 

@@ -51,7 +51,7 @@ def computing_table(result: Mapping) -> Markup:
     search = f"{result['search']}, seed {result['seed']}, {result['evaluations']:,} evaluations"
     if result.get("rungs"):
         search += " at full fidelity, after " + ", ".join(
-            f"{rung['candidates']:,} on {rung['frames']} frames in detail {rung['detail']} with 1 of {rung['stride']} beams"
+            f"{rung['candidates']:,} on {rung['frames']} frames in detail {rung['detail']}, 1 of {rung['stride']} beams"
             for rung in result["rungs"][:-1]
         )
     if (result.get("tolerance") or {}).get("evaluations"):

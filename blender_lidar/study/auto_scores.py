@@ -8,7 +8,7 @@ from ..optimise import Search
 from .auto_search import Asked, AutoSearch
 from .evaluation import Evaluator
 from .fidelity import Fidelity
-from .rungs import coarse_observation, make_rungs
+from .rungs import make_rungs
 from .site import Site
 
 
