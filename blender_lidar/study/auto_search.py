@@ -23,9 +23,9 @@ from .rung_record import RungRecord
 from .rungs import Rung
 
 NAME = "auto"
-_STEP, _NARROW_STEP = 0.06, 0.03  # of the box, with which climbs start: the first one, and the later ones
-_SAMPLES = 6  # to a generation of a climb, and more for more variables
-_FIRST_SHARE = 0.3  # of the frames that all samples of a climb at the reference meet
+_STEP, _NARROW_STEP = 0.05, 0.012  # of the box, with which climbs start: the first one, and the later ones
+_SAMPLES = 4  # to a generation of a climb, and more for more variables
+_FIRST_SHARE = 0.5  # of the frames that all samples of a climb at the reference meet
 _APART, _BARELY_APART = 0.04, 0.004  # of the box: what is nearer counts as the same mounting
 
 
@@ -179,7 +179,11 @@ class AutoSearch:
             if self._screen.done:
                 self._go_on()
             return
-        self._record.add(self._x, np.concatenate([self._known, objective], axis=1))
+        self._arrive(np.concatenate([self._known, objective], axis=1))
+
+    def _arrive(self, objective: np.ndarray) -> None:
+        """Record what came to this rung, now that it has met all of its frames."""
+        self._record.add(self._x, objective)
         if self._rung.climb:
             self._climb = self._fresh_climb()
         else:
@@ -195,6 +199,8 @@ class AutoSearch:
         kept = self._chosen(record, below)
         self._climb, self._record = None, self._fresh_record()
         self._x, self._known = record.x[kept], record.objective[kept, : self._met_below(self._level)]
+        if self._known.shape[1] == len(self._rung.frames):  # with few frames rungs are alike
+            self._arrive(self._known)
 
     def _chosen(self, record: RungRecord, below: Rung) -> np.ndarray:
         """Rows of what goes on from a rung: diverse ones of a search or a climb, else what is not clearly behind."""
@@ -259,7 +265,7 @@ class AutoSearch:
         self._level = read_count(state, "level", len(self._rungs) - 1)
         self._x = read_array(state, "x", (len(state["x"]), self._lower.size))
         met = self._met_below(self._level) if self._level else 0
-        self._known = read_array(state, "known", (len(self._x), met)) if met else np.empty((len(self._x), 0))
+        self._known = read_array(state, "known", (len(self._x), met))
         self._record = self._fresh_record()
         self._record.restore(state["record"])
         self._done = bool(state["done"])

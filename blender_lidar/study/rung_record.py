@@ -40,7 +40,7 @@ class RungRecord:
 
     @property
     def totals(self) -> np.ndarray:
-        """Objective of each candidate, (s,): summed over the frames in time, so that it is any evaluation's to the bit."""
+        """Objective of each candidate, (s,): summed over the frames in time, as an evaluation of it is."""
         return np.ascontiguousarray(self.objective[:, self._in_time]).sum(axis=1)
 
     @property

@@ -1,0 +1,154 @@
+"""The search from cheap to dear, on made-up objectives: it finds their peak, and can be stored anywhere."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import InputError
+from blender_lidar.optimise import make_search
+from blender_lidar.study.auto_search import AutoSearch
+from blender_lidar.study.fidelity import Fidelity
+from blender_lidar.study.rungs import Rung, spread_order
+
+FRAMES = 40
+BLOCK = np.arange(FRAMES) // 4
+
+
+def made_rungs(frames=FRAMES, climb=24):
+    order = spread_order(BLOCK[:frames], np.ones(frames))
+    coarse, finer = Fidelity("body", 8), Fidelity("body", 4)
+    return (
+        Rung(coarse, order[:8]),
+        Rung(coarse, order[:16], candidates=24),
+        Rung(finer, order[:32], candidates=12),
+        Rung(finer, order, candidates=6, climb=climb),
+        Rung(Fidelity("body"), order, candidates=8, climb=climb),
+    )
+
+
+def made_search(d=2, seed=1, **given):
+    lower, upper = np.full(d, -1.0), np.full(d, 3.0)
+    screen = make_search("hardened", lower, upper, seed=seed, evaluations=120)
+    return AutoSearch(screen, made_rungs(**given), BLOCK, lower, upper, seed=seed)
+
+
+def objective(asked, bias=0.0):
+    """A peak at 1 in every variable, frames that are worth more or less, and a ripple that coarse rungs do not see."""
+    worth = 1.0 + 0.3 * np.sin(np.array(asked.frames))
+    value = -np.square(asked.x - 1.0).sum(axis=1)
+    return value[:, None] * worth + bias * np.cos(40.0 * asked.x.sum(axis=1))[:, None] / asked.fidelity.stride
+
+
+def run(search, bias=0.0, after=None):
+    while not search.done:
+        search.tell(objective(search.ask(), bias))
+        if after is not None:
+            search = after(search)
+    return search
+
+
+def without_seconds(search):
+    return [{key: value for key, value in row.items() if key != "seconds"} for row in search.spent]
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 5])
+def test_the_peak_is_found_in_any_number_of_variables(d):
+    search = run(made_search(d))
+    assert np.abs(search.best_x - 1.0).max() < 0.12 * d
+    assert search.best_value == pytest.approx(search.history[:, -2].max())
+
+
+def test_halving_never_drops_the_best_where_rungs_agree_with_the_reference():
+    for seed in range(1, 6):
+        search = made_search(seed=seed, climb=0)
+        seen = []
+        while not search.done:
+            asked = search.ask()
+            seen.append(asked.x)
+            search.tell(objective(asked))
+        everything = np.concatenate(seen)
+        best = everything[np.square(everything - 1.0).sum(axis=1).argmin()]
+        assert search.best_x.tolist() == best.tolist()
+
+
+def test_a_frame_is_never_asked_for_twice_by_the_same_fidelity_and_mounting():
+    search, met = made_search(), set()
+    while not search.done:
+        asked = search.ask()
+        for x in asked.x.tolist():
+            new = {(asked.fidelity.name, frame, *x) for frame in asked.frames}
+            assert not new & met
+            met |= new
+        search.tell(objective(asked))
+
+
+def test_what_is_recorded_has_met_every_frame_at_the_reference():
+    search = run(made_search(), bias=0.2)
+    history, worth = search.history, 1.0 + 0.3 * np.sin(np.arange(FRAMES))
+    x = history[:, 3:-2]
+    whole = -np.square(x - 1.0).sum(axis=1)[:, None] * worth + 0.2 * np.cos(40.0 * x.sum(axis=1))[:, None]
+    np.testing.assert_allclose(history[:, -2], whole.sum(axis=1), rtol=1e-12)
+    np.testing.assert_array_equal(history[:, -1], np.maximum.accumulate(history[:, -2]))
+    assert history[:, 0].tolist() == list(range(1, len(history) + 1))
+
+
+def test_it_spends_a_small_share_of_what_a_search_at_the_reference_does():
+    search = run(made_search())
+    casts = sum(row["frame_casts"] for row in search.spent if row["stride"] == 1)
+    assert casts < 2000 * FRAMES / 30
+    assert search.evaluations <= search.budget
+    assert sum(row["candidates"] for row in search.spent) == search.evaluations
+
+
+def test_stored_and_restored_after_every_call_it_comes_to_the_same():
+    def through_json(search):
+        other = made_search()
+        other.restore(json.loads(json.dumps(search.state())))
+        return other
+
+    whole, stopped = run(made_search(), bias=0.2), run(made_search(), bias=0.2, after=through_json)
+    np.testing.assert_array_equal(whole.history, stopped.history)
+    assert without_seconds(whole) == without_seconds(stopped)
+
+
+def test_the_same_seed_comes_to_the_same_and_another_to_other_candidates():
+    one, same, other = (run(made_search(seed=seed), bias=0.2).history for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert one.shape != other.shape or not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 9])
+def test_few_frames_make_rungs_alike_and_are_searched_all_the_same(frames):
+    search = run(made_search(frames=frames))
+    assert np.abs(search.best_x - 1.0).max() < 0.3
+    assert search.history.shape[0] >= 8
+
+
+def test_a_flat_objective_ends():
+    search = made_search()
+    while not search.done:
+        asked = search.ask()
+        search.tell(np.zeros((len(asked.x), len(asked.frames))))
+    assert search.best_value == 0.0
+
+
+@pytest.mark.parametrize("key", ["screen", "level", "x", "known", "record", "climb", "done", "spent"])
+def test_a_damaged_state_is_refused(key):
+    search = made_search()
+    for _ in range(3):
+        search.tell(objective(search.ask()))
+    state = json.loads(json.dumps(search.state()))
+    damaged = [{**state, key: "nonsense"}] if key != "done" else []
+    for broken in (*damaged, {name: value for name, value in state.items() if name != key}):
+        with pytest.raises(InputError, match="stored"):
+            made_search().restore(broken)
+
+
+def test_an_objective_that_is_no_number_is_refused():
+    search = made_search()
+    asked = search.ask()
+    with pytest.raises(InputError, match="objective"):
+        search.tell(np.full((len(asked.x), len(asked.frames)), np.nan))
