@@ -203,7 +203,7 @@ def _speed(args, runs):
     made = {name: [runs[key] for key in runs if key[0] == name] for name in (AUTO, GRID, *args.searches)}
     seconds = {name: [one["seconds"] for one in some] for name, some in made.items()}
     auto = np.median(seconds[AUTO])
-    yield f"  auto: median {auto:.1f} s, longest {max(seconds[AUTO]):.1f} s over {len(made[AUTO])} seeds; the first one:"
+    yield f"  auto: median {auto:.1f} s, longest {max(seconds[AUTO]):.1f} s, {len(made[AUTO])} seeds; the first one:"
     for rung in made[AUTO][0]["rungs"]:
         what = f"{rung['frames']:3d} frames, {rung['detail']}, 1 of {rung['stride']:2d} beams"
         cost = f"{rung['frame_casts']:6d} casts of a frame, {rung['seconds']:.2f} s"

@@ -1,4 +1,4 @@
-"""The proof of --fidelity auto: its table is of what was run, it goes on where it stopped, bad options end in a line."""
+"""The proof of --fidelity auto: its table is of what was run, bad options end in a line."""
 
 from __future__ import annotations
 

@@ -68,6 +68,17 @@ TEXT_TABLE = Kind(
     "a table of texts",
     lambda value: isinstance(value, dict) and all(isinstance(entry, str) for entry in value.values()),
 )
+RUNGS = Kind(
+    "a list of rungs, each a table of detail, stride, frames and candidates",
+    lambda value: isinstance(value, list) and all(map(_is_rung, value)),
+)
+
+
+def _is_rung(value: object) -> bool:
+    counts = ("stride", "frames", "candidates")
+    return (
+        isinstance(value, dict) and TEXT.fits(value.get("detail")) and all(COUNT.fits(value.get(key)) for key in counts)
+    )
 
 
 def check_shape(value: object, shape: Mapping | Kind | Nullable, file: str, *keys: str) -> None:

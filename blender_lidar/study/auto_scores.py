@@ -31,7 +31,7 @@ def auto_search(site: Site, screen: Search) -> AutoSearch:
 
 def screened(variables: int) -> int:
     """Evaluations of the screening."""
-    return 100 + 100 * variables
+    return 100 + 50 * variables
 
 
 def asked_objective(site: Site, evaluator: Evaluator, asked: Asked) -> np.ndarray:

@@ -26,7 +26,7 @@ NAME = "auto"
 _STEP, _NARROW_STEP = 0.05, 0.012  # of the box, with which climbs start: the first one, and the later ones
 _SAMPLES = 4  # to a generation of a climb, and more for more variables
 _FIRST_SHARE = 0.5  # of the frames that all samples of a climb at the reference meet
-_APART, _BARELY_APART = 0.04, 0.004  # of the box: what is nearer counts as the same mounting
+_APART, _BARELY_APART = 0.04, 0.006  # of the box: what is nearer counts as the same mounting
 
 
 class Asked(NamedTuple):

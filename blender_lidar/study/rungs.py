@@ -17,7 +17,9 @@ from .fidelity import Fidelity
 from .frame_scorer import Observation
 
 FIRST_FRAMES = 8
-MIDDLE_CLIMB, LAST, LAST_CLIMB = 24, 8, 12
+_CANDIDATES = (24, 12, 6)  # of the second rung and the next two
+_FINALISTS = 8
+_COARSE_CLIMB, _LAST_CLIMB = 24, 18  # samples for each variable
 _COARSE_BEAMS = 4000  # in a turn of the first rung: an eighth of an RS-16's, a thirty-second of an RS-80's
 _MOST_STRIDE = 32
 _FEWEST_COLUMNS = 40  # of a turn, whatever the stride
@@ -91,13 +93,13 @@ def make_rungs(
     order, stride = spread_order(block, vehicles), coarsest_stride(observation)
     cheap, reference = min(observation.detail, "body", key=DETAILS.index), Fidelity(observation.detail)
     coarse, finer = Fidelity(cheap, stride), Fidelity(cheap, max(1, stride // 2))
-    climb = 0 if finer == reference else MIDDLE_CLIMB * variables
+    climb = 0 if finer == reference else _COARSE_CLIMB * variables
     return (
         Rung(coarse, order[:FIRST_FRAMES]),
-        Rung(coarse, order[: 2 * FIRST_FRAMES], candidates=24),
-        Rung(finer, order[: 4 * FIRST_FRAMES], candidates=12),
-        Rung(finer, order, candidates=6, climb=climb),
-        Rung(reference, order, candidates=LAST, climb=LAST_CLIMB * variables),
+        Rung(coarse, order[: 2 * FIRST_FRAMES], candidates=_CANDIDATES[0]),
+        Rung(finer, order[: 4 * FIRST_FRAMES], candidates=_CANDIDATES[1]),
+        Rung(finer, order, candidates=_CANDIDATES[2], climb=climb),
+        Rung(reference, order, candidates=_FINALISTS, climb=_LAST_CLIMB * variables),
     )
 
 
