@@ -26,7 +26,9 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.study.evaluation import CountedFrame, Evaluator, Scoring, Totals
+from blender_lidar.study.fidelity import Fidelity
 from blender_lidar.study.frame_scorer import FrameScorer, Observation
+from blender_lidar.study.rungs import coarse_observation
 from blender_lidar.study.vehicle_table import COLUMNS, join_tables, vehicle_table
 from blender_lidar.study.verdict import distance_bands, judge, lanes
 from tests.sample_traffic import dense_traffic
@@ -66,6 +68,24 @@ def test_one_worker_and_two_give_the_same_bits(alone, pair):
         for mine, theirs in zip(alone, together, strict=True):
             assert mine.dtype == theirs.dtype
             assert mine.tobytes() == theirs.tobytes()
+
+
+@pytest.mark.parametrize("chosen", [(0,), (3, 1), (4, 0, 2, 1, 3)])
+def test_some_of_the_frames_score_as_they_do_among_all_in_the_order_asked_for(alone, pair, chosen):
+    some = pair.totals(POSES, chosen)
+    for mine, theirs in zip(some, alone, strict=True):
+        assert np.array_equal(mine, theirs[..., list(chosen)])
+
+
+def test_a_coarser_fidelity_scores_as_an_evaluator_of_its_own_observation_does():
+    whole = replace(SEEN, lattice=beam_lattice(load_model("RS-16"), stride=1))
+    fidelity = Fidelity("box", stride=40)
+    with Evaluator(FRAMES, whole, SCORING) as evaluator:
+        coarse = evaluator.totals(POSES, (2, 0), fidelity)
+    with Evaluator([FRAMES[2], FRAMES[0]], coarse_observation(whole, fidelity), SCORING) as evaluator:
+        expected = evaluator.totals(POSES)
+    for mine, theirs in zip(coarse, expected, strict=True):
+        assert np.array_equal(mine, theirs)
 
 
 @pytest.mark.parametrize("caster", ["raster", "embree", "bvh"])

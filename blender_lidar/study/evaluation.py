@@ -90,7 +90,16 @@ class Evaluator:
     def totals(
         self, poses: Sequence[Pose], frames: Sequence[int] | None = None, fidelity: Fidelity | None = None
     ) -> Totals:
-        """Score s mountings on every frame, or on those of these places, in their order; through a coarser fidelity?"""
+        """Score s mountings.
+
+        Parameters
+        ----------
+        poses : sequence of Pose, (s,)
+        frames : sequence of int, (f,), optional
+            Places of the frames that are scored, in that order; all of them when left out.
+        fidelity : Fidelity, optional
+            What the frames are seen through, as `rungs.coarse_observation` does; the observation itself when left out.
+        """
         tasks = self._tasks(range(len(self.vehicles)) if frames is None else frames)
         parts = self._pool.map(tasks, [tuple(poses)] * len(tasks), [fidelity] * len(tasks))
         objective = np.concatenate([part[0] for part in parts], axis=1)
