@@ -71,7 +71,7 @@ def test_cells_grow_with_the_stride_and_the_reference_stays_as_it_is(site):
 def test_the_stride_is_a_power_of_two_that_leaves_about_four_thousand_beams(site):
     stride, lattice = coarsest_stride(site.observation), site.observation.lattice
     assert math.log2(stride).is_integer()
-    assert 4000 <= lattice.columns * lattice.rings / stride < 8000
+    assert 2800 <= lattice.columns * lattice.rings / stride < 5700
 
 
 def test_diverse_candidates_begin_with_the_best_and_keep_apart_while_they_can():

@@ -69,7 +69,7 @@ def coarsest_stride(observation: Observation) -> int:
     """Every so many-th column leaves about `_COARSE_BEAMS` beams in a turn: a power of two."""
     lattice = observation.lattice
     thinning = min(lattice.columns * lattice.rings / _COARSE_BEAMS, lattice.columns / _FEWEST_COLUMNS, _MOST_STRIDE)
-    return 2 ** int(math.log2(max(thinning, 1.0)))
+    return 2 ** round(math.log2(max(thinning, 1.0)))
 
 
 def make_rungs(
