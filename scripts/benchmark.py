@@ -109,8 +109,8 @@ def _entries(args):
                 scorers[name] = FrameScorer(vehicles, counted, seen)
                 found[f"ours, {name}: cull, cast, score"] = partial(_score, scorers[name], pose)
         scorer = next(iter(scorers.values()))
-        beams = next(reachable_beams(lattice, scorer.pieces, [pose], gate))
-        found["  of which: culling"] = partial(_cull, lattice, scorer.pieces, pose, gate)
+        beams = next(reachable_beams(lattice, scorer.shapes.pieces, [pose], gate))
+        found["  of which: culling"] = partial(_cull, lattice, scorer.shapes.pieces, pose, gate)
         rays = pose.to_world(np.take(lattice.components.reshape(3, -1), beams, axis=1).T)
         triangles = vehicle_triangles(vehicles, scenario.model.detail).corners
         for name in scorers:

@@ -6,6 +6,7 @@ so they find the same hits and ranges as the other casters do.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -48,15 +49,19 @@ class RasterCaster(Caster):
 
     def _prepare(self):
         planes = fastest_planes()(self._corners, self._normal)
-        self._planes, self._mesh = planes.as_rows(), mesh_of(self._corners)
-        self._exact = ExactSearch(self._corners, planes)
-        self._tree: RayTree | None = None
+        self._measured, self._planes, self._mesh = planes, planes.as_rows(), mesh_of(self._corners)
         self._drawn: BeamLattice | None = None  # the lattice that the canvas is made for
         self._turns = 0
 
+    @cached_property
+    def _exact(self) -> ExactSearch:
+        return ExactSearch(self._corners, self._measured)
+
+    @cached_property
+    def _tree(self) -> RayTree:
+        return RayTree(self._corners, self._planes, self._exact)
+
     def _meet(self, origins, directions, max_range):
-        if self._tree is None:
-            self._tree = RayTree(self._corners, self._planes, self._exact)
         return self._tree.meet(origins, directions, max_range)
 
     def turn(self, lattice: BeamLattice, pose: Pose, max_range: float) -> Turn:

@@ -15,6 +15,7 @@ import numpy as np
 from ..sensors.pose import Pose
 from .fidelity import Fidelity
 from .frame_scorer import FrameScorer, Observation
+from .frame_shapes import FrameShapes
 from .rungs import coarse_observation
 from .scoring import CountedFrame, Scoring, VehicleScores, mountings_of
 from .workers import Alone, Workers
@@ -118,10 +119,11 @@ class _Work:
     def __init__(self, frames, observation, scoring) -> None:
         self._frames, self._observation, self._scoring = frames, observation, scoring
         self._scorers: dict[tuple[Fidelity | None, int], FrameScorer] = {}
+        self._shapes: dict[tuple[int, str, str], FrameShapes] = {}  # coarser fidelities share them
         self._seen: dict[Fidelity | None, tuple[Observation, VehicleScores]] = {}
 
     def __getstate__(self):
-        return {**vars(self), "_scorers": {}, "_seen": {}}
+        return {**vars(self), "_scorers": {}, "_shapes": {}, "_seen": {}}
 
     def totals(self, frames, poses, fidelity):
         """Objective and number of detectable vehicles, (s, frames) each."""
@@ -147,6 +149,7 @@ class _Work:
 
     def _scorer(self, frame, fidelity, observation) -> FrameScorer:
         if (fidelity, frame) not in self._scorers:
-            chosen = self._frames[frame]
-            self._scorers[fidelity, frame] = FrameScorer(chosen.vehicles, chosen.counted, observation)
+            chosen, place = self._frames[frame], (frame, observation.detail, observation.caster)
+            scorer = FrameScorer(chosen.vehicles, chosen.counted, observation, self._shapes.get(place))
+            self._scorers[fidelity, frame], self._shapes[place] = scorer, scorer.shapes
         return self._scorers[fidelity, frame]

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..casting import RASTER, caster_class
-from ..casting.culling import cut_vehicles, ray_directions, reachable_beams
+from ..casting import RASTER
+from ..casting.culling import ray_directions, reachable_beams
 from ..casting.protocol import Returns, origins_of
 from ..casting.standing import StandingScenery
 from ..metrics.vgop import to_vehicle_frame
@@ -21,7 +21,7 @@ from ..sensors.imperfections import PERFECT, Imperfections
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from ..world.meshes import GLASS, REFLECTIVITY
-from ..world.triangles import vehicle_triangles
+from .frame_shapes import FrameShapes
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
@@ -99,30 +99,30 @@ class FrameScorer:
         Those whose occupancy is wanted.
     observation : Observation
         Sensor, range, caster and detail. What its imperfections draw is kept: up to 8 bytes for each beam.
+    shapes : FrameShapes, optional
+        Of the same frame at the same detail behind the same caster, where they are made already.
 
     Attributes
     ----------
     vehicles : Vehicles
         The counted vehicles.
-    pieces : Pieces
-        The same, cut for culling.
+    shapes : FrameShapes
     """
 
-    def __init__(self, vehicles: Vehicles, counted: np.ndarray, observation: Observation) -> None:
+    def __init__(
+        self, vehicles: Vehicles, counted: np.ndarray, observation: Observation, shapes: FrameShapes | None = None
+    ) -> None:
         self._observation = observation
-        self.vehicles = vehicles.select(counted)
-        triangles = vehicle_triangles(vehicles, observation.detail)
-        self._tree = caster_class(observation.caster)(triangles.corners, closed=True)
-        row = np.where(counted, np.cumsum(counted) - 1, -1)
-        self._counted_row = row[triangles.owner]  # of each triangle; -1 where it does not count
-        # Beams that can reach only vehicles that do not count need not be cast: they hide nothing from other beams.
-        self.pieces = cut_vehicles(self.vehicles, observation.detail)
+        if shapes is None:
+            shapes = FrameShapes(vehicles, counted, observation.detail, observation.caster)
+        self.shapes, self.vehicles = shapes, shapes.counted
+        self._tree, self._counted_row = shapes.tree, shapes.counted_row
         self._draws = observation.imperfections.draws(observation.lattice, vehicles.frame)
         self._reach_m = observation.max_range_m + observation.imperfections.most_noise_m
         asks_for_glass = self._draws is not None and self._draws.asks_for_glass
-        self._of_glass = triangles.surface == GLASS if asks_for_glass else None  # each triangle
+        self._of_glass = shapes.surface == GLASS if asks_for_glass else None  # each triangle
         self._seen_to_10_percent_m = observation.imperfections.range_at_10_percent_m
-        self._reflectivity = None if self._seen_to_10_percent_m is None else REFLECTIVITY[triangles.surface]
+        self._reflectivity = None if self._seen_to_10_percent_m is None else REFLECTIVITY[shapes.surface]
         self._noisy = observation.imperfections.most_noise_m > 0.0
         self._grids = PlacedGrids(
             self.vehicles.centre_m,
@@ -210,7 +210,7 @@ class FrameScorer:
         """Beams of each mounting that are cast."""
         lattice = self._observation.lattice
         if self._observation.culled:
-            return reachable_beams(lattice, self.pieces, poses, self._reach_m)
+            return reachable_beams(lattice, self.shapes.pieces, poses, self._reach_m)
         return (np.arange(lattice.rings * lattice.columns) for _ in poses)
 
     def _returns(self, poses, beams):
