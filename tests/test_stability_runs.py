@@ -15,14 +15,15 @@ from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.scenario import load_scenario, pose_at
 from blender_lidar.stability import stored, study
 from blender_lidar.stability.effort import Effort
-from blender_lidar.stability.landscapes import HELD_OUT, Job, landscapes
 from blender_lidar.stability.metric_variations import metric_variations
 from blender_lidar.stability.mountings import mountings_about
 from blender_lidar.stability.report import HEADINGS, report_text
 from blender_lidar.stability.sensor_variations import sensor_variations
 from blender_lidar.stability.traffic_variations import traffic_variations
-from blender_lidar.stability.variations import AS_IT_IS, TRAFFIC, Variation
+from blender_lidar.stability.variations import TRAFFIC
+from blender_lidar.study.landscapes import HELD_OUT, Job, landscapes
 from blender_lidar.study.site import prepare
+from blender_lidar.study.variation import AS_IT_IS, Variation
 from tests.small_scene import CASTER, MAPPED, cli, traffic_rows, write_scene, write_table
 
 TINY = Effort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)

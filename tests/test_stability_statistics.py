@@ -25,12 +25,13 @@ from blender_lidar.stability.findings import (
     worst,
 )
 from blender_lidar.stability.installation import installation_findings
-from blender_lidar.stability.landscape import Landscape, losses_to, losses_to_best, values_under
+from blender_lidar.stability.landscape import chooses, losses_to, losses_to_best, values_under
 from blender_lidar.stability.mountings import CANDIDATES, Mountings
 from blender_lidar.stability.sample_size import ASKED_DEG, sample_size
 from blender_lidar.stability.saturation import saturation_finding
 from blender_lidar.stability.traffic_sample import gain_finding, optimum_finding, sample_size_finding
 from blender_lidar.stability.varied import Draw, Intervals, finding_of
+from blender_lidar.study.landscape import Landscape
 from blender_lidar.study.statistics import statistic_interval_90
 
 REFERENCE = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 10.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
@@ -202,8 +203,8 @@ def test_a_metric_that_does_not_choose_and_a_site_that_refuses_are_undecided():
 
 
 def test_a_flat_landscape_chooses_nothing():
-    assert not landscape([[1.0, 2.0]] * 4).chooses
-    assert landscape([[1.0, 2.0], [1.0, 2.0], [1.0, 2.1]]).chooses
+    assert not chooses(landscape([[1.0, 2.0]] * 4))
+    assert chooses(landscape([[1.0, 2.0], [1.0, 2.0], [1.0, 2.1]]))
 
 
 # --- the sample -------------------------------------------------------------------------------------------------------

@@ -9,7 +9,8 @@ from ..metrics.catalogue import METRICS
 from ..optimise import VIEWS
 from ..study.scoring import scene_field
 from ..study.site import Site
-from .variations import METRIC, Variation
+from ..study.variation import Variation
+from .variations import METRIC
 
 CELLS_M = (0.025, 0.05, 0.1, 0.2)
 THRESHOLDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)

@@ -7,7 +7,8 @@ from functools import partial
 
 from ..sensors.beams import beam_lattice
 from ..study.site import Site, lattice_of
-from .variations import SENSOR, Variation
+from ..study.variation import Variation
+from .variations import SENSOR
 
 SPREADS_DEG = (0.03, 0.1)
 NOISES_M = (0.02, 0.05)

@@ -8,18 +8,20 @@ from dataclasses import asdict
 from typing import Protocol
 
 from ..casting import is_available
+from ..study.landscape import Landscape
+from ..study.landscapes import HELD_OUT, SEARCHED, Job, landscapes
 from ..study.site import Site
 from ..study.stages import StudyFolder
+from ..study.variation import Variation
 from .attacked import attack_finding
 from .attacks import ATTACKS
 from .caster_attacks import JUDGED, AttackCount, count_attack
 from .effort import Effort
 from .findings import UNDECIDED, Finding
-from .landscape import Landscape
-from .landscapes import HELD_OUT, SEARCHED, Job, landscapes
+from .landscape import best_candidate, chooses
 from .mountings import BASELINE, CANDIDATES, REFERENCE, Mountings
 from .seeds import answer_of_seed, evaluations_of
-from .variations import CASTERS, Variation
+from .variations import CASTERS
 from .varied import Draw
 
 
@@ -95,7 +97,7 @@ class StoredStages:
         """
         searched = self.landscapes(site, [Job(one, mountings.poses) for one in variations], "the scene varied")
         known = [number for number, found in enumerate(searched) if not isinstance(found, str)]
-        rows = {number: [REFERENCE, BASELINE, CANDIDATES + searched[number].best] for number in known}
+        rows = {number: [REFERENCE, BASELINE, CANDIDATES + best_candidate(searched[number])] for number in known}
         if judging == HELD_OUT:
             jobs = [
                 Job(variations[number], tuple(mountings.poses[row] for row in rows[number]), HELD_OUT)
@@ -108,7 +110,7 @@ class StoredStages:
         for number, (variation, found) in enumerate(zip(variations, searched, strict=True)):
             draw = judged.get(number, found)
             if not isinstance(draw, str):
-                draw = Draw(found.best, found.chooses, draw)
+                draw = Draw(best_candidate(found), chooses(found), draw)
             draws.setdefault((variation.section, variation.what, variation.value), []).append(draw)
         return draws
 

@@ -14,17 +14,19 @@ from ..metrics.views import PE_VGOP
 from ..provenance import versions
 from ..scenario import pose_at
 from ..settings import Tolerance
+from ..study.fewer_frames import with_fewer_frames
+from ..study.landscape import Landscape
+from ..study.landscapes import HELD_OUT, SEARCHED, Job
 from ..study.score_map import AXES
 from ..study.scoring import CountedFrame
 from ..study.site import Site
 from ..study.stages import StudyFolder
+from ..study.variation import AS_IT_IS
 from ..study.verdict import judge
 from .answers import search_findings
 from .effort import Effort
 from .findings import MOST_FRAGILE_LOSS, MOST_STABLE_LOSS
 from .installation import USUAL, beside_robust, installation_findings, off_plan, profiles, robust_candidate
-from .landscape import Landscape
-from .landscapes import HELD_OUT, SEARCHED, Job
 from .metric_variations import metric_variations
 from .mountings import BASELINE, CANDIDATES, REFERENCE, Mountings, mountings_about
 from .sample_size import ASKED_DEG, sample_size
@@ -33,7 +35,7 @@ from .sensor_variations import sensor_variations
 from .stored import CounterMaker, StoredStages, attacked_casters
 from .traffic_sample import gain_finding, optimum_finding, sample_size_finding
 from .traffic_variations import traffic_variations
-from .variations import AS_IT_IS, SECTIONS, TRAFFIC
+from .variations import SECTIONS, TRAFFIC
 from .varied import finding_of
 
 SCHEMA = 1  # of the stages and of the result
@@ -151,17 +153,6 @@ def study_stability(
         "notes": list(site.plan.notes),
         "versions": versions(site.observation.caster),
     }
-
-
-def with_fewer_frames(site: Site, frames: int | None) -> Site:
-    """The site with at most that many of its searched frames, spread evenly; all for None, or where those are empty."""
-    if frames is None or frames >= len(site.search):
-        return site
-    kept = ((np.arange(frames) + 0.5) * len(site.search) / frames).astype(int)
-    if not any(site.search[row].counted.any() for row in kept):
-        return site
-    plan = replace(site.plan, search=site.plan.search[kept], search_block=site.plan.search_block[kept])
-    return replace(site, plan=plan, search=tuple(site.search[row] for row in kept))
 
 
 def _blocks_of_all(site: Site, landscapes: Sequence[Landscape]) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,10 @@ from dataclasses import asdict
 import numpy as np
 
 from ..metrics.metric import Metric
+from ..study.landscape import Landscape
 from ..study.statistics import FEWEST_BLOCKS, interval_90
 from .findings import FAILS, FRAGILE, STABLE, UNDECIDED, Finding, by_loss, percent
-from .landscape import Landscape, losses_to_best, values_under
+from .landscape import losses_to_best, values_under
 from .mountings import CANDIDATES, Mountings
 from .sample_size import ASKED_DEG, SampleSize, samples_without_replacement
 from .variations import TRAFFIC

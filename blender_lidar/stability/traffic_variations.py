@@ -10,9 +10,10 @@ import numpy as np
 
 from ..study.scoring import CountedFrame
 from ..study.site import Site
+from ..study.variation import Variation
 from ..traffic.vehicles import Vehicles
 from .traffic_mix import BUS, CAR, TRUCK, VAN, as_cars, as_trucks, queued, thinned
-from .variations import TRAFFIC, Variation
+from .variations import TRAFFIC
 
 SHARES_KEPT = {"light: a quarter of it": 0.25, "medium: half of it": 0.5}
 JAM_GAPS_M = (1.0, 2.5)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..study.landscape import Landscape
 from ..study.statistics import FEWEST_BLOCKS, student_t_95
 from .findings import UNDECIDED, Finding, by_loss, lost
-from .landscape import Landscape, losses_to
+from .landscape import losses_to
 from .mountings import BASELINE, CANDIDATES, REFERENCE, Mountings
 
 

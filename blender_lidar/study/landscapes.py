@@ -9,11 +9,10 @@ import numpy as np
 
 from ..errors import InputError
 from ..sensors.pose import Pose
-from ..study.frame_scorer import FrameScorer
-from ..study.scoring import CountedFrame, VehicleScores, mountings_of
-from ..study.site import Site
 from .landscape import Landscape
-from .variations import Variation
+from .scoring import CountedFrame, VehicleScores, mountings_of
+from .site import Site
+from .variation import Variation
 
 SEARCHED, HELD_OUT = "searched", "held out"
 _MOUNTINGS_AT_A_TIME = 32  # so that all points of a frame that a metric looks at fit into memory
@@ -88,7 +87,7 @@ class _Columns:
             return self._changed
         site, scores = self._changed
         chosen = _split(site, job.split)[frame]
-        scorer = FrameScorer(chosen.vehicles, chosen.counted, site.observation)
+        scorer = job.variation.scorer(site, chosen)
         objective = []
         for start in range(0, len(job.poses), _MOUNTINGS_AT_A_TIME):
             poses = job.poses[start : start + _MOUNTINGS_AT_A_TIME]
