@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Protocol
 
 from ..casting import is_available
-from ..study.landscape import Landscape
-from ..study.landscapes import HELD_OUT, SEARCHED, Job, landscapes
+from ..study.landscape_stages import LandscapeStages, never
+from ..study.landscapes import HELD_OUT, Job
 from ..study.site import Site
-from ..study.stages import StudyFolder
 from ..study.variation import Variation
 from .attacked import attack_finding
 from .attacks import ATTACKS
@@ -25,37 +22,8 @@ from .variations import CASTERS
 from .varied import Draw
 
 
-class Counter(Protocol):
-    """Shows how far a part of the study has come."""
-
-    def advance(self, steps: int) -> None:
-        """Count `steps` more."""
-
-    def close(self) -> None:
-        """The part has ended."""
-
-
-CounterMaker = Callable[[int, str], Counter]
-"""Makes a counter up to a total, for what is counted."""
-
-
-class StoredStages:
-    """A study's folder, and how its progress is told.
-
-    Parameters
-    ----------
-    folder : StudyFolder
-        Locked by the caller.
-    counter : callable
-        Told of progress.
-    """
-
-    def __init__(self, folder: StudyFolder, counter: CounterMaker) -> None:
-        self._folder, self._counter = folder, counter
-
-    def stage(self, name: str, compute: Callable[[], object]) -> object:
-        """What `compute` returns, or has returned before; see `StudyFolder.stage`."""
-        return self._folder.stage(name, compute)
+class StoredStages(LandscapeStages):
+    """The stages of this study."""
 
     def answers(self, site: Site, effort: Effort) -> list[dict]:
         """What the search finds with the scene's seed, and with the ones that follow it."""
@@ -69,24 +37,7 @@ class StoredStages:
                 for seed in missing:
                     answer = answer_of_seed(site, evaluator, seed, effort.budget, advance)
                     self.stage(names[seed], lambda answer=answer: answer)
-        return [self.stage(names[seed], _never) for seed in seeds]
-
-    def landscapes(self, site: Site, jobs: Sequence[Job], what: str) -> list[Landscape | str]:
-        """What the mountings of each job come to, stored as soon as it is known."""
-        names = [f"{job.variation.stage}_{job.split.replace(' ', '_')}" for job in jobs]
-        missing = [(name, job) for name, job in zip(names, jobs, strict=True) if not self._folder.holds(name)]
-        if missing:
-            frames = sum(len(site.search if job.split == SEARCHED else site.holdout) for _, job in missing)
-            scored = [job for _, job in missing]
-            with (
-                self.counting(frames, what) as advance,
-                closing(landscapes(site, scored, advance)) as found,  # a stop ends its processes
-            ):
-                for (name, _), landscape in zip(missing, found, strict=True):
-                    stored = landscape if isinstance(landscape, str) else landscape.as_dict()
-                    self.stage(name, lambda stored=stored: stored)
-        every = (self.stage(name, _never) for name in names)
-        return [stored if isinstance(stored, str) else Landscape.from_dict(stored) for stored in every]
+        return [self.stage(names[seed], never) for seed in seeds]
 
     def draws(
         self, site: Site, variations: Sequence[Variation], mountings: Mountings, judging: str
@@ -130,20 +81,7 @@ class StoredStages:
                 advance(1)
         return found
 
-    @contextmanager
-    def counting(self, total: int, what: str) -> Iterator[Callable[[int], None]]:
-        """A counter that is closed when the block ends."""
-        shown = self._counter(total, what)
-        try:
-            yield shown.advance
-        finally:
-            shown.close()
-
 
 def attacked_casters() -> list[str]:
     """The casters that are installed, but for the oracle itself."""
     return [caster for caster in JUDGED if is_available(caster)]
-
-
-def _never() -> object:
-    raise RuntimeError("this stage is stored before it is read")

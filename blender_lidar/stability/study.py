@@ -16,6 +16,7 @@ from ..scenario import pose_at
 from ..settings import Tolerance
 from ..study.fewer_frames import with_fewer_frames
 from ..study.landscape import Landscape
+from ..study.landscape_stages import CounterMaker
 from ..study.landscapes import HELD_OUT, SEARCHED, Job
 from ..study.score_map import AXES
 from ..study.scoring import CountedFrame
@@ -32,7 +33,7 @@ from .mountings import BASELINE, CANDIDATES, REFERENCE, Mountings, mountings_abo
 from .sample_size import ASKED_DEG, sample_size
 from .saturation import saturation_finding, views_beyond_the_peak
 from .sensor_variations import sensor_variations
-from .stored import CounterMaker, StoredStages, attacked_casters
+from .stored import StoredStages, attacked_casters
 from .traffic_sample import gain_finding, optimum_finding, sample_size_finding
 from .traffic_variations import traffic_variations
 from .variations import SECTIONS, TRAFFIC
