@@ -15,7 +15,19 @@ from . import __version__
 from .errors import BlenderLidarError, one_line, output_error
 from .stop_signals import stops_deferred, stops_watched
 
-_VERBS = ("optimise", "evaluate", "stability", "scan", "score", "compare", "build", "render", "sensors", "doctor")
+_VERBS = (
+    "optimise",
+    "evaluate",
+    "stability",
+    "chart",
+    "scan",
+    "score",
+    "compare",
+    "build",
+    "render",
+    "sensors",
+    "doctor",
+)
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
 
 

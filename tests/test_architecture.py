@@ -77,6 +77,7 @@ NEAR_THE_DOOR = {
     "moments",
     "case_study",
     "stability",
+    "speed_accuracy",
     "reality",
     "search_study",
     "results",
@@ -211,7 +212,7 @@ def test_the_metric_and_the_search_need_numpy_alone():
 def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     body = """
         rooms = "casting case_study commands formats optimise plots reality reporting search_study sensors"
-        for room in (*rooms.split(), "stability", "study", "traffic", "world"):
+        for room in (*rooms.split(), "speed_accuracy", "stability", "study", "traffic", "world"):
             package = importlib.import_module("blender_lidar." + room)
             for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
                 missing = None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..study.landscape import Landscape
-from ..study.statistics import FEWEST_BLOCKS, student_t_95
+from ..study.statistics import linear_interval_90
 from .findings import UNDECIDED, Finding, by_loss, lost
 from .landscape import losses_to
 from .mountings import BASELINE, CANDIDATES, REFERENCE, Mountings
@@ -95,17 +95,13 @@ def finding_of(
 def _interval(draws: Sequence[Draw], block: np.ndarray) -> list[float] | None:
     """90 % interval of the mean loss over blocks of time; None for too few of them.
 
-    The loss is a ratio of sums over blocks, what the mounting leaves over what there is to gain, and is taken as linear
-    in them (Cochran 1977, section 6.4). Resamples would not do: where there is little to gain, it is nothing in some.
+    The loss is a ratio of sums over blocks, what the mounting leaves over what there is to gain.
     """
     vehicles = sum(draw.judged.blocks(block)[1] for draw in draws)
     influence = np.mean([_influence(draw.judged.blocks(block)[0]) for draw in draws], axis=0)[vehicles > 0]
-    blocks = len(influence)
-    if blocks < FEWEST_BLOCKS:
-        return None
-    reach = student_t_95(blocks - 1) * float(np.sqrt(blocks / (blocks - 1) * (influence**2).sum()))
     loss = float(np.mean([losses_to(draw.judged.per_vehicle()[:, None]) for draw in draws]))
-    return [loss - reach, loss + reach]
+    interval = linear_interval_90(loss, influence)
+    return None if interval is None else list(interval)
 
 
 def _influence(objective: np.ndarray) -> np.ndarray:

@@ -100,6 +100,19 @@ def statistic_interval_90(
     return middle - reach, middle + reach
 
 
+def linear_interval_90(middle: float, influence: np.ndarray) -> tuple[float, float] | None:
+    """90 % interval of a ratio of sums over blocks, by how far each block moves it, (b,); None for too few blocks.
+
+    The ratio is taken as linear in the blocks (Cochran 1977, section 6.4): where there is little to divide by it is
+    nothing at all in some resamples.
+    """
+    blocks = len(influence)
+    if blocks < FEWEST_BLOCKS:
+        return None
+    reach = student_t_95(blocks - 1) * float(np.sqrt(blocks / (blocks - 1) * (influence**2).sum()))
+    return middle - reach, middle + reach
+
+
 def student_t_95(degrees: int) -> float:
     """The 95 % point of Student's t; beyond the table by the first term of its Cornish-Fisher expansion."""
     if degrees <= len(_STUDENT_T_95):

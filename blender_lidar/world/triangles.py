@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import InputError
 from ..traffic.vehicles import Vehicles
+from .meshes import Shape
 from .shapes import shape, shape_of
 
 STATIC = -1  # owner of what belongs to no vehicle
@@ -36,8 +38,10 @@ class Triangles:
         return len(self.corners)
 
 
-def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
+def vehicle_triangles(vehicles: Vehicles, detail: str = "body", made: Callable[[str, str], Shape] = shape) -> Triangles:
     """Every vehicle of a frame as triangles at the level of detail `detail` of `shapes.DETAILS`.
+
+    `made` gives the shape of a name and a level of detail; an experiment may put others in place of `shapes.shape`.
 
     Raises
     ------
@@ -49,7 +53,7 @@ def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
     corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
     for name in sorted(set(names.tolist())):
         rows = np.flatnonzero(names == name)
-        unit = shape(name, detail)
+        unit = made(name, detail)
         placed = place(unit.vertices, vehicles.centre_m[rows], vehicles.size_m[rows], vehicles.heading_rad[rows])
         corners.append(placed[:, unit.faces].reshape(-1, 3, 3))
         owner.append(np.repeat(rows.astype(np.int32), len(unit.faces)))

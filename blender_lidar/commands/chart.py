@@ -1,0 +1,115 @@
+"""blender-lidar chart: speed against accuracy, and how much model a scene needs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from dataclasses import replace
+
+from ..errors import InputError
+from ..scenario import Scenario
+from ..sensors.model import load_model
+from ..speed_accuracy.candidates import candidates
+from ..speed_accuracy.effort import FULL, QUICK
+from ..speed_accuracy.output import FILES, write_results
+from ..speed_accuracy.paired import read_paired
+from ..speed_accuracy.report import report_text
+from ..speed_accuracy.study import chart_identity, chart_study
+from ..study.site import Site, prepare
+from ..study.stages import StudyFolder
+from .options import add_scene, default_folder, scenario_from
+from .progress import Progress
+from .report import describe_site
+from .run_output import add_output, check_resume, say
+
+OTHER_SENSORS = ("RS-80", "RS-32")  # the first that is not the scene's own
+NO_SENSOR = "none"
+DEFAULT_TOLERANCE = "1%"
+
+
+def add_parser(subparsers) -> None:
+    """Describe the verb to argparse."""
+    parser = subparsers.add_parser(
+        "chart",
+        help="speed charted against accuracy, and how much model a scene needs",
+        description="Time and judge a ladder of fidelities (vehicle detail, share of the beams and frames, caster, "
+        "culling, ground) against the reference of all beams, all frames and the best detail; name the cheapest that "
+        "is near enough; and say what of the scene's model makes a difference at all.",
+    )
+    add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
+    parser.add_argument(
+        "--tolerance",
+        default=DEFAULT_TOLERANCE,
+        metavar="SHARE",
+        help="how much of the gain over the baseline a fidelity may lose: 1%% or 0.01 (how far off its plan the "
+        "mounting may end up, as other verbs have it, is not asked here)",
+    )
+    parser.add_argument(
+        "--other-sensor",
+        metavar="NAME",
+        help=f"with which the recommendation is tried as well, or {NO_SENSOR}; by default {OTHER_SENSORS[0]}, for a "
+        f"scene of its own {OTHER_SENSORS[1]}",
+    )
+    parser.add_argument(
+        "--paired", metavar="PATH", help="paired.json of compare --paired, or its folder: its errors stand beside"
+    )
+    add_output(parser)
+    parser.add_argument("--quick", action="store_true", help="ten frames, fewer mountings and phases")
+    parser.add_argument("--resume", action="store_true", help="go on with the study in --out DIR that was stopped")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry it out; returns the exit code."""
+    check_resume(args)
+    tolerance = parse_share(args.tolerance, "--tolerance")
+    scenario = scenario_from(args)
+    candidates(scenario, 2)  # refuses a scene that searches nothing
+    paired = None if args.paired is None else read_paired(args.paired)
+    effort = QUICK if args.quick else FULL
+    if args.frames is not None or args.frame_ids is not None:  # asked for: none of them is left out
+        effort = replace(effort, frames=None)
+    site, other = prepare(scenario), _other_site(args, scenario)
+    folder = StudyFolder(args.out or default_folder(scenario, "chart"), chart_identity(site, effort, other), FILES)
+    with folder.locked(resume=args.resume):
+        say(args, describe_site(site) + "\n")
+        try:
+            result = chart_study(site, effort, tolerance, folder, Progress, other, paired)
+        except KeyboardInterrupt:
+            print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
+            return 1
+        written = write_results(folder, result)
+    say(args, f"{report_text(result)}\n\nResults in {folder.path}: {', '.join(written)}")
+    if args.json:
+        print(json.dumps(result, indent=2))
+    return 0
+
+
+def parse_share(text: str, option: str) -> float:
+    """A share from "1%" or "0.01"; above 0, at most 1."""
+    number = text.strip()
+    try:
+        share = float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"{option}: is {text!r}; allowed: a share above 0 up to 1, such as 1% or 0.01")
+    return share
+
+
+def _other_site(args: argparse.Namespace, scenario: Scenario) -> Site | None:
+    """The scene with another sensor; its range gate and the rest are what the scene says of that one."""
+    name = args.other_sensor
+    if name == NO_SENSOR:
+        return None
+    if name is not None:
+        return prepare(scenario_from(argparse.Namespace(**{**vars(args), "sensor": name})))
+    own = load_model(scenario.sensor.name).name
+    name = next(other for other in OTHER_SENSORS if other != own)
+    try:
+        return prepare(scenario_from(argparse.Namespace(**{**vars(args), "sensor": name})))
+    except InputError as error:
+        print(f"blender-lidar: note: not tried with {name}: {error}", file=sys.stderr)
+        return None

@@ -1,0 +1,1 @@
+"""Speed charted against accuracy, and how much model a scene needs."""
