@@ -12,14 +12,14 @@ from ..study.fidelity import Fidelity
 from ..study.scoring import CountedFrame
 from ..study.site import Site, lattice_of
 from ..study.site_fidelity import with_scenery
-from ..study.variation import Scorer, Variation, unchanged
+from ..study.variation import Scorer, Variation
 from ..world.barriers import barrier
 from ..world.shapes import DETAILS
 from ..world.triangles import vehicle_triangles
 from .bare_shapes import bare_shape
 from .ladder import BEST_DETAIL, variation
 from .motion import MovingScorer, recorded_velocity, velocity_at
-from .plain_scorer import PlainScorer, SinglePrecisionScorer
+from .plain_scorer import PlainScorer, SinglePrecisionScorer, check_perfect
 
 ABLATION = "ablation"
 DROPOUT, SPREAD_DEG, GLASS = 0.05, 0.03, (0.3, 1.0)
@@ -63,7 +63,6 @@ def _surroundings(site: Site, own: Variation) -> list[Ablation]:
     ends = (x - reach, x + reach)
     standing = (
         ("guard rail", f"between pole and road, y {beside:g} m", ("guard_rail", beside, ends)),
-        ("concrete barrier", f"between pole and road, y {beside:g} m", ("concrete", beside, ends)),
         ("median barrier", f"on the middle lane line, y {middle:g} m", ("concrete", middle, ends)),
     )
     plane = variation(Fidelity(site.scenario.model.detail, ground=True))
@@ -124,9 +123,9 @@ def _experiments(own: Variation) -> list[Ablation]:
         (f"all at {FREE_FLOW_M_S:g} m/s", "free flow", _moving_fast),
     )
     return [
-        Ablation("float32", "ranges and points", own, Variation(ABLATION, "float32", "", unchanged, scorer=_single)),
+        Ablation("float32", "ranges and points", own, Variation(ABLATION, "float32", "", _perfect, scorer=_single)),
         *(
-            Ablation("motion in a turn", value, own, Variation(ABLATION, "motion", value, unchanged, 0, scorer), note)
+            Ablation("motion in a turn", value, own, Variation(ABLATION, "motion", value, _perfect, 0, scorer), note)
             for value, note, scorer in motion
         ),
     ]
@@ -139,7 +138,14 @@ def _with_barrier(site: Site, given: tuple[str, float, tuple[float, float]]) -> 
     return with_scenery(site, barrier(*given))
 
 
+def _perfect(site: Site) -> Site:
+    """The site as it is; one with an imperfect sensor is refused."""
+    check_perfect(site.observation)
+    return site
+
+
 def _with_best_detail(site: Site) -> Site:
+    check_perfect(site.observation)
     return replace(site, observation=replace(site.observation, detail=BEST_DETAIL))
 
 

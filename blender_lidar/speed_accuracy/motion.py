@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
+from ..casting.culling import cut_vehicles, reachable_beams
 from ..casting.protocol import Caster
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
@@ -15,7 +17,7 @@ from ..traffic.vehicles import Recording, Vehicles
 from ..world.triangles import vehicle_triangles
 from .plain_scorer import PlainScorer, Shots
 
-SECTORS = 24  # that a turn is cut into; each sees vehicles where they are at its middle
+SECTORS = 16  # that a turn is cut into; each sees vehicles where they are at its middle
 _FARTHEST_FRAME_S = 1.0  # from which a velocity is still taken
 
 
@@ -41,6 +43,8 @@ class MovingScorer(PlainScorer):
         super().__init__(frame, observation)
         self._sector = sectors(observation.lattice)
         self._boxes_move = boxes_move
+        swept = _swept(self.vehicles, velocity_m_s[frame.counted], observation)
+        self._pieces = cut_vehicles(swept, "box")  # which holds every shape, wherever it is on its way
         self._turned: list[tuple[Caster, np.ndarray, np.ndarray]] = []
         for late_s in sector_times(observation.lattice):
             there = moved(frame.vehicles, velocity_m_s, late_s)
@@ -48,17 +52,27 @@ class MovingScorer(PlainScorer):
             self._turned.append((tree, owner, there.select(frame.counted).centre_m))
 
     def _shots(self, pose: Pose) -> Shots:
-        directions = pose.to_world(self._observation.lattice.directions.reshape(-1, 3))
+        lattice = self._observation.lattice
+        (beams,) = reachable_beams(lattice, self._pieces, [pose], self._observation.max_range_m)
+        beams = beams[np.argsort(self._sector[beams], kind="stable")]
+        directions = pose.to_world(lattice.directions.reshape(-1, 3)[beams])
+        ends = np.searchsorted(self._sector[beams], np.arange(SECTORS + 1))
         parts = []
-        for sector, (tree, owner, centre_m) in enumerate(self._turned):
+        for (first, last), (tree, owner, centre_m) in zip(pairwise(ends.tolist()), self._turned, strict=True):
             box_m = centre_m if self._boxes_move else self.vehicles.centre_m
-            parts.append(self._met(pose, directions[self._sector == sector], tree, owner, box_m))
+            parts.append(self._met(pose, directions[first:last], tree, owner, box_m))
         return Shots(
             *(
                 np.concatenate([getattr(part, name) for part in parts])
                 for name in ("direction", "distance", "row", "centre_m")
             )
         )
+
+
+def _swept(vehicles: Vehicles, velocity_m_s: np.ndarray, observation: Observation) -> Vehicles:
+    """Boxes about all places where vehicles are during a turn, whichever way they go."""
+    way_m = np.hypot(*velocity_m_s.T) / observation.lattice.rotation_hz
+    return replace(vehicles, size_m=vehicles.size_m + np.stack([way_m, way_m, np.zeros(len(way_m))], axis=1))
 
 
 def sectors(lattice: BeamLattice) -> np.ndarray:

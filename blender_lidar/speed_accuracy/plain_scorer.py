@@ -6,7 +6,7 @@ Experiments change one step of it; what `FrameScorer` does faster it comes to as
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,8 +61,7 @@ class PlainScorer:
     """
 
     def __init__(self, frame: CountedFrame, observation: Observation, triangles: Triangles | None = None) -> None:
-        if observation.imperfections != PERFECT:
-            raise InputError("the scene's sensor is imperfect, and this experiment is made with a perfect one")
+        check_perfect(observation)
         self._frame, self._observation = frame, observation
         self.vehicles: Vehicles = frame.vehicles.select(frame.counted)
         self._counted_row = np.where(frame.counted, np.cumsum(frame.counted) - 1, -1)
@@ -110,6 +109,12 @@ class PlainScorer:
 
     def _occupancy(self, local: np.ndarray, row: np.ndarray) -> np.ndarray:
         return occupancy(local, row, self.vehicles.size_m, self._observation.cell_m, self._observation.reading)
+
+
+def check_perfect(observation: Observation) -> None:
+    """Refuse an imperfect sensor."""
+    if replace(observation.imperfections, seed=PERFECT.seed) != PERFECT:
+        raise InputError("the scene's sensor is imperfect, and this experiment is made with a perfect one")
 
 
 class SinglePrecisionScorer(PlainScorer):

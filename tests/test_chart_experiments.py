@@ -1,0 +1,230 @@
+"""The chart's experiments: the plain scorer, moving vehicles, shapes without wheels, and every ablation of a scene."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import InputError
+from blender_lidar.scenario import load_scenario
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.speed_accuracy.ablations import ablations, without_offsets
+from blender_lidar.speed_accuracy.bare_shapes import bare_shape, dropped_triangles
+from blender_lidar.speed_accuracy.motion import (
+    SECTORS,
+    MovingScorer,
+    moved,
+    recorded_velocity,
+    sector_times,
+    sectors,
+    velocity_at,
+)
+from blender_lidar.speed_accuracy.plain_scorer import PlainScorer, SinglePrecisionScorer
+from blender_lidar.study.fidelity import Fidelity
+from blender_lidar.study.frame_scorer import FrameScorer
+from blender_lidar.study.landscapes import Job, landscapes
+from blender_lidar.study.scoring import CountedFrame
+from blender_lidar.study.site import prepare
+from blender_lidar.study.site_fidelity import site_at
+from blender_lidar.study.variation import AS_IT_IS
+from blender_lidar.world.shapes import DETAILS, SHAPES, shape
+from tests.sample_traffic import dense_traffic
+from tests.small_scene import MAPPED, traffic_rows, write_scene, write_table
+
+POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(1.0, -0.5, 4.4, 0.1, 0.05, 0.2))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    return prepare(load_scenario(write_scene(tmp_path_factory.mktemp("scene"), MAPPED)))
+
+
+@pytest.fixture(scope="module")
+def frame():
+    """Lorries hide cars; every third vehicle does not count."""
+    vehicles = dense_traffic(seed=3, vehicles=8, length_m=30.0)
+    return CountedFrame(vehicles, np.arange(len(vehicles)) % 3 > 0)
+
+
+def assert_same(one, other):
+    np.testing.assert_array_equal(one.points, other.points)
+    np.testing.assert_allclose(one.occupancy, other.occupancy, rtol=1e-12)
+
+
+# --- the plain scorer -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("detail", DETAILS)
+def test_the_plain_scorer_sees_what_the_products_own_sees(site, frame, detail):
+    observation = replace(site_at(site, Fidelity(detail, 4)).observation, max_range_m=50.0)
+    plain, own = PlainScorer(frame, observation), FrameScorer(frame.vehicles, frame.counted, observation)
+    expected = own.see(POSES, keep_returns=True)
+    assert expected.points.sum() > 100
+    found = plain.see(POSES, keep_returns=True)
+    assert_same(found, expected)
+    order = [np.lexsort((*np.round(points, 6).T, row)) for points, row in (found.returns, expected.returns)]
+    np.testing.assert_array_equal(found.returns[1][order[0]], expected.returns[1][order[1]])
+    np.testing.assert_allclose(found.returns[0][order[0]], expected.returns[0][order[1]], atol=1e-9)
+
+
+def test_scenery_hides_from_the_plain_scorer_too(site, frame):
+    median = next(one for one in ablations(site) if one.what == "median barrier").having.changed(site)
+    observation = replace(median.observation, max_range_m=50.0)
+    seen = PlainScorer(frame, observation).see(POSES)
+    assert_same(seen, FrameScorer(frame.vehicles, frame.counted, observation).see(POSES))
+    free = PlainScorer(frame, replace(observation, scenery=None)).see(POSES)
+    assert seen.points.sum() < free.points.sum()
+
+
+def test_an_imperfect_sensor_is_left_to_the_products_own_scorer(site, frame):
+    noisy = replace(site.observation, imperfections=replace(site.observation.imperfections, dropout=0.1))
+    with pytest.raises(InputError, match="imperfect"):
+        PlainScorer(frame, noisy)
+
+
+def test_float32_moves_points_by_micrometres(site, frame):
+    observation = replace(site.observation, max_range_m=50.0)
+    seen = [scorer(frame, observation).see(POSES, keep_returns=True) for scorer in (PlainScorer, SinglePrecisionScorer)]
+    np.testing.assert_array_equal(seen[0].points, seen[1].points)
+    away = np.abs(seen[0].returns[0] - seen[1].returns[0]).max()
+    assert 1e-9 < away < 2e-5
+
+
+# --- motion -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("boxes_move", [True, False])
+def test_vehicles_that_stand_are_seen_as_in_an_instant(site, frame, boxes_move):
+    observation = replace(site.observation, max_range_m=50.0)
+    standing = MovingScorer(frame, observation, np.zeros((len(frame.vehicles), 2)), boxes_move=boxes_move)
+    assert_same(standing.see(POSES), FrameScorer(frame.vehicles, frame.counted, observation).see(POSES))
+
+
+def test_a_sector_sees_vehicles_where_they_are_at_its_time(site, frame):
+    """Of a frame in which everything moves, a sector's returns are those of a frame that stands where all then are."""
+    observation = replace(site.observation, max_range_m=50.0)
+    velocity = velocity_at(frame.vehicles, 25.0)
+    late_s, sector = sector_times(observation.lattice), sectors(observation.lattice)
+    shots = MovingScorer(frame, observation, velocity)._shots(POSES[0])
+    expected = []
+    for number in range(SECTORS):
+        there = CountedFrame(moved(frame.vehicles, velocity, late_s[number]), frame.counted)
+        standing = PlainScorer(there, observation)._shots(POSES[0])
+        rays = POSES[0].to_world(observation.lattice.directions.reshape(-1, 3)[sector == number])
+        ours = (np.abs(standing.direction[:, None] - rays[None]).max(axis=2) < 1e-12).any(axis=1)
+        expected.append(standing.distance[ours])
+    assert len(shots.distance) > 200
+    np.testing.assert_allclose(np.sort(shots.distance), np.sort(np.concatenate(expected)), atol=1e-9)
+
+
+def test_sectors_follow_the_columns_time_and_lie_about_the_middle_of_the_turn(site):
+    lattice = site.observation.lattice
+    ring, slot = np.divmod(np.arange(lattice.rings * lattice.columns), lattice.columns)
+    column_s = lattice.column(ring, slot) / (lattice.columns * lattice.rotation_hz)
+    middle = sector_times(lattice)[sectors(lattice)] + 0.5 / lattice.rotation_hz
+    assert np.abs(middle - column_s).max() <= 0.5 / SECTORS / lattice.rotation_hz + 1e-4
+    assert sector_times(lattice).sum() == pytest.approx(0.0)
+
+
+def test_boxes_left_at_mid_turn_hold_the_same_returns_elsewhere(site, frame):
+    observation = replace(site.observation, max_range_m=50.0)
+    velocity = velocity_at(frame.vehicles, 25.0)
+    with_boxes, without = (
+        MovingScorer(frame, observation, velocity, boxes_move=boxes).see(POSES[:1], keep_returns=True)
+        for boxes in (True, False)
+    )
+    np.testing.assert_array_equal(with_boxes.points, without.points)
+    away = np.abs(with_boxes.returns[0] - without.returns[0])
+    assert 0.1 < away.max() <= 25.0 * 0.5 / observation.lattice.rotation_hz + 1e-9
+
+
+def test_velocities_are_those_that_the_recording_was_made_with(tmp_path):
+    """Vehicles at 10 m/s; read from frames 0.5 s apart, and nothing is known from frames 2 s apart."""
+    rows = [
+        [frame, number, "car", 10.0 * time_s - 4.0, y, 4.4, 1.8, 1.5, 0.0, time_s]
+        for frame, time_s in enumerate((0.0, 0.5, 1.0, 3.0))
+        for number, y in ((1, 3.7), (2, 7.2))
+    ]
+    write_table(tmp_path / "traffic.csv", rows)
+    recording = prepare(load_scenario(write_scene(tmp_path, {"traffic": {"frames": 1, "holdout": 0.0}}))).recording
+    for frame in (0, 1, 2):
+        velocity = recorded_velocity(recording, recording.vehicles(frame))
+        np.testing.assert_allclose(velocity, [[10.0, 0.0]] * 2, atol=1e-9)
+    assert not recorded_velocity(recording, recording.vehicles(3)).any()
+
+
+# --- shapes and ablations ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_without_wheels_and_mirrors_nothing_touches_the_ground_and_the_rest_stays_where_it_was(name):
+    whole, bare = shape(name, "detailed"), bare_shape(name, "detailed")
+    assert dropped_triangles(name) > 0
+    assert bare.vertices[:, 2].min() > -0.5 + 1e-6
+    kept = {tuple(corner) for corner in whole.vertices.round(12).tolist()}
+    assert {tuple(corner) for corner in bare.vertices.round(12).tolist()} <= kept
+
+
+def test_a_car_loses_four_wheels_and_two_mirrors():
+    assert dropped_triangles("car") == 4 * 36 + 2 * 12
+
+
+def test_every_ablation_can_be_sent_to_a_worker_and_has_a_name_of_its_own(site):
+    changes = ablations(site)
+    sides = {one.stage: one for change in changes for one in (change.without, change.having) if one is not None}
+    assert len({(change.what, change.value) for change in changes}) == len(changes)
+    assert [one.stage for one in pickle.loads(pickle.dumps(list(sides.values())))] == list(sides)
+    wanted = "ground, guard rail, median barrier, wheels and mirrors, body shape, glass drop-out, azimuth offsets"
+    wanted += ", range noise, drop-out, unit spread, float32, motion in a turn"
+    assert {change.what for change in changes} >= set(wanted.split(", "))
+
+
+def test_every_ablation_but_the_ground_and_float32_changes_a_score(site):
+    """At 20 m from two lanes neither barrier nor weak returns need matter; what is asked is done all the same."""
+    changes = [one for one in ablations(site) if one.having is not None]
+    spared = {"ground", "float32", "guard rail", "weak returns"}
+    for change in changes:
+        if change.what == "motion in a turn" and change.value.startswith("recorded"):
+            continue  # frames of the small scene are too far apart to tell a speed
+        both = [next(landscapes(site, [Job(one, POSES)])).objective for one in (change.without, change.having)]
+        if change.what == "ground":
+            np.testing.assert_array_equal(*both)
+        elif change.what not in spared:
+            assert not np.allclose(*both, rtol=1e-9), change
+
+
+def test_offsets_left_out_are_all_0_and_the_other_rings_keep_their_beams(tmp_path):
+    settings = {**MAPPED, "sensor": {"name": "RS-80", "rotation_hz": 10.0}}
+    site = prepare(load_scenario(write_scene(tmp_path, settings)))
+    assert load_model("RS-80").azimuth_offset_rad.any()
+    level = without_offsets(site).observation.lattice
+    assert not level.slot_azimuth0_rad.any()
+    assert not level.shift.any()
+    np.testing.assert_array_equal(level.elevation_rad, site.observation.lattice.elevation_rad)
+    assert level.columns == site.observation.lattice.columns
+
+
+def test_a_sensor_without_offsets_says_so(site):
+    (change,) = (one for one in ablations(site) if one.what == "azimuth offsets")
+    assert (change.without, change.note) == (None, "the RS-16 has none")
+
+
+def test_what_the_scene_has_is_left_out_and_not_added(tmp_path):
+    write_table(tmp_path / "traffic.csv", traffic_rows())
+    noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {"range_noise_m": 0.03, "dropout": 0.2}})))
+    changes = {one.what: one for one in ablations(noisy)}
+    assert changes["range noise"].value == "0.03, as the scene has it"
+    left_out = changes["range noise"].without.changed(noisy).observation.imperfections
+    assert (left_out.range_noise_m, left_out.dropout) == (0.0, 0.2)
+    assert changes["drop-out"].having.stage == changes["range noise"].having.stage
+
+
+def test_the_experiments_say_why_they_are_not_made_with_an_imperfect_sensor(tmp_path):
+    noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {"dropout": 0.2}})))
+    (single,) = (one for one in ablations(noisy) if one.what == "float32")
+    assert "imperfect" in next(landscapes(noisy, [Job(single.having, POSES)]))
+    assert not isinstance(next(landscapes(noisy, [Job(AS_IT_IS, POSES)])), str)

@@ -1,0 +1,269 @@
+"""The chart's statistics: ranking, calibration, choices, the noise ceiling, the front, and what is near enough."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.speed_accuracy.accuracy import Reference, accuracy
+from blender_lidar.speed_accuracy.calibration import calibrated_residuals, root_mean_square
+from blender_lidar.speed_accuracy.choices import chosen_shares, regret, searched_weights
+from blender_lidar.speed_accuracy.noise import noise_ceiling
+from blender_lidar.speed_accuracy.pareto import pareto_front
+from blender_lidar.speed_accuracy.ranking import weighted_tau
+from blender_lidar.speed_accuracy.recommendation import sentence
+from blender_lidar.speed_accuracy.rungs import mark_within, recommended
+from blender_lidar.speed_accuracy.validation import verdict
+from blender_lidar.study.landscape import Landscape
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def scores(seed: int, count: int = 24, decimals: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """A reference and something that follows it; rounded, so that some are equal."""
+    rng = np.random.default_rng(seed)
+    reference = rng.normal(size=count)
+    values = 0.5 * reference + rng.normal(scale=0.4, size=count)
+    return (values, reference) if decimals is None else (values.round(decimals), reference.round(decimals))
+
+
+def traffic(seed: int, blocks: int = 8, mountings: int = 16, noise: float = 0.0) -> tuple[Landscape, np.ndarray]:
+    """A landscape with a true worth of each mounting and, in every frame, luck of its own; two frames a block."""
+    rng = np.random.default_rng(seed)
+    worth = np.concatenate([[-1.0], np.linspace(0.0, 1.0, mountings)])
+    vehicles = rng.integers(5, 15, 2 * blocks)
+    luck = rng.normal(scale=noise, size=(len(worth), len(vehicles)))
+    return Landscape((worth[:, None] + luck) * vehicles, vehicles), np.repeat(np.arange(blocks), 2)
+
+
+def reference_of(seed: int, noise: float = 0.1) -> Reference:
+    searched, block = traffic(seed, noise=noise)
+    judged, judged_block = traffic(seed + 1, noise=noise)
+    return Reference.of(searched, block, judged, judged_block, 1)
+
+
+# --- ranking ----------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=seeds, decimals=st.sampled_from([None, 1]))
+def test_the_weighted_tau_is_scipys_with_the_references_ranks(seed, decimals):
+    stats = pytest.importorskip("scipy.stats")
+    values, reference = scores(seed, decimals=decimals)
+    rank = np.empty(len(values), dtype=int)
+    rank[np.lexsort((values, reference))[::-1]] = np.arange(len(values))
+    assert weighted_tau(values, reference) == pytest.approx(stats.weightedtau(values, reference, rank=rank).statistic)
+
+
+@given(seed=seeds)
+def test_the_weighted_tau_is_1_for_the_same_order_and_minus_1_for_the_reverse(seed):
+    _, reference = scores(seed)
+    assert weighted_tau(np.exp(reference), reference) == pytest.approx(1.0)
+    assert weighted_tau(-reference, reference) == pytest.approx(-1.0)
+
+
+def test_two_mountings_exchanged_at_the_top_count_more_than_at_the_bottom():
+    reference = np.arange(10.0)[::-1]
+    top, bottom = reference.copy(), reference.copy()
+    top[[0, 1]], bottom[[8, 9]] = reference[[1, 0]], reference[[9, 8]]
+    assert weighted_tau(top, reference) < weighted_tau(bottom, reference) < 1.0
+
+
+def test_what_prefers_no_mounting_has_no_tau():
+    assert np.isnan(weighted_tau(np.ones(6), np.arange(6.0)))
+
+
+# --- calibration ------------------------------------------------------------------------------------------------------
+
+
+@given(seed=seeds, scale=st.floats(0.01, 100.0), shift=st.floats(-10.0, 10.0))
+def test_stretching_and_shifting_a_score_changes_nothing_that_calibration_leaves(seed, scale, shift):
+    values, reference = scores(seed)
+    expected = calibrated_residuals(values, reference)
+    np.testing.assert_allclose(calibrated_residuals(scale * values + shift, reference), expected, atol=1e-8)
+    np.testing.assert_allclose(calibrated_residuals(reference * scale + shift, reference), 0.0, atol=1e-8)
+
+
+def test_each_half_is_judged_by_a_line_that_the_other_half_gave():
+    values, reference = scores(3)
+    half = len(values) // 2
+    slope, intercept = np.polyfit(values[half:], reference[half:], 1)
+    expected = reference[:half] - (intercept + slope * values[:half])
+    np.testing.assert_allclose(calibrated_residuals(values, reference)[:half], expected)
+
+
+def test_a_score_that_is_the_same_everywhere_is_calibrated_to_the_mean_of_the_other_half():
+    reference = np.array([0.0, 2.0, 10.0, 20.0])
+    np.testing.assert_allclose(calibrated_residuals(np.ones(4), reference), [-15.0, -13.0, 9.0, 19.0])
+    assert root_mean_square(np.array([3.0, -4.0])) == pytest.approx(np.sqrt(12.5))
+
+
+# --- choices and regret -----------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(seed=seeds)
+def test_orders_that_agree_regret_nothing(seed):
+    reference = reference_of(seed)
+    stretched = Landscape(
+        3.0 * reference.searched.objective + 0.2 * reference.searched.vehicles, reference.searched.vehicles
+    )
+    found = accuracy(reference, [stretched])
+    assert found.regret.share == 0.0
+    assert found.regret.interval_90 == (0.0, 0.0)
+    assert found.tau == pytest.approx(1.0)
+    assert found.error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_regret_is_what_the_choice_loses_of_the_gain():
+    """Without luck the best of 16 candidates is worth 1 and the baseline -1: half way back is half of the gain."""
+    judged, block = traffic(1)
+    best, other = np.eye(16)[15], np.full(16, 0.0)
+    other[0] = 1.0
+    found = regret(other, best, judged, block)
+    assert found.share == pytest.approx(0.5)
+    assert found.interval_90 == pytest.approx((0.5, 0.5))
+
+
+def test_where_the_references_choice_gains_nothing_there_is_no_regret():
+    judged, block = traffic(1)
+    worse = Landscape(-judged.objective, judged.vehicles)
+    assert regret(np.eye(16)[0], np.eye(16)[15], worse, block) is None
+
+
+def test_fewer_than_three_blocks_give_no_interval():
+    judged, block = traffic(1, blocks=2)
+    assert regret(np.eye(16)[0], np.eye(16)[15], judged, block).interval_90 is None
+
+
+def test_choices_are_shares_and_those_of_two_blocks_come_from_the_frames_as_they_are():
+    searched, block = traffic(4, noise=2.0)
+    chosen = chosen_shares(searched, searched_weights(block, 1))
+    assert chosen.sum() == pytest.approx(1.0)
+    assert (chosen > 0.0).sum() > 1
+    few, block = traffic(4, blocks=2, noise=2.0)
+    np.testing.assert_array_equal(
+        chosen_shares(few, searched_weights(block, 1)), np.eye(16)[np.argmax(few.per_vehicle()[1:])]
+    )
+
+
+def test_frames_that_are_not_looked_at_choose_nothing():
+    searched, block = traffic(4, noise=0.5)
+    frames = np.array([0, 5, 9])
+    alone = Landscape(searched.objective[:, frames], searched.vehicles[frames])
+    other = searched.objective.copy()
+    other[:, [1, 2]] = 1e6
+    changed = Landscape(other, searched.vehicles)
+    weights = searched_weights(block, 1)
+    np.testing.assert_array_equal(chosen_shares(changed, weights, frames), chosen_shares(searched, weights, frames))
+    np.testing.assert_array_equal(
+        chosen_shares(alone, np.ones((1, 3))), chosen_shares(searched, np.ones((1, len(block))), frames)
+    )
+
+
+def test_phases_are_averaged():
+    reference = reference_of(7, noise=0.3)
+    rng = np.random.default_rng(1)
+    objective = reference.searched.objective
+    phases = [
+        Landscape(objective + rng.normal(scale=3.0, size=objective.shape), reference.searched.vehicles) for _ in "ab"
+    ]
+    alone, both = [accuracy(reference, [phase]) for phase in phases], accuracy(reference, phases)
+    assert both.bias == pytest.approx(np.mean([one.bias for one in alone]))
+    assert both.error == pytest.approx(np.sqrt(np.mean([one.error**2 for one in alone])))
+    assert both.tau == pytest.approx(np.mean([one.tau for one in alone]))
+    assert both.regret.share == pytest.approx(np.mean([one.regret.share for one in alone]))
+    assert sum(both.chosen) == pytest.approx(1.0)
+
+
+def test_the_bias_of_what_scores_more_is_above_0():
+    reference = reference_of(7)
+    searched = reference.searched
+    more = Landscape(searched.objective + 0.25 * searched.vehicles, searched.vehicles)
+    assert accuracy(reference, [more]).bias == pytest.approx(0.25)
+
+
+# --- the noise ceiling ------------------------------------------------------------------------------------------------
+
+
+def test_traffic_without_luck_has_no_noise():
+    noise = noise_ceiling(reference_of(1, noise=0.0))
+    assert noise.error == pytest.approx(0.0, abs=1e-9)
+    assert noise.bias == pytest.approx(0.0, abs=1e-9)
+    assert noise.tau == pytest.approx(1.0)
+    assert noise.regret == pytest.approx(0.0)
+
+
+def test_the_noise_ceiling_is_twice_the_standard_error_of_the_whole():
+    """Each frame's luck has a deviation of 0.5, and 40 blocks hold 80 of them."""
+    searched, block = traffic(3, blocks=40, mountings=64, noise=0.5)
+    mixed = [0, *(1 + np.random.default_rng(1).permutation(64))]  # as Sobol's points are: halves are alike
+    searched = Landscape(searched.objective[mixed] / searched.vehicles * 10, np.full(80, 10))
+    noise = noise_ceiling(Reference.of(searched, block, searched, block, 1))
+    assert noise.error == pytest.approx(2.0 * 0.5 / np.sqrt(80.0), rel=0.15)
+    assert noise.error_90[0] < noise.error < noise.error_90[1]
+
+
+def test_three_blocks_have_no_halves_to_compare():
+    searched, block = traffic(3, blocks=3)
+    assert noise_ceiling(Reference.of(searched, block, searched, block, 1)) is None
+
+
+# --- the front and what is near enough --------------------------------------------------------------------------------
+
+
+@given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), min_size=1, max_size=30))
+def test_the_front_is_what_no_other_beats(costs):
+    first, second = np.array(costs, dtype=float).T
+    beaten = [any(((a <= c and b <= d) and (a < c or b < d)) for a, b in costs) for c, d in costs]
+    front = pareto_front(first, second)
+    assert sorted(front.tolist()) == np.flatnonzero(~np.array(beaten)).tolist()
+    assert (np.diff(first[front]) >= 0.0).all()
+
+
+def row(name: str, median: float, interval, error: float) -> dict:
+    return {
+        "name": name,
+        "text": name,
+        "milliseconds": {"median": median},
+        "speedup": 80.0 / median,
+        "regret_interval_90": interval,
+        "error_share": error,
+    }
+
+
+def test_the_fastest_of_those_that_are_surely_near_enough_is_recommended():
+    rows = [
+        row("reference", 80.0, (0.0, 0.0), 0.0),
+        row("lucky", 1.0, (0.0, 0.0), 0.2),  # its error is beyond the noise
+        row("not sure", 2.0, (-0.02, 0.02), 0.03),
+        row("near", 8.0, (-0.01, 0.009), 0.04),
+        row("slower", 10.0, (0.0, 0.0), 0.001),
+        row("without blocks", 3.0, None, 0.001),
+    ]
+    noise = noise_ceiling(reference_of(1))
+    mark_within(rows, 0.01, noise, noise.error / 0.05)  # which makes the ceiling 5 % of the gain
+    assert [one["name"] for one in rows if one["within"]] == ["reference", "near", "slower"]
+    best = recommended(rows)
+    assert sentence(rows[0], best, 0.01, 0.3) == (
+        "Cheapest within 1 % of the gain: near: 8 ms an evaluation, 10 times faster than the reference (reference)."
+    )
+    mark_within(rows, 0.01, None, 0.3)
+    assert [one["name"] for one in rows if one["within"]] == ["reference", "slower"]
+
+
+def test_where_nothing_cheaper_will_do_the_reference_is_named_and_where_nothing_gains_nothing_is():
+    rows = [row("reference", 80.0, None, 0.0), row("near", 8.0, None, 0.0)]
+    mark_within(rows, 0.01, None, 0.3)
+    assert "only the reference, reference: 80 ms" in sentence(rows[0], recommended(rows), 0.01, 0.3)
+    assert sentence(rows[0], rows[0], 0.01, 0.0).startswith("No mounting gains anything over the baseline")
+
+
+def test_a_recommendation_holds_surely_likely_or_not():
+    assert verdict(0.002, (-0.001, 0.005), 0.01) == "holds"
+    assert verdict(0.002, (-0.02, 0.03), 0.01) == "likely"
+    assert verdict(0.002, None, 0.01) == "likely"
+    assert verdict(0.02, (0.0, 0.04), 0.01) == "fails"
+    assert verdict(None, None, 0.01) == "cannot be told"
