@@ -85,9 +85,14 @@ def _above(numbers: Mapping, lost: Regret | None, noise: Noise | None) -> list[s
     exceeded = {
         SCORE: abs(numbers["bias"]) > noise.bias,
         RANKING: numbers["error"] > noise.error or (tau is not None and tau < noise.tau),
-        OPTIMUM: lost is not None and noise.regret is not None and lost.share > noise.regret,
+        OPTIMUM: lost is not None and noise.regret is not None and _surely_lost(lost) and lost.share > noise.regret,
     }
     return [name for name, above in exceeded.items() if above]
+
+
+def _surely_lost(lost: Regret) -> bool:
+    """Whether it may not as well be nothing."""
+    return lost.interval_90 is None or lost.interval_90[0] > 0.0
 
 
 def _bias_interval(without: Landscape, having: Landscape, reference: Reference) -> list[float] | None:

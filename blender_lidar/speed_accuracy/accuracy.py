@@ -13,6 +13,8 @@ from .candidates import BASELINE, FIRST
 from .choices import Regret, chosen_shares, mean_shares, regret, searched_weights
 from .ranking import weighted_tau
 
+_ROUNDING = 1e-12  # of the largest score: an error that is no greater is none
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
@@ -88,9 +90,10 @@ def accuracy(reference: Reference, phases: Sequence[Landscape], frames: np.ndarr
         phase.objective[FIRST:, frames].sum(axis=1) / max(int(phase.vehicles[frames].sum()), 1) for phase in phases
     ]
     chosen = mean_shares([chosen_shares(phase, reference.weights, frames) for phase in phases])
+    error = root_mean_square(np.array([calibrated_residuals(each, truth) for each in values]))
     return Accuracy(
         bias=float(np.mean([each - truth for each in values])),
-        error=root_mean_square(np.array([calibrated_residuals(each, truth) for each in values])),
+        error=0.0 if error <= _ROUNDING * float(np.abs(truth).max()) else error,
         tau=float(np.mean([weighted_tau(each, truth) for each in values])),
         regret=regret(chosen, reference.chosen, reference.judged, reference.judged_block),
         chosen=tuple(chosen.tolist()),
