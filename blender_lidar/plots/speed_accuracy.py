@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,8 @@ _LOOKS = {
     "detailed": {"marker": "^", "color": OPTIMISED["color"]},
 }
 _BELOW = 0.45  # of the least error that is not 0: where those are drawn that have none
-_HEIGHT_MM = 165.0
+_HEIGHT_MM = 150.0
+_MARKER_PT, _RING_PT = 2.6, 6.0  # half the side of what a marker covers
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,25 +93,31 @@ def plot_speed_accuracy(
         axes = figure.subplots()
         axes.set_xscale("log")
         axes.set_yscale("log")
-        least = min((mark.error for mark in marks if mark.error > 0.0), default=1.0)
-        places = np.array([(mark.milliseconds[1], mark.error or _BELOW * least) for mark in marks])
+        least = min([mark.error for mark in marks if mark.error > 0.0] + [tolerance] * bool(tolerance), default=1.0)
+        none = _BELOW * least
+        places = np.array([(mark.milliseconds[1], mark.error or none) for mark in marks])
         handles = _lines(axes, noise, tolerance)
         handles += _points(axes, marks, places)
-        axes.set_ylim(_BELOW * least / 1.6, places[:, 1].max() * 1.5)
-        axes.set_xlim(places[:, 0].min() / 1.35, places[:, 0].max() * 1.6)
+        axes.set_ylim(none / 1.4, places[:, 1].max() * 1.4)
+        axes.set_xlim(places[:, 0].min() / 1.6, places[:, 0].max() * 1.6)
         if any(mark.error == 0.0 for mark in marks):
-            axes.axhline(_BELOW * least * 1.35, color=INK, linewidth=0.6)
-            axes.text(
-                0.005, _BELOW * least * 1.28, "no error", transform=axes.get_yaxis_transform(), va="top", fontsize=6
-            )
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(lambda value, _: f"{value:g}")
+            axes.axhspan(none / 1.4, none * 1.4, color=FAINT, alpha=0.2, linewidth=0.0)
+            look = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": 6.5}
+            axes.text(0.01, none, "the same as the reference", **look)
+        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, (0.8 * least, axes.get_ylim()[1]))):
+            ticks = _round_numbers(low, high)
+            axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+            axis.set_ticks([], minor=True)
         axes.set_xlabel("One evaluation: median of the times [ms]; bars: quartiles")
         axes.set_ylabel(f"Error after calibration [{unit} per vehicle]" if unit else "Error after calibration")
         axes.grid(visible=True)
         figure.canvas.draw()  # places are now known in pixels
         weights = ["bold" if mark.recommended or mark.front else "normal" for mark in marks]
-        name_points(axes, places, [mark.name for mark in marks], weights)
+        bars = [
+            ((mark.milliseconds[0], y), (mark.milliseconds[2], y)) for mark, (_, y) in zip(marks, places, strict=True)
+        ]
+        sizes = [_RING_PT if mark.recommended else _MARKER_PT for mark in marks]
+        name_points(axes, places, [mark.name for mark in marks], weights, sizes, [*bars, *_steps(marks, places)])
         legend_below(figure, handles, columns=4)
 
 
@@ -119,7 +127,12 @@ def _lines(axes: Axes, noise, tolerance) -> list:
         low, middle, high = noise
         handles.append(
             axes.axhspan(
-                low, high, color=FAINT, alpha=0.4, linewidth=0.0, label="reference, half the blocks against half"
+                low,
+                high,
+                color=FAINT,
+                alpha=0.4,
+                linewidth=0.0,
+                label="reference, half of the blocks against the others",
             )
         )
         axes.axhline(middle, color=FAINT, linewidth=1.0)
@@ -129,10 +142,32 @@ def _lines(axes: Axes, noise, tolerance) -> list:
     return handles
 
 
+def _round_numbers(low: float, high: float) -> list[float]:
+    """1, 2 and 5 times powers of ten between two numbers."""
+    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    return [digit * 10.0**power for power in powers for digit in (1.0, 2.0, 5.0) if low <= digit * 10.0**power <= high]
+
+
+def _front(marks: Sequence[Mark], places: np.ndarray) -> list[tuple[float, float]]:
+    return sorted(tuple(place) for mark, place in zip(marks, places, strict=True) if mark.front)
+
+
+def _steps(marks: Sequence[Mark], places: np.ndarray) -> list[tuple]:
+    """The front's line in pieces, from one corner to the next."""
+    pieces = []
+    for (x, y), (next_x, next_y) in pairwise(_front(marks, places)):
+        pieces += [((x, y), (next_x, y)), ((next_x, y), (next_x, next_y))]
+    return pieces
+
+
 def _points(axes: Axes, marks: Sequence[Mark], places: np.ndarray) -> list:
-    front = sorted((tuple(place) for mark, place in zip(marks, places, strict=True) if mark.front))
     handles = axes.step(
-        *zip(*front, strict=True), where="post", color=INK, linewidth=0.9, label="Pareto front", zorder=2
+        *zip(*_front(marks, places), strict=True),
+        where="post",
+        color=INK,
+        linewidth=0.9,
+        label="Pareto front",
+        zorder=2,
     )
     for detail, look in _LOOKS.items():
         rows = [row for row, mark in enumerate(marks) if mark.detail == detail]
