@@ -1,0 +1,120 @@
+"""Chart: what a frame takes with us and with others, and how time and memory grow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from ..errors import InputError
+from .canvas import BASELINE, INK, OPTIMISED, SMALL_PT, sheet
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_ROW_MM, _HEAD_MM, _GROWTH_MM = 5.2, 30.0, 58.0
+_ACROSS = 4  # growth panels side by side
+_LINES = (
+    {"color": OPTIMISED["color"], "linestyle": "-", "marker": "o"},
+    {"color": BASELINE["color"], "linestyle": "--", "marker": "s"},
+    {"color": "#2a8f6f", "linestyle": "-.", "marker": "^"},
+    {"color": "#777777", "linestyle": ":", "marker": "D"},
+)
+
+
+class Bar(NamedTuple):
+    """One row: what was timed, milliseconds (quartile, median, quartile), whether it is ours."""
+
+    name: str
+    low: float
+    median: float
+    high: float
+    ours: bool
+
+
+class Line(NamedTuple):
+    """One line of a panel: whose, numbers along both axes, and its fitted exponent in words."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    exponent: str
+
+
+class Panel(NamedTuple):
+    """How something grows, with labels of both axes."""
+
+    x_label: str
+    y_label: str
+    lines: Sequence[Line]
+
+
+def plot_benchmark(
+    path: str | Path, bars: Sequence[Bar], panels: Sequence[Panel], *, title: str = "", subtitle: str = ""
+) -> None:
+    """Draw rows of times on a logarithmic axis and, below them, panels of growth, both axes logarithmic.
+
+    Raises
+    ------
+    InputError
+        If there is neither, a time is not above 0, or a panel has more lines than can be told apart.
+    """
+    if not bars and not panels:
+        raise InputError("benchmark chart: neither times nor growth; at least one is needed")
+    if any(bar.low <= 0.0 for bar in bars):
+        raise InputError("benchmark chart: a time is 0; a logarithmic axis needs times above 0")
+    if any(len(panel.lines) > len(_LINES) for panel in panels):
+        raise InputError(f"benchmark chart: a panel of more than {len(_LINES)} lines cannot be read")
+    bars_mm = _HEAD_MM + _ROW_MM * len(bars) if bars else 0.0
+    rows = -(-len(panels) // _ACROSS)
+    height_mm = bars_mm + _GROWTH_MM * rows + (0.0 if bars else 14.0)
+    with sheet(path, height_mm, title, subtitle) as figure:
+        ratios = ([bars_mm] if bars else []) + [_GROWTH_MM] * rows
+        grid = figure.add_gridspec(len(ratios), _ACROSS, height_ratios=ratios)
+        if bars:
+            _draw_bars(figure.add_subplot(grid[0, :]), bars)
+        for number, panel in enumerate(panels):
+            at = divmod(number, _ACROSS)
+            _draw_panel(figure.add_subplot(grid[at[0] + bool(bars), at[1]]), panel)
+
+
+def _draw_bars(axes: Axes, bars: Sequence[Bar]) -> None:
+    """A dot at each median, a line between the quartiles, the number beside it; the first row on top."""
+    for row, bar in enumerate(bars):
+        look = OPTIMISED if bar.ours else BASELINE
+        axes.plot([bar.low, bar.high], [row, row], color=look["color"], linewidth=2.4, solid_capstyle="butt")
+        face = look["color"] if bar.ours else "white"
+        axes.plot(bar.median, row, look["marker"], color=look["color"], markersize=4.5, markerfacecolor=face)
+        axes.annotate(
+            f"{bar.median:,.3g}" if bar.median < 1000.0 else f"{bar.median:,.0f}",
+            (bar.high, row),
+            xytext=(6.0, 0.0),
+            textcoords="offset points",
+            va="center",
+            fontsize=SMALL_PT,
+            color=INK,
+        )
+    axes.set_xscale("log")
+    axes.set_xlim(0.6 * min(bar.low for bar in bars), 2.2 * max(bar.high for bar in bars))
+    axes.set_yticks(range(len(bars)), [bar.name for bar in bars])
+    axes.set_ylim(len(bars) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0.0)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("Milliseconds: median and quartiles over repeats; filled: ours, open: others")
+    axes.grid(visible=True, axis="x")
+
+
+def _draw_panel(axes: Axes, panel: Panel) -> None:
+    """Lines, and below them in the legend each one's exponent."""
+    ticks = sorted({x for line in panel.lines for x in line.x})
+    for look, line in zip(_LINES, panel.lines, strict=False):
+        axes.plot(line.x, line.y, markersize=3.0, linewidth=1.2, label=f"{line.name}: ^ {line.exponent}", **look)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    shown = ticks if len(ticks) <= 5 else ticks[::2]
+    axes.set_xticks(shown, [f"{tick:,g}" for tick in shown])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    axes.grid(visible=True)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.28), fontsize=SMALL_PT, handlelength=2.2, borderpad=0.0)
