@@ -33,19 +33,15 @@ def _bar(timing: Timing) -> Bar:
 
 
 def _panels(series: Sequence[Series]) -> list[Panel]:
-    """Times of everything that grew, then memory."""
-    overs = list(dict.fromkeys(each.over for each in series))
-    times = [
-        Panel(_AXES[over], "Seconds", [_line(each, time=True) for each in series if each.over == over])
-        for over in overs
-    ]
-    known = [each for each in series if all(held is not None and held > 0.0 for held in each.above_mib)]
-    memory = [
-        Panel(_AXES[over], "Memory on top [MiB]", [_line(each, time=False) for each in known if each.over == over])
-        for over in overs
-        if any(each.over == over for each in known)
-    ]
-    return times + memory
+    """Of everything that grew the time and, where it could be told, the memory beside it."""
+    panels = []
+    for over in dict.fromkeys(each.over for each in series):
+        ours = [each for each in series if each.over == over]
+        panels.append(Panel(_AXES[over], "Seconds", [_line(each, time=True) for each in ours]))
+        known = [each for each in ours if each.memory_law is not None]
+        if known:
+            panels.append(Panel(_AXES[over], "Memory on top [MiB]", [_line(each, time=False) for each in known]))
+    return panels
 
 
 def _line(series: Series, *, time: bool) -> Line:

@@ -12,8 +12,8 @@ from .canvas import BASELINE, INK, OPTIMISED, SMALL_PT, sheet
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_ROW_MM, _HEAD_MM, _GROWTH_MM = 5.2, 30.0, 58.0
-_ACROSS = 4  # growth panels side by side
+_ROW_MM, _HEAD_MM, _GROWTH_MM = 5.2, 30.0, 52.0
+_ACROSS = 2  # growth panels side by side
 _LINES = (
     {"color": OPTIMISED["color"], "linestyle": "-", "marker": "o"},
     {"color": BASELINE["color"], "linestyle": "--", "marker": "s"},
@@ -95,7 +95,7 @@ def _draw_bars(axes: Axes, bars: Sequence[Bar]) -> None:
             color=INK,
         )
     axes.set_xscale("log")
-    axes.set_xlim(0.6 * min(bar.low for bar in bars), 2.2 * max(bar.high for bar in bars))
+    axes.set_xlim(0.6 * min(bar.low for bar in bars), 4.0 * max(bar.high for bar in bars))
     axes.set_yticks(range(len(bars)), [bar.name for bar in bars])
     axes.set_ylim(len(bars) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0.0)
@@ -105,16 +105,16 @@ def _draw_bars(axes: Axes, bars: Sequence[Bar]) -> None:
 
 
 def _draw_panel(axes: Axes, panel: Panel) -> None:
-    """Lines, and below them in the legend each one's exponent."""
+    """Lines, and in the legend each one's exponent."""
     ticks = sorted({x for line in panel.lines for x in line.x})
     for look, line in zip(_LINES, panel.lines, strict=False):
-        axes.plot(line.x, line.y, markersize=3.0, linewidth=1.2, label=f"{line.name}: ^ {line.exponent}", **look)
+        axes.plot(line.x, line.y, markersize=3.0, linewidth=1.2, label=f"{line.name}, exponent {line.exponent}", **look)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    shown = ticks if len(ticks) <= 5 else ticks[::2]
-    axes.set_xticks(shown, [f"{tick:,g}" for tick in shown])
+    axes.set_xticks(ticks, [f"{tick:,g}" for tick in ticks])
     axes.set_xticks([], minor=True)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     axes.grid(visible=True)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.28), fontsize=SMALL_PT, handlelength=2.2, borderpad=0.0)
+    axes.margins(y=0.25)
+    axes.legend(loc="best", fontsize=SMALL_PT, handlelength=3.0)
