@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _ROW_MM, _HEAD_MM, _GROWTH_MM = 5.2, 30.0, 52.0
+_LEAST_SPAN, _WIDE = 3.0, 100.0  # of the largest number over the smallest
 _ACROSS = 2  # growth panels side by side
 _LINES = (
     {"color": OPTIMISED["color"], "linestyle": "-", "marker": "o"},
@@ -69,13 +70,16 @@ def plot_benchmark(
     rows = -(-len(panels) // _ACROSS)
     height_mm = bars_mm + _GROWTH_MM * rows + (0.0 if bars else 14.0)
     with sheet(path, height_mm, title, subtitle) as figure:
-        ratios = ([bars_mm] if bars else []) + [_GROWTH_MM] * rows
-        grid = figure.add_gridspec(len(ratios), _ACROSS, height_ratios=ratios)
+        heights = [height for height in (bars_mm, _GROWTH_MM * rows) if height]
+        parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
         if bars:
-            _draw_bars(figure.add_subplot(grid[0, :]), bars)
-        for number, panel in enumerate(panels):
-            at = divmod(number, _ACROSS)
-            _draw_panel(figure.add_subplot(grid[at[0] + bool(bars), at[1]]), panel)
+            _draw_bars(parts[0].subplots(), bars)
+        if panels:
+            every = parts[-1].subplots(rows, _ACROSS, squeeze=False).ravel()
+            for axes, panel in zip(every, panels, strict=False):
+                _draw_panel(axes, panel)
+            for axes in every[len(panels) :]:
+                axes.set_axis_off()
 
 
 def _draw_bars(axes: Axes, bars: Sequence[Bar]) -> None:
@@ -106,6 +110,8 @@ def _draw_bars(axes: Axes, bars: Sequence[Bar]) -> None:
 
 def _draw_panel(axes: Axes, panel: Panel) -> None:
     """Lines, and in the legend each one's exponent."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     ticks = sorted({x for line in panel.lines for x in line.x})
     for look, line in zip(_LINES, panel.lines, strict=False):
         axes.plot(line.x, line.y, markersize=3.0, linewidth=1.2, label=f"{line.name}, exponent {line.exponent}", **look)
@@ -113,8 +119,13 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
     axes.set_yscale("log")
     axes.set_xticks(ticks, [f"{tick:,g}" for tick in ticks])
     axes.set_xticks([], minor=True)
+    low, high = (end(y for line in panel.lines for y in line.y) for end in (min, max))
+    span = max(high / low, _LEAST_SPAN)
+    axes.set_ylim(low / span**0.1, high * span**0.5)  # room for the legend above the lines
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if span < _WIDE else (1.0,)))
+    axes.yaxis.set_major_formatter("{x:,g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     axes.grid(visible=True)
-    axes.margins(y=0.25)
-    axes.legend(loc="best", fontsize=SMALL_PT, handlelength=3.0)
+    axes.legend(loc="upper left", fontsize=SMALL_PT, handlelength=3.0)
