@@ -214,7 +214,7 @@ def test_the_metric_and_the_search_need_numpy_alone():
 def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     body = """
         rooms = "casting case_study commands formats optimise plots reality reporting search_study sensors"
-        for room in (*rooms.split(), "speed_accuracy", "stability", "study", "traffic", "world"):
+        for room in (*rooms.split(), "benchmark", "speed_accuracy", "stability", "study", "traffic", "world"):
             package = importlib.import_module("blender_lidar." + room)
             for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
                 missing = None
@@ -229,6 +229,9 @@ def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     needing = dict(line.split() for line in with_numpy_alone(body).splitlines())
     assert needing.pop("casting.bvh") == "bpy"
     assert needing.pop("casting.embree").startswith("embreex")
+    assert needing.pop("benchmark.rivals_blender") == "bpy"
+    assert needing.pop("benchmark.rivals_embree").startswith("embreex")
+    assert needing.pop("benchmark.rivals_open3d") == "open3d"
     compiled = {name for name, missing in needing.items() if missing == "numba"}
     assert compiled == {
         "casting.compiled_culling",

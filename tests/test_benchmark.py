@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import runpy
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,9 +15,13 @@ import pytest
 from blender_lidar.benchmark import growth
 from blender_lidar.benchmark.case import FrameCase
 from blender_lidar.benchmark.dense import RADIUS_M, dense_frame
+from blender_lidar.benchmark.document import document
+from blender_lidar.benchmark.machine import machine
 from blender_lidar.benchmark.memory import peak_mib, resident_mib
-from blender_lidar.benchmark.plan import METRIC, Options, carry_out
+from blender_lidar.benchmark.picture import draw
+from blender_lidar.benchmark.plan import METRIC, Found, Options, carry_out
 from blender_lidar.benchmark.power_law import power_law
+from blender_lidar.benchmark.report import report
 from blender_lidar.benchmark.rival import SPARSE
 from blender_lidar.benchmark.rivals import rivals_missing, rivals_of
 from blender_lidar.benchmark.stages import casting_of, stage_entries, whole_of
@@ -25,6 +30,7 @@ from blender_lidar.benchmark.timing import Entry, Timing, in_rounds, quartiles
 from blender_lidar.benchmark.whole import few_evaluations
 from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.errors import InputError
+from blender_lidar.plots.benchmark import Bar, Line, Panel, plot_benchmark
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -307,6 +313,54 @@ def test_growth_is_measured_in_processes_of_their_own_one_for_each_point():
     assert series.time_law is not None
     for peak, above in zip(series.peak_mib, series.above_mib, strict=True):
         assert (peak is None and above is None) or peak > above >= 0.0
+
+
+GROWN = growth.Series(
+    "frames",
+    "raster",
+    [1, 2, 4],
+    [quartiles(np.array([x, x, x])) for x in (0.1, 0.2, 0.4)],
+    [0.1, 0.2, 0.4],
+    [110.0, 120.0, 140.0],
+    [10.0, 20.0, 40.0],
+)
+
+
+def test_growth_is_told_by_its_exponents_in_text_and_json():
+    found = Found(growth=[GROWN])
+    (stored,) = json.loads(json.dumps(document(found, machine())))["growth"]
+    assert (stored["over"], stored["x"]) == ("frames", [1, 2, 4])
+    for law in ("time_law", "memory_law"):
+        assert stored[law]["exponent"] == pytest.approx(1.0)
+    assert "over frames, raster: time ^ 1.00 \N{PLUS-MINUS SIGN} 0.00, memory ^ 1.00" in report(found, machine())
+
+
+def test_where_memory_cannot_be_told_growth_is_that_of_time_alone():
+    unknown = replace(GROWN, peak_mib=[None] * 3, above_mib=[None] * 3)
+    assert unknown.memory_law is None
+    assert "memory ^ no exponent" in report(Found(growth=[unknown]), machine())
+
+
+def test_the_picture_of_growth_alone_and_of_times_alone_is_drawn(tmp_path):
+    pytest.importorskip("matplotlib")
+    times = {"ours": timing("ours", [[0.1], [0.2]])}
+    for name, found in (("growth", Found(growth=[GROWN])), ("times", Found(times=times))):
+        draw(tmp_path / f"{name}.png", found, machine())
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("bars", "panels", "said"),
+    [
+        ([], [], "at least one is needed"),
+        ([Bar("a", 0.0, 1.0, 2.0, True)], [], "times above 0"),
+        ([], [Panel("x", "y", [Line("a", [1.0], [1.0], "1")] * 5)], "more than 4 lines"),
+    ],
+)
+def test_a_picture_that_cannot_be_read_is_refused(tmp_path, bars, panels, said):
+    with pytest.raises(InputError, match=said):
+        plot_benchmark(tmp_path / "b.png", bars, panels)
+    assert not (tmp_path / "b.png").exists()
 
 
 def test_the_metric_alone_needs_no_scene(tmp_path):
