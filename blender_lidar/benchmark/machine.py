@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .growth import processors
 
-_LIBRARIES = ("numpy", "numba", "embreex", "bpy", "open3d")
+_LIBRARIES = ("numpy", "numba", "embreex", "bpy", "open3d", "open3d-cpu")
 
 
 def machine() -> dict[str, object]:

@@ -63,8 +63,9 @@ def _about(about) -> str:
         name: f"{middle:,} ({low:,} to {high:,})"
         for name, (low, middle, high) in ((name, about[name]) for name in _COUNTS)
     }
+    number = len(about["frames"])
     return (
-        f"{about['sensor']}, {about['beams']:,} beams, {len(about['frames'])} frames, detail {about['detail']}; "
+        f"{about['sensor']}, {about['beams']:,} beams, {number} frame{'s' * (number > 1)}, detail {about['detail']}; "
         f"median (and range) of a frame:\n{each['vehicles']} vehicles, {each['vehicles_counted']} within "
         f"{about['range_gate_m']:g} m, {each['triangles']} triangles, {each['survivors']} beams can reach one of these"
     )
