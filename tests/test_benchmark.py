@@ -296,6 +296,8 @@ def test_a_whole_benchmark_of_a_small_scene_says_and_stores_what_it_found(tmp_pa
     for row in found["times"] + found["optimisations"]:
         assert 0.0 < row["seconds"]["low"] <= row["seconds"]["median"] <= row["seconds"]["high"]
         assert row["name"] in out
+    beside = {row["name"] for row in found["times"] if "times_raw_embree" in row}
+    assert beside == ({name for name in names if "the metric" not in name} if is_available("embree") else set())
     for name in found["left_out"]:
         assert f"left out: {name}" in out
     assert picture.exists() == bool(importlib.util.find_spec("matplotlib"))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from .growth import Series
 from .plan import Found
 from .power_law import PowerLaw
-from .rival import RAW
-from .targets import Verdict
+from .targets import Verdict, beside_raw
 from .timing import Quartiles, Timing
 
 SCHEMA = 1
@@ -14,12 +13,11 @@ SCHEMA = 1
 
 def document(found: Found, machine: dict[str, object]) -> dict[str, object]:
     """The whole content; what was not asked for is an empty list."""
-    raw = found.times.get(RAW)
     return {
         "schema": SCHEMA,
         "machine": machine,
         "frame": found.about,
-        "times": [_timing(each, raw) for each in found.times.values()],
+        "times": [_timing(each, beside_raw(found.times, each)) for each in found.times.values()],
         "targets": [_verdict(each) for each in found.verdicts],
         "optimisations": [_timing(each, None) for each in found.wholes.values()],
         "growth": [_series(each) for each in found.growth],
@@ -27,7 +25,7 @@ def document(found: Found, machine: dict[str, object]) -> dict[str, object]:
     }
 
 
-def _timing(timing: Timing, raw: Timing | None) -> dict[str, object]:
+def _timing(timing: Timing, beside: Quartiles | None) -> dict[str, object]:
     row: dict[str, object] = {
         "name": timing.name,
         "group": timing.group,
@@ -35,8 +33,8 @@ def _timing(timing: Timing, raw: Timing | None) -> dict[str, object]:
         "seconds": _quartiles(timing.quartiles),
         "rounds": timing.seconds.tolist(),
     }
-    if raw is not None and raw.seconds.shape == timing.seconds.shape:
-        row["times_raw_embree"] = _quartiles(timing.ratio(raw))
+    if beside is not None:
+        row["times_raw_embree"] = _quartiles(beside)
     return row
 
 

@@ -9,6 +9,7 @@ from .plan import Found
 from .power_law import PowerLaw
 from .rival import RAW
 from .stages import SWARM
+from .targets import beside_raw
 from .timing import Quartiles, Timing
 
 _NAME = 52
@@ -47,11 +48,10 @@ def _machine(machine) -> str:
 def _times(found: Found) -> Iterator[str]:
     if found.about:
         yield _about(found.about)
-    raw = found.times.get(RAW)
-    beside = "" if raw is None else f"{'x raw Embree':>14}"
+    beside = f"{'x raw Embree':>14}" if RAW in found.times else ""
     yield _heading("milliseconds, median and quartiles over repeats") + beside
     for timing in found.times.values():
-        yield _line(timing, raw)
+        yield _line(timing, beside_raw(found.times, timing), bool(beside))
 
 
 def _heading(what: str) -> str:
@@ -74,12 +74,11 @@ def _about(about) -> str:
 _COUNTS = ("vehicles", "vehicles_counted", "triangles", "survivors")
 
 
-def _line(timing: Timing, raw: Timing | None) -> str:
+def _line(timing: Timing, ratio: Quartiles | None, in_column: bool) -> str:
     low, median, high = (1e3 * value for value in timing.quartiles)
     line = f"{timing.name:<{_NAME}} {median:10.2f} {low:10.2f} {high:10.2f}"
-    if raw is not None:
-        same = raw.seconds.shape == timing.seconds.shape
-        line += f"{timing.ratio(raw).median:14.2f}" if same else " " * 14
+    if in_column:
+        line += " " * 14 if ratio is None else f"{ratio.median:14.2f}"
     return f"{line}  {timing.note}".rstrip()
 
 

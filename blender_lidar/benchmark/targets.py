@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from .rival import NAIVE, RAW, RAW_SURVIVORS
-from .stages import casting_of, whole_of
+from .stages import METRIC_GROUP, casting_of, whole_of
 from .timing import Quartiles, Timing
 
 
@@ -45,3 +45,9 @@ def verdicts(times: Mapping[str, Timing]) -> list[Verdict]:
         for target in TARGETS
         if target.entry in times and target.rival in times
     ]
+
+
+def beside_raw(times: Mapping[str, Timing], timing: Timing) -> Quartiles | None:
+    """A frame's time over raw Embree's; None without that, and for the metric, which is timed in rounds of its own."""
+    raw = times.get(RAW)
+    return None if raw is None or timing.group == METRIC_GROUP else timing.ratio(raw)
