@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.metrics import view_grids
+from blender_lidar.metrics import cell_marks, view_grids
+from blender_lidar.metrics.cell_marks import CellMarks, fastest_marks
 from blender_lidar.metrics.vgop import occupancy, to_vehicle_frame
 from blender_lidar.metrics.view_grids import PlacedGrids, ViewGrids
 
@@ -29,7 +30,7 @@ def scene(rng, vehicles=9, points=6000):
 def test_returns_score_as_their_points_do_in_their_vehicles_frames(reading):
     rng = np.random.default_rng(1)
     size, centre, heading, vehicle, world = scene(rng)
-    origins, cloud = np.array([[0.0, 0.0, 4.1], [5.0, -1.0, 2.5]]), rng.integers(0, 2, len(vehicle))
+    origins, cloud = np.array([[0.0, 0.0, 4.1], [5.0, -1.0, 2.5]]), np.sort(rng.integers(0, 2, len(vehicle)))
     away = world - origins[cloud]
     distance = np.linalg.norm(away, axis=1)
     grids = PlacedGrids(centre, size, heading, 0.05, reading)
@@ -53,7 +54,8 @@ def test_noisy_returns_score_as_their_points_do_wherever_they_lie(clouds):
     rng = np.random.default_rng(5)
     size, centre, heading, vehicle, world = scene(rng)
     world += rng.normal(0.0, rng.choice([0.0, 0.02, 0.1, 1.0], (len(world), 1)), world.shape)
-    origins, cloud = np.array([[0.0, 0.0, 4.1], [5.0, -1.0, 2.5]])[:clouds], rng.integers(0, clouds, len(vehicle))
+    origins = np.array([[0.0, 0.0, 4.1], [5.0, -1.0, 2.5]])[:clouds]
+    cloud = np.sort(rng.integers(0, clouds, len(vehicle)))
     away = world - origins[cloud]
     distance = np.linalg.norm(away, axis=1)
     returns = (origins, cloud if clouds > 1 else None, (away / distance[:, None]).T, distance, vehicle)
@@ -110,14 +112,15 @@ def test_large_grids_are_not_kept_and_score_one_cloud_at_a_time(monkeypatch):
     rng = np.random.default_rng(3)
     size, _, _, vehicle, _ = scene(rng)
     local = rng.uniform(-0.5, 0.5, (len(vehicle), 3)) * size[vehicle]
+    monkeypatch.setattr(view_grids, "fastest_marks", lambda: CellMarks)
     kept = ViewGrids(size)
     expected = kept.occupancy(local, vehicle)
     assert kept.clouds_at_a_time > 10
-    monkeypatch.setattr(view_grids, "_KEPT_WORDS", 100)
+    monkeypatch.setattr(cell_marks, "KEPT_WORDS", 100)
     assert kept.clouds_at_a_time == 1
     for _ in range(2):
         np.testing.assert_array_equal(kept.occupancy(local, vehicle), expected)
-        assert kept._words.nbytes == 0
+        assert kept.marks._words.nbytes == 0
 
 
 def test_a_box_without_extent_and_an_unknown_reading_are_refused():
@@ -127,3 +130,29 @@ def test_a_box_without_extent_and_an_unknown_reading_are_refused():
         PlacedGrids(np.zeros((3, 3)), np.ones((2, 3)), np.zeros(2))
     with pytest.raises(InputError, match="corrected, paper"):
         PlacedGrids(np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1), 0.05, "literal")
+
+
+@pytest.mark.skipif(fastest_marks() is CellMarks, reason="Numba is not installed")
+@pytest.mark.parametrize("drops", [False, True])
+@pytest.mark.parametrize("clouds", [1, 3, 300])
+def test_compiled_marks_count_what_numpys_count(clouds, drops, monkeypatch):
+    """Many calls in a row: marks of one call must not be taken for those of the next."""
+    rng = np.random.default_rng(4)
+    n, k = 6, 400
+    size, heading = rng.uniform(0.4, 5.0, (n, 3)), rng.uniform(-4.0, 4.0, n)
+    centre, origins = rng.uniform(-9.0, 9.0, (n, 3)), rng.uniform(-1.0, 1.0, (clouds, 3))
+    fast = PlacedGrids(centre, size, heading)
+    monkeypatch.setattr(view_grids, "fastest_marks", lambda: CellMarks)
+    slow = PlacedGrids(centre, size, heading)
+    assert type(fast.marks) is not type(slow.marks)
+    for _ in range(4):
+        vehicle, cloud = rng.integers(0, n, k), np.sort(rng.integers(0, clouds, k))
+        away = centre[vehicle] + rng.uniform(-0.6, 0.6, (k, 3)) * size[vehicle] - origins[cloud]
+        distance = np.linalg.norm(away, axis=1)
+        found = [
+            grids.returns_occupancy(origins, cloud, away.T / distance, distance, vehicle, drops)
+            for grids in (fast, slow)
+        ]
+        np.testing.assert_array_equal(*found)
+        points = rng.uniform(-0.6, 0.6, (k, 3)) * size[vehicle]
+        np.testing.assert_array_equal(fast.occupancy(points, vehicle), slow.occupancy(points, vehicle))

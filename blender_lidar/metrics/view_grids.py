@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from ..errors import InputError
-from .cell_marks import VIEW_AXES, fastest_marks, whole_cells
+from .cell_marks import VIEW_AXES, fastest_marks, places_kept, places_of, whole_cells
 from .readings import check_reading
-
-_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 VIEWS = ("top", "side", "front")
 DEFAULT_CELL_M = 0.05
 
-_CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
 _WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
 
 
@@ -67,7 +62,6 @@ class ViewGrids:
         size = np.asarray(size, dtype=float)
         self._cell_m = cell_m
         self._half, self._cells = 0.5 * size.T, np.ascontiguousarray(cells.T)  # (3, n): one side after another
-        self._last = self._cells - 1.0
         sides = cells if reading == "corrected" else size / cell_m
         self._whole = np.stack([sides[:, row] * sides[:, column] for row, column in VIEW_AXES], axis=1)  # Eq. 8
         self.marks = fastest_marks()(self._cells)
@@ -92,9 +86,7 @@ class ViewGrids:
             The box that each point belongs to; in range, which is not checked here either.
         """
         self.marks.begin(1)
-        for start in range(0, len(points), _CHUNK_POINTS):
-            chunk = slice(start, start + _CHUNK_POINTS)
-            self.marks.mark(*self._places(points[chunk], vehicle[chunk]))
+        self.marks.mark_points(points, vehicle, self._half, self._cell_m)
         return self.shares(self.marks.counts())[0]
 
     def shares(self, counts: np.ndarray) -> np.ndarray:
@@ -103,27 +95,9 @@ class ViewGrids:
 
     def cells_of(self, points: np.ndarray, vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cell of each point along each axis, (3, j), and its vehicle, (j,), without the points that are dropped."""
-        place, vehicle = self._places(points, vehicle)
+        place = places_of(points, vehicle, self._half, self._cell_m)
+        place, vehicle, _ = places_kept(place, vehicle, self._cells)
         return whole_cells(place, vehicle, self._cells), vehicle
-
-    def _places(self, points, vehicle):
-        """Places (3, j), in cells from the box's rear right lower corner, and boxes (j,) of the points kept."""
-        place = np.empty((3, len(points)))
-        for axis, along in enumerate(place):
-            np.add(points[:, axis], _take(self._half[axis], vehicle), out=along)
-            along /= self._cell_m
-        kept = self._at_the_box(place, vehicle)
-        if not kept.all():
-            place, vehicle = place[:, kept], vehicle[kept]
-        return place, vehicle
-
-    def _at_the_box(self, place, vehicle):
-        """Which of the places (3, k), in cells, lie in their box or at most one cell beyond it."""
-        kept = np.ones(len(vehicle), dtype=bool)
-        for axis, along in enumerate(place):
-            kept &= along >= -1.0
-            kept &= along - _take(self._last[axis], vehicle) < 2.0
-        return kept
 
 
 class PlacedGrids(ViewGrids):
@@ -175,7 +149,7 @@ class PlacedGrids(ViewGrids):
         origins : ndarray, (s, 3)
             Optical centre of each cloud, in the frame of the boxes [m].
         cloud : ndarray of int64, (k,), or None
-            The cloud that each return belongs to; None where there is one.
+            The cloud that each return belongs to, rising; None where there is one.
         directions : ndarray, (3, k)
             Unit vectors in the frame of the boxes, coordinate by coordinate.
         distance : ndarray, (k,)
@@ -186,27 +160,8 @@ class PlacedGrids(ViewGrids):
             Whether returns may lie off that surface: those more than a cell beyond the box are then dropped. Otherwise
             that is not checked, and what lies beside the box falls into the rim's cell.
         """
-        start = self.starts(origins)
         self.marks.begin(len(origins))
-        for first in range(0, len(vehicle), _CHUNK_POINTS):
-            chunk = slice(first, first + _CHUNK_POINTS)
-            row, (x, y, z), cells_away = vehicle[chunk], directions[:, chunk], distance[chunk] / self._cell_m
-            cos, sin = _take(self._cos, row), _take(self._sin, row)
-            place = np.empty((3, len(row)))
-            np.multiply(cos, x, out=place[0])
-            np.multiply(cos, y, out=place[1])
-            place[0] += np.multiply(sin, y, out=cos)
-            place[1] -= np.multiply(sin, x, out=cos)
-            place[2] = z
-            number = None if cloud is None else cloud[chunk]
-            in_start = row if number is None else number * len(self) + row
-            for axis, along in enumerate(place):
-                along *= cells_away
-                along += _take(start[axis], in_start)
-            if noisy:
-                kept = self._at_the_box(place, row)
-                place, row, number = place[:, kept], row[kept], None if number is None else number[kept]
-            self.marks.mark(place, row, number)
+        self.marks.mark_returns(directions, distance, vehicle, cloud, self.starts(origins), self.turning, noisy)
         return self.shares(self.marks.counts())
 
     def starts(self, origins: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from ..casting.raster import RasterCaster
 from ..casting.sweep import draw, lacks, to_world
 from ..compiled import compiled
-from ..metrics.compiled_marks import mark_clouds
+from ..metrics.compiled_marks import mark_places
 from ..metrics.view_grids import PlacedGrids
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
@@ -91,7 +91,7 @@ def _see_turns(
 ):  # fmt: skip
     """Add up `points` and `hit`, mounting by mounting."""
     beams = len(paper.nearest)
-    place, vehicle, none = np.empty((3, beams)), np.empty(beams, dtype=np.int64), np.zeros(beams, dtype=np.int64)
+    place, vehicle = np.empty((3, beams)), np.empty(beams, dtype=np.int64)
     nearest, triangle, touched = paper.nearest, paper.triangle, paper.touched
     for s in range(len(origins)):
         origin, rotation, start = origins[s], rotations[s], starts[s]
@@ -114,7 +114,7 @@ def _see_turns(
             place[2, found] = z * away + start[2, row]
             vehicle[found] = row
             found += 1
-        mark_clouds(place, vehicle[:found], none, cells, first_cell, marks, first_mark + s, hit[s : s + 1])
+        mark_places(place, vehicle[:found], cells, first_cell, marks, first_mark + s, hit[s])
 
 
 @compiled
