@@ -70,7 +70,7 @@ class RasterCaster(Caster):
             return Turn(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), np.empty((3, 0)))
         mesh, planes, closed, table, paper, turn = self.drawing(lattice)
         origin, rotation, components = pose.position - self.origin, pose.rotation, lattice.components.reshape(3, -1)
-        touching = draw(mesh, planes, table, origin, rotation, max_range, closed, turn, paper)
+        touching = draw(mesh, planes, table, components, origin, rotation, max_range, closed, turn, paper)
         *found, undecided = take_returns(paper, planes, components, origin, rotation, max_range)
         found = Turn(*found)
         if touching:

@@ -11,7 +11,7 @@ import numpy as np
 from ..compiled import compiled, inlined
 from .exact import ExactSearch
 from .protocol import MISS, Returns
-from .sweep import EDGE, NEARER, ROUNDING, TIE, TOUCH, lacks, size_of, touches
+from .sweep import EDGE, NEARER, ROUNDING, TOUCH, lacks, measured, size_of, touches
 
 _LEAF = 4  # triangles
 _BITS = 10  # of the curve, along each axis
@@ -113,18 +113,16 @@ def _first_hits(origins, directions, reach, low, high, order, planes):
                 away, certain = _meeting(planes, t, origin, dx, dy, dz)
                 if away == np.inf:
                     continue
-                if not certain or abs(away - nearest) <= TIE * away:
+                if not certain:
                     doubted = min(doubted, away * (1.0 - NEARER))
-                if certain and away < nearest:
+                elif away < nearest or (away == nearest and t < first):
                     nearest, first = away, t
         if doubted <= min(nearest, reach):
             undecided[left] = ray
             left += 1
         elif nearest <= reach:
             triangle[ray] = first
-            distance[ray] = lacks(planes, first, 0, origin) / (
-                planes[first, 0] * dx + planes[first, 1] * dy + planes[first, 2] * dz
-            )
+            distance[ray] = measured(planes, first, origin, dx, dy, dz)
             if distance[ray] > reach:
                 triangle[ray] = MISS
     return triangle, distance, undecided[:left]

@@ -22,7 +22,7 @@ _LEAST_COSINE = 1e-3  # between two corners as seen from the sensor: triangles t
 ROUNDING = 128.0 * float(np.finfo(float).eps)
 EDGE = 1e-11  # barycentric: so near an edge rounding decides, or how a caster takes it
 NEARER = 1e-6  # relative: how much nearer than it seems a thing may be that rounding decides
-TIE = 1e-11  # relative: of what is so nearly as far away either may be the first
+TIE = 1e-11  # relative: what is so nearly as far away is measured again, as all casters measure
 TOUCH = 1e-12  # relative: what starts so near a plane may be on either side of it
 _BESIDE = 1e-3  # barycentric: of a triangle that is touched
 
@@ -102,7 +102,7 @@ def canvas(beams: int, vertices: int) -> Canvas:
 
 
 @compiled
-def draw(mesh, planes, table, origin, rotation, reach, closed, turn, paper):
+def draw(mesh, planes, table, components, origin, rotation, reach, closed, turn, paper):
     """Draw all triangles within reach as a sensor sees them.
 
     Parameters
@@ -111,6 +111,8 @@ def draw(mesh, planes, table, origin, rotation, reach, closed, turn, paper):
     planes : ndarray, (m, 13)
         Of each triangle, as `TrianglePlanes.as_rows` gives them.
     table : Table
+    components : ndarray, (3, b)
+        The lattice's beams.
     origin : ndarray, (3,)
         The sensor's place [m].
     rotation : ndarray, (3, 3)
@@ -168,17 +170,23 @@ def draw(mesh, planes, table, origin, rotation, reach, closed, turn, paper):
                     slot = slot + 1 if slot < columns - 1 else 0
                     if distance == np.inf:
                         continue
-                    before = nearest[beam]
-                    if uncertain or abs(distance - before) <= TIE * distance:
+                    if uncertain:
                         if doubted[beam] == np.inf:
                             doubtful[number[1]] = beam
                             number[1] += 1
                         doubted[beam] = min(doubted[beam], distance * (1.0 - NEARER))
-                    if distance < before and not uncertain:
-                        if before == np.inf:
-                            touched[number[0]] = beam
-                            number[0] += 1
-                        nearest[beam], triangle[beam] = distance, t
+                        continue
+                    before = nearest[beam]
+                    if before == np.inf:
+                        touched[number[0]] = beam
+                        number[0] += 1
+                    elif abs(distance - before) <= TIE * distance:
+                        x, y, z = to_world(components[0, beam], components[1, beam], components[2, beam], rotation)
+                        if _is_behind(planes, t, triangle[beam], origin, x, y, z):
+                            continue
+                    elif distance > before:
+                        continue
+                    nearest[beam], triangle[beam] = distance, t
     return touching
 
 
@@ -399,7 +407,7 @@ def take_returns(paper, planes, components, origin, rotation, reach):
             continue
         nearest[beam], t = np.inf, paper.triangle[beam]
         x, y, z = to_world(components[0, beam], components[1, beam], components[2, beam], rotation)
-        distance = lacks(planes, t, 0, origin) / (planes[t, 0] * x + planes[t, 1] * y + planes[t, 2] * z)
+        distance = measured(planes, t, origin, x, y, z)
         if distance <= reach:
             beams[found], triangles[found], distances[found] = beam, t, distance
             directions[0, found], directions[1, found], directions[2, found] = x, y, z
@@ -415,3 +423,16 @@ def to_world(x, y, z, rotation):
         rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
         rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
     )
+
+
+@inlined
+def _is_behind(planes, t, other, origin, x, y, z):
+    """Whether a triangle is met after another, or with it and has the higher row."""
+    distance, its = measured(planes, t, origin, x, y, z), measured(planes, other, origin, x, y, z)
+    return distance > its or (distance == its and t > other)
+
+
+@inlined
+def measured(planes, t, origin, x, y, z):
+    """Distance along a ray to a triangle's plane, as `TrianglePlanes.meet` has it."""
+    return lacks(planes, t, 0, origin) / (planes[t, 0] * x + planes[t, 1] * y + planes[t, 2] * z)

@@ -40,5 +40,5 @@ class Effort:
     quick: bool
 
 
-FULL = Effort(None, 128, 8, 64, phases=4, rounds=7, hit_frames=3, hit_mountings=3, quick=False)
+FULL = Effort(None, 128, 8, 64, phases=2, rounds=5, hit_frames=3, hit_mountings=3, quick=False)
 QUICK = Effort(10, 64, 4, 64, phases=2, rounds=5, hit_frames=1, hit_mountings=2, quick=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from ..casting import CASTERS, is_available
+from ..casting import CASTERS, RASTER, is_available
 from ..study.fidelity import Fidelity
 from ..study.site import Site
 from ..study.site_fidelity import site_at
@@ -17,7 +17,6 @@ BEST_DETAIL = DETAILS[-1]
 STRIDES = (1, 2, 4, 8)
 FRAME_SHARES = (1, 2, 4, 8)  # one of so many frames is looked at
 ORACLE = "exact"
-_OTHER_CASTERS_STRIDES = (STRIDES[0], STRIDES[-1])
 LADDER = "ladder"
 
 
@@ -47,13 +46,15 @@ def ladder(site: Site) -> list[Rung]:
         for frames in counts
     ]
     for caster in other_casters(site):
-        for detail in reversed(DETAILS):
-            for stride in strides(site):
-                if stride in _OTHER_CASTERS_STRIDES:
-                    twin = Fidelity(detail, stride)
-                    rungs.append(Rung(replace(twin, caster=caster), twin))
+        rungs += [Rung(Fidelity(detail, caster=caster), Fidelity(detail)) for detail in reversed(DETAILS)]
     own = Fidelity(site.scenario.model.detail)
-    return [*rungs, Rung(replace(own, culled=False), own), Rung(replace(own, ground=True), own)]
+    rungs.append(Rung(replace(own, ground=True), own))
+    return [*rungs, *(Rung(replace(own, caster=caster, culled=False), own) for caster in casters_that_cull(site))]
+
+
+def casters_that_cull(site: Site) -> list[str | None]:
+    """The scene's own, by None, or where it draws whole turns the first other one."""
+    return [None] if site.observation.caster != RASTER else other_casters(site)[:1]
 
 
 def other_casters(site: Site) -> list[str]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..casting import caster_class
+from ..casting import CASTERS, RASTER, caster_class, is_available
 from ..casting.protocol import Caster, origins_of
 from ..errors import InputError
 from ..metrics.vgop import occupancy, to_vehicle_frame
@@ -83,7 +83,7 @@ class PlainScorer:
         return Seen(np.array(points).reshape(-1, len(self)), np.array(shares).reshape(-1, len(self), 3), returns)
 
     def _against(self, triangles: Triangles) -> tuple[Caster, np.ndarray]:
-        tree = caster_class(self._observation.caster)(triangles.corners, closed=True)
+        tree = caster_class(_caster_of_rays(self._observation.caster))(triangles.corners, closed=True)
         return tree, self._counted_row[triangles.owner]
 
     def _shots(self, pose: Pose) -> Shots:
@@ -128,3 +128,9 @@ class SinglePrecisionScorer(PlainScorer):
         cos, sin = np.cos(heading), np.sin(heading)
         ahead, left = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
         return np.stack([ahead, left, away[:, 2]], axis=1).astype(float)
+
+
+def _caster_of_rays(caster: str) -> str:
+    """The scene's caster; for the one that is best at whole turns another that is fast, where one is installed."""
+    others = [name for name in CASTERS[:-1] if name != RASTER and is_available(name)]
+    return others[0] if caster == RASTER and others else caster

@@ -27,7 +27,7 @@ from .noise import Noise, noise_ceiling
 from .recommendation import sentence
 from .rungs import mark_within, recommended, rung_rows
 from .scored import Scored, block_of, judging_split, score_all
-from .timing import Timed, time_fidelities
+from .timing import TOGETHER, Timed, time_fidelities
 from .validation import on_other_blocks, on_other_sensor
 
 SCHEMA = 1  # of the stages and of the result
@@ -139,7 +139,7 @@ def _timed(
     whole = list(dict.fromkeys(replace(rung.fidelity, frames=None) for rung in rungs))
 
     def measure() -> list:
-        poses = every.poses[FIRST : FIRST + effort.rounds]
+        poses = every.poses[FIRST : FIRST + effort.rounds + TOGETHER]
         with stages.counting(len(site.search), "frames timed") as advance:
             timed = time_fidelities(site, whole, poses, effort.rounds, advance)
         return [[one.evaluation_s.tolist(), one.build_s.tolist()] for one in timed]

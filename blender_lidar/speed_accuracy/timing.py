@@ -1,4 +1,4 @@
-"""What one evaluation costs: one mounting on every frame of a fidelity, in one process, warm, all in turn."""
+"""What an evaluation costs: one of a few mountings scored together, on every frame; in one process, warm, in turn."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from ..study.site import Site
 from ..study.site_fidelity import site_at
 from ..study.variation import frame_scorer
 
+TOGETHER = 4  # mountings; a search asks for a swarm of them
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Timed:
@@ -23,7 +25,7 @@ class Timed:
     Attributes
     ----------
     evaluation_s : ndarray, (rounds, f)
-        Of one mounting [s].
+        Of one mounting of those scored together [s].
     build_s : ndarray, (f,)
         To make triangles and tree [s].
     """
@@ -41,7 +43,7 @@ def time_fidelities(
 ) -> list[Timed]:
     """Time fidelities frame by frame; all of them have every frame.
 
-    On each frame they take turns, each round with another mounting, so that a moment in which the machine is busy with
+    On each frame they take turns, each round with other mountings, so that a moment in which the machine is busy with
     something else falls on all. The first round, in which caches fill, is not counted.
 
     Parameters
@@ -63,11 +65,11 @@ def time_fidelities(
             scorers.append(frame_scorer(one, frame))
             build[row, column] = time.perf_counter() - start
         for turn in range(-1, rounds):
-            pose = poses[turn % len(poses)]
+            some = [poses[(turn + number) % len(poses)] for number in range(TOGETHER)]
             for row in np.roll(np.arange(len(sites)), turn).tolist():
                 start = time.perf_counter()
-                scores[row].of(frame, scorers[row], [pose], mountings_of([pose])).objective.sum(axis=1)
+                scores[row].of(frame, scorers[row], some, mountings_of(some)).objective.sum(axis=1)
                 if turn >= 0:
-                    evaluation[row, turn, column] = time.perf_counter() - start
+                    evaluation[row, turn, column] = (time.perf_counter() - start) / TOGETHER
         progress(1)
     return [Timed(*both) for both in zip(evaluation, build, strict=True)]

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..casting.raster import RasterCaster
-from ..casting.sweep import draw, lacks, to_world
+from ..casting.sweep import draw, measured, to_world
 from ..compiled import compiled
 from ..metrics.compiled_marks import mark_places
 from ..metrics.view_grids import PlacedGrids
@@ -95,7 +95,7 @@ def _see_turns(
     nearest, triangle, touched = paper.nearest, paper.triangle, paper.touched
     for s in range(len(origins)):
         origin, rotation, start = origins[s], rotations[s], starts[s]
-        touching = draw(mesh, planes, table, origin, rotation, far, closed, first_turn + s, paper)
+        touching = draw(mesh, planes, table, components, origin, rotation, far, closed, first_turn + s, paper)
         undecided[s], found = _rounding_decides(paper, far) or touching, 0
         for k in range(paper.number[0]):
             beam = touched[k]
@@ -104,7 +104,7 @@ def _see_turns(
             if row < 0 or undecided[s]:
                 continue
             x, y, z = to_world(components[0, beam], components[1, beam], components[2, beam], rotation)
-            distance = lacks(planes, t, 0, origin) / (planes[t, 0] * x + planes[t, 1] * y + planes[t, 2] * z)
+            distance = measured(planes, t, origin, x, y, z)
             if not near <= distance <= far:
                 continue
             points[s, row] += 1

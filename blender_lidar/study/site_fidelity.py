@@ -9,18 +9,19 @@ from ..world.ground import ground_plane
 from ..world.scenery import Scenery, join
 from .fewer_frames import with_fewer_frames
 from .fidelity import Fidelity
+from .rungs import coarse_observation
 from .site import Site
 
 
 def site_at(site: Site, fidelity: Fidelity) -> Site:
-    """The site at a fidelity, from one whose observation has every beam.
+    """The site at a fidelity, from one whose observation has every beam; fewer beams are scored on larger cells.
 
     Raises
     ------
     InputError
         For a stride beyond the columns of a turn.
     """
-    seen = replace(site, observation=fidelity.observed(site.observation))
+    seen = replace(site, observation=coarse_observation(site.observation, fidelity))
     if fidelity.ground:
         reach = site.reach_m + site.scenario.sensor.imperfections.most_noise_m
         seen = with_scenery(seen, ground_plane(site.region.centre_xy, reach))
