@@ -491,3 +491,20 @@ def test_a_turn_drawn_from_a_surface_on_a_mesh_line_or_far_from_the_origin_is_th
             turn, found = raster.turn(lattice, pose, 40.0), oracle.meet(pose.position, rays, 40.0)
             np.testing.assert_array_equal(turn.beam, found.ray)
             np.testing.assert_allclose(turn.distance, found.distance, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("detail", ["box", "detailed"])
+def test_of_faces_that_coincide_the_same_one_is_met_whatever_casts(name, detail):
+    """Two vehicles of one height that overlap have roofs in one plane: each beam there once went the slow way."""
+    one, other = one_vehicle("van", centre=(0.0, 6.0)), one_vehicle("van", centre=(1.5, 6.4))
+    corners = np.concatenate([vehicle_triangles(each, detail).corners for each in (one, other)])
+    lattice, pose = beam_lattice(load_model("RS-16"), stride=10), Pose(height_m=4.5, tilt_x=0.4)
+    rays = pose.to_world(lattice.components.reshape(3, -1).T)
+    tree, oracle = caster_class(name)(corners, closed=True), caster_class("exact")(corners)
+    found, true = tree.cast(pose.position, rays, 40.0), oracle.cast(pose.position, rays, 40.0)
+    assert np.isfinite(true.distance).sum() > 40
+    np.testing.assert_allclose(found.distance, true.distance, rtol=1e-12)
+    if name == "raster":
+        turn = tree.turn(lattice, pose, 40.0)
+        np.testing.assert_array_equal(turn.triangle, true.triangle[true.triangle >= 0])
