@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 
 from numba import njit
 
@@ -12,9 +15,11 @@ _SETTINGS = {"nogil": True, "error_model": "numpy"}  # a division by zero gives 
 def compiled(function: Callable, **settings: bool) -> Callable:
     """The function, compiled when it is first called."""
     try:
-        return njit(cache=True, **_SETTINGS, **settings)(function)
-    except RuntimeError:  # neither the package's folder nor the user's can be written
+        made = njit(cache=True, **_SETTINGS, **settings)(function)
+        made._cache._cache_file._source_stamp = _stamp()
+    except (AttributeError, OSError, RuntimeError):  # nowhere to keep it, or Numba keeps it in another way
         return njit(**_SETTINGS, **settings)(function)
+    return made
 
 
 def inlined(function: Callable) -> Callable:
@@ -23,3 +28,14 @@ def inlined(function: Callable) -> Callable:
     Of numbers alone wherever calls are many: each array that is handed on has its references counted.
     """
     return compiled(function, forceinline=True)
+
+
+@cache
+def _stamp() -> str:
+    """Tells whether compiled code of any module has changed: Numba itself looks at a function's own file alone."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        content = path.read_bytes()
+        if b"compiled import" in content or path == Path(__file__):
+            digest.update(content)
+    return digest.hexdigest()

@@ -26,7 +26,7 @@ LIBRARIES = {
     "mathutils": ("casting/bvh.py", "benchmark/rivals_blender.py", "world/blender/", "addon/"),
     "embreex": ("casting/embree.py", "benchmark/rivals_embree.py"),
     "open3d": ("benchmark/rivals_open3d.py",),
-    "numba": ("compiled.py",),
+    "numba": ("compiled.py", "numba_here.py"),
     "laspy": ("formats/las.py",),
     "zstandard": ("world/blender/versions.py",),
     "pyarrow": ("traffic/sumo_parquet.py",),
@@ -45,13 +45,14 @@ ROOMS = {
     "stop_signals": set(),
     "toml_table": {"input_file"},
     "compiled": set(),
-    "metrics": {"compiled"},
+    "numba_here": set(),
+    "metrics": {"compiled", "numba_here"},
     "optimise": {"metrics"},
     "sensors": {"input_file", "toml_table"},
     "traffic": {"input_file"},
     "world": {"stop_signals", "traffic"},
     "world/blender": {"formats", "scan", "sensors", "stop_signals", "traffic", "world"},
-    "casting": {"compiled", "sensors", "stop_signals", "traffic", "world"},
+    "casting": {"compiled", "numba_here", "sensors", "stop_signals", "traffic", "world"},
     "scan": {"casting", "sensors", "traffic", "world"},
     "formats": {"input_file", "scan", "traffic"},
     "plots": {"metrics", "sensors"},
@@ -204,7 +205,7 @@ def test_the_metric_and_the_search_need_numpy_alone():
         import_all("blender_lidar.metrics")
         import_all("blender_lidar.optimise")
         rooms = {name.split(".")[1] for name in sys.modules if name.startswith("blender_lidar.")}
-        assert rooms == {"metrics", "optimise", "errors"}, rooms
+        assert rooms == {"metrics", "optimise", "errors", "numba_here"}, rooms
         from blender_lidar.optimise import maximise
         print(maximise(lambda x: -(x ** 2).sum(axis=1), [-1.0], [1.0], seed=1, evaluations=50).value > -0.01)
         """

@@ -20,12 +20,12 @@ import pytest
 
 from blender_lidar.errors import InputError, WorkerError
 from blender_lidar.scenario import load_scenario
-from blender_lidar.stability.landscapes import HELD_OUT, Job, landscapes
 from blender_lidar.stability.metric_variations import metric_variations
 from blender_lidar.study import cluster as cluster_module
 from blender_lidar.study.cluster import ClusterExecutor
 from blender_lidar.study.cluster_workers import ClusterWorkers, _held
 from blender_lidar.study.evaluation import Evaluator
+from blender_lidar.study.landscapes import HELD_OUT, Job, landscapes
 from blender_lidar.study.site import prepare
 from tests.local_cluster import ROOT, LocalCluster, wait_for
 from tests.small_scene import CASTER, MAPPED, cli, without_charts, without_times, write_scene

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from functools import cache
 
 from ..errors import MissingExtraError, unknown_name
+from ..numba_here import numba_works
 from ..stop_signals import stops_deferred
 from .protocol import Caster, Hits
 
@@ -28,17 +28,7 @@ def is_available(name: str) -> bool:
     library, _ = _MODULES[name]
     if library is None or importlib.util.find_spec(library) is None:
         return library is None
-    return library != "numba" or _imports(library)
-
-
-@cache
-def _imports(library: str) -> bool:
-    """Numba refuses to be imported where NumPy is newer than it knows."""
-    try:
-        importlib.import_module(library)
-    except ImportError:
-        return False
-    return True
+    return library != "numba" or numba_works()
 
 
 def resolve(name: str, where: str = "") -> str:

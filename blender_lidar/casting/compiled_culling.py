@@ -55,7 +55,7 @@ def _bounds(corners, piece, origin, rotation, least_cosine):
     for k in range(8):
         x, y, z = place[k, 0], place[k, 1], place[k, 2]
         distance = math.sqrt(x * x + y * y + z * z)
-        if distance == 0.0:
+        if distance == 0.0 or length == 0.0:  # at a corner, or in the very middle
             return -1.0, 1.0, 0.0, _TURN
         low, high = min(low, z / distance), max(high, z / distance)
         cosine = min(cosine, (x * across + y * ahead + z * above) / distance / length)

@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..numba_here import numba_works
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
@@ -131,10 +132,10 @@ def ray_directions(lattice: BeamLattice, beams: np.ndarray, pose: Pose) -> np.nd
 @cache
 def _compiled():
     """The compiled twin of this module, or None where Numba is not installed."""
-    try:
-        from . import compiled_culling
-    except ImportError:
+    if not numba_works():
         return None
+    from . import compiled_culling
+
     return compiled_culling
 
 

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..numba_here import numba_works
+
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 _ROUNDING = 16.0 * float(np.finfo(float).eps)
@@ -104,10 +106,10 @@ class TrianglePlanes:
 @cache
 def fastest_planes() -> type[TrianglePlanes]:
     """The compiled twin where Numba is installed."""
-    try:
-        from .compiled_planes import CompiledPlanes
-    except ImportError:
+    if not numba_works():
         return TrianglePlanes
+    from .compiled_planes import CompiledPlanes
+
     return CompiledPlanes
 
 

@@ -13,7 +13,7 @@ from ..world.triangles import MOST_M
 MISS = -1
 _UNIT_TOLERANCE = 1e-6
 _LEAST_HEIGHT = 1e-12  # of a triangle, relative to its size and coordinates: what is flatter is rounding, not area
-_FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit whatever the range
+FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit whatever the range
 
 
 class Hits(NamedTuple):
@@ -132,7 +132,7 @@ class Caster(ABC):
         """
         if len(self._solid) == 0 or len(directions) == 0:
             return Returns(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))
-        max_range = min(max_range, _FARTHEST)
+        max_range = min(max_range, FARTHEST)
         found = self._meet(origins - self._origin, directions, max_range)
         if len(self._solid) == self._given:
             return found

@@ -6,6 +6,8 @@ so they find the same hits and ranges as the other casters do.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,10 +17,12 @@ from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from .exact import ExactSearch
 from .planes import fastest_planes
-from .protocol import Caster
+from .protocol import FARTHEST, Caster
 from .ray_tree import RayTree
 from .shared_vertices import Mesh, mesh_of
 from .sweep import Canvas, Table, canvas, draw, table_of, take_returns
+
+_spare: dict[int, Canvas] = {}  # by number of beams
 
 
 class Turn(NamedTuple):
@@ -50,8 +54,6 @@ class RasterCaster(Caster):
     def _prepare(self):
         planes = fastest_planes()(self._corners, self._normal)
         self._measured, self._planes, self._mesh = planes, planes.as_rows(), mesh_of(self._corners)
-        self._drawn: BeamLattice | None = None  # the lattice that the canvas is made for
-        self._turns = 0
 
     @cached_property
     def _exact(self) -> ExactSearch:
@@ -68,10 +70,11 @@ class RasterCaster(Caster):
         """What the beams of one turn meet first, no farther than `max_range` [m]."""
         if len(self._solid) == 0:
             return Turn(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), np.empty((3, 0)))
-        mesh, planes, closed, table, paper, turn = self.drawing(lattice)
+        max_range = min(max_range, FARTHEST)
         origin, rotation, components = pose.position - self.origin, pose.rotation, lattice.components.reshape(3, -1)
-        touching = draw(mesh, planes, table, components, origin, rotation, max_range, closed, turn, paper)
-        *found, undecided = take_returns(paper, planes, components, origin, rotation, max_range)
+        with self.drawing(lattice) as (mesh, planes, closed, table, paper, turn):
+            touching = draw(mesh, planes, table, components, origin, rotation, max_range, closed, turn, paper)
+            *found, undecided = take_returns(paper, planes, components, origin, rotation, max_range)
         found = Turn(*found)
         if touching:
             everything = pose.to_world(components.T)
@@ -101,13 +104,21 @@ class RasterCaster(Caster):
         """Row, among the triangles that were given, of each that compiled code knows, (m,)."""
         return self._solid
 
-    def drawing(self, lattice: BeamLattice, turns: int = 1) -> tuple[Mesh, np.ndarray, bool, Table, Canvas, int]:
-        """What compiled code needs to draw so many turns of a lattice; the room for the last lattice is kept.
+    @contextmanager
+    def drawing(
+        self, lattice: BeamLattice, turns: int = 1
+    ) -> Iterator[tuple[Mesh, np.ndarray, bool, Table, Canvas, int]]:
+        """What compiled code needs to draw so many turns of a lattice.
 
-        Mesh, planes, whether they are closed, lattice, canvas, and the number of the first of these turns.
+        Mesh, planes, whether backs may be passed over, lattice, canvas, and the number of the first of these turns. The
+        canvas is one for all casters; whoever draws has it alone, and who is interrupted leaves it behind.
         """
-        if lattice is not self._drawn:
-            self._drawn, self._table = lattice, table_of(lattice)
-            self._paper = canvas(lattice.rings * lattice.columns, len(self._mesh.vertices))
-        first, self._turns = self._turns, self._turns + turns
-        return self._mesh, self._planes, self._closed, self._table, self._paper, first
+        beams, vertices = lattice.rings * lattice.columns, len(self._mesh.vertices)
+        paper = _spare.pop(beams, None)
+        if paper is None or len(paper.made) < vertices:
+            paper = canvas(beams, vertices)
+        first = int(paper.number[2])
+        paper.number[2] += turns
+        whole = len(self._solid) == self._given  # else solids may lack a side
+        yield self._mesh, self._planes, self._closed and whole, table_of(lattice), paper, first
+        _spare[beams] = paper

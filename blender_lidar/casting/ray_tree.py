@@ -136,6 +136,8 @@ def _reciprocal(number):
 @inlined
 def _entry(low, high, x, y, z, per_x, per_y, per_z):
     """Where a ray enters a box, inf where it misses it."""
+    if low[0] > high[0]:  # an empty one
+        return np.inf
     a, b = (low[0] - x) * per_x, (high[0] - x) * per_x
     c, d = (low[1] - y) * per_y, (high[1] - y) * per_y
     e, f = (low[2] - z) * per_z, (high[2] - z) * per_z

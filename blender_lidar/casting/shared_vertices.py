@@ -9,7 +9,9 @@ import numpy as np
 from ..compiled import compiled
 
 RUN = 16  # triangles: neighbours in the list tend to be neighbours in space
-_MIXERS = tuple(map(np.uint64, (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)))  # odd, else arbitrary
+_MIXERS = tuple(  # odd, else arbitrary
+    map(np.uint64, (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93))
+)
 _ROUNDING = 1e-12  # relative: what rounding may take off a radius
 
 
@@ -62,12 +64,9 @@ def _same_places(bits, size):
     row, first, found = np.empty(len(bits), dtype=np.int32), np.empty(len(bits), dtype=np.int32), 0
     for i in range(len(bits)):
         x, y, z = bits[i, 0], bits[i, 1], bits[i, 2]
-        mixed = (
-            (x * np.uint64(0x9E3779B97F4A7C15))
-            ^ (y * np.uint64(0xC2B2AE3D27D4EB4F))
-            ^ (z * np.uint64(0x165667B19E3779F9))
-        )
-        slot = np.int64((mixed ^ (mixed >> np.uint64(29))) & np.uint64(size - 1))
+        mixed = (x * _MIXERS[0]) ^ (y * _MIXERS[1]) ^ (z * _MIXERS[2])
+        mixed = (mixed ^ (mixed >> np.uint64(32))) * _MIXERS[3]  # round numbers have few bits, all of them high ones
+        slot = np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(size - 1))
         while True:
             there = table[slot]
             if there < 0:

@@ -8,6 +8,7 @@ decide is left open: those beams are named, for a slower caster.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ _LEAST_COSINE = 1e-3  # between two corners as seen from the sensor: triangles t
 ROUNDING = 128.0 * float(np.finfo(float).eps)
 EDGE = 1e-11  # barycentric: so near an edge rounding decides, or how a caster takes it
 NEARER = 1e-6  # relative: how much nearer than it seems a thing may be that rounding decides
-TIE = 1e-11  # relative: what is so nearly as far away is measured again, as all casters measure
+TIE = 1e-6  # relative, far above rounding: what is so nearly as far away is measured again, as all casters measure
 TOUCH = 1e-12  # relative: what starts so near a plane may be on either side of it
 _BESIDE = 1e-3  # barycentric: of a triangle that is touched
 
@@ -53,8 +54,8 @@ class Canvas(NamedTuple):
         The least distance of what a beam may or may not meet [m].
     touched, doubtful : ndarray of int32, (b,)
         Beams that met something, and beams of which rounding decides, in the order in which that was found.
-    number : ndarray of int64, (2,)
-        How many these are.
+    number : ndarray of int64, (3,)
+        How many these are, and how many turns have been drawn.
     seen : ndarray, (v, 6)
         Of each vertex in this turn: x, y and z in the sensor frame [m], azimuth [rad], sine of the elevation and one
         over the distance.
@@ -72,6 +73,7 @@ class Canvas(NamedTuple):
     made: np.ndarray
 
 
+@lru_cache(maxsize=8)
 def table_of(lattice: BeamLattice) -> Table:
     """What `draw` needs of a lattice."""
     azimuth0, slots = np.ascontiguousarray(lattice.slot_azimuth0_rad), lattice.step_rad * np.arange(lattice.columns)
@@ -95,7 +97,7 @@ def canvas(beams: int, vertices: int) -> Canvas:
         np.full(beams, np.inf),
         np.zeros(beams, dtype=np.int32),
         np.zeros(beams, dtype=np.int32),
-        np.zeros(2, dtype=np.int64),
+        np.zeros(3, dtype=np.int64),
         np.empty((vertices, 6)),
         np.full(vertices, -1, dtype=np.int64),
     )
@@ -334,9 +336,7 @@ def _span(first, last, step, columns):
     """First slot between two azimuths from slot 0 on, and how many there are."""
     slot = math.ceil(first / step)
     tests = min(math.floor(last / step) - slot + 1, columns)
-    if slot < 0:
-        return slot + columns, tests
-    return slot - columns if slot >= columns else slot, tests
+    return slot % columns, tests
 
 
 @inlined
@@ -356,7 +356,7 @@ def _meeting(in_ring, sine, cosine, doubt, edge, away):
     a, b, c = in_ring
     a, b, c = a[0] * sine + a[1] * cosine + a[2], b[0] * sine + b[1] * cosine + b[2], c[0] * sine + c[1] * cosine + c[2]
     facing = a + b + c
-    doubt += edge * facing
+    doubt += edge * max(facing, 0.0)
     if (a < -doubt) | (b < -doubt) | (c < -doubt):
         return np.inf, False
     if (a < doubt) | (b < doubt) | (c < doubt):
@@ -402,8 +402,8 @@ def take_returns(paper, planes, components, origin, rotation, reach):
             left += 1
             nearest[beam] = np.inf
         doubted[beam] = np.inf
-    for beam in range(len(nearest)):
-        if nearest[beam] == np.inf:
+    for beam in np.sort(paper.touched[:most]):
+        if nearest[beam] == np.inf:  # undecided
             continue
         nearest[beam], t = np.inf, paper.triangle[beam]
         x, y, z = to_world(components[0, beam], components[1, beam], components[2, beam], rotation)

@@ -10,6 +10,8 @@ from functools import cache, partial
 
 import numpy as np
 
+from ..numba_here import numba_works
+
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
@@ -185,8 +187,8 @@ def whole_cells(place: np.ndarray, vehicle: np.ndarray, cells: np.ndarray) -> np
 @cache
 def fastest_marks() -> type[CellMarks]:
     """The compiled twin where Numba is installed."""
-    try:
-        from .compiled_marks import CompiledMarks
-    except ImportError:
+    if not numba_works():
         return CellMarks
+    from .compiled_marks import CompiledMarks
+
     return CompiledMarks

@@ -48,9 +48,13 @@ class CompiledMarks(CellMarks):
         _mark_returns(directions, distance, vehicle, cloud, start, *turning, drops, *where)
 
     def counts(self) -> np.ndarray:
+        self.release()
+        return self._hit
+
+    def release(self) -> None:
+        """Give back the memory of cells that are too many to be kept."""
         if self.words > KEPT_WORDS:
             self._marks = self._marks[:0].copy()
-        return self._hit
 
 
 @compiled

@@ -78,7 +78,7 @@ class Pose:
 
     def to_world(self, directions: np.ndarray) -> np.ndarray:
         """Directions (n, 3) from the sensor frame into the road frame; in memory coordinate after coordinate."""
-        x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+        x, y, z = directions.T
         # Added up in this order everywhere, so that all casters get the same rays; `@` may do it otherwise.
         return np.stack([turned[0] * x + turned[1] * y + turned[2] * z for turned in self.rotation.T]).T
 

@@ -66,22 +66,24 @@ class CompiledTurns:
     def _see(self, poses, points, cells, undecided):
         """Add what some mountings see to their rows."""
         grids, origins = self._grids, np.array([pose.position for pose in poses])
-        _see_turns(
-            *self._caster.drawing(self._lattice, len(poses)),
-            origins - self._caster.origin,
-            np.array([pose.rotation for pose in poses]),
-            self._components,
-            self._row,
-            *self._gate,
-            np.ascontiguousarray(grids.starts(origins).reshape(3, len(poses), -1).transpose(1, 0, 2)),
-            *grids.turning,
-            grids.marks.cells,
-            grids.marks.start,
-            *grids.marks.take_marks(len(poses)),
-            points,
-            cells,
-            undecided,
-        )
+        with self._caster.drawing(self._lattice, len(poses)) as drawing:
+            _see_turns(
+                *drawing,
+                origins - self._caster.origin,
+                np.array([pose.rotation for pose in poses]),
+                self._components,
+                self._row,
+                *self._gate,
+                np.ascontiguousarray(grids.starts(origins).reshape(3, len(poses), -1).transpose(1, 0, 2)),
+                *grids.turning,
+                grids.marks.cells,
+                grids.marks.start,
+                *grids.marks.take_marks(len(poses)),
+                points,
+                cells,
+                undecided,
+            )
+        grids.marks.release()
 
 
 @compiled

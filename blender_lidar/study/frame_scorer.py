@@ -163,7 +163,9 @@ class FrameScorer:
     def _compiled_turns(self):
         """What does the same in one go where all returns count as they are; None where something is lost or hidden."""
         seen = self._observation
-        if self._draws is not None or self._reflectivity is not None or seen.scenery is not None or not len(self):
+        if self._draws is not None or self._reflectivity is not None or seen.scenery is not None:
+            return None
+        if not len(self) or not len(self._tree.rows):  # nothing counts, or nothing has area
             return None
         from .compiled_turns import CompiledTurns
 
