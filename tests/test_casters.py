@@ -537,7 +537,7 @@ def test_walls_in_one_plane_seen_grazing_are_told_apart_as_the_oracle_does(aside
     turn = caster_class("raster")(corners).turn(lattice, pose, 200.0)
     rays = pose.to_world(lattice.components.reshape(3, -1).T)
     found = caster_class("exact")(corners).meet(pose.position, rays, 200.0)
-    assert len(found.ray) >= 10
+    assert len(found.ray) >= 6
     np.testing.assert_array_equal(turn.beam, found.ray)
     np.testing.assert_array_equal(turn.triangle, found.triangle)
 
