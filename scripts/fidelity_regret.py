@@ -31,7 +31,7 @@ from blender_lidar.study.auto_scores import asked_objective
 from blender_lidar.study.score_map import FINE_POINTS
 from blender_lidar.study.site import prepare
 from blender_lidar.study.stages import StudyFolder
-from blender_lidar.study.statistics import block_sums, ratio_interval_90, student_t_95
+from blender_lidar.study.statistics import block_sums, linear_interval_90, student_t_95
 
 AUTO, GRID, BEST = "auto", "grid", "best known"
 TABLE = "fidelity_regret.txt"
@@ -245,8 +245,9 @@ def _regret(rows, vehicles, seeds, against, rival, *, resampled):
 
 def _interval(lost, gain, vehicles):
     """Upper 95 % bound of what is lost as a share of the gain, over blocks of time: None for too few of them."""
-    interval = ratio_interval_90(lost, vehicles, seed=1)
-    return None if interval is None else interval[1] * vehicles.sum() / gain.sum()
+    share = float(lost.sum() / gain.sum())
+    interval = linear_interval_90(share, ((lost - share * gain) / gain.sum())[vehicles > 0])
+    return None if interval is None else interval[1]
 
 
 if __name__ == "__main__":

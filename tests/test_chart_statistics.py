@@ -227,6 +227,8 @@ def row(name: str, median: float, interval, error: float) -> dict:
     return {
         "name": name,
         "text": name,
+        "culled": True,
+        "ground": name == "quick by chance",
         "milliseconds": {"median": median},
         "speedup": 80.0 / median,
         "regret_interval_90": interval,
@@ -241,11 +243,12 @@ def test_the_fastest_of_those_that_are_surely_near_enough_is_recommended():
         row("not sure", 2.0, (-0.02, 0.02), 0.03),
         row("near", 8.0, (-0.01, 0.009), 0.04),
         row("slower", 10.0, (0.0, 0.0), 0.001),
+        row("quick by chance", 7.9, (-0.01, 0.009), 0.04),
         row("without blocks", 3.0, None, 0.001),
     ]
     noise = noise_ceiling(reference_of(1))
     mark_within(rows, 0.01, noise, noise.error / 0.05)  # which makes the ceiling 5 % of the gain
-    assert [one["name"] for one in rows if one["within"]] == ["reference", "near", "slower"]
+    assert [one["name"] for one in rows if one["within"]] == ["reference", "near", "slower", "quick by chance"]
     best = recommended(rows)
     assert sentence(rows[0], best, 0.01, 0.3) == (
         "Cheapest within 1 % of the gain: near: 8 ms an evaluation, 10 times faster than the reference (reference)."
@@ -265,5 +268,6 @@ def test_a_recommendation_holds_surely_likely_or_not():
     assert verdict(0.002, (-0.001, 0.005), 0.01) == "holds"
     assert verdict(0.002, (-0.02, 0.03), 0.01) == "likely"
     assert verdict(0.002, None, 0.01) == "likely"
-    assert verdict(0.02, (0.0, 0.04), 0.01) == "fails"
+    assert verdict(0.02, (0.015, 0.04), 0.01) == "fails"
+    assert verdict(0.02, (0.0, 0.04), 0.01) == "cannot be told"
     assert verdict(None, None, 0.01) == "cannot be told"

@@ -60,6 +60,7 @@ def noise_ceiling(reference: Reference) -> Noise | None:
         error = root_mean_square(calibrated_residuals(one, other))
         rows.append((abs(float(np.mean(one - other))), error, weighted_tau(one, other), apart))
     bias, error, tau, apart = np.array(rows).T
+    tau = np.nan_to_num(tau)  # where a half prefers no mounting, nothing is ranked alike
     low, high = np.quantile(error, [0.05, 0.95]).tolist()
     middle = [float(np.median(column)) for column in (bias, error, tau)]
     return Noise(middle[0], middle[1], (low, high), middle[2], float(apart.mean() / gain) if gain > 0.0 else None)

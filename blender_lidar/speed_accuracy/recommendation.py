@@ -12,7 +12,8 @@ def sentence(reference: Mapping, best: Mapping, tolerance: float, gain: float) -
     share = f"{100.0 * tolerance:g} % of the gain"
     took = milliseconds(best["milliseconds"]["median"])
     if best["name"] == reference["name"]:
-        return f"No cheaper fidelity is within {share}: only the reference, {best['text']}: {took} an evaluation."
+        only = f"only the reference, {best['text']}: {took} an evaluation"
+        return f"No cheaper fidelity can be shown to be within {share}: {only}."
     return (
         f"Cheapest within {share}: {best['text']}: {took} an evaluation, {best['speedup']:.2g} times faster than the "
         f"reference ({reference['text']})."

@@ -35,13 +35,13 @@ def _validated(
         "regret": None if lost is None else lost.share,
         "regret_interval_90": None if lost is None or lost.interval_90 is None else list(lost.interval_90),
         "error_share": found.error / gain if gain > 0.0 else None,
-        "tau": found.tau,
+        "tau": found.tau if np.isfinite(found.tau) else None,
     }
 
 
 def verdict(share: float | None, interval: tuple[float, float] | None, tolerance: float) -> str:
-    """Whether a loss is within the tolerance: surely, by its 90 % interval, or likely."""
-    if share is None:
+    """Whether a loss is within the tolerance: by its whole 90 % interval, or likely; or surely is not."""
+    if share is None or (share > tolerance and (interval is None or interval[0] <= tolerance)):
         return UNTOLD
     if share > tolerance:
         return FAILS

@@ -24,6 +24,8 @@ _ANSWER_S = 5.0  # a scheduler that is there answers in milliseconds
 _FIRST_WORKER_S = 10.0
 _LOOK_ROUND_S = 2.0
 _LOOK_AGAIN_S = 0.1
+_HAND_OUT_S = 30.0  # after which workers that hold the function begin without the others
+_MOST_CANCELLED = 20  # calls that are begun anew in one batch
 _NOBODY_S = 30.0  # what a worker that died may take to be started anew
 _LOGGERS = ("distributed", "distributed.client", "distributed.worker", "tornado.application")
 
@@ -129,14 +131,16 @@ class ClusterExecutor(Executor):
         """Call a function on each of these workers, which keep what it returns; by worker.
 
         They do so until what is returned here is dropped, or this process ends. The argument goes to one of them, and
-        from there to the others. Workers that are lost meanwhile are left out.
+        from there to the others. Workers that are lost meanwhile are left out, and those that others have to wait for.
         """
         with self._scheduler_needed():
             sent = self._client.scatter(_packed(function, (argument,)), hash=False, timeout=_NOBODY_S)
         kept = {one: self._client.submit(pickle.loads, sent, workers=[one], pure=False) for one in workers}
+        patience = time.monotonic() + _HAND_OUT_S  # with workers that are paused or busy with something else
         for worker, call in kept.items():
             while not self._has_ended(call) and worker in self.workers:
-                pass
+                if time.monotonic() > patience and any(one.status == "finished" for one in kept.values()):
+                    break
             if call.status == "error":
                 self._check(call)
         return {worker: call for worker, call in kept.items() if call.status == "finished"}
@@ -157,10 +161,17 @@ class ClusterExecutor(Executor):
         return [_Placed(task, worker, call) for task, call in zip(tasks, calls, strict=True)]
 
     def _results(self, placed: list[_Placed]) -> Iterator:
+        begun_anew = 0
         try:
             while placed:
                 while not self._has_ended(placed[0].call):
                     self._see_to(placed)
+                if placed[0].call.status in ("cancelled", "lost"):  # the cluster was restarted
+                    begun_anew += 1
+                    if begun_anew > _MOST_CANCELLED:
+                        raise WorkerError(f"{self.address}: calls are cancelled there again and again")
+                    placed[:1] = self._placed([placed[0].task], self.await_workers()[0])
+                    continue
                 self._check(placed[0].call)
                 done = [one.call for one in takewhile(lambda one: one.call.status == "finished", placed)]
                 with self._scheduler_needed():

@@ -12,7 +12,7 @@ _SAME = 1e-9  # of the box
 def diverse(
     x: np.ndarray, values: np.ndarray, count: int, distance: float, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """Rows of the best candidates that do not crowd each other, the best first.
+    """Rows of the best candidates that do not crowd each other, beginning with the best.
 
     From the best on, a candidate is taken unless one that is taken lies within the distance of it, which shrinks by
     halves until there are `count`, or no further ones.
