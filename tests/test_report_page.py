@@ -240,6 +240,7 @@ def test_what_the_package_reads_beside_its_code_is_installed_with_it():
     package = Path(blender_lidar.__file__).parent
     declared = tomllib.loads((package.parent / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
     patterns = [f"{name.replace('.', '/')}/{pattern}" for name, globs in declared.items() for pattern in globs]
-    files = [path.relative_to(package.parent) for path in package.rglob("*.*") if path.suffix not in (".py", ".pyc")]
+    made = (".py", ".pyc", ".nbi", ".nbc")  # code, and what Python and Numba compile of it
+    files = [path.relative_to(package.parent) for path in package.rglob("*.*") if path.suffix not in made]
     assert files
     assert [path for path in files if not any(fnmatch(path.as_posix(), pattern) for pattern in patterns)] == []
