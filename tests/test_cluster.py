@@ -383,9 +383,10 @@ def test_threads_that_would_be_idle_are_told_and_get_in_nobodys_way(tmp_path, al
 
 
 def test_workers_that_are_alike_are_no_reason_for_a_note(cluster):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
         ClusterWorkers(abs, cluster.address).close()
+    assert [note.message for note in told if issubclass(note.category, UserWarning)] == []
 
 
 def fails(how):

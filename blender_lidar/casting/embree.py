@@ -10,7 +10,7 @@ from .tree import TreeCaster
 
 
 class EmbreeCaster(TreeCaster):
-    """Casts with Intel's Embree: the fastest, in float32."""
+    """Casts with Intel's Embree, in float32: the fastest tree."""
 
     name = "embree"
 
