@@ -1,4 +1,4 @@
-"""The caster that draws whole turns, beside the float64 oracle: where bounds, ties, touching and interruptions matter."""
+"""The caster that draws whole turns, beside the float64 oracle: bounds, ties, touching, interruptions."""
 
 from __future__ import annotations
 

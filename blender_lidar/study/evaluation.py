@@ -1,7 +1,7 @@
 """Many mountings over many frames, spread over processes, of one machine or several.
 
-A frame's result does not depend on which process computed it nor on what else was asked: casters decide
-hits in float64, whatever they look for them in. So the number of workers changes the time that a run takes and nothing else.
+A frame's result does not depend on which process computed it nor on what else was asked: casters decide hits in
+float64, whatever they look for them in. So the number of workers changes the time that a run takes and nothing else.
 """
 
 from __future__ import annotations
