@@ -16,7 +16,9 @@ def compiled(function: Callable, **settings: bool) -> Callable:
     """The function, compiled when it is first called."""
     try:
         made = njit(cache=True, **_SETTINGS, **settings)(function)
-        made._cache._cache_file._source_stamp = _stamp()
+        kept = made._cache._cache_file
+        kept._source_stamp = _stamp()
+        _drop_unreadable(kept)
     except (AttributeError, OSError, RuntimeError):  # nowhere to keep it, or Numba keeps it in another way
         return njit(**_SETTINGS, **settings)(function)
     return made
@@ -39,3 +41,11 @@ def _stamp() -> str:
         if b"compiled import" in content or path == Path(__file__):
             digest.update(content)
     return digest.hexdigest()
+
+
+def _drop_unreadable(kept) -> None:
+    """Remove a stored index that names what has moved to another module: Numba would fail when it reads it."""
+    try:
+        kept._load_index()
+    except Exception:  # whatever unpickling raises
+        Path(kept._index_path).unlink(missing_ok=True)
