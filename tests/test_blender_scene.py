@@ -28,6 +28,7 @@ from blender_lidar.world.shapes import DETAILS, GLASS
 from blender_lidar.world.triangles import shape_names, vehicle_triangles
 from tests.blender_session import POSE, SCENERY, TRAFFIC, hits, moment
 from tests.sample_traffic import dense_traffic
+from tests.waiting import WAIT_S
 
 ROOT = Path(__file__).parents[1]
 
@@ -250,7 +251,7 @@ def test_a_gltf_file_is_read_by_a_process_that_ends(tmp_path):
         print("read", len(found), found.corners.max(axis=(0, 1)).round(4).tolist())
         """
     command = [sys.executable, "-c", textwrap.dedent(program), str(tmp_path / "site.glb")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, cwd=ROOT)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert "read 12 [4.0, 21.0, 2.0]" in done.stdout
 

@@ -15,6 +15,7 @@ import pytest
 from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError
 from blender_lidar.sensors.files import MAX_RINGS
 from blender_lidar.sensors.model import DATA_FOLDER, load_model, model_names
+from tests.waiting import WAIT_S
 
 BEAM_TABLES = Path(__file__).parents[2] / "shared" / "reference" / "beams"
 VELODYNE_TURNS_THE_OTHER_WAY = -1.0
@@ -195,7 +196,7 @@ def test_a_model_survives_pickling():
 def test_the_sensors_room_imports_with_numpy_alone():
     blocked = "import sys; sys.modules.update(dict.fromkeys(('bpy', 'mathutils', 'pandas', 'matplotlib', 'embreex')))"
     use = "from blender_lidar.sensors import beams, model, pose; beams.beam_lattice(model.load_model('RS-16'))"
-    subprocess.run([sys.executable, "-c", f"{blocked}; {use}"], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", f"{blocked}; {use}"], check=True, timeout=WAIT_S)
 
 
 # A user's own file

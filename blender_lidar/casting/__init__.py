@@ -12,6 +12,7 @@ from .protocol import Caster, Hits
 
 CASTERS = ("raster", "embree", "bvh", "exact")
 RASTER = CASTERS[0]  # the one that draws whole turns
+EXACT = CASTERS[-1]  # the one without any tree
 
 _MODULES = {
     "raster": ("numba", "fast"),
@@ -20,7 +21,7 @@ _MODULES = {
     "exact": (None, None),
 }
 
-__all__ = ["CASTERS", "RASTER", "Caster", "Hits", "caster_class", "is_available", "resolve"]
+__all__ = ["CASTERS", "EXACT", "RASTER", "Caster", "Hits", "caster_class", "is_available", "resolve"]
 
 
 def is_available(name: str) -> bool:

@@ -79,3 +79,14 @@ def directions_of(components, beams, rotation):
         for axis in range(3):
             found[axis, k] = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis] * z
     return found
+
+
+@compiled
+def single_directions_of(components, beams, rotation):
+    """The same, (k, 3), rounded to float32."""
+    found = np.empty((len(beams), 3), dtype=np.float32)
+    for k in range(len(beams)):
+        x, y, z = components[0, beams[k]], components[1, beams[k]], components[2, beams[k]]
+        for axis in range(3):
+            found[k, axis] = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis] * z
+    return found

@@ -13,7 +13,10 @@ class CompiledPlanes(TrianglePlanes):
 
     def __init__(self, corners: np.ndarray, normal: np.ndarray) -> None:
         super().__init__(corners, normal)
-        self._rows = self.as_rows()
+        self._rows = super().as_rows()
+
+    def as_rows(self) -> np.ndarray:
+        return self._rows
 
     def meet(self, origins: np.ndarray, directions: np.ndarray, triangle: np.ndarray) -> PlaneHits:
         shared = origins.ndim == 1

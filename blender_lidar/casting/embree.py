@@ -20,7 +20,9 @@ class EmbreeCaster(TreeCaster):
         self._mesh = TriangleMesh(self._scene, vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))
 
     def _first(self, origins, directions, reach):
-        rays = np.empty(directions.shape, dtype=np.float32)
-        rays[:] = directions
+        rays = directions
+        if directions.dtype != np.float32:
+            rays = np.empty(directions.shape, dtype=np.float32)
+            rays[:] = directions
         starts = np.broadcast_to(origins.astype(np.float32), rays.shape)
         return self._scene.run(starts, rays, dists=float(reach))

@@ -101,6 +101,16 @@ class Caster(ABC):
     def _meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float) -> Returns:
         """As `meet`, with at least one ray, and origins and rows in terms of `_corners`."""
 
+    @property
+    def origin(self) -> np.ndarray:
+        """What compiled code counts coordinates from, (3,) [m]."""
+        return self._origin
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Row, among the triangles that were given, of each that compiled code knows, (m,): those with area."""
+        return self._solid
+
     def cast(self, origins: np.ndarray, directions: np.ndarray, max_range: float = np.inf) -> Hits:
         """What each ray meets first, no farther than `max_range`.
 

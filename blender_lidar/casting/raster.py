@@ -15,12 +15,13 @@ import numpy as np
 
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
+from .canvas import Canvas, Table, canvas, table_of
 from .exact import ExactSearch
 from .planes import fastest_planes
 from .protocol import FARTHEST, Caster
 from .ray_tree import RayTree
 from .shared_vertices import Mesh, mesh_of
-from .sweep import Canvas, Table, canvas, draw, table_of, take_returns
+from .sweep import draw, take_returns
 
 _spare: dict[int, Canvas] = {}  # by number of beams
 
@@ -93,16 +94,6 @@ class RasterCaster(Caster):
                 np.concatenate([found.directions, directions[decided.ray].T], axis=1)[:, order],
             )
         return found._replace(triangle=self._solid[found.triangle])
-
-    @property
-    def origin(self) -> np.ndarray:
-        """What compiled code counts coordinates from, (3,) [m]."""
-        return self._origin
-
-    @property
-    def rows(self) -> np.ndarray:
-        """Row, among the triangles that were given, of each that compiled code knows, (m,)."""
-        return self._solid
 
     @contextmanager
     def drawing(

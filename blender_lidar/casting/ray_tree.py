@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..compiled import compiled, inlined
+from .compiled_rays import EDGE, NEARER, ROUNDING, TOUCH, lacks, measured, size_of, touches
 from .exact import ExactSearch
 from .protocol import MISS, Returns
-from .sweep import EDGE, NEARER, ROUNDING, TOUCH, lacks, measured, size_of, touches
 
 _LEAF = 4  # triangles
 _BITS = 10  # of the curve, along each axis

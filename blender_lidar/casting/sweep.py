@@ -7,100 +7,14 @@ decide is left open: those beams are named, for a slower caster.
 
 from __future__ import annotations
 
-import math
-from functools import lru_cache
-from typing import NamedTuple
-
 import numpy as np
 
 from ..compiled import compiled, inlined
-from ..sensors.beams import BeamLattice
+from .compiled_rays import EDGE, NEARER, ROUNDING, TOUCH, is_behind, lacks, measured, size_of, to_world, touches
+from .covered import azimuths_covered, rings_covered, see_vertex, slots_between
 from .shared_vertices import RUN
 
-_TURN = 2.0 * math.pi
-_MARGIN_RAD = 1e-9  # of bounds, for rounding; far below any beam spacing
-_LEAST_COSINE = 1e-3  # between two corners as seen from the sensor: triangles that look wider get all rings
-ROUNDING = 128.0 * float(np.finfo(float).eps)
-EDGE = 1e-11  # barycentric: so near an edge rounding decides, or how a caster takes it
-NEARER = 1e-6  # relative: how much nearer than it seems a thing may be that rounding decides
 TIE = 1e-6  # relative, far above rounding: what is so nearly as far away is measured again, as all casters measure
-TOUCH = 1e-12  # relative: what starts so near a plane may be on either side of it
-_BESIDE = 1e-3  # barycentric: of a triangle that is touched
-
-
-class Table(NamedTuple):
-    """What `draw` needs of a `BeamLattice`: by ring, and by slot the sine and cosine of its azimuth from slot 0."""
-
-    elevation_sine: np.ndarray
-    elevation_cosine: np.ndarray
-    azimuth0: np.ndarray
-    azimuth0_sine: np.ndarray
-    azimuth0_cosine: np.ndarray
-    slot_sine: np.ndarray
-    slot_cosine: np.ndarray
-    step: float
-
-
-class Canvas(NamedTuple):
-    """Room for one turn; between turns `nearest` and `doubted` are inf for every beam.
-
-    Attributes
-    ----------
-    nearest : ndarray, (b,)
-        Distance to the nearest triangle drawn so far [m].
-    triangle : ndarray of int32, (b,)
-        Its row.
-    doubted : ndarray, (b,)
-        The least distance of what a beam may or may not meet [m].
-    touched, doubtful : ndarray of int32, (b,)
-        Beams that met something, and beams of which rounding decides, in the order in which that was found.
-    number : ndarray of int64, (3,)
-        How many these are, and how many turns have been drawn.
-    seen : ndarray, (v, 6)
-        Of each vertex in this turn: x, y and z in the sensor frame [m], azimuth [rad], sine of the elevation and one
-        over the distance.
-    made : ndarray of int64, (v,)
-        The turn that a row of `seen` was made in.
-    """
-
-    nearest: np.ndarray
-    triangle: np.ndarray
-    doubted: np.ndarray
-    touched: np.ndarray
-    doubtful: np.ndarray
-    number: np.ndarray
-    seen: np.ndarray
-    made: np.ndarray
-
-
-@lru_cache(maxsize=8)
-def table_of(lattice: BeamLattice) -> Table:
-    """What `draw` needs of a lattice."""
-    azimuth0, slots = np.ascontiguousarray(lattice.slot_azimuth0_rad), lattice.step_rad * np.arange(lattice.columns)
-    return Table(
-        np.sin(lattice.elevation_rad),
-        np.cos(lattice.elevation_rad),
-        azimuth0,
-        np.sin(azimuth0),
-        np.cos(azimuth0),
-        np.sin(slots),
-        np.cos(slots),
-        float(lattice.step_rad),
-    )
-
-
-def canvas(beams: int, vertices: int) -> Canvas:
-    """An empty one."""
-    return Canvas(
-        np.full(beams, np.inf),
-        np.zeros(beams, dtype=np.int32),
-        np.full(beams, np.inf),
-        np.zeros(beams, dtype=np.int32),
-        np.zeros(beams, dtype=np.int32),
-        np.zeros(3, dtype=np.int64),
-        np.empty((vertices, 6)),
-        np.full(vertices, -1, dtype=np.int64),
-    )
 
 
 @compiled
@@ -155,15 +69,15 @@ def draw(mesh, planes, table, components, origin, rotation, reach, closed, turn,
             for vertex in (a, b, c):
                 if made[vertex] != turn:
                     made[vertex] = turn
-                    _see(vertices, vertex, origin, rotation, seen)
-            first_ring, last_ring = _rings(sine, seen, a, b, c)
+                    see_vertex(vertices, vertex, origin, rotation, seen)
+            first_ring, last_ring = rings_covered(sine, seen, a, b, c)
             if first_ring == last_ring:
                 continue
-            first, last = _azimuths(seen[a, 3], seen[b, 3], seen[c, 3])
+            first, last = azimuths_covered(seen[a, 3], seen[b, 3], seen[c, 3])
             weights, doubt, away = _weights(planes, t, origin, rotation)
             edge = EDGE + planes[t, 12]
             for ring in range(first_ring, last_ring):
-                slot, tests = _span(first - azimuth0[ring], last - azimuth0[ring], step, columns)
+                slot, tests = slots_between(first - azimuth0[ring], last - azimuth0[ring], step, columns)
                 level, up = cosine[ring], sine[ring]
                 in_ring = _in_ring(weights, level * sine0[ring], level * cosine0[ring], up)
                 for _ in range(tests):
@@ -184,7 +98,7 @@ def draw(mesh, planes, table, components, origin, rotation, reach, closed, turn,
                         number[0] += 1
                     elif abs(distance - before) <= TIE * distance:
                         x, y, z = to_world(components[0, beam], components[1, beam], components[2, beam], rotation)
-                        if _is_behind(planes, t, triangle[beam], origin, x, y, z):
+                        if is_behind(planes, t, triangle[beam], origin, x, y, z):
                             continue
                     elif distance > before:
                         continue
@@ -202,98 +116,6 @@ def _within_any(low, high, place):
         ):
             return True
     return False
-
-
-@inlined
-def lacks(planes, t, function, place):
-    """What a place lacks to the zero of one of a triangle's three functions."""
-    k = 4 * function
-    return planes[t, k + 3] - (planes[t, k] * place[0] + planes[t, k + 1] * place[1] + planes[t, k + 2] * place[2])
-
-
-@inlined
-def touches(planes, t, place):
-    """Whether a place on a triangle's plane lies within the triangle, or hardly beside it."""
-    b, c = -lacks(planes, t, 1, place), -lacks(planes, t, 2, place)
-    return min(1.0 - b - c, b, c) >= -_BESIDE
-
-
-@inlined
-def size_of(planes, t, function, place):
-    """Sum of the sizes of what `lacks` adds up, of which rounding takes its share."""
-    k = 4 * function
-    size = abs(planes[t, k] * place[0]) + abs(planes[t, k + 1] * place[1]) + abs(planes[t, k + 2] * place[2])
-    return abs(planes[t, k + 3]) + size
-
-
-@inlined
-def _see(vertices, vertex, origin, rotation, seen):
-    x, y, z = vertices[vertex, 0] - origin[0], vertices[vertex, 1] - origin[1], vertices[vertex, 2] - origin[2]
-    for axis in range(3):
-        seen[vertex, axis] = rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z
-    seen[vertex, 3] = math.atan2(seen[vertex, 0], seen[vertex, 1])  # clockwise from +y, Eq. 1
-    seen[vertex, 5] = 1.0 / math.sqrt(x * x + y * y + z * z)
-    seen[vertex, 4] = seen[vertex, 2] * seen[vertex, 5]
-
-
-@inlined
-def _rings(sine, seen, a, b, c):
-    """First ring that a triangle may cover, and the one after the last.
-
-    A direction to a point of it is a sum of its corners' directions with weights of 0 or more that add up to 1, over
-    the length of that sum, which is the square root of the least cosine between two corners at least.
-    """
-    low, high = min(seen[a, 4], seen[b, 4], seen[c, 4]), max(seen[a, 4], seen[b, 4], seen[c, 4])
-    cosine = min(_cosine(seen, a, b), _cosine(seen, b, c), _cosine(seen, c, a))
-    if not cosine > _LEAST_COSINE:  # also where a corner is at the very sensor
-        return 0, len(sine)
-    least = math.sqrt(min(cosine, 1.0))
-    if low < 0.0:
-        low /= least
-    if high > 0.0:
-        high /= least
-    return _rank(sine, low - _MARGIN_RAD), _rank(sine, high + _MARGIN_RAD)
-
-
-@inlined
-def _cosine(seen, a, b):
-    """Of the angle between two vertices."""
-    product = seen[a, 0] * seen[b, 0] + seen[a, 1] * seen[b, 1] + seen[a, 2] * seen[b, 2]
-    return product * seen[a, 5] * seen[b, 5]
-
-
-@inlined
-def _rank(rising, value):
-    """How many of some rising values lie below one."""
-    low, high = 0, len(rising)
-    while low < high:
-        middle = (low + high) >> 1
-        if rising[middle] < value:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@inlined
-def _azimuths(a, b, c):
-    """Bounds of a triangle's azimuth, from its corners'; along a side it rises or falls throughout.
-
-    About the sensor's axis, where the corners look all ways, it is a whole turn.
-    """
-    b, c = _within_half_a_turn(b - a), _within_half_a_turn(c - a)
-    low, high = min(0.0, b, c), max(0.0, b, c)
-    if high - low < math.pi - _MARGIN_RAD:
-        return a + low - _MARGIN_RAD, a + high + _MARGIN_RAD
-    return 0.0, _TURN
-
-
-@inlined
-def _within_half_a_turn(angle):
-    """The same angle from -pi to pi."""
-    if angle > math.pi:
-        return angle - _TURN
-    return angle + _TURN if angle < -math.pi else angle
 
 
 @inlined
@@ -332,14 +154,6 @@ def _turned(planes, t, function, rotation):
 
 
 @inlined
-def _span(first, last, step, columns):
-    """First slot between two azimuths from slot 0 on, and how many there are."""
-    slot = math.ceil(first / step)
-    tests = min(math.floor(last / step) - slot + 1, columns)
-    return slot % columns, tests
-
-
-@inlined
 def _in_ring(weights, sine, cosine, up):
     """Linear functions of a direction as those of the sine and the cosine of a slot's azimuth in one ring."""
     ax, ay, az, bx, by, bz, cx, cy, cz = weights
@@ -354,7 +168,16 @@ def _in_ring(weights, sine, cosine, up):
 def _meeting(in_ring, sine, cosine, doubt, edge, away):
     """Distance at which a beam meets a triangle, inf where it does not, and whether rounding decides that."""
     a, b, c = in_ring
-    a, b, c = a[0] * sine + a[1] * cosine + a[2], b[0] * sine + b[1] * cosine + b[2], c[0] * sine + c[1] * cosine + c[2]
+    beyond = -doubt - 2.0 * edge  # most beams miss, and show it in one of the three: `facing` is a cosine
+    a = a[0] * sine + a[1] * cosine + a[2]
+    if a < beyond:
+        return np.inf, False
+    b = b[0] * sine + b[1] * cosine + b[2]
+    if b < beyond:
+        return np.inf, False
+    c = c[0] * sine + c[1] * cosine + c[2]
+    if c < beyond:
+        return np.inf, False
     facing = a + b + c
     doubt += edge * max(facing, 0.0)
     if (a < -doubt) | (b < -doubt) | (c < -doubt):
@@ -413,26 +236,3 @@ def take_returns(paper, planes, components, origin, rotation, reach):
             directions[0, found], directions[1, found], directions[2, found] = x, y, z
             found += 1
     return beams[:found], triangles[:found], distances[:found], directions[:, :found].copy(), np.sort(undecided[:left])
-
-
-@inlined
-def to_world(x, y, z, rotation):
-    """A direction from the sensor frame in the frame of the triangles, as `Pose.to_world` adds it up."""
-    return (
-        rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z,
-        rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z,
-        rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z,
-    )
-
-
-@inlined
-def _is_behind(planes, t, other, origin, x, y, z):
-    """Whether a triangle is met after another, or with it and has the higher row."""
-    distance, its = measured(planes, t, origin, x, y, z), measured(planes, other, origin, x, y, z)
-    return distance > its or (distance == its and t > other)
-
-
-@inlined
-def measured(planes, t, origin, x, y, z):
-    """Distance along a ray to a triangle's plane, as `TrianglePlanes.meet` has it."""
-    return lacks(planes, t, 0, origin) / (planes[t, 0] * x + planes[t, 1] * y + planes[t, 2] * z)

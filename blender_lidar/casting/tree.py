@@ -23,10 +23,11 @@ Embree 1, and none and 7 met what stands within (`stability.caster_attacks` at f
 from __future__ import annotations
 
 from abc import abstractmethod
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
+from ..numba_here import numba_works
 from .exact import ExactSearch
 from .planes import fastest_planes
 from .protocol import MISS, Caster, Returns, origins_of
@@ -43,7 +44,7 @@ _ROAM, _REGION = 0.05, 0.25
 _FAR = 4.0  # times the triangles' median distance at most: one that is farther makes the tree coarser for none
 _MUCH_WIDER = 4.0  # than the rays need: a tree made for such wide starts is coarser than it has to be
 _LEAST_COSINE_SUM = 1e-5  # at a corner: a sharper one, of 0.26 degrees, would move by more than 450 margins
-_EDGE_ON = 1e-3  # cosine: what is met so nearly edge-on may lie centimetres behind what float32 takes it to hide
+EDGE_ON = 1e-3  # cosine: what is met so nearly edge-on may lie centimetres behind what float32 takes it to hide
 _REACH_SLACK = 1e-5  # relative: back-ends look a little farther than asked and float64 decides at the limit
 
 
@@ -65,17 +66,59 @@ class TreeCaster(Caster):
         # Where rays may start; the tree is made at the first cast.
         self._middle, self._reach, self._far, self._touching = None, 0.0, 0.0, None
 
+    @property
+    def planes(self) -> np.ndarray:
+        """As `TrianglePlanes.as_rows` gives them, (m, 13): counted from `origin`, in the order of `rows`."""
+        return self._planes.as_rows()
+
+    def first(self, origin: np.ndarray, directions: np.ndarray, max_range: float) -> np.ndarray | None:
+        """What the tree alone says: row of the triangle that each ray meets first, or `MISS`; of closed meshes.
+
+        It is float32's word: place and distance are still to be measured, and what is not met within its triangle and
+        from outside, or too nearly edge-on (`EDGE_ON`), is for `decide` to tell.
+
+        Parameters
+        ----------
+        origin : ndarray, (3,)
+            Start of all rays, counted from `self.origin` [m].
+        directions : ndarray of float32, (n, 3)
+            Unit directions, C-contiguous.
+        max_range : float
+            Hits somewhat farther away may be among them [m].
+
+        Returns
+        -------
+        ndarray of int, (n,), or None
+            Rows as in `planes`; None where the rays start at a surface, and all is for `decide`.
+        """
+        self._make_ready(origin, origin)
+        if self._touching.any(origin, origin):
+            return None
+        return self._first(origin - self._middle, directions, _beyond(max_range))
+
+    def decide(self, origin: np.ndarray, directions: np.ndarray, max_range: float) -> Returns:
+        """What rays meet first in float64, slowly; origin and rows as for `first`."""
+        return self._sure.meet(origin, directions, max_range)
+
+    @cached_property
+    def _sure(self):
+        """Who decides in float64: with Numba a tree, which leaves to the oracle what rounding decides."""
+        if not numba_works():
+            return self._exact
+        from .ray_tree import RayTree
+
+        return RayTree(self._corners, self.planes, self._exact)
+
     def _meet(self, origins, directions, max_range):
         low, high = (origins, origins) if origins.ndim == 1 else (origins.min(axis=0), origins.max(axis=0))
-        if not self._serves(low, high):
-            self._make_tree(low, high)
+        self._make_ready(low, high)
         if not self._touching.any(low, high):
             return self._meet_by_tree(origins, directions, max_range)
         if origins.ndim == 1:
-            return self._exact.meet(origins, directions, max_range)
+            return self._sure.meet(origins, directions, max_range)
         touches = self._touching.of(origins)
         parts = []
-        for rays, meet in ((~touches, self._meet_by_tree), (touches, self._exact.meet)):
+        for rays, meet in ((~touches, self._meet_by_tree), (touches, self._sure.meet)):
             rays = np.flatnonzero(rays)
             if len(rays):
                 found = meet(origins[rays], directions[rays], max_range)
@@ -87,8 +130,7 @@ class TreeCaster(Caster):
     def _meet_by_tree(self, origins, directions, max_range):
         """As `_meet`, where no ray starts at a surface."""
         away = origins - self._middle
-        reach = max_range * (1.0 + _REACH_SLACK) + _REACH_SLACK
-        triangle = self._first(away, directions, reach)
+        triangle = self._first(away, directions, _beyond(max_range))
         ray = np.flatnonzero(triangle != MISS)
         triangle = _take(triangle, ray).astype(np.int64, copy=False)
         if not self._closed:
@@ -97,10 +139,10 @@ class TreeCaster(Caster):
         there = self._planes.meet(origins_of(origins, ray).T, _take(directions.T, ray, axis=1), triangle)
         distance, doubtful = there.distance, ~there.inside
         if self._closed:
-            doubtful |= there.facing > -_EDGE_ON
+            doubtful |= there.facing > -EDGE_ON
         else:
             doubtful |= fence
-            doubtful |= np.abs(there.facing) < _EDGE_ON
+            doubtful |= np.abs(there.facing) < EDGE_ON
         self._decide(origins, directions, max_range, np.flatnonzero(doubtful), ray, triangle, distance)
         met = distance <= max_range
         if met.all():
@@ -112,7 +154,7 @@ class TreeCaster(Caster):
         if len(doubtful) == 0:
             return
         rays = ray[doubtful]
-        found = self._exact.meet(origins_of(origins, rays), directions[rays], max_range)
+        found = self._sure.meet(origins_of(origins, rays), directions[rays], max_range)
         distance[doubtful] = np.inf
         distance[doubtful[found.ray]], triangle[doubtful[found.ray]] = found.distance, found.triangle
 
@@ -122,6 +164,11 @@ class TreeCaster(Caster):
             return False
         widest = max(2.0 * (_REGION + _ROAM) * self._far, _MUCH_WIDER * (0.5 * (high - low).max() + _ROAM * self._far))
         return self._reach <= widest
+
+    def _make_ready(self, low, high):
+        """Have a tree for rays that start between two corners."""
+        if not self._serves(low, high):
+            self._make_tree(low, high)
 
     def _make_tree(self, low, high):
         """Make the tree for rays that start between two corners, and where they have started before if that is near."""
@@ -140,6 +187,10 @@ class TreeCaster(Caster):
         self._build(larger - self._middle)
         served = self._middle - self._reach, self._middle + self._reach
         self._touching = Touching(self._corners, self._normal, _MARGIN_OPEN * (away + self._reach), *served)
+
+
+def _beyond(max_range):
+    return max_range * (1.0 + _REACH_SLACK) + _REACH_SLACK
 
 
 def grown(corners: np.ndarray, normal: np.ndarray, margin: np.ndarray | float) -> np.ndarray:

@@ -171,6 +171,11 @@ class PlacedGrids(ViewGrids):
         return ((turned + self._half[:, None]) / self._cell_m).reshape(3, -1)
 
     @property
+    def placing(self) -> tuple[np.ndarray, np.ndarray]:
+        """The boxes' centres, (n, 3), and half of their sides, (3, n) [m]."""
+        return self._centre, self._half
+
+    @property
     def turning(self) -> tuple[np.ndarray, np.ndarray, float]:
         """Cosine and sine of the boxes' headings, (n,) each, and the side of a cell [m]."""
         return self._cos, self._sin, self._cell_m

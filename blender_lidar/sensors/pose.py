@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -35,6 +36,13 @@ def rotation_matrix(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])  # Eq. 2b
     about_z = np.array([[cz, sz, 0.0], [-sz, cz, 0.0], [0.0, 0.0, 1.0]])
     return about_x @ about_y @ about_z  # Eq. 2c
+
+
+@lru_cache(maxsize=1024)  # more than a swarm, which meets frame after frame
+def _kept_rotation(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
+    rotation = rotation_matrix(tilt_x, tilt_y, yaw)
+    rotation.flags.writeable = False
+    return rotation
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +81,8 @@ class Pose:
 
     @property
     def rotation(self) -> np.ndarray:
-        """Orientation, (3, 3): ``world = sensor @ rotation``."""
-        return rotation_matrix(self.tilt_x, self.tilt_y, self.yaw)
+        """Orientation, (3, 3): ``world = sensor @ rotation``; not to be written to, as it is kept."""
+        return _kept_rotation(self.tilt_x + 0.0, self.tilt_y + 0.0, self.yaw + 0.0)  # -0 is the same key as 0
 
     def to_world(self, directions: np.ndarray) -> np.ndarray:
         """Directions (n, 3) from the sensor frame into the road frame; in memory coordinate after coordinate."""

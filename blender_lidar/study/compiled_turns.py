@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..casting.compiled_rays import measured, to_world
 from ..casting.raster import RasterCaster
-from ..casting.sweep import draw, measured, to_world
+from ..casting.sweep import draw
 from ..compiled import compiled
 from ..metrics.compiled_marks import mark_places
 from ..metrics.view_grids import PlacedGrids

@@ -1,0 +1,66 @@
+"""What Numba compiles is kept from one process to the next, and never outlives the source that it came from."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import blender_lidar
+from blender_lidar.numba_here import numba_works
+
+pytestmark = pytest.mark.skipif(not numba_works(), reason="Numba, of the extra fast, is not installed")
+
+PAIR = "from typing import NamedTuple\n\n\nclass Pair(NamedTuple):\n    left: float\n    right: float\n"
+ADDED = """
+from .compiled import compiled
+from .{module} import Pair
+
+
+@compiled
+def added(pair):
+    return pair.left + pair.right
+"""
+PROGRAM = """
+from package.added import Pair, added
+print(added(Pair(1.0, 2.0)), sum(added.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A package of one compiled function, whose argument is defined in a module of its own; runs it anew."""
+    folder = tmp_path / "package"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    shutil.copy(Path(blender_lidar.__file__).with_name("compiled.py"), folder)
+
+    def run(**modules: str) -> str:
+        for name, text in modules.items():
+            (folder / f"{name}.py").write_text(text)
+        environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
+def test_what_was_compiled_is_found_again_until_any_compiled_module_changes(package):
+    assert package(shapes=PAIR, added=ADDED.format(module="shapes")) == "3.0 0\n"
+    assert package() == "3.0 1\n"
+    assert package(other="from .compiled import compiled\n") == "3.0 0\n"
+    assert package() == "3.0 1\n"
+
+
+def test_a_type_of_compiled_code_that_had_moved_to_another_module_ended_every_run_from_then_on(package, tmp_path):
+    assert package(shapes=PAIR, added=ADDED.format(module="shapes")) == "3.0 0\n"
+    (tmp_path / "package" / "shapes.py").unlink()
+    assert package(forms=PAIR, added=ADDED.format(module="forms")) == "3.0 0\n"
+    assert package() == "3.0 1\n"
