@@ -6,7 +6,8 @@
 Rounds are interleaved: everything is timed once in each, one after another, so that a busy moment of the machine falls
 on all. Medians and quartiles are over the rounds, ratios of pairs within the same round. --growth measures 1 to 256
 frames, 10 to 1,000 vehicles, 16 to 128 rings and 1 to all processors, each point in a process of its own; --whole adds
-the paper's 2,000 evaluations over 60 frames for RS-16 and RS-80, which takes minutes.
+the paper's 2,000 evaluations by DE-PSO over 60 frames for RS-16 and RS-80, which takes minutes. Ctrl-C ends it; what
+was measured until then is printed and stored.
 """
 
 from __future__ import annotations
@@ -60,9 +61,11 @@ def _benchmark(args) -> int:
     print(report(found, here))
     if args.json:
         write_text(args.json, json.dumps(document(found, here), indent=2) + "\n")
-    if args.picture:
+    if args.picture and (found.times or found.growth):
         draw(args.picture, found, here)
-    return 0
+    if found.stopped:
+        print("benchmark: stopped; what was measured until then is kept", file=sys.stderr)
+    return 1 if found.stopped else 0
 
 
 def _arguments(argv):

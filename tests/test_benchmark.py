@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import runpy
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -63,7 +68,7 @@ def oracle(case):
 
 def test_every_rival_casts_the_frames_own_beams_and_finds_what_the_oracle_finds(case, oracle):
     rivals = rivals_of(case)
-    assert len(rivals) == 2 * bool(importlib.util.find_spec("embreex")) + 5 * bool(
+    assert len(rivals) == 2 * bool(importlib.util.find_spec("embreex")) + 6 * bool(
         importlib.util.find_spec("bpy")
     ) + bool(importlib.util.find_spec("open3d"))
     for rival in rivals:
@@ -141,6 +146,20 @@ def test_seconds_are_those_of_the_clock_times_the_scale():
     times = in_rounds([[Entry("a", lambda: None, "g", 2.0, "n")]], 2, clock=lambda: next(ticks))
     np.testing.assert_array_equal(times["a"].seconds, [[2.0], [6.0]])
     assert (times["a"].group, times["a"].note) == ("g", "n")
+
+
+def test_who_is_interrupted_keeps_the_rounds_before():
+    done, kept = [], {}
+
+    def act():
+        done.append(1)
+        if len(done) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        in_rounds([[Entry("a", act, "g")]], 5, warm=False, into=kept)
+    assert kept["a"].seconds.shape == (2, 1)
+    assert (kept["a"].seconds > 0.0).all()
 
 
 def test_columns_of_other_entries_are_refused():
@@ -315,6 +334,47 @@ def test_growth_is_measured_in_processes_of_their_own_one_for_each_point():
     assert series.time_law is not None
     for peak, above in zip(series.peak_mib, series.above_mib, strict=True):
         assert (peak is None and above is None) or peak > above >= 0.0
+
+
+def test_growth_that_is_interrupted_is_that_of_the_points_before(monkeypatch):
+    told = []
+
+    def measured(point):
+        if point.vehicles == 8:
+            raise KeyboardInterrupt
+        return growth.Measured(0.1 * point.vehicles, 0.1, 100.0 + point.vehicles, float(point.vehicles))
+
+    monkeypatch.setattr(growth, "in_fresh_process", measured)
+    with pytest.raises(KeyboardInterrupt):
+        growth.grow("vehicles", [2, 4, 8], 3, caster="raster", detail="box", sensor="RS-16", kept=told.append)
+    assert told[-1].x == [2, 4]
+    assert told[-1].time_law.exponent == pytest.approx(1.0)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
+def test_ctrl_c_leaves_what_was_measured_in_a_whole_file(tmp_path):
+    stored, errors = tmp_path / "b.json", tmp_path / "errors"
+    words = [str(SCRIPT), "--only", "metric", "--repeats", "10", "--json", str(stored)]
+    with errors.open("w") as stream:
+        running = subprocess.Popen(
+            [sys.executable, *words],
+            env={**os.environ, "PYTHONPATH": str(SCRIPT.parents[1])},
+            stdout=subprocess.PIPE,
+            stderr=stream,
+            text=True,
+            preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # a job in the background ignores it
+        )
+        while " 1 of 10" not in errors.read_text() and running.poll() is None:
+            time.sleep(0.1)
+        running.send_signal(signal.SIGINT)
+        out, _ = running.communicate(timeout=120)
+    assert running.returncode == 1, errors.read_text()
+    assert "stopped" in errors.read_text().splitlines()[-1]
+    found = json.loads(stored.read_text(encoding="utf-8"))
+    (row,) = found["times"]
+    assert found["stopped"]
+    assert 1 <= len(row["rounds"]) < 10
+    assert row["name"] in out
 
 
 GROWN = growth.Series(

@@ -12,7 +12,7 @@ SCHEMA = 1
 
 
 def document(found: Found, machine: dict[str, object]) -> dict[str, object]:
-    """The whole content; what was not asked for is an empty list."""
+    """The whole content; what was not asked for, or not come to, is an empty list."""
     return {
         "schema": SCHEMA,
         "machine": machine,
@@ -22,6 +22,7 @@ def document(found: Found, machine: dict[str, object]) -> dict[str, object]:
         "optimisations": [_timing(each, None) for each in found.wholes.values()],
         "growth": [_series(each) for each in found.growth],
         "left_out": found.left_out,
+        "stopped": found.stopped,
     }
 
 

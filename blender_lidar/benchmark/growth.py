@@ -118,18 +118,26 @@ def grow(
     detail: str,
     sensor: str,
     told: Callable[[], None] = lambda: None,
+    kept: Callable[[Series], None] = lambda series: None,
 ) -> Series:
-    """Measure a series: in each round every point, in a fresh process."""
+    """Measure a series: in each round every point, in a fresh process; `kept` is given what there is after each."""
     points = points_of(over, values, caster, detail, sensor)
     found: list[list[Measured]] = [[] for _ in points]
     for _ in range(rounds):
         for row, point in enumerate(points):
             found[row].append(in_fresh_process(point))
+            kept(_series(over, caster, values, found))
             told()
+    return _series(over, caster, values, found)
+
+
+def _series(over: str, caster: str, values: Sequence[int], found: Sequence[Sequence[Measured]]) -> Series:
+    """Of the values that have been measured."""
+    found = [row for row in found if row]
     return Series(
         over,
         caster,
-        list(values),
+        list(values[: len(found)]),
         [quartiles(np.array([each.seconds for each in row])) for row in found],
         [float(np.median([each.ready_s for each in row])) for row in found],
         [_median([each.peak_mib for each in row]) for row in found],
@@ -156,6 +164,7 @@ def measure(point: Point) -> Measured:
     forget_peak()
     started = time.perf_counter()
     with _evaluator(point) as evaluator:
+        evaluator.await_workers()
         evaluator.totals(swarm[:1])
         ready = time.perf_counter()
         evaluator.totals(swarm)

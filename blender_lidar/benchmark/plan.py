@@ -9,6 +9,7 @@ from typing import NamedTuple
 from ..casting import CASTERS, is_available, resolve
 from ..errors import InputError
 from ..scenario import load_scenario
+from ..stop_signals import stops_recognised
 from . import growth, whole
 from .case import MOUNTINGS, FrameCase, cases_of, summary_of
 from .rivals import rivals_missing, rivals_of, yardsticks_of
@@ -67,13 +68,14 @@ class Options:
 
 @dataclass(slots=True)
 class Found:
-    """What came of it; what was not asked for is empty."""
+    """What came of it; what was not asked for, or not come to before it was stopped, is empty."""
 
     about: dict[str, object] = field(default_factory=dict)
     times: dict[str, Timing] = field(default_factory=dict)
     wholes: dict[str, Timing] = field(default_factory=dict)
     growth: list[growth.Series] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
+    stopped: bool = False
 
     @property
     def verdicts(self) -> list[Verdict]:
@@ -89,7 +91,7 @@ class Told(NamedTuple):
 
 
 def carry_out(options: Options, told: Told = Told()) -> Found:  # noqa: B008 (it holds nothing)
-    """Do all parts that are asked for.
+    """Do all parts that are asked for; when interrupted, return what there is until then.
 
     Raises
     ------
@@ -104,19 +106,27 @@ def carry_out(options: Options, told: Told = Told()) -> Found:  # noqa: B008 (it
             found.left_out[f"caster {name}"] = "its library is not installed"
     if _TOO_SLOW not in casters:
         found.left_out[f"caster {_TOO_SLOW}"] = f"minutes for a frame; asked for by --caster {_TOO_SLOW}"
+    try:
+        with stops_recognised():
+            _carry_out(options, casters, found, told)
+    except KeyboardInterrupt:
+        found.stopped = True
+    return found
+
+
+def _carry_out(options: Options, casters: Sequence[str], found: Found, told: Told) -> None:
     if {STAGES, RIVALS, METRIC} & set(options.parts):
         _frame(options, casters, found, told)
     if WHOLE in options.parts:
         few = whole.few_evaluations(options.scene, options.overrides, casters)
-        found.wholes |= _timed([few], "whole optimisations", min(options.repeats, 3), told, warm=False)
+        _time([few], "whole optimisations", min(options.repeats, 3), found.wholes, told, warm=False)
     if PAPER in options.parts:
         overrides = {key: value for key, value in options.overrides.items() if key != ("sensor", "name")}
-        chosen = options.casters or casters[:1]
-        every = whole.paper_evaluations(options.scene, overrides, chosen)
-        found.wholes |= _timed([every], "the paper's 2,000 evaluations", 1, told, warm=False)
+        for entry in whole.paper_evaluations(options.scene, overrides, options.casters or casters[:1], told.advances):
+            told.begins(f"the paper's {entry.name}", whole.PAPER_EVALUATIONS)
+            in_rounds([[entry]], 1, warm=False, into=found.wholes)
     if GROWTH in options.parts:
-        found.growth += _growth(options, casters, found, told)
-    return found
+        _grow(options, casters, found, told)
 
 
 def _casters(options: Options) -> tuple[str, ...]:
@@ -131,11 +141,11 @@ def _frame(options: Options, casters: Sequence[str], found: Found, told: Told) -
     columns = [_entries(case, casters, options.parts) for case in frames]
     if frames:
         found.about = summary_of(frames)
-        found.times = _timed(columns, "frames", options.repeats, told)
+        _time(columns, "frames", options.repeats, found.times, told)
     if RIVALS in options.parts:
         found.left_out |= rivals_missing()
     if METRIC in options.parts:
-        found.times |= _timed([[metric_entry()]], "the metric", options.repeats, told)
+        _time([[metric_entry()]], "the metric", options.repeats, found.times, told)
 
 
 def _scenario(options: Options):
@@ -148,31 +158,24 @@ def _entries(case: FrameCase, casters: Sequence[str], parts: Sequence[str]) -> l
     return ours + [rival.entry for rival in rivals]
 
 
-def _timed(columns, what: str, rounds: int, told: Told, warm: bool = True) -> dict[str, Timing]:
+def _time(columns, what: str, rounds: int, into: dict[str, Timing], told: Told, warm: bool = True) -> None:
     told.begins(what, rounds)
-    return in_rounds(columns, rounds, warm=warm, told=told.advances)
+    in_rounds(columns, rounds, warm=warm, told=told.advances, into=into)
 
 
-def _growth(options: Options, casters: Sequence[str], found: Found, told: Told) -> list[growth.Series]:
+def _grow(options: Options, casters: Sequence[str], found: Found, told: Told) -> None:
     """All series with every caster that is fast enough for it."""
     chosen = options.casters or tuple(name for name in casters if name != "bvh")
     if "bvh" in casters and "bvh" not in chosen:
         found.left_out["growth of bvh"] = "minutes for 256 frames; asked for by --caster bvh"
-    detail = options.detail or _scenario(options).model.detail
+    basis = {"detail": options.detail or _scenario(options).model.detail, "sensor": options.sensor}
     settings = growth.steps(options.most_frames, options.most_workers or None)
-    made = []
     for caster in chosen:
         for over, values in settings.items():
             told.begins(f"growth over {over}, {caster}", options.repeats * len(values))
-            made.append(
-                growth.grow(
-                    over,
-                    values,
-                    options.repeats,
-                    caster=caster,
-                    detail=detail,
-                    sensor=options.sensor,
-                    told=told.advances,
-                )
-            )
-    return made
+            last = slice(len(found.growth), None)
+
+            def keep(series: growth.Series, last: slice = last) -> None:
+                found.growth[last] = [series]
+
+            growth.grow(over, values, options.repeats, caster=caster, **basis, told=told.advances, kept=keep)

@@ -80,6 +80,7 @@ def in_rounds(
     warm: bool = True,
     told: Callable[[], None] = lambda: None,
     clock: Callable[[], float] = time.perf_counter,
+    into: dict[str, Timing] | None = None,
 ) -> dict[str, Timing]:
     """Time every entry of every column once in each round, one entry after another.
 
@@ -96,6 +97,8 @@ def in_rounds(
         Called after each round.
     clock : callable
         Seconds from any zero.
+    into : dict, optional
+        What is returned is added to it round by round, so that whoever is interrupted keeps the rounds before.
 
     Returns
     -------
@@ -105,6 +108,8 @@ def in_rounds(
     names = [entry.name for entry in columns[0]] if columns else []
     if len(set(names)) < len(names) or any([entry.name for entry in column] != names for column in columns):
         raise InputError(f"timed side by side: {names}; allowed: different names, the same ones in each column")
+    into = {} if into is None else into
+    first = columns[0] if columns else ()
     seconds = np.empty((len(names), rounds, len(columns)))
     for turn in range(rounds):
         for at, column in enumerate(columns):
@@ -114,9 +119,7 @@ def in_rounds(
                 start = clock()
                 entry.act()
                 seconds[row, turn, at] = (clock() - start) * entry.scale
+        for entry, times in zip(first, seconds, strict=True):
+            into[entry.name] = Timing(entry.name, entry.group, entry.note, times[: turn + 1])
         told()
-    first = columns[0] if columns else ()
-    return {
-        entry.name: Timing(entry.name, entry.group, entry.note, times)
-        for entry, times in zip(first, seconds, strict=True)
-    }
+    return {name: into[name] for name in names}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+
+import numpy as np
 
 from ..errors import InputError
 from ..optimise.solve import SearchResult
@@ -17,8 +19,14 @@ from .timing import Entry
 
 GROUP = "whole"
 FEW = {("traffic", "frames"): 5, ("search", "particles"): 20, ("search", "iterations"): 5, ("model", "workers"): 1}
-PAPER = {("traffic", "frames"): 60, ("search", "particles"): 20, ("search", "iterations"): 100}
+PAPER = {
+    ("search", "method"): "de-pso",
+    ("traffic", "frames"): 60,
+    ("search", "particles"): 20,
+    ("search", "iterations"): 100,
+}
 PAPER_SENSORS = ("RS-16", "RS-80")
+PAPER_EVALUATIONS = PAPER["search", "particles"] * PAPER["search", "iterations"]
 
 
 def few_evaluations(scene: str, overrides: dict, casters: Sequence[str]) -> list[Entry]:
@@ -26,27 +34,38 @@ def few_evaluations(scene: str, overrides: dict, casters: Sequence[str]) -> list
     return _entries(scene, {**overrides, **_given(FEW)}, casters)
 
 
-def paper_evaluations(scene: str, overrides: dict, casters: Sequence[str]) -> list[Entry]:
-    """The paper's 2,000 evaluations over 60 frames, for its smallest sensor and its largest."""
+def paper_evaluations(
+    scene: str, overrides: dict, casters: Sequence[str], told: Callable[[], None] = lambda: None
+) -> list[Entry]:
+    """The paper's 2,000 evaluations over 60 frames, for its smallest sensor and its largest; each is `told`."""
     entries = []
     for sensor in PAPER_SENSORS:
         given = {**overrides, **_given(PAPER), ("sensor", "name"): (sensor, "--whole")}
-        entries += _entries(scene, given, casters)
+        entries += _entries(scene, given, casters, told)
     return entries
 
 
-def optimise(site: Site) -> SearchResult:
+def optimise(site: Site, told: Callable[[], None] = lambda: None) -> SearchResult:
     """Search a site's mountings; what follows in a run, hold-out and map, is left out."""
     deployment, search = site.scenario.deployment, fresh_search(site.scenario)
     with site.evaluator(site.search) as evaluator:
-        return run_search(search, lambda x: evaluator.totals([deployment.pose(row) for row in x]).objective.sum(axis=1))
+
+        def objective(x: np.ndarray) -> np.ndarray:
+            found = evaluator.totals([deployment.pose(row) for row in x]).objective.sum(axis=1)
+            for _ in x:
+                told()
+            return found
+
+        return run_search(search, objective)
 
 
 def _given(settings: dict) -> dict:
     return {key: (value, "benchmark") for key, value in settings.items()}
 
 
-def _entries(scene: str, overrides: dict, casters: Sequence[str]) -> list[Entry]:
+def _entries(
+    scene: str, overrides: dict, casters: Sequence[str], told: Callable[[], None] = lambda: None
+) -> list[Entry]:
     if not casters:
         return []
     scenario = load_scenario(scene, {**overrides, ("model", "caster"): (casters[0], "--caster")})
@@ -60,7 +79,9 @@ def _entries(scene: str, overrides: dict, casters: Sequence[str]) -> list[Entry]
     sites = {caster: _with(site, caster) for caster in casters}
     for each in sites.values():
         _make_ready(each)
-    return [Entry(f"{name}, {caster}", partial(optimise, each), GROUP, note=note) for caster, each in sites.items()]
+    return [
+        Entry(f"{name}, {caster}", partial(optimise, each, told), GROUP, note=note) for caster, each in sites.items()
+    ]
 
 
 def _make_ready(site: Site) -> None:
