@@ -12,8 +12,9 @@ from blender_lidar.errors import InputError
 from blender_lidar.scenario import load_scenario
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.speed_accuracy.ablations import ablations, without_offsets
+from blender_lidar.speed_accuracy.ablations import ablations
 from blender_lidar.speed_accuracy.bare_shapes import bare_shape, dropped_triangles
+from blender_lidar.speed_accuracy.changes import without_offsets
 from blender_lidar.speed_accuracy.motion import (
     SECTORS,
     MovingScorer,
@@ -72,7 +73,8 @@ def test_the_plain_scorer_sees_what_the_products_own_sees(site, frame, detail):
 
 
 def test_scenery_hides_from_the_plain_scorer_too(site, frame):
-    median = next(one for one in ablations(site) if one.what == "median barrier").having.changed(site)
+    ((_, there),) = next(one for one in ablations(site, 1) if one.what == "median barrier").pairs
+    median = there.changed(site)
     observation = replace(median.observation, max_range_m=50.0)
     seen = PlainScorer(frame, observation).see(POSES)
     assert_same(seen, FrameScorer(frame.vehicles, frame.counted, observation).see(POSES))
@@ -174,8 +176,8 @@ def test_a_car_loses_four_wheels_and_two_mirrors():
 
 
 def test_every_ablation_can_be_sent_to_a_worker_and_has_a_name_of_its_own(site):
-    changes = ablations(site)
-    sides = {one.stage: one for change in changes for one in (change.without, change.having) if one is not None}
+    changes = ablations(site, 3)
+    sides = {one.stage: one for change in changes for pair in change.pairs for one in pair}
     assert len({(change.what, change.value) for change in changes}) == len(changes)
     assert [one.stage for one in pickle.loads(pickle.dumps(list(sides.values())))] == list(sides)
     wanted = "ground, guard rail, median barrier, wheels and mirrors, body shape, glass drop-out, azimuth offsets"
@@ -185,12 +187,12 @@ def test_every_ablation_can_be_sent_to_a_worker_and_has_a_name_of_its_own(site):
 
 def test_every_ablation_but_the_ground_and_float32_changes_a_score(site):
     """At 20 m from two lanes neither barrier nor weak returns need matter; what is asked is done all the same."""
-    changes = [one for one in ablations(site) if one.having is not None]
+    changes = [one for one in ablations(site, 1) if one.pairs]
     spared = {"ground", "float32", "guard rail", "weak returns"}
     for change in changes:
         if change.what == "motion in a turn" and change.value.startswith("recorded"):
             continue  # frames of the small scene are too far apart to tell a speed
-        both = [next(landscapes(site, [Job(one, POSES)])).objective for one in (change.without, change.having)]
+        both = [next(landscapes(site, [Job(one, POSES)])).objective for one in change.pairs[0]]
         if change.what == "ground":
             np.testing.assert_array_equal(*both)
         elif change.what not in spared:
@@ -209,22 +211,52 @@ def test_offsets_left_out_are_all_0_and_the_other_rings_keep_their_beams(tmp_pat
 
 
 def test_a_sensor_without_offsets_says_so(site):
-    (change,) = (one for one in ablations(site) if one.what == "azimuth offsets")
-    assert (change.without, change.note) == (None, "the RS-16 has none")
+    (change,) = (one for one in ablations(site, 2) if one.what == "azimuth offsets")
+    assert (change.pairs, change.note) == ((), "the beam table of the RS-16 has none")
 
 
-def test_what_the_scene_has_is_left_out_and_not_added(tmp_path):
+def test_a_sensor_that_is_imperfect_at_random_is_drawn_several_times_and_no_other_is(site):
+    changes = {one.what: one for one in ablations(site, 3)}
+    drawn = {what for what, change in changes.items() if len(change.pairs) == 3}
+    assert drawn == {"glass drop-out", "range noise", "drop-out", "unit spread"}
+    assert all(len(change.pairs) == 1 for what, change in changes.items() if what not in {*drawn, "azimuth offsets"})
+    for what in drawn:
+        perfect, imperfect = zip(*changes[what].pairs, strict=True)
+        assert len({one.stage for one in perfect}) == 1
+        scores = [next(landscapes(site, [Job(one, POSES)])).objective for one in imperfect]
+        assert not np.allclose(scores[0], scores[1])
+
+
+def test_of_a_scene_that_is_imperfect_both_sides_of_a_draw_draw_the_same(tmp_path):
+    """Drop-out alone is ablated: where a beam is not dropped its range is as noisy on the one side as on the other."""
+    noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {"range_noise_m": 0.03}})))
+    change = next(one for one in ablations(noisy, 3) if one.what == "drop-out")
+    for draw, pair in enumerate(change.pairs, start=1):
+        seen = [one.changed(noisy).observation.imperfections for one in pair]
+        assert [one.seed for one in seen] == [draw, draw]
+        assert [one.range_noise_m for one in seen] == [0.03, 0.03]
+        assert [one.dropout for one in seen] == [0.0, 0.05]
+
+
+@pytest.mark.parametrize("key", ["glass_dropout", "range_noise_m", "dropout"])
+def test_what_the_scene_has_is_left_out_once_and_not_added(key, tmp_path):
     write_table(tmp_path / "traffic.csv", traffic_rows())
-    noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {"range_noise_m": 0.03, "dropout": 0.2}})))
-    changes = {one.what: one for one in ablations(noisy)}
-    assert changes["range noise"].value == "0.03, as the scene has it"
-    left_out = changes["range noise"].without.changed(noisy).observation.imperfections
-    assert (left_out.range_noise_m, left_out.dropout) == (0.0, 0.2)
-    assert changes["drop-out"].having.stage == changes["range noise"].having.stage
+    noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {key: 0.2, "unit_spread_deg": 0.1}})))
+    changes = ablations(noisy, 2)
+    assert len({(one.what, one.value) for one in changes}) == len(changes)
+    ours = [one for one in changes if one.value == "0.2, as the scene has it"]
+    assert len(ours) == 1
+    for draw, (without, having) in enumerate(ours[0].pairs, start=1):
+        left_out, there = (one.changed(noisy) for one in (without, having))
+        assert (left_out.scenario.sensor.unit_spread_deg, left_out.observation.imperfections.seed) == (0.1, draw)
+        assert getattr(left_out.observation.imperfections, key) == 0.0
+        assert getattr(there.observation.imperfections, key) == 0.2
+    spread = next(one for one in changes if one.what == "unit spread")
+    assert [one.stage for _, one in spread.pairs] == [one.stage for _, one in ours[0].pairs]
 
 
 def test_the_experiments_say_why_they_are_not_made_with_an_imperfect_sensor(tmp_path):
     noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {"dropout": 0.2}})))
-    (single,) = (one for one in ablations(noisy) if one.what == "float32")
-    assert "imperfect" in next(landscapes(noisy, [Job(single.having, POSES)]))
+    (single,) = (one for one in ablations(noisy, 1) if one.what == "float32")
+    assert "imperfect" in next(landscapes(noisy, [Job(single.pairs[0][1], POSES)]))
     assert not isinstance(next(landscapes(noisy, [Job(AS_IT_IS, POSES)])), str)

@@ -64,7 +64,7 @@ def test_fifty_points_are_named_and_no_name_lies_on_another_or_outside(drawn, tm
     assert (tmp_path / "chart.png").stat().st_size > 1000
 
 
-def test_points_lie_at_their_median_and_error_and_what_has_none_lies_below_all_others(drawn, tmp_path):
+def test_points_lie_at_their_median_and_error_and_what_has_none_lies_at_0(drawn, tmp_path):
     given = marks(6)
     draw(tmp_path / "chart.png", given)
     (axes,) = drawn[0].axes
@@ -74,12 +74,17 @@ def test_points_lie_at_their_median_and_error_and_what_has_none_lies_below_all_o
         if line.get_linestyle() == "None"
         for x, y in zip(line.get_xdata(), line.get_ydata(), strict=True)
     }
-    for mark in given[1:]:
+    for mark in given:
         assert any(np.allclose(place, (mark.milliseconds[1], mark.error)) for place in shown)
-    (lowest,) = {y for x, y in shown if x == 300.0}
-    assert lowest < min(mark.error for mark in given[1:])
-    assert lowest < 0.003
-    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "linear")
+    low, high = axes.get_ylim()
+    assert low < 0.0
+    assert high > max(0.03, *(mark.error for mark in given))  # the noise ceiling is seen whole
+
+
+def test_where_nothing_errs_there_is_a_picture_all_the_same(drawn, tmp_path):
+    draw(tmp_path / "chart.png", marks(0), noise=None, tolerance=None)
+    assert drawn[0].axes[0].get_ylim() == pytest.approx((-0.05, 1.05))
 
 
 def test_without_noise_tolerance_or_unit(drawn, tmp_path):

@@ -27,7 +27,7 @@ from blender_lidar.study.landscapes import Job, landscapes
 from blender_lidar.study.site import prepare
 from tests.small_scene import CASTER, MAPPED, cli, write_scene
 
-TINY = Effort(3, 8, 2, 8, phases=2, rounds=2, hit_frames=1, hit_mountings=1, quick=True)
+TINY = Effort(3, 8, 2, 6, 2, 8, phases=2, rounds=2, hit_frames=1, hit_mountings=1, quick=True)
 POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(0.0, 0.0, 4.4, 0.1))
 
 
@@ -45,7 +45,9 @@ def tiny(monkeypatch):
     monkeypatch.setattr(ladder, "CASTERS", (CASTER, "exact"))  # another one takes seconds to load
     monkeypatch.setattr(ladder, "STRIDES", (1, 4))
     kept = ("ground", "body shape", "azimuth offsets", "drop-out", "float32")
-    monkeypatch.setattr(study, "ablations", lambda site: [one for one in ablations(site) if one.what in kept])
+    monkeypatch.setattr(
+        study, "ablations", lambda site, draws: [one for one in ablations(site, draws) if one.what in kept]
+    )
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
 
 
@@ -198,6 +200,27 @@ def test_an_imperfect_sensor_is_charted_without_the_experiments_that_want_a_perf
     assert rows["drop-out"]["value"] == "0.1, as the scene has it"
 
 
+def test_azimuth_offsets_that_the_scenes_sensor_has_not_are_ablated_on_the_other_one(tiny, tmp_path, capsys):
+    scene = write_scene(tmp_path, MAPPED)
+    words = ("--quick", "--json", "--out", tmp_path / "run")
+    code, out, err = cli(capsys, "chart", scene, *words, "--other-sensor", "RS-80")
+    assert code == 0, err
+    (row,) = (row for row in json.loads(out)["ablations"] if row["what"] == "azimuth offsets")
+    assert row["value"].endswith("deg; RS-80 and its own floor")
+    assert abs(row["bias"]) > 0.0
+
+
+def test_rows_of_random_sensors_say_how_often_they_were_drawn(tiny, tmp_path, capsys):
+    words = ("--quick", "--other-sensor", "none", "--out", tmp_path / "run")
+    code, out, err = cli(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
+    assert code == 0, err
+    result = json.loads((tmp_path / "run" / "chart.json").read_text())
+    rows = {row["what"]: row["draws"] for row in result["ablations"]}
+    assert rows == {"ground": 1, "body shape": 1, "azimuth offsets": 0, "drop-out": 2, "float32": 1}
+    assert "5 % of all returns; mean of 2 draws" in out
+    assert result["ablation_mountings"] == 6
+
+
 def test_a_default_other_sensor_that_the_scene_does_not_suit_is_told_of_and_left_out(tiny, tmp_path, capsys):
     """The scene's gate is nearer than the RS-80 sees anything."""
     scene = write_scene(tmp_path, {**MAPPED, "sensor": {"RS-80": {"range_gate_m": 0.1}}})
@@ -260,6 +283,19 @@ def test_another_sensor_that_is_asked_for_and_unknown_is_refused(tmp_path, capsy
     code, _, err = cli(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
     assert (code, err.count("\n")) == (2, 1)
     assert "RS-1000" in err
+
+
+def test_the_scenes_own_sensor_is_no_other_one(tmp_path, capsys):
+    scene = write_scene(tmp_path, MAPPED)
+    for words in (
+        ("--other-sensor", "RS-16"),
+        ("--other-sensor", "RS-LiDAR-16"),
+        ("--sensor", "VLP-16", "--other-sensor", "VLP-16"),
+    ):
+        code, _, err = cli(capsys, "chart", scene, *words, "--out", tmp_path / "run")
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"--other-sensor: is '{words[-1]}', the scene's own" in err
+        assert not (tmp_path / "run").exists()
 
 
 def test_the_other_sensor_is_part_of_what_a_resumed_chart_must_share(site):

@@ -1,4 +1,4 @@
-"""The chart's statistics: ranking, calibration, choices, the noise ceiling, the front, and what is near enough."""
+"""The chart's statistics: ranking, calibration, choices, the noise ceiling, the front, and verdicts."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from blender_lidar.speed_accuracy.choices import chosen_shares, regret, searched
 from blender_lidar.speed_accuracy.noise import noise_ceiling
 from blender_lidar.speed_accuracy.pareto import pareto_front
 from blender_lidar.speed_accuracy.ranking import weighted_tau
-from blender_lidar.speed_accuracy.recommendation import sentence
-from blender_lidar.speed_accuracy.rungs import mark_within, recommended
 from blender_lidar.speed_accuracy.validation import verdict
 from blender_lidar.study.landscape import Landscape
+from blender_lidar.study.statistics import student_t
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -133,9 +132,27 @@ def test_where_the_references_choice_gains_nothing_there_is_no_regret():
     assert regret(np.eye(16)[0], np.eye(16)[15], worse, block) is None
 
 
-def test_fewer_than_three_blocks_give_no_interval():
+def test_fewer_than_three_blocks_give_no_interval_and_no_bound():
     judged, block = traffic(1, blocks=2)
-    assert regret(np.eye(16)[0], np.eye(16)[15], judged, block).interval_90 is None
+    found = regret(np.eye(16)[0], np.eye(16)[15], judged, block)
+    assert found.interval_90 is None
+    assert found.bound(0.95) is None
+
+
+def test_the_bound_at_95_per_cent_is_the_upper_end_of_the_90_per_cent_interval_and_rises_with_the_level():
+    judged, block = traffic(1, noise=0.3)
+    found = regret(np.eye(16)[3], np.eye(16)[15], judged, block)
+    assert found.blocks == 8
+    assert found.bound(0.95) == pytest.approx(found.interval_90[1], rel=1e-3)
+    assert found.bound(0.95) < found.bound(0.98) < found.bound(0.999)
+    assert found.bound(0.5) == pytest.approx(found.share)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.98333, 0.999])
+@pytest.mark.parametrize("degrees", [1, 1.7, 5, 26.4, 2000])
+def test_students_t_is_scipys(level, degrees):
+    stats = pytest.importorskip("scipy.stats")
+    assert student_t(level, degrees) == pytest.approx(stats.t.ppf(level, degrees), abs=1e-9, rel=1e-9)
 
 
 def test_choices_are_shares_and_those_of_two_blocks_come_from_the_frames_as_they_are():
@@ -193,7 +210,7 @@ def test_traffic_without_luck_has_no_noise():
     assert noise.error == pytest.approx(0.0, abs=1e-9)
     assert noise.bias == pytest.approx(0.0, abs=1e-9)
     assert noise.tau == pytest.approx(1.0)
-    assert noise.regret == pytest.approx(0.0)
+    assert noise.apart == pytest.approx(0.0)
 
 
 def test_the_noise_ceiling_is_twice_the_standard_error_of_the_whole():
@@ -211,7 +228,7 @@ def test_three_blocks_have_no_halves_to_compare():
     assert noise_ceiling(Reference.of(searched, block, searched, block, 1)) is None
 
 
-# --- the front and what is near enough --------------------------------------------------------------------------------
+# --- the front and the verdict --------------------------------------------------------------------------------
 
 
 @given(st.lists(st.tuples(st.integers(0, 6), st.integers(0, 6)), min_size=1, max_size=30))
@@ -221,47 +238,6 @@ def test_the_front_is_what_no_other_beats(costs):
     front = pareto_front(first, second)
     assert sorted(front.tolist()) == np.flatnonzero(~np.array(beaten)).tolist()
     assert (np.diff(first[front]) >= 0.0).all()
-
-
-def row(name: str, median: float, interval, error: float) -> dict:
-    return {
-        "name": name,
-        "text": name,
-        "culled": True,
-        "ground": name == "quick by chance",
-        "milliseconds": {"median": median},
-        "speedup": 80.0 / median,
-        "regret_interval_90": interval,
-        "error_share": error,
-    }
-
-
-def test_the_fastest_of_those_that_are_surely_near_enough_is_recommended():
-    rows = [
-        row("reference", 80.0, (0.0, 0.0), 0.0),
-        row("lucky", 1.0, (0.0, 0.0), 0.2),  # its error is beyond the noise
-        row("not sure", 2.0, (-0.02, 0.02), 0.03),
-        row("near", 8.0, (-0.01, 0.009), 0.04),
-        row("slower", 10.0, (0.0, 0.0), 0.001),
-        row("quick by chance", 7.9, (-0.01, 0.009), 0.04),
-        row("without blocks", 3.0, None, 0.001),
-    ]
-    noise = noise_ceiling(reference_of(1))
-    mark_within(rows, 0.01, noise, noise.error / 0.05)  # which makes the ceiling 5 % of the gain
-    assert [one["name"] for one in rows if one["within"]] == ["reference", "near", "slower", "quick by chance"]
-    best = recommended(rows)
-    assert sentence(rows[0], best, 0.01, 0.3) == (
-        "Cheapest within 1 % of the gain: near: 8 ms an evaluation, 10 times faster than the reference (reference)."
-    )
-    mark_within(rows, 0.01, None, 0.3)
-    assert [one["name"] for one in rows if one["within"]] == ["reference", "slower"]
-
-
-def test_where_nothing_cheaper_will_do_the_reference_is_named_and_where_nothing_gains_nothing_is():
-    rows = [row("reference", 80.0, None, 0.0), row("near", 8.0, None, 0.0)]
-    mark_within(rows, 0.01, None, 0.3)
-    assert "only the reference, reference: 80 ms" in sentence(rows[0], recommended(rows), 0.01, 0.3)
-    assert sentence(rows[0], rows[0], 0.01, 0.0).startswith("No mounting gains anything over the baseline")
 
 
 def test_a_recommendation_holds_surely_likely_or_not():

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -38,57 +42,85 @@ from tests.chart_samples import (
 pytest.importorskip("matplotlib", reason="charts need matplotlib")
 
 
-@pytest.fixture
-def figures(monkeypatch):
-    """The figures saved during a test, in order; they are written all the same."""
+@contextmanager
+def figures_kept():
+    """The figures that are saved meanwhile, in order; they are written all the same."""
     saved, save = [], canvas.save
 
     def keep(figure, path):
         save(figure, path)
         saved.append(figure)
 
-    monkeypatch.setattr(canvas, "save", keep)
-    return saved
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(canvas, "save", keep)
+        yield saved
+
+
+@pytest.fixture
+def figures():
+    with figures_kept() as saved:
+        yield saved
+
+
+class Drawn(NamedTuple):
+    """A chart under headings: its file, its figure, and what it was drawn from."""
+
+    path: Path
+    figure: object
+    arguments: dict
+
+
+HEADINGS = {"title": "A title", "subtitle": "And a subtitle"}
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Each chart, drawn once for all that look at it."""
+
+    @cache
+    def draw(name: str) -> Drawn:
+        path = tmp_path_factory.mktemp(name) / "chart.png"
+        plot, arguments = chart_arguments()[name]
+        with figures_kept() as saved:
+            plot(path, **arguments, **HEADINGS)
+        return Drawn(path, saved[0], arguments)
+
+    return draw
 
 
 @pytest.mark.parametrize("name", CHARTS)
-def test_a_chart_is_a_png_of_the_printed_size_with_something_on_it(name, tmp_path):
-    plot, arguments = chart_arguments()[name]
-    plot(tmp_path / "chart.png", **arguments, title="Title", subtitle="Subtitle")
-    grey = grey_pixels(tmp_path / "chart.png")
+def test_a_chart_is_a_png_of_the_printed_size_with_something_on_it(name, drawn):
+    path = drawn(name).path
+    grey = grey_pixels(path)
     assert grey.shape[1] == pytest.approx(canvas.WIDTH_MM / canvas.MM_PER_INCH * canvas.DPI, abs=1)
     assert 0.01 < np.mean(grey < 0.9) < 0.9
-    assert [path.name for path in tmp_path.iterdir()] == ["chart.png"]
+    assert [found.name for found in path.parent.iterdir()] == ["chart.png"]
 
 
 @pytest.mark.parametrize("name", CHARTS)
-def test_a_chart_leaves_its_inputs_alone_and_repeats_byte_for_byte(name, tmp_path):
-    plot, arguments = chart_arguments()[name]
-    plot(tmp_path / "first.png", **arguments)
-    untouched = chart_arguments()[name][1]
+def test_a_chart_leaves_its_inputs_alone_and_repeats_byte_for_byte(name, drawn, tmp_path):
+    plot, untouched = chart_arguments()[name]
+    arguments = drawn(name).arguments
     assert repr(arguments) == repr(untouched)
     np.testing.assert_equal(
         {key: value for key, value in arguments.items() if not isinstance(value, OccupancyViews)},
         {key: value for key, value in untouched.items() if not isinstance(value, OccupancyViews)},
     )
-    plot(tmp_path / "second.png", **untouched)
-    assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
+    plot(tmp_path / "second.png", **untouched, **HEADINGS)
+    assert drawn(name).path.read_bytes() == (tmp_path / "second.png").read_bytes()
 
 
 @pytest.mark.parametrize("name", CHARTS)
-def test_every_axis_says_what_it_measures_and_in_which_unit(name, tmp_path, figures):
-    plot, arguments = chart_arguments()[name]
-    plot(tmp_path / "chart.png", **arguments)
-    labels = [label for axes in figures[0].axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
+def test_every_axis_says_what_it_measures_and_in_which_unit(name, drawn):
+    figure = drawn(name).figure
+    labels = [label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel()) if label]
     assert all("[" in label or label.startswith("Evaluations") for label in labels)
-    assert labels or "1 m; a cell is 0.05 m by 0.05 m" in words(figures[0])
+    assert labels or "1 m; a cell is 0.05 m by 0.05 m" in words(figure)
 
 
 @pytest.mark.parametrize("name", CHARTS)
-def test_headings_legend_and_panels_do_not_cover_each_other(name, tmp_path, figures):
-    plot, arguments = chart_arguments()[name]
-    plot(tmp_path / "chart.png", **arguments, title="A title", subtitle="And a subtitle")
-    figure = figures[0]
+def test_headings_legend_and_panels_do_not_cover_each_other(name, drawn):
+    figure = drawn(name).figure
     panels = [axes.get_tightbbox() for axes in figure.axes]
     around = [legend.get_window_extent() for legend in figure.legends] + [figure._suptitle.get_window_extent()]
     for index, box in enumerate(panels):

@@ -15,6 +15,8 @@ from blender_lidar.study.statistics import (
     interval_90,
     ratio_interval_90,
     resampled_weights,
+    student_t,
+    student_t_95,
 )
 
 TRUTH = 1.0
@@ -132,3 +134,39 @@ def test_a_block_without_vehicles_does_not_spoil_the_interval():
         warnings.simplefilter("error")
         low, high = ratio_interval_90(np.array([10.0, 12.0, 0.0, 9.0]), np.array([5.0, 5.0, 0.0, 5.0]), 1)
     assert 1.5 < low <= 31.0 / 15.0 <= high < 2.7
+
+
+# One-sided points of Student's t from tables in common use (Abramowitz and Stegun 1964, table 26.10).
+TABLED = [
+    *((0.90, 1, 3.078), (0.90, 10, 1.372), (0.90, 120, 1.289)),
+    *((0.975, 1, 12.706), (0.975, 2, 4.303), (0.975, 9, 2.262), (0.975, 30, 2.042)),
+    *((0.99, 3, 4.541), (0.99, 20, 2.528), (0.995, 4, 4.604), (0.995, 60, 2.660), (0.9995, 8, 5.041)),
+]
+
+
+@pytest.mark.parametrize(("probability", "degrees", "point"), TABLED)
+def test_students_t_is_that_of_the_tables(probability, degrees, point):
+    assert student_t(probability, degrees) == pytest.approx(point, abs=0.0006)
+
+
+def test_students_t_agrees_with_the_95_percent_points_used_for_intervals():
+    for degrees in range(1, 200):
+        assert student_t(0.95, degrees) == pytest.approx(student_t_95(degrees), abs=0.002)
+
+
+def test_students_t_holds_the_share_of_draws_that_it_should():
+    draws = np.random.default_rng(5).standard_t(7, 200_000)
+    for probability in (0.6, 0.9, 0.99):
+        assert (draws <= student_t(probability, 7)).mean() == pytest.approx(probability, abs=0.005)
+
+
+def test_students_t_grows_with_the_probability_and_is_nothing_at_a_half():
+    points = [student_t(probability, 5) for probability in np.linspace(0.5, 0.9999, 50)]
+    assert abs(points[0]) < 1e-9
+    assert (np.diff(points) > 0.0).all()
+
+
+@pytest.mark.parametrize(("probability", "degrees"), [(0.4, 3), (1.0, 3), (0.95, 0), (float("nan"), 3)])
+def test_students_t_refuses_what_it_does_not_serve(probability, degrees):
+    with pytest.raises(ValueError, match="allowed"):
+        student_t(probability, degrees)

@@ -17,6 +17,7 @@ from ..speed_accuracy.output import FILES, write_results
 from ..speed_accuracy.paired import read_paired
 from ..speed_accuracy.report import report_text
 from ..speed_accuracy.study import chart_identity, chart_study
+from ..stop_signals import stops_recognised
 from ..study.site import Site, prepare
 from ..study.stages import StudyFolder
 from .options import add_scene, default_folder, scenario_from
@@ -49,14 +50,14 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--other-sensor",
         metavar="NAME",
-        help=f"with which the recommendation is tried as well, or {NO_SENSOR}; by default {OTHER_SENSORS[0]}, for a "
-        f"scene of its own {OTHER_SENSORS[1]}",
+        help=f"another than the scene's, with which the recommendation is tried too, or {NO_SENSOR}; by default "
+        f"{OTHER_SENSORS[0]}, for a scene of its own {OTHER_SENSORS[1]}",
     )
     parser.add_argument(
         "--paired", metavar="PATH", help="paired.json of compare --paired, or its folder: its errors stand beside"
     )
     add_output(parser)
-    parser.add_argument("--quick", action="store_true", help="ten frames, fewer mountings and phases")
+    parser.add_argument("--quick", action="store_true", help="ten frames, fewer mountings and draws")
     parser.add_argument("--resume", action="store_true", help="go on with the study in --out DIR that was stopped")
     parser.set_defaults(run=run)
 
@@ -76,7 +77,8 @@ def run(args: argparse.Namespace) -> int:
     with folder.locked(resume=args.resume):
         say(args, describe_site(site) + "\n")
         try:
-            result = chart_study(site, effort, tolerance, folder, Progress, other, paired)
+            with stops_recognised():
+                result = chart_study(site, effort, tolerance, folder, Progress, other, paired)
         except KeyboardInterrupt:
             print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
             return 1
@@ -104,9 +106,12 @@ def _other_site(args: argparse.Namespace, scenario: Scenario) -> Site | None:
     name = args.other_sensor
     if name == NO_SENSOR:
         return None
-    if name is not None:
-        return prepare(scenario_from(argparse.Namespace(**{**vars(args), "sensor": name})))
     own = load_model(scenario.sensor.name).name
+    if name is not None:
+        other = scenario_from(argparse.Namespace(**{**vars(args), "sensor": name}))
+        if load_model(other.sensor.name).name == own:
+            raise InputError(f"--other-sensor: is {name!r}, the scene's own; allowed: another one, or {NO_SENSOR}")
+        return prepare(other)
     name = next(other for other in OTHER_SENSORS if other != own)
     try:
         return prepare(scenario_from(argparse.Namespace(**{**vars(args), "sensor": name})))

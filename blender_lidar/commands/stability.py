@@ -13,6 +13,7 @@ from ..stability.mountings import check_searched
 from ..stability.output import FILES, write_results
 from ..stability.report import report_text
 from ..stability.study import study_identity, study_stability
+from ..stop_signals import stops_recognised
 from ..study.site import prepare
 from ..study.stages import StudyFolder
 from .options import add_pose, add_scene, default_folder, mounting_from, scenario_from
@@ -55,7 +56,8 @@ def run(args: argparse.Namespace) -> int:
     with folder.locked(resume=args.resume):
         say(args, describe_site(site) + "\n")
         try:
-            result = study_stability(site, effort, folder, Progress, mounting)
+            with stops_recognised():
+                result = study_stability(site, effort, folder, Progress, mounting)
         except KeyboardInterrupt:
             print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
             return 1

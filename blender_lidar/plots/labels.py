@@ -16,6 +16,7 @@ _FONT_PT = 5.6
 _GAP_PT = 0.6  # between a point and its name
 _RINGS = (_GAP_PT, 4.5, 9.0, 14.0, 20.0, 27.0, 35.0, 45.0, 56.0)
 _DIRECTIONS = np.radians(np.arange(0.0, 360.0, 22.5))
+_APART_PT = 0.3  # about each name: where it is drawn is rounded
 _LINE_PT = 0.4  # half the width of a line
 
 
@@ -52,6 +53,7 @@ def name_points(
         for place, name, weight in zip(places, names, weights, strict=True)
     ]
     half = np.array([(box.width, box.height) for box in (text.get_window_extent() for text in texts)]) / 2.0
+    half += _APART_PT * scale
     inside = axes.get_window_extent()
     near = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1))
     crowd = (near < 40.0 * scale).sum(axis=1)

@@ -23,8 +23,8 @@ _LOOKS = {
     "body": {"marker": "o", "color": "#3d77b8"},
     "detailed": {"marker": "^", "color": OPTIMISED["color"]},
 }
-_BELOW = 0.45  # of the least error that is not 0: where those are drawn that have none
-_HEIGHT_MM = 150.0
+_HEIGHT_MM = 175.0
+_MARGIN = 0.05  # of the errors' range, above and below it
 _MARKER_PT, _RING_PT = 2.6, 6.0  # half the side of what a marker covers
 
 
@@ -66,7 +66,7 @@ def plot_speed_accuracy(
     title: str = "",
     subtitle: str = "",
 ) -> None:
-    """Draw error over time, both logarithmic.
+    """Draw error over the logarithm of time.
 
     Parameters
     ----------
@@ -92,22 +92,15 @@ def plot_speed_accuracy(
     with sheet(path, _HEIGHT_MM, title, subtitle) as figure:
         axes = figure.subplots()
         axes.set_xscale("log")
-        axes.set_yscale("log")
-        least = min([mark.error for mark in marks if mark.error > 0.0] + [tolerance] * bool(tolerance), default=1.0)
-        none = _BELOW * least
-        places = np.array([(mark.milliseconds[1], mark.error or none) for mark in marks])
+        places = np.array([(mark.milliseconds[1], mark.error) for mark in marks])
         handles = _lines(axes, noise, tolerance)
         handles += _points(axes, marks, places)
-        axes.set_ylim(none / 1.4, places[:, 1].max() * 1.4)
+        most = max(places[:, 1].max(), noise[2] if noise else 0.0, tolerance or 0.0) or 1.0
+        axes.set_ylim(-_MARGIN * most, (1.0 + _MARGIN) * most)
         axes.set_xlim(places[:, 0].min() / 1.6, places[:, 0].max() * 1.6)
-        if any(mark.error == 0.0 for mark in marks):
-            axes.axhspan(none / 1.4, none * 1.4, color=FAINT, alpha=0.2, linewidth=0.0)
-            look = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": 6.5}
-            axes.text(0.01, none, "the same as the reference", **look)
-        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, (0.8 * least, axes.get_ylim()[1]))):
-            ticks = _round_numbers(low, high)
-            axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
-            axis.set_ticks([], minor=True)
+        ticks = _round_numbers(*axes.get_xlim())
+        axes.xaxis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.xaxis.set_ticks([], minor=True)
         axes.set_xlabel("One evaluation: median of the times [ms]; bars: quartiles")
         axes.set_ylabel(f"Error after calibration [{unit} per vehicle]" if unit else "Error after calibration")
         axes.grid(visible=True)

@@ -1,107 +1,139 @@
-"""What becomes of each ablation: its effect on score, ranking and optimum, beside the noise floor."""
+"""What becomes of each ablation: its effect on score, ranking and optimum, each judged against the noise floor."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ..study.landscape import Landscape
-from ..study.statistics import block_sums, ratio_interval_90
+from ..study.statistics import block_sums
 from .ablations import Ablation
 from .accuracy import Reference
-from .calibration import calibrated_residuals, root_mean_square
-from .candidates import FIRST, Candidates
-from .choices import Regret, chosen_shares, regret
+from .candidates import BASELINE, FIRST, Candidates
+from .effects import BIAS, COST, ERROR, OPTIMUM, RANKING, SCORE, Draw, Effect, choices, effects
+from .halves import FEWEST_BLOCKS, halvings
 from .noise import Noise
-from .ranking import weighted_tau
 
-SCORE, RANKING, OPTIMUM = "score", "ranking", "optimum"
+ABOVE, BELOW, UNTOLD = "above", "below", "cannot be told"
+JUDGED = (SCORE, RANKING, OPTIMUM)
+_NUMBERS = (BIAS, SCORE, ERROR, RANKING, COST, OPTIMUM)
+_NAMES = {RANKING: "tau", COST: "regret", OPTIMUM: "apart"}
 
 
-def kept_candidates(without: Landscape, having: Landscape, reference: Reference) -> np.ndarray:
-    """Candidates that either would ever choose: all that need be judged, (j,) int."""
-    shares = [chosen_shares(one, reference.weights) for one in (without, having)]
-    return np.flatnonzero(np.sum(shares, axis=0) > 0.0)
+class Sides(NamedTuple):
+    """Landscapes of one draw without the thing and with it, on the frames that choose; a text tells why there is none.
+
+    Both have the baseline and the candidates.
+    """
+
+    without: Landscape | str
+    having: Landscape | str
+
+    @property
+    def refused(self) -> str | None:
+        """Why there is nothing to compare."""
+        return next((one for one in self if isinstance(one, str)), None)
+
+
+def kept_candidates(sides: Sides, reference: Reference) -> np.ndarray:
+    """Candidates that either side would ever choose: all that need be judged, (j,) int."""
+    draw, halves = _draw(sides, None, reference), _halves(reference)
+    return np.unique(np.concatenate([one.ravel() for one in choices(draw, halves)]))
 
 
 def ablation_row(
     change: Ablation,
-    without: Landscape | str | None,
-    having: Landscape | str | None,
-    judged: Landscape | None,
+    sides: Sequence[Sides],
+    judged: Sequence[Landscape],
     every: Candidates,
     reference: Reference,
-    noise: Noise | None,
+    floor: Noise | None,
 ) -> dict:
     """One ablation as JSON holds it: all but its name is None where there is nothing to compare.
 
     Parameters
     ----------
     change : Ablation
-    without, having : Landscape, str or None
-        Of both; a text tells why one cannot be had.
-    judged : Landscape or None
-        The scene that has it, for the baseline and the kept candidates, on the frames that judge.
+    sides : sequence of Sides
+        Of each draw.
+    judged : sequence of Landscape
+        Of each draw what has the thing: the baseline and the candidates on the frames that judge, NaN for those that
+        need not be judged.
     every : Candidates
     reference : Reference
-        Whose resamples are used.
-    noise : Noise or None
-        The floor.
+        Of as many candidates: its blocks are used.
+    floor : Noise or None
+        Of the same candidates; there are no verdicts without one.
     """
-    refused = [one for one in (without, having) if isinstance(one, str)]
-    row = {"what": change.what, "value": change.value, "note": refused[0] if refused else change.note}
-    if refused or without is None or having is None:
-        return row | dict.fromkeys((*_NUMBERS, "above_noise"))
-    kept = kept_candidates(without, having, reference)
-    chosen = [chosen_shares(one, reference.weights) for one in (without, having)]
-    values = [one.per_vehicle()[FIRST:] for one in (without, having)]
-    lost = None
+    refused = next((one.refused for one in sides if one.refused), None)
+    row = {"what": change.what, "value": change.value, "note": refused or change.note, "draws": len(sides)}
+    if refused or not sides:
+        return row | dict.fromkeys((*_columns(), "error_share", "shift", "floors", "verdicts"))
+    draws = [_draw(*both, reference) for both in zip(sides, judged, strict=True)]
+    found = effects(draws, _halves(reference))
+    numbers = {}
+    for name in _NUMBERS:
+        effect = found[name]
+        interval = None if effect is None else effect.interval_90
+        numbers[_NAMES.get(name, name)] = None if effect is None else effect.value
+        numbers[f"{_NAMES.get(name, name)}_interval_90"] = None if interval is None else list(interval)
+    numbers["error_share"] = numbers["error"] / reference.gain if reference.gain > 0.0 else None
+    shift = np.mean([_shift(draw, every, reference) for draw in draws], axis=0)
+    numbers["shift"] = dict(zip(every.variables, shift.tolist(), strict=True))
+    floors = None if floor is None else {SCORE: floor.bias, RANKING: floor.tau, OPTIMUM: floor.apart}
+    return row | numbers | {"floors": floors, "verdicts": None if floors is None else _verdicts(found, floors)}
+
+
+def _verdicts(found: Mapping[str, Effect | None], floors: Mapping[str, float | None]) -> dict[str, str]:
+    return {name: verdict(found[name], floors[name], less=name == RANKING) for name in JUDGED}
+
+
+def verdict(effect: Effect | None, floor: float | None, *, less: bool = False) -> str:
+    """Whether an effect lies beyond the floor by its whole interval, or within it, or neither can be told.
+
+    `less` : the less, the greater the effect is: a tau.
+    """
+    if effect is None or floor is None or effect.interval_90 is None:
+        return UNTOLD
+    low, high = effect.interval_90
+    if less:
+        low, high, floor = -high, -low, -floor
+    return ABOVE if low > floor else BELOW if high <= floor else UNTOLD
+
+
+def _columns() -> list[str]:
+    return [name + ending for name in (_NAMES.get(one, one) for one in _NUMBERS) for ending in ("", "_interval_90")]
+
+
+def _halves(reference: Reference) -> np.ndarray:
+    blocks = int((block_sums(reference.searched.vehicles, reference.searched_block) > 0).sum())
+    if blocks < FEWEST_BLOCKS:
+        return np.ones((1, 2, blocks), dtype=bool)  # all of them choose
+    return halvings(blocks, reference.seed)
+
+
+def _draw(sides: Sides, judged: Landscape | None, reference: Reference) -> Draw:
+    without, having = (one.blocks(reference.searched_block) for one in sides)
+    filled = having[1] > 0
+    of_judges = None
     if judged is not None:
-        lost = regret(chosen[0][kept], chosen[1][kept], judged, reference.judged_block)
-    points = every.points[: len(chosen[0])]
-    error = root_mean_square(calibrated_residuals(*values))
-    numbers = {
-        "bias": float(np.mean(values[1] - values[0])),
-        "bias_interval_90": _bias_interval(without, having, reference),
-        "error": error,
-        "error_share": error / reference.gain if reference.gain > 0.0 else None,
-        "tau": _number(weighted_tau(*values)),
-        "shift": dict(zip(every.variables, ((chosen[1] - chosen[0]) @ points).tolist(), strict=True)),
-        "regret": None if lost is None else lost.share,
-        "regret_interval_90": None if lost is None or lost.interval_90 is None else list(lost.interval_90),
-    }
-    return row | numbers | {"above_noise": _above(numbers, lost, noise)}
+        objective, vehicles = judged.blocks(reference.judged_block)
+        of_judges = objective[:, vehicles > 0]
+    return Draw(without[0][FIRST:, filled], having[0][FIRST:, filled], having[1][filled], of_judges)
 
 
-_NUMBERS = ("bias", "bias_interval_90", "error", "error_share", "tau", "shift", "regret", "regret_interval_90")
+def _shift(draw: Draw, every: Candidates, reference: Reference) -> np.ndarray:
+    """Where the mounting that is chosen moves to when the thing comes in, (d,): mean over the halves."""
+    without, having = (
+        every.points[one[0]].reshape(-1, every.points.shape[1]) for one in choices(draw, _halves(reference))
+    )
+    return (having - without).mean(axis=0)
 
 
-def _above(numbers: Mapping, lost: Regret | None, noise: Noise | None) -> list[str] | None:
-    """In what an effect exceeds what one half of the traffic differs from the other; None without such a floor."""
-    if noise is None:
-        return None
-    tau = numbers["tau"]
-    exceeded = {
-        SCORE: abs(numbers["bias"]) > noise.bias,
-        RANKING: numbers["error"] > noise.error or (tau is not None and tau < noise.tau),
-        OPTIMUM: lost is not None and noise.regret is not None and _surely_lost(lost) and lost.share > noise.regret,
-    }
-    return [name for name, above in exceeded.items() if above]
-
-
-def _surely_lost(lost: Regret) -> bool:
-    """Whether it may not as well be nothing."""
-    return lost.interval_90 is None or lost.interval_90[0] > 0.0
-
-
-def _bias_interval(without: Landscape, having: Landscape, reference: Reference) -> list[float] | None:
-    """Of the mean difference over the candidates, blocks resampled: the same traffic with and without."""
-    difference = (having.objective - without.objective)[FIRST:].mean(axis=0)
-    sums = block_sums(difference, reference.searched_block)
-    interval = ratio_interval_90(sums, block_sums(without.vehicles, reference.searched_block), reference.seed)
-    return None if interval is None else list(interval)
-
-
-def _number(value: float) -> float | None:
-    return None if np.isnan(value) else value
+def filled_up(judged: Landscape, kept: Sequence[int], mountings: int) -> Landscape:
+    """A landscape of the baseline and the kept candidates as one of all of them, NaN for the others."""
+    objective = np.full((mountings, judged.objective.shape[1]), np.nan)
+    objective[[BASELINE, *(FIRST + number for number in kept)]] = judged.objective
+    return Landscape(objective, judged.vehicles)

@@ -51,6 +51,16 @@ class Reference:
         weights = searched_weights(searched_block, seed)
         return cls(searched, judged, searched_block, judged_block, weights, chosen_shares(searched, weights), seed)
 
+    def select(self, numbers: Sequence[int]) -> Reference:
+        """Of some of the candidates."""
+        rows = [BASELINE, *(FIRST + number for number in numbers)]
+        searched, judged = self.searched.select(rows), self.judged.select(rows)
+        return Reference.of(searched, self.searched_block, judged, self.judged_block, self.seed)
+
+    def best(self, count: int) -> list[int]:
+        """So many of the best candidates, in the order in which they come."""
+        return sorted(np.argsort(-self.searched.per_vehicle()[FIRST:], kind="stable")[:count].tolist())
+
     @property
     def gain(self) -> float:
         """What the best candidate gains over the baseline on the frames that choose, per vehicle."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,11 @@ class Candidates:
     variables: tuple[str, ...]
     points: np.ndarray
     poses: tuple[Pose, ...]
+
+    def select(self, numbers: Sequence[int]) -> Candidates:
+        """The baseline and some of the candidates, by their rows in `points`."""
+        poses = (self.poses[BASELINE], *(self.poses[FIRST + number] for number in numbers))
+        return Candidates(self.variables, self.points[list(numbers)], poses)
 
 
 def candidates(scenario: Scenario, count: int) -> Candidates:

@@ -8,17 +8,25 @@ from typing import NamedTuple
 import numpy as np
 
 from ..study.landscape import Landscape
-from ..study.statistics import FEWEST_BLOCKS, block_sums, linear_interval_90, resampled_weights
+from ..study.statistics import FEWEST_BLOCKS, block_sums, linear_interval_90, resampled_weights, student_t, student_t_95
 from .candidates import BASELINE, FIRST
 
 DRAWS = 300  # resamples of the searched blocks, under each of which a mounting is chosen
 
 
 class Regret(NamedTuple):
-    """What is lost, as a share of the gain, and its 90 % interval; None for too few blocks."""
+    """What is lost, as a share of the gain, its 90 % interval, None for too few blocks, and how many blocks judge."""
 
     share: float
     interval_90: tuple[float, float] | None
+    blocks: int
+
+    def bound(self, level: float) -> float | None:
+        """The loss is no greater with so much confidence; None for too few blocks."""
+        if self.interval_90 is None:
+            return None
+        reach = (self.interval_90[1] - self.share) / student_t_95(self.blocks - 1)
+        return self.share + reach * student_t(level, self.blocks - 1)
 
 
 def searched_weights(block: np.ndarray, seed: int) -> np.ndarray:
@@ -66,8 +74,8 @@ def regret(chosen: np.ndarray, by_reference: np.ndarray, judged: Landscape, bloc
     if not gain.sum() > 0.0:
         return None
     share = float(lost.sum() / gain.sum())
-    influence = (lost - share * gain) / gain.sum()
-    return Regret(share, linear_interval_90(share, influence[vehicles > 0]))
+    influence = ((lost - share * gain) / gain.sum())[vehicles > 0]
+    return Regret(share, linear_interval_90(share, influence), len(influence))
 
 
 def mean_shares(shares: Sequence[np.ndarray]) -> np.ndarray:

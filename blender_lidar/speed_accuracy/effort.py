@@ -18,7 +18,11 @@ class Effort:
     few_mountings : int
         Of these, those on which it is checked that casters, culling and the ground change nothing.
     varied_mountings : int
-        Those on which the ablations are scored, and another sensor.
+        Those on which the ablations are scored: so many of the best by the reference.
+    draws : int
+        How many units, or draws of noise, stand for a sensor that is imperfect at random.
+    other_mountings : int
+        Those on which another sensor is scored.
     phases : int
         How many phases of a stride are averaged at most.
     rounds : int
@@ -33,6 +37,8 @@ class Effort:
     mountings: int
     few_mountings: int
     varied_mountings: int
+    draws: int
+    other_mountings: int
     phases: int
     rounds: int
     hit_frames: int
@@ -40,5 +46,5 @@ class Effort:
     quick: bool
 
 
-FULL = Effort(None, 128, 8, 64, phases=2, rounds=5, hit_frames=3, hit_mountings=3, quick=False)
-QUICK = Effort(10, 64, 4, 64, phases=2, rounds=5, hit_frames=1, hit_mountings=2, quick=True)
+FULL = Effort(None, 128, 8, 64, 6, 64, phases=2, rounds=5, hit_frames=3, hit_mountings=3, quick=False)
+QUICK = Effort(10, 64, 4, 64, 2, 64, phases=2, rounds=5, hit_frames=1, hit_mountings=2, quick=True)

@@ -10,10 +10,8 @@ from ..study.statistics import block_sums
 from .accuracy import Reference
 from .calibration import calibrated_residuals, root_mean_square
 from .candidates import BASELINE, FIRST
+from .halves import FEWEST_BLOCKS, chosen_by, halvings
 from .ranking import weighted_tau
-
-SPLITS = 200
-_FEWEST_BLOCKS = 4  # two in each half
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,15 +27,16 @@ class Noise:
         As of a fidelity, the one half in its place and the other in the reference's: medians, of the bias without sign.
     error_90 : (float, float)
         Where 90 % of the errors lie.
-    regret : float or None
-        Mean difference of what the choices of both halves gain on the frames that judge, as a share of the gain.
+    apart : float or None
+        Mean difference, without sign, between what the choices of both halves come to on the frames that judge, as a
+        share of what a half's choice gains there; None where that is nothing.
     """
 
     bias: float
     error: float
     error_90: tuple[float, float]
     tau: float
-    regret: float | None
+    apart: float | None
 
 
 def noise_ceiling(reference: Reference) -> Noise | None:
@@ -45,22 +44,28 @@ def noise_ceiling(reference: Reference) -> Noise | None:
     searched = reference.searched
     objective = block_sums(searched.objective, reference.searched_block)
     vehicles = block_sums(searched.vehicles, reference.searched_block)
-    objective, vehicles = objective[:, vehicles > 0], vehicles[vehicles > 0]
-    if len(vehicles) < _FEWEST_BLOCKS:
+    objective, vehicles = objective[FIRST:, vehicles > 0], vehicles[vehicles > 0]
+    if len(vehicles) < FEWEST_BLOCKS:
         return None
-    judged = reference.judged.per_vehicle()
-    gain = float(reference.chosen @ judged[FIRST:] - judged[BASELINE])
-    rng = np.random.default_rng(reference.seed)
+    halves = halvings(len(vehicles), reference.seed)
     rows = []
-    for _ in range(SPLITS):
-        order = rng.permutation(len(vehicles))
-        halves = order[: len(order) // 2], order[len(order) // 2 :]
-        one, other = (objective[FIRST:, half].sum(axis=1) / vehicles[half].sum() for half in halves)
-        apart = abs(float(judged[FIRST + int(np.argmax(one))] - judged[FIRST + int(np.argmax(other))]))
+    for pair in halves:
+        one, other = (objective[:, half].sum(axis=1) / vehicles[half].sum() for half in pair)
         error = root_mean_square(calibrated_residuals(one, other))
-        rows.append((abs(float(np.mean(one - other))), error, weighted_tau(one, other), apart))
-    bias, error, tau, apart = np.array(rows).T
+        rows.append((abs(float(np.mean(one - other))), error, weighted_tau(one, other)))
+    bias, error, tau = np.array(rows).T
     tau = np.nan_to_num(tau)  # where a half prefers no mounting, nothing is ranked alike
     low, high = np.quantile(error, [0.05, 0.95]).tolist()
     middle = [float(np.median(column)) for column in (bias, error, tau)]
-    return Noise(middle[0], middle[1], (low, high), middle[2], float(apart.mean() / gain) if gain > 0.0 else None)
+    apart = choices_apart(chosen_by(halves, objective), reference.judged.objective.sum(axis=1))
+    return Noise(middle[0], middle[1], (low, high), middle[2], apart)
+
+
+def choices_apart(chosen: np.ndarray, worth: np.ndarray) -> float | None:
+    """How far the choices of two halves (s, 2) are apart in what they are worth, as a share of their mean gain.
+
+    `worth` (1 + k,) is that of the baseline and the candidates.
+    """
+    of_chosen = worth[FIRST + chosen]
+    gain = float(of_chosen.mean() - worth[BASELINE])
+    return float(np.abs(of_chosen[:, 0] - of_chosen[:, 1]).mean() / gain) if gain > 0.0 else None

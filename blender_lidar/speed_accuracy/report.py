@@ -5,12 +5,12 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 
+from .ablation_report import HEADER, ablation_cells, floor_line, needs
+from .figures import number, percent, signed, with_interval
 from .recommendation import milliseconds
 
 _WIDTH = 120
 _LADDER = ("fidelity", "one evaluation", "quartiles", "faster", "bias", "error", "of the gain", "tau", "regret", "")
-_ABLATIONS = ("modelled", "", "bias", "error", "tau", "best moves by", "left out it costs", "above the noise in")
-_UNITS = {"_m": "m", "_deg": "deg"}
 
 
 def report_text(result: Mapping) -> str:
@@ -22,9 +22,11 @@ def report_text(result: Mapping) -> str:
         *_table(_LADDER, [_rung(row, result) for row in rows]),
         f"({len(result['rungs'])} fidelities; all of them are in chart.csv)",
         "",
-        *_table(_ABLATIONS, [_ablation(row) for row in result["ablations"]]),
+        *_table(HEADER, [ablation_cells(row) for row in result["ablations"]]),
         "",
-        *_wrapped([*_hits(result), *_validated(result), *_paired(result), result["sentence"]]),
+        *_wrapped([*floor_line(result), *needs(result)]),
+        "",
+        *_wrapped([*_hits(result), *_validated(result), *_paired(result), _asked(result), result["sentence"]]),
     ]
     return "\n".join(parts)
 
@@ -38,13 +40,15 @@ def report_markdown(result: Mapping, pictures: Sequence[str]) -> str:
         "",
         "## What the scene needs",
         "",
-        *_markdown(_ABLATIONS, [_ablation(row) for row in result["ablations"]]),
+        *_markdown(HEADER, [ablation_cells(row) for row in result["ablations"]]),
+        "",
+        *(f"- {line}" for line in [*floor_line(result), *needs(result)]),
     ]
     parts += [
         "",
         "## Does it hold",
         "",
-        *(f"- {line}" for line in [*_hits(result), *_validated(result), *_paired(result)]),
+        *(f"- {line}" for line in [_asked(result), *_hits(result), *_validated(result), *_paired(result)]),
     ]
     return "\n".join([*parts, ""])
 
@@ -74,7 +78,7 @@ def _head(result: Mapping) -> list[str]:
             "Noise ceiling, the reference on one half of the blocks against the other: bias "
             f"{noise['bias']:.4f}, error {noise['error']:.4f} "
             f"({noise['error_90'][0]:.4f} to {noise['error_90'][1]:.4f}), tau {noise['tau']:.3f}, "
-            f"choices apart by {_percent(noise['regret'])} of the gain"
+            f"choices apart by {percent(noise['apart'])} of the gain"
         )
     if result["casters_not_installed"]:
         lines.append(f"Not installed, and left out: {', '.join(result['casters_not_installed'])}")
@@ -94,34 +98,31 @@ def _rung(row: Mapping, result: Mapping) -> tuple[str, ...]:
         milliseconds(time["median"]),
         f"{milliseconds(time['first_quartile'])} to {milliseconds(time['third_quartile'])}",
         f"{row['speedup']:.2g} x",
-        _signed(row["bias"]),
-        _number(row["error"]),
-        _percent(row["error_share"]),
-        _number(row["tau"], 3),
-        _interval(row["regret"], row["regret_interval_90"]),
+        signed(row["bias"]),
+        number(row["error"]),
+        percent(row["error_share"]),
+        number(row["tau"], 3),
+        with_interval(row["regret"], row["regret_interval_90"]),
         ", ".join(mark for mark in marks if mark),
     )
 
 
-def _ablation(row: Mapping) -> tuple[str, ...]:
-    if row["bias"] is None:
-        return (row["what"], row["value"], row["note"], "", "", "", "", "")
-    above = row["above_noise"]
+def _asked(result: Mapping) -> str:
+    asked = [row for row in result["rungs"] if row["asked"] and row["name"] != result["reference"]]
     return (
-        row["what"],
-        row["value"],
-        _signed(row["bias"]),
-        _number(row["error"]),
-        _number(row["tau"], 3),
-        ", ".join(_moved(key, by) for key, by in row["shift"].items()),
-        _interval(row["regret"], row["regret_interval_90"]),
-        "no floor known" if above is None else ", ".join(above) or "nothing",
+        f"Near enough is asked of each level of detail from all beams to the fewest, up to the first fidelity that "
+        f"cannot be shown to be: here of {len(asked)} ({', '.join(row['name'] for row in asked)}), by upper bounds of "
+        f"regret at {100 * result['bound_level']:.1f} %{_sure(result)}"
     )
 
 
-def _moved(key: str, by: float) -> str:
-    unit = next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), "")
-    return f"{round(by, 2) + 0.0:+.2f} {unit}".rstrip()
+def _sure(result: Mapping) -> str:
+    if result["judged_on"] != "held out":
+        return ", of frames that chose too, so that more may pass than should"
+    return (
+        f", so that with {100 * result['sure']:g} % none of those that pass loses more than the tolerance, given what "
+        "the searched frames choose"
+    )
 
 
 def _hits(result: Mapping) -> list[str]:
@@ -139,8 +140,8 @@ def _hits(result: Mapping) -> list[str]:
 
 def _validated(result: Mapping) -> list[str]:
     return [
-        f"{one['where']}: {one['verdict']}; regret {_interval(one['regret'], one['regret_interval_90'])}, error "
-        f"{_percent(one['error_share'])} of the gain"
+        f"{one['where']}: {one['verdict']}; regret {with_interval(one['regret'], one['regret_interval_90'])}, error "
+        f"{percent(one['error_share'])} of the gain"
         for one in result["validated"]
     ]
 
@@ -169,22 +170,3 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)]
-
-
-def _number(value: float | None, digits: int = 4) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
-
-
-def _signed(value: float | None) -> str:
-    return "" if value is None else f"{round(value, 4) + 0.0:+.4f}"
-
-
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{round(100.0 * share, 1) + 0.0:.1f} %"
-
-
-def _interval(share: float | None, interval: Sequence[float] | None) -> str:
-    if share is None or interval is None:
-        return _percent(share)
-    low, high = (f"{round(100.0 * end, 1) + 0.0:.1f}" for end in interval)
-    return f"{_percent(share)} ({low} to {high})"

@@ -1,4 +1,4 @@
-"""What becomes of each rung: its time, its accuracy, and whether it is near enough to the reference."""
+"""What becomes of each rung: its time and its accuracy; and the fastest of those that are near enough."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ..study.fidelity import Fidelity
 from ..study.landscape import Landscape
 from .accuracy import Accuracy, Reference, accuracy
 from .ladder import Rung
-from .noise import Noise
 from .pareto import pareto_front
+from .sequence import BOUND_LEVEL
 from .timing import Timed
 
 SAME = 1e-9  # of a score, relative: what differs by less has met the same hits
@@ -71,21 +71,6 @@ def rung_rows(
     return rows
 
 
-def mark_within(rows: Sequence[dict], tolerance: float, noise: Noise | None, gain: float) -> None:
-    """Mark the rows that are near enough to the reference.
-
-    What a fidelity is for is to choose: so what its choices lose on held-out frames must be within the tolerance, by
-    the upper end of its 90 % interval. Each is asked by itself; that the fastest of many may owe its place to luck is
-    what validation is for. And, lest that be luck, its error after calibration must be within it too,
-    or within the noise ceiling: no closer does the traffic tell the truth itself.
-    """
-    most = max(tolerance, 0.0 if noise is None else noise.error / gain) if gain > 0.0 else 0.0
-    for number, row in enumerate(rows):
-        interval, error = row["regret_interval_90"], row["error_share"]
-        near = interval is not None and interval[1] <= tolerance and error is not None and error <= most
-        row["within"] = number == 0 or near
-
-
 def recommended(rows: Sequence[dict]) -> dict:
     """The fastest of those that are near enough, the reference being one, with culling and without the ground."""
     plain = (row for row in rows if row["within"] and row["culled"] and not row["ground"])
@@ -125,6 +110,7 @@ def _accuracy_fields(found: Accuracy | None, gain: float) -> dict:
         "tau": None if found is None or np.isnan(found.tau) else found.tau,
         "regret": None if lost is None else lost.share,
         "regret_interval_90": None if lost is None or lost.interval_90 is None else list(lost.interval_90),
+        "regret_bound": None if lost is None else lost.bound(BOUND_LEVEL),
     }
 
 

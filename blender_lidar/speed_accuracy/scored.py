@@ -1,4 +1,4 @@
-"""Everything that the chart needs scored, as stages: the ladder, the reference where it judges, and the ablations."""
+"""What the ladder needs scored, as stages: every fidelity, and the reference where it judges."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from ..study.landscape import Landscape
 from ..study.landscape_stages import LandscapeStages
 from ..study.landscapes import HELD_OUT, SEARCHED, Job
 from ..study.site import Site
-from .ablations import Ablation
 from .candidates import Candidates
 from .effort import Effort
 from .ladder import BEST_DETAIL, Rung, on_all_frames, variation
@@ -32,19 +31,20 @@ class Scored:
         Each detail and stride on all frames, a landscape for each phase.
     checked : dict of Fidelity to Landscape
         Rungs with a twin, on the first few mountings.
-    varied : dict of str to Landscape or str
-        By a variation's stage: both sides of every ablation; a text where there is none.
     """
 
     judged: Landscape
     ladder: dict[Fidelity, list[Landscape]]
     checked: dict[Fidelity, Landscape]
-    varied: dict[str, Landscape | str]
 
     @property
     def reference(self) -> Landscape:
         """The reference on the searched frames."""
         return self.ladder[REFERENCE][0]
+
+    def by_stage(self, rows: list[int]) -> dict[str, Landscape]:
+        """Some mountings of every fidelity at its first phase, by the stage of its variation."""
+        return {variation(fidelity).stage: phases[0].select(rows) for fidelity, phases in self.ladder.items()}
 
 
 def judging_split(site: Site) -> str:
@@ -57,26 +57,21 @@ def block_of(site: Site, split: str) -> np.ndarray:
     return site.plan.holdout_block if split == HELD_OUT else site.plan.search_block
 
 
-def score_all(
+def score_ladder(
     stages: LandscapeStages,
     site: Site,
     every: Candidates,
     effort: Effort,
     rungs: Sequence[Rung],
-    changes: Sequence[Ablation],
 ) -> Scored:
     """Score what the folder does not hold."""
     judging = judging_split(site)
     fidelities = list(on_all_frames(rungs, effort.phases))
     twins = [rung.fidelity for rung in rungs if rung.twin is not None]
-    sides = {one.stage: one for change in changes for one in (change.without, change.having) if one is not None}
-    known = {variation(fidelity).stage for fidelity in fidelities}
-    others = [one for stage, one in sides.items() if stage not in known]
-    few, some = every.poses[: 1 + effort.few_mountings], every.poses[: 1 + effort.varied_mountings]
+    few = every.poses[: 1 + effort.few_mountings]
     jobs = [
         *(Job(variation(fidelity), every.poses) for fidelity in fidelities),
         *(Job(variation(fidelity), few) for fidelity in twins),
-        *(Job(one, some) for one in others),
         *([Job(variation(REFERENCE), every.poses, judging)] if judging == HELD_OUT else []),
     ]
     found = stages.landscapes(site, jobs, "mountings scored")
@@ -84,13 +79,8 @@ def score_all(
     ladder: dict[Fidelity, list[Landscape]] = {}
     for fidelity in fidelities:
         ladder.setdefault(replace(fidelity, phase=0), []).append(by_stage[variation(fidelity).stage])
-    rows = list(range(len(some)))
     return Scored(
         judged=found[-1] if judging == HELD_OUT else ladder[REFERENCE][0],
         ladder=ladder,
         checked={fidelity: by_stage[variation(fidelity).stage] for fidelity in twins},
-        varied={
-            stage: one if isinstance(one, str) else one.select(rows)
-            for stage, one in ((stage, by_stage[stage]) for stage in sides)
-        },
     )

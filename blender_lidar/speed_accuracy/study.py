@@ -13,11 +13,10 @@ from ..provenance import versions
 from ..study.fewer_frames import evenly_spread, with_fewer_frames
 from ..study.fidelity import Fidelity
 from ..study.landscape_stages import CounterMaker, LandscapeStages
-from ..study.landscapes import HELD_OUT, Job
 from ..study.site import Site
 from ..study.stages import StudyFolder
-from .ablated import ablation_row, kept_candidates
-from .ablations import Ablation, ablations
+from .ablation_study import Compared, ablation_rows
+from .ablations import OFFSETS, ablations
 from .accuracy import Reference
 from .candidates import BASELINE, FIRST, Candidates, candidates
 from .effort import Effort
@@ -25,12 +24,13 @@ from .hits import count_hits
 from .ladder import Rung, ladder, missing_casters, other_casters
 from .noise import Noise, noise_ceiling
 from .recommendation import sentence
-from .rungs import mark_within, recommended, rung_rows
-from .scored import Scored, block_of, judging_split, score_all
+from .rungs import recommended, rung_rows
+from .scored import Scored, block_of, judging_split, score_ladder
+from .sequence import BOUND_LEVEL, SURE, mark_within
 from .timing import TOGETHER, Timed, time_fidelities
-from .validation import on_other_blocks, on_other_sensor
+from .validation import on_other_blocks, on_other_sensor, other_reference
 
-SCHEMA = 1  # of the stages and of the result
+SCHEMA = 2  # of the stages and of the result
 
 
 def chart_identity(site: Site, effort: Effort, other: Site | None) -> dict[str, object]:
@@ -75,9 +75,9 @@ def chart_study(
     """
     site = with_fewer_frames(site, effort.frames)
     stages, every = LandscapeStages(folder, counter), candidates(site.scenario, effort.mountings)
-    rungs, changes, judging = ladder(site), ablations(site), judging_split(site)
+    rungs, judging = ladder(site), judging_split(site)
     timed = _timed(stages, site, rungs, every, effort)
-    found = score_all(stages, site, every, effort, rungs, changes)
+    found = score_ladder(stages, site, every, effort, rungs)
     reference = Reference.of(
         found.reference, site.plan.search_block, found.judged, block_of(site, judging), site.scenario.search.seed
     )
@@ -86,10 +86,14 @@ def chart_study(
     mark_within(rows, tolerance, noise, reference.gain)
     best = recommended(rows)
     chosen = rungs[rows.index(best)].fidelity
+    beside = None if other is None else other_reference(stages, other, effort)
+    floor, of_ablations = _ablated(stages, site, every, reference, found, effort, beside)
     return {
         "schema": SCHEMA,
         **_circumstances(site, effort, reference, judging),
         "tolerance": tolerance,
+        "sure": SURE,
+        "bound_level": BOUND_LEVEL,
         "reference": rows[0]["name"],
         "noise": None if noise is None else asdict(noise),
         "rungs": rows,
@@ -98,9 +102,11 @@ def chart_study(
         "sentence": sentence(rows[0], best, tolerance, reference.gain),
         "validated": [
             *on_other_blocks(stages, site, chosen, found, every, effort, tolerance),
-            *on_other_sensor(stages, other, chosen, effort, tolerance),
+            *([] if beside is None else [on_other_sensor(stages, beside, chosen, effort, tolerance)]),
         ],
-        "ablations": _ablated(stages, site, changes, found, reference, noise, every, effort),
+        "ablation_mountings": min(effort.varied_mountings, effort.mountings),
+        "ablation_floor": None if floor is None else asdict(floor),
+        "ablations": of_ablations,
         "paired": paired,
         "notes": list(site.plan.notes),
         "versions": versions(site.observation.caster),
@@ -159,32 +165,23 @@ def _hits(stages: LandscapeStages, site: Site, every: Candidates, effort: Effort
 def _ablated(
     stages: LandscapeStages,
     site: Site,
-    changes: Sequence[Ablation],
-    found: Scored,
-    reference: Reference,
-    noise: Noise | None,
     every: Candidates,
+    reference: Reference,
+    found: Scored,
     effort: Effort,
-) -> list[dict]:
-    """Every ablation; what either side would choose is judged where the scene has it."""
-    sides = [
-        tuple(None if one is None else found.varied[one.stage] for one in (change.without, change.having))
-        for change in changes
-    ]
-    split, jobs = judging_split(site), {}
-    for number, (change, both) in enumerate(zip(changes, sides, strict=True)):
-        if not all(one is not None and not isinstance(one, str) for one in both):
-            continue
-        kept = kept_candidates(*both, reference)
-        rows = [BASELINE, *(FIRST + kept).tolist()]
-        named = replace(change.having, section="judged", what=change.what, value=change.value)
-        jobs[number] = (Job(named, tuple(every.poses[row] for row in rows), HELD_OUT), both[1].select(rows))
-    if split == HELD_OUT:
-        scored = stages.landscapes(site, [job for job, _ in jobs.values()], "ablations judged")
-        judged = dict(zip(jobs, scored, strict=True))
-    else:
-        judged = {number: searched for number, (_, searched) in jobs.items()}
-    return [
-        ablation_row(change, *both, judged.get(number), every, reference, noise)
-        for number, (change, both) in enumerate(zip(changes, sides, strict=True))
-    ]
+    beside: tuple[Site, Candidates, Reference] | None,
+) -> tuple[Noise | None, list[dict]]:
+    """The floor and a row for every ablation, on the best mountings by the reference.
+
+    Of azimuth offsets, where the scene's sensor has none and the other one does, on that.
+    """
+    numbers = reference.best(effort.varied_mountings)
+    on = Compared.of(site, every.select(numbers), reference.select(numbers))
+    known = found.by_stage([BASELINE, *(FIRST + number for number in numbers)])
+    rows = ablation_rows(stages, on, ablations(site, effort.draws), known)
+    if beside is not None and not site.model.azimuth_offset_rad.any() and beside[0].model.azimuth_offset_rad.any():
+        (change,) = (one for one in ablations(beside[0], effort.draws) if one.what == OFFSETS)
+        change = replace(change, value=f"{change.value}; {beside[0].model.name} and its own floor")
+        (row,) = ablation_rows(stages, Compared.of(*beside), [change], {}, "other sensor")
+        rows = [row if one["what"] == OFFSETS else one for one in rows]
+    return on.floor, rows

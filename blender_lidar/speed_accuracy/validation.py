@@ -78,25 +78,36 @@ def on_other_blocks(
     ]
 
 
-def on_other_sensor(
-    stages: LandscapeStages, other: Site | None, chosen: Fidelity, effort: Effort, tolerance: float
-) -> list[dict]:
-    """The same scene with another sensor; nothing without one."""
-    if other is None:
-        return []
+def other_reference(stages: LandscapeStages, other: Site, effort: Effort) -> tuple[Site, Candidates, Reference]:
+    """The reference of the same scene with another sensor: on which site, and of which candidates."""
     site = with_fewer_frames(other, effort.frames)
-    every, judging = candidates(site.scenario, effort.varied_mountings), judging_split(site)
-    fidelities = phased(replace(chosen, frames=None), effort.phases)
+    every, judging = candidates(site.scenario, effort.other_mountings), judging_split(site)
     splits = (SEARCHED, HELD_OUT) if judging == HELD_OUT else (SEARCHED,)
     jobs = [Job(_named(REFERENCE, "other sensor reference"), every.poses, split) for split in splits]
-    jobs += [Job(_named(fidelity, "other sensor"), every.poses) for fidelity in fidelities]
-    scored = stages.landscapes(site, jobs, f"recommendation with {site.model.name}")
-    reference = Reference.of(
-        scored[0], site.plan.search_block, scored[len(splits) - 1], block_of(site, judging), site.scenario.search.seed
+    scored = stages.landscapes(site, jobs, f"reference with {site.model.name}")
+    searched, judged = scored[0], scored[-1]
+    return (
+        site,
+        every,
+        Reference.of(searched, site.plan.search_block, judged, block_of(site, judging), site.scenario.search.seed),
     )
+
+
+def on_other_sensor(
+    stages: LandscapeStages,
+    beside: tuple[Site, Candidates, Reference],
+    chosen: Fidelity,
+    effort: Effort,
+    tolerance: float,
+) -> dict:
+    """What the recommendation loses with the sensor of `other_reference`."""
+    site, every, reference = beside
+    fidelities = phased(replace(chosen, frames=None), effort.phases)
+    jobs = [Job(_named(fidelity, "other sensor"), every.poses) for fidelity in fidelities]
+    phases = stages.landscapes(site, jobs, f"recommendation with {site.model.name}")
     where = f"{site.model.name}, range gate {site.observation.max_range_m:g} m"
     frames = _as_many_of(chosen, len(site.search), len(site.search))
-    return [_validated(where, reference, scored[len(splits) :], tolerance, frames)]
+    return _validated(where, reference, phases, tolerance, frames)
 
 
 def _named(fidelity: Fidelity, section: str) -> Variation:
