@@ -13,7 +13,7 @@ from contextlib import suppress
 
 from . import __version__
 from .errors import BlenderLidarError, one_line, output_error
-from .stop_signals import stops_deferred, stops_watched
+from .stop_signals import stops_deferred, stops_recognised, stops_watched
 
 _VERBS = (
     "optimise",
@@ -57,7 +57,8 @@ def _told(argv: Sequence[str] | None) -> int:
     with warnings.catch_warnings():  # which puts back what shows warnings
         warnings.showwarning = _one_line_warning
         try:
-            code = _carried_out(argv)
+            with stops_recognised():
+                code = _carried_out(argv)
             print(end="", flush=True)  # while a closed pipe or a full disk can still be told
             return code
         except BlenderLidarError as error:

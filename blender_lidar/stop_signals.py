@@ -64,6 +64,20 @@ def stops_deferred() -> Iterator[None]:
 
 
 @contextmanager
+def stops_recognised() -> Iterator[None]:
+    """Let a stop that met compiled code be one again: Numba goes on, and Python makes a SystemError of both."""
+    try:
+        yield
+    except SystemError as error:
+        cause = error.__cause__
+        while isinstance(cause, SystemError):
+            cause = cause.__cause__
+        if isinstance(cause, KeyboardInterrupt):
+            raise cause from None
+        raise
+
+
+@contextmanager
 def stops_end_at_once() -> Iterator[None]:
     """While it lasts, a stop ends the process at once: for code that would swallow it, or be deaf to it, and go on."""
     if threading.current_thread() is not threading.main_thread():

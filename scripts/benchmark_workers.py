@@ -76,6 +76,7 @@ def task_us(place: Workplace) -> float:
     """What a task costs besides its work, which is next to none here, one of many that are asked for together [us]."""
     workers = place.employ(abs, TASKS)
     try:
+        workers.await_ready()
         workers.map(range(TASKS))
         return 1e6 * median(seconds(lambda: workers.map(range(TASKS))) for _ in range(5)) / TASKS
     finally:
@@ -86,8 +87,8 @@ def hand_out_s(site: Site, place: Workplace) -> float:
     """Until workers are there that hold the scene, trees not built yet [s]."""
 
     def come_and_go() -> None:
-        with Evaluator(site.search, site.observation, site.scoring, place.processes, place.cluster):
-            pass
+        with Evaluator(site.search, site.observation, site.scoring, place.processes, place.cluster) as evaluator:
+            evaluator.await_workers()
 
     return median(seconds(come_and_go) for _ in range(3))
 
@@ -103,6 +104,7 @@ def batch_times(site: Site, places: dict[str, Workplace], rounds: int, batches: 
         for name, place in places.items():
             given = (site.search, site.observation, site.scoring, place.processes, place.cluster)
             evaluators[name] = stack.enter_context(Evaluator(*given))
+            evaluators[name].await_workers()
         expected = evaluators["this process"].totals(poses).objective.tobytes()
         for evaluator in evaluators.values():
             for _ in range(4):  # until each process has built the trees that it will be asked for

@@ -3,8 +3,9 @@
     python scripts/fidelity_regret.py [SCENE.toml] [--sensors RS-16,RS-80] [--frames 60] [--seeds 11] [--resume]
 
 At full fidelity stand the exhaustive 26 x 26 grid of heights and tilts and 2,000 evaluations of each of --searches,
-one run of each for each seed; `auto` has as many seeds. All are timed in this one process on the same frames, workers
-and caster, each with its own start of the workers and building of frames. Regret is the share of the gain over the
+one run of each for each seed; `auto` has as many seeds. All are timed on the same frames, workers and caster, taking
+turns, each with its own building of frames: the search alone, once all workers are there and have loaded compiled code,
+and for `auto` and the grid also with the start of the other processes. Regret is the share of the gain over the
 baseline, [F(rival) - F(auto)] / [F(rival) - F(baseline)], that auto leaves: to the grid's best point, to the mounting
 that a search found with the same seed, and to the best of all mountings known; on the searched frames, and on held-out
 ones. Its upper 95 % bound is over seeds, Student's; on held-out frames the larger of that and one over resampled blocks
@@ -27,6 +28,7 @@ from blender_lidar.formats.atomic import write_text
 from blender_lidar.optimise import SEARCHES, make_search, run
 from blender_lidar.run import fresh_auto_search, fresh_search
 from blender_lidar.scenario import load_scenario, pose_at
+from blender_lidar.stop_signals import stops_recognised
 from blender_lidar.study.auto_scores import asked_objective
 from blender_lidar.study.score_map import FINE_POINTS
 from blender_lidar.study.site import prepare
@@ -40,7 +42,8 @@ TABLE = "fidelity_regret.txt"
 def main(argv: list[str] | None = None) -> int:
     args = _arguments(argv)
     try:
-        return _study(args)
+        with stops_recognised():
+            return _study(args)
     except BlenderLidarError as error:
         print(f"fidelity_regret: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
@@ -59,6 +62,7 @@ def _arguments(argv):
     parser.add_argument("--searches", default="hardened,de-pso", help="rivals at full fidelity; none: the grid alone")
     parser.add_argument("--evaluations", type=_positive, default=2000, help="of each rival search; 20 or more")
     parser.add_argument("--rival-seeds", type=_positive, help="seeds of the rival searches; as many as of auto")
+    parser.add_argument("--grid-runs", type=_positive, default=3, help="how often the grid is timed, of either kind")
     parser.add_argument("--workers", type=int, default=0, help="processes; 0 takes one for each processor")
     parser.add_argument("--out", default="runs/fidelity_regret", metavar="DIR")
     parser.add_argument("--resume", action="store_true")
@@ -83,7 +87,7 @@ def _study(args):
         sites[sensor] = _site(args, sensor, 1)
         if sites[sensor].scenario.deployment.variables != ("height_m", "tilt_x_deg"):
             raise InputError(f"{args.scene}: [deployment] height_m and tilt_x_deg, and they alone, must be pairs")
-    given = ("evaluations", "seeds", "searches", "rival_seeds")
+    given = ("evaluations", "seeds", "searches", "rival_seeds", "grid_runs")
     identity = {key: getattr(args, key) for key in given} | {"workers": next(iter(sites.values())).workers}
     for sensor, site in sites.items():
         identity[sensor] = {key: value for key, value in site.identity.items() if key != "[search] seed"}
@@ -92,10 +96,10 @@ def _study(args):
     with folder.locked(resume=args.resume):
         progress = Progress(len(tasks), "runs")
         runs = {sensor: {} for sensor in sites}
-        for sensor, name, seed in tasks:
-            where = f"{sensor}_{name}_{seed}".replace("/", "_")
-            made = folder.stage(where, lambda task=(sensor, name, seed): _run(args, *task))
-            runs[sensor][name, seed] = made
+        for sensor, name, seed, waited in tasks:
+            where = f"{sensor}_{name}_{seed}{'' if waited else '_whole'}".replace("/", "_")
+            made = folder.stage(where, lambda task=(sensor, name, seed, waited): _run(args, *task))
+            runs[sensor][name, seed, waited] = made
             progress.advance(1, f"{sensor} {name} seed {seed}: {made['seconds']:.1f} s")
         progress.close()
         lines = [line for sensor in sites for line in _report(args, sensor, sites[sensor], runs[sensor], folder)]
@@ -106,11 +110,13 @@ def _study(args):
 
 
 def _tasks(args):
-    """Runs in such an order that auto and its rivals take turns, as a machine's speed drifts."""
+    """Runs, as name, seed and whether workers are waited for first, so that auto and its rivals take turns."""
+    grids = np.linspace(1, args.seeds, min(args.grid_runs, args.seeds)).astype(int).tolist()
     tasks = []
     for seed in range(1, args.seeds + 1):
-        tasks += [(AUTO, seed)] + ([(name, seed) for name in args.searches] if seed <= args.rival_seeds else [])
-        tasks += [(GRID, 1)] if seed == 1 else []
+        tasks += [(AUTO, seed, True), (AUTO, seed, False)]
+        tasks += [(name, seed, True) for name in args.searches if seed <= args.rival_seeds]
+        tasks += [(GRID, seed, waited) for waited in (True, False) if seed in grids]
     return tasks
 
 
@@ -126,21 +132,39 @@ def _site(args, sensor, seed):
     return prepare(load_scenario(args.scene, overrides))
 
 
-def _run(args, sensor, name, seed):
-    """One search, its workers' start included: the mounting, seconds and casts of a frame by fidelity."""
+def _run(args, sensor, name, seed, waited):
+    """One search: the mounting, seconds and casts of a frame by fidelity; `waited` leaves the workers' start out."""
     site = _site(args, sensor, seed)
-    deployment, started = site.scenario.deployment, time.perf_counter()
-    with site.evaluator(site.search) as evaluator:
+    deployment, begun = site.scenario.deployment, time.perf_counter()
+    others = site.holdout[: 2 * site.workers] or site.search[:1]
+    with site.evaluator((*site.search, *others)) as evaluator:
+        if waited:
+            evaluator.await_workers()
+            _load_compiled(site, evaluator, others)
+        started = time.perf_counter() if waited else begun
         if name == AUTO:
-            search = fresh_auto_search(site)
-            while not search.done:
-                begun = time.perf_counter()
-                search.tell(asked_objective(site, evaluator, search.ask()), time.perf_counter() - begun)
-            x, rungs = search.best_x, search.spent
+            x, rungs = _auto(site, evaluator)
         else:
             x, rungs = _full(args, site, evaluator, name)
         seconds = time.perf_counter() - started
-    return {"x": x.tolist(), "seconds": seconds, "rungs": rungs, "mount": deployment.coordinates(x)}
+    start = started - begun
+    return {"x": x.tolist(), "seconds": seconds, "start": start, "rungs": rungs, "mount": deployment.coordinates(x)}
+
+
+def _load_compiled(site, evaluator, others):
+    """Let all processes load what they run, on frames that are not searched: their trees are the search's to build."""
+    places = range(len(site.search), len(site.search) + len(others))
+    for _ in range(2):
+        evaluator.totals([site.scenario.baseline_pose] * 4, places)
+
+
+def _auto(site, evaluator):
+    """The search from cheap to dear: its best point, and what its rungs took."""
+    search = fresh_auto_search(site)
+    while not search.done:
+        begun = time.perf_counter()
+        search.tell(asked_objective(site, evaluator, search.ask()), time.perf_counter() - begun)
+    return search.best_x, search.spent
 
 
 def _full(args, site, evaluator, name):
@@ -148,7 +172,7 @@ def _full(args, site, evaluator, name):
     deployment, frames = site.scenario.deployment, len(site.search)
 
     def objective(x):
-        return evaluator.totals([deployment.pose(row) for row in x]).objective.sum(axis=1)
+        return evaluator.totals([deployment.pose(row) for row in x], range(frames)).objective.sum(axis=1)
 
     if name == GRID:
         search = make_search("grid", np.array(deployment.lower), np.array(deployment.upper), seed=1, points=FINE_POINTS)
@@ -163,7 +187,7 @@ def _full(args, site, evaluator, name):
 
 def _report(args, sensor, site, runs, folder):
     """The lines of one sensor."""
-    mounts = {key: made["mount"] for key, made in runs.items()}
+    mounts = {(name, seed): made["mount"] for (name, seed, waited), made in runs.items() if waited}
     poses = [pose_at(mount) for mount in mounts.values()] + [site.scenario.baseline_pose]
     scores = {}
     for frames, block, name in (
@@ -181,7 +205,7 @@ def _report(args, sensor, site, runs, folder):
     known = max(mounts, key=lambda key: searched[key].sum())
     lines = [
         f"{sensor}: {len(site.search)} searched frames, {site.workers} workers, caster {site.observation.caster}",
-        f"  best known: {known[0]} seed {known[1]} at {_at(runs[known]['mount'])}",
+        f"  best known: {known[0]} seed {known[1]} at {_at(mounts[known])}",
         *_speed(args, runs),
     ]
     for frames, (rows, vehicles) in scores.items():
@@ -200,21 +224,33 @@ def _at(mount):
 
 def _speed(args, runs):
     """What auto takes, rung by rung, and how many times as much its rivals."""
-    made = {name: [runs[key] for key in runs if key[0] == name] for name in (AUTO, GRID, *args.searches)}
-    seconds = {name: [one["seconds"] for one in some] for name, some in made.items()}
-    auto = np.median(seconds[AUTO])
-    yield f"  auto: median {auto:.1f} s, longest {max(seconds[AUTO]):.1f} s, {len(made[AUTO])} seeds; the first one:"
+    names = AUTO, GRID, *args.searches
+    made = {name: [run for (some, _, waited), run in runs.items() if some == name and waited] for name in names}
+    alone = {name: np.array([run["seconds"] for run in some]) for name, some in made.items()}
+    whole = {
+        name: np.array([run["seconds"] for (some, _, waited), run in runs.items() if some == name and not waited])
+        for name in (AUTO, GRID)
+    }
+    start = np.median([run["start"] for some in made.values() for run in some])
+    yield f"  start of the workers, compiled code loaded: median {start:.1f} s"
+    for what, seconds in (("alone", alone), ("with the start, working meanwhile", whole)):
+        yield f"  auto {what}: median {np.median(seconds[AUTO]):.2f} s, longest {max(seconds[AUTO]):.2f} s"
+    yield f"  {len(made[AUTO])} seeds; the first one:"
     for rung in made[AUTO][0]["rungs"]:
         what = f"{rung['frames']:3d} frames, {rung['detail']}, 1 of {rung['stride']:2d} beams"
         cost = f"{rung['frame_casts']:6d} casts of a frame, {rung['seconds']:.2f} s"
         yield f"    {rung['candidates']:5d} candidates, {what}: {cost}"
-    whole = np.median([one["rungs"][-1]["frame_casts"] for one in made[AUTO]])
+    last = np.median([one["rungs"][-1]["frame_casts"] for one in made[AUTO]])
     beams = np.median([sum(rung["frame_casts"] / rung["stride"] for rung in one["rungs"]) for one in made[AUTO]])
     for name in (GRID, *args.searches):
-        casts, rival = made[name][0]["rungs"][0]["frame_casts"], np.median(seconds[name])
+        casts, rival = made[name][0]["rungs"][0]["frame_casts"], np.median(alone[name])
+        times = f"alone median {rival:.1f} s, {rival / np.median(alone[AUTO]):.1f} times that of auto"
+        if name in whole:
+            longer = np.median(whole[name])
+            times += f"; with the start {longer:.1f} s, {longer / np.median(whole[AUTO]):.1f} times"
         yield (
-            f"  {name}: median {rival:.1f} s, auto is {rival / auto:.1f} times as fast; {casts / whole:.1f} times as "
-            f"many casts of a whole frame, {casts / beams:.1f} times as many beams"
+            f"  {name}: {times}; {casts / last:.1f} times as many casts of a whole frame, {casts / beams:.1f} times as "
+            "many beams"
         )
 
 

@@ -24,7 +24,7 @@ from blender_lidar.casting import CASTERS
 from blender_lidar.commands.progress import Progress
 from blender_lidar.errors import BlenderLidarError
 from blender_lidar.optimise import READINGS
-from blender_lidar.stop_signals import stops_watched
+from blender_lidar.stop_signals import stops_recognised, stops_watched
 from blender_lidar.study.stages import StudyFolder
 
 SCENE = Path(__file__).parents[1] / "scenes" / "paper.toml"
@@ -44,7 +44,8 @@ _SETTINGS = {
 def main(argv: list[str] | None = None) -> int:
     args = _arguments(argv)
     try:
-        return _study(args)
+        with stops_recognised():
+            return _study(args)
     except BlenderLidarError as error:
         print(f"reproduce_paper: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code

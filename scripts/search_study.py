@@ -23,6 +23,7 @@ from blender_lidar.errors import BlenderLidarError
 from blender_lidar.search_study.output import FILES, study_identity, write_results
 from blender_lidar.search_study.runs import carry_out
 from blender_lidar.search_study.tasks import PARTS, judging, tuning
+from blender_lidar.stop_signals import stops_recognised
 from blender_lidar.study.stages import StudyFolder
 
 SCENE = Path(__file__).parents[1] / "scenes" / "i80.toml"
@@ -31,7 +32,8 @@ SCENE = Path(__file__).parents[1] / "scenes" / "i80.toml"
 def main(argv: list[str] | None = None) -> int:
     args = _arguments(argv)
     try:
-        return _study(args)
+        with stops_recognised():
+            return _study(args)
     except BlenderLidarError as error:
         print(f"search_study: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code

@@ -7,13 +7,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from tests.waiting import WAIT_S, wait_for
+
 ROOT = Path(__file__).parents[1]
-_WAIT_S = 60.0
 
 
 class LocalCluster:
@@ -51,7 +50,7 @@ class LocalCluster:
             except subprocess.TimeoutExpired:
                 with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
-                process.wait(_WAIT_S)
+                process.wait(WAIT_S)
 
     def start_worker(self, *words: object, package: Path = ROOT, nanny: bool = False) -> subprocess.Popen:
         """A worker that has registered, and imports blender_lidar from the folder `package`."""
@@ -82,11 +81,3 @@ class LocalCluster:
 
     def _log(self, process: subprocess.Popen) -> Path:
         return self._folder / f"{self._started.index(process)}.log"
-
-
-def wait_for(condition: Callable[[], object], at_most_s: float = _WAIT_S) -> None:
-    """Until a condition holds."""
-    end = time.monotonic() + at_most_s
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.02)

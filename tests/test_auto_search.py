@@ -9,6 +9,7 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import make_search
+from blender_lidar.study.auto_scores import screened
 from blender_lidar.study.auto_search import AutoSearch
 from blender_lidar.study.fidelity import Fidelity
 from blender_lidar.study.rungs import Rung, spread_order
@@ -17,11 +18,11 @@ FRAMES = 40
 BLOCK = np.arange(FRAMES) // 4
 
 
-def made_rungs(frames=FRAMES, climb=24):
+def made_rungs(frames=FRAMES, climb=24, screen_climb=48):
     order = spread_order(BLOCK[:frames], np.ones(frames))
     coarse, finer = Fidelity("body", 8), Fidelity("body", 4)
     return (
-        Rung(coarse, order[:8]),
+        Rung(coarse, order[:8], climb=screen_climb),
         Rung(coarse, order[:16], candidates=24),
         Rung(finer, order[:32], candidates=12),
         Rung(finer, order, candidates=6, climb=climb),
@@ -31,7 +32,7 @@ def made_rungs(frames=FRAMES, climb=24):
 
 def made_search(d=2, seed=1, **given):
     lower, upper = np.full(d, -1.0), np.full(d, 3.0)
-    screen = make_search("hardened", lower, upper, seed=seed, evaluations=120)
+    screen = make_search("hardened", lower, upper, seed=seed, evaluations=screened(d))
     return AutoSearch(screen, made_rungs(**given), BLOCK, lower, upper, seed=seed)
 
 
@@ -59,6 +60,37 @@ def test_the_peak_is_found_in_any_number_of_variables(d):
     search = run(made_search(d))
     assert np.abs(search.best_x - 1.0).max() < 0.12 * d
     assert search.best_value == pytest.approx(search.history[:, -2].max())
+
+
+def two_peaks(asked, reference_lead=1.0, cheap_lead=1.0):
+    """Two hills 0.6 of the box apart; the reference ranks the one at 2.2 first, all cheaper rungs that at -0.2."""
+    worth = 1.0 + 0.3 * np.sin(np.array(asked.frames))
+    lead = -cheap_lead if asked.fidelity.stride > 1 else reference_lead
+    hills = [10.0 * np.exp(-np.square((asked.x - at) / 0.6).sum(axis=1)) for at in (-0.2, 2.2)]
+    return np.maximum(hills[0] * (1.0 - 0.05 * lead), hills[1] * (1.0 + 0.05 * lead))[:, None] * worth
+
+
+@pytest.mark.parametrize("d", [1, 2])
+def test_of_two_peaks_far_apart_that_of_the_reference_is_found_though_cheap_rungs_prefer_the_other(d):
+    found = []
+    for seed in range(1, 11):
+        search = made_search(d, seed=seed)
+        while not search.done:
+            search.tell(two_peaks(search.ask()))
+        found.append(np.abs(search.best_x - 2.2).max() < 0.12 * d)
+    assert sum(found) >= 8  # the screen itself may not come near it
+
+
+def test_where_the_reference_cannot_tell_two_peaks_apart_it_climbs_from_both():
+    search, climbed = made_search(), []
+    while not search.done:
+        asked = search.ask()
+        if search.stage.startswith("climb: body,"):
+            climbed.append(asked.x.mean(axis=0))
+        unlike = 3.0 * (-1.0) ** BLOCK[list(asked.frames)]  # blocks disagree about the one peak
+        search.tell(two_peaks(asked, 0.0, 0.0) + np.where(asked.x[:, :1] > 1.0, unlike, 0.0))
+    assert {bool((mean > 1.0).all()) for mean in climbed} == {False, True}
+    assert sum(row["candidates"] for row in search.spent) == search.evaluations <= search.budget
 
 
 def test_halving_never_drops_the_best_where_rungs_agree_with_the_reference():

@@ -11,9 +11,9 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -27,15 +27,22 @@ from blender_lidar.study.cluster_workers import ClusterWorkers, _held
 from blender_lidar.study.evaluation import Evaluator
 from blender_lidar.study.landscapes import HELD_OUT, Job, landscapes
 from blender_lidar.study.site import prepare
-from tests.local_cluster import ROOT, LocalCluster, wait_for
+from tests.local_cluster import ROOT, LocalCluster
 from tests.small_scene import CASTER, MAPPED, cli, without_charts, without_times, write_scene
 from tests.test_evaluation import POSES, SCORING, SEEN, frames_of
+from tests.waiting import WAIT_S, wait_for
 
 pytest.importorskip("distributed", reason="dask.distributed, of the extra cluster, is not installed")
 
 FRAMES = frames_of(40)
 SEEN_HERE = replace(SEEN, caster=CASTER)
+PATIENCE_S = 60.0  # with a scheduler on a machine that is busy with other tests
 FILES = ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "score_map.csv", "installation.txt")
+
+
+@pytest.fixture(autouse=True)
+def _patience(monkeypatch):
+    monkeypatch.setattr(cluster_module, "_ANSWER_S", PATIENCE_S)
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +155,7 @@ def test_a_run_killed_on_a_cluster_goes_on_here_to_the_same_result_and_leaves_no
         main(sys.argv[1:])
         """
     killed = blender_lidar("optimise", scene, "--out", tmp_path / "run", "--cluster", cluster.address, program=program)
-    assert killed.wait(60.0) == -signal.SIGKILL
+    assert killed.wait(WAIT_S) == -signal.SIGKILL
     assert (tmp_path / "run" / "checkpoint.json").exists()
     code, _, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume")
     assert code == 0, err
@@ -168,7 +175,7 @@ def own_process(_number):
 def test_a_frame_goes_to_the_worker_that_has_its_tree(cluster):
     executor = ClusterExecutor(cluster.address)
     try:
-        assert executor.submit(abs, -3).result() == 3
+        assert list(executor.map(abs, [-3])) == [3]
         first, second = (list(executor.map(own_process, range(2))) for _ in range(2))
     finally:
         executor.shutdown()
@@ -244,6 +251,51 @@ def test_a_worker_that_comes_later_is_used(own_cluster, alone):
         assert in_all(own_cluster.address) == 2
 
 
+def set_status(name):
+    """Pause this worker as dask does, or let it go on."""
+    from distributed import Worker
+    from distributed.core import Status
+
+    (here,) = Worker._instances
+    here.status = Status[name]
+    return here.address
+
+
+def test_a_paused_worker_held_up_every_batch_and_is_passed_over_until_it_goes_on(tmp_path, alone):
+    free = ("--memory-limit", 0)  # nobody else lets them go on
+    with LocalCluster(tmp_path, workers=0) as started:
+        started.start_worker("--nthreads", 1, *free)
+        with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=started.address) as evaluator:
+            started.start_worker("--nthreads", 1, *free)
+            other = ClusterExecutor(started.address)
+            paused = other.workers[1]
+            other.run(partial(set_status, "paused"), [paused])
+            wait_for(lambda: paused not in other.workers)
+            check_same(evaluator.totals(POSES), alone)
+            assert sum(other.run(held_by_workers).values()) == 1
+            other.run(partial(set_status, "running"), [paused])
+            wait_for(lambda: paused in other.workers)
+            check_same(evaluator.totals(POSES), alone)
+            assert sum(other.run(held_by_workers).values()) == 2
+        other.shutdown()
+
+
+def test_when_all_workers_are_paused_that_is_told_and_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster_module, "_NOBODY_S", 0.0)
+    with LocalCluster(tmp_path, workers=0) as started:
+        started.start_worker("--nthreads", 1, "--memory-limit", 0)
+        workers, other = ClusterWorkers(abs, started.address), ClusterExecutor(started.address)
+        other.run(partial(set_status, "paused"))
+        wait_for(lambda: not other.workers)
+        later = threading.Timer(0.5, other.run, [partial(set_status, "running")])
+        later.start()
+        with pytest.warns(UserWarning, match="all workers there are paused, perhaps for want of memory; waiting"):
+            assert workers.map([-1, -2]) == [1, 2]
+        later.join()
+        workers.close()
+        other.shutdown()
+
+
 def test_when_the_only_worker_is_killed_another_one_takes_over(own_cluster, alone):
     with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=own_cluster.address) as evaluator:
         check_same(evaluator.totals(POSES), alone)
@@ -279,16 +331,15 @@ def test_when_the_scheduler_ends_that_is_one_line_at_once(own_cluster, alone):
     with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=own_cluster.address) as evaluator:
         check_same(evaluator.totals(POSES), alone)
         own_cluster.scheduler.kill()
-        began = time.monotonic()
         with pytest.raises(WorkerError, match="the dask scheduler there has gone") as failure:
             until_refused(evaluator)
     assert "\n" not in str(failure.value)
-    assert time.monotonic() - began < 30.0
 
 
 def blender_lidar(*words, program="from blender_lidar.cli import main\nimport sys\nsys.exit(main())"):
     """The command line as a process of its own, without charts."""
     head = "import sys\nsys.modules['matplotlib'] = None\n"
+    head += f"from blender_lidar.study import cluster\ncluster._ANSWER_S = {PATIENCE_S}\n"
     command = [sys.executable, "-c", head + textwrap.dedent(program), *map(str, words)]
     return subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
@@ -302,7 +353,7 @@ def test_ctrl_c_ends_the_run_and_leaves_the_cluster_alive(cluster, tmp_path, alo
         try:
             wait_for((out / "checkpoint.json").exists)
             run.send_signal(signal.SIGINT)
-            _, err = run.communicate(timeout=60.0)
+            _, err = run.communicate(timeout=WAIT_S)
         finally:
             run.kill()
     assert run.returncode == 1
@@ -326,11 +377,13 @@ def refused(capsys, tmp_path, *words):
 
 def test_an_address_without_a_scheduler_is_one_line(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster_module, "_ANSWER_S", 1.0)
+    before = set(threading.enumerate())
     with socket.create_server(("127.0.0.1", 0)) as silent:  # takes calls, and says nothing
         for port in (1, silent.getsockname()[1]):
             code, line = refused(capsys, tmp_path, "--cluster", f"tcp://127.0.0.1:{port}")
             assert code == 1
             assert line.startswith(f"blender-lidar: tcp://127.0.0.1:{port}: no dask scheduler answers there within 1 s")
+            assert set(threading.enumerate()) == before  # nobody goes on trying
 
 
 def test_the_address_of_a_worker_is_one_line(capsys, tmp_path, cluster):

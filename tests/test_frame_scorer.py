@@ -27,11 +27,11 @@ def observation(lattice=LATTICES["RS-16"], *, gate=50.0, near=0.4, detail="body"
     return Observation(lattice, gate, near, observation.caster, detail, cell, reading)
 
 
-@pytest.fixture(params=["exact", "raster"], autouse=True)
+@pytest.fixture(params=["exact", "raster", "embree", "bvh"], autouse=True)
 def caster(request):
-    """All that follows is asked of the path through NumPy and of the compiled one."""
+    """All that follows is asked of the path through NumPy and of the compiled ones."""
     if not is_available(request.param):
-        pytest.skip("Numba is not installed")
+        pytest.skip(f"{request.param} is not installed")
     observation.caster = request.param
 
 

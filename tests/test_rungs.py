@@ -10,7 +10,17 @@ import pytest
 
 from blender_lidar.scenario import load_scenario
 from blender_lidar.study.fidelity import Fidelity
-from blender_lidar.study.halving import diverse, survivors
+from blender_lidar.study.halving import (
+    ALL,
+    BUT_PEAKS,
+    NONE,
+    clearly_behind,
+    climb_starts,
+    diverse,
+    going_on,
+    peaks,
+    survivors,
+)
 from blender_lidar.study.rungs import coarse_observation, coarsest_stride, far_apart, make_rungs, spread_order
 from blender_lidar.study.site import prepare
 from tests.small_scene import write_scene
@@ -78,17 +88,63 @@ def test_diverse_candidates_begin_with_the_best_and_keep_apart_while_they_can():
     rng = np.random.default_rng(1)
     x = rng.random((200, 2))
     values = -np.square(x - 0.5).sum(axis=1)
-    rows = diverse(x, values, 10, 0.1, np.zeros(2), np.ones(2))
+    rows = diverse(x, values, 10, 0.1)
     assert rows[0] == np.argmax(values)
     apart = np.abs(x[rows][:, None] - x[rows]).max(axis=2) + np.eye(10)
     assert apart.min() > 0.1
-    crowded = diverse(x / 1e6, values, 10, 0.1, np.zeros(2), np.ones(2))
-    assert len(set(crowded.tolist())) == 10
+    assert len(set(diverse(x / 1e6, values, 10, 0.1))) == 10
+
+
+def test_diverse_candidates_keep_apart_from_what_is_taken_already():
+    x = np.array([[0.5], [0.52], [0.7], [0.9]])
+    assert diverse(x, np.array([4.0, 3.0, 2.0, 1.0]), 3, 0.1, taken=[2]) == [2, 0, 3]
 
 
 def test_the_same_mounting_is_not_taken_twice():
     x = np.repeat([[0.2], [0.7]], 3, axis=0)
-    assert sorted(diverse(x, np.arange(6.0), 5, 0.1, np.zeros(1), np.ones(1)).tolist()) == [2, 5]
+    assert sorted(diverse(x, np.arange(6.0), 5, 0.1)) == [2, 5]
+
+
+@pytest.mark.parametrize("d", [1, 2, 4])
+def test_a_peak_is_the_best_of_all_within_its_reach(d):
+    rng = np.random.default_rng(d)
+    x, values = rng.random((120, d)), rng.normal(size=120)
+    found = peaks(x, values)
+    near = np.abs(x[:, None] - x).max(axis=2) <= 0.15
+    assert found.tolist() == sorted(found, key=lambda row: -values[row])
+    assert set(found) == {row for row in range(120) if values[row] == values[near[row]].max()}
+
+
+def two_basins():
+    """Thirty candidates about 0.2 that are all better than three about 0.8, on eight blocks that agree."""
+    x = np.concatenate([np.linspace(0.15, 0.25, 30), [0.78, 0.8, 0.82]])[:, None]
+    value = np.concatenate([10.0 - np.abs(x[:30, 0] - 0.2), [8.0, 8.1, 8.0]])
+    return x, value[:, None] + np.random.default_rng(1).normal(0.0, 0.01, (33, 8))
+
+
+@pytest.mark.parametrize("drops", [NONE, BUT_PEAKS])
+def test_a_far_peak_goes_on_with_the_best_though_thirty_others_are_better(drops):
+    x, objective = two_basins()
+    kept = going_on(x, objective, np.arange(8), 6, distance=0.006, drops=drops)
+    assert 31 in kept
+    assert (kept >= 30).sum() == 1
+    assert len(kept) == 6
+    totals = objective[kept].sum(axis=1)
+    assert totals.tolist() == sorted(totals, reverse=True)
+
+
+def test_a_far_peak_that_is_clearly_behind_is_dropped_where_the_rung_is_the_reference():
+    x, objective = two_basins()
+    assert (going_on(x, objective, np.arange(8), 6, distance=0.006, drops=ALL) < 30).all()
+
+
+def test_a_climb_starts_from_the_far_peak_too_unless_that_is_clearly_behind():
+    x, objective = two_basins()
+    assert climb_starts(x, objective, np.arange(8), likely=True).tolist() == [objective.sum(axis=1).argmax()]
+    objective[30:] += np.where(np.arange(8) % 2, 4.0, 0.0) - 0.2  # better in half of the blocks
+    assert climb_starts(x, objective, np.arange(8), likely=True).tolist()[1:] == [
+        objective[30:].sum(axis=1).argmax() + 30
+    ]
 
 
 def test_what_is_clearly_behind_is_dropped_and_what_is_not_stays():
@@ -96,18 +152,28 @@ def test_what_is_clearly_behind_is_dropped_and_what_is_not_stays():
     shared, block = rng.normal(0.0, 50.0, 24), np.arange(24) // 2  # what all candidates meet alike
     lead = np.array([0.0, 0.1, 5.0])[:, None]
     objective = shared - lead + rng.normal(0.0, 0.5, (3, 24))
-    kept = survivors(objective, block, 3, tell_apart=True)
-    assert set(kept.tolist()) == {0, 1}
-    assert set(survivors(objective, block, 3, tell_apart=False).tolist()) == {0, 1, 2}
+    assert set(survivors(objective, block, 3).tolist()) == {0, 1}
+
+
+@pytest.mark.parametrize("compared", [1, 5, 23])
+def test_of_equals_any_is_called_clearly_behind_in_one_case_in_twenty_at_most(compared):
+    """One fixed candidate leads them, so that it is not the luckiest: the bound is for that."""
+    rng = np.random.default_rng(compared)
+    wrong = [clearly_behind(rng.normal(size=(compared + 1, 10)), np.arange(10), compared).any() for _ in range(1000)]
+    assert np.mean(wrong) < 0.05 + 3.0 * math.sqrt(0.05 * 0.95 / 1000)
 
 
 def test_no_more_go_on_than_may_and_the_best_is_always_among_them():
-    objective = np.random.default_rng(3).normal(size=(20, 12))
+    rng = np.random.default_rng(3)
+    x, objective = rng.random((20, 2)), rng.normal(size=(20, 12))
     for block in (np.zeros(12), np.arange(12) // 6, np.arange(12)):
-        kept = survivors(objective, block, 5, tell_apart=True)
-        assert len(kept) <= 5
-        assert kept[0] == objective.sum(axis=1).argmax()
+        for kept in (
+            survivors(objective, block, 5),
+            *(going_on(x, objective, block, 5, distance=0.05, drops=drops) for drops in (ALL, BUT_PEAKS, NONE)),
+        ):
+            assert len(kept) == len(set(kept.tolist())) <= 5
+            assert kept[0] == objective.sum(axis=1).argmax()
 
 
 def test_candidates_that_are_equal_on_every_frame_all_stay():
-    assert len(survivors(np.ones((4, 6)), np.arange(6), 4, tell_apart=True)) == 4
+    assert len(survivors(np.ones((4, 6)), np.arange(6), 4)) == 4

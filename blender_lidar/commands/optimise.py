@@ -9,6 +9,7 @@ from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..results import VEHICLES, VEHICLES_BASELINE, RunFolder
 from ..run import Outcome, optimise_site
+from ..stop_signals import stops_recognised
 from ..study.site import prepare
 from .options import add_scene, scenario_from
 from .progress import RunProgress
@@ -49,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
         if args.resume and not folder.holds_run():
             say(args, f"{folder.path}: nothing is stored there to go on with; the search starts from its beginning.\n")
         try:
-            with RunProgress(scenario.deployment.variables, metric_named(scenario.objective.metric)) as listener:
+            variables, metric = scenario.deployment.variables, metric_named(scenario.objective.metric)
+            with stops_recognised(), RunProgress(variables, metric) as listener:
                 outcome = optimise_site(site, folder, listener, resume=args.resume)
             return report(args, site, outcome, folder)
         except KeyboardInterrupt:

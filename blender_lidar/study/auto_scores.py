@@ -31,7 +31,7 @@ def auto_search(site: Site, screen: Search) -> AutoSearch:
 
 def screened(variables: int) -> int:
     """Evaluations of the screening."""
-    return 100 + 50 * variables
+    return 20 + 40 * variables
 
 
 def asked_objective(site: Site, evaluator: Evaluator, asked: Asked) -> np.ndarray:

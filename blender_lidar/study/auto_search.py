@@ -17,15 +17,15 @@ from ..optimise import Search, search_from_state
 from ..optimise.checks import check_values
 from ..optimise.stored import read_array, read_count
 from .fidelity import Fidelity
-from .halving import diverse, survivors
-from .raced_climb import RacedClimb
+from .halving import ALL, BUT_PEAKS, NONE, climb_starts, going_on
+from .rung_climbs import RungClimbs
 from .rung_record import RungRecord
 from .rungs import Rung
+from .spending import Spending
 
 NAME = "auto"
-_STEP, _NARROW_STEP = 0.05, 0.012  # of the box, with which climbs start: the first one, and the later ones
-_SAMPLES = 4  # to a generation of a climb, and more for more variables
-_FIRST_SHARE = 0.5  # of the frames that all samples of a climb at the reference meet
+_STEPS = 0.1, 0.05, 0.012  # of the box, with which climbs start: on the first rung, later ones, and at the reference
+_FIRST_SHARE = 0.33  # of the frames that all samples of a climb at the reference meet
 _APART, _BARELY_APART = 0.04, 0.006  # of the box: what is nearer counts as the same mounting
 
 
@@ -81,9 +81,9 @@ class AutoSearch:
         self._x = np.empty((0, self._lower.size))  # candidates that came to this rung
         self._known = np.empty((0, 0))  # what they have on its frames from the rung below
         self._record = self._fresh_record()
-        self._climb: RacedClimb | None = None
+        self._climb: RungClimbs | None = None
         self._done = False
-        self._tried, self._casts, self._seconds = ([0] * len(rungs) for _ in range(3))
+        self._spending = Spending(rungs)
 
     @property
     def done(self) -> bool:
@@ -99,12 +99,12 @@ class AutoSearch:
     @property
     def budget(self) -> int:
         """Candidates that the whole search scores at most, on any rung."""
-        return self._screen.budget + sum(rung.candidates + rung.climb for rung in self._rungs[1:])
+        return self._screen.budget + sum(rung.candidates + rung.climb for rung in self._rungs)
 
     @property
     def evaluations(self) -> int:
         """Candidates scored so far, on any rung."""
-        return sum(self._tried)
+        return self._spending.candidates
 
     @property
     def confirmed(self) -> RungRecord:
@@ -129,17 +129,7 @@ class AutoSearch:
     @property
     def spent(self) -> list[dict[str, Any]]:
         """What each rung has taken: fidelity, frames, candidates, casts of a frame, seconds."""
-        return [
-            {
-                "detail": rung.fidelity.detail,
-                "stride": rung.fidelity.stride,
-                "frames": len(rung.frames),
-                "candidates": tried,
-                "frame_casts": casts,
-                "seconds": round(seconds, 3),
-            }
-            for rung, tried, casts, seconds in zip(self._rungs, self._tried, self._casts, self._seconds, strict=True)
-        ]
+        return self._spending.rows()
 
     @property
     def _rung(self) -> Rung:
@@ -152,7 +142,7 @@ class AutoSearch:
     def ask(self) -> Asked:
         """What to score next; asking again returns the same."""
         rung = self._rung
-        if self._level == 0:
+        if self._climb is None and self._level == 0:
             return Asked(rung.fidelity, rung.frames, self._screen.ask())
         if self._climb is None:
             return Asked(rung.fidelity, rung.frames[self._known.shape[1] :], self._x.copy())
@@ -163,31 +153,34 @@ class AutoSearch:
         """Take the objective of what was asked for, (s, frames asked for), and what it took to score."""
         asked, level = self.ask(), self._level
         totals = check_values(objective.sum(axis=1), asked.x)
-        self._casts[level] += objective.size
-        self._seconds[level] += seconds
+        begun = self._climb is not None and asked.frames[0] != self._rung.frames[0]  # counted when it began
+        self._spending.add(level, candidates=0 if begun else len(totals), casts=objective.size, seconds=seconds)
         if self._climb is not None:
-            self._tried[level] += len(totals) if asked.frames[0] == self._rung.frames[0] else 0
             met, whole = self._climb.tell(objective)
             self._record.add(self._in_box(met), whole)
             if self._climb.done:
                 self._go_on()
-            return
-        self._tried[level] += len(totals)
-        if level == 0:
+        elif level == 0:
             self._screen.tell(totals)
             self._record.add(asked.x, objective)
             if self._screen.done:
-                self._go_on()
-            return
-        self._arrive(np.concatenate([self._known, objective], axis=1))
+                self._climb_or_go_on()
+        else:
+            self._arrive(np.concatenate([self._known, objective], axis=1))
 
     def _arrive(self, objective: np.ndarray) -> None:
         """Record what came to this rung, now that it has met all of its frames."""
         self._record.add(self._x, objective)
-        if self._rung.climb:
-            self._climb = self._fresh_climb()
-        else:
+        self._climb_or_go_on()
+
+    def _climb_or_go_on(self) -> None:
+        rung = self._rung
+        if not rung.climb:
             self._go_on()
+            return
+        unit, likely = self._unit(self._record.x), self._level > 0
+        starts = climb_starts(unit, self._record.objective, self._block_of(rung), likely=likely)
+        self._climb = self._fresh_climbs(unit[starts])
 
     def _go_on(self) -> None:
         """Send the best to the next rung; from the last one there is none."""
@@ -196,37 +189,47 @@ class AutoSearch:
             return
         below, record = self._rung, self._record
         self._level += 1
-        kept = self._chosen(record, below)
+        kept = going_on(
+            self._unit(record.x),
+            record.objective,
+            self._block_of(below),
+            self._rung.candidates,
+            distance=_APART if self._level == 1 else _BARELY_APART,
+            drops=self._drops(below),
+        )
         self._climb, self._record = None, self._fresh_record()
         self._x, self._known = record.x[kept], record.objective[kept, : self._met_below(self._level)]
         if self._known.shape[1] == len(self._rung.frames):  # with few frames rungs are alike
             self._arrive(self._known)
-
-    def _chosen(self, record: RungRecord, below: Rung) -> np.ndarray:
-        """Rows of what goes on from a rung: diverse ones of a search or a climb, else what is not clearly behind."""
-        most, rung = self._rung.candidates, self._rung
-        if self._level == 1 or below.climb:
-            distance = _APART if self._level == 1 else _BARELY_APART
-            return diverse(record.x, record.totals, most, distance, self._lower, self._upper)
-        alike = below.fidelity == rung.fidelity
-        return survivors(record.objective, self._block[list(below.frames)], most, tell_apart=alike)
 
     def _met_below(self, level: int) -> int:
         """On how many of a rung's frames its candidates were scored on the rung below."""
         below, rung = self._rungs[level - 1 : level + 1]
         return len(below.frames) if below.fidelity == rung.fidelity else 0
 
+    def _drops(self, below: Rung) -> str:
+        """Which of those that are clearly behind on a rung stay there."""
+        if below.fidelity != self._rung.fidelity:
+            return NONE
+        return ALL if below.fidelity == self._rungs[-1].fidelity else BUT_PEAKS
+
     def _fresh_record(self) -> RungRecord:
         return RungRecord(self._lower.size, self._rung.frames)
 
-    def _fresh_climb(self) -> RacedClimb:
-        d, frames, wanted = self._lower.size, self._rung.frames, self._rung.climb
-        samples = _SAMPLES + int(3.0 * math.log(d))
-        mean = (self._record.x[self._record.best] - self._lower) / (self._upper - self._lower)
-        first = math.ceil((_FIRST_SHARE if self._at_reference else 1.0) * len(frames))
-        step = _NARROW_STEP if self._at_reference else _STEP
-        block = self._block[list(frames)]
-        return RacedClimb(mean, step, samples, max(1, wanted // samples), first, block, self._seed + self._level)
+    def _fresh_climbs(self, starts: np.ndarray) -> RungClimbs:
+        rung = self._rung
+        first = math.ceil((_FIRST_SHARE if self._at_reference else 1.0) * len(rung.frames))
+        step = _STEPS[2 if self._at_reference else min(self._level, 1)]
+        seed, apart = self._seed + self._level, len(self._rungs)
+        seeds = range(seed, seed + apart * len(starts), apart)
+        return RungClimbs(starts, rung.climb, step, first, self._block_of(rung), seeds)
+
+    def _block_of(self, rung: Rung) -> np.ndarray:
+        """Block of time of each of a rung's frames."""
+        return self._block[list(rung.frames)]
+
+    def _unit(self, x: np.ndarray) -> np.ndarray:
+        return (x - self._lower) / (self._upper - self._lower)
 
     def _in_box(self, unit: np.ndarray) -> np.ndarray:
         return np.clip(self._lower + unit * (self._upper - self._lower), self._lower, self._upper)
@@ -242,7 +245,7 @@ class AutoSearch:
             "record": self._record.state(),
             "climb": None if self._climb is None else self._climb.state(),
             "done": self._done,
-            "spent": {"tried": self._tried, "casts": self._casts, "seconds": self._seconds},
+            "spent": self._spending.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -269,9 +272,8 @@ class AutoSearch:
         self._record = self._fresh_record()
         self._record.restore(state["record"])
         self._done = bool(state["done"])
-        spent = {key: read_array(state["spent"], key, (len(self._rungs),)).tolist() for key in state["spent"]}
-        self._tried, self._casts = ([int(number) for number in spent[key]] for key in ("tried", "casts"))
-        self._seconds = spent["seconds"]
-        if state["climb"] is not None:
-            self._climb = self._fresh_climb()
-            self._climb.restore(state["climb"])
+        self._spending.restore(state["spent"])
+        climb = state["climb"]
+        if climb is not None:
+            self._climb = self._fresh_climbs(read_array(climb, "starts", (len(climb["starts"]), self._lower.size)))
+            self._climb.restore(climb)

@@ -5,33 +5,34 @@ Nobody else imports that library, which the extra `cluster` brings; here it is i
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import pickle
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager, suppress
-from functools import partial
 from itertools import takewhile
 from typing import NamedTuple
 
 from ..errors import MissingExtraError, WorkerError
 from ..stop_signals import stops_deferred
 
-_ANSWER_S = 5.0  # a scheduler that is there answers in milliseconds
+_ANSWER_S = 10.0  # a scheduler that is there answers in milliseconds, unless it is very busy
 _FIRST_WORKER_S = 10.0
 _LOOK_ROUND_S = 2.0
 _LOOK_AGAIN_S = 0.1
 _HAND_OUT_S = 30.0  # after which workers that hold the function begin without the others
 _MOST_CANCELLED = 20  # calls that are begun anew in one batch
+_GRACE_S = 5.0  # beyond that, before a question that has no end is given up
 _NOBODY_S = 30.0  # what a worker that died may take to be started anew
 _LOGGERS = ("distributed", "distributed.client", "distributed.worker", "tornado.application")
 
 
 class ClusterExecutor(Executor):
-    """Carries out calls on the workers of a cluster.
+    """Carries out calls on the workers of a cluster, by `map` alone.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ class ClusterExecutor(Executor):
         self._levels = {name: logging.getLogger(name).level for name in _LOGGERS}
         for name in _LOGGERS:  # its failures are ours to tell, in one line
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-        self._client = None
+        self._client, self._pause_told = None, False
         try:
             self._client = self._connected()
             self._workers: list[str] = []
@@ -62,41 +63,60 @@ class ClusterExecutor(Executor):
             raise
 
     def _connected(self):
-        """In a thread of its own: older versions wait for ever for what takes calls and says nothing."""
+        """Asked for its name first, as a client waits for ever for what takes calls and says nothing."""
         found: list = []
-        thread = threading.Thread(target=self._connect, args=[found], daemon=True)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # versions that differ are told by who knows which of them matter
-            thread.start()
-            thread.join(_ANSWER_S + 1.0)
-        if found and not isinstance(found[0], Exception):
-            return found[0]
+        thread = threading.Thread(target=self._ask, args=[found], daemon=True)  # some callers run an event loop here
+        thread.start()
+        thread.join(_ANSWER_S + _GRACE_S)
+        found = found or [TimeoutError("no answer")]  # a name that nobody resolves has no end of its own
+        if not isinstance(found[0], Exception):
+            how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # versions that differ are told by who knows which of them matter
+                    return self._distributed.Client(self.address, **how)
+            except Exception as error:  # it has gone meanwhile
+                found = [error]
         raise WorkerError(
             f"{self.address}: no dask scheduler answers there within {_ANSWER_S:g} s; start one with `dask scheduler`, "
             "or leave --cluster out"
-        ) from (found[0] if found else None)
+        ) from found[0]
 
-    def _connect(self, found: list) -> None:
+    def _ask(self, found: list) -> None:
         try:
-            how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
-            found.append(self._distributed.Client(self.address, **how))
+            told = asyncio.run(self._told())
+            found.append(told if told["type"] == "Scheduler" else ValueError(f"there is a {told['type']}"))
         except Exception as error:  # whatever else may listen there
             found.append(error)
 
+    async def _told(self) -> dict[str, object]:
+        how = self._distributed.Security().get_connection_args("client")
+        async with asyncio.timeout(_ANSWER_S), self._distributed.rpc(self.address, connection_args=how) as there:
+            return await there.identity()
+
     def await_workers(self, at_most_s: float | None = None) -> list[str]:
-        """`workers`, of which there is at least one; waits for that, as one that died may be started anew."""
+        """`workers`, of which there is at least one; waits for that, as one that died may be started anew.
+
+        For those that are paused, all of them, it waits as long as that takes.
+        """
         end = time.monotonic() + (_NOBODY_S if at_most_s is None else at_most_s)
         while not (present := self.workers):
-            if time.monotonic() >= end:
+            if self._threads():
+                self._tell_of_pause()
+                end = max(end, time.monotonic() + _NOBODY_S)  # one that dies of it may be started anew
+            elif time.monotonic() >= end:
                 raise self._no_workers()
             time.sleep(_LOOK_AGAIN_S)
         return present
 
     @property
     def workers(self) -> list[str]:
-        """Addresses of the worker processes, of which a call goes to each in turn: the known ones first, as before."""
+        """Addresses of the worker processes, of which a call goes to each in turn: the known ones first, as before.
+
+        Those that are paused, as dask does for want of memory, take no call and are left out meanwhile.
+        """
         with self._scheduler_needed():
-            present = self._client.nthreads()
+            present = self._client.sync(self._client.scheduler.ncores_running, workers=None)
         known = [worker for worker in self._workers if worker in present]
         self._workers = known + [worker for worker in present if worker not in known]
         return self._workers
@@ -104,13 +124,7 @@ class ClusterExecutor(Executor):
     @property
     def most_threads(self) -> int:
         """Threads of the worker process that has most."""
-        with self._scheduler_needed():
-            return max(self._client.nthreads().values(), default=1)
-
-    def submit(self, function: Callable, /, *arguments, **keywords) -> Future:
-        """One call, by whichever worker has time for it."""
-        task = _packed(partial(function, **keywords), arguments)
-        return self._client.get_executor(pure=False).submit(pickle.loads, task)
+        return max(self._threads().values(), default=1)
 
     def map(self, function: Callable, *iterables: Iterable, timeout: float | None = None, chunksize: int = 1):
         """Results in order; the n-th call goes to the same worker each time, while it is there and has time for it."""
@@ -221,6 +235,19 @@ class ClusterExecutor(Executor):
             yield
         except Exception as error:
             raise self._no_scheduler() from error
+
+    def _threads(self) -> dict[str, int]:
+        """Of each worker process, paused or not."""
+        with self._scheduler_needed():
+            return self._client.nthreads()
+
+    def _tell_of_pause(self) -> None:
+        if not self._pause_told:
+            self._pause_told = True
+            warnings.warn(
+                f"{self.address}: all workers there are paused, perhaps for want of memory; waiting for one",
+                stacklevel=2,
+            )
 
     def _no_workers(self) -> WorkerError:
         return WorkerError(

@@ -21,6 +21,8 @@ from .scoring import CountedFrame, Scoring, VehicleScores, mountings_of
 from .workers import Alone, Workers
 from .workplace import Workplace
 
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
+
 
 class Totals(NamedTuple):
     """Sums over the counted vehicles of each frame, for each mounting.
@@ -60,7 +62,7 @@ class Evaluator:
     scoring : Scoring
         The metric and the settings of Eqs. 10 and 11.
     workers : int
-        Processes; 1 works in this one.
+        Processes, this one among them.
     cluster : str, optional
         Address of a dask scheduler, whose workers are used instead.
 
@@ -77,6 +79,7 @@ class Evaluator:
     ) -> None:
         self._work = _Work(tuple(frames), observation, scoring)
         self.vehicles = np.array([int(frame.counted.sum()) for frame in frames], dtype=np.int64)
+        self._turn = np.arange(len(frames)) * _GOLDEN % 1.0  # of each frame, wherever it is asked for
         self._workplace = Workplace(workers, cluster)
         self._pool: Workers = Alone(self._work.totals)
 
@@ -101,13 +104,19 @@ class Evaluator:
         fidelity : Fidelity, optional
             What the frames are seen through, as `rungs.coarse_observation` does; the observation itself when left out.
         """
-        tasks = self._tasks(range(len(self.vehicles)) if frames is None else frames)
+        chosen = np.arange(len(self.vehicles)) if frames is None else np.array(frames, dtype=int)
+        order = np.argsort(self._turn[chosen], kind="stable")
+        tasks = self._tasks(chosen[order].tolist())
         parts = self._pool.map(tasks, [tuple(poses)] * len(tasks), [fidelity] * len(tasks))
-        objective = np.concatenate([part[0] for part in parts], axis=1)
-        found = np.concatenate([part[1] for part in parts], axis=1)
-        return Totals(objective, found, self.vehicles if frames is None else self.vehicles[list(frames)])
+        back = np.argsort(order)
+        objective, found = (np.concatenate(column, axis=1)[:, back] for column in zip(*parts, strict=True))
+        return Totals(np.ascontiguousarray(objective), np.ascontiguousarray(found), self.vehicles[chosen])
 
-    def _tasks(self, frames: Sequence[int]) -> list[Sequence[int]]:
+    def await_workers(self) -> None:
+        """Until all processes have started, which they do in the background; raises `WorkerError` if one cannot."""
+        self._pool.await_ready()
+
+    def _tasks(self, frames: list[int]) -> list[list[int]]:
         """The frames in as many parts as there are calls."""
         bounds = np.linspace(0, len(frames), self._pool.tasks(len(frames)) + 1).astype(int).tolist()
         return [frames[start:stop] for start, stop in pairwise(bounds)]

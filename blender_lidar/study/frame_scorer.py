@@ -9,16 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..casting import RASTER
+from ..casting import EXACT, RASTER
 from ..casting.culling import ray_directions, reachable_beams
 from ..casting.protocol import Returns, origins_of
 from ..casting.standing import StandingScenery
 from ..metrics.vgop import to_vehicle_frame
 from ..metrics.view_grids import PlacedGrids
+from ..numba_here import numba_works
 from ..sensors.beams import BeamLattice
 from ..sensors.detection_range import detection_range_m
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..sensors.pose import Pose
+from ..stop_signals import stops_recognised
 from ..traffic.vehicles import Vehicles
 from ..world.meshes import GLASS, REFLECTIVITY
 from .frame_shapes import FrameShapes
@@ -132,11 +134,12 @@ class FrameScorer:
             observation.reading,
         )
         self._draws_turns = observation.caster == RASTER
-        self._compiled = self._compiled_turns() if self._draws_turns else None
+        self._compiled = self._compiled_passes()
 
     def __len__(self) -> int:
         return len(self.vehicles)
 
+    @stops_recognised()
     def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
         """What each of s mountings sees of the n counted vehicles; the returns themselves only where they are kept."""
         if self._compiled is not None and not keep_returns:
@@ -160,20 +163,26 @@ class FrameScorer:
                 kept.append((self._in_vehicle_frames(origin, directions, distance, row), first + row))
         return Seen(points, shares, _joined(kept) if keep_returns else None)
 
-    def _compiled_turns(self):
+    def _compiled_passes(self):
         """What does the same in one go where all returns count as they are; None where something is lost or hidden."""
         seen = self._observation
+        if seen.caster == EXACT or not numba_works():
+            return None
         if self._draws is not None or self._reflectivity is not None or seen.scenery is not None:
             return None
         if not len(self) or not len(self._tree.rows):  # nothing counts, or nothing has area
             return None
-        from .compiled_turns import CompiledTurns
+        what, gate = (self._tree, self._counted_row, self._grids, seen.lattice), (seen.min_range_m, seen.max_range_m)
+        if self._draws_turns:
+            from .compiled_turns import CompiledTurns
 
-        gate = seen.min_range_m, seen.max_range_m
-        return CompiledTurns(self._tree, self._counted_row, self._grids, seen.lattice, *gate)
+            return CompiledTurns(*what, *gate)
+        from .compiled_beams import CompiledBeams
+
+        return CompiledBeams(*what, self.shapes.pieces if seen.culled else None, *gate)
 
     def _see_compiled(self, poses) -> Seen:
-        """What mountings see; those at which rounding decides go the slow way."""
+        """What mountings see; those at which nothing is certain go the slow way."""
         points, cells, undecided = self._compiled.see(poses)
         shares = self._grids.shares(cells)
         for row in undecided.tolist():

@@ -81,7 +81,7 @@ class RacedClimb:
 
     def _better(self) -> np.ndarray:
         """Rows of the samples that go on to all frames."""
-        return survivors(self._begun, self._block[: self._first], math.ceil(len(self._begun) / 2), tell_apart=True)
+        return survivors(self._begun, self._block[: self._first], math.ceil(len(self._begun) / 2))
 
     def _ranks(self, rows: np.ndarray, whole: np.ndarray) -> np.ndarray:
         """What orders a generation, (samples,): those that met all frames by these, above the others by theirs."""

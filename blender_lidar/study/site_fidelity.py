@@ -1,4 +1,4 @@
-"""A site as a fidelity sees it."""
+"""A site as a fidelity sees it: all of its frames."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import replace
 from ..casting.standing import StandingScenery
 from ..world.ground import ground_plane
 from ..world.scenery import Scenery, join
-from .fewer_frames import with_fewer_frames
 from .fidelity import Fidelity
 from .rungs import coarse_observation
 from .site import Site
@@ -15,6 +14,8 @@ from .site import Site
 
 def site_at(site: Site, fidelity: Fidelity) -> Site:
     """The site at a fidelity, from one whose observation has every beam; fewer beams are scored on larger cells.
+
+    Its frames stay: what looks at fewer of them takes their columns of what all come to.
 
     Raises
     ------
@@ -25,7 +26,7 @@ def site_at(site: Site, fidelity: Fidelity) -> Site:
     if fidelity.ground:
         reach = site.reach_m + site.scenario.sensor.imperfections.most_noise_m
         seen = with_scenery(seen, ground_plane(site.region.centre_xy, reach))
-    return with_fewer_frames(seen, fidelity.frames)
+    return seen
 
 
 def with_scenery(site: Site, more: Scenery) -> Site:

@@ -14,8 +14,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from multiprocessing import resource_tracker
@@ -42,6 +42,8 @@ if within_blender():
 class WorkerPool(Workers):
     """Calls one function in several processes, each of which keeps a copy of it.
 
+    They start in the background; nothing is given to them before all have started.
+
     Parameters
     ----------
     function : callable
@@ -52,12 +54,50 @@ class WorkerPool(Workers):
     Raises
     ------
     WorkerError
-        When a process cannot be started or ends while it starts.
+        When a process cannot be started; if one ends while it starts, from the first call that notices.
     """
 
     def __init__(self, function: Callable, workers: int) -> None:
-        with _stored(function) as path, _failures_as_worker_errors():
-            super().__init__(_started(path, workers), _call, workers)
+        with ExitStack() as stack, _failures_as_worker_errors():
+            path = stack.enter_context(_stored(function))
+            self._starting = _Starting(path, workers)
+            super().__init__(self._starting.executor, _call, workers)
+            self._stored = stack.pop_all()
+
+    @property
+    def ready(self) -> bool:
+        """Whether all processes have started; raises `WorkerError` if one has ended meanwhile."""
+        if self._starting is not None and self._starting.over:
+            self.await_ready()
+        return self._starting is None
+
+    def await_ready(self) -> None:
+        if self._starting is None:
+            return
+        with _failures_as_worker_errors():
+            try:
+                self._starting.wait()
+            except BaseException:
+                self.close()
+                raise
+        self._starting = None
+        self._stored.close()
+
+    def each(self, *arguments: Iterable) -> Iterator:
+        self.await_ready()
+        yield from super().each(*arguments)
+
+    def submit(self, *arguments) -> Future:
+        """A call under way; only once all processes have started."""
+        return self._executor.submit(self._call, *arguments)
+
+    def close(self) -> None:
+        with stops_deferred():
+            if self._starting is None:
+                super().close()
+            else:
+                self._starting.abandon()
+            self._stored.close()
 
     def _failures_told(self) -> AbstractContextManager:
         return _failures_as_worker_errors()
@@ -95,31 +135,42 @@ def _stored(function: Callable) -> Iterator[Path]:
         yield path
 
 
-def _started(path: Path, workers: int) -> ProcessPoolExecutor:
-    """A pool whose processes have all read their function."""
-    others, executor = set(multiprocessing.active_children()), None
-    try:
-        with stops_deferred(), _stops_blocked(), _single_threaded_children(), _no_folders_of_blender():
-            context = multiprocessing.get_context("spawn")
-            start = (_start_worker, (path, context.Barrier(workers)))
-            executor = ProcessPoolExecutor(workers, context, *start)
-            ready = executor.map(_ready, range(workers))  # starts them all, as none is idle before the last
-        list(ready)
-    except OSError as error:
-        _abandon(executor, others)
-        raise WorkerError(f"{workers} worker processes cannot be started: {error.strerror}; try --workers 1") from error
-    except BaseException:
-        _abandon(executor, others)
-        raise
-    return executor
+class _Starting:
+    """A pool from its processes' start until all have read their function."""
 
+    def __init__(self, path: Path, workers: int) -> None:
+        others, self.executor = set(multiprocessing.active_children()), None
+        try:
+            with stops_deferred(), _stops_blocked(), _single_threaded_children(), _no_folders_of_blender():
+                context = multiprocessing.get_context("spawn")
+                start = (_start_worker, (path, context.Barrier(workers)))
+                self.executor = ProcessPoolExecutor(workers, context, *start)
+                self._ready = [self.executor.submit(_ready) for _ in range(workers)]  # a process each: none is idle yet
+                self._children = set(multiprocessing.active_children()) - others
+        except BaseException as error:
+            self._children = set(multiprocessing.active_children()) - others
+            self.abandon()
+            if not isinstance(error, OSError):
+                raise
+            these = f"{workers} worker processes" if workers > 1 else "a worker process"
+            raise WorkerError(f"{these} cannot be started: {error.strerror}; try --workers 1") from error
 
-def _abandon(executor: ProcessPoolExecutor | None, others: set) -> None:
-    """End a pool that may have started in part: its processes wait for those that never came."""
-    for child in set(multiprocessing.active_children()) - others:
-        child.kill()
-    if executor is not None:
-        executor.shutdown(wait=True, cancel_futures=True)
+    @property
+    def over(self) -> bool:
+        """Whether all have started, or one has ended."""
+        return all(one.done() for one in self._ready)
+
+    def wait(self) -> None:
+        """Until all have started; raises `BrokenProcessPool` if one has ended."""
+        for one in self._ready:
+            one.result()
+
+    def abandon(self) -> None:
+        """End a pool that may have started in part: its processes wait for those that never came."""
+        for child in self._children:
+            child.kill()
+        if self.executor is not None:
+            self.executor.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
@@ -193,7 +244,7 @@ def _end_with_parent(folder: Path) -> None:
     os._exit(1)
 
 
-def _ready(_: int) -> None:
+def _ready() -> None:
     """Nothing: its return tells that every process has started."""
 
 

@@ -1,7 +1,7 @@
 """Workers: whoever calls one function that they hold, through an executor; here those that need no other process.
 
-Three kinds behind one door, which all come to the same results: this process (`Alone`), processes of our own
-(`worker_pool.WorkerPool`) and those of a cluster (`cluster.ClusterWorkers`).
+Behind one door, all come to the same results: this process (`Alone`), processes of our own (`worker_pool.WorkerPool`),
+this one with such processes (`shared_work.SharedWork`) and those of a cluster (`cluster_workers.ClusterWorkers`).
 """
 
 from __future__ import annotations
@@ -50,6 +50,9 @@ class Workers:
         """As `map`, one after another as soon as it is known; where others work, all calls are under way at once."""
         with self._failures_told():
             yield from self._executor.map(self._call, *arguments)
+
+    def await_ready(self) -> None:
+        """Until all that are still starting are at work; raises `WorkerError` if they never will be."""
 
     def close(self) -> None:
         """End what belongs to us, after the calls that it is busy with; until then a stop waits.

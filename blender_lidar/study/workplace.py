@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from .cluster_workers import ClusterWorkers
-from .worker_pool import WorkerPool
+from .shared_work import SharedWork
 from .workers import Alone, Workers
 
 
@@ -17,7 +17,7 @@ class Workplace:
     Attributes
     ----------
     processes : int
-        How many; 1 is this one.
+        How many, this one among them.
     cluster : str or None
         Address of a dask scheduler, whose workers are used instead.
     """
@@ -42,5 +42,5 @@ class Workplace:
             return ClusterWorkers(function, self.cluster)
         processes = min(self.processes, most)
         if processes > 1:
-            return WorkerPool(function, processes)
+            return SharedWork(function, processes)
         return Alone(function)
