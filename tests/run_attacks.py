@@ -13,6 +13,7 @@ import csv
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -23,8 +24,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.small_scene import without_times, write_scene
+from tests.waiting import WAIT_S, wait_for
 
-WAIT_S = 90.0
 WITHOUT_CHARTS = """
 import sys
 sys.modules["matplotlib"] = None
@@ -84,6 +85,13 @@ class Attacked:
         with suppress(ProcessLookupError):
             (os.killpg if group else os.kill)(self.process.pid, number)
 
+    def begun(self) -> bool:
+        """Whether it hears when it is told to stop: before, Python itself answers, in its own way; or has ended."""
+        if self.process.poll() is not None:
+            return True
+        caught = re.search(r"^SigCgt:\s*(\w+)$", Path(f"/proc/{self.process.pid}/status").read_text(), re.MULTILINE)
+        return bool(int(caught[1], 16) >> (signal.SIGTERM - 1) & 1)
+
     def code(self) -> int:
         """How it has ended."""
         return self.process.wait(WAIT_S)
@@ -110,18 +118,9 @@ def sessions() -> dict[int, tuple[str, int]]:
     return table
 
 
-def wait_for(condition, what: str = "", at_most_s: float = WAIT_S) -> None:
-    """Wait until something holds."""
-    end = time.monotonic() + at_most_s
-    while not condition():
-        if time.monotonic() > end:
-            raise Failure(f"waited in vain {what}")
-        time.sleep(0.01)
-
-
 def check_nobody_is_left(attacked: Attacked) -> None:
     """Every process that it started has ended."""
-    wait_for(lambda: not attacked.survivors(), f"for {attacked.survivors()} to end", 20.0)
+    wait_for(lambda: not attacked.survivors(), f"for {attacked.survivors()} to end")
 
 
 def check_whole(folder: Path) -> None:
@@ -219,6 +218,7 @@ def strike(hit: Hit, scene: Path, undisturbed: Path, folder: Path, *, charts: bo
     out = folder / "run"
     attacked = Attacked(folder, ["optimise", scene, "--out", out, "--workers", hit.workers], charts)
     try:
+        wait_for(attacked.begun, "for it to begin")
         time.sleep(hit.after_s)
         for number in hit.signals:
             attacked.send(number, group=hit.group)
@@ -280,7 +280,7 @@ def main() -> int:
         try:
             stage = strike(hit, scene, out, args.folder / f"hit_{number}", charts=args.charts)
             stages[stage] = stages.get(stage, 0) + 1
-        except (Failure, ValueError, subprocess.TimeoutExpired) as failure:
+        except (AssertionError, ValueError, subprocess.TimeoutExpired) as failure:
             failures += 1
             print(f"--- hit {number}, {hit}: {failure}", flush=True)
     print(f"{args.hits} hits, {failures} failures; {life_s}; {stages}")

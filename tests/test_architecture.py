@@ -13,6 +13,7 @@ import pytest
 
 import blender_lidar
 from tests.small_scene import write_scene
+from tests.waiting import WAIT_S
 
 PACKAGE = Path(blender_lidar.__file__).parent
 ROOT = PACKAGE.parent
@@ -193,7 +194,7 @@ def with_numpy_alone(body, *arguments):
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=WAIT_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -237,10 +238,13 @@ def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     assert compiled == {
         "casting.compiled_culling",
         "casting.compiled_planes",
+        "casting.compiled_rays",
+        "casting.covered",
         "casting.raster",
         "casting.ray_tree",
         "casting.shared_vertices",
         "casting.sweep",
+        "study.compiled_beams",
         "study.compiled_turns",
     }
     needing = {name: missing for name, missing in needing.items() if name not in compiled}

@@ -14,6 +14,7 @@ import pytest
 
 from blender_lidar.casting import is_available
 from tests.small_scene import without_times, write_scene
+from tests.waiting import WAIT_S
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 BLENDER = shutil.which("blender")
@@ -37,7 +38,13 @@ def run(program, script, *words, folder):
     start = [str(SCRIPTS / script) if word == "SCRIPT" else word for word in program]
     settings = os.environ | {"BLENDER_USER_RESOURCES": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
-        [*start, *map(str, words)], capture_output=True, text=True, timeout=300, check=False, env=settings, cwd=folder
+        [*start, *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+        env=settings,
+        cwd=folder,
     )
     return done.returncode, done.stdout, done.stderr
 

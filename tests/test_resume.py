@@ -17,6 +17,7 @@ import pytest
 
 from blender_lidar.cli import main
 from tests.small_scene import MAPPED, cli, without_charts, without_times, write_scene
+from tests.waiting import WAIT_S, wait_for
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 
@@ -25,7 +26,6 @@ pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this sys
 WRITES = 10
 TABLES = ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "installation.txt")
 ENDLESS = ("--iterations", 100_000)  # a search that does not end before it is stopped
-_WAIT_S = 60.0
 
 # Runs the command line without charts and stores a checkpoint after every batch. Before that file takes its place whose
 # number is argument 1 (0: none), the process sends itself the signal that argument 2 names.
@@ -86,14 +86,7 @@ def start(tmp_path):
     for process in started:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-        process.wait(_WAIT_S)
-
-
-def wait_for(condition, at_most_s: float = _WAIT_S) -> None:
-    end = time.monotonic() + at_most_s
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
+        process.wait(WAIT_S)
 
 
 def children(pid: int) -> list[int]:
@@ -157,7 +150,7 @@ def check_goes_on_to_the_same(scene: Path, out: Path, undisturbed: Path, *words:
 def test_a_run_killed_at_any_write_goes_on_to_the_same_result(start, tmp_path, finished, write):
     scene, undisturbed = finished
     process = start(scene, tmp_path / "run", dies_at=write)
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     assert process.returncode == -signal.SIGKILL
     check_nothing_is_half_written(tmp_path / "run")
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
@@ -165,15 +158,15 @@ def test_a_run_killed_at_any_write_goes_on_to_the_same_result(start, tmp_path, f
 
 def test_a_run_makes_no_more_writes_than_were_tested(start, tmp_path, finished):
     process = start(finished[0], tmp_path / "run", dies_at=WRITES + 1)
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     err = (tmp_path / "stderr.txt").read_text()
     assert process.returncode == 0, err
 
 
 def test_a_run_killed_twice_goes_on_to_the_same_result(start, tmp_path, finished):
     scene, undisturbed = finished
-    start(scene, tmp_path / "run", dies_at=3).wait(_WAIT_S)
-    start(scene, tmp_path / "run", "--resume", dies_at=3).wait(_WAIT_S)
+    start(scene, tmp_path / "run", dies_at=3).wait(WAIT_S)
+    start(scene, tmp_path / "run", "--resume", dies_at=3).wait(WAIT_S)
     assert (tmp_path / "run" / "checkpoint.json").exists()
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
@@ -191,7 +184,7 @@ def test_the_rivals_go_on_as_well(start, tmp_path, method):
     words = ["--search", method, "--particles", "10", "--iterations", "6"]  # three batches of 20
     scene = write_scene(tmp_path)
     assert main(["optimise", str(scene), "--out", str(tmp_path / "whole"), *words]) == 0
-    start(scene, tmp_path / "run", *words, dies_at=4).wait(_WAIT_S)
+    start(scene, tmp_path / "run", *words, dies_at=4).wait(WAIT_S)
     state = json.loads((tmp_path / "run" / "checkpoint.json").read_text())["search"]
     assert len(state["values"]) == 40
     check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole", *words)
@@ -201,7 +194,7 @@ def test_the_literal_reading_goes_on_in_the_middle_of_an_iteration(start, tmp_pa
     words = ["--search", "de-pso", "--reading", "paper"]  # asks for one candidate at a time
     scene = write_scene(tmp_path)
     assert main(["optimise", str(scene), "--out", str(tmp_path / "whole"), *words]) == 0
-    start(scene, tmp_path / "run", *words, dies_at=8).wait(_WAIT_S)
+    start(scene, tmp_path / "run", *words, dies_at=8).wait(WAIT_S)
     state = json.loads((tmp_path / "run" / "checkpoint.json").read_text())["search"]
     assert len(state["values"]) == 6
     check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole", *words)
@@ -210,7 +203,7 @@ def test_the_literal_reading_goes_on_in_the_middle_of_an_iteration(start, tmp_pa
 def test_a_run_killed_while_it_maps_goes_on_to_the_same_map(start, tmp_path):
     scene = write_scene(tmp_path, {**MAPPED, "traffic": {"frames": 2}})
     assert main(["optimise", str(scene), "--out", str(tmp_path / "whole")]) == 0
-    start(scene, tmp_path / "run", dies_at=6).wait(_WAIT_S)  # the map comes after the history
+    start(scene, tmp_path / "run", dies_at=6).wait(WAIT_S)  # the map comes after the history
     assert not (tmp_path / "run" / "score_map.csv").exists()
     check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole")
     assert (tmp_path / "run" / "score_map.csv").read_bytes() == (tmp_path / "whole" / "score_map.csv").read_bytes()
@@ -219,7 +212,7 @@ def test_a_run_killed_while_it_maps_goes_on_to_the_same_map(start, tmp_path):
 def test_a_run_with_two_workers_killed_while_it_searches_goes_on_with_one(start, tmp_path, finished):
     scene, undisturbed = finished
     process = start(scene, tmp_path / "run", "--workers", 2, dies_at=3)
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     assert process.returncode == -signal.SIGKILL
     assert (tmp_path / "run" / "checkpoint.json").exists()
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
@@ -230,7 +223,7 @@ def test_a_run_killed_while_its_workers_start_goes_on_to_the_same_result(start, 
     process = start(scene, tmp_path / "run", "--workers", 2)
     wait_for((tmp_path / "run" / "scene.toml").exists)
     process.kill()
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     check_nothing_is_half_written(tmp_path / "run")
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed, "--workers", 2)
 
@@ -241,18 +234,18 @@ def test_the_workers_of_a_killed_run_end_with_it(start, tmp_path, finished):
     wait_for((tmp_path / "run" / "checkpoint.json").exists)
     workers = children(process.pid)
     process.kill()
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     wait_for(lambda: not alive(workers), 10.0)
 
 
 @needs_proc
 def test_a_run_whose_worker_is_killed_has_failed_by_no_fault_of_its_input(start, tmp_path, finished):
-    process = start(finished[0], tmp_path / "run", "--workers", 2, *ENDLESS)
+    process = start(finished[0], tmp_path / "run", "--workers", 3, *ENDLESS)
     wait_for((tmp_path / "run" / "checkpoint.json").exists)
     workers = [pid for pid in children(process.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-    assert len(workers) == 2
+    assert len(workers) == 2  # and the run's own process
     os.kill(workers[0], signal.SIGKILL)
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     err = (tmp_path / "stderr.txt").read_text()
     assert process.returncode == 1
     assert err.splitlines()[-1].startswith("blender-lidar: a worker process ended abruptly")
@@ -272,7 +265,7 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_no_process_behind(start, tmp_path, 
     helpers = children(process.pid)
     assert bool(helpers) == (workers > 1)
     os.kill(process.pid if to == "process" else -process.pid, signal.SIGINT)
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     err = (tmp_path / "stderr.txt").read_text()
     assert process.returncode == 1
     assert "Traceback" not in err
@@ -285,7 +278,7 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_no_process_behind(start, tmp_path, 
 def test_a_stopped_run_goes_on_to_the_same_result(start, tmp_path, finished, write):
     scene, undisturbed = finished
     process = start(scene, tmp_path / "run", dies_at=write, by="SIGINT")
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     err = (tmp_path / "stderr.txt").read_text()
     assert process.returncode == 1
     assert "stopped; go on with: " in err
@@ -300,7 +293,7 @@ def test_ctrl_c_while_the_workers_start_is_quiet(start, tmp_path, finished):
     helpers = children(process.pid)
     time.sleep(0.2)  # they import what they need
     os.killpg(process.pid, signal.SIGINT)
-    process.wait(_WAIT_S)
+    process.wait(WAIT_S)
     err = (tmp_path / "stderr.txt").read_text()
     wait_for(lambda: not alive(helpers))
     assert process.returncode == 1
@@ -340,7 +333,7 @@ CHANGES = [
 @pytest.fixture
 def stopped(start, finished, tmp_path):
     """The folder of a run that was killed while it searched."""
-    start(finished[0], tmp_path / "stopped", dies_at=4).wait(_WAIT_S)
+    start(finished[0], tmp_path / "stopped", dies_at=4).wait(WAIT_S)
     return tmp_path / "stopped"
 
 
@@ -378,7 +371,7 @@ def test_resume_with_other_traffic_of_the_same_name_is_refused(tmp_path, capsys)
 
 def test_the_same_traffic_elsewhere_is_the_same_run(start, tmp_path, finished):
     scene, undisturbed = finished
-    start(scene, tmp_path / "run", dies_at=4).wait(_WAIT_S)
+    start(scene, tmp_path / "run", dies_at=4).wait(WAIT_S)
     shutil.copy(scene.parent / "traffic.csv", tmp_path / "copy.csv")
     words = ["--traffic", str(tmp_path / "copy.csv")]
     assert main(["optimise", str(scene), "--out", str(tmp_path / "run"), "--resume", *words]) == 0

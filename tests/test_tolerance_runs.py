@@ -25,6 +25,7 @@ from blender_lidar.study.tolerance_text import costliest_text, kept_text, tolera
 from tests.report_samples import Page, change, result_of
 from tests.small_scene import CASTER, MAPPED, cli, without_charts, without_times, write_scene
 from tests.test_resume import PROGRAM
+from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.skipif(
     CASTER == "exact",
@@ -375,7 +376,7 @@ def undisturbed(tmp_path_factory):
 def killed(scene: Path, out: Path, write: int) -> Path:
     """The folder of a run that was killed at a write."""
     command = [sys.executable, "-c", PROGRAM, str(write), "SIGKILL", "optimise", str(scene), "--out", str(out), *WORDS]
-    done = subprocess.run(command, capture_output=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, timeout=WAIT_S, check=False)
     assert done.returncode == -signal.SIGKILL
     return out
 
@@ -419,7 +420,7 @@ def test_a_checkpoint_of_before_there_were_tolerances_is_gone_on_with_where_none
 ):
     scene, _ = undisturbed
     command = [sys.executable, "-c", PROGRAM, "4", "SIGKILL", "optimise", str(scene), "--out", str(tmp_path / "run")]
-    subprocess.run(command, capture_output=True, timeout=120, check=False)
+    subprocess.run(command, capture_output=True, timeout=WAIT_S, check=False)
     path = tmp_path / "run" / "checkpoint.json"
     content = json.loads(path.read_text())
     assert set(content) == {"identity", "search"}

@@ -46,7 +46,7 @@ def test_a_folder(tmp_path):
     assert refused(tmp_path) == "FILE: a folder; a file of vehicles is needed"
 
 
-@pytest.mark.parametrize("content", [b"", b"\n \n", gzip.compress(b"")])
+@pytest.mark.parametrize("content", [b"", b"\n \n", gzip.compress(b"", mtime=0)])
 def test_an_empty_file(tmp_path, content):
     path = tmp_path / "empty.txt"
     path.write_bytes(content)

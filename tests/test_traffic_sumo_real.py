@@ -14,6 +14,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.traffic import CLASSES, overlapping_pairs, read_traffic
 from blender_lidar.traffic.sumo_types import DEFAULT_SIZES_M
 from tests import sumo_samples as samples
+from tests.waiting import WAIT_S
 
 sumo = pytest.importorskip("sumo", reason="SUMO is not installed")
 HOME = Path(sumo.SUMO_HOME)
@@ -47,7 +48,9 @@ ROUTES = """
 def run(program, folder, *options):
     command = [str(HOME / "bin" / program), *options, "--xml-validation", "never"]
     environment = os.environ | {"SUMO_HOME": str(HOME)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=WAIT_S, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -140,7 +143,7 @@ def test_sumos_own_conversion_to_csv_is_the_same_to_the_last_digit(folder, simul
     if not tool.exists():
         pytest.skip("SUMO's tools are not installed")
     command = [sys.executable, str(tool), "run.fcd.xml", "-o", "converted.csv"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=WAIT_S, check=False)
     assert done.returncode == 0, done.stderr
     found = read_traffic(folder / "converted.csv", vehicle_types=folder / "routes.rou.xml")
     assert_same(found, recording, 0.0, 0.0)
@@ -199,7 +202,9 @@ traci.close()
 """
     command = [sys.executable, "-c", program]
     environment = os.environ | {"SUMO_HOME": str(HOME)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=WAIT_S, check=False
+    )
     assert done.returncode == 0, done.stderr
     told = {name: tuple(map(float, size)) for name, *size in map(str.split, done.stdout.splitlines()) if name in names}
     assert told == DEFAULT_SIZES_M
