@@ -207,6 +207,17 @@ def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
     assert all((a != b).any(axis=1).all() for a, b in pairwise(seen))
 
 
+def test_the_first_points_of_a_swarm_are_evaluated_before_it_moves():
+    """A swarm that replaced another moved before its first points were told, and learnt from nothing."""
+    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
+    first = swarm.candidates.copy()
+    swarm.move()
+    assert np.array_equal(swarm.candidates, first)
+    swarm.tell(np.arange(10.0))
+    swarm.move()
+    assert not (swarm.candidates == first).all(axis=1).any()
+
+
 def test_a_collapsed_swarm_says_so():
     swarm = AdaptiveSwarm(generator(0), 10, 3, flights=0.2, greed=0.2, turned=0.3)
     generations = 0
@@ -284,6 +295,18 @@ def test_ill_conditioned_turned_curved_and_stepped_landscapes_are_solved_with_ev
         assert maximise(objective, lower, upper, seed=seed, evaluations=6000).value >= -1e-2
 
 
+def test_without_climbs_swarms_follow_one_another_to_the_end_of_the_budget():
+    search = Hardened(LOWER, UPPER, seed=0, settings=HardenedSettings(evaluations=4000, climbs=False))
+    swarms = set()
+    while not search.done:
+        search.tell(sphere(search.ask()))
+        swarms.add(id(search._swarm))
+    state = search.state()
+    assert (state["climb"], state["spent"]["climbs"]) == (None, 0)
+    assert len(swarms) > 1
+    np.testing.assert_allclose(search.best_x, OPTIMUM, rtol=1e-2)
+
+
 def test_many_local_maxima_are_left_behind_with_every_seed():
     for seed in range(11):
         found = maximise(ackley, LOWER, UPPER, seed=seed)
@@ -327,6 +350,7 @@ def test_it_is_not_drawn_to_the_bounds():
         ({"flights": 1.5}, "flights: 1.5; allowed: a finite number from 0 to 1"),
         ({"greed": "all"}, "greed: 'all'; allowed: a finite number"),
         ({"turned": -1.0}, "turned: -1.0; allowed: a finite number"),
+        ({"climbs": 1}, "climbs: 1; allowed: True or False"),
     ],
 )
 def test_unusable_settings_are_refused(setting, message):

@@ -15,16 +15,16 @@ from blender_lidar.optimise import maximise
 from blender_lidar.plots.search_ecdf import Panel, plot_search_ecdf
 from blender_lidar.search_study import bbob, development
 from blender_lidar.search_study.counted import BudgetSpent, Counted, checkpoints
-from blender_lidar.search_study.judgement import RIVALS, judgement, parts_of
+from blender_lidar.search_study.judgement import ESTIMATED, MISSED, RIVALS, SHOWN, judgement, parts_of
 from blender_lidar.search_study.output import study_identity, write_results
 from blender_lidar.search_study.problems import Problem
 from blender_lidar.search_study.runs import carry_out, stored
-from blender_lidar.search_study.scene_problems import CASES, scene_problem
-from blender_lidar.search_study.solvers import OURS, SOLVERS, UNSEEDED, scipy_de, solve
+from blender_lidar.search_study.scene_problems import CASES, INSTANCES, scene_problem
+from blender_lidar.search_study.solvers import OURS, SOLVERS, scipy_de, solve
 from blender_lidar.search_study.statistics import mcnemar, paired_difference, wilcoxon, wilson
 from blender_lidar.search_study.tasks import Task, judging
 from blender_lidar.study.stages import StudyFolder
-from tests.small_scene import write_scene
+from tests.small_scene import traffic_rows, write_scene, write_table
 
 # --- statistics -------------------------------------------------------------------------------------------------------
 
@@ -131,7 +131,7 @@ def test_every_solver_spends_its_budget_and_no_more_and_its_seed_tells(name):
 
     first, again, other = run(1), run(1), run(2)
     assert first == again
-    assert (first == other) == (name in UNSEEDED)
+    assert (first == other) == (name in ("grid", "SciPy DIRECT"))  # they draw nothing
     assert 280 <= min(counts) <= max(counts) <= 300
     assert first["best"][-1] > -(20.0 if name in ("grid", "random") else 1.0)
 
@@ -191,12 +191,31 @@ def test_every_bbob_function_has_one_group():
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_scene_s_objective_at_the_baseline_is_the_baseline_s(tmp_path, case):
-    with scene_problem(write_scene(tmp_path), case) as (problem, baseline):
+    with scene_problem(write_scene(tmp_path), case, 3) as (problem, baseline):
         at = dict.fromkeys(CASES[case], 0.0) | {"height_m": 2.0}
         if "y_m" in at:
             at["y_m"] = sum(CASES[case]["y_m"]) / 2.0  # the baseline stands at the nominal place
         assert problem.objective(np.array([list(at.values())]))[0] == pytest.approx(baseline)
         assert len(problem.lower) == len(CASES[case])
+
+
+def test_each_instance_of_the_scene_has_frames_of_its_own(tmp_path):
+    scene, at = write_scene(tmp_path), np.array([[3.0, 10.0], [4.0, 15.0]])
+    found = []
+    for instance in (0, 1, INSTANCES, 30):
+        with scene_problem(scene, "scene 2-D", instance) as (problem, _):
+            found.append(problem.objective(at).tolist())
+    assert found[0] == found[2]
+    assert len({tuple(values) for values in found}) == 3
+
+
+def test_a_scene_with_too_few_frames_for_the_study_is_refused(tmp_path):
+    write_table(tmp_path / "traffic.csv", traffic_rows(frames=12))
+    with (
+        pytest.raises(InputError, match="12 frames; the study needs 31 or more"),
+        scene_problem(write_scene(tmp_path), "scene 2-D", 0),
+    ):
+        pass
 
 
 # --- stages and judgement ---------------------------------------------------------------------------------------------
@@ -249,15 +268,39 @@ def test_the_verdict_follows_from_the_runs():
     good, bad = 10.0 ** rng.uniform(-6.0, -1.5, (8, 24)), 10.0 ** rng.uniform(-3.0, 1.0, (8, 24))
     (ahead,) = judgement(parts_of(made_up(good, bad)))["verdict"]
     assert set(ahead["de_pso"].values()) == {"better"}
-    assert ahead["within_margin"]
+    assert ahead["within_margin"] == SHOWN
     assert ahead["worse_groups"] == []
     (behind,) = judgement(parts_of(made_up(bad, good)))["verdict"]
     assert set(behind["de_pso"].values()) == {"worse"}
-    assert not behind["within_margin"]
+    assert behind["within_margin"] == MISSED
     assert len(behind["worse_groups"]) == 5 * len(RIVALS)
     (even,) = judgement(parts_of(made_up(good, good)))["verdict"]
     assert set(even["de_pso"].values()) == {"no different"}
     assert even["ahead"][0] == 0.0
+
+
+@pytest.mark.parametrize(("instances", "within"), [(1, ESTIMATED), (8, SHOWN)])
+def test_a_tie_is_shown_to_be_one_only_by_many_runs(instances, within):
+    pytest.importorskip("scipy")
+    good = np.full((instances, 24), 1e-3)
+    (even,) = judgement(parts_of(made_up(good, good)))["verdict"]
+    assert even["within_margin"] == within
+
+
+def test_regret_on_the_scene_is_a_share_of_what_the_best_found_on_the_same_frames():
+    tasks = []
+    for instance, (baseline, ours, best) in enumerate([(10.0, 20.0, 30.0), (0.0, 99.5, 100.0)]):
+        runs = []
+        for name in SOLVERS:
+            final = {OURS: ours, "random": best}.get(name, baseline)
+            found = [baseline] * (len(checkpoints(50)) - 1) + [final]
+            runs.append({"solver": name, "best": found, "baseline": baseline, "on_bound": 0.0})
+        tasks.append((Task(f"scene_2-D_{instance}", "scene 2-D", "", instance, 50, ""), runs))
+    (part,) = parts_of(tasks)
+    assert part.regret[OURS][:, -1] == pytest.approx([0.5, 0.005])
+    assert part.solved(OURS).tolist() == [False, True]
+    assert part.regret["random"][:, -1].tolist() == [0.0, 0.0]
+    assert part.regret["grid"].min() == 1.0
 
 
 def test_what_is_reported_is_what_the_runs_hold():

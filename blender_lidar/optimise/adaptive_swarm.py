@@ -75,6 +75,7 @@ class AdaptiveSwarm:
         self._oldest = 0  # of the memory
         self._replaced = np.empty((0, variables))
         self._idle = 0
+        self._told = False  # until then `candidates` are the first positions
 
     @property
     def order(self) -> np.ndarray:
@@ -102,9 +103,12 @@ class AdaptiveSwarm:
         self._position[moved], self._velocity[moved] = self.candidates[moved], self._next_velocity[moved]
         self.best[kept], self.value[kept] = self.candidates[kept], values[kept]
         self._idle = 0 if values.max() > reached else self._idle + 1
+        self._told = True
 
     def move(self) -> None:
-        """Draw the next `candidates`."""
+        """Draw the next `candidates`; the first are where the particles start."""
+        if not self._told:
+            return
         particles, variables = self.best.shape
         guide = self.best[self.order[self._rng.integers(self._greedy, size=particles)]]
         target = self.best + self._jumps(guide)
@@ -169,6 +173,7 @@ class AdaptiveSwarm:
             "replaced": self._replaced.tolist(),
             "oldest": self._oldest,
             "idle": self._idle,
+            "told": self._told,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -182,6 +187,7 @@ class AdaptiveSwarm:
         self._replaced = read_array(state, "replaced", (len(state["replaced"]), shape[1]))
         self._oldest = read_count(state, "oldest", MEMORY - 1)
         self._idle = read_count(state, "idle")
+        self._told = bool(state["told"])
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         particles, variables = self.best.shape

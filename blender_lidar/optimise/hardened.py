@@ -53,6 +53,8 @@ class HardenedSettings:
         Share of the swarm that counts as its better ones.
     turned : float
         Chance of a jump that is crossed over along the eigenvectors of the swarm in place of the variables.
+    climbs : bool
+        False leaves the whole budget to swarms.
 
     Raises
     ------
@@ -67,12 +69,15 @@ class HardenedSettings:
     flights: float = 0.2
     greed: float = 0.1
     turned: float = 0.3
+    climbs: bool = True
 
     def __post_init__(self) -> None:
         for name, least in (("particles", 1), ("evaluations", 1), ("reserve", 0)):
             object.__setattr__(self, name, check_whole(getattr(self, name), least, name))
         for name in ("opening", "flights", "greed", "turned"):
             object.__setattr__(self, name, check_number(getattr(self, name), 0.0, 1.0, name))
+        if not isinstance(self.climbs, bool):
+            raise InputError(f"climbs: {self.climbs!r}; allowed: True or False")
 
     @property
     def swarm(self) -> int:
@@ -149,6 +154,10 @@ class Hardened(RecordedSearch):
         self._climbing = False
         if self.best_value == -math.inf:  # nothing feasible yet: there is nothing to learn from
             self._swarm = self._fresh_swarm()
+            return
+        if not self.settings.climbs:
+            if self._swarm.exhausted:
+                self._swarm = self._fresh_swarm()
             return
         opening = self.settings.opening_evaluations(self._lower.size)
         share = self._spent["climbs"] if self._climbs else opening

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,12 +21,13 @@ from .rules import (
     SCENE_TARGETS,
 )
 from .scene_problems import CASES
-from .solvers import DE_PSO_FORMS, OURS, SOLVERS, UNSEEDED
-from .statistics import mcnemar, paired_difference, wilcoxon, wilson
+from .solvers import DE_PSO_FORMS, OURS, SOLVERS
+from .statistics import Share, mcnemar, paired_difference, wilcoxon, wilson
 from .tasks import Task
 
 Stored = Sequence[tuple[Task, list[dict]]]
 _EQUAL_BELOW = 1e-8  # regrets that small are rounding
+SHOWN, ESTIMATED, MISSED = "yes", "estimate only", "no"
 RIVALS = tuple(name for name in SOLVERS if name != OURS)
 
 
@@ -94,32 +95,33 @@ def _bbob_part(stored: Stored, dimension: int) -> Part | None:
 
 
 def _scene_part(stored: Stored, case: str) -> Part | None:
-    runs = [(task, run) for task, found in stored if task.part == case for run in found]
-    if not runs:
+    chosen = [(task, found) for task, found in stored if task.part == case]
+    if not chosen:
         return None
-    best = max(run["best"][-1] for _, run in runs)  # the best that anyone has found
-    gain = best - runs[0][1]["baseline"]
-    rows = {name: [run for _, run in runs if run["solver"] == name] for name in SOLVERS}
-    seeds = len(rows[OURS])
-    rows |= {name: rows[name] * seeds for name in UNSEEDED}
+    rows = {name: [run for _, found in chosen for run in found if run["solver"] == name] for name in SOLVERS}
+    best = np.max([[run["best"][-1] for run in runs] for runs in rows.values()], axis=0)  # that anyone has found
+    gain = best - [run["baseline"] for run in rows[OURS]]
     return Part(
         case,
         SCENE_SUCCESS,
         SCENE_ALSO,
         SCENE_TARGETS,
-        np.array(checkpoints(runs[0][0].budget)),
-        [case] * seeds,
-        {name: np.array([[(best - v) / gain for v in run["best"]] for run in rows[name]]) for name in SOLVERS},
-        {name: np.array([run["on_bound"] for run in rows[name]]) for name in SOLVERS},
+        np.array(checkpoints(chosen[0][0].budget)),
+        [case] * len(chosen),
+        {
+            name: (best[:, None] - np.array([run["best"] for run in runs])) / gain[:, None]
+            for name, runs in rows.items()
+        },
+        {name: np.array([run["on_bound"] for run in runs]) for name, runs in rows.items()},
     )
 
 
 def judgement(parts: Sequence[Part]) -> dict:
     """Shares, quantiles, comparisons and the verdict, as JSON holds them."""
     compared = [_compared(part, rival) for part in parts for rival in RIVALS]
-    for key in ("mcnemar", "wilcoxon"):
-        for row, p in zip(compared, holm([row[key] for row in compared]), strict=True):
-            row[f"{key}_holm"] = p
+    tests = [(row, key) for row in compared for key in ("mcnemar", "wilcoxon")]  # a verdict may rest on either
+    for (row, key), p in zip(tests, holm([row[key] for row, key in tests]), strict=True):
+        row[f"{key}_holm"] = p
     groups = [row for part in parts for rival in RIVALS for row in _by_group(part, rival)]
     for row, p in zip(groups, holm([row["wilcoxon"] for row in groups]), strict=True):
         row["wilcoxon_holm"] = p
@@ -193,13 +195,21 @@ def _verdict(parts: Sequence[Part], compared: list[dict], groups: list[dict]) ->
                 "de_pso": {form: _against(rows[form]) for form in DE_PSO_FORMS},
                 "best_rival": best,
                 "ahead": list(leads[best]),
-                "within_margin": all(lead.high <= MARGIN for lead in leads.values()),
+                "within_margin": _within(leads.values()),
                 "worse_groups": [
                     f"{row['group']} ({row['rival']})" for row in groups if row["part"] == part.label and _worse(row)
                 ],
             }
         )
     return found
+
+
+def _within(leads: Iterable[Share]) -> str:
+    """Whether no rival is ahead by more than `MARGIN`: shown by the intervals, so by the estimates alone, or not so."""
+    leads = list(leads)
+    if all(lead.high <= MARGIN for lead in leads):
+        return SHOWN
+    return ESTIMATED if all(lead.value <= MARGIN for lead in leads) else MISSED
 
 
 def _against(row: dict) -> str:

@@ -16,8 +16,9 @@ from ..study.stages import StudyFolder
 from .judgement import Part, judgement, parts_of
 from .report import report_text
 from .runs import stored
+from .scene_problems import FRAMES
 from .solvers import SCIPY_DE, SOLVERS
-from .tasks import Task
+from .tasks import FIRST_INSTANCE, Task
 
 PAGE, NUMBERS = "search.md", "search.json"
 ECDF_BBOB, ECDF_SCENE = "search_ecdf_bbob.png", "search_ecdf_scene.png"
@@ -36,6 +37,9 @@ def study_identity(scene: str | Path, seeds: int, budget: int) -> dict[str, obje
         "scene": f"file with SHA-256 {file_digest(scene)}",
         "solvers": list(SOLVERS),
         "SciPy DE": SCIPY_DE,
+        "first instance": FIRST_INSTANCE,
+        "frames": FRAMES,
+        "libraries": _libraries(),
         **digests,
     }
 
@@ -87,13 +91,19 @@ def _drawn(path: Path, parts: Sequence[Part], what: str) -> bool:
     return True
 
 
-def _about() -> str:
-    versions = [f"Python {platform.python_version()}"]
+def _libraries() -> list[str]:
+    """The libraries that the rivals are made of, with their versions."""
+    found = []
     for name in _LIBRARIES:
         try:
-            versions.append(f"{name} {version(name)}")
+            found.append(f"{name} {version(name)}")
         except PackageNotFoundError:
-            versions.append(f"no {name}")
+            found.append(f"no {name}")
+    return found
+
+
+def _about() -> str:
+    versions = [f"Python {platform.python_version()}", *_libraries()]
     return (
         "\n## How to make it again\n\n`python scripts/search_study.py --out DIR` judges, with `--tune` it makes the "
         'record of the tuning; `pip install -e ".[fast,plots,study]"`.\n'

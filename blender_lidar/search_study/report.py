@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from . import development
+from .judgement import SHOWN
 from .solvers import OURS, SOLVERS
 from .tuning import CHOICES
 
@@ -14,13 +15,14 @@ RULES = """\
 
 The rules, fixed before anything was judged (`blender_lidar/search_study/rules.py`): 2,000 evaluations to a run, counted
 by the objective itself; success on BBOB is f - f* <= 1e-2, on the scene a regret of at most 1 % of [best known -
-baseline], best known being the best that any run of any solver found. Instances and seeds are the same for all solvers;
-with 31 of them there are 744 runs of each solver on BBOB in each number of dimensions and 31 on the scene, and where a
-table says fewer, the study was stopped early: `--resume` goes on with it. The scene is scenes/i80.toml with 2 frames,
-height and tilt searched, or y, height, both tilts and yaw. The grid and DIRECT draw nothing: on the scene theirs is one
-run, set beside every seed of the others, and its interval says nothing.
+baseline], best known being the best that any solver found on the same frames. Instances and seeds are the same for all
+solvers; with 31 of them there are 744 runs of each solver on BBOB in each number of dimensions and 31 on the scene, and
+where a table says fewer, the study was stopped early: `--resume` goes on with it. The scene is scenes/i80.toml, height
+and tilt searched, or y, height, both tilts and yaw; each instance looks at 8 frames of its own, so that the grid and
+DIRECT, which draw nothing, have 31 chances too.
 The hardened search is to be better than both forms of DE-PSO everywhere it matters, and not to fall short of the best
-rival by more than 5 points of success, the 95 % interval of the paired difference included.
+rival by more than 5 points of success. "yes" says that the 95 % interval of every paired difference shows it, "estimate
+only" that the estimates do and the intervals do not: 31 runs leave a tie an interval of 8 points.
 """
 HISTORY = """
 ## How often it was frozen
@@ -78,7 +80,7 @@ def _verdict(verdict: Sequence[Mapping]) -> str:
             *row["de_pso"].values(),
             row["best_rival"],
             _points(row["ahead"]),
-            "yes" if row["within_margin"] else "**no**",
+            row["within_margin"] if row["within_margin"] == SHOWN else f"**{row['within_margin']}**",
         ]
         for row in verdict
     ]

@@ -126,7 +126,6 @@ SOLVERS: dict[str, Solver] = {
     "CMA-ES": cma_es,
 }
 DE_PSO_FORMS = ("DE-PSO", "DE-PSO as printed")
-UNSEEDED = ("grid", "SciPy DIRECT")  # one run tells all on a problem without instances
 
 
 def solve(solver: Solver, objective: Counted, seed: int) -> dict:

@@ -10,13 +10,14 @@ OUR_CHOICES: dict[str, Solver] = {
     "hardened, 40 particles": hardened({"particles": 40}),
     "hardened, no flights": hardened({"flights": 0.0}),
     "hardened, 40 % flights": hardened({"flights": 0.4}),
-    "hardened, greed 0.05": hardened({"greed": 0.05}),
     "hardened, greed 0.2": hardened({"greed": 0.2}),
+    "hardened, greed 0.4": hardened({"greed": 0.4}),
     "hardened, never turned": hardened({"turned": 0.0}),
     "hardened, always turned": hardened({"turned": 1.0}),
     "hardened, opening at most 0.03": hardened({"opening": 0.03}),
     "hardened, opening at most 0.25": hardened({"opening": 0.25}),
-    "hardened, no climbs": hardened({"opening": 1.0, "reserve": 0}),
+    "hardened, opening at most 0.75": hardened({"opening": 0.75, "reserve": 100}),
+    "hardened, no climbs": hardened({"climbs": False}),
 }
 SCIPY_CHOICES: dict[str, Solver] = {
     **{f"SciPy DE, population {size}": scipy_de(size) for size in (2, 3, 4, 5, 6, 8, 10, 15)},
