@@ -90,6 +90,19 @@ def test_of_a_study_that_is_stopped_nearly_all_that_was_done_had_been_handed_ove
         assert len(list(tmp_path.iterdir())) <= given + 4
 
 
+@pytest.mark.parametrize("items", [0, 1, 2, 7, 54, 1000])
+def test_calls_hold_all_items_are_large_at_both_ends_and_small_where_they_meet(shared, items):
+    sizes = shared.sizes(items)
+    assert sum(sizes) == items
+    assert all(size > 0 for size in sizes)
+    turn = sizes.index(min(sizes)) if sizes else 0
+    assert sizes[:turn] == sorted(sizes[:turn], reverse=True)
+    assert sizes[turn:] == sorted(sizes[turn:])
+    if items >= 54:
+        assert sizes[turn] == 1
+        assert max(sizes) <= items / 2
+
+
 def test_closing_ends_the_others():
     before = set(multiprocessing.active_children())
     for started in (False, True):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..numba_here import numba_works
+from .by_coordinate import by_coordinate, cross, dot
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
@@ -47,23 +48,26 @@ class TrianglePlanes:
     """
 
     def __init__(self, corners: np.ndarray, normal: np.ndarray) -> None:
-        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        double_area = np.einsum("ti,ti->t", np.cross(first, second), normal)[:, None]
-        functions = [normal, np.cross(second, normal) / double_area, np.cross(normal, first) / double_area]
-        # (function, axis, triangle), so that what is gathered for many rays lies side by side
-        self._slope = np.ascontiguousarray(np.stack(functions).transpose(0, 2, 1))
-        self._offset = np.einsum("fit,ti->ft", self._slope, corners[:, 0])
-        coordinate, side = np.abs(corners).max(axis=(1, 2)), np.abs(np.stack([first, second])).max(axis=(0, 2))
+        places, normal = by_coordinate(corners), np.ascontiguousarray(normal.T)
+        first, second = places[1] - places[0], places[2] - places[0]
+        double_area = dot(cross(first, second), normal)
+        self._functions = np.empty((13, len(corners)))  # so that what is gathered for many rays lies side by side
+        slopes = normal, cross(second, normal) / double_area, cross(normal, first) / double_area
+        for function, slope in enumerate(slopes):
+            self._functions[4 * function : 4 * function + 3] = slope
+            self._functions[4 * function + 3] = dot(slope, places[0])
+        coordinate = np.abs(places).reshape(9, -1).max(axis=0)
+        side = np.abs(np.concatenate([first, second])).max(axis=0)
         # Slopes are one over the triangle's heights, of which rounding takes that of the coordinates.
-        self._rounding = _ROUNDING * coordinate * side * np.square(self._slope[1:]).sum(axis=1).max(axis=0)
+        steepest = np.maximum(*(dot(slope, slope) for slope in slopes[1:]))
+        self._functions[12] = _ROUNDING * coordinate * side * steepest
 
     def as_rows(self) -> np.ndarray:
         """Slope and offset of each triangle's three functions and the rounding of its weights, (m, 13).
 
         The last one is what rounding of the corners and of the slopes may add to a weight at the triangle.
         """
-        functions = np.concatenate([self._slope, self._offset[:, None]], axis=1).reshape(12, -1)
-        return np.ascontiguousarray(np.concatenate([functions, self._rounding[None]]).T)
+        return np.ascontiguousarray(self._functions.T)
 
     def meet(self, origins: np.ndarray, directions: np.ndarray, triangle: np.ndarray) -> PlaneHits:
         """Where k rays meet the planes of k triangles.
@@ -94,12 +98,13 @@ class TrianglePlanes:
 
     def _along(self, function, origins, directions, triangle):
         """An affine function of each triangle: what the origin lacks to its 0, and its growth along the ray."""
-        slopes, offset, shared = self._slope[function], self._offset[function], origins.ndim == 1
-        missing = _take(offset - _sum_of_three(slopes, origins) if shared else offset, triangle)
+        *slopes, offset = self._functions[4 * function : 4 * function + 4]
+        shared = origins.ndim == 1
+        missing = _take(offset - dot(slopes, origins) if shared else offset, triangle)
         slopes = [_take(slope, triangle) for slope in slopes]
         if not shared:
-            missing -= _sum_of_three(slopes, origins)
-        growth = _sum_of_three(slopes, directions)
+            missing -= dot(slopes, origins)
+        growth = dot(slopes, directions)
         return missing, growth
 
 
@@ -111,8 +116,3 @@ def fastest_planes() -> type[TrianglePlanes]:
     from .compiled_planes import CompiledPlanes
 
     return CompiledPlanes
-
-
-def _sum_of_three(slopes, place):
-    """One function's slope times places; added up in this order everywhere, so that all casters measure alike."""
-    return slopes[0] * place[0] + slopes[1] * place[1] + slopes[2] * place[2]

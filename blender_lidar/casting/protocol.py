@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..world.triangles import MOST_M
+from .by_coordinate import by_coordinate, cross, length
 
 MISS = -1
 _UNIT_TOLERANCE = 1e-6
@@ -75,21 +76,21 @@ class Caster(ABC):
         corners = np.asarray(corners, dtype=float)
         if corners.ndim != 3 or corners.shape[1:] != (3, 3):
             raise InputError(f"triangles have shape {corners.shape}; allowed: (m, 3, 3)")
-        flat = corners.reshape(-1, 3)
-        coordinate = np.abs(corners).max(axis=(1, 2), initial=0.0)  # largest of each triangle
+        places = by_coordinate(corners)
+        coordinate = np.abs(places).reshape(9, -1).max(axis=0, initial=0.0)  # largest of each triangle
         if not (coordinate <= MOST_M).all():  # also catches NaN
             row = int(np.argmin(coordinate <= MOST_M))
             raise InputError(f"triangle {row} {_unusable(corners[row])}")
         # About the middle one of the corners, so that a vehicle at a place that is a mistake moves no other.
-        self._origin = np.median(flat, axis=0) if len(flat) else np.zeros(3)
-        corners = corners - self._origin
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.linalg.norm(normal, axis=1)  # twice: base times height
-        base = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
+        self._origin = np.median(places.transpose(1, 0, 2).reshape(3, -1), axis=1) if len(corners) else np.zeros(3)
+        places = places - self._origin[:, None]
+        normal = cross(places[1] - places[0], places[2] - places[0])
+        area = length(normal)  # twice: base times height
+        base = length((places - np.roll(places, 1, axis=0)).transpose(1, 0, 2)).max(axis=0, initial=0.0)
         self._given = len(corners)
         self._solid = np.flatnonzero(area > _LEAST_HEIGHT * base * (base + coordinate))
-        self._normal = normal[self._solid] / area[self._solid, None]
-        self._corners = corners[self._solid]
+        self._normal = np.ascontiguousarray((normal[:, self._solid] / area[self._solid]).T)
+        self._corners = (corners - self._origin)[self._solid]
         if len(self._solid):
             self._prepare()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -43,14 +44,8 @@ def mesh_of(corners: np.ndarray) -> Mesh:
     flat = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0  # -0 becomes 0: they are the same place
     row, first = _same_places(flat.view(np.uint64), _table_size(len(flat)))
     vertices, faces = flat[first], row.reshape(-1, 3)
-    starts = np.arange(0, len(corners), RUN)
-    ends = np.append(starts[1:], len(corners))
-    low = np.minimum.reduceat(corners.min(axis=1), starts)
-    high = np.maximum.reduceat(corners.max(axis=1), starts)
-    middle = 0.5 * (low + high)
-    away = np.linalg.norm(corners - np.repeat(middle, ends - starts, axis=0)[:, None], axis=2).max(axis=1)
-    radius = np.maximum.reduceat(away, starts) + _ROUNDING * np.abs(flat).max()
-    return Mesh(vertices, faces, middle, radius, *_solids(vertices, faces))
+    middle, radius = _spheres(vertices, faces)
+    return Mesh(vertices, faces, middle, radius + _ROUNDING * np.abs(vertices).max(), *_solids(vertices, faces))
 
 
 def _table_size(places: int) -> int:
@@ -79,6 +74,27 @@ def _same_places(bits, size):
                 break
             slot = (slot + 1) & (size - 1)
     return row, first[:found].copy()
+
+
+@compiled
+def _spheres(vertices, faces):
+    """Spheres about runs of triangles: middle (r, 3) of their boxes, and radius (r,)."""
+    runs = (len(faces) + RUN - 1) // RUN
+    middle, radius = np.empty((runs, 3)), np.empty(runs)
+    for run in range(runs):
+        corners = faces[run * RUN : (run + 1) * RUN].reshape(-1)
+        low, high = vertices[corners[0]].copy(), vertices[corners[0]].copy()
+        for v in corners:
+            for axis in range(3):
+                low[axis], high[axis] = min(low[axis], vertices[v, axis]), max(high[axis], vertices[v, axis])
+        farthest = 0.0
+        for axis in range(3):
+            middle[run, axis] = 0.5 * (low[axis] + high[axis])
+        for v in corners:
+            x, y, z = vertices[v, 0] - middle[run, 0], vertices[v, 1] - middle[run, 1], vertices[v, 2] - middle[run, 2]
+            farthest = max(farthest, x * x + y * y + z * z)
+        radius[run] = math.sqrt(farthest)
+    return middle, radius
 
 
 @compiled

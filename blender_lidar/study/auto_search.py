@@ -25,7 +25,7 @@ from .spending import Spending
 
 NAME = "auto"
 _STEPS = 0.1, 0.05, 0.012  # of the box, with which climbs start: on the first rung, later ones, and at the reference
-_FIRST_SHARE = 0.33  # of the frames that all samples of a climb at the reference meet
+_FIRST_SHARE = 0.33  # of the frames that all samples of a later climb meet; on the first rung they are few
 _APART, _BARELY_APART = 0.04, 0.006  # of the box: what is nearer counts as the same mounting
 
 
@@ -218,7 +218,7 @@ class AutoSearch:
 
     def _fresh_climbs(self, starts: np.ndarray) -> RungClimbs:
         rung = self._rung
-        first = math.ceil((_FIRST_SHARE if self._at_reference else 1.0) * len(rung.frames))
+        first = math.ceil((_FIRST_SHARE if self._level else 1.0) * len(rung.frames))
         step = _STEPS[2 if self._at_reference else min(self._level, 1)]
         seed, apart = self._seed + self._level, len(self._rungs)
         seeds = range(seed, seed + apart * len(starts), apart)

@@ -24,7 +24,7 @@ from platform import python_version
 from .. import __version__
 from ..errors import BlenderLidarError, WorkerError
 from .cluster import ClusterExecutor, worker_address
-from .workers import Workers
+from .workers import Workers, even_sizes
 
 _LIBRARIES = ("numpy", "embreex", "numba", "bpy", "distributed")  # which may alter digits, or how we talk
 _LEAST_ITEMS = 16  # of a task, which costs some milliseconds
@@ -67,8 +67,8 @@ class ClusterWorkers(Workers):
             executor.shutdown()
             raise
 
-    def tasks(self, items: int) -> int:
-        return min(self.count * _TASKS_PER_WORKER, max(min(items, self.count), items // _LEAST_ITEMS))
+    def sizes(self, items: int) -> list[int]:
+        return even_sizes(items, min(self.count * _TASKS_PER_WORKER, max(self.count, items // _LEAST_ITEMS)))
 
     def each(self, *arguments: Iterable) -> Iterator:
         self._hand_out()

@@ -7,7 +7,7 @@ float64, whatever they look for them in. So the number of workers changes the ti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -118,8 +118,8 @@ class Evaluator:
 
     def _tasks(self, frames: list[int]) -> list[list[int]]:
         """The frames in as many parts as there are calls."""
-        bounds = np.linspace(0, len(frames), self._pool.tasks(len(frames)) + 1).astype(int).tolist()
-        return [frames[start:stop] for start, stop in pairwise(bounds)]
+        ends = accumulate(self._pool.sizes(len(frames)), initial=0)
+        return [frames[start:stop] for start, stop in pairwise(ends)]
 
 
 class _Work:

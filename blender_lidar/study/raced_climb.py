@@ -1,7 +1,7 @@
-"""A climb at the reference that spends all frames on the better half of every generation only.
+"""A climb that spends all frames on the best third of every generation only.
 
 CMA-ES (`optimise.covariance_adaptation`) needs no more than the ranks of its samples. Each generation is scored on the
-first frames of the rungs' order; its better half goes on to the others, and the rest rank below by what they have.
+first frames of the rungs' order; its best third goes on to the others, and the rest rank below by what they have.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class RacedClimb:
     samples, generations : int
         Samples to a generation, and generations in all.
     first : int
-        How many frames all samples meet; the others are for the better half.
+        How many frames all samples meet; the others are for the best third.
     block : ndarray of int, (f,)
         Block of time of each frame, in the order of the rungs.
     seed : int
@@ -81,7 +81,7 @@ class RacedClimb:
 
     def _better(self) -> np.ndarray:
         """Rows of the samples that go on to all frames."""
-        return survivors(self._begun, self._block[: self._first], math.ceil(len(self._begun) / 2))
+        return survivors(self._begun, self._block[: self._first], math.ceil(len(self._begun) / 3))
 
     def _ranks(self, rows: np.ndarray, whole: np.ndarray) -> np.ndarray:
         """What orders a generation, (samples,): those that met all frames by these, above the others by theirs."""

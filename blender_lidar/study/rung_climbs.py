@@ -1,4 +1,4 @@
-"""The climbs of one rung, one after another: they share its samples."""
+"""The climbs of one rung, side by side: they share its samples."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..optimise.stored import read_count
+from ..errors import InputError
 from .raced_climb import RacedClimb
 
 _SAMPLES = 4  # to a generation, and more for more variables
@@ -33,39 +33,43 @@ class RungClimbs:
     ) -> None:
         self._starts, self._wanted, self._step, self._first = starts, wanted, step, first
         self._block, self._seeds = block, seeds
-        self._number = 0  # of the one that is at work
-        self._climb = self._fresh()
+        self._climbs = [self._fresh(number) for number in range(len(starts))]
 
     @property
     def done(self) -> bool:
         """Whether all have ended."""
-        return self._climb.done and self._number == len(self._starts) - 1
+        return not self._going_on()
 
     def ask(self) -> tuple[np.ndarray, slice]:
-        """As `RacedClimb.ask`."""
-        return self._climb.ask()
+        """Candidates of all climbs, (s, d) in shares of the box, and which of the frames they are to meet."""
+        asked = [climb.ask() for climb in self._going_on()]
+        return np.concatenate([candidates for candidates, _ in asked]), asked[0][1]  # they keep step
 
     def tell(self, objective: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `RacedClimb.tell`."""
-        told = self._climb.tell(objective)
-        if self._climb.done and not self.done:
-            self._number += 1
-            self._climb = self._fresh()
-        return told
+        climbs = self._going_on()
+        ends = np.cumsum([len(climb.ask()[0]) for climb in climbs])
+        parts = zip(climbs, np.split(objective, ends[:-1]), strict=True)
+        met, whole = zip(*(climb.tell(part) for climb, part in parts), strict=True)
+        return np.concatenate(met), np.concatenate(whole)
 
-    def _fresh(self) -> RacedClimb:
+    def _going_on(self) -> list[RacedClimb]:
+        return [climb for climb in self._climbs if not climb.done]
+
+    def _fresh(self, number: int) -> RacedClimb:
         count, d = self._starts.shape
         samples = _SAMPLES + int(3.0 * math.log(d))
-        generations = max(1, (self._wanted // samples + count - 1 - self._number) // count)
-        start, seed = self._starts[self._number], self._seeds[self._number]
+        generations = max(1, (self._wanted // samples + count - 1 - number) // count)
+        start, seed = self._starts[number], self._seeds[number]
         return RacedClimb(start, self._step, samples, generations, self._first, self._block, seed)
 
     def state(self) -> dict[str, Any]:
         """How far they have come, for JSON."""
-        return {"starts": self._starts.tolist(), "number": self._number, "climb": self._climb.state()}
+        return {"starts": self._starts.tolist(), "climbs": [climb.state() for climb in self._climbs]}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Become what `state` described, with the starts that it names; raises `InputError` if it is damaged."""
-        self._number = read_count(state, "number", len(self._starts) - 1)
-        self._climb = self._fresh()
-        self._climb.restore(state["climb"])
+        if len(state["climbs"]) != len(self._climbs):
+            raise InputError(f"climbs: {len(state['climbs'])}; allowed: one for each of {len(self._climbs)} starts")
+        for climb, stored in zip(self._climbs, state["climbs"], strict=True):
+            climb.restore(stored)

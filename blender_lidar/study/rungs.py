@@ -17,9 +17,9 @@ from .fidelity import Fidelity
 from .frame_scorer import Observation
 
 FIRST_FRAMES = 8
-_CANDIDATES = (16, 8, 6)  # of the second rung and the next two
-_FINALISTS = 6
-_SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 20  # samples for each variable
+_CANDIDATES = (16, 8)  # of the second rung and the third
+_FINALISTS = 4
+_SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 16  # samples for each variable
 _COARSE_BEAMS = 4000  # in a turn of the first rung: an eighth of an RS-16's, a thirty-second of an RS-80's
 _MOST_STRIDE = 32
 _FEWEST_COLUMNS = 40  # of a turn, whatever the stride
@@ -98,8 +98,7 @@ def make_rungs(
     return (
         Rung(coarse, order[:FIRST_FRAMES], climb=_SCREEN_CLIMB * variables),
         Rung(coarse, order[: 2 * FIRST_FRAMES], candidates=_CANDIDATES[0]),
-        Rung(finer, order[: 4 * FIRST_FRAMES], candidates=_CANDIDATES[1]),
-        Rung(finer, order, candidates=_CANDIDATES[2], climb=climb),
+        Rung(finer, order[: 4 * FIRST_FRAMES], candidates=_CANDIDATES[1], climb=climb),
         Rung(reference, order, candidates=_FINALISTS, climb=_LAST_CLIMB * variables),
     )
 

@@ -2,13 +2,15 @@
 
 Where all results are wanted together, the others take calls from the front and this one takes them from the back, until
 they meet: nobody waits while another is at work, and in like batches each meets the same items, so that what is kept
-for an item is made in one process. Where results are wanted one after another, all take the next call, so that what is
+for an item is made in one process. Calls are large at both ends and small where they meet: each costs something, and
+the last one is what others wait for. Where results are wanted one after another, all take the next, so that what is
 done can be stored at once. While the others start, this one is at work already; a run that is over by then has never
 waited for them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, wait
 from typing import Any
@@ -38,6 +40,11 @@ class SharedWork(Workers):
     def __init__(self, function: Callable, processes: int) -> None:
         self._function, self._pool, self.count = function, WorkerPool(function, processes - 1), processes
 
+    def sizes(self, items: int) -> list[int]:
+        others = self.count - 1
+        front = _tapered(items * others // self.count, others)
+        return front + _tapered(items - sum(front), 1)[::-1]
+
     def map(self, *arguments: Iterable) -> list:
         return list(self._results(arguments, from_back=True))
 
@@ -56,6 +63,15 @@ class SharedWork(Workers):
 
     def _failures_told(self):
         return self._pool._failures_told()
+
+
+def _tapered(items: int, processes: int) -> list[int]:
+    """Sizes of calls for so many processes, that each take half of what is left to them."""
+    sizes = []
+    while items:
+        sizes.append(math.ceil(items / (2 * processes)))
+        items -= sizes[-1]
+    return sizes
 
 
 class _Batch:

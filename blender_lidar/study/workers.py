@@ -32,9 +32,9 @@ class Workers:
         self._executor, self._call = executor, call
         self.count = count
 
-    def tasks(self, items: int) -> int:
-        """Into how many tasks to divide so many items, of about the same work each."""
-        return min(items, self.count * _TASKS_PER_WORKER)
+    def sizes(self, items: int) -> list[int]:
+        """How many of so many items, of about the same work each, every task is to take, in their order."""
+        return even_sizes(items, self.count * _TASKS_PER_WORKER)
 
     def map(self, *arguments: Iterable) -> list:
         """What the function returns for each set of arguments, in their order.
@@ -67,14 +67,20 @@ class Workers:
         return nullcontext()
 
 
+def even_sizes(items: int, tasks: int) -> list[int]:
+    """Sizes of `tasks` tasks that differ by one at most; of fewer where there are not as many items."""
+    tasks = min(items, tasks)
+    return [(number + 1) * items // tasks - number * items // tasks for number in range(tasks)]
+
+
 class Alone(Workers):
     """This process calls the function, when its result is wanted."""
 
     def __init__(self, function: Callable) -> None:
         super().__init__(InProcessExecutor(), function, 1)
 
-    def tasks(self, items: int) -> int:
-        return 1
+    def sizes(self, items: int) -> list[int]:
+        return [items]
 
 
 class InProcessExecutor(Executor):
