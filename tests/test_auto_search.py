@@ -12,6 +12,7 @@ from blender_lidar.optimise import make_search
 from blender_lidar.study.auto_scores import screened
 from blender_lidar.study.auto_search import AutoSearch
 from blender_lidar.study.fidelity import Fidelity
+from blender_lidar.study.rung_climbs import RungClimbs
 from blender_lidar.study.rungs import Rung, spread_order
 
 FRAMES = 40
@@ -177,6 +178,37 @@ def test_a_damaged_state_is_refused(key):
     for broken in (*damaged, {name: value for name, value in state.items() if name != key}):
         with pytest.raises(InputError, match="stored"):
             made_search().restore(broken)
+
+
+def test_a_climb_that_has_ended_in_a_search_that_has_not_is_refused():
+    search = made_search()
+    while search.state()["climb"] is None:
+        search.tell(objective(search.ask()))
+    state = json.loads(json.dumps(search.state()))
+    for climb in state["climb"]["climbs"]:
+        climb["left"] = 0
+    with pytest.raises(InputError, match="all have ended"):
+        made_search().restore(state)
+
+
+@pytest.mark.parametrize("damage", ["out of step", "one too few"])
+def test_climbs_that_cannot_go_on_together_are_refused(damage):
+    """They were restored, and failed when they were asked."""
+    starts, block = np.array([[0.2], [0.8]]), np.arange(9) // 3
+
+    def fresh():
+        return RungClimbs(starts, 24, 0.05, 4, block, range(7, 9))
+
+    climbs = fresh()
+    climbs.tell(climbs.ask()[0] * np.arange(1.0, 5.0))
+    state = json.loads(json.dumps(climbs.state()))
+    fresh().restore(state)
+    if damage == "out of step":
+        state["climbs"][0]["begun"] = None
+    else:
+        del state["climbs"][0]
+    with pytest.raises(InputError, match="climbs: "):
+        fresh().restore(state)
 
 
 def test_an_objective_that_is_no_number_is_refused():

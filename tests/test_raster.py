@@ -35,6 +35,20 @@ def test_compiled_planes_measure_as_numpys_do_to_the_last_digit(shared):
         np.testing.assert_array_equal(column, other)
 
 
+@pytest.mark.parametrize(("offset", "scale"), [(0.0, 1.0), (1e6, 1.0), (-3e6, 1e-3), (0.0, 1e5)])
+def test_every_corner_lies_within_the_sphere_about_its_run(offset, scale):
+    """A sphere that is too small hides triangles without a word."""
+    from blender_lidar.casting.shared_vertices import RUN, mesh_of
+
+    corners = offset + scale * np.random.default_rng(5).normal(size=(3 * RUN + 1, 3, 3))
+    mesh = mesh_of(corners)
+    assert len(mesh.radius) == 4
+    for run in range(4):
+        away = np.linalg.norm(corners[run * RUN : (run + 1) * RUN] - mesh.middle[run], axis=2)
+        assert away.max() <= mesh.radius[run]
+        assert mesh.radius[run] <= away.max() * (1.0 + 1e-9) + 1e-11 * abs(offset)
+
+
 TURNED = [Pose(height_m=4.1, tilt_x=0.3), Pose(2.0, 30.0, 1.5, -0.4, 0.2, 2.0), Pose(0.0, 8.0, 12.0, np.pi, 0.1, 0.0)]
 
 

@@ -244,6 +244,12 @@ def test_a_stopped_study_goes_on_and_comes_to_the_same(tmp_path, workers):
     assert stored(stopped, small_tasks()) == stored(whole, small_tasks())
 
 
+def test_more_seeds_than_the_scene_has_instances_are_refused():
+    assert len(judging(["bbob"], INSTANCES + 1, 50, "scene.toml")) == 3 * (INSTANCES + 1)
+    with pytest.raises(InputError, match="32 seeds; the scene has 31 instances"):
+        judging(["bbob", "scene 2-D"], INSTANCES + 1, 50, "scene.toml")
+
+
 def test_the_tuning_is_on_seeds_that_nothing_is_judged_on():
     assert max(task.instance for task in judging(["bbob", *CASES], 31, 2000, "scene.toml")) < 1000
 
@@ -301,6 +307,10 @@ def test_regret_on_the_scene_is_a_share_of_what_the_best_found_on_the_same_frame
     assert part.solved(OURS).tolist() == [False, True]
     assert part.regret["random"][:, -1].tolist() == [0.0, 0.0]
     assert part.regret["grid"].min() == 1.0
+    for run in tasks[1][1]:
+        run["baseline"] = 100.0
+    with pytest.raises(InputError, match="scene_2-D_1: no solver found better than the scene's baseline"):
+        parts_of(tasks)
 
 
 def test_what_is_reported_is_what_the_runs_hold():

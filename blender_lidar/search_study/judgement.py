@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..reality.significance import holm
 from . import bbob
 from .counted import checkpoints
@@ -101,6 +102,8 @@ def _scene_part(stored: Stored, case: str) -> Part | None:
     rows = {name: [run for _, found in chosen for run in found if run["solver"] == name] for name in SOLVERS}
     best = np.max([[run["best"][-1] for run in runs] for runs in rows.values()], axis=0)  # that anyone has found
     gain = best - [run["baseline"] for run in rows[OURS]]
+    if not (gain > 0.0).all():
+        raise InputError(f"{chosen[int(np.argmin(gain))][0].name}: no solver found better than the scene's baseline")
     return Part(
         case,
         SCENE_SUCCESS,

@@ -8,15 +8,17 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from ..casting import resolve
 from ..errors import MissingExtraError
 from ..formats.atomic import write_text
 from ..plots.search_ecdf import Panel, plot_search_ecdf
-from ..provenance import file_digest
+from ..provenance import file_digest, run_identity
+from ..scenario import load_scenario
 from ..study.stages import StudyFolder
 from .judgement import Part, judgement, parts_of
 from .report import report_text
 from .runs import stored
-from .scene_problems import FRAMES
+from .scene_problems import CASES, FRAMES, INSTANCES
 from .solvers import SCIPY_DE, SOLVERS
 from .tasks import FIRST_INSTANCE, Task
 
@@ -25,20 +27,23 @@ ECDF_BBOB, ECDF_SCENE = "search_ecdf_bbob.png", "search_ecdf_scene.png"
 FILES = (PAGE, NUMBERS, ECDF_BBOB, ECDF_SCENE)
 SCHEMA = 1
 _OPTIMISE = Path(__file__).parents[1] / "optimise"
-_LIBRARIES = ("numpy", "scipy", "cmaes", "ioh")
+_LIBRARIES = ("numpy", "scipy", "cmaes", "ioh", "numba", "embreex")
 
 
 def study_identity(scene: str | Path, seeds: int, budget: int) -> dict[str, object]:
     """What the stages depend on; the digests are those of the searches as they were frozen."""
     digests = {f"optimise/{path.name}": file_digest(path) for path in sorted(_OPTIMISE.glob("*.py"))}
+    scenario = load_scenario(scene)
     return {
         "study schema": SCHEMA,
         "budget": budget,
-        "scene": f"file with SHA-256 {file_digest(scene)}",
+        **run_identity(scenario, resolve(scenario.model.caster, "caster")),
         "solvers": list(SOLVERS),
         "SciPy DE": SCIPY_DE,
         "first instance": FIRST_INSTANCE,
         "frames": FRAMES,
+        "instances": INSTANCES,
+        "cases": CASES,
         "libraries": _libraries(),
         **digests,
     }
@@ -107,5 +112,5 @@ def _about() -> str:
     return (
         "\n## How to make it again\n\n`python scripts/search_study.py --out DIR` judges, with `--tune` it makes the "
         'record of the tuning; `pip install -e ".[fast,plots,study]"`.\n'
-        f"{', '.join(versions)}.\n"
+        f"{', '.join(versions)}; frames were cast by {resolve('auto', 'caster')}.\n"
     )

@@ -1,7 +1,8 @@
 """Our own problem: a scene's objective over its mountings, with two coordinates searched or five.
 
 Each instance looks at other frames of the scene's traffic, so that a search which draws nothing has as many chances as
-the others, and none wins by the luck of one landscape.
+the others, and none wins by the luck of one landscape. They are no independent draws: frames of neighbouring instances
+of scenes/i80.toml are half a second apart and show the same vehicles in other places.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ CASES: dict[str, dict[str, list[float]]] = {
 def scene_problem(scene: str | Path, case: str, instance: int) -> Iterator[tuple[Problem, float]]:
     """The problem of one of `CASES`, and the value of the scene's baseline.
 
-    The objective is the sum over the vehicles of `FRAMES` frames, as `optimise` maximises it: of every 31st frame of
-    the recording, beginning with the `instance`-th.
+    The objective is the sum over the vehicles of `FRAMES` frames at most, as `optimise` maximises it: of every 31st
+    frame of the recording, beginning with the `instance`-th.
     """
     recording = read_recording(load_scenario(scene))
     if len(recording.frames) < INSTANCES:

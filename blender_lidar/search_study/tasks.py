@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import InputError
 from . import bbob, development
 from .counted import Counted
 from .problems import Problem
-from .scene_problems import CASES, scene_problem
+from .scene_problems import CASES, INSTANCES, scene_problem
 from .solvers import SOLVERS, solve
 from .tuning import CHOICES
 
@@ -78,7 +79,15 @@ class Task:
 
 
 def judging(parts: list[str], seeds: int, budget: int, scene: str | Path) -> list[Task]:
-    """The pieces of the judging: instance by instance, so that a study that was stopped has all problems evenly."""
+    """The pieces of the judging: instance by instance, so that a study that was stopped has all problems evenly.
+
+    Raises
+    ------
+    InputError
+        For more seeds than the scene has instances.
+    """
+    if seeds > INSTANCES and set(parts) & set(CASES):
+        raise InputError(f"{seeds} seeds; the scene has {INSTANCES} instances: leave it out with --part bbob")
     found = []
     for instance in range(FIRST_INSTANCE, FIRST_INSTANCE + seeds):
         if "bbob" in parts:

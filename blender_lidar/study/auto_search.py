@@ -277,3 +277,5 @@ class AutoSearch:
         if climb is not None:
             self._climb = self._fresh_climbs(read_array(climb, "starts", (len(climb["starts"]), self._lower.size)))
             self._climb.restore(climb)
+            if self._climb.done and not self._done:
+                raise InputError("climb: all have ended, the search has not")

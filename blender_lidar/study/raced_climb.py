@@ -1,7 +1,8 @@
 """A climb that spends all frames on the best third of every generation only.
 
 CMA-ES (`optimise.covariance_adaptation`) needs no more than the ranks of its samples. Each generation is scored on the
-first frames of the rungs' order; its best third goes on to the others, and the rest rank below by what they have.
+first frames of the rungs' order; its best third goes on to the others, and the rest rank below by what they have;
+so the last of its parents may be chosen by the first frames alone.
 """
 
 from __future__ import annotations

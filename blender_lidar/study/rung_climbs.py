@@ -73,3 +73,6 @@ class RungClimbs:
             raise InputError(f"climbs: {len(state['climbs'])}; allowed: one for each of {len(self._climbs)} starts")
         for climb, stored in zip(self._climbs, state["climbs"], strict=True):
             climb.restore(stored)
+        phases = {climb.ask()[1].start for climb in self._going_on()}
+        if len(phases) > 1:
+            raise InputError(f"climbs: {len(phases)} phases; allowed: 1, as they keep step")

@@ -19,6 +19,7 @@ from .worker_pool import WorkerPool
 from .workers import Workers
 
 _AT_HAND = 2  # calls that each of the others is given at a time: what it makes, and the next
+_FEWEST_CALLS = 4  # for each process: one that starts late, or is slower, finds or leaves enough for the others
 
 
 class SharedWork(Workers):
@@ -41,9 +42,9 @@ class SharedWork(Workers):
         self._function, self._pool, self.count = function, WorkerPool(function, processes - 1), processes
 
     def sizes(self, items: int) -> list[int]:
-        others = self.count - 1
-        front = _tapered(items * others // self.count, others)
-        return front + _tapered(items - sum(front), 1)[::-1]
+        others, most = self.count - 1, math.ceil(items / (_FEWEST_CALLS * self.count))
+        front = _tapered(items * others // self.count, others, most)
+        return front + _tapered(items - sum(front), 1, most)[::-1]
 
     def map(self, *arguments: Iterable) -> list:
         return list(self._results(arguments, from_back=True))
@@ -65,11 +66,11 @@ class SharedWork(Workers):
         return self._pool._failures_told()
 
 
-def _tapered(items: int, processes: int) -> list[int]:
-    """Sizes of calls for so many processes, that each take half of what is left to them."""
+def _tapered(items: int, processes: int, most: int) -> list[int]:
+    """Sizes of calls for so many processes, that each take half of what is left to them, but no more than `most`."""
     sizes = []
     while items:
-        sizes.append(math.ceil(items / (2 * processes)))
+        sizes.append(min(most, math.ceil(items / (2 * processes))))
         items -= sizes[-1]
     return sizes
 
