@@ -22,7 +22,7 @@ from blender_lidar.benchmark.case import FrameCase
 from blender_lidar.benchmark.dense import RADIUS_M, dense_frame
 from blender_lidar.benchmark.document import document
 from blender_lidar.benchmark.machine import machine
-from blender_lidar.benchmark.memory import peak_mib, resident_mib
+from blender_lidar.benchmark.memory import resident_mib
 from blender_lidar.benchmark.picture import draw
 from blender_lidar.benchmark.plan import METRIC, Found, Options, carry_out
 from blender_lidar.benchmark.power_law import power_law
