@@ -65,13 +65,8 @@ class CompiledBeams:
         """
         points = np.zeros((len(poses), len(self._grids)), dtype=np.int64)
         cells = np.zeros((len(poses), len(self._grids), 3), dtype=np.int64)
-        return (
-            points,
-            cells,
-            np.array(
-                [row for row, pose in enumerate(poses) if not self._saw(pose, points[row], cells[row])], dtype=np.int64
-            ),
-        )
+        touching = [row for row, pose in enumerate(poses) if not self._saw(pose, points[row], cells[row])]
+        return points, cells, np.array(touching, dtype=np.int64)
 
     def _saw(self, pose, points, cells):
         """Add what a mounting sees to its rows; whether that is certain."""
