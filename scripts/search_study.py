@@ -3,8 +3,9 @@
     python scripts/search_study.py [--out DIR] [--resume] [--seeds 31] [--quick] [--tune] [--part bbob] [--report]
 
 Judges on BBOB in 2, 3 and 5 dimensions and on scenes/i80.toml with two and with five coordinates searched, 2,000
-evaluations to a run. With --tune it makes the record of the tuning instead, on the development problems alone. What is
-done is stored instance by instance; a study that was stopped goes on with --resume, and --report reports what there is.
+evaluations to a run; with --traffic FILE the scene is judged on that recording besides. With --tune it makes the record
+of the tuning instead, on the development problems alone. What is done is stored instance by instance; a study that was
+stopped goes on with --resume, and --report reports what there is.
 """
 
 from __future__ import annotations
@@ -50,6 +51,13 @@ def _arguments(argv):
     parser.add_argument("--quick", action="store_true", help="2 seeds and 200 evaluations, to see that all works")
     parser.add_argument("--tune", action="store_true", help="the record of the tuning, on the development problems")
     parser.add_argument("--part", action="append", choices=PARTS, help="only this part; may be given again")
+    parser.add_argument(
+        "--traffic",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a further recording; may be given again",
+    )
     parser.add_argument("--report", action="store_true", help="run nothing: report what is stored")
     parser.add_argument("--workers", type=_positive, default=1, help="processes, of this machine alone; 1")
     return parser.parse_args(argv)
@@ -64,9 +72,9 @@ def _positive(text):
 def _study(args):
     started = time.monotonic()
     seeds, budget = (2, 200) if args.quick else (args.seeds, 2000)
-    everything = [*tuning(seeds, budget), *judging(PARTS, seeds, budget, SCENE)]
-    wanted = tuning(seeds, budget) if args.tune else judging(args.part or PARTS, seeds, budget, SCENE)
-    folder = StudyFolder(args.out, study_identity(SCENE, seeds, budget), FILES)
+    everything = [*tuning(seeds, budget), *judging(PARTS, seeds, budget, SCENE, args.traffic)]
+    wanted = tuning(seeds, budget) if args.tune else judging(args.part or PARTS, seeds, budget, SCENE, args.traffic)
+    folder = StudyFolder(args.out, study_identity(SCENE, seeds, budget, args.traffic), FILES)
     with folder.locked(resume=args.resume):
         if not args.report:
             progress = Progress(len(wanted), "tuning" if args.tune else "judging")

@@ -246,8 +246,20 @@ def test_a_stopped_study_goes_on_and_comes_to_the_same(tmp_path, workers):
 
 def test_more_seeds_than_the_scene_has_instances_are_refused():
     assert len(judging(["bbob"], INSTANCES + 1, 50, "scene.toml")) == 3 * (INSTANCES + 1)
-    with pytest.raises(InputError, match="32 seeds; the scene has 31 instances"):
+    with pytest.raises(InputError, match="32 seeds; a recording has 31 instances"):
         judging(["bbob", "scene 2-D"], INSTANCES + 1, 50, "scene.toml")
+
+
+def test_recordings_have_instances_seeds_and_names_of_their_own():
+    tasks = judging(["bbob", "scene 2-D"], 2, 50, "scene.toml", ["there/a.csv.gz", "b.csv"])
+    scene = [task for task in tasks if task.part == "scene 2-D"]
+    assert [task.recording for task in scene] == ["shipped", "shipped", "a", "a", "b", "b"]
+    assert [task.traffic for task in scene] == [None, None, "there/a.csv.gz", "there/a.csv.gz", "b.csv", "b.csv"]
+    assert len({task.instance for task in scene}) == len({task.name for task in scene}) == 6
+    assert len([task for task in tasks if task.part == "bbob"]) == 6
+    for same in (["a.csv", "there/a.csv.gz"], ["shipped.csv"]):
+        with pytest.raises(InputError, match="allowed: each name once"):
+            judging(["scene 2-D"], 2, 50, "scene.toml", same)
 
 
 def test_the_tuning_is_on_seeds_that_nothing_is_judged_on():

@@ -90,9 +90,10 @@ def test_of_a_study_that_is_stopped_nearly_all_that_was_done_had_been_handed_ove
         assert len(list(tmp_path.iterdir())) <= given + 4
 
 
+@pytest.mark.parametrize("work", [1, 6, 700])
 @pytest.mark.parametrize("items", [0, 1, 2, 7, 54, 1000])
-def test_calls_hold_all_items_are_large_at_both_ends_and_small_where_they_meet(shared, items):
-    sizes = shared.sizes(items)
+def test_calls_hold_all_items_are_large_at_both_ends_and_small_where_they_meet(shared, items, work):
+    sizes = shared.sizes(items, work)
     assert sum(sizes) == items
     assert all(size > 0 for size in sizes)
     turn = sizes.index(min(sizes)) if sizes else 0
@@ -101,6 +102,14 @@ def test_calls_hold_all_items_are_large_at_both_ends_and_small_where_they_meet(s
     if items >= 54:
         assert sizes[turn] == 1
         assert max(sizes) <= items / 2
+
+
+def test_little_work_is_one_large_call_to_each_of_the_others_and_a_small_one(shared):
+    """Handing a call over takes as long as some casts: batches of a climb lost a fifth to it."""
+    others, items = shared.count - 1, 12 * shared.count
+    sizes = shared.sizes(items, 4)
+    assert sizes[: 2 * others] == [11] * others + [1] * others
+    assert max(shared.sizes(items, 700)) <= items / (4 * shared.count)
 
 
 def test_closing_ends_the_others():

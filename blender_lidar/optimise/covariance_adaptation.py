@@ -1,8 +1,13 @@
 """CMA-ES: a Gaussian that climbs, its covariance learnt from the ranks of what it tried (Hansen, arXiv 1604.00772).
 
 With weighted recombination, cumulative step-size adaptation, rank-one and rank-mu updates and negative weights for the
-worse half. Samples outside the box are drawn again. Positions are shares of the box, 0 to 1 in every variable; only
-the order of values counts.
+worse half. Positions are shares of the box, 0 to 1 in every variable; only the order of values counts.
+
+Mountings are often best on a bound. A sample beyond one is evaluated on it, and told as it was drawn: as if the
+objective went on unchanged outside. The mean may leave the box by two standard deviations, so that where a bound is best
+nearly all samples come to lie on it, and that variable no longer says anything about step size and shape. Drawn again
+until they are inside, samples keep off the bounds; told as they were evaluated, they have a climb along a bound end too
+early.
 """
 
 from __future__ import annotations
@@ -15,10 +20,10 @@ import numpy as np
 from ..errors import InputError
 from .stored import read_array, read_count, read_values
 
+BEYOND = 2.0  # standard deviations by which the mean may leave the box
 NARROW = 1e-5  # of the box: a Gaussian no wider than that has arrived
 ILL_CONDITIONED = 1e7  # longest over shortest axis
 WIDEST = 3.0  # of the box, in standard deviations: it has lost its way
-REDRAWS = 100  # of samples outside the box, before they are put on the bound
 FLAT_GROWTH = 1.3  # of the step size after a generation of equal values
 PATIENCE = 10  # generations without a better best, and more for more variables
 _LEAST_VARIANCE = 1e-20
@@ -43,7 +48,7 @@ class CovarianceAdaptation:
     Attributes
     ----------
     candidates : ndarray, (samples, d)
-        What to evaluate next.
+        What to evaluate next, in the box.
     """
 
     def __init__(
@@ -65,7 +70,11 @@ class CovarianceAdaptation:
         self._decompose()
         self._generation = 0
         self._reached, self._idle = -math.inf, 0
-        self.candidates = np.empty((samples, d))
+        self._drawn = np.zeros((samples, d))
+
+    @property
+    def candidates(self) -> np.ndarray:
+        return np.clip(self._drawn, 0.0, 1.0)
 
     @property
     def exhausted(self) -> bool:
@@ -80,26 +89,18 @@ class CovarianceAdaptation:
 
     def move(self) -> None:
         """Draw the next `candidates`."""
-        self.candidates = self._drawn(self.samples)
-        for _ in range(REDRAWS):
-            outside = ((self.candidates < 0.0) | (self.candidates > 1.0)).any(axis=1)
-            if not outside.any():
-                return
-            self.candidates[outside] = self._drawn(int(outside.sum()))
-        self.candidates = np.clip(self.candidates, 0.0, 1.0)
-
-    def _drawn(self, count: int) -> np.ndarray:
-        normal = self._rng.standard_normal((count, self._mean.size))
-        return self._mean + self._step * (normal * self._lengths) @ self._axes.T
+        normal = self._rng.standard_normal((self.samples, self._mean.size))
+        self._drawn = self._mean + self._step * (normal * self._lengths) @ self._axes.T
 
     def tell(self, values: np.ndarray) -> None:
         """Take the values, (samples,), of `candidates`, and move and shape the Gaussian by their ranks."""
         d, use = self._mean.size, self._rates
         self._generation += 1
-        steps = ((self.candidates - self._mean) / self._step)[np.argsort(-values, kind="stable")]
+        steps = ((self._drawn - self._mean) / self._step)[np.argsort(-values, kind="stable")]
         parents = self.samples // 2
         mean_step = self._weights[:parents] @ steps[:parents]
-        self._mean = np.clip(self._mean + self._step * mean_step, 0.0, 1.0)
+        beyond = BEYOND * self._step * np.sqrt(np.square(self._axes * self._lengths).sum(axis=1))
+        self._mean = np.clip(self._mean + self._step * mean_step, -beyond, 1.0 + beyond)
         whitened = self._axes @ ((mean_step @ self._axes) / self._lengths)
         self._step_path = (1.0 - use.c_step) * self._step_path
         self._step_path += math.sqrt(use.c_step * (2.0 - use.c_step) * use.mass) * whitened
@@ -153,7 +154,7 @@ class CovarianceAdaptation:
             "generation": self._generation,
             "reached": None if self._reached == -math.inf else self._reached,
             "idle": self._idle,
-            "candidates": self.candidates.tolist(),
+            "drawn": self._drawn.tolist(),
         }
 
     @classmethod
@@ -168,7 +169,7 @@ class CovarianceAdaptation:
             raise InputError(f"step {climb._step}, lengths {climb._lengths.tolist()}; allowed: more than 0")
         climb._generation, climb._idle = read_count(state, "generation"), read_count(state, "idle")
         climb._reached = float(read_values({"reached": [state["reached"]]}, "reached", 1)[0])
-        climb.candidates = read_array(state, "candidates", (samples, d))
+        climb._drawn = read_array(state, "drawn", (samples, d))
         return climb
 
 

@@ -110,7 +110,7 @@ def _scene_part(stored: Stored, case: str) -> Part | None:
         SCENE_ALSO,
         SCENE_TARGETS,
         np.array(checkpoints(chosen[0][0].budget)),
-        [case] * len(chosen),
+        [task.recording for task, _ in chosen],
         {
             name: (best[:, None] - np.array([run["best"] for run in runs])) / gain[:, None]
             for name, runs in rows.items()

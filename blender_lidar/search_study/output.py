@@ -20,7 +20,7 @@ from .report import report_text
 from .runs import stored
 from .scene_problems import CASES, FRAMES, INSTANCES
 from .solvers import SCIPY_DE, SOLVERS
-from .tasks import FIRST_INSTANCE, Task
+from .tasks import FIRST_BBOB, FIRST_SCENE, Task
 
 PAGE, NUMBERS = "search.md", "search.json"
 ECDF_BBOB, ECDF_SCENE = "search_ecdf_bbob.png", "search_ecdf_scene.png"
@@ -30,7 +30,7 @@ _OPTIMISE = Path(__file__).parents[1] / "optimise"
 _LIBRARIES = ("numpy", "scipy", "cmaes", "ioh", "numba", "embreex")
 
 
-def study_identity(scene: str | Path, seeds: int, budget: int) -> dict[str, object]:
+def study_identity(scene: str | Path, seeds: int, budget: int, traffic: Sequence[str] = ()) -> dict[str, object]:
     """What the stages depend on; the digests are those of the searches as they were frozen."""
     digests = {f"optimise/{path.name}": file_digest(path) for path in sorted(_OPTIMISE.glob("*.py"))}
     scenario = load_scenario(scene)
@@ -40,11 +40,12 @@ def study_identity(scene: str | Path, seeds: int, budget: int) -> dict[str, obje
         **run_identity(scenario, resolve(scenario.model.caster, "caster")),
         "solvers": list(SOLVERS),
         "SciPy DE": SCIPY_DE,
-        "first instance": FIRST_INSTANCE,
+        "first instances": [FIRST_BBOB, FIRST_SCENE],
         "frames": FRAMES,
         "instances": INSTANCES,
         "cases": CASES,
         "libraries": _libraries(),
+        **{f"--traffic {place}": file_digest(Path(path)) for place, path in enumerate(traffic, 1)},
         **digests,
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +14,10 @@ from .scene_problems import CASES, INSTANCES, scene_problem
 from .solvers import SOLVERS, solve
 from .tuning import CHOICES
 
-FIRST_INSTANCE = 63  # 1 to 9 and 32 to 62 judged earlier versions of the hardened search
+FIRST_BBOB = 94  # 1 to 9 and 32 to 93 judged earlier versions of the hardened search
+FIRST_SCENE = 63  # a seed; which frames an instance looks at depends on it modulo `INSTANCES`
 PARTS = ("bbob", *CASES)
+SHIPPED = "shipped"  # the recording that the scene names
 _TUNING_SEEDS = 1000  # the first of them; none is judged on
 
 
@@ -37,6 +39,8 @@ class Task:
         Evaluations of each run.
     scene : str
         Path of the scene file.
+    traffic : str, optional
+        Path of the recording in place of the scene's.
     """
 
     name: str
@@ -45,6 +49,12 @@ class Task:
     instance: int
     budget: int
     scene: str
+    traffic: str | None = None
+
+    @property
+    def recording(self) -> str:
+        """Name of the recording that an instance of the scene looks at."""
+        return SHIPPED if self.traffic is None else recording_name(self.traffic)
 
     def run(self) -> list[dict]:
         """One dictionary for each run: solver, problem, and what `Counted.record` keeps."""
@@ -59,7 +69,7 @@ class Task:
                 yield self._judged(problem, name)
 
     def _scene(self) -> Iterator[dict]:
-        with scene_problem(self.scene, self.part, self.instance) as (problem, baseline):
+        with scene_problem(self.scene, self.part, self.instance, self.traffic) as (problem, baseline):
             for name in SOLVERS:
                 yield {**self._judged(problem, name), "baseline": baseline}
 
@@ -78,26 +88,38 @@ class Task:
                 yield {"problem": problem_name, "dimension": dimension, "solved": solved, "seeds": self.instance}
 
 
-def judging(parts: list[str], seeds: int, budget: int, scene: str | Path) -> list[Task]:
+def recording_name(traffic: str) -> str:
+    """What a recording is called: its file's name up to the first dot."""
+    return Path(traffic).name.split(".")[0]
+
+
+def judging(parts: list[str], seeds: int, budget: int, scene: str | Path, traffic: Sequence[str] = ()) -> list[Task]:
     """The pieces of the judging: instance by instance, so that a study that was stopped has all problems evenly.
+
+    `traffic` are files of further recordings that the scene is judged on; all have instances and seeds of their own.
 
     Raises
     ------
     InputError
-        For more seeds than the scene has instances.
+        For more seeds than a recording has instances, or recordings of one name.
     """
     if seeds > INSTANCES and set(parts) & set(CASES):
-        raise InputError(f"{seeds} seeds; the scene has {INSTANCES} instances: leave it out with --part bbob")
+        raise InputError(f"{seeds} seeds; a recording has {INSTANCES} instances: leave it out with --part bbob")
+    names = [SHIPPED, *map(recording_name, traffic)]
+    if len(set(names)) < len(names):
+        raise InputError(f"--traffic: recordings {', '.join(names)}; allowed: each name once")
     found = []
-    for instance in range(FIRST_INSTANCE, FIRST_INSTANCE + seeds):
-        if "bbob" in parts:
-            for d in bbob.DIMENSIONS:
-                found.append(Task(f"bbob_{d}d_{instance}", "bbob", str(d), instance, budget, str(scene)))
+    for instance in range(FIRST_BBOB, FIRST_BBOB + seeds) if "bbob" in parts else ():
+        for d in bbob.DIMENSIONS:
+            found.append(Task(f"bbob_{d}d_{instance}", "bbob", str(d), instance, budget, str(scene)))
     for case in CASES:
-        if case in parts:
-            for instance in range(FIRST_INSTANCE, FIRST_INSTANCE + seeds):
+        if case not in parts:
+            continue
+        for place, recording in enumerate([None, *traffic]):
+            first = FIRST_SCENE + place * INSTANCES
+            for instance in range(first, first + seeds):
                 name = f"{case}_{instance}".replace(" ", "_")
-                found.append(Task(name, case, "", instance, budget, str(scene)))
+                found.append(Task(name, case, "", instance, budget, str(scene), recording))
     return found
 
 

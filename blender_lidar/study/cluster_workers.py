@@ -67,7 +67,7 @@ class ClusterWorkers(Workers):
             executor.shutdown()
             raise
 
-    def sizes(self, items: int) -> list[int]:
+    def sizes(self, items: int, work: int) -> list[int]:
         return even_sizes(items, min(self.count * _TASKS_PER_WORKER, max(self.count, items // _LEAST_ITEMS)))
 
     def each(self, *arguments: Iterable) -> Iterator:

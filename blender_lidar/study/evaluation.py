@@ -106,7 +106,7 @@ class Evaluator:
         """
         chosen = np.arange(len(self.vehicles)) if frames is None else np.array(frames, dtype=int)
         order = np.argsort(self._turn[chosen], kind="stable")
-        tasks = self._tasks(chosen[order].tolist())
+        tasks = self._tasks(chosen[order].tolist(), len(poses))
         parts = self._pool.map(tasks, [tuple(poses)] * len(tasks), [fidelity] * len(tasks))
         back = np.argsort(order)
         objective, found = (np.concatenate(column, axis=1)[:, back] for column in zip(*parts, strict=True))
@@ -116,9 +116,9 @@ class Evaluator:
         """Until all processes have started, which they do in the background; raises `WorkerError` if one cannot."""
         self._pool.await_ready()
 
-    def _tasks(self, frames: list[int]) -> list[list[int]]:
+    def _tasks(self, frames: list[int], mountings: int) -> list[list[int]]:
         """The frames in as many parts as there are calls."""
-        ends = accumulate(self._pool.sizes(len(frames)), initial=0)
+        ends = accumulate(self._pool.sizes(len(frames), mountings), initial=0)
         return [frames[start:stop] for start, stop in pairwise(ends)]
 
 

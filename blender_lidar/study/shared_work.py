@@ -2,10 +2,10 @@
 
 Where all results are wanted together, the others take calls from the front and this one takes them from the back, until
 they meet: nobody waits while another is at work, and in like batches each meets the same items, so that what is kept
-for an item is made in one process. Calls are large at both ends and small where they meet: each costs something, and
-the last one is what others wait for. Where results are wanted one after another, all take the next, so that what is
-done can be stored at once. While the others start, this one is at work already; a run that is over by then has never
-waited for them.
+for an item is made in one process. Calls are large at both ends and small where they meet: to hand one over costs as
+much as a few casts of a frame, and the last one is what others wait for. Where results are wanted one after another,
+all take the next, so that what is done can be stored at once. While the others start, this one is at work already; a
+run that is over by then has never waited for them.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from .workers import Workers
 
 _AT_HAND = 2  # calls that each of the others is given at a time: what it makes, and the next
 _FEWEST_CALLS = 4  # for each process: one that starts late, or is slower, finds or leaves enough for the others
+_LEAST_WORK = 64  # casts of a frame that are no more calls than one and, to bridge the time until the next, a small one
 
 
 class SharedWork(Workers):
@@ -41,10 +42,11 @@ class SharedWork(Workers):
     def __init__(self, function: Callable, processes: int) -> None:
         self._function, self._pool, self.count = function, WorkerPool(function, processes - 1), processes
 
-    def sizes(self, items: int) -> list[int]:
-        others, most = self.count - 1, math.ceil(items / (_FEWEST_CALLS * self.count))
-        front = _tapered(items * others // self.count, others, most)
-        return front + _tapered(items - sum(front), 1, most)[::-1]
+    def sizes(self, items: int, work: int) -> list[int]:
+        others, least = self.count - 1, math.ceil(_LEAST_WORK / max(work, 1))
+        most = max(least, math.ceil(items / (_FEWEST_CALLS * self.count)))
+        front = _tapered(items * others // self.count, others, least, most)
+        return front + _tapered(items - sum(front), 1, 1, most)[::-1]
 
     def map(self, *arguments: Iterable) -> list:
         return list(self._results(arguments, from_back=True))
@@ -66,12 +68,17 @@ class SharedWork(Workers):
         return self._pool._failures_told()
 
 
-def _tapered(items: int, processes: int, most: int) -> list[int]:
-    """Sizes of calls for so many processes, that each take half of what is left to them, but no more than `most`."""
-    sizes = []
+def _tapered(items: int, processes: int, least: int, most: int) -> list[int]:
+    """Sizes of calls for so many processes, that each take half of what is left to them, within `least` and `most`.
+
+    One item of each is left to the end, whatever `least` says: the last call is the small one.
+    """
+    sizes: list[int] = []
     while items:
-        sizes.append(min(most, math.ceil(items / (2 * processes))))
-        items -= sizes[-1]
+        left = math.ceil(items / processes)
+        size = min(max(least, math.ceil(left / 2)), most, max(1, left - 1))
+        sizes += [min(size, items - turn * size) for turn in range(processes) if items > turn * size]
+        items = max(0, items - processes * size)
     return sizes
 
 

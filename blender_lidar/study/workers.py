@@ -32,8 +32,8 @@ class Workers:
         self._executor, self._call = executor, call
         self.count = count
 
-    def sizes(self, items: int) -> list[int]:
-        """How many of so many items, of about the same work each, every task is to take, in their order."""
+    def sizes(self, items: int, work: int) -> list[int]:
+        """How many of so many items every task is to take, in their order; each is about `work` casts of a frame."""
         return even_sizes(items, self.count * _TASKS_PER_WORKER)
 
     def map(self, *arguments: Iterable) -> list:
@@ -79,7 +79,7 @@ class Alone(Workers):
     def __init__(self, function: Callable) -> None:
         super().__init__(InProcessExecutor(), function, 1)
 
-    def sizes(self, items: int) -> list[int]:
+    def sizes(self, items: int, work: int) -> list[int]:
         return [items]
 
 
