@@ -197,7 +197,7 @@ def test_climbs_that_cannot_go_on_together_are_refused(damage):
     starts, block = np.array([[0.2], [0.8]]), np.arange(9) // 3
 
     def fresh():
-        return RungClimbs(starts, 24, 0.05, 4, block, range(7, 9))
+        return RungClimbs(starts, 24, 4, 0.05, 4, block, range(7, 9))
 
     climbs = fresh()
     climbs.tell(climbs.ask()[0] * np.arange(1.0, 5.0))

@@ -194,7 +194,7 @@ def test_climbs_side_by_side_come_to_what_each_comes_to_alone():
             met += climb.tell(objective(*climb.ask()))[0].tolist()
         return met
 
-    both = climbed(RungClimbs(starts, 42, 0.05, 4, block, range(7, 9)))
+    both = climbed(RungClimbs(starts, 42, 6, 0.05, 4, block, range(7, 9)))
     alone = [
         climbed(RacedClimb(starts[k], 0.05, 6, generations, 4, block, 7 + k)) for k, generations in ((0, 4), (1, 3))
     ]

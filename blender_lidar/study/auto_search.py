@@ -25,6 +25,7 @@ from .spending import Spending
 
 NAME = "auto"
 _STEPS = 0.1, 0.05, 0.012  # of the box, with which climbs start: on the first rung, later ones, and at the reference
+_SAMPLES = 6, 7  # to a generation, and more for more variables; more at the reference, where each handles all frames
 _FIRST_SHARE = 0.33  # of the frames that all samples of a later climb meet; on the first rung they are few
 _APART, _BARELY_APART = 0.04, 0.006  # of the box: what is nearer counts as the same mounting
 
@@ -222,7 +223,8 @@ class AutoSearch:
         step = _STEPS[2 if self._at_reference else min(self._level, 1)]
         seed, apart = self._seed + self._level, len(self._rungs)
         seeds = range(seed, seed + apart * len(starts), apart)
-        return RungClimbs(starts, rung.climb, step, first, self._block_of(rung), seeds)
+        samples = _SAMPLES[self._at_reference] + int(3.0 * math.log(self._lower.size))
+        return RungClimbs(starts, rung.climb, samples, step, first, self._block_of(rung), seeds)
 
     def _block_of(self, rung: Rung) -> np.ndarray:
         """Block of time of each of a rung's frames."""

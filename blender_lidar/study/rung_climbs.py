@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ import numpy as np
 from ..errors import InputError
 from .raced_climb import RacedClimb
 
-_SAMPLES = 4  # to a generation, and more for more variables
 
 
 class RungClimbs:
@@ -20,8 +18,8 @@ class RungClimbs:
     ----------
     starts : ndarray, (k, d)
         Where they begin, in shares of the box, the best first.
-    wanted : int
-        Samples in all; the best start takes the generation that is odd.
+    wanted, samples : int
+        Samples in all, and to a generation; the best start takes the generation that is odd.
     step, first, block
         As for `RacedClimb`.
     seeds : sequence of int, (k,) or more
@@ -29,10 +27,17 @@ class RungClimbs:
     """
 
     def __init__(
-        self, starts: np.ndarray, wanted: int, step: float, first: int, block: np.ndarray, seeds: range
+        self,
+        starts: np.ndarray,
+        wanted: int,
+        samples: int,
+        step: float,
+        first: int,
+        block: np.ndarray,
+        seeds: range,
     ) -> None:
-        self._starts, self._wanted, self._step, self._first = starts, wanted, step, first
-        self._block, self._seeds = block, seeds
+        self._starts, self._wanted, self._samples, self._step = starts, wanted, samples, step
+        self._first, self._block, self._seeds = first, block, seeds
         self._climbs = [self._fresh(number) for number in range(len(starts))]
 
     @property
@@ -57,11 +62,10 @@ class RungClimbs:
         return [climb for climb in self._climbs if not climb.done]
 
     def _fresh(self, number: int) -> RacedClimb:
-        count, d = self._starts.shape
-        samples = _SAMPLES + int(3.0 * math.log(d))
-        generations = max(1, (self._wanted // samples + count - 1 - number) // count)
+        count = len(self._starts)
+        generations = max(1, (self._wanted // self._samples + count - 1 - number) // count)
         start, seed = self._starts[number], self._seeds[number]
-        return RacedClimb(start, self._step, samples, generations, self._first, self._block, seed)
+        return RacedClimb(start, self._step, self._samples, generations, self._first, self._block, seed)
 
     def state(self) -> dict[str, Any]:
         """How far they have come, for JSON."""

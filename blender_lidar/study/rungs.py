@@ -19,7 +19,7 @@ from .frame_scorer import Observation
 FIRST_FRAMES = 8
 _CANDIDATES = (16, 8)  # of the second rung and the third
 _FINALISTS = 4
-_SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 30  # samples for each variable
+_SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 14  # samples for each variable
 _COARSE_BEAMS = 4000  # in a turn of the first rung: an eighth of an RS-16's, a thirty-second of an RS-80's
 _MOST_STRIDE = 32
 _FEWEST_COLUMNS = 40  # of a turn, whatever the stride
