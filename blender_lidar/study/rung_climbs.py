@@ -10,7 +10,6 @@ from ..errors import InputError
 from .raced_climb import RacedClimb
 
 
-
 class RungClimbs:
     """A climb from each of some starts.
 
