@@ -87,10 +87,10 @@ def test_where_the_reference_cannot_tell_two_peaks_apart_it_climbs_from_both():
     while not search.done:
         asked = search.ask()
         if search.stage.startswith("climb: body,"):
-            climbed.append(asked.x.mean(axis=0))
+            climbed += asked.x[:, 0].tolist()
         unlike = 3.0 * (-1.0) ** BLOCK[list(asked.frames)]  # blocks disagree about the one peak
         search.tell(two_peaks(asked, 0.0, 0.0) + np.where(asked.x[:, :1] > 1.0, unlike, 0.0))
-    assert {bool((mean > 1.0).all()) for mean in climbed} == {False, True}
+    assert {x > 1.0 for x in climbed} == {False, True}
     assert sum(row["candidates"] for row in search.spent) == search.evaluations <= search.budget
 
 
