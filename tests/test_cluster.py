@@ -223,7 +223,7 @@ def test_nothing_is_kept_on_the_cluster_once_it_is_left(cluster):
 def test_tasks_are_few_where_there_is_little_to_do_and_enough_to_even_out_much(cluster):
     workers = ClusterWorkers(abs, cluster.address)
     try:
-        assert [len(workers.sizes(items)) for items in (0, 1, 2, 30, 64, 10_000)] == [0, 1, 2, 2, 4, 8]
+        assert [len(workers.sizes(items, 1)) for items in (0, 1, 2, 30, 64, 10_000)] == [0, 1, 2, 2, 4, 8]
         assert workers.map([-1, 2, -3]) == [1, 2, 3]
         assert workers.map([]) == []
     finally:
