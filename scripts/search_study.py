@@ -1,6 +1,6 @@
 """How the searches do beside each other and beside other people's: docs/search.md made again.
 
-    python scripts/search_study.py [--out DIR] [--resume] [--seeds 31] [--quick] [--tune] [--part bbob] [--report]
+    python scripts/search_study.py [--out DIR] [--resume] [--seeds 31] [--part bbob] [--traffic FILE] [--quick] [--tune]
 
 Judges on BBOB in 2, 3 and 5 dimensions and on scenes/i80.toml with two and with five coordinates searched, 2,000
 evaluations to a run; with --traffic FILE the scene is judged on that recording besides. With --tune it makes the record
@@ -39,7 +39,8 @@ def main(argv: list[str] | None = None) -> int:
         print(f"search_study: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
-        print(f"search_study: stopped; go on with: --out {args.out} --resume", file=sys.stderr)
+        traffic = "".join(f" --traffic {path}" for path in args.traffic)
+        print(f"search_study: stopped; go on with: --out {args.out} --resume{traffic}", file=sys.stderr)
         return 1
 
 

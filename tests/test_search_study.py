@@ -253,13 +253,27 @@ def test_more_seeds_than_the_scene_has_instances_are_refused():
 def test_recordings_have_instances_seeds_and_names_of_their_own():
     tasks = judging(["bbob", "scene 2-D"], 2, 50, "scene.toml", ["there/a.csv.gz", "b.csv"])
     scene = [task for task in tasks if task.part == "scene 2-D"]
-    assert [task.recording for task in scene] == ["shipped", "shipped", "a", "a", "b", "b"]
-    assert [task.traffic for task in scene] == [None, None, "there/a.csv.gz", "there/a.csv.gz", "b.csv", "b.csv"]
+    assert [task.recording for task in scene] == ["shipped", "a.csv.gz", "b.csv"] * 2
+    assert [task.traffic for task in scene] == [None, "there/a.csv.gz", "b.csv"] * 2
     assert len({task.instance for task in scene}) == len({task.name for task in scene}) == 6
     assert len([task for task in tasks if task.part == "bbob"]) == 6
-    for same in (["a.csv", "there/a.csv.gz"], ["shipped.csv"]):
-        with pytest.raises(InputError, match="allowed: each name once"):
-            judging(["scene 2-D"], 2, 50, "scene.toml", same)
+    assert scene[0].instance % INSTANCES == scene[1].instance % INSTANCES  # the same places in each
+    with pytest.raises(InputError, match=r"recordings a\.csv, a\.csv; allowed: each name once"):
+        judging(["scene 2-D"], 2, 50, "scene.toml", ["a.csv", "there/a.csv"])
+
+
+def test_a_further_recording_takes_the_place_of_the_scene_s(tmp_path):
+    scene, at = write_scene(tmp_path), np.array([[3.0, 10.0], [4.0, 15.0]])
+    rows = traffic_rows()
+    write_table(tmp_path / "same.csv", rows)
+    write_table(tmp_path / "fewer.csv", [row for row in rows if row[1] % 3])
+    found = {}
+    for name in (None, "same.csv", "fewer.csv"):
+        traffic = None if name is None else str(tmp_path / name)
+        with scene_problem(scene, "scene 2-D", 0, traffic) as (problem, baseline):
+            found[name] = [*problem.objective(at).tolist(), baseline]
+    assert found[None] == found["same.csv"]
+    assert found[None] != found["fewer.csv"]
 
 
 def test_the_tuning_is_on_seeds_that_nothing_is_judged_on():

@@ -111,7 +111,8 @@ def _libraries() -> list[str]:
 def _about() -> str:
     versions = [f"Python {platform.python_version()}", *_libraries()]
     return (
-        "\n## How to make it again\n\n`python scripts/search_study.py --out DIR` judges, with `--tune` it makes the "
-        'record of the tuning; `pip install -e ".[fast,plots,study]"`.\n'
+        "\n## How to make it again\n\n`python scripts/search_study.py --out DIR` judges, with `--traffic FILE` on that "
+        "recording besides (the extra `sumo` and `scripts/make_traffic.py --seed SEED --out FILE` make one), "
+        'with `--tune` it makes the record of the tuning; `pip install -e ".[fast,plots,study]"`.\n'
         f"{', '.join(versions)}; frames were cast by {resolve('auto', 'caster')}.\n"
     )

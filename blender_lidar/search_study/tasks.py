@@ -54,7 +54,7 @@ class Task:
     @property
     def recording(self) -> str:
         """Name of the recording that an instance of the scene looks at."""
-        return SHIPPED if self.traffic is None else recording_name(self.traffic)
+        return SHIPPED if self.traffic is None else Path(self.traffic).name
 
     def run(self) -> list[dict]:
         """One dictionary for each run: solver, problem, and what `Counted.record` keeps."""
@@ -88,11 +88,6 @@ class Task:
                 yield {"problem": problem_name, "dimension": dimension, "solved": solved, "seeds": self.instance}
 
 
-def recording_name(traffic: str) -> str:
-    """What a recording is called: its file's name up to the first dot."""
-    return Path(traffic).name.split(".")[0]
-
-
 def judging(parts: list[str], seeds: int, budget: int, scene: str | Path, traffic: Sequence[str] = ()) -> list[Task]:
     """The pieces of the judging: instance by instance, so that a study that was stopped has all problems evenly.
 
@@ -105,7 +100,7 @@ def judging(parts: list[str], seeds: int, budget: int, scene: str | Path, traffi
     """
     if seeds > INSTANCES and set(parts) & set(CASES):
         raise InputError(f"{seeds} seeds; a recording has {INSTANCES} instances: leave it out with --part bbob")
-    names = [SHIPPED, *map(recording_name, traffic)]
+    names = [Path(path).name for path in traffic]
     if len(set(names)) < len(names):
         raise InputError(f"--traffic: recordings {', '.join(names)}; allowed: each name once")
     found = []
@@ -115,9 +110,9 @@ def judging(parts: list[str], seeds: int, budget: int, scene: str | Path, traffi
     for case in CASES:
         if case not in parts:
             continue
-        for place, recording in enumerate([None, *traffic]):
-            first = FIRST_SCENE + place * INSTANCES
-            for instance in range(first, first + seeds):
+        for seed in range(FIRST_SCENE, FIRST_SCENE + seeds):
+            for place, recording in enumerate([None, *traffic]):
+                instance = seed + place * INSTANCES
                 name = f"{case}_{instance}".replace(" ", "_")
                 found.append(Task(name, case, "", instance, budget, str(scene), recording))
     return found

@@ -25,7 +25,7 @@ from .spending import Spending
 
 NAME = "auto"
 _STEPS = 0.1, 0.05, 0.012  # of the box, with which climbs start: on the first rung, later ones, and at the reference
-_SAMPLES = 6, 7  # to a generation, and more for more variables; more at the reference, where each handles all frames
+_SAMPLES = 6, 7  # to a generation, and more for more variables; at the reference, where each is a round of large calls
 _FIRST_SHARE = 0.33  # of the frames that all samples of a later climb meet; on the first rung they are few
 _APART, _BARELY_APART = 0.04, 0.006  # of the box: what is nearer counts as the same mounting
 
@@ -100,7 +100,7 @@ class AutoSearch:
     @property
     def budget(self) -> int:
         """Candidates that the whole search scores at most, on any rung."""
-        return self._screen.budget + sum(rung.candidates + rung.climb for rung in self._rungs)
+        return self._screen.budget + sum(rung.candidates + rung.climb for rung in self._rungs) + self._rungs[-1].climb
 
     @property
     def evaluations(self) -> int:
@@ -224,7 +224,8 @@ class AutoSearch:
         seed, apart = self._seed + self._level, len(self._rungs)
         seeds = range(seed, seed + apart * len(starts), apart)
         samples = _SAMPLES[self._at_reference] + int(3.0 * math.log(self._lower.size))
-        return RungClimbs(starts, rung.climb, samples, step, first, self._block_of(rung), seeds)
+        wanted = rung.climb * (len(starts) if self._at_reference else 1)  # too short to be shared by two
+        return RungClimbs(starts, wanted, samples, step, first, self._block_of(rung), seeds)
 
     def _block_of(self, rung: Rung) -> np.ndarray:
         """Block of time of each of a rung's frames."""

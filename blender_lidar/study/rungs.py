@@ -19,7 +19,7 @@ from .frame_scorer import Observation
 FIRST_FRAMES = 8
 _CANDIDATES = (16, 8)  # of the second rung and the third
 _FINALISTS = 4
-_SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 14  # samples for each variable
+_SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 14  # samples for each variable, of two at least
 _COARSE_BEAMS = 4000  # in a turn of the first rung: an eighth of an RS-16's, a thirty-second of an RS-80's
 _MOST_STRIDE = 32
 _FEWEST_COLUMNS = 40  # of a turn, whatever the stride
@@ -94,12 +94,13 @@ def make_rungs(
     order, stride = spread_order(block, vehicles), coarsest_stride(observation)
     cheap, reference = min(observation.detail, "body", key=DETAILS.index), Fidelity(observation.detail)
     coarse, finer = Fidelity(cheap, stride), Fidelity(cheap, max(1, stride // 2))
-    climb = 0 if finer == reference else _COARSE_CLIMB * variables
+    across = max(variables, 2)  # with one too a climb takes some generations
+    climb = 0 if finer == reference else _COARSE_CLIMB * across
     return (
-        Rung(coarse, order[:FIRST_FRAMES], climb=_SCREEN_CLIMB * variables),
+        Rung(coarse, order[:FIRST_FRAMES], climb=_SCREEN_CLIMB * across),
         Rung(coarse, order[: 2 * FIRST_FRAMES], candidates=_CANDIDATES[0]),
         Rung(finer, order[: 4 * FIRST_FRAMES], candidates=_CANDIDATES[1], climb=climb),
-        Rung(reference, order, candidates=_FINALISTS, climb=_LAST_CLIMB * variables),
+        Rung(reference, order, candidates=_FINALISTS, climb=_LAST_CLIMB * across),
     )
 
 

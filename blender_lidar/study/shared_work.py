@@ -20,7 +20,7 @@ from .workers import Workers
 
 _AT_HAND = 2  # calls that each of the others is given at a time: what it makes, and the next
 _FEWEST_CALLS = 4  # for each process: one that starts late, or is slower, finds or leaves enough for the others
-_LEAST_WORK = 64  # casts of a frame that are no more calls than one and, to bridge the time until the next, a small one
+_LEAST_WORK = 64  # casts of a frame: less is not divided, whatever _FEWEST_CALLS, but for a small call behind it
 
 
 class SharedWork(Workers):
@@ -75,10 +75,10 @@ def _tapered(items: int, processes: int, least: int, most: int) -> list[int]:
     """
     sizes: list[int] = []
     while items:
-        left = math.ceil(items / processes)
+        left, calls = math.ceil(items / processes), min(processes, items)
         size = min(max(least, math.ceil(left / 2)), most, max(1, left - 1))
-        sizes += [min(size, items - turn * size) for turn in range(processes) if items > turn * size]
-        items = max(0, items - processes * size)
+        sizes += [size] * calls
+        items -= size * calls
     return sizes
 
 

@@ -33,7 +33,7 @@ class Workers:
         self.count = count
 
     def sizes(self, items: int, work: int) -> list[int]:
-        """How many of so many items every task is to take, in their order; each is about `work` casts of a frame."""
+        """How many of so many items every task is to take, in their order; each is `work` casts of a frame."""
         return even_sizes(items, self.count * _TASKS_PER_WORKER)
 
     def map(self, *arguments: Iterable) -> list:
