@@ -55,7 +55,7 @@ class RacedClimb:
     def ask(self) -> tuple[np.ndarray, slice]:
         """Candidates, (s, d) in shares of the box, and which of the frames they are to meet."""
         if self._begun is None:
-            return self._climb.candidates.copy(), slice(0, self._first)
+            return self._climb.candidates, slice(0, self._first)
         return self._climb.candidates[self._better()], slice(self._first, len(self._block))
 
     def tell(self, objective: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -74,7 +74,7 @@ class RacedClimb:
         else:
             rows = self._better()
             whole = np.concatenate([self._begun[rows], objective], axis=1)
-        met = self._climb.candidates[rows].copy()
+        met = self._climb.candidates[rows]
         self._climb.tell(self._ranks(rows, whole))
         self._left, self._begun = self._left - 1, None
         self._climb.move()
