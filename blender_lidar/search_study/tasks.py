@@ -103,19 +103,24 @@ def judging(parts: list[str], seeds: int, budget: int, scene: str | Path, traffi
     names = [Path(path).name for path in traffic]
     if len(set(names)) < len(names):
         raise InputError(f"--traffic: recordings {', '.join(names)}; allowed: each name once")
-    found = []
-    for instance in range(FIRST_BBOB, FIRST_BBOB + seeds) if "bbob" in parts else ():
-        for d in bbob.DIMENSIONS:
-            found.append(Task(f"bbob_{d}d_{instance}", "bbob", str(d), instance, budget, str(scene)))
+    found = list(_on_bbob(seeds, budget, str(scene))) if "bbob" in parts else []
     for case in CASES:
-        if case not in parts:
-            continue
-        for seed in range(FIRST_SCENE, FIRST_SCENE + seeds):
-            for place, recording in enumerate([None, *traffic]):
-                instance = seed + place * INSTANCES
-                name = f"{case}_{instance}".replace(" ", "_")
-                found.append(Task(name, case, "", instance, budget, str(scene), recording))
+        if case in parts:
+            found += _on_scene(case, seeds, budget, str(scene), traffic)
     return found
+
+
+def _on_bbob(seeds: int, budget: int, scene: str) -> Iterator[Task]:
+    for instance in range(FIRST_BBOB, FIRST_BBOB + seeds):
+        for d in bbob.DIMENSIONS:
+            yield Task(f"bbob_{d}d_{instance}", "bbob", str(d), instance, budget, scene)
+
+
+def _on_scene(case: str, seeds: int, budget: int, scene: str, traffic: Sequence[str]) -> Iterator[Task]:
+    for seed in range(FIRST_SCENE, FIRST_SCENE + seeds):
+        for place, recording in enumerate([None, *traffic]):
+            instance = seed + place * INSTANCES
+            yield Task(f"{case}_{instance}".replace(" ", "_"), case, "", instance, budget, scene, recording)
 
 
 def tuning(seeds: int, budget: int) -> list[Task]:

@@ -39,7 +39,7 @@ class Rung:
     candidates : int
         How many mountings come here from the rung below, at most; the first rung has a search in their place.
     climb : int
-        Samples of a climb from the best of them.
+        Samples of the climbs from the best of them in all; at the reference, of each.
     """
 
     fidelity: Fidelity
