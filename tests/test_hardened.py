@@ -75,13 +75,13 @@ def test_a_search_resumed_before_every_batch_comes_to_the_same_to_the_last_bit(o
     climbed = set()
     while not search.done:
         state = search.state()
-        climbed.add((state["climbing"], state["climbs"]))
+        climbed.add((state["climbing"], len(state["climbed"])))
         search = search_from_state(json.loads(json.dumps(state, allow_nan=False)))
         assert np.array_equal(search.ask(), search.ask())
         search.tell(objective(search.ask()))
     assert {(False, 0), (True, 1)} <= climbed
     if objective is terraces:
-        assert {(False, 1), (True, 2)} <= climbed  # a restart of either part too
+        assert (True, 3) in climbed  # a second climb too
     assert np.array_equal(search.history, whole.history)
 
 
@@ -302,7 +302,7 @@ def test_without_climbs_swarms_follow_one_another_to_the_end_of_the_budget():
         search.tell(sphere(search.ask()))
         swarms.add(id(search._swarm))
     state = search.state()
-    assert (state["climb"], state["spent"]["climbs"]) == (None, 0)
+    assert (state["climb"], state["climbed"]) == (None, [])
     assert len(swarms) > 1
     np.testing.assert_allclose(search.best_x, OPTIMUM, rtol=1e-2)
 
@@ -368,7 +368,6 @@ def test_a_climb_to_a_wall_along_an_edge_or_into_a_corner_arrives(best):
         ({"particles": 0}, "particles: 0; allowed: 1 or more"),
         ({"evaluations": 2.5}, "evaluations: 2.5; allowed: a whole number"),
         ({"opening": 1.5}, "opening: 1.5; allowed: a finite number from 0 to 1"),
-        ({"reserve": -1}, "reserve: -1; allowed: 0 or more"),
         ({"flights": 1.5}, "flights: 1.5; allowed: a finite number from 0 to 1"),
         ({"greed": "all"}, "greed: 'all'; allowed: a finite number"),
         ({"turned": -1.0}, "turned: -1.0; allowed: a finite number"),

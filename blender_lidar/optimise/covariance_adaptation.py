@@ -78,6 +78,21 @@ class CovarianceAdaptation:
         return np.clip(self._drawn, 0.0, 1.0)
 
     @property
+    def mean(self) -> np.ndarray:
+        """Where it stands, (d,), in the box."""
+        return np.clip(self._mean, 0.0, 1.0)
+
+    @property
+    def reached(self) -> float:
+        """The best value it was told; ``-inf`` before the first."""
+        return self._reached
+
+    @property
+    def generation(self) -> int:
+        """Generations it was told."""
+        return self._generation
+
+    @property
     def exhausted(self) -> bool:
         """Whether it has arrived, lost its way, or has long found nothing better."""
         longest, shortest = self._lengths.max(), self._lengths.min()

@@ -1,10 +1,10 @@
-"""The hardened search: a swarm for breadth, CMA-ES for depth, and restarts of either when it has nothing left to do.
+"""The hardened search: a swarm for breadth, CMA-ES for depth, basin by basin, and a new swarm when none is left.
 
-A swarm (`AdaptiveSwarm`: particle swarm and differential evolution) opens, with up to half of the budget; the climbs
-are left what one usually needs. Then a Gaussian climbs (`CovarianceAdaptation`) from the swarm's best point, with the
-width and shape of its better half. When that has arrived, or is stuck, the swarm goes on until it has had as many
-evaluations as the climbs; then the next climb starts, with twice the samples. A swarm that has collapsed, or has long
-found nothing better, is replaced by a new one.
+A swarm (`AdaptiveSwarm`: particle swarm and differential evolution) opens, with a third of the budget. Then a Gaussian
+climbs (`CovarianceAdaptation`) from the swarm's best point, with the width and shape of its better half; and further
+ones climb the other basins that the points evaluated so far tell of (`Basins`), the best first. A climb ends
+when it has arrived, is stuck, or has become narrow below the best that is known. When no basin is left, all begins
+anew with another swarm.
 
 It works in shares of the box and by the order of values alone, so that its candidates do not depend on origin and unit
 of a variable, nor on anything that raises all values in order. docs/search.md tells how it was chosen and judged.
@@ -20,17 +20,19 @@ import numpy as np
 
 from ..errors import InputError
 from .adaptive_swarm import AdaptiveSwarm
+from .basins import Basins
 from .checks import check_number, check_whole
-from .covariance_adaptation import CovarianceAdaptation
+from .covariance_adaptation import NARROW, CovarianceAdaptation
 from .recorded import RecordedSearch
 from .sampling import generator
-from .stored import read_count
+from .stored import read_array, read_count
 
 _FEWEST = 4  # particles of a swarm, samples of a climb
 _NARROWEST, _WIDEST = 1e-3, 0.25  # step sizes that a climb may start with, in shares of the box
 _FEWEST_GENERATIONS = 3  # of the opening
 _ROUND = 0.1  # share of a round shape in that of a climb that starts: no direction is left out
-_MOST_SAMPLES = 1000
+_HOPELESS = 0.01  # of the box: a generation no wider than that, below the best known, will hardly get there
+_HOPE = 3  # generations that a climb has in any case
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +46,7 @@ class HardenedSettings:
     evaluations : int
         The budget, 1 or more.
     opening : float
-        Largest share of the budget that the swarm opens with.
-    reserve : int
-        Evaluations for each variable that the opening leaves to the climbs, as far as three generations allow.
+        Share of the budget that a swarm opens with; three generations at least.
     flights : float
         Chance per particle and generation of a particle-swarm move in place of a differential jump.
     greed : float
@@ -64,15 +64,14 @@ class HardenedSettings:
 
     particles: int = 20
     evaluations: int = 2000
-    opening: float = 0.5
-    reserve: int = 250
+    opening: float = 0.35
     flights: float = 0.2
     greed: float = 0.1
     turned: float = 0.3
     climbs: bool = True
 
     def __post_init__(self) -> None:
-        for name, least in (("particles", 1), ("evaluations", 1), ("reserve", 0)):
+        for name, least in (("particles", 1), ("evaluations", 1)):
             object.__setattr__(self, name, check_whole(getattr(self, name), least, name))
         for name in ("opening", "flights", "greed", "turned"):
             object.__setattr__(self, name, check_number(getattr(self, name), 0.0, 1.0, name))
@@ -84,10 +83,10 @@ class HardenedSettings:
         """Particles of a swarm within the budget."""
         return max(_FEWEST, min(self.particles, self.evaluations // 10))
 
-    def opening_evaluations(self, variables: int) -> int:
-        """Evaluations of the swarm before the first climb."""
-        left = max(self.evaluations - self.reserve * variables, _FEWEST_GENERATIONS * self.swarm)
-        return min(left, int(self.opening * self.evaluations))
+    @property
+    def opening_evaluations(self) -> int:
+        """Evaluations of a swarm before the climbs."""
+        return max(int(self.opening * self.evaluations), _FEWEST_GENERATIONS * self.swarm)
 
 
 class Hardened(RecordedSearch):
@@ -116,17 +115,19 @@ class Hardened(RecordedSearch):
         super().__init__(lower, upper, budget=self.settings.evaluations, per_iteration=self.settings.swarm)
         self._seed = check_whole(seed, 0, "seed")
         self._rng = generator(self._seed)
-        self._swarm = self._fresh_swarm()
+        self._begin_anew()
         self._climb: CovarianceAdaptation | None = None
         self._climbing = False  # whose candidates are asked for
-        self._climbs = 0
-        self._spent = {"swarm": 0, "climbs": 0}
+        self._basins = Basins(self._lower.size)
+        self._climbed: list[np.ndarray] = []  # where climbs began and ended, in shares of the box
         self._batches: list[int] = []
 
-    def _fresh_swarm(self) -> AdaptiveSwarm:
+    def _begin_anew(self) -> None:
         use = self.settings
         moves = {"flights": use.flights, "greed": use.greed, "turned": use.turned}
-        return AdaptiveSwarm(self._rng, use.swarm, self._lower.size, **moves)
+        self._swarm = AdaptiveSwarm(self._rng, use.swarm, self._lower.size, **moves)
+        self._opened = 0  # evaluations of this swarm
+        self._followed = False  # whether a climb has started from its best
 
     def _shares(self) -> np.ndarray:
         batch = self._climb.candidates if self._climbing else self._swarm.candidates
@@ -140,41 +141,68 @@ class Hardened(RecordedSearch):
         super().tell(values)
         values = np.asarray(values, dtype=float)
         self._batches.append(values.size)
+        self._watch(self.evaluations - values.size, self.evaluations)
         if self.done:
             return
-        (self._climb if self._climbing else self._swarm).tell(values)
-        self._spent["climbs" if self._climbing else "swarm"] += values.size
+        if self._climbing:
+            self._climb.tell(values)
+        else:
+            self._swarm.tell(values)
+            self._opened += values.size
         self._choose()
         (self._climb if self._climbing else self._swarm).move()
 
-    def _choose(self) -> None:
-        """Whose turn it is: the climb's until it is exhausted, the swarm's until it has had its share."""
-        if self._climbing and not self._climb.exhausted:
-            return
-        self._climbing = False
-        if self.best_value == -math.inf:  # nothing feasible yet: there is nothing to learn from
-            self._swarm = self._fresh_swarm()
-            return
-        if not self.settings.climbs:
-            if self._swarm.exhausted:
-                self._swarm = self._fresh_swarm()
-            return
-        opening = self.settings.opening_evaluations(self._lower.size)
-        share = self._spent["climbs"] if self._climbs else opening
-        if self._spent["swarm"] >= share or self._swarm.exhausted:
-            self._start_climb()
+    def _watch(self, first: int, last: int) -> None:
+        """Tell the basins of the record's rows from `first` to before `last`: what is recorded is all they know."""
+        shares = (np.array(self._x[first:last]) - self._lower) / (self._upper - self._lower)
+        self._basins.add(shares, np.array(self._values[first:last]))
 
-    def _start_climb(self) -> None:
+    def _choose(self) -> None:
+        """Whose turn it is: the climb's until it is over, a swarm's until it has had its share, then a new climb's."""
+        if self._climbing and not self._over():
+            return
+        if self._climbing:
+            self._climbed.append(self._climb.mean)
+            self._climbing = False
+        opened = self._opened >= self.settings.opening_evaluations or self._swarm.exhausted
+        if self.best_value == -math.inf:  # nothing feasible yet: there is nothing to learn from
+            self._begin_anew()
+        elif not self.settings.climbs:
+            if self._swarm.exhausted:
+                self._begin_anew()
+        elif opened and not self._followed:
+            self._climb_from_swarm()
+        elif opened:
+            self._climb_elsewhere()
+
+    def _over(self) -> bool:
+        """Whether the climb has ended, or will hardly reach the best that is known."""
+        climb = self._climb
+        width = np.ptp(climb.candidates, axis=0).max()
+        hopeless = width < _HOPELESS and climb.generation > _HOPE and climb.reached < self.best_value
+        return bool(climb.exhausted or width < NARROW or hopeless)
+
+    def _climb_from_swarm(self) -> None:
         swarm, d = self._swarm, self._lower.size
         shape = swarm.shape()
         mean_variance = max(float(np.trace(shape)) / d, _NARROWEST**2)
-        step = min(math.sqrt(mean_variance), _WIDEST)
         shape = (1.0 - _ROUND) * shape / mean_variance + _ROUND * np.eye(d)
-        samples = min((_FEWEST + int(3.0 * math.log(d))) * 2**self._climbs, _MOST_SAMPLES)
-        self._climb = CovarianceAdaptation(self._rng, swarm.best[swarm.order[0]], step, samples, shape)
-        self._climbing, self._climbs = True, self._climbs + 1
-        if swarm.exhausted:
-            self._swarm = self._fresh_swarm()
+        self._followed = True
+        self._start_climb(swarm.best[swarm.order[0]], math.sqrt(mean_variance), shape)
+
+    def _climb_elsewhere(self) -> None:
+        found = self._basins.unclimbed(np.array(self._climbed))
+        if found is None:
+            self._begin_anew()
+            return
+        start, distance = found
+        self._start_climb(start, max(distance / 2.0, _NARROWEST))
+
+    def _start_climb(self, start: np.ndarray, step: float, shape: np.ndarray | None = None) -> None:
+        samples = _FEWEST + int(3.0 * math.log(self._lower.size))
+        self._climb = CovarianceAdaptation(self._rng, start, min(step, _WIDEST), samples, shape)
+        self._climbed.append(start.copy())
+        self._climbing = True
 
     @property
     def iteration(self) -> int:
@@ -199,8 +227,9 @@ class Hardened(RecordedSearch):
             "swarm": self._swarm.state(),
             "climb": None if self._climb is None else self._climb.state(),
             "climbing": self._climbing,
-            "climbs": self._climbs,
-            "spent": dict(self._spent),
+            "climbed": [point.tolist() for point in self._climbed],
+            "opened": self._opened,
+            "followed": self._followed,
             "random": self._rng.bit_generator.state,
         }
 
@@ -209,12 +238,17 @@ class Hardened(RecordedSearch):
         self._batches = [read_count({"batches": size}, "batches") for size in state["batches"]]
         if sum(self._batches) != self.evaluations:
             raise InputError(f"batches: {sum(self._batches)} evaluations in all, not {self.evaluations}")
+        last = np.cumsum(self._batches)
+        for first, end in zip(last - self._batches, last, strict=True):
+            self._watch(first, end)
         self._swarm.restore(state["swarm"])
         climb = state["climb"]
         self._climb = None if climb is None else CovarianceAdaptation.restored(self._rng, self._lower.size, climb)
         self._climbing = bool(state["climbing"])
         if self._climbing and climb is None:
             raise InputError("climb: none is stored, but it is its turn")
-        self._climbs = read_count(state, "climbs")
-        self._spent = {name: read_count(state["spent"], name) for name in ("swarm", "climbs")}
+        self._climbed = list(read_array(state, "climbed", (len(state["climbed"]), self._lower.size)))
+        self._opened, self._followed = read_count(state, "opened"), bool(state["followed"])
+        if self._followed and not self._climbed:
+            raise InputError("climbed: nothing is stored, but a climb has started")
         self._rng.bit_generator.state = state["random"]

@@ -16,7 +16,7 @@ OUR_CHOICES: dict[str, Solver] = {
     "hardened, always turned": hardened({"turned": 1.0}),
     "hardened, opening at most 0.03": hardened({"opening": 0.03}),
     "hardened, opening at most 0.25": hardened({"opening": 0.25}),
-    "hardened, opening at most 0.75": hardened({"opening": 0.75, "reserve": 100}),
+    "hardened, opening at most 0.75": hardened({"opening": 0.75}),
     "hardened, no climbs": hardened({"climbs": False}),
 }
 SCIPY_CHOICES: dict[str, Solver] = {
