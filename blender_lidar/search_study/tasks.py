@@ -14,7 +14,7 @@ from .scene_problems import CASES, INSTANCES, scene_problem
 from .solvers import SOLVERS, solve
 from .tuning import CHOICES
 
-FIRST_BBOB = 94  # 1 to 9 and 32 to 93 judged earlier versions of the hardened search
+FIRST_BBOB = 125  # 1 to 9 and 32 to 124 judged earlier versions of the hardened search
 FIRST_SCENE = 63  # a seed; which frames an instance looks at depends on it modulo `INSTANCES`
 PARTS = ("bbob", *CASES)
 SHIPPED = "shipped"  # the recording that the scene names
