@@ -35,7 +35,7 @@ def unclimbed_by_definition(points, values, climbed):
     if not finite:
         return None
     near = sum(finite) / len(finite)
-    starts = [i for i in feasible if nearest[i] >= near and min(math.dist(points[i], c) for c in climbed) >= near]
+    starts = [i for i in feasible if nearest[i] > near and min(math.dist(points[i], c) for c in climbed) > near]
     return min(starts, key=lambda i: (-values[i], i), default=None)
 
 

@@ -75,7 +75,7 @@ def test_a_search_resumed_before_every_batch_comes_to_the_same_to_the_last_bit(o
     climbed = set()
     while not search.done:
         state = search.state()
-        climbed.add((state["climbing"], len(state["climbed"])))
+        climbed.add((state["climb"] is not None, len(state["climbed"])))
         search = search_from_state(json.loads(json.dumps(state, allow_nan=False)))
         assert np.array_equal(search.ask(), search.ask())
         search.tell(objective(search.ask()))
@@ -311,6 +311,64 @@ def test_many_local_maxima_are_left_behind_with_every_seed():
     for seed in range(11):
         found = maximise(ackley, LOWER, UPPER, seed=seed)
         np.testing.assert_allclose(found.x, OPTIMUM, rtol=1e-3)
+
+
+def swarms_and_ended_climbs(objective, use, lower=LOWER, upper=UPPER, seed=0):
+    """All swarms of a search; and for each climb that ended: its width then, what it reached, the best known."""
+    search, swarms, climbs = Hardened(lower, upper, seed=seed, settings=use), [], []
+    while not search.done:
+        climb = search._climb
+        search.tell(objective(search.ask()))
+        if climb is not None and search._climb is not climb:
+            climbs.append((np.ptp(climb.candidates, axis=0).max(), climb.reached, search.best_value))
+        if not swarms or search._swarm is not swarms[-1]:
+            swarms.append(search._swarm)
+    return swarms, climbs
+
+
+def hills(x):
+    """Five round hills, the best of them neither wide nor in the middle."""
+    tops = np.array([[2.3, 3.0], [2.6, 20.0], [3.2, 12.0], [4.0, 5.0], [4.2, 21.0]])
+    away = (x[:, None] - tops) / (UPPER - LOWER)
+    return (np.array([0.9, 1.0, 0.8, 0.95, 0.85]) - 4.0 * np.square(away).sum(axis=2)).max(axis=1)
+
+
+def test_climbs_after_the_first_go_to_other_hills_and_end_before_they_are_through_with_a_lower_one():
+    """Climbs used to start at the best point of the same swarm again, and climbed the same hill to the end."""
+    for seed in range(5):
+        _, climbs = swarms_and_ended_climbs(hills, HardenedSettings(), seed=seed)
+        lower = [(width, reached) for width, reached, best in climbs if reached < best - 0.02]
+        assert min(width for width, _ in lower) > 1e-4
+        assert len({round(reached, 2) for _, reached in lower}) >= 3
+        assert max(best for *_, best in climbs) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_large_budget_begins_anew_and_finds_a_hill_that_one_swarm_misses():
+    def hidden(x):
+        away = (x - LOWER) / (UPPER - LOWER)
+        distance = np.linalg.norm(away - 0.8, axis=1)
+        return np.where(distance < 0.03, 1.0 - distance, -np.square(away - 0.3).sum(axis=1))
+
+    found = [maximise(hidden, LOWER, UPPER, seed=seed, evaluations=20_000).value > 0.0 for seed in range(5)]
+    assert sum(found) >= 3
+
+
+@pytest.mark.parametrize("objective", [sphere, lambda x: x[:, 0] - x[:, 1]], ids=["inside", "in a corner"])
+def test_no_round_is_longer_than_a_thousand_evaluations_for_each_variable_and_a_climb(objective):
+    """All the rest of a budget went to climbs about the best point; in a corner all of these were one point."""
+    swarms, _ = swarms_and_ended_climbs(objective, HardenedSettings(evaluations=10_000))
+    assert len(swarms) >= 4
+
+
+def test_a_swarm_without_a_feasible_point_is_replaced_at_once():
+    search = Hardened(LOWER, UPPER, seed=0, settings=HardenedSettings(evaluations=6000))
+    first = search._swarm
+    while search._swarm is first:
+        search.tell(sphere(search.ask()))
+    second = search._swarm
+    search.tell(np.full(len(search.ask()), -np.inf))
+    assert search._swarm is not second
+    assert search.state()["climb"] is None
 
 
 def test_an_optimum_in_a_corner_is_reached():

@@ -93,6 +93,11 @@ class CovarianceAdaptation:
         return self._generation
 
     @property
+    def idle(self) -> int:
+        """Generations without a better best."""
+        return self._idle
+
+    @property
     def exhausted(self) -> bool:
         """Whether it has arrived, lost its way, or has long found nothing better."""
         longest, shortest = self._lengths.max(), self._lengths.min()

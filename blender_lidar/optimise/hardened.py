@@ -1,10 +1,10 @@
 """The hardened search: a swarm for breadth, CMA-ES for depth, basin by basin, and a new swarm when none is left.
 
-A swarm (`AdaptiveSwarm`: particle swarm and differential evolution) opens, with a third of the budget. Then a Gaussian
-climbs (`CovarianceAdaptation`) from the swarm's best point, with the width and shape of its better half; and further
-ones climb the other basins that the points evaluated so far tell of (`Basins`), the best first. A climb ends
-when it has arrived, is stuck, or has become narrow below the best that is known. When no basin is left, all begins
-anew with another swarm.
+A swarm (`AdaptiveSwarm`: particle swarm and differential evolution) opens, with a third of a round, or until it has
+collapsed. Then a Gaussian climbs (`CovarianceAdaptation`) from the swarm's best point, with the width and shape of its
+better half; further ones climb other basins, the best first, as the points evaluated so far tell of them (`Basins`).
+A climb ends when it has arrived, is stuck, or has become narrow below the best that is known. After 1,000 evaluations
+for each variable, or when no basin is left, the next round begins with another swarm.
 
 It works in shares of the box and by the order of values alone, so that its candidates do not depend on origin and unit
 of a variable, nor on anything that raises all values in order. docs/search.md tells how it was chosen and judged.
@@ -30,7 +30,8 @@ from .stored import read_array, read_count
 _FEWEST = 4  # particles of a swarm, samples of a climb
 _NARROWEST, _WIDEST = 1e-3, 0.25  # step sizes that a climb may start with, in shares of the box
 _FEWEST_GENERATIONS = 3  # of the opening
-_ROUND = 0.1  # share of a round shape in that of a climb that starts: no direction is left out
+_ROUNDNESS = 0.1  # share of a round shape in that of a climb that starts: no direction is left out
+_ROUND = 1000  # evaluations for each variable
 _HOPELESS = 0.01  # of the box: a generation no wider than that, below the best known, will hardly get there
 _HOPE = 3  # generations that a climb has in any case
 
@@ -46,7 +47,7 @@ class HardenedSettings:
     evaluations : int
         The budget, 1 or more.
     opening : float
-        Share of the budget that a swarm opens with; three generations at least.
+        Share of a round that a swarm opens with; three generations at least.
     flights : float
         Chance per particle and generation of a particle-swarm move in place of a differential jump.
     greed : float
@@ -83,11 +84,6 @@ class HardenedSettings:
         """Particles of a swarm within the budget."""
         return max(_FEWEST, min(self.particles, self.evaluations // 10))
 
-    @property
-    def opening_evaluations(self) -> int:
-        """Evaluations of a swarm before the climbs."""
-        return max(int(self.opening * self.evaluations), _FEWEST_GENERATIONS * self.swarm)
-
 
 class Hardened(RecordedSearch):
     """The hardened search as an ask/tell search; see `Search` for the methods.
@@ -116,21 +112,31 @@ class Hardened(RecordedSearch):
         self._seed = check_whole(seed, 0, "seed")
         self._rng = generator(self._seed)
         self._begin_anew()
-        self._climb: CovarianceAdaptation | None = None
-        self._climbing = False  # whose candidates are asked for
+        self._climb: CovarianceAdaptation | None = None  # whose candidates are asked for, else the swarm's
         self._basins = Basins(self._lower.size)
         self._climbed: list[np.ndarray] = []  # where climbs began and ended, in shares of the box
-        self._batches: list[int] = []
+        self._batches: list[int] = []  # evaluations of each
 
     def _begin_anew(self) -> None:
         use = self.settings
         moves = {"flights": use.flights, "greed": use.greed, "turned": use.turned}
         self._swarm = AdaptiveSwarm(self._rng, use.swarm, self._lower.size, **moves)
-        self._opened = 0  # evaluations of this swarm
+        self._began = self.evaluations
         self._followed = False  # whether a climb has started from its best
 
+    @property
+    def _opening(self) -> int:
+        """Evaluations of the swarm before the climbs."""
+        share = int(self.settings.opening * min(self._round, self._budget - self._began))
+        return max(share, _FEWEST_GENERATIONS * self.settings.swarm)
+
+    @property
+    def _round(self) -> int:
+        """Evaluations after which no climb starts without another swarm."""
+        return _ROUND * self._lower.size
+
     def _shares(self) -> np.ndarray:
-        batch = self._climb.candidates if self._climbing else self._swarm.candidates
+        batch = (self._climb or self._swarm).candidates
         return batch[: self._budget - self.evaluations]
 
     def _candidates(self) -> np.ndarray:
@@ -141,68 +147,64 @@ class Hardened(RecordedSearch):
         super().tell(values)
         values = np.asarray(values, dtype=float)
         self._batches.append(values.size)
-        self._watch(self.evaluations - values.size, self.evaluations)
+        self._watch(self.evaluations - values.size, values.size)
         if self.done:
             return
-        if self._climbing:
-            self._climb.tell(values)
-        else:
+        if self._climb is None:
             self._swarm.tell(values)
-            self._opened += values.size
-        self._choose()
-        (self._climb if self._climbing else self._swarm).move()
+        else:
+            self._climb.tell(values)
+            if self._over():
+                self._climbed.append(self._climb.mean)
+                self._climb = None
+        if self._climb is None:
+            self._choose()
+        (self._climb or self._swarm).move()
 
-    def _watch(self, first: int, last: int) -> None:
-        """Tell the basins of the record's rows from `first` to before `last`: what is recorded is all they know."""
-        shares = (np.array(self._x[first:last]) - self._lower) / (self._upper - self._lower)
-        self._basins.add(shares, np.array(self._values[first:last]))
-
-    def _choose(self) -> None:
-        """Whose turn it is: the climb's until it is over, a swarm's until it has had its share, then a new climb's."""
-        if self._climbing and not self._over():
-            return
-        if self._climbing:
-            self._climbed.append(self._climb.mean)
-            self._climbing = False
-        opened = self._opened >= self.settings.opening_evaluations or self._swarm.exhausted
-        if self.best_value == -math.inf:  # nothing feasible yet: there is nothing to learn from
-            self._begin_anew()
-        elif not self.settings.climbs:
-            if self._swarm.exhausted:
-                self._begin_anew()
-        elif opened and not self._followed:
-            self._climb_from_swarm()
-        elif opened:
-            self._climb_elsewhere()
+    def _watch(self, first: int, size: int) -> None:
+        """Tell the basins of a batch, `size` rows of the record from `first`: what is recorded is all they know."""
+        rows = slice(first, first + size)
+        shares = (np.array(self._x[rows]) - self._lower) / (self._upper - self._lower)
+        self._basins.add(shares, np.array(self._values[rows]))
 
     def _over(self) -> bool:
-        """Whether the climb has ended, or will hardly reach the best that is known."""
+        """Whether the climb has ended, has become one point, or will hardly reach the best that is known."""
         climb = self._climb
         width = np.ptp(climb.candidates, axis=0).max()
+        collapsed = width < NARROW and climb.idle > _HOPE
         hopeless = width < _HOPELESS and climb.generation > _HOPE and climb.reached < self.best_value
-        return bool(climb.exhausted or width < NARROW or hopeless)
+        return bool(climb.exhausted or collapsed or hopeless)
 
-    def _climb_from_swarm(self) -> None:
-        swarm, d = self._swarm, self._lower.size
-        shape = swarm.shape()
-        mean_variance = max(float(np.trace(shape)) / d, _NARROWEST**2)
-        shape = (1.0 - _ROUND) * shape / mean_variance + _ROUND * np.eye(d)
-        self._followed = True
-        self._start_climb(swarm.best[swarm.order[0]], math.sqrt(mean_variance), shape)
-
-    def _climb_elsewhere(self) -> None:
-        found = self._basins.unclimbed(np.array(self._climbed))
-        if found is None:
+    def _choose(self) -> None:
+        """A climb starts once the swarm has had its share or nothing left to do, as long as the round lasts."""
+        swarm, spent = self._swarm, self.evaluations - self._began
+        if swarm.value.max() == -math.inf:  # nothing feasible: there is nothing to learn from
             self._begin_anew()
-            return
-        start, distance = found
-        self._start_climb(start, max(distance / 2.0, _NARROWEST))
+        elif not self.settings.climbs:
+            if swarm.exhausted:
+                self._begin_anew()
+        elif not self._followed:
+            if spent >= self._opening or swarm.exhausted:
+                self._followed = True
+                self._start_climb(swarm.best[swarm.order[0]], *self._width_and_shape())
+        else:
+            found = self._basins.unclimbed(np.array(self._climbed)) if spent < self._round else None
+            if found is None:
+                self._begin_anew()
+            else:
+                start, distance = found
+                self._start_climb(start, max(distance / 2.0, _NARROWEST))
+
+    def _width_and_shape(self) -> tuple[float, np.ndarray]:
+        """Step size and shape, (d, d), of the swarm's better half."""
+        shape, d = self._swarm.shape(), self._lower.size
+        mean_variance = max(float(np.trace(shape)) / d, _NARROWEST**2)
+        return math.sqrt(mean_variance), (1.0 - _ROUNDNESS) * shape / mean_variance + _ROUNDNESS * np.eye(d)
 
     def _start_climb(self, start: np.ndarray, step: float, shape: np.ndarray | None = None) -> None:
         samples = _FEWEST + int(3.0 * math.log(self._lower.size))
         self._climb = CovarianceAdaptation(self._rng, start, min(step, _WIDEST), samples, shape)
         self._climbed.append(start.copy())
-        self._climbing = True
 
     @property
     def iteration(self) -> int:
@@ -226,9 +228,8 @@ class Hardened(RecordedSearch):
             "batches": list(self._batches),
             "swarm": self._swarm.state(),
             "climb": None if self._climb is None else self._climb.state(),
-            "climbing": self._climbing,
             "climbed": [point.tolist() for point in self._climbed],
-            "opened": self._opened,
+            "began": self._began,
             "followed": self._followed,
             "random": self._rng.bit_generator.state,
         }
@@ -236,19 +237,17 @@ class Hardened(RecordedSearch):
     def _restore(self, state: dict[str, Any]) -> None:
         super()._restore(state)
         self._batches = [read_count({"batches": size}, "batches") for size in state["batches"]]
-        if sum(self._batches) != self.evaluations:
+        if sum(self._batches) != self.evaluations or 0 in self._batches:
             raise InputError(f"batches: {sum(self._batches)} evaluations in all, not {self.evaluations}")
-        last = np.cumsum(self._batches)
-        for first, end in zip(last - self._batches, last, strict=True):
-            self._watch(first, end)
+        first = 0
+        for size in self._batches:
+            self._watch(first, size)
+            first += size
         self._swarm.restore(state["swarm"])
         climb = state["climb"]
         self._climb = None if climb is None else CovarianceAdaptation.restored(self._rng, self._lower.size, climb)
-        self._climbing = bool(state["climbing"])
-        if self._climbing and climb is None:
-            raise InputError("climb: none is stored, but it is its turn")
         self._climbed = list(read_array(state, "climbed", (len(state["climbed"]), self._lower.size)))
-        self._opened, self._followed = read_count(state, "opened"), bool(state["followed"])
+        self._began, self._followed = read_count(state, "began"), bool(state["followed"])
         if self._followed and not self._climbed:
             raise InputError("climbed: nothing is stored, but a climb has started")
         self._rng.bit_generator.state = state["random"]
