@@ -106,6 +106,23 @@ def test_a_stored_climb_without_width_divided_by_zero(key, value):
         search_from_state(state)
 
 
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        ({"climbed": []}, "climbed: nothing is stored, but a climb has started"),
+        ({"climbed": [[0.5]]}, "climbed: shape"),
+        ({"batches": [0]}, "batches: 0 evaluations in all, not"),
+        ({"began": -1}, "began: -1; allowed: a whole number from 0"),
+    ],
+)
+def test_damage_to_a_stored_search_is_named(damage, message):
+    search = Hardened(LOWER, UPPER, seed=2, settings=SHORT)
+    while search.state()["climb"] is None:
+        search.tell(sphere(search.ask()))
+    with pytest.raises(InputError, match=message):
+        search_from_state({**search.state(), **damage})
+
+
 # --- budget and bounds ------------------------------------------------------------------------------------------------
 
 
@@ -326,21 +343,19 @@ def swarms_and_ended_climbs(objective, use, lower=LOWER, upper=UPPER, seed=0):
     return swarms, climbs
 
 
-def hills(x):
-    """Five round hills, the best of them neither wide nor in the middle."""
-    tops = np.array([[2.3, 3.0], [2.6, 20.0], [3.2, 12.0], [4.0, 5.0], [4.2, 21.0]])
-    away = (x[:, None] - tops) / (UPPER - LOWER)
-    return (np.array([0.9, 1.0, 0.8, 0.95, 0.85]) - 4.0 * np.square(away).sum(axis=2)).max(axis=1)
+def ripples(x):
+    """A hill with a top every twentieth of the box, 0.02 above the hollows between."""
+    away = (x - OPTIMUM) / (UPPER - LOWER)
+    return -np.square(away).sum(axis=1) - 0.01 * (1.0 - np.cos(40.0 * np.pi * away)).sum(axis=1)
 
 
-def test_climbs_after_the_first_go_to_other_hills_and_end_before_they_are_through_with_a_lower_one():
-    """Climbs used to start at the best point of the same swarm again, and climbed the same hill to the end."""
+def test_climbs_after_the_first_go_to_other_tops_and_end_before_they_are_through_with_a_lower_one():
+    """Climbs used to start at the best point of the same swarm again, and to climb the same top to the end."""
     for seed in range(5):
-        _, climbs = swarms_and_ended_climbs(hills, HardenedSettings(), seed=seed)
-        lower = [(width, reached) for width, reached, best in climbs if reached < best - 0.02]
+        _, climbs = swarms_and_ended_climbs(ripples, HardenedSettings(), seed=seed)
+        lower = [(width, reached) for width, reached, best in climbs if reached < best - 1e-3]
         assert min(width for width, _ in lower) > 1e-4
-        assert len({round(reached, 2) for _, reached in lower}) >= 3
-        assert max(best for *_, best in climbs) == pytest.approx(1.0, abs=1e-6)
+        assert len({round(reached, 3) for _, reached in lower}) >= 3
 
 
 def test_a_large_budget_begins_anew_and_finds_a_hill_that_one_swarm_misses():

@@ -14,9 +14,9 @@ OUR_CHOICES: dict[str, Solver] = {
     "hardened, greed 0.4": hardened({"greed": 0.4}),
     "hardened, never turned": hardened({"turned": 0.0}),
     "hardened, always turned": hardened({"turned": 1.0}),
-    "hardened, opening at most 0.03": hardened({"opening": 0.03}),
-    "hardened, opening at most 0.25": hardened({"opening": 0.25}),
-    "hardened, opening at most 0.75": hardened({"opening": 0.75}),
+    "hardened, opening 0.03": hardened({"opening": 0.03}),
+    "hardened, opening 0.25": hardened({"opening": 0.25}),
+    "hardened, opening 0.75": hardened({"opening": 0.75}),
     "hardened, no climbs": hardened({"climbs": False}),
 }
 SCIPY_CHOICES: dict[str, Solver] = {
