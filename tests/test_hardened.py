@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,9 +11,6 @@ from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import Hardened, HardenedSettings, maximise, run, search_from_state
-from blender_lidar.optimise.adaptive_swarm import AdaptiveSwarm, distinct_donors, reflected
-from blender_lidar.optimise.covariance_adaptation import CovarianceAdaptation
-from blender_lidar.optimise.sampling import generator
 from tests.search_landscapes import LOWER, OPTIMUM, UPPER, ackley, sphere, terraces
 
 SHORT = HardenedSettings(particles=8, evaluations=400)
@@ -162,123 +158,6 @@ def test_a_budget_of_a_dozen_is_enough_to_begin():
     assert result.value > np.median(sphere(points_of(result.history)))
 
 
-@settings(deadline=None)
-@given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=5))
-def test_the_bounds_reflect(targets):
-    found = reflected(np.array(targets))
-    for target, share in zip(targets, found.tolist(), strict=True):
-        while not 0.0 <= target <= 1.0:  # one wall after the other
-            target = -target if target < 0.0 else 2.0 - target
-        assert share == pytest.approx(target, abs=1e-9)
-        assert 0.0 <= share <= 1.0
-
-
-# --- the swarm --------------------------------------------------------------------------------------------------------
-
-
-@given(st.integers(4, 30), st.integers(0, 30), st.integers(0, 2**32))
-def test_the_donors_of_a_jump_are_distinct_and_not_the_particle(particles, archived, seed):
-    j, k = distinct_donors(generator(seed), particles, particles + archived)
-    i = np.arange(particles)
-    assert not ((i == j) | (i == k) | (j == k)).any()
-    assert 0 <= j.min() <= j.max() < particles
-    assert 0 <= k.min() <= k.max() < particles + archived
-
-
-def test_every_pair_of_donors_is_drawn_equally_often():
-    rng, pairs = generator(1), []
-    for _ in range(20_000):
-        j, k = distinct_donors(rng, 4, 5)
-        pairs.append((int(j[1]), int(k[1])))
-    _, counts = np.unique(pairs, axis=0, return_counts=True)
-    assert counts.size == 9  # j of 3 others, k of the 3 that are left
-    assert counts == pytest.approx(20_000 / 9, rel=0.08)
-
-
-def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
-    swarm = AdaptiveSwarm(generator(3), 10, 2, flights=0.3, greed=0.2, turned=0.5)
-    for _ in range(60):
-        before = swarm.value.copy()
-        values = -np.abs(swarm.candidates - 0.3).sum(axis=1)
-        swarm.tell(values)
-        assert (swarm.value >= before).all()
-        assert np.array_equal(swarm.value, np.maximum(before, values))
-        swarm.move()
-        state = swarm.state()
-        assert (np.array(state["scales"]) >= 0.05).all()
-        assert (np.array(state["scales"] + state["crossovers"]) <= 1.0).all()
-        assert len(state["replaced"]) <= 10
-
-
-def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
-    """x = best = guide and no velocity is where particle swarms stay for ever on a quantised objective."""
-    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
-    for _ in range(100):
-        swarm.tell(np.zeros(10))
-        swarm.move()
-    seen = [swarm.best.copy()]
-    for _ in range(10):
-        swarm.tell(np.zeros(10))
-        swarm.move()
-        seen.append(swarm.best.copy())
-    assert all((a != b).any(axis=1).all() for a, b in pairwise(seen))
-
-
-def test_the_first_points_of_a_swarm_are_evaluated_before_it_moves():
-    """A swarm that replaced another moved before its first points were told, and learnt from nothing."""
-    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
-    first = swarm.candidates.copy()
-    swarm.move()
-    assert np.array_equal(swarm.candidates, first)
-    swarm.tell(np.arange(10.0))
-    swarm.move()
-    assert not (swarm.candidates == first).all(axis=1).any()
-
-
-def test_a_collapsed_swarm_says_so():
-    swarm = AdaptiveSwarm(generator(0), 10, 3, flights=0.2, greed=0.2, turned=0.3)
-    generations = 0
-    while not swarm.exhausted:
-        swarm.tell(-np.square(swarm.candidates - 0.6).sum(axis=1))
-        swarm.move()
-        generations += 1
-    assert 20 < generations < 400
-    np.testing.assert_allclose(swarm.best[swarm.order[0]], 0.6, atol=5e-3)
-
-
-# --- the climb --------------------------------------------------------------------------------------------------------
-
-
-def test_a_climb_is_cma_es_as_the_cmaes_package_has_it():
-    """Mean, step size and covariance after each of 25 generations fed with the same samples."""
-    cmaes = pytest.importorskip("cmaes")
-    mean = np.array([0.4, 0.6, 0.55])
-    ours = CovarianceAdaptation(generator(0), mean, 0.1, 8)
-    theirs = cmaes.CMA(mean=mean, sigma=0.1, population_size=8, seed=0)
-    slope = np.array([1.0, 30.0, 900.0])
-    for _ in range(25):
-        ours.move()
-        values = -(slope * np.square(ours.candidates - [0.5, 0.52, 0.5])).sum(axis=1)
-        theirs.tell([(x, -value) for x, value in zip(ours.candidates, values, strict=True)])
-        ours.tell(values)
-        state = ours.state()
-        np.testing.assert_allclose(state["mean"], theirs._mean, rtol=1e-6)
-        assert state["step"] == pytest.approx(theirs._sigma, rel=1e-5)
-        np.testing.assert_allclose(state["covariance"], theirs._C, rtol=1e-4, atol=1e-7)
-
-
-def test_a_climb_on_a_plateau_widens_and_then_gives_up():
-    climb = CovarianceAdaptation(generator(0), np.array([0.5, 0.5]), 0.001, 6)
-    for _ in range(10):
-        climb.move()
-        climb.tell(np.zeros(6))
-    assert climb.state()["step"] > 0.003
-    for _ in range(20):
-        climb.move()
-        climb.tell(np.zeros(6))
-    assert climb.exhausted
-
-
 # --- what it must find ------------------------------------------------------------------------------------------------
 
 
@@ -412,27 +291,6 @@ def test_few_candidates_lie_on_the_bounds_where_the_best_is_inside():
         for points in (points_of(maximise(sphere, LOWER, UPPER, seed=seed).history) for seed in range(5))
     ]
     assert max(shares) < 0.1
-
-
-@pytest.mark.parametrize("best", [[1.0, 0.4, 0.6], [1.0, 0.0, 0.6], [1.0, 0.0, 1.0], [1.0, 0.0, 1.0, 0.4, 0.6]])
-def test_a_climb_to_a_wall_along_an_edge_or_into_a_corner_arrives(best):
-    """Samples drawn again while outside the box stayed off the wall; told as put on it, climbs along it ended early."""
-    best, slope = np.array(best), np.array([1.0, 3.0, 10.0, 3.0, 1.0])[: len(best)]
-    walls, missed = np.isin(best, [0.0, 1.0]), []
-    for seed in range(8):
-        climb, tried = CovarianceAdaptation(generator(seed), np.full(best.size, 0.5), 0.1, 8), []
-        while not climb.exhausted:
-            climb.move()
-            tried.append(climb.candidates)
-            climb.tell(-np.abs(climb.candidates - best) @ slope)
-            state = climb.state()
-            beyond = np.abs(np.array(state["mean"]) - 0.5) - 0.5
-            assert (beyond <= 4.0 * state["step"] * np.sqrt(np.diag(state["covariance"]))).all()
-        tried = np.concatenate(tried)
-        assert ((tried >= 0.0) & (tried <= 1.0)).all()
-        assert (tried[:, walls] == best[walls]).all(axis=1).any()
-        missed.append((np.abs(tried - best) @ slope).min())
-    assert np.median(missed) < 1e-4
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The hardened search: a swarm for breadth, CMA-ES for depth, basin by basin, and a new swarm when none is left.
+"""The hardened search: in rounds, a swarm for breadth and then CMA-ES for depth, from one top to the next.
 
 A swarm (`AdaptiveSwarm`: particle swarm and differential evolution) opens, with a third of a round, or until it has
 collapsed. Then a Gaussian climbs (`CovarianceAdaptation`) from the swarm's best point, with the width and shape of its
@@ -33,7 +33,7 @@ _FEWEST_GENERATIONS = 3  # of the opening
 _ROUNDNESS = 0.1  # share of a round shape in that of a climb that starts: no direction is left out
 _ROUND = 1000  # evaluations for each variable
 _HOPELESS = 0.01  # of the box: a generation no wider than that, below the best known, will hardly get there
-_HOPE = 3  # generations that a climb has in any case
+_HOPE = 3  # generations that a climb has in any case, and that one point has to find a better
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,94 @@
+"""The swarm of the hardened search: bounds, donors, what it remembers, and when it has nothing left to do."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.optimise.adaptive_swarm import AdaptiveSwarm, distinct_donors, reflected
+from blender_lidar.optimise.sampling import generator
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=5))
+def test_the_bounds_reflect(targets):
+    found = reflected(np.array(targets))
+    for target, share in zip(targets, found.tolist(), strict=True):
+        while not 0.0 <= target <= 1.0:  # one wall after the other
+            target = -target if target < 0.0 else 2.0 - target
+        assert share == pytest.approx(target, abs=1e-9)
+        assert 0.0 <= share <= 1.0
+
+
+@given(st.integers(4, 30), st.integers(0, 30), st.integers(0, 2**32))
+def test_the_donors_of_a_jump_are_distinct_and_not_the_particle(particles, archived, seed):
+    j, k = distinct_donors(generator(seed), particles, particles + archived)
+    i = np.arange(particles)
+    assert not ((i == j) | (i == k) | (j == k)).any()
+    assert 0 <= j.min() <= j.max() < particles
+    assert 0 <= k.min() <= k.max() < particles + archived
+
+
+def test_every_pair_of_donors_is_drawn_equally_often():
+    rng, pairs = generator(1), []
+    for _ in range(20_000):
+        j, k = distinct_donors(rng, 4, 5)
+        pairs.append((int(j[1]), int(k[1])))
+    _, counts = np.unique(pairs, axis=0, return_counts=True)
+    assert counts.size == 9  # j of 3 others, k of the 3 that are left
+    assert counts == pytest.approx(20_000 / 9, rel=0.08)
+
+
+def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
+    swarm = AdaptiveSwarm(generator(3), 10, 2, flights=0.3, greed=0.2, turned=0.5)
+    for _ in range(60):
+        before = swarm.value.copy()
+        values = -np.abs(swarm.candidates - 0.3).sum(axis=1)
+        swarm.tell(values)
+        assert (swarm.value >= before).all()
+        assert np.array_equal(swarm.value, np.maximum(before, values))
+        swarm.move()
+        state = swarm.state()
+        assert (np.array(state["scales"]) >= 0.05).all()
+        assert (np.array(state["scales"] + state["crossovers"]) <= 1.0).all()
+        assert len(state["replaced"]) <= 10
+
+
+def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
+    """x = best = guide and no velocity is where particle swarms stay for ever on a quantised objective."""
+    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
+    for _ in range(100):
+        swarm.tell(np.zeros(10))
+        swarm.move()
+    seen = [swarm.best.copy()]
+    for _ in range(10):
+        swarm.tell(np.zeros(10))
+        swarm.move()
+        seen.append(swarm.best.copy())
+    assert all((a != b).any(axis=1).all() for a, b in pairwise(seen))
+
+
+def test_the_first_points_of_a_swarm_are_evaluated_before_it_moves():
+    """A swarm that replaced another moved before its first points were told, and learnt from nothing."""
+    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
+    first = swarm.candidates.copy()
+    swarm.move()
+    assert np.array_equal(swarm.candidates, first)
+    swarm.tell(np.arange(10.0))
+    swarm.move()
+    assert not (swarm.candidates == first).all(axis=1).any()
+
+
+def test_a_collapsed_swarm_says_so():
+    swarm = AdaptiveSwarm(generator(0), 10, 3, flights=0.2, greed=0.2, turned=0.3)
+    generations = 0
+    while not swarm.exhausted:
+        swarm.tell(-np.square(swarm.candidates - 0.6).sum(axis=1))
+        swarm.move()
+        generations += 1
+    assert 20 < generations < 400
+    np.testing.assert_allclose(swarm.best[swarm.order[0]], 0.6, atol=5e-3)
