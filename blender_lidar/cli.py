@@ -12,22 +12,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from . import __version__
-from .errors import BlenderLidarError, one_line, output_error
-from .stop_signals import stops_deferred, stops_recognised, stops_watched
+from .errors import BlenderLidarError, MissingExtraError, one_line, output_error
+from .signals import stops_deferred, stops_recognised, stops_watched
 
-_VERBS = (
-    "optimise",
-    "evaluate",
-    "stability",
-    "chart",
-    "scan",
-    "score",
-    "compare",
-    "build",
-    "render",
-    "sensors",
-    "doctor",
-)
+_COMMANDS = ("optimise", "stability", "chart", "scan", "score", "compare", "sensors", "doctor")  # modules of verbs
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
 
 
@@ -149,9 +137,21 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"blender_lidar {__version__}")
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=_OneLineParser)
     with stops_deferred():  # an import that is interrupted may fail in any way
-        for verb in _VERBS:
-            importlib.import_module(f".commands.{verb}", __package__).add_parser(subparsers)
+        _check_numpy()
+        for module in _COMMANDS:
+            importlib.import_module(f".commands.{module}", __package__).add_parser(subparsers)
     return parser
+
+
+def _check_numpy() -> None:
+    """Say in one line where NumPy is missing: Debian's Blender takes its packages from an activated environment."""
+    try:
+        importlib.import_module("numpy")
+    except ImportError as error:
+        raise MissingExtraError(
+            f"no NumPy that works in {sys.prefix}, where this Python looks for it ({type(error).__name__}); "
+            "install it there, or, where Blender took an activated virtual environment, run deactivate before Blender"
+        ) from error
 
 
 class _OneLineParser(argparse.ArgumentParser):

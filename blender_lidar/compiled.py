@@ -1,25 +1,42 @@
-"""Functions compiled by Numba, kept on disk from one process to the next where there is a place for that."""
+"""Numba: whether it works here, and functions compiled by it that are kept on disk from one process to the next."""
 
 from __future__ import annotations
 
-import hashlib
+import warnings
 from collections.abc import Callable
 from functools import cache
+from multiprocessing import parent_process
 from pathlib import Path
-
-from numba import njit
 
 _SETTINGS = {"nogil": True, "error_model": "numpy"}  # a division by zero gives inf, as in NumPy
 
 
+@cache
+def numba_works() -> bool:
+    """Whether Numba can be imported: it refuses where NumPy is newer than it knows, and libraries may be missing."""
+    try:
+        import numba  # noqa: F401
+    except Exception:  # whatever a broken library raises
+        return False
+    return True
+
+
 def compiled(function: Callable, **settings: bool) -> Callable:
-    """The function, compiled when it is first called."""
+    """The function, compiled when it is first called, and kept on disk until any source file of the package changes.
+
+    Numba itself looks at a function's own file alone, and not at what it calls nor at the types of its arguments.
+    """
+    from numba import njit
+
+    from .files import source_digest  # not where metrics are imported without Numba
+
     try:
         made = njit(cache=True, **_SETTINGS, **settings)(function)
         kept = made._cache._cache_file
-        kept._source_stamp = _stamp()
+        kept._source_stamp = source_digest()
         _drop_unreadable(kept)
-    except (AttributeError, OSError, RuntimeError):  # nowhere to keep it, or Numba keeps it in another way
+    except (AttributeError, OSError, RuntimeError):  # no place, or Numba keeps it in another way
+        _tell_once()
         return njit(**_SETTINGS, **settings)(function)
     return made
 
@@ -33,14 +50,14 @@ def inlined(function: Callable) -> Callable:
 
 
 @cache
-def _stamp() -> str:
-    """Tells whether compiled code of any module has changed: Numba itself looks at a function's own file alone."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        content = path.read_bytes()
-        if b"compiled import" in content or path == Path(__file__):
-            digest.update(content)
-    return digest.hexdigest()
+def _tell_once() -> None:
+    """Warn that nothing can be kept, and not again in the processes that this one starts."""
+    if parent_process() is None:
+        text = (
+            f"compiled code cannot be kept in {Path(__file__).parent} nor in the user's folder for caches, and is "
+            "compiled anew at every start, for half a minute; NUMBA_CACHE_DIR may name another folder"
+        )
+        warnings.warn(text, stacklevel=2)
 
 
 def _drop_unreadable(kept) -> None:

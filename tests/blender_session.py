@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from blender_lidar.casting import caster_class
-from blender_lidar.scan import scan
+from blender_lidar.clouds.scan import scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.road import RoadFrame
-from blender_lidar.world.barriers import barrier
-from blender_lidar.world.scenery import box, join
+from blender_lidar.traffic.vehicles import RoadFrame
+from blender_lidar.world.scenery import barrier, box, join
 from tests.sample_traffic import dense_traffic
 
 LATTICE = beam_lattice(load_model("RS-16"), stride=8)

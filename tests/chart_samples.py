@@ -3,50 +3,126 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
-from blender_lidar.plots.agreement import Against, Decline, plot_against, plot_declines
-from blender_lidar.plots.blind_zones import plot_blind_zones
-from blender_lidar.plots.by_distance import plot_by_distance
-from blender_lidar.plots.changes import Bands, Mean, Point, plot_before_after, plot_effects, plot_settings
-from blender_lidar.plots.clouds import plot_clouds
-from blender_lidar.plots.convergence import plot_convergence
-from blender_lidar.plots.near_best import GainMap, plot_gain_maps
-from blender_lidar.plots.occupancy import OccupancyViews, plot_occupancy
-from blender_lidar.plots.score_map import plot_score_map
+from blender_lidar.report.cloud_figures import Sight, plot_clouds, plot_occupancy
+from blender_lidar.report.compare_figures import plot_against, plot_declines
+from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
+from blender_lidar.run.optimise import Outcome
+from blender_lidar.run.verdict import ScoreMap
+from blender_lidar.scene.settings import COORDINATES
+from blender_lidar.studies.compare.detectors import Decline, Scatter
+from blender_lidar.traffic.vehicles import RoadFrame, Vehicles
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+HEADINGS = {"title": "A title", "subtitle": "And a subtitle"}
 CAR = (4.5, 1.8, 1.5)
-ROAD = (2.0, 20.3)
+ROAD = RoadFrame(lanes=5)
 
 
-def vehicles(seed: int, number: int = 200) -> dict[str, np.ndarray]:
+def table(seed: int, number: int = 200) -> dict[str, np.ndarray]:
+    """A vehicle table, of the columns that charts are made of."""
     rng = np.random.default_rng(seed)
-    x, y = rng.uniform(-50.0, 50.0, number), rng.uniform(*ROAD, number)
+    x, y = rng.uniform(-50.0, 50.0, number), rng.uniform(*ROAD.carriageway_y, number)
     return {
         "x_m": x,
         "y_m": y,
-        "length_m": rng.uniform(4.0, 12.0, number),
-        "width_m": rng.uniform(1.6, 2.5, number),
-        "heading_deg": rng.normal(0.0, 2.0, number),
         "distance_m": np.hypot(x, y),
         "detectable": rng.random(number) < 0.6,
         "entropy_bits": rng.uniform(0.0, 1.2, number),
     }
 
 
-def cloud(seed: int, number: int = 500) -> dict[str, np.ndarray]:
+def vehicles(seed: int, number: int = 12) -> Vehicles:
     rng = np.random.default_rng(seed)
-    return {"xyz": rng.uniform((-50, 2, 0), (50, 20, 3), (number, 3)), "vehicle_id": rng.integers(-1, 5, number)}
+    whole = np.zeros(number, dtype=int)
+    return Vehicles(
+        frame=7,
+        time_s=0.0,
+        vehicle_id=np.arange(number),
+        class_index=whole,
+        centre_m=rng.uniform((-50.0, 2.0, 1.0), (50.0, 20.0, 1.0), (number, 3)),
+        size_m=rng.uniform((4.0, 1.6, 1.5), (12.0, 2.5, 1.5), (number, 3)),
+        heading_rad=rng.normal(0.0, 0.03, number),
+        lane=whole,
+    )
 
 
-def views(share: float, size: tuple[float, float, float] = CAR) -> OccupancyViews:
+def mount(height_m: float, tilt_x_deg: float = 0.0, **others: float) -> dict[str, float]:
+    """Six coordinates [m, degrees]."""
+    return dict.fromkeys(COORDINATES, 0.0) | {"height_m": height_m, "tilt_x_deg": tilt_x_deg} | others
+
+
+def scores(value: float, height_m: float, tilt_x_deg: float) -> dict:
+    """A mounting as result.json has it."""
+    return {"deployment": mount(height_m, tilt_x_deg), "objective_per_vehicle": value}
+
+
+def score_map() -> ScoreMap:
+    """A hill with its top at 4 m and 20 degrees."""
+    height, tilt = np.linspace(2.0, 4.5, 6), np.linspace(0.0, 25.0, 6)
+    value = 0.8 - 0.05 * (height[:, None] - 4.0) ** 2 - 0.0005 * (tilt - 20.0) ** 2
+    return ScoreMap(height, tilt, value, value, value[..., None], np.ones(1, dtype=int))
+
+
+def outcome(*, metric: str = "pe-vgop", **changes: object) -> Outcome:
+    """What a search came to, as far as charts show it; `changes` replace what the result says."""
+    best = np.maximum.accumulate(np.random.default_rng(5).random(50))
+    history = np.column_stack([np.arange(1.0, 51.0), best - 0.1, best])
+    result = {
+        "sensor": "RS-16",
+        "metric": metric,
+        "range_gate_m": 60.0,
+        "vehicles": 1,
+        "frames": 1,
+        "search": "de-pso",
+        "seed": 1,
+        "reading": "corrected",
+        **scores(0.8, 4.0, 20.0),
+        "baseline": scores(0.2, 2.0, 0.0),
+    }
+    return Outcome(result | changes, table(2), table(1), score_map(), history)
+
+
+def with_tables(before: dict, after: dict | None = None, **changes: object) -> Outcome:
+    """The same with other vehicles."""
+    return replace(outcome(**changes), baseline=before, optimised=before if after is None else after)
+
+
+def cloud(seed: int, number: int = 500) -> SimpleNamespace:
+    rng = np.random.default_rng(seed)
+    xyz = rng.uniform((-50, 2, 0), (50, 20, 3), (number, 3))
+    return SimpleNamespace(xyz=xyz, vehicle_id=rng.integers(-1, 5, number))
+
+
+def sights(seen: np.ndarray, *, number: int = 500) -> tuple[Sight, Sight]:
+    return (
+        Sight("Baseline", mount(2.0), cloud(6, number), seen),
+        Sight("Optimised", mount(4.1), cloud(7, number), ~seen),
+    )
+
+
+def views(share: float, size: tuple[float, float, float] = CAR) -> dict[str, np.ndarray]:
+    """Occupancy grids of cells of 5 cm, filled at random."""
     rng = np.random.default_rng(3)
     length, width, height = (math.ceil(side / 0.05) for side in size)
     shapes = {"top": (length, width), "side": (length, height), "front": (width, height)}
-    return OccupancyViews({view: rng.random(shape) < share for view, shape in shapes.items()}, size)
+    return {view: rng.random(shape) < share for view, shape in shapes.items()}
+
+
+def occupancy(before: float, after: float, size: tuple[float, float, float] = CAR) -> dict[str, object]:
+    """Arguments of the chart of a vehicle of which these shares of cells are hit."""
+    return {
+        "grids": [views(before, size), views(after, size)],
+        "size_m": size,
+        "cell_m": 0.05,
+        "headings": ["Baseline: height 2.00 m", "Optimised: height 4.00 m"],
+        **HEADINGS,
+    }
 
 
 def decline(name: str, seed: int) -> Decline:
@@ -58,117 +134,30 @@ def decline(name: str, seed: int) -> Decline:
     )
 
 
-def against(name: str, unit: str) -> Against:
+def against(name: str, unit: str) -> Scatter:
     rng = np.random.default_rng(3)
     values = rng.uniform(0.0, 1.5, 60)
     performance = np.clip(0.5 * values + rng.normal(0.0, 0.1, 60), 0.0, 1.0)
-    return Against(
+    return Scatter(
         name, unit, values, performance, (np.array([0.0, 0.7, 1.5]), np.array([0.1, 0.4, 0.7])), "0.85 (0.82 to 0.88)"
     )
 
 
-def score_map_arguments() -> dict[str, object]:
-    height, tilt = np.linspace(2.0, 4.5, 6), np.linspace(0.0, 25.0, 6)
-    value = 0.8 - 0.05 * (height[:, None] - 4.0) ** 2 - 0.0005 * (tilt - 18.0) ** 2
-    return {
-        "height_m": height,
-        "tilt_deg": tilt,
-        "value": value,
-        "optimum": (4.0, 18.0),
-        "baseline": (2.0, 0.0),
-        "baseline_value": float(value[0, 0]),
-    }
-
-
-def gain_map(name: str, interval: bool = True) -> GainMap:
-    """A round hill whose top is at 4 m and 18 degrees."""
-    height, tilt = np.linspace(2.0, 4.5, 6), np.linspace(0.0, 25.0, 6)
-    share = 1.0 - 0.1 * (height[:, None] - 4.0) ** 2 - 0.002 * (tilt - 18.0) ** 2
-    ends = ((3.9, 4.2), (15.0, 20.0)) if interval else (None, None)
-    rivals = {"the paper's Table II": (4.1, 19.0), "DE-PSO": (4.0, 18.5), "baseline": (2.0, 0.0)}
-    return GainMap(name, height.tolist(), tilt.tolist(), share.tolist(), (4.0, 20.0), *ends, rivals)
-
-
-def band_changes(name: str, bands: int) -> Bands:
-    names = [f"{20 * band}-{20 * band + 20} m" for band in range(bands)]
-    means = [Mean(0.1 * band - 0.1, 0.1 * band - 0.2, 0.1 * band) for band in range(bands)]
-    return Bands(name, names, [50.0] * bands, [100.0 - 10.0 * band for band in range(bands)], means)
-
-
-def settings_points() -> list[Point]:
-    return [
-        Point("as the scene has it", 20.0, 15.0, 25.0, ""),
-        Point("setback 5 m", 25.0, math.nan, math.nan, "4.0 m"),
-        Point("C as printed: a miss earns 1", 0.0, math.nan, math.nan, "2.0 m"),
-    ]
-
-
 def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
     """Every chart with small arguments of its own."""
-    table, other = vehicles(1), vehicles(2)
-    both = {"baseline_table": table, "optimised_table": other}
-    boxes = vehicles(4, 12)
-    seen = np.arange(12) % 3 > 0
-    best = np.maximum.accumulate(np.random.default_rng(5).random(50))
+    run = {"outcome": outcome()}
+    declines = [decline(name, seed) for seed, name in enumerate("abcde")]
+    detectors = [decline("one: confidence x IoU", 8), decline("other: confidence x IoU", 9)]
+    units = {"a": "", "b": "bits", "c": "points/m²", "d": "m"}
     return {
-        "convergence": (
-            plot_convergence,
-            {"evaluation": np.arange(1, 51), "value": best - 0.1, "best": best, "baseline": 0.2},
-        ),
-        "score_map": (plot_score_map, score_map_arguments()),
-        "by_distance": (plot_by_distance, both),
-        "blind_zones": (plot_blind_zones, {**both, "sensor_xy": (0.0, 0.0), "carriageway": ROAD}),
-        "clouds": (
-            plot_clouds,
-            {
-                "clouds": (cloud(6), cloud(7)),
-                "boxes": boxes,
-                "detectable": (seen, ~seen),
-                "sensor_xy": (0.0, 0.0),
-            },
-        ),
-        "declines": (
-            plot_declines,
-            {
-                "metrics": [decline(name, seed) for seed, name in enumerate(("a", "b", "c", "d", "e"))],
-                "detectors": [decline("one: confidence x IoU", 8), decline("other: confidence x IoU", 9)],
-            },
-        ),
-        "against": (
-            plot_against,
-            {
-                "metrics": [against("a", ""), against("b", "bits"), against("c", "points/m²"), against("d", "m")],
-                "label": "Confidence x IoU",
-            },
-        ),
-        "gain_maps": (plot_gain_maps, {"maps": [gain_map("RS-16"), gain_map("RS-80", interval=False)]}),
-        "before_after": (
-            plot_before_after,
-            {
-                "sensors": [band_changes("RS-16", 3), band_changes("RS-80", 8)],
-                "other": band_changes("RS-80 evenly spaced", 8),
-                "share_label": "Detectable share [%]",
-                "change_label": "Change [bits]",
-            },
-        ),
-        "effects": (
-            plot_effects,
-            {
-                "bands": band_changes("", 4).bands,
-                "effects": {name: band_changes("", 4).change for name in ("height", "tilt", "uneven spacing")},
-                "total": ("all of the change", band_changes("", 4).change),
-                "label": "Change [bits]",
-            },
-        ),
-        "settings": (
-            plot_settings,
-            {
-                "sensors": {"RS-16": settings_points(), "RS-80": settings_points()[:1]},
-                "published": {"RS-16": 19.0, "RS-80": 9.0},
-                "label": "Best tilt [deg]",
-            },
-        ),
-        "occupancy": (plot_occupancy, {"before": views(0.02), "after": views(0.1)}),
+        "convergence": (plot_convergence, run),
+        "score_map": (plot_score_map, run),
+        "by_distance": (plot_by_distance, run),
+        "blind_zones": (plot_blind_zones, {**run, "road": ROAD}),
+        "clouds": (plot_clouds, {"vehicles": vehicles(4), "sights": sights(np.arange(12) % 3 > 0), **HEADINGS}),
+        "declines": (plot_declines, {"metrics": declines, "detectors": detectors, **HEADINGS}),
+        "against": (plot_against, {"metrics": [against(*of) for of in units.items()], **HEADINGS}),
+        "occupancy": (plot_occupancy, occupancy(0.02, 0.1)),
     }
 
 

@@ -1,10 +1,14 @@
-"""How many processes share the tests, where pytest-xdist is asked for as many as are good: `-n auto`."""
+"""What test files share: stored runs, no deadline of examples, and how many processes `-n auto` of pytest starts."""
 
 from __future__ import annotations
 
 import os
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("untimed", deadline=None)  # how fast a shared machine is, is no property of the code
+settings.load_profile("untimed")
 
 _MOST = 4  # each may hold a Blender, and its tests start processes of their own
 
@@ -13,3 +17,11 @@ _MOST = 4  # each may hold a Blender, and its tests start processes of their own
 def pytest_xdist_auto_num_workers() -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(cores, _MOST)
+
+
+@pytest.fixture(scope="session")
+def stored_runs(tmp_path_factory):
+    """Folder of the three runs of `tests.report_samples.make_runs`, made once; a test that changes one copies it."""
+    from tests.report_samples import make_runs
+
+    return make_runs(tmp_path_factory.mktemp("runs"))

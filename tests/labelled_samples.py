@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
+import pytest
 
-from blender_lidar.formats.tables import to_csv
+from blender_lidar.files import to_csv
 
+KITTI = Path(__file__).parents[1].parent / "shared" / "data" / "kitti"
+needs_kitti = pytest.mark.skipif(not KITTI.is_dir(), reason=f"no KITTI excerpt at {KITTI}")
 SIZE_M = (4.2, 1.8, 1.5)
 CALIBRATION = "R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\n"
 _FRONT_M = 1.7  # height of the sensor above the road
@@ -40,24 +44,28 @@ def ground(rng):
     return np.column_stack([rng.uniform(0, 60, 500), rng.uniform(-15, 15, 500), np.full(500, -_FRONT_M - 0.05)])
 
 
+def write_kitti_sweep(folder, name, points, labels):
+    """One sweep in KITTI's layout: points in the sensor's frame, and the lines of its labels."""
+    for part in ("velodyne", "label_2", "calib"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    rows = np.column_stack([points, np.full(len(points), 0.3)]).astype("<f4")
+    (folder / "velodyne" / f"{name}.bin").write_bytes(rows.tobytes())
+    (folder / "calib" / f"{name}.txt").write_text(CALIBRATION, encoding="utf-8")
+    (folder / "label_2" / f"{name}.txt").write_text("\n".join(labels) + "\n", encoding="utf-8")
+
+
 def write_kitti(folder, found):
     """Write the frames in KITTI's layout; a DontCare stands first, so that cars begin at entry 1."""
-    for part in ("velodyne", "label_2", "calib"):
-        (folder / part).mkdir(parents=True)
     rng = np.random.default_rng(9)
+    length, width, height = SIZE_M
     for frame, boxes in found.items():
-        points = np.vstack([ground(rng), *(points for _, _, points in boxes)])
-        rows = np.column_stack([points, np.full(len(points), 0.3)]).astype("<f4")
-        (folder / "velodyne" / f"{frame}.bin").write_bytes(rows.tobytes())
-        (folder / "calib" / f"{frame}.txt").write_text(CALIBRATION, encoding="utf-8")
         lines = ["DontCare -1 -1 -10 0 0 10 10 -1 -1 -1 -1000 -1000 -1000 -10"]
-        length, width, height = SIZE_M
         for number, (centre, heading, _) in enumerate(boxes):
             x, y, z = centre
             place = f"{-y:.9f} {-(z - 0.5 * height):.9f} {x:.9f}"
             turn = -heading - 0.5 * math.pi
             lines.append(f"Car 0 {number % 3} 0 0 0 9 9 {height} {width} {length} {place} {turn:.9f}")
-        (folder / "label_2" / f"{frame}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_kitti_sweep(folder, frame, np.vstack([ground(rng), *(points for _, _, points in boxes)]), lines)
     return folder
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from blender_lidar.scan import scan
+from blender_lidar.clouds.scan import scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT
 from blender_lidar.sensors.model import load_model

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from blender_lidar.casting import is_available
-from blender_lidar.scan import scan
+from blender_lidar.clouds.scan import scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES, Vehicles
+from tests.labelled_samples import write_kitti_sweep
 
 HEIGHT_M = 1.73
-CALIBRATION = "R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\n"
 SENSOR = "HDL-64E-S3"
 
 
@@ -59,11 +59,6 @@ def in_kitti_frame(xyz: np.ndarray) -> np.ndarray:
 
 def write_kitti(folder: Path, name: str, points: np.ndarray, vehicles: Vehicles, labels=None) -> None:
     """One sweep with its labels."""
-    for part in ("velodyne", "label_2", "calib"):
-        (folder / part).mkdir(exist_ok=True)
-    rows = np.column_stack([points, np.zeros(len(points))]).astype("<f4")
-    (folder / "velodyne" / f"{name}.bin").write_bytes(rows.tobytes())
-    (folder / "calib" / f"{name}.txt").write_text(CALIBRATION, encoding="utf-8")
     lines = []
     for row in range(len(vehicles)):
         x, y, _ = vehicles.centre_m[row].tolist()
@@ -71,4 +66,4 @@ def write_kitti(folder: Path, name: str, points: np.ndarray, vehicles: Vehicles,
         turn = -float(vehicles.heading_rad[row])  # about the camera's y axis, from its x axis: the road frame's
         what = "Car" if labels is None else labels[row]
         lines.append(f"{what} 0 0 0 0 0 1 1 {height!r} {width!r} {length!r} {x!r} {HEIGHT_M!r} {y!r} {turn!r}")
-    (folder / "label_2" / f"{name}.txt").write_text("\n".join(lines), encoding="utf-8")
+    write_kitti_sweep(folder, name, points, lines)

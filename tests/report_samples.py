@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.results import RunFolder
+from blender_lidar.run.folder import RunFolder
 from tests.small_scene import HEADER, MAPPED, traffic_rows, without_charts, write_scene, write_table
 
 VOID = {"meta", "img"}

@@ -1,18 +1,10 @@
-"""Attacks on runs: the real command line as a process of its own, hit at any moment, and what must hold afterwards.
-
-    python -m tests.run_attacks FOLDER [--hits 100] [--seed 1] [--charts] [--signals KILL,INT,TERM,HUP]
-
-hits `optimise` that often, at moments drawn evenly from the life of a run, with one worker and with two, and prints
-what did not hold; `test_runs_under_attack.py` draws a handful of such hits.
-"""
+"""Attacks on runs: the real command line as a process of its own, hit at any moment, and what must hold afterwards."""
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import os
-import random
 import re
 import signal
 import subprocess
@@ -23,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.small_scene import without_times, write_scene
+from tests.small_scene import without_times
 from tests.waiting import WAIT_S, wait_for
 
 WITHOUT_CHARTS = """
@@ -53,16 +45,14 @@ class Attacked:
 
     folder: Path
     words: Sequence[object]
-    charts: bool = False
+    how: Sequence[object] = ("-c", WITHOUT_CHARTS)  # Python is started
     settings: dict = field(default_factory=dict)  # of Popen
-    environment: dict = field(default_factory=dict)
     process: subprocess.Popen = field(init=False)
 
     def __post_init__(self) -> None:
         self.temporary.mkdir(parents=True, exist_ok=True)
-        how = ["-m", "blender_lidar"] if self.charts else ["-c", WITHOUT_CHARTS]
-        command = [sys.executable, *how, *map(str, self.words)]
-        environment = {**os.environ, "TMPDIR": str(self.temporary), **self.environment}
+        command = [sys.executable, *map(str, [*self.how, *self.words])]
+        environment = {**os.environ, "TMPDIR": str(self.temporary)}
         streams = {name: (self.folder / name).open("wb") for name in ("stdout", "stderr") if name not in self.settings}
         self.process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, start_new_session=True, env=environment, **streams, **self.settings
@@ -142,7 +132,7 @@ def check_whole(folder: Path) -> None:
             raise Failure(f"{path} is half written")
 
 
-def content(folder: Path, *, charts: bool = False) -> dict[str, object]:
+def content(folder: Path) -> dict[str, object]:
     """What a run has left but for what differs between runs that ought to agree: times and the number of workers."""
     found: dict[str, object] = {}
     for path in folder.iterdir():
@@ -150,16 +140,16 @@ def content(folder: Path, *, charts: bool = False) -> dict[str, object]:
             found[path.name] = without_times(json.loads(path.read_text()))
         elif path.name == "scene.toml":
             found[path.name] = [line for line in path.read_text().splitlines() if not line.startswith("workers = ")]
-        elif path.name in TABLES or (charts and path.suffix == ".png"):
+        elif path.name in TABLES:
             found[path.name] = path.read_bytes()
         else:
             found[path.name] = "there"
     return found
 
 
-def check_same(folder: Path, undisturbed: Path, *, charts: bool = False) -> None:
+def check_same(folder: Path, undisturbed: Path) -> None:
     """Two folders of runs hold the same."""
-    here, there = content(folder, charts=charts), content(undisturbed, charts=charts)
+    here, there = content(folder), content(undisturbed)
     for name in sorted({*here, *there}):
         if here.get(name) != there.get(name):
             raise Failure(f"{folder / name} is not as in the run that nobody disturbed")
@@ -198,17 +188,8 @@ class Hit:
         return f"{names} after {self.after_s:.3f} s, {self.workers} workers, {'group' if self.group else 'process'}"
 
 
-def draw_hit(rng: random.Random, numbers: Sequence[int], life_s: dict[int, float]) -> Hit:
-    """A hit at a moment drawn evenly from a run's life."""
-    number, workers = rng.choice(list(numbers)), rng.choice((1, 2))
-    twice = number != signal.SIGKILL and rng.random() < 0.4
-    return Hit(
-        (number,) * (1 + twice), rng.uniform(0.0, life_s[workers]), workers, rng.random() < 0.5, rng.uniform(0.0, 0.3)
-    )
-
-
-def strike(hit: Hit, scene: Path, undisturbed: Path, folder: Path, *, charts: bool = False) -> str:
-    """Hit a run, check what it has left, and go on with it; returns how it went on before the hit.
+def strike(hit: Hit, scene: Path, undisturbed: Path, folder: Path) -> None:
+    """Hit a run, check what it has left, and go on with it.
 
     Raises
     ------
@@ -216,7 +197,7 @@ def strike(hit: Hit, scene: Path, undisturbed: Path, folder: Path, *, charts: bo
         When something did not hold.
     """
     out = folder / "run"
-    attacked = Attacked(folder, ["optimise", scene, "--out", out, "--workers", hit.workers], charts)
+    attacked = Attacked(folder, ["optimise", scene, "--out", out, "--workers", hit.workers])
     try:
         wait_for(attacked.begun, "for it to begin")
         time.sleep(hit.after_s)
@@ -235,57 +216,12 @@ def strike(hit: Hit, scene: Path, undisturbed: Path, folder: Path, *, charts: bo
             pass  # nobody was left who could have removed the temporary folder
         elif left := list(attacked.temporary.iterdir()):
             raise Failure(f"left behind: {left}")
-        stage = _how_far(out)
     finally:
         attacked.end()
-    again = Attacked(folder / "again", ["optimise", scene, "--out", out, "--resume", "--workers", 1], charts)
+    again = Attacked(folder / "again", ["optimise", scene, "--out", out, "--resume", "--workers", 1])
     try:
         if again.code() != 0:
-            raise Failure(f"{stage}: --resume: {again.stderr[-1500:]}")
-        check_same(out, undisturbed, charts=charts)
+            raise Failure(f"--resume: {again.stderr[-1500:]}")
+        check_same(out, undisturbed)
     finally:
         again.end()
-    return f"{stage}, exit code {code}"
-
-
-def _how_far(out: Path) -> str:
-    names = ("report.html", "result.json", "history.csv", "checkpoint.json", "scene.toml")
-    return next((name for name in names if (out / name).exists()), "nothing written")
-
-
-def main() -> int:
-    """Many hits."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--hits", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--charts", action="store_true")
-    parser.add_argument("--signals", default="KILL,INT,TERM,HUP")
-    args = parser.parse_args()
-    rng = random.Random(args.seed)
-    numbers = [getattr(signal, f"SIG{name}") for name in args.signals.split(",")]
-    scene, life_s = write_scene(args.folder, {"traffic": {"frames": 4}}), {}
-    for workers in (1, 2):
-        began = time.monotonic()
-        out = args.folder / f"undisturbed_{workers}"
-        whole = Attacked(
-            args.folder / f"u{workers}", ["optimise", scene, "--out", out, "--workers", workers], args.charts
-        )
-        if whole.code() != 0:
-            raise Failure(whole.stderr)
-        life_s[workers] = time.monotonic() - began
-    failures, stages = 0, {}
-    for number in range(args.hits):
-        hit = draw_hit(rng, numbers, life_s)
-        try:
-            stage = strike(hit, scene, out, args.folder / f"hit_{number}", charts=args.charts)
-            stages[stage] = stages.get(stage, 0) + 1
-        except (AssertionError, ValueError, subprocess.TimeoutExpired) as failure:
-            failures += 1
-            print(f"--- hit {number}, {hit}: {failure}", flush=True)
-    print(f"{args.hits} hits, {failures} failures; {life_s}; {stages}")
-    return min(failures, 1)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

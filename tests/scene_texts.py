@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.scenario import load_scenario
+from blender_lidar.scene.scenario import load_scenario
 
 MINIMAL = '[traffic]\npath = "traffic.csv"\n'
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.optimise.adaptive_swarm import AdaptiveSwarm, distinct_donors, reflected
-from blender_lidar.optimise.sampling import generator
+from blender_lidar.optimise.search import generator
 
 
 @settings(deadline=None)
@@ -52,10 +52,9 @@ def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
         assert (swarm.value >= before).all()
         assert np.array_equal(swarm.value, np.maximum(before, values))
         swarm.move()
-        state = swarm.state()
-        assert (np.array(state["scales"]) >= 0.05).all()
-        assert (np.array(state["scales"] + state["crossovers"]) <= 1.0).all()
-        assert len(state["replaced"]) <= 10
+        assert (swarm._scales >= 0.05).all()
+        assert (np.concatenate([swarm._scales, swarm._crossovers]) <= 1.0).all()
+        assert len(swarm._replaced) <= 10
 
 
 def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar import run as run_module
 from blender_lidar.cli import main
-from blender_lidar.results import RunFolder
-from blender_lidar.run import optimise_site
-from blender_lidar.scenario import load_scenario
-from blender_lidar.study.site import prepare
+from blender_lidar.run import replay
+from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.optimise import optimise_site
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
 from tests.small_scene import MAPPED, cli, without_charts, write_scene
 
 BUDGET = {"particles": 4, "iterations": 10, "seed": 1}
@@ -120,7 +120,7 @@ class Stopping:
 
 
 def test_a_run_that_is_stopped_after_any_batch_goes_on_to_the_same(tmp_path, finished, monkeypatch):
-    monkeypatch.setattr(run_module, "_CHECKPOINT_EVERY_S", 0.0)
+    monkeypatch.setattr(replay, "_STORE_EVERY_S", 0.0)
     site = prepare(load_scenario(finished[0]))
     folder, stops = RunFolder(tmp_path / "run"), 0
     with folder.locked():
@@ -143,17 +143,19 @@ def test_another_fidelity_is_another_run(finished, capsys):
     assert "[search] fidelity = 'auto', not 'full'" in err
 
 
-@pytest.mark.parametrize("content", ["{}", '{"search": "auto"}', '{"search": "hardened"}'])
-def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, finished, content, capsys):
+@pytest.mark.parametrize("key", ["fidelity", "frames", "told"])
+def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, finished, key, capsys):
     site = prepare(load_scenario(finished[0]))
     folder = RunFolder(tmp_path / "run")
-    with folder.locked():
-        folder.write_scene(site.scenario)
-        folder.write_checkpoint(site.identity, {"search": json.loads(content)})
+    with folder.locked(), pytest.raises(Stop):
+        optimise_site(site, folder, Stopping(after=2))
+    content = json.loads((folder.path / "checkpoint.json").read_text())
+    del content["batches"][0][key]
+    (folder.path / "checkpoint.json").write_text(json.dumps(content))
     code, _, err = cli(capsys, "optimise", finished[0], "--out", folder.path, "--resume")
     assert code == 2
     assert err.count("\n") == 1
-    assert "stored 'auto' search" in err
+    assert "batch 1 is damaged: " in err
 
 
 @pytest.mark.parametrize(

@@ -1,19 +1,15 @@
-"""The search from cheap to dear, on made-up objectives: it finds their peak, and can be stored anywhere."""
+"""The search over several fidelities, on made-up objectives: what it finds, spends and refuses."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import make_search
-from blender_lidar.study.auto_scores import screened
-from blender_lidar.study.auto_search import AutoSearch
-from blender_lidar.study.fidelity import Fidelity
-from blender_lidar.study.rung_climbs import RungClimbs
-from blender_lidar.study.rungs import Rung, spread_order
+from blender_lidar.optimise.multi_fidelity import MultiFidelitySearch, Rung
+from blender_lidar.run.optimise import screening
+from blender_lidar.scoring.fidelity import Fidelity, spread_order
 
 FRAMES = 40
 BLOCK = np.arange(FRAMES) // 4
@@ -33,8 +29,8 @@ def made_rungs(frames=FRAMES, climb=24, screen_climb=48):
 
 def made_search(d=2, seed=1, **given):
     lower, upper = np.full(d, -1.0), np.full(d, 3.0)
-    screen = make_search("hardened", lower, upper, seed=seed, evaluations=screened(d))
-    return AutoSearch(screen, made_rungs(**given), BLOCK, lower, upper, seed=seed)
+    screen = make_search("hardened", lower, upper, seed=seed, evaluations=screening(d))
+    return MultiFidelitySearch(screen, made_rungs(**given), BLOCK, lower, upper, seed=seed)
 
 
 def objective(asked, bias=0.0):
@@ -44,16 +40,10 @@ def objective(asked, bias=0.0):
     return value[:, None] * worth + bias * np.cos(40.0 * asked.x.sum(axis=1))[:, None] / asked.fidelity.stride
 
 
-def run(search, bias=0.0, after=None):
+def run(search, bias=0.0):
     while not search.done:
         search.tell(objective(search.ask(), bias))
-        if after is not None:
-            search = after(search)
     return search
-
-
-def without_seconds(search):
-    return [{key: value for key, value in row.items() if key != "seconds"} for row in search.spent]
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 5])
@@ -130,21 +120,23 @@ def test_what_is_recorded_has_met_every_frame_at_the_reference():
 
 def test_it_spends_a_small_share_of_what_a_search_at_the_reference_does():
     search = run(made_search())
-    casts = sum(row["frame_casts"] for row in search.spent if row["stride"] == 1)
+    casts = search.spent[-1]["frame_casts"]
     assert casts < 2000 * FRAMES / 30
     assert search.evaluations <= search.budget
     assert sum(row["candidates"] for row in search.spent) == search.evaluations
 
 
-def test_stored_and_restored_after_every_call_it_comes_to_the_same():
-    def through_json(search):
-        other = made_search()
-        other.restore(json.loads(json.dumps(search.state())))
-        return other
-
-    whole, stopped = run(made_search(), bias=0.2), run(made_search(), bias=0.2, after=through_json)
-    np.testing.assert_array_equal(whole.history, stopped.history)
-    assert without_seconds(whole) == without_seconds(stopped)
+def test_made_anew_and_told_the_same_it_asks_for_the_same():
+    first, again = made_search(), made_search()
+    while not first.done:
+        asked, other = first.ask(), again.ask()
+        assert (asked.fidelity, asked.frames) == (other.fidelity, other.frames)
+        assert np.array_equal(asked.x, other.x)
+        first.tell(objective(asked, 0.2), 0.5)
+        again.tell(objective(asked, 0.2).tolist(), 0.5)
+    np.testing.assert_array_equal(first.history, again.history)
+    assert first.spent == again.spent
+    assert {row["seconds"] > 0.0 for row in first.spent} == {True}
 
 
 def test_the_same_seed_comes_to_the_same_and_another_to_other_candidates():
@@ -168,47 +160,10 @@ def test_a_flat_objective_ends():
     assert search.best_value == 0.0
 
 
-@pytest.mark.parametrize("key", ["screen", "level", "x", "known", "record", "climb", "done", "spent"])
-def test_a_damaged_state_is_refused(key):
-    search = made_search()
-    for _ in range(3):
-        search.tell(objective(search.ask()))
-    state = json.loads(json.dumps(search.state()))
-    damaged = [{**state, key: "nonsense"}] if key != "done" else []
-    for broken in (*damaged, {name: value for name, value in state.items() if name != key}):
-        with pytest.raises(InputError, match="stored"):
-            made_search().restore(broken)
-
-
-def test_a_climb_that_has_ended_in_a_search_that_has_not_is_refused():
-    search = made_search()
-    while search.state()["climb"] is None:
-        search.tell(objective(search.ask()))
-    state = json.loads(json.dumps(search.state()))
-    for climb in state["climb"]["climbs"]:
-        climb["left"] = 0
-    with pytest.raises(InputError, match="all have ended"):
-        made_search().restore(state)
-
-
-@pytest.mark.parametrize("damage", ["out of step", "one too few"])
-def test_climbs_that_cannot_go_on_together_are_refused(damage):
-    """They were restored, and failed when they were asked."""
-    starts, block = np.array([[0.2], [0.8]]), np.arange(9) // 3
-
-    def fresh():
-        return RungClimbs(starts, 24, 4, 0.05, 4, block, range(7, 9))
-
-    climbs = fresh()
-    climbs.tell(climbs.ask()[0] * np.arange(1.0, 5.0))
-    state = json.loads(json.dumps(climbs.state()))
-    fresh().restore(state)
-    if damage == "out of step":
-        state["climbs"][0]["begun"] = None
-    else:
-        del state["climbs"][0]
-    with pytest.raises(InputError, match="climbs: "):
-        fresh().restore(state)
+@pytest.mark.parametrize("wrong", [np.zeros(3), np.zeros((2, 8)), np.zeros(())])
+def test_what_is_not_one_number_for_each_candidate_and_frame_is_refused(wrong):
+    with pytest.raises(InputError, match="objective values: shape"):
+        made_search().tell(wrong)
 
 
 def test_an_objective_that_is_no_number_is_refused():

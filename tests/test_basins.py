@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.optimise import basins
-from blender_lidar.optimise.basins import Basins
+from blender_lidar.optimise import hardened as basins
+from blender_lidar.optimise.hardened import Basins
 
 NOWHERE = np.array([[-9.0, -9.0]])
 

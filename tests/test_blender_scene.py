@@ -17,13 +17,10 @@ bpy = pytest.importorskip("bpy")
 
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.world.blender.lidar import sensor_matrix
-from blender_lidar.world.blender.render import render_picture
-from blender_lidar.world.blender.roles import DISPLAY_ONLY, VEHICLE_ID, role
-from blender_lidar.world.blender.scene import build_scene, empty_scene, save_blend
-from blender_lidar.world.blender.site import read_site
+from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, role, sensor_matrix
+from blender_lidar.world.blender.scene import build_scene, empty_scene, render_picture, save_blend
+from blender_lidar.world.blender.site import read_site, visible_triangles
 from blender_lidar.world.blender.traffic import animate, show_vehicles
-from blender_lidar.world.blender.visible import visible_triangles
 from blender_lidar.world.shapes import DETAILS, GLASS
 from blender_lidar.world.triangles import shape_names, vehicle_triangles
 from tests.blender_session import POSE, SCENERY, TRAFFIC, hits, moment

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shutil
 import subprocess
 import sys
+import venv
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +77,27 @@ def test_a_scan_is_written_and_a_missing_scene_is_one_line(program, tmp_path):
     assert "Traceback" not in said + err
 
 
+@pytest.mark.skipif(BLENDER is None, reason="no Blender on this machine")
+def test_a_blender_that_takes_an_environment_without_numpy_says_what_to_do(tmp_path, monkeypatch):
+    """Debian's Blender looks for packages where the first Python of PATH does."""
+    environment = tmp_path / "venv"
+    venv.create(environment, with_pip=False)
+    monkeypatch.setenv("PATH", f"{environment / 'bin'}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("VIRTUAL_ENV", str(environment))
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    code, said, err = run(
+        PROGRAMS[0].values[0], "scan.py", "scene.toml", "--frame", 1, "--out", "a.npz", folder=tmp_path
+    )
+    if "there is no such file" in err:
+        pytest.skip("this Blender brings a Python of its own")
+    assert code == 2
+    told = [line for line in err.splitlines() if line.startswith("blender-lidar: ")]
+    assert len(told) == 1
+    assert f"no NumPy that works in {environment}" in told[0]
+    assert "run deactivate before Blender" in told[0]
+    assert "Traceback" not in said + err
+
+
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_scene_is_built(program, tmp_path):
     scene, out = write_scene(tmp_path, BVH), tmp_path / "scene.blend"
@@ -99,3 +122,34 @@ def test_both_come_to_the_same_mounting(tmp_path):
     for key in ("objective_per_vehicle", "detectable_share", "evaluations"):
         assert results[0][key] == pytest.approx(results[1][key], rel=2e-3), key  # NumPy 1.24 rounds otherwise
     assert results[0]["frame_ids"] == results[1]["frame_ids"]
+
+
+EMBREE = """
+import sys
+if sys.version_info[:2] != {version}:
+    print("another Python")
+else:
+    sys.path[:0] = {paths}
+    flags = sys.getdlopenflags()
+    import numpy as np
+    from blender_lidar.casting import caster_class
+    floor = np.array([[[-9, -9, 0], [9, -9, 0], [9, 9, 0]], [[-9, -9, 0], [9, 9, 0], [-9, 9, 0]]], dtype=float)
+    hits = caster_class("embree")(floor).cast(np.array([1.0, 2.0, 3.0]), np.array([[0.0, 0.0, -1.0]]))
+    print("distance", hits.distance[0], sys.getdlopenflags() == flags)
+"""
+
+
+@pytest.mark.skipif(BLENDER is None or not is_available("embree"), reason="needs a Blender and embreex")
+def test_embree_casts_within_a_blender_that_links_an_embree_of_its_own(tmp_path):
+    """Debian's Blender 3.4.1 crashed: embreex called into Embree 3, which Blender had loaded."""
+    place = Path(importlib.util.find_spec("embreex").origin).parents[1]
+    for path in place.glob("embreex*"):
+        (tmp_path / path.name).symlink_to(path)
+    script = tmp_path / "embree.py"
+    paths = [str(tmp_path), str(SCRIPTS.parent)]
+    script.write_text(EMBREE.format(version=sys.version_info[:2], paths=paths), encoding="utf-8")
+    program = [BLENDER, "--background", "--factory-startup", "--python-exit-code", "1", "--python", script]
+    done = subprocess.run(program, capture_output=True, text=True, timeout=WAIT_S, check=False, cwd=tmp_path)
+    if "another Python" in done.stdout:
+        pytest.skip("embreex is installed for another Python than Blender's")
+    assert "distance 3.0 True" in done.stdout, done.stdout + done.stderr

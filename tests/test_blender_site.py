@@ -13,7 +13,7 @@ bpy = pytest.importorskip("bpy")
 
 from blender_lidar.errors import InputError
 from blender_lidar.world.blender import site
-from blender_lidar.world.blender.meshes import new_mesh
+from blender_lidar.world.blender.objects import new_mesh
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.site import read_site
 from blender_lidar.world.scenery import box
@@ -133,7 +133,7 @@ def test_without_blender_the_extra_that_brings_it_is_named(tmp_path, capsys, mon
 
 def test_a_run_is_rendered_and_its_page_shows_the_pictures(tmp_path, capsys, monkeypatch):
     without_charts(monkeypatch)
-    monkeypatch.setattr("blender_lidar.world.blender.render.SIZE", (64, 36))
+    monkeypatch.setattr("blender_lidar.world.blender.scene.SIZE", (64, 36))
     folder = tmp_path / "run{x}#1"
     scene = write_scene(tmp_path, {"world": {"boxes": [{"centre_m": [5.0, 1.0, 1.0], "size_m": [1.0, 0.5, 2.0]}]}})
     assert cli(capsys, "evaluate", scene, "--height", 3, "--out", folder)[0] == 0

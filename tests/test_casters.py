@@ -451,5 +451,5 @@ def test_of_faces_that_coincide_the_same_one_is_met_whatever_casts(name, detail)
     assert np.isfinite(true.distance).sum() > 40
     np.testing.assert_allclose(found.distance, true.distance, rtol=1e-12)
     if name == "raster":
-        turn = tree.turn(lattice, pose, 40.0)
+        turn = tree.revolution(lattice, pose, 40.0)
         np.testing.assert_array_equal(turn.triangle, true.triangle[true.triangle >= 0])

@@ -7,15 +7,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.speed_accuracy.ablated import ABOVE, BELOW, UNTOLD, Sides, ablation_row, filled_up, verdict
-from blender_lidar.speed_accuracy.ablation_report import ablation_cells, needs
-from blender_lidar.speed_accuracy.ablations import Ablation
-from blender_lidar.speed_accuracy.accuracy import Reference
-from blender_lidar.speed_accuracy.candidates import Candidates
-from blender_lidar.speed_accuracy.effects import Draw, Effect, choices, effects
-from blender_lidar.speed_accuracy.halves import chosen_by, halvings
-from blender_lidar.speed_accuracy.noise import noise_ceiling
-from blender_lidar.study.landscape import Landscape
+from blender_lidar.report.chart import ablation_cells, needs
+from blender_lidar.studies.ablations import (
+    ABOVE,
+    BELOW,
+    UNTOLD,
+    Ablation,
+    Compared,
+    _with_judges,
+    ablation_row,
+    compared,
+    draw_of,
+    verdict,
+)
+from blender_lidar.studies.driver import Landscape
+from blender_lidar.studies.effects import (
+    Candidates,
+    Draw,
+    Effect,
+    Reference,
+    choices,
+    chosen_by,
+    effects,
+    halvings,
+)
 
 BLOCKS, MOUNTINGS = 12, 16
 HALVES = halvings(BLOCKS, 1)
@@ -161,20 +176,21 @@ def test_nothing_is_told_without_an_effect_or_a_floor():
     assert verdict(None, 0.1) == verdict(Effect(0.0, (0.0, 0.0)), None) == UNTOLD
 
 
-def landscapes(noise: float, shift: float = 0.0, blocks: int = BLOCKS) -> tuple[Sides, Landscape, Reference]:
+def compared_on(noise: float, shift: float = 0.0, blocks: int = BLOCKS) -> tuple[Draw, Compared]:
+    """A draw, and what it is compared on, from landscapes with a frame in each block."""
     one = draw(1, noise=noise, shift=shift, blocks=blocks)
-    vehicles = np.full(blocks, 10)
-    below = np.full((1, blocks), -10.0)
+    vehicles, below = np.full(blocks, 10), np.full((1, blocks), -10.0)
     having, without = (Landscape(np.concatenate([below, part]), vehicles) for part in (one.having, one.without))
     judged = Landscape(one.judged, np.full(8, 10))
-    return Sides(without, having), judged, Reference.of(having, np.arange(blocks), judged, np.arange(8), 1)
+    reference = Reference.of(having, np.arange(blocks), judged, np.arange(8), 1)
+    every = Candidates(("height_m",), np.linspace(2.0, 5.0, MOUNTINGS)[:, None], (None,) * (1 + MOUNTINGS))
+    on = compared(None, every, reference)
+    return _with_judges(draw_of(without, having, on), (judged, slice(None)), on), on
 
 
 def rows(noise: float, shift: float = 0.0, blocks: int = BLOCKS) -> dict:
-    sides, judged, reference = landscapes(noise, shift, blocks)
-    every = Candidates(("height_m",), np.linspace(2.0, 5.0, MOUNTINGS)[:, None], ())
-    change = Ablation("thing", "big", ())
-    return ablation_row(change, [sides], [judged], every, reference, noise_ceiling(reference))
+    one, on = compared_on(noise, shift, blocks)
+    return ablation_row(Ablation("thing", "big", ((None, None),)), None, [one], on)
 
 
 def test_a_great_shift_is_above_the_floor_in_the_score_and_below_in_the_rest():
@@ -208,14 +224,12 @@ def test_with_too_few_blocks_for_a_floor_numbers_are_given_and_no_verdicts(block
 
 
 def test_a_side_that_cannot_be_had_is_told_of_in_its_words():
-    sides, judged, reference = landscapes(0.0)
-    every = Candidates(("height_m",), np.linspace(2.0, 5.0, MOUNTINGS)[:, None], ())
-    refused = Sides(sides.without, "the sensor is imperfect")
-    row = ablation_row(Ablation("thing", "", ()), [refused], [], every, reference, noise_ceiling(reference))
-    assert (row["note"], row["bias"]) == ("the sensor is imperfect", None)
-    assert judged.objective.shape == (1 + MOUNTINGS, 8)
+    _, on = compared_on(0.0)
+    row = ablation_row(Ablation("thing", "", ()), "the sensor is imperfect", [], on)
+    assert (row["note"], row["bias"], row["verdicts"]) == ("the sensor is imperfect", None, None)
 
 
 def test_candidates_that_nobody_chooses_are_filled_up_as_unknown():
-    whole = filled_up(Landscape(np.array([[1.0], [2.0], [3.0]]), np.array([4])), [0, 2], 4)
-    np.testing.assert_array_equal(whole.objective[:, 0], [1.0, 2.0, np.nan, 3.0])
+    one, on = compared_on(0.0)
+    judged = _with_judges(one, (Landscape(np.ones((3, 8)), np.full(8, 4)), [0, 2, 5]), on).judged
+    assert np.flatnonzero(np.isfinite(judged[:, 0])).tolist() == [0, 2, 5]

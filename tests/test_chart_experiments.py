@@ -8,30 +8,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from blender_lidar.casting import is_available
 from blender_lidar.errors import InputError
-from blender_lidar.scenario import load_scenario
+from blender_lidar.scene.observation import CountedFrame
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.fidelity import Fidelity
+from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.speed_accuracy.ablations import ablations
-from blender_lidar.speed_accuracy.bare_shapes import bare_shape, dropped_triangles
-from blender_lidar.speed_accuracy.changes import without_offsets
-from blender_lidar.speed_accuracy.motion import (
+from blender_lidar.studies.ablations import ablations, without_offsets
+from blender_lidar.studies.driver import AS_IT_IS, Job, landscapes
+from blender_lidar.studies.experiments import (
     SECTORS,
     MovingScorer,
+    PlainScorer,
+    SinglePrecisionScorer,
+    bare_shape,
+    grounded,
     moved,
     recorded_velocity,
     sector_times,
     sectors,
     velocity_at,
 )
-from blender_lidar.speed_accuracy.plain_scorer import PlainScorer, SinglePrecisionScorer
-from blender_lidar.study.fidelity import Fidelity
-from blender_lidar.study.frame_scorer import FrameScorer
-from blender_lidar.study.landscapes import Job, landscapes
-from blender_lidar.study.scoring import CountedFrame
-from blender_lidar.study.site import prepare
-from blender_lidar.study.site_fidelity import site_at
-from blender_lidar.study.variation import AS_IT_IS
+from blender_lidar.studies.ladder import at_fidelity
 from blender_lidar.world.shapes import DETAILS, SHAPES, shape
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import MAPPED, traffic_rows, write_scene, write_table
@@ -61,7 +62,7 @@ def assert_same(one, other):
 
 @pytest.mark.parametrize("detail", DETAILS)
 def test_the_plain_scorer_sees_what_the_products_own_sees(site, frame, detail):
-    observation = replace(site_at(site, Fidelity(detail, 4)).observation, max_range_m=50.0)
+    observation = replace(at_fidelity(site, Fidelity(detail, 4)).observation, max_range_m=50.0)
     plain, own = PlainScorer(frame, observation), FrameScorer(frame.vehicles, frame.counted, observation)
     expected = own.see(POSES, keep_returns=True)
     assert expected.points.sum() > 100
@@ -94,6 +95,25 @@ def test_float32_moves_points_by_micrometres(site, frame):
     np.testing.assert_array_equal(seen[0].points, seen[1].points)
     away = np.abs(seen[0].returns[0] - seen[1].returns[0]).max()
     assert 1e-9 < away < 2e-5
+
+
+# --- the ground -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("caster", ["raster", "embree", "bvh", "exact"])
+def test_the_ground_is_among_what_is_cast_against_and_changes_no_score(site, caster):
+    """It was put in as scenery, for which all of scoring fell back on NumPy: the chart timed that."""
+    if not is_available(caster):
+        pytest.skip(f"the library of {caster} is not installed")
+    site = replace(site, observation=replace(site.observation, caster=caster))
+    frame = next(frame for frame in site.search if frame.counted.any())
+    without, there = FrameScorer(frame.vehicles, frame.counted, site.observation), grounded(site, frame)
+    assert_same(there.see(POSES), without.see(POSES))
+    assert (there.compiled is None) == (without.compiled is None)  # no slower way
+    down = np.array([[0.0, 0.6, -0.8]])
+    away = np.array([site.region.centre_xy[0] + 0.9 * site.reach_m, 0.0, 4.0])
+    assert there.shapes.tree.cast(away, down).distance == pytest.approx(5.0)
+    assert np.isinf(without.shapes.tree.cast(away, down).distance)
 
 
 # --- motion -----------------------------------------------------------------------------------------------------------
@@ -165,14 +185,15 @@ def test_velocities_are_those_that_the_recording_was_made_with(tmp_path):
 @pytest.mark.parametrize("name", SHAPES)
 def test_without_wheels_and_mirrors_nothing_touches_the_ground_and_the_rest_stays_where_it_was(name):
     whole, bare = shape(name, "detailed"), bare_shape(name, "detailed")
-    assert dropped_triangles(name) > 0
+    assert len(whole.faces) > len(bare.faces)
     assert bare.vertices[:, 2].min() > -0.5 + 1e-6
     kept = {tuple(corner) for corner in whole.vertices.round(12).tolist()}
     assert {tuple(corner) for corner in bare.vertices.round(12).tolist()} <= kept
 
 
 def test_a_car_loses_four_wheels_and_two_mirrors():
-    assert dropped_triangles("car") == 4 * 36 + 2 * 12
+    whole, bare = shape("car", "detailed"), bare_shape("car", "detailed")
+    assert len(whole.faces) - len(bare.faces) == 4 * 36 + 2 * 12
 
 
 def test_every_ablation_can_be_sent_to_a_worker_and_has_a_name_of_its_own(site):

@@ -13,18 +13,18 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.commands.chart import parse_share
 from blender_lidar.errors import InputError
-from blender_lidar.scenario import load_scenario
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.fidelity import Fidelity
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.speed_accuracy import hits, ladder, study
-from blender_lidar.speed_accuracy.ablations import ablations
-from blender_lidar.speed_accuracy.candidates import candidates
-from blender_lidar.speed_accuracy.effort import Effort
-from blender_lidar.speed_accuracy.hits import count_hits
-from blender_lidar.speed_accuracy.paired import read_paired
-from blender_lidar.speed_accuracy.timing import time_fidelities
-from blender_lidar.study.fidelity import Fidelity
-from blender_lidar.study.landscapes import Job, landscapes
-from blender_lidar.study.site import prepare
+from blender_lidar.studies import chart as study
+from blender_lidar.studies import ladder
+from blender_lidar.studies.ablations import ablations
+from blender_lidar.studies.chart import read_paired
+from blender_lidar.studies.driver import Job, frame_scorer, landscapes
+from blender_lidar.studies.effects import candidates
+from blender_lidar.studies.experiments import grounded
+from blender_lidar.studies.ladder import Effort, count_hits, time_fidelities
 from tests.small_scene import CASTER, MAPPED, cli, write_scene
 
 TINY = Effort(3, 8, 2, 6, 2, 8, phases=2, rounds=2, hit_frames=1, hit_mountings=1, quick=True)
@@ -87,6 +87,7 @@ def test_neither_culling_nor_the_ground_changes_a_score(site, change):
     fidelities = Fidelity("body", 4), replace(Fidelity("body", 4), **change)
     found = [next(landscapes(site, [Job(ladder.variation(one), POSES)])).objective for one in fidelities]
     np.testing.assert_array_equal(*found)
+    assert ladder.variation(fidelities[1]).scorer is (grounded if fidelities[1].ground else frame_scorer)
 
 
 @pytest.mark.skipif(not (is_available("bvh") and is_available("embree")), reason="needs both trees")
@@ -103,17 +104,21 @@ def test_casters_come_to_the_same_scores_and_to_the_hits_of_the_oracle(site):
 def test_rays_that_differ_from_the_oracles_are_counted():
     oracle = np.array([1.0, 2.0, np.inf, 4.0, 5.0]), np.array([0, 1, -1, 2, 3])
     found = np.array([1.0, np.inf, 3.0, 4.5, 5.25]), np.array([0, -1, 2, 1, 3])
-    count = hits._count("embree", "box", oracle, found)
-    assert (count.rays, count.hits, count.hit_or_miss, count.vehicle) == (5, 4, 2, 1)
-    assert count.largest_range_m == 0.25
+    assert ladder.differing_hits(oracle, found) == {
+        "rays": 5,
+        "hits": 4,
+        "hit_or_miss": 2,
+        "vehicle": 1,
+        "largest_range_m": 0.25,
+    }
 
 
 def test_every_fidelity_is_timed_in_every_round_on_every_frame(site):
     timed = time_fidelities(site, [Fidelity("box"), Fidelity("detailed")], POSES, 3)
-    for one in timed:
-        assert one.evaluation_s.shape == (3, len(site.search))
-        assert (one.evaluation_s > 0.0).all()
-        assert (one.build_s > 0.0).all()
+    for evaluation_s, build_s in timed.values():
+        assert evaluation_s.shape == (3, len(site.search))
+        assert (evaluation_s > 0.0).all()
+        assert (build_s > 0.0).all()
 
 
 def test_candidates_lie_between_the_bounds_and_the_seed_moves_them(site):

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from blender_lidar import __version__, cli
+from blender_lidar.clouds.files import read_points
 from blender_lidar.commands.progress import Progress
-from blender_lidar.formats.clouds import read_points
 from tests.small_scene import CASTER, without_charts, without_times, write_scene, write_table
 from tests.small_scene import cli as run
 
@@ -68,6 +68,16 @@ def test_every_verb_has_help_that_explains_every_option(capsys, verb):
 def test_python_m_is_the_command_line():
     done = process("--version")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"blender_lidar {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    "words", [[], ["optimize"], ["scan"], ["scan", "scene.toml", "--frame", "x"], ["optimise", "--x"]]
+)
+def test_a_wrong_command_line_exits_2(words):
+    done = process(*words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "blender-lidar" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_help_needs_no_library_that_is_heavy():

@@ -10,11 +10,17 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
+from blender_lidar.clouds.files import (
+    ROAD,
+    SEMANTIC_CLASSES,
+    WRITERS,
+    levelled,
+    read_points,
+    write_cloud,
+    write_sustechpoints,
+)
+from blender_lidar.clouds.scan import PointCloud, scan
 from blender_lidar.errors import MissingExtraError, OutputError
-from blender_lidar.formats.clouds import WRITERS, read_points, write_cloud
-from blender_lidar.formats.kitti import ROAD, SEMANTIC_CLASSES, levelled
-from blender_lidar.formats.sustechpoints import write_sustechpoints
-from blender_lidar.scan import PointCloud, scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose

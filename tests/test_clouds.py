@@ -15,10 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.cli import main
+from blender_lidar.clouds.files import READABLE, check_cloud_name, read_points, write_cloud
+from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError, MissingFileError, OutputError
-from blender_lidar.formats.atomic import whole_file, write_bytes, write_text
-from blender_lidar.formats.clouds import READABLE, check_cloud_name, read_points, write_cloud
-from blender_lidar.scan import scan
+from blender_lidar.files import whole_file, write_bytes, write_text
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -146,6 +146,15 @@ def test_a_damaged_npz_file_is_refused_in_one_line(tmp_path):
     for content in contents:
         path.write_bytes(content)
         assert refusal(path)
+
+
+def test_an_npz_file_is_read_though_an_array_that_is_not_needed_is_damaged(tmp_path):
+    path = tmp_path / "cloud.npz"
+    np.savez(path, xyz=CLOUD.xyz, vehicle_id=CLOUD.vehicle_id, further=np.zeros(2))
+    path.write_bytes(path.read_bytes().replace(b"further.npy", b"damaged.npy", 1))  # in its own header alone
+    points, vehicle_id = read_points(path)
+    np.testing.assert_array_equal(points, CLOUD.xyz)
+    np.testing.assert_array_equal(vehicle_id, CLOUD.vehicle_id)
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

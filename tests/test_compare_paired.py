@@ -4,29 +4,23 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main
-from blender_lidar.errors import InputError
 from blender_lidar.metrics.vgop import occupancy, pe_vgop
-from blender_lidar.reality.frame_list import FrameList, read_frame_list
-from blender_lidar.reality.labelled import LabelledBoxes, LabelledSweep
-from blender_lidar.reality.labelled_scene import shape_names
-from blender_lidar.reality.layouts import open_labelled
-from blender_lidar.reality.paired_cars import pair_cars
-from blender_lidar.reality.paired_statistics import aggregate, cheapest_within_noise, median_interval
-from blender_lidar.reality.variants import MEASURED, variants
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.studies.compare.detections import FrameList
+from blender_lidar.studies.compare.labelled import open_labelled
+from blender_lidar.studies.compare.paired import MEASURED, pair_cars, shape_names, variants
+from blender_lidar.studies.compare.paired_findings import aggregate, cheapest_within_noise, median_interval
+from tests.labelled_samples import KITTI, needs_kitti
 from tests.real_sweeps import cloud_of, in_kitti_frame, street, write_kitti
 
-KITTI = Path(__file__).parents[1].parent / "shared" / "data" / "kitti"
 CASTER = "embree" if is_available("embree") else "exact"
 NO_MARGIN = (0.0, 0.0, 0.0)
 LEVELS = ("box", "body", "detailed")
@@ -104,41 +98,20 @@ def test_losses_are_those_that_scans_know(tmp_path):
     assert all(np.median(error[losses]) > 0.03 for losses in ("none", "glass", "any", "both"))
 
 
-def test_shares_that_are_lost_by_chance_are_lost():
-    vehicles = street(4)
+def one_sweep(folder, vehicles, labels=None):
+    """A folder of one sweep over vehicles."""
+    folder.mkdir(exist_ok=True)
+    write_kitti(folder, "1", cloud_of(vehicles)[1], vehicles, labels)
+    return open_labelled(folder)
+
+
+def test_shares_that_are_lost_by_chance_are_lost(tmp_path):
     ways = variants(("body",), Imperfections(0.02, 0.3, glass_dropout=1.0, range_at_10_percent_m=1e3))
-    counts = {}
-
-    class OneSweep:
-        folder, frames = "here", ("1",)
-
-        def __len__(self):
-            return 1
-
-        def read(self, frame):
-            return sweep_of(vehicles, cloud_of(vehicles)[1])
-
-    paired = pair_cars(OneSweep(), ways, CASTER, NO_MARGIN)
-    for index, way in enumerate(ways):
-        counts[way.losses] = int(paired.of[index]["simulated_points"].sum())
+    paired = pair_cars(one_sweep(tmp_path, street(4)), ways, CASTER, NO_MARGIN)
+    counts = {way.losses: of["simulated_points"].sum() for way, of in zip(ways, paired.of, strict=True)}
     assert counts["any"] == pytest.approx(0.7 * counts["none"], rel=0.05)
     assert counts["both"] == pytest.approx(0.7 * counts["glass"], rel=0.05)
     assert counts["glass"] < 0.95 * counts["none"] == 0.95 * counts["weak"]
-
-
-def sweep_of(vehicles, points):
-    """A labelled sweep without files."""
-    count = len(vehicles)
-    boxes = LabelledBoxes(
-        label_line=np.arange(count),
-        label=np.full(count, "Car"),
-        centre_m=in_kitti_frame(vehicles.centre_m),
-        size_m=vehicles.size_m,
-        heading_rad=vehicles.heading_rad - 0.5 * np.pi,
-        occlusion=np.zeros(count, dtype=np.int8),
-        truncation=np.zeros(count),
-    )
-    return LabelledSweep("1", points, boxes)
 
 
 def test_what_an_unlabelled_thing_hid_counts_on_neither_side(tmp_path):
@@ -155,15 +128,10 @@ def test_what_an_unlabelled_thing_hid_counts_on_neither_side(tmp_path):
         heading_rad=np.array([0.0, 1.2]),
         lane=np.ones(2, dtype=np.int16),
     )
-    points = cloud_of(both)[1]
     results = {}
     for name, labels in {"told": ["Car", "Car"], "untold": ["Car", "DontCare"]}.items():
-        folder = tmp_path / name
-        folder.mkdir()
-        write_kitti(folder, "1", points, both, labels)
-        paired = pair_cars(open_labelled(folder), PLAIN[1:2], CASTER, NO_MARGIN)
-        assert paired.cars["label_line"][0] == 0
-        results[name] = paired
+        results[name] = pair_cars(one_sweep(tmp_path / name, both, labels), PLAIN[1:2], CASTER, NO_MARGIN)
+        assert results[name].cars["label_line"][0] == 0
     told, untold = results["told"], results["untold"]
     assert 0.1 < untold.cars["hidden_share"][0] < 0.9
     assert abs(untold.errors(0)[0]) < 0.02  # the hidden rays are set aside
@@ -171,15 +139,12 @@ def test_what_an_unlabelled_thing_hid_counts_on_neither_side(tmp_path):
     assert abs(told.errors(0, hidden_kept=True)[0]) < 0.05  # what is labelled hides in the simulation too
 
 
-def test_labels_become_the_shapes_that_traffic_has():
-    vehicles = street(1, cars=8)
+def test_labels_become_the_shapes_that_traffic_has(tmp_path):
+    labels = ["Car", "Pedestrian", "Car", "Van", "Truck", "Cyclist", "Truck", "Tram"]
+    boxes = one_sweep(tmp_path, street(1, cars=8), labels).read("1").boxes
     size = np.repeat([[4.0, 1.8, 1.5], [5.0, 1.9, 1.8], [8.0, 2.5, 3.0], [12.0, 2.5, 3.5]], 2, axis=0)
-    boxes = replace(
-        sweep_of(vehicles, np.zeros((0, 3))).boxes,
-        size_m=size,
-        label=np.array(["Car", "Pedestrian", "Car", "Van", "Truck", "Cyclist", "Truck", "Tram"]),
-    )
-    assert shape_names(boxes) == ["car", None, "van", "van", "truck", "motorcycle", "long_truck", "bus"]
+    expected = ["car", None, "van", "van", "truck", "motorcycle", "long_truck", "bus"]
+    assert shape_names(replace(boxes, size_m=size)) == expected
 
 
 def test_intervals_cover_the_median_of_frames_that_differ():
@@ -192,17 +157,6 @@ def test_intervals_cover_the_median_of_frames_that_differ():
         low, high = median_interval(values, frame)["interval_90"]
         held += low <= 0.0 <= high
     assert 165 <= held <= 195
-
-
-def test_which_frames_were_fitted_to_is_read_from_the_list_whatever_others_are_there(tmp_path):
-    assert read_frame_list(tmp_path).tuned is None
-    rows = [("1", "train", "object"), ("2", "val", "object"), ("3", "val", "tracking"), ("000006", "val", "object")]
-    text = "frame,split,label_kind\n" + "\n".join(map(",".join, rows)) + "\n"
-    for written in (text, "\ufeff" + text, text + "4,val,object\n"):
-        (tmp_path / "frames.csv").write_text(written, encoding="utf-8")
-        assert read_frame_list(tmp_path).tuned == {"1", "000006"}
-    (tmp_path / "frames.csv").write_text(text.replace("split", "part"), encoding="utf-8")
-    assert read_frame_list(tmp_path).tuned is None
 
 
 def test_a_drive_that_is_told_is_resampled_as_one(true_bodies, tmp_path, capsys):
@@ -230,21 +184,6 @@ def test_a_drive_that_is_told_is_resampled_as_one(true_bodies, tmp_path, capsys)
     second = capsys.readouterr()
     assert json.loads(second.out)["sets"]["all"]["resampled"] == {"unit": "drive", "number": 3, "too_narrow": False}
     assert "too narrow" not in second.err
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("frame,split,label_kind\n1,val,object\n2,val\n", "frames.csv:3: 2 fields; the header has 3"),
-        ("frame,split,label_kind\n1,,object\n", "frames.csv:2: split is empty"),
-        ("name,split,label_kind\n1,val,object\n", "frames.csv: has no column 'frame'"),
-        ("", "frames.csv: has no row below its header"),
-    ],
-)
-def test_a_list_of_frames_that_cannot_be_used_is_named(tmp_path, text, told):
-    (tmp_path / "frames.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=re.escape(told)):
-        read_frame_list(tmp_path)
 
 
 def run(*words):
@@ -279,8 +218,7 @@ def test_the_verb_leaves_a_table_and_aggregates_that_agree(true_bodies, tmp_path
     [("train", "the frames that shapes and losses were fitted to"), ("test", "that nothing was fitted to")],
 )
 def test_a_folder_of_fitted_or_of_other_frames_alone_says_so(tmp_path, capsys, split, told):
-    vehicles = street(1)
-    write_kitti(tmp_path, "1", cloud_of(vehicles)[1], vehicles)
+    one_sweep(tmp_path, street(1))
     (tmp_path / "frames.csv").write_text(f"frame,split,label_kind\n1,{split},tracking\n", encoding="utf-8")
     words = ("--kitti", tmp_path, "--details", "box", "--caster", CASTER, "--out", tmp_path / "out")
     assert run(*words) == 0
@@ -291,14 +229,7 @@ def test_a_folder_of_fitted_or_of_other_frames_alone_says_so(tmp_path, capsys, s
 
 def test_what_counts_as_a_car_may_be_named(tmp_path, capsys):
     vehicles = street(1)
-    write_kitti(tmp_path, "1", cloud_of(vehicles)[1], vehicles)
-    path = tmp_path / "label_2" / "1.txt"
-    cars = path.read_text(encoding="utf-8")
-    lines = cars.splitlines()
-    rows = [row for row, line in enumerate(lines) if line.startswith("Car ")]
-    for row in rows[::2]:
-        lines[row] = lines[row].replace("Car ", "Van ", 1)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    one_sweep(tmp_path, vehicles, ["Van" if row % 2 else "Car" for row in range(len(vehicles))])
     words = ("--kitti", tmp_path, "--details", "box", "--caster", CASTER, "--json")
     counts = []
     for number, classes in enumerate((("car",), ("VAN",), ("Car", "Van"))):
@@ -313,9 +244,7 @@ def test_what_counts_as_a_car_may_be_named(tmp_path, capsys):
 
 
 def test_a_single_sweep_is_compared_without_intervals(tmp_path, capsys):
-    vehicles = street(1)
-    (tmp_path / "one").mkdir()
-    write_kitti(tmp_path / "one", "1", cloud_of(vehicles)[1], vehicles)
+    one_sweep(tmp_path / "one", street(1))
     words = ("--kitti", tmp_path / "one", "--label-margin", 0, 0, 0, "--caster", CASTER, "--out", tmp_path / "out")
     assert run(*words) == 0
     printed = capsys.readouterr().out
@@ -377,7 +306,7 @@ def test_wrong_folders_end_in_one_line_and_leave_nothing(true_bodies, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.skipif(not KITTI.is_dir(), reason=f"no KITTI excerpt at {KITTI}")
+@needs_kitti
 def test_real_sweeps_give_an_hdl_64e_and_the_shapes_beat_the_box():
     clouds = open_labelled(KITTI)
     few = replace(clouds, frames=clouds.frames[::6])

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import blender_lidar
-from blender_lidar.numba_here import numba_works
+from blender_lidar.compiled import numba_works
 
 pytestmark = pytest.mark.skipif(not numba_works(), reason="Numba, of the extra fast, is not installed")
 
@@ -37,26 +37,44 @@ def package(tmp_path):
     folder = tmp_path / "package"
     folder.mkdir()
     (folder / "__init__.py").touch()
-    shutil.copy(Path(blender_lidar.__file__).with_name("compiled.py"), folder)
+    for name in ("compiled.py", "files.py", "errors.py"):
+        shutil.copy(Path(blender_lidar.__file__).with_name(name), folder)
 
-    def run(**modules: str) -> str:
+    def run(warns: bool = False, cache: str | None = None, **modules: str) -> str:
         for name, text in modules.items():
             (folder / f"{name}.py").write_text(text)
         environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+        environment |= {} if cache is None else {"NUMBA_CACHE_DIR": cache, "XDG_CACHE_HOME": cache}
         done = subprocess.run(
             [sys.executable, "-c", PROGRAM], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
+        assert done.stderr.count("compiled code cannot be kept") == warns, done.stderr
         return done.stdout
 
     return run
 
 
-def test_what_was_compiled_is_found_again_until_any_compiled_module_changes(package):
+def test_what_was_compiled_is_found_again_until_any_source_of_the_package_changes(package):
     assert package(shapes=PAIR, added=ADDED.format(module="shapes")) == "3.0 0\n"
     assert package() == "3.0 1\n"
-    assert package(other="from .compiled import compiled\n") == "3.0 0\n"
+    assert package(other="import numpy\n") == "3.0 0\n"
     assert package() == "3.0 1\n"
+
+
+def test_a_constant_of_a_module_that_compiles_nothing_is_no_longer_the_old_one(package):
+    """Only files with the words "compiled import" were looked at: old code stayed, frozen with old numbers."""
+    adds = ADDED.replace("pair.right", "pair.right + MORE").replace("import Pair", "import MORE, Pair")
+    assert package(shapes=PAIR + "MORE = 1.0\n", added=adds.format(module="shapes")) == "4.0 0\n"
+    assert package(shapes=PAIR + "MORE = 2.0\n") == "5.0 0\n"
+
+
+def test_where_nothing_can_be_kept_one_line_says_so_and_everything_works(package, tmp_path):
+    """Two functions, one warning; every process compiled anew without a word."""
+    for name in ("no_folder", "package/__pycache__"):
+        (tmp_path / name).touch()
+    more = ADDED.format(module="shapes") + "\n\n@compiled\ndef other(pair):\n    return pair.left\n"
+    assert package(warns=True, cache=str(tmp_path / "no_folder"), shapes=PAIR, added=more) == "3.0 0\n"
 
 
 def test_a_type_of_compiled_code_that_had_moved_to_another_module_ended_every_run_from_then_on(package, tmp_path):

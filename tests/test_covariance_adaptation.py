@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blender_lidar.optimise.covariance_adaptation import CovarianceAdaptation
-from blender_lidar.optimise.sampling import generator
+from blender_lidar.optimise.cma_es import CovarianceAdaptation
+from blender_lidar.optimise.search import generator
 
 
 def test_a_climb_is_cma_es_as_the_cmaes_package_has_it():
@@ -21,10 +21,9 @@ def test_a_climb_is_cma_es_as_the_cmaes_package_has_it():
         values = -(slope * np.square(ours.candidates - [0.5, 0.52, 0.5])).sum(axis=1)
         theirs.tell([(x, -value) for x, value in zip(ours.candidates, values, strict=True)])
         ours.tell(values)
-        state = ours.state()
-        np.testing.assert_allclose(state["mean"], theirs._mean, rtol=1e-6)
-        assert state["step"] == pytest.approx(theirs._sigma, rel=1e-5)
-        np.testing.assert_allclose(state["covariance"], theirs._C, rtol=1e-4, atol=1e-7)
+        np.testing.assert_allclose(ours._mean, theirs._mean, rtol=1e-6)
+        assert ours._step == pytest.approx(theirs._sigma, rel=1e-5)
+        np.testing.assert_allclose(ours._covariance, theirs._C, rtol=1e-4, atol=1e-7)
 
 
 def test_a_climb_on_a_plateau_widens_and_then_gives_up():
@@ -32,7 +31,7 @@ def test_a_climb_on_a_plateau_widens_and_then_gives_up():
     for _ in range(10):
         climb.move()
         climb.tell(np.zeros(6))
-    assert climb.state()["step"] > 0.003
+    assert climb._step > 0.003
     for _ in range(20):
         climb.move()
         climb.tell(np.zeros(6))
@@ -50,9 +49,8 @@ def test_a_climb_to_a_wall_along_an_edge_or_into_a_corner_arrives(best):
             climb.move()
             tried.append(climb.candidates)
             climb.tell(-np.abs(climb.candidates - best) @ slope)
-            state = climb.state()
-            beyond = np.abs(np.array(state["mean"]) - 0.5) - 0.5
-            assert (beyond <= 4.0 * state["step"] * np.sqrt(np.diag(state["covariance"]))).all()
+            beyond = np.abs(climb._mean - 0.5) - 0.5
+            assert (beyond <= 4.0 * climb._step * np.sqrt(np.diag(climb._covariance))).all()
         tried = np.concatenate(tried)
         assert ((tried >= 0.0) & (tried <= 1.0)).all()
         assert (tried[:, walls] == best[walls]).all(axis=1).any()

@@ -1,9 +1,8 @@
-"""DE-PSO against a plain-loop Algorithm 1, and the properties that tell its two readings apart."""
+"""DE-PSO against a plain-loop Algorithm 1, the properties that tell its two readings apart, and what it refuses."""
 
 from __future__ import annotations
 
 import inspect
-import json
 from dataclasses import fields
 
 import numpy as np
@@ -11,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.optimise import READINGS, DePso, DePsoSettings, de_pso, run, search_from_state
+from blender_lidar.errors import InputError
+from blender_lidar.optimise import READINGS, DePso, DePsoSettings, de_pso, run
 from tests.search_landscapes import LOWER, OPTIMUM, UPPER, ackley, sphere, terraces
 
 SHORT = {"particles": 6, "iterations": 9}
@@ -138,55 +138,10 @@ def test_the_same_seed_gives_the_same_trace_and_another_seed_another(reading):
     assert not np.array_equal(first.history, other.history)
 
 
-@pytest.mark.parametrize("reading", READINGS)
-def test_a_run_stored_and_restored_at_any_point_ends_the_same(reading):
-    use = DePsoSettings(reading=reading, **SHORT)
-    whole = run(DePso(LOWER, UPPER, seed=2, settings=use), terraces)
-    states = [DePso(LOWER, UPPER, seed=2, settings=use).state()]
-    run(DePso(LOWER, UPPER, seed=2, settings=use), terraces, lambda search: states.append(search.state()))
-    for state in states:
-        text = json.dumps(state, allow_nan=False)
-        restored = search_from_state(json.loads(text))
-        assert restored.state() == state
-        result = run(restored, terraces)
-        assert np.array_equal(result.history, whole.history)
-        assert np.array_equal(result.x, whole.x)
-        assert result.value == whole.value
-
-
-@pytest.mark.parametrize("reading", READINGS)
-def test_infeasible_candidates_survive_storing(reading):
-    def feasible_high_up(x):
-        return np.where(x[:, 0] > 4.3, sphere(x), -np.inf)
-
-    use = DePsoSettings(reading=reading, **SHORT)
-    whole = run(DePso(LOWER, UPPER, seed=1, settings=use), feasible_high_up)
-    assert np.isneginf(whole.history[:, -2]).any()
-    search = DePso(LOWER, UPPER, seed=1, settings=use)
-    while not search.done:
-        search = search_from_state(json.loads(json.dumps(search.state(), allow_nan=False)))
-        search.tell(feasible_high_up(search.ask()))
-    assert np.array_equal(search.history, whole.history)
-
-
 def test_a_search_that_finds_nothing_feasible_says_so():
     result = de_pso(lambda x: np.full(len(x), -np.inf), LOWER, UPPER, seed=0, **SHORT)
     assert result.value == -np.inf
     assert np.array_equal(result.x, points_of(result.history)[0])
-
-
-@pytest.mark.parametrize("reading", READINGS)
-def test_asking_twice_changes_nothing(reading):
-    use = DePsoSettings(reading=reading, **SHORT)
-    search = DePso(LOWER, UPPER, seed=4, settings=use)
-    while not search.done:
-        before = search.state()
-        candidates = search.ask()
-        candidates[:] = np.nan
-        assert np.isfinite(search.ask()).all()
-        assert search.state() == before
-        search.tell(sphere(search.ask()))
-    assert np.array_equal(search.history, de_pso(sphere, LOWER, UPPER, seed=4, reading=reading, **SHORT).history)
 
 
 @settings(max_examples=25, deadline=None)
@@ -322,3 +277,84 @@ def test_the_defaults_of_the_function_are_those_of_the_settings():
     parameters = inspect.signature(de_pso).parameters
     for field in fields(DePsoSettings):
         assert parameters[field.name].default == field.default
+
+
+# --- what is refused, in one line that names it -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper", "message"),
+    [
+        ([2.0, 0.0], [4.5], r"shapes \(2,\) and \(1,\)"),
+        ([], [], r"shapes \(0,\) and \(0,\)"),
+        ([[2.0]], [[4.5]], r"shapes \(1, 1\)"),
+        (2.0, 4.5, r"shapes \(\) and \(\)"),
+        ([2.0, 25.0], [4.5, 0.0], r"variable 1: \[25, 0\] are upside down"),
+        ([2.0, 3.0], [4.5, 3.0], r"variable 1: \[3, 3\] .*fix it with a number instead"),
+        ([np.nan], [4.5], r"variable 0: \[nan, 4.5\]; allowed: finite"),
+        ([0.0], [np.inf], r"variable 0: \[0, inf\]; allowed: finite"),
+        ([-1.7e308], [1.7e308], "a finite distance apart"),
+        (["low"], ["high"], "lower bounds: .*allowed: numbers"),
+    ],
+)
+def test_unusable_bounds_are_refused_in_one_line(lower, upper, message):
+    with pytest.raises(InputError, match=message) as caught:
+        de_pso(sphere, lower, upper, seed=0)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"particles": 2}, "particles: 2; allowed: 3 or more"),
+        ({"particles": 20.0}, "particles: 20.0; allowed: a whole number"),
+        ({"iterations": 0}, "iterations: 0; allowed: 1 or more"),
+        ({"inertia": -0.1}, "inertia: -0.1; allowed"),
+        ({"cognitive": np.nan}, "cognitive: nan; allowed"),
+        ({"social": "much"}, "social: 'much'; allowed"),
+        ({"differential_weight": np.inf}, "differential_weight: inf; allowed"),
+        ({"differential_threshold": 1.1}, "differential_threshold: 1.1; allowed: a finite number from 0 to 1"),
+        ({"reading": "literal"}, "unknown reading 'literal'.*corrected, paper"),
+        ({"seed": -1}, "seed: -1; allowed: 0 or more"),
+        ({"seed": None}, "seed: None; allowed: a whole number"),
+    ],
+)
+def test_unusable_settings_are_refused_by_name(setting, message):
+    with pytest.raises(InputError, match=message):
+        de_pso(sphere, LOWER, UPPER, **{"seed": 0, **setting})
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_value_that_is_no_number_is_refused_and_names_the_candidate(bad):
+    search = DePso(LOWER, UPPER, seed=0, settings=DePsoSettings(**SHORT))
+    values = np.zeros(6)
+    values[4] = bad
+    candidates = search.ask()
+    with pytest.raises(InputError) as caught:
+        search.tell(values)
+    assert str(candidates[4].tolist()) in str(caught.value)
+    assert search.evaluations == 0
+    assert np.array_equal(search.ask(), candidates)
+
+
+@pytest.mark.parametrize("values", [np.zeros((20, 1)), np.zeros(19), 0.0, ["a"] * 20, [1j] * 20])
+def test_values_of_the_wrong_shape_or_kind_are_refused(values):
+    with pytest.raises(InputError, match="objective values"):
+        de_pso(lambda x: values, LOWER, UPPER, seed=0)
+
+
+def test_a_finished_search_asks_and_takes_nothing_more():
+    search = DePso(LOWER, UPPER, seed=0, settings=DePsoSettings(**SHORT))
+    run(search, sphere)
+    with pytest.raises(InputError, match="all 54 evaluations are made"):
+        search.ask()
+    with pytest.raises(InputError, match="all 54 evaluations are made"):
+        search.tell(np.zeros(6))
+
+
+def test_before_the_first_evaluation_there_is_no_best():
+    search = DePso(LOWER, UPPER, seed=0)
+    assert (search.evaluations, search.iteration, search.best_value) == (0, 0, -np.inf)
+    assert search.history.shape == (0, 7)
+    with pytest.raises(InputError, match="nothing has been evaluated"):
+        _ = search.best_x

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
-from blender_lidar.casting.standing import StandingScenery
-from blender_lidar.sensors.detection_range import detection_range_m
-from blender_lidar.sensors.imperfections import Imperfections
+from blender_lidar.casting.protocol import StandingScenery
+from blender_lidar.scene.observation import Observation
+from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.sensors.imperfections import Imperfections, detection_range_m
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.world.meshes import REFLECTIVITY, ROAD, STRUCTURE, SURFACES
 from blender_lidar.world.scenery import structure
 from blender_lidar.world.triangles import vehicle_triangles

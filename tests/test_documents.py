@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from blender_lidar import __version__
-from blender_lidar.scenario import load_scenario
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.sensors.model import model_names
 
 ROOT = Path(__file__).parents[1]

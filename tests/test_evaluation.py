@@ -22,15 +22,14 @@ import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.errors import WorkerError
+from blender_lidar.run.verdict import COLUMNS, distance_bands, judge, lanes, vehicle_table
+from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scoring.evaluation import Evaluator, Totals
+from blender_lidar.scoring.fidelity import Fidelity, coarse_observation
+from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.study.evaluation import CountedFrame, Evaluator, Scoring, Totals
-from blender_lidar.study.fidelity import Fidelity
-from blender_lidar.study.frame_scorer import FrameScorer, Observation
-from blender_lidar.study.rungs import coarse_observation
-from blender_lidar.study.vehicle_table import COLUMNS, join_tables, vehicle_table
-from blender_lidar.study.verdict import distance_bands, judge, lanes
 from tests.sample_traffic import dense_traffic
 from tests.waiting import WAIT_S
 
@@ -197,7 +196,7 @@ def test_ctrl_c_while_the_workers_end_waits_until_they_have(monkeypatch):
     evaluator = Evaluator(FRAMES, SEEN, SCORING, workers=3).__enter__()
     evaluator.await_workers()
     children = set(multiprocessing.active_children()) - before
-    executor = evaluator._pool._pool._executor
+    executor = evaluator._pool._others._executor
     shutdown = executor.shutdown
 
     def interrupted(**how):
@@ -239,33 +238,21 @@ def program(body):
     """Another Python on its standard input: what it says, line by line, is read with `.stdout`."""
     head = """
         from blender_lidar.errors import WorkerError
-        from blender_lidar.study.evaluation import Evaluator
+        from blender_lidar.scoring.evaluation import Evaluator
         from tests.test_evaluation import FRAMES, SCORING, SEEN, frames_of
         """
     return textwrap.dedent(head) + textwrap.dedent(body)
 
 
-def test_a_worker_that_dies_while_it_starts_is_an_error_and_no_hang():
-    """Here the child cannot find the main program, which came from standard input."""
-    body = """
-        try:
-            with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
-                evaluator.await_workers()
-                print("started")
-        except WorkerError as error:
-            print("refused:", error)
-        """
-    done = subprocess.run(
-        [sys.executable], input=program(body), cwd=ROOT, capture_output=True, text=True, timeout=WAIT_S
-    )
-    assert done.stdout.startswith("refused: a worker process ended abruptly")
+@pytest.mark.parametrize("frames", [5, 160])
+def test_a_worker_that_dies_while_it_starts_is_an_error_and_no_hang(frames):
+    """Here the child cannot find the main program, which came from standard input.
 
-
-def test_workers_that_die_before_they_read_much_data_are_an_error_and_no_hang():
-    """More than a pipe holds, so that whoever writes it to a child that has died waits for ever."""
-    body = """
+    Many frames are more than a pipe holds, so that whoever writes them to a child that has died waits for ever.
+    """
+    body = f"""
         try:
-            with Evaluator(frames_of(160), SEEN, SCORING, workers=2) as evaluator:
+            with Evaluator(frames_of({frames}), SEEN, SCORING, workers=2) as evaluator:
                 evaluator.await_workers()
                 print("started")
         except WorkerError as error:
@@ -293,8 +280,14 @@ def test_a_system_that_lets_only_some_workers_start_is_an_error_and_no_hang(monk
     assert not set(multiprocessing.active_children()) - before
 
 
-def test_nothing_stays_of_what_workers_read_when_they_start(tmp_path, monkeypatch):
+def test_nothing_stays_of_what_workers_read_when_they_start_nor_of_workers_that_were_starting(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = set(multiprocessing.active_children())
+    with Evaluator(FRAMES, SEEN, SCORING, workers=3):
+        children = set(multiprocessing.active_children()) - before
+    assert len(children) == 2
+    assert not any(child.is_alive() for child in children)
+    assert not list(tmp_path.iterdir())
     with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
         assert len(list(tmp_path.glob("blender_lidar-*"))) == 1
         evaluator.await_workers()
@@ -352,16 +345,6 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
             os.kill(worker, signal.SIGKILL)
 
 
-def test_a_run_that_ends_while_its_workers_start_leaves_nobody_and_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    before = set(multiprocessing.active_children())
-    with Evaluator(FRAMES, SEEN, SCORING, workers=3):
-        children = set(multiprocessing.active_children()) - before
-    assert len(children) == 2
-    assert not any(child.is_alive() for child in children)
-    assert not list(tmp_path.iterdir())
-
-
 def test_nobody_waits_for_workers_that_are_starting(alone):
     """The start of another process takes a second, and this one can do the work meanwhile."""
     before = set(multiprocessing.active_children())
@@ -392,7 +375,7 @@ def test_starting_workers_leaves_the_environment_as_it_was(monkeypatch):
 
 
 def test_the_vehicle_table_adds_up_to_the_totals(alone):
-    table = vehicle_table(FRAMES, POSES[1], SEEN, SCORING, "search")
+    table = vehicle_table(POSES[1], search=Evaluator(FRAMES, SEEN, SCORING))
     assert tuple(table) == COLUMNS
     assert {len(column) for column in table.values()} == {alone.vehicles.sum()}
     score = np.where(table["detectable"], table["entropy_bits"], -1.0)
@@ -405,21 +388,24 @@ def test_the_vehicle_table_adds_up_to_the_totals(alone):
     assert set(table["class"]) <= {"car", "van", "truck", "bus", "motorcycle"}
 
 
-def test_tables_of_both_halves_join_and_empty_ones_are_left_out():
-    first = vehicle_table(FRAMES[:2], POSES[0], SEEN, SCORING, "search")
+def test_both_splits_stand_in_one_table_and_frames_in_which_nobody_counts_in_none():
+    searched, held_out = FRAMES[:2], FRAMES[2:3]
+    alone = vehicle_table(POSES[0], search=Evaluator(searched, SEEN, SCORING))
     nobody = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
     for empty in ([], [nobody]):
-        second = vehicle_table(empty, POSES[0], SEEN, SCORING, "holdout")
-        joined = join_tables(first, second)
+        evaluator = Evaluator(searched, SEEN, SCORING, held_out=empty)
+        table = vehicle_table(POSES[0], search=evaluator, holdout=evaluator.held_out)
         for name in COLUMNS:
-            np.testing.assert_array_equal(joined[name], first[name])
-            assert joined[name].dtype == first[name].dtype
-    both = join_tables(first, vehicle_table(FRAMES[2:3], POSES[0], SEEN, SCORING, "holdout"))
-    assert both["split"].tolist() == ["search"] * len(first["frame"]) + ["holdout"] * FRAMES[2].counted.sum()
+            np.testing.assert_array_equal(table[name], alone[name])
+            assert table[name].dtype == alone[name].dtype
+    evaluator = Evaluator(searched, SEEN, SCORING, held_out=held_out)
+    both = vehicle_table(POSES[0], search=evaluator, holdout=evaluator.held_out)
+    assert both["split"].tolist() == ["search"] * len(alone["frame"]) + ["holdout"] * FRAMES[2].counted.sum()
+    np.testing.assert_array_equal(both["points"][: len(alone["frame"])], alone["points"])
 
 
 def test_distances_and_lanes_sort_every_vehicle_into_one_group():
-    table = vehicle_table(FRAMES, POSES[0], SEEN, SCORING, "search")
+    table = vehicle_table(POSES[0], search=Evaluator(FRAMES, SEEN, SCORING))
     for groups in (distance_bands(table), lanes(table)):
         assert np.sum([mine for _, mine in groups], axis=0).tolist() == [1] * len(table["frame"])
         assert len({name for name, _ in groups}) == len(groups)
@@ -430,11 +416,9 @@ def test_distances_and_lanes_sort_every_vehicle_into_one_group():
 
 def verdict(holdout, block):
     site = SimpleNamespace(
-        holdout=tuple(holdout),
         plan=SimpleNamespace(holdout_block=np.array(block, dtype=np.int64)),
-        evaluator=lambda frames: Evaluator(frames, SEEN, SCORING),
     )
-    with Evaluator(FRAMES, SEEN, SCORING) as evaluator:
+    with Evaluator(FRAMES, SEEN, SCORING, held_out=holdout) as evaluator:
         return judge(site, {"optimised": POSES[1], "baseline": POSES[0]}, evaluator, seed=1)
 
 

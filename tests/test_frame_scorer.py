@@ -1,8 +1,12 @@
-"""A frame's scorer against a pipeline without any short cut: all beams, the float64 caster, a loop over points."""
+"""A frame's scorer: against a pipeline without any short cut, compiled against NumPy's, and against scans.
+
+The pipeline casts all beams in float64 and loops over points.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +14,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.casting import caster_class, is_available
+from blender_lidar.casting.protocol import StandingScenery
+from blender_lidar.clouds.files import read_points, write_npz
+from blender_lidar.clouds.scan import scan
+from blender_lidar.compiled import numba_works
+from blender_lidar.metrics import view_grids
+from blender_lidar.metrics.vgop import entropy, occupancy, pe_vgop, to_vehicle_frame
+from blender_lidar.scene.observation import Observation
+from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.traffic.vehicles import Vehicles
+from blender_lidar.world.scenery import barrier, box, join, structure
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
@@ -23,8 +36,10 @@ LATTICES = {name: beam_lattice(load_model(name), stride=20) for name in ("RS-16"
 POSE = Pose(height_m=4.1, tilt_x=math.radians(19.0))
 
 
-def observation(lattice=LATTICES["RS-16"], *, gate=50.0, near=0.4, detail="body", cell=0.05, reading="corrected"):
-    return Observation(lattice, gate, near, observation.caster, detail, cell, reading)
+def observation(
+    lattice=LATTICES["RS-16"], *, gate=50.0, near=0.4, detail="body", cell=0.05, reading="corrected", **more
+):
+    return Observation(lattice, gate, near, observation.caster, detail, cell, reading, **more)
 
 
 @pytest.fixture(params=["exact", "raster", "embree", "bvh"], autouse=True)
@@ -33,6 +48,7 @@ def caster(request):
     if not is_available(request.param):
         pytest.skip(f"{request.param} is not installed")
     observation.caster = request.param
+    return request.param
 
 
 def everyone(vehicles):
@@ -200,3 +216,141 @@ def test_the_literal_reading_and_the_cell_reach_the_metric():
     assert (literal >= corrected).all()
     assert literal.sum() > corrected.sum()
     assert coarse.sum() > 2.0 * corrected.sum()
+
+
+# --- compiled passes against NumPy's ----------------------------------------------------------------------------------
+
+TRAFFIC = dense_traffic(seed=6, vehicles=40, length_m=120.0, frame=7)
+ROOF = TRAFFIC.centre_m[3] + [0.0, 0.0, 0.5 * TRAFFIC.size_m[3, 2]]
+POSES = [
+    Pose(height_m=4.1, tilt_x=0.3),
+    Pose(2.0, 30.0, 1.5, -0.4, 0.2, 2.0),
+    Pose(*TRAFFIC.centre_m[3].tolist()),  # inside
+    Pose(*ROOF.tolist()),  # on the roof
+    Pose(x_m=10_000.0),  # from where nothing is in range
+]
+STANDING = join(
+    [
+        barrier("concrete", 10.0, (-40.0, 40.0)),
+        barrier("guard_rail", 6.0, (-30.0, 50.0)),
+        box("gantry", (4.0, 9.0, 4.0), (0.4, 12.0, 0.6), 0.2),
+    ]
+)
+EFFECTS = {
+    "perfect": Imperfections(),
+    "drop-out": Imperfections(dropout=0.2),
+    "noise": Imperfections(range_noise_m=0.3),
+    "glass": Imperfections(glass_dropout=1.0),
+    "some glass": Imperfections(glass_dropout=0.5),
+    "weak": Imperfections(range_at_10_percent_m=9.0),
+    "all": Imperfections(0.05, 0.1, glass_dropout=0.4, range_at_10_percent_m=15.0, seed=5),
+}
+
+
+def assert_same(found, expected):
+    np.testing.assert_array_equal(found.points, expected.points)
+    np.testing.assert_array_equal(found.occupancy, expected.occupancy)
+
+
+@pytest.fixture
+def _compiles(caster):
+    if caster == "exact" or not numba_works():
+        pytest.skip("this one has no compiled passes")
+
+
+@pytest.mark.usefixtures("_compiles")
+@pytest.mark.parametrize("scenery", [False, True], ids=["open", "hidden"])
+@pytest.mark.parametrize("effects", EFFECTS)
+def test_compiled_passes_count_what_numpys_count_to_the_last_digit(caster, effects, scenery, monkeypatch):
+    """Whatever the sensor loses and whatever stands about, which once went through NumPy, more than twice as slow."""
+    counted = np.random.default_rng(1).random(len(TRAFFIC)) < 0.7
+    standing = StandingScenery(STANDING, caster) if scenery else None
+    lattice = beam_lattice(load_model("RS-LiDAR-32"), stride=10)
+    seen = observation(lattice, gate=60.0, near=3.0, imperfections=EFFECTS[effects], scenery=standing)
+    scorer = FrameScorer(TRAFFIC, counted, seen)
+    slow = []
+    monkeypatch.setattr(
+        scorer, "returns_of", lambda pose, hits: slow.append(pose) or FrameScorer.returns_of(scorer, pose, hits)
+    )
+    found = scorer.see(POSES)
+    assert slow in ([], POSES[3:4])  # on a roof all may be left to the float64 caster
+    assert found.points[:2].sum() > 150
+    assert not found.points[-1].any()
+    assert_same(found, scorer.see(POSES, keep_returns=True))  # whose returns are wanted goes through NumPy
+    monkeypatch.setattr(view_grids, "numba_works", lambda: False)
+    assert_same(found, scorer.see(POSES, keep_returns=True))
+
+
+@pytest.mark.usefixtures("_compiles")
+@pytest.mark.parametrize("detail", ["box", "detailed"])
+@pytest.mark.parametrize("culled", [True, False])
+def test_compiled_passes_do_so_at_every_detail_and_without_culling(detail, culled):
+    scorer = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(detail=detail, culled=culled))
+    assert_same(scorer.see(POSES), scorer.see(POSES, keep_returns=True))
+
+
+@pytest.mark.usefixtures("_compiles")
+def test_a_mounting_at_a_surface_is_left_to_the_float64_caster():
+    bus, seen = one_vehicle("bus", centre=(0.0, 5.0)), observation(detail="box")
+    top = Pose(0.0, 5.0, float(bus.size_m[0, 2]))
+    oracle = FrameScorer(bus, np.array([True]), replace(seen, caster="exact"))
+    assert_same(FrameScorer(bus, np.array([True]), seen).see([top]), oracle.see([top]))
+
+
+@pytest.mark.usefixtures("_compiles")
+def test_a_beam_along_the_edge_of_what_hides_it_is_left_to_the_float64_caster(caster):
+    """A wall whose top lies in the beams' way to the bus, to the last digit."""
+    lattice, bus = beam_lattice(load_model("RS-16")), one_vehicle("bus", centre=(0.0, 10.0))
+    corners = np.array([[[-9, 4, 0], [9, 4, 0], [9, 4, 2]], [[-9, 4, 0], [9, 4, 2], [-9, 4, 2]]], dtype=float)
+    level = Pose(height_m=2.0, tilt_x=math.radians(1.0))  # the ring at 1 degree looks along the top
+    seen = observation(lattice, scenery=StandingScenery(structure("wall", corners), caster))
+    oracle = replace(seen, caster="exact", scenery=StandingScenery(structure("wall", corners), "exact"))
+    found = FrameScorer(bus, np.array([True]), seen).see([level])
+    assert found.points[0, 0] > 100
+    assert_same(found, FrameScorer(bus, np.array([True]), oracle).see([level]))
+
+
+def test_beams_that_meet_but_the_margin_of_a_triangle_are_decided_in_float64(caster):
+    """Past a box's upright edge by less than float32 can tell, to either side, in a scene that makes float32 coarse."""
+    if caster not in ("embree", "bvh") or not numba_works():
+        pytest.skip("of trees in float32, compiled")
+    lattice, decided, beside = beam_lattice(load_model("RS-16")), 0, np.array([1e-9, 1e-8, -1e-9, -1e-8])
+    pose, points = Pose(height_m=1.0), []
+    for number, slot in enumerate(range(5, 205, 25)):
+        azimuth = lattice.slot_azimuth0_rad[0] + slot * lattice.step_rad - beside[number % 4]
+        car = one_vehicle("car", centre=(3.0 * math.tan(azimuth) - 2.0, 3.9), size=[4.0, 1.8, 1.5])
+        both = joined(car, one_vehicle("car", centre=(200.0, 200.0)))
+        seen = observation(lattice, near=0.0, detail="box")
+        scorer, rays = FrameScorer(both, everyone(both), seen), []
+        tree, decide = scorer.shapes.tree, scorer.shapes.tree.decide
+        tree.decide = lambda *given, decide=decide, rays=rays: rays.append(len(given[1])) or decide(*given)
+        found = scorer.see([pose])
+        assert_same(found, FrameScorer(both, everyone(both), replace(seen, caster="exact")).see([pose]))
+        decided += sum(rays)
+        points.append(int(found.points[0, 0]))
+    assert decided > 0
+    assert min(points) > 0
+
+
+# --- scans ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenery", [False, True], ids=["open", "hidden"])
+@pytest.mark.parametrize("effects", ["perfect", "all"])
+@pytest.mark.parametrize("detail", DETAILS)
+def test_a_scan_that_is_scored_has_the_scorers_occupancy_to_the_last_bit(caster, detail, effects, scenery, tmp_path):
+    """In memory and from a file; a car's detailed roof once fell into another cell, where a face lies between two."""
+    lattice, pose = beam_lattice(load_model("RS-80"), stride=6), Pose(0.3, -0.2, 4.1, 0.3, 0.02, 0.1)
+    standing = StandingScenery(STANDING, caster) if scenery else None
+    how = {"scenery": standing, "imperfections": EFFECTS[effects]}
+    seen = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(lattice, detail=detail, **how)).see([pose])
+    cloud = scan(TRAFFIC, lattice, pose, caster=caster, detail=detail, min_range_m=0.4, max_range_m=50.0, **how)
+    write_npz(tmp_path / "cloud.npz", cloud, {})
+    for points, vehicle_id in ((cloud.xyz, cloud.vehicle_id), read_points(tmp_path / "cloud.npz")):
+        mine = vehicle_id >= 0
+        row = np.searchsorted(TRAFFIC.vehicle_id, vehicle_id[mine])
+        local = to_vehicle_frame(points[mine], TRAFFIC.centre_m, TRAFFIC.heading_rad, row)
+        np.testing.assert_array_equal(np.bincount(row, minlength=len(TRAFFIC)), seen.points[0])
+        np.testing.assert_array_equal(occupancy(local, row, TRAFFIC.size_m), seen.occupancy[0])
+        np.testing.assert_array_equal(pe_vgop(local, row, TRAFFIC.size_m), entropy(seen.occupancy[0]).sum(axis=1))
+    assert seen.points.sum() > 500

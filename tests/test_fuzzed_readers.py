@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import shutil
 import zipfile
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,27 +14,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_lidar.formats.clouds import read_points
-from blender_lidar.optimise import search_from_state
-from blender_lidar.reality import kitti_layout, sustech_layout
-from blender_lidar.reality.detections import read_detections
-from blender_lidar.reality.frame_list import read_frame_list
-from blender_lidar.reporting.page import write_report
-from blender_lidar.results import SHARP, RunFolder
-from blender_lidar.run import fresh_search
-from blender_lidar.scenario import load_scenario
+from blender_lidar.clouds.files import read_points
+from blender_lidar.report.page import write_report
+from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.optimise import fresh_search
+from blender_lidar.run.replay import Replay
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.sensors.model import DATA_FOLDER, load_model
-from blender_lidar.study.stages import StudyFolder
+from blender_lidar.studies.compare.detections import read_detections, read_frame_list
+from blender_lidar.studies.compare.labelled import LAYOUTS, open_labelled
+from blender_lidar.studies.driver import StudyFolder
 from blender_lidar.traffic import Recording, plan_frames, read_traffic
-from blender_lidar.traffic.sumo_types import read_types
+from blender_lidar.traffic.sumo import read_types
 from tests import sumo_samples, traffic_samples
 from tests.fuzzing import FUZZED, fuzz, kept_promise
 from tests.labelled_samples import sample_cars, write_detections, write_kitti, write_sustech
-from tests.report_samples import make_runs
 from tests.small_scene import HEADER, MAPPED, SETTINGS, traffic_rows, write_scene
-
-with suppress(ImportError):  # what is imported when it is needed would count as what a file took
-    importlib.import_module("blender_lidar.traffic.ngsim")
 
 
 def table_text(rows) -> str:
@@ -89,8 +84,6 @@ def test_damaged_traffic(tmp_path, sample):
 
 @pytest.mark.parametrize("sample", _NGSIM)
 def test_damaged_ngsim(tmp_path, sample):
-    pytest.importorskip("pandas")
-
     assert fuzz(read_and_plan, tmp_path / "traffic", _NGSIM[sample].encode(), a_sound_recording, packed=True)
 
 
@@ -178,7 +171,7 @@ def test_damaged_clouds(tmp_path, name):
 
 
 _KINDS = ("<f8", "<f4", "<f2", "<i8", "<u8", "<i1", "?", "<c16", "<M8[s]", "<U3", "S5", "O", ">f8", "<f4,<i4")
-_SHAPES = ((4, 3), (0, 3), (4,), (), (3, 4), (2, 2, 3), (4, 0), (10**12, 3), (2**31, 3), (2**62, 3), (-1, 3))
+_SHAPES = ((4, 3), (0, 3), (4,), (), (3, 4), (2, 2, 3), (4, 0), (2**62, 3), (-1, 3))
 
 
 @FUZZED
@@ -212,21 +205,24 @@ def _of_boxes(boxes):
 @pytest.mark.parametrize("part", ["velodyne", "label_2", "calib"])
 def test_damaged_kitti(tmp_path, part):
     write_kitti(tmp_path / "kitti", sample_cars(frames=1))
-    path = tmp_path / "kitti" / part / f"000000{kitti_layout.FOLDERS[part]}"
+    path = tmp_path / "kitti" / part / f"000000{LAYOUTS['KITTI'].folders[part]}"
     sample = path.read_bytes()[:4000]
 
     def check(sweep):
         _of_boxes(sweep.boxes)
         assert np.isfinite(sweep.points).all()
 
-    assert fuzz(lambda _: kitti_layout.read_sweep(tmp_path / "kitti", "000000"), path, sample, check)
+    assert fuzz(lambda _: open_labelled(tmp_path / "kitti").read("000000"), path, sample, check)
 
 
 def test_damaged_sustechpoints_labels(tmp_path):
     write_sustech(tmp_path / "scene", sample_cars(frames=1))
     path = tmp_path / "scene" / "label" / "000000.json"
 
-    assert fuzz(sustech_layout.read_labels, path, path.read_bytes(), _of_boxes)
+    def read(_):
+        return open_labelled(tmp_path / "scene").read("000000").boxes
+
+    assert fuzz(read, path, path.read_bytes(), _of_boxes)
 
 
 @pytest.mark.parametrize("name", ["cars.csv", "frames.csv"])
@@ -242,16 +238,11 @@ def test_damaged_tables_of_detections(tmp_path, name):
 # --- what runs have stored --------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    return make_runs(tmp_path_factory.mktemp("runs"))
-
-
 @pytest.mark.parametrize(
     "name", ["result.json", "vehicles.csv", "vehicles_baseline.csv", "scene.toml", "installation.txt"]
 )
-def test_damaged_runs(tmp_path, runs, name):
-    shutil.copytree(runs / "searched", tmp_path / "run")
+def test_damaged_runs(tmp_path, stored_runs, name):
+    shutil.copytree(stored_runs / "searched", tmp_path / "run")
     folder = RunFolder(tmp_path / "run")
 
     refused = fuzz(lambda _: write_report(folder), folder.file(name), folder.file(name).read_bytes())
@@ -259,8 +250,8 @@ def test_damaged_runs(tmp_path, runs, name):
 
 
 @pytest.mark.parametrize("name", ["history.csv", "score_map.csv"])
-def test_damaged_records_of_a_search(tmp_path, runs, name):
-    shutil.copytree(runs / "searched", tmp_path / "run")
+def test_damaged_records_of_a_search(tmp_path, stored_runs, name):
+    shutil.copytree(stored_runs / "searched", tmp_path / "run")
     folder = RunFolder(tmp_path / "run")
 
     assert fuzz(
@@ -270,20 +261,36 @@ def test_damaged_records_of_a_search(tmp_path, runs, name):
     )
 
 
+class Stopped(Exception):
+    """A run that was stopped."""
+
+
+class StopsAfter:
+    """A listener that stops a search after so many evaluations."""
+
+    def __init__(self, evaluations):
+        self.evaluations = evaluations
+
+    def searching(self, search):
+        if search.evaluations >= self.evaluations:
+            raise Stopped
+
+
 @pytest.mark.parametrize("method", ["de-pso", "hardened", "grid", "random"])
 def test_damaged_checkpoints(tmp_path, method):
     scenario = load_scenario(write_scene(tmp_path, {**MAPPED, "search": {**SETTINGS["search"], "method": method}}))
-    search = fresh_search(scenario)
-    while search.evaluations < 8:
-        search.tell(-np.asarray(search.ask()).sum(axis=1))
     folder = RunFolder(tmp_path)
-    folder.write_checkpoint({"seed": 1}, {SHARP: search.state()})
+    score = partial(np.sum, axis=1)
+    with pytest.raises(Stopped):
+        Replay(folder, {"seed": 1}, resume=False).carry_out(fresh_search(scenario), score, StopsAfter(8))
 
     def resumed(_):
-        return [search_from_state(state) for state in folder.read_checkpoint({"seed": 1}).values()]
+        with suppress(Stopped):
+            Replay(folder, {"seed": 1}, resume=True).carry_out(search := fresh_search(scenario), score, StopsAfter(8))
+        return search
 
-    def check(found):
-        assert all(np.isfinite(search.ask()).all() for search in found if not search.done)
+    def check(search):
+        assert search.done or np.isfinite(search.ask()).all()
 
     assert fuzz(resumed, folder.file("checkpoint.json"), folder.file("checkpoint.json").read_bytes(), check)
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
-from blender_lidar.casting.standing import StandingScenery
+from blender_lidar.casting.protocol import StandingScenery
+from blender_lidar.scene.observation import Observation
+from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.world.scenery import Scenery, structure
 from blender_lidar.world.shapes import GLASS
 from blender_lidar.world.triangles import vehicle_triangles
@@ -65,9 +66,9 @@ def test_boxes_have_no_glass_and_lose_nothing(glass_dropout):
 
 
 def test_windows_that_return_nothing_draw_no_random_numbers_and_are_the_same_for_every_seed():
-    draws = [Imperfections(glass_dropout=1.0, seed=seed).draws(LATTICE, 1) for seed in (1, 2)]
-    assert [(each.noise_m, each.chance) for each in draws] == [(None, None)] * 2
-    assert Imperfections(glass_dropout=0.9).draws(LATTICE, 1).chance is not None
+    models = [Imperfections(glass_dropout=1.0, seed=seed).measurement(LATTICE, 1) for seed in (1, 2)]
+    assert [len(each.noise_m) + len(each.chance) for each in models] == [0, 0]
+    assert len(Imperfections(glass_dropout=0.9).measurement(LATTICE, 1).chance)
 
 
 @pytest.mark.parametrize("dropout", [0.0, 0.3])
@@ -102,8 +103,8 @@ def test_glass_drop_out_changes_neither_the_noise_nor_what_is_lost_elsewhere():
 
 @pytest.mark.parametrize("p", [0.1, 0.3, 0.7, 1.0 / 3.0, 0.95])
 def test_without_glass_drop_out_nothing_asks_for_glass(p):
-    assert not Imperfections(dropout=p).draws(LATTICE, 1).asks_for_glass
-    assert Imperfections(dropout=p, glass_dropout=1.0).draws(LATTICE, 1).glass_loss == 1.0
+    assert not Imperfections(dropout=p).measurement(LATTICE, 1).asks_for_surface
+    assert Imperfections(dropout=p, glass_dropout=1.0).measurement(LATTICE, 1).glass_loss == 1.0
 
 
 def test_a_pane_that_returns_nothing_still_hides_what_is_behind_it():

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.metrics import ground_returns
-from blender_lidar.metrics.ground_returns import DISC_RADIUS_M, field_area, ground_density, nuc
+from blender_lidar.metrics import scene_metrics as ground_returns
+from blender_lidar.metrics.scene_metrics import DISC_RADIUS_M, field_area, ground_density, nuc
 
 AREA_M2 = 20.0 * 30.0
 

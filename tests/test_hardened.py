@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.optimise import Hardened, HardenedSettings, maximise, run, search_from_state
+from blender_lidar.optimise import Hardened, HardenedSettings, maximise, run
 from tests.search_landscapes import LOWER, OPTIMUM, UPPER, ackley, sphere, terraces
 
 SHORT = HardenedSettings(particles=8, evaluations=400)
@@ -63,60 +61,6 @@ def test_only_the_order_of_values_counts(objective, rising):
         return np.where(values == -np.inf, -np.inf, rising(values))
 
     assert np.array_equal(points_of(searched(raised, 11).history), points_of(searched(objective, 11).history))
-
-
-@pytest.mark.parametrize("objective", [terraces, feasible_high_up, lambda x: np.zeros(len(x))])
-def test_a_search_resumed_before_every_batch_comes_to_the_same_to_the_last_bit(objective):
-    whole, search = searched(objective, 2), Hardened(LOWER, UPPER, seed=2, settings=SHORT)
-    climbed = set()
-    while not search.done:
-        state = search.state()
-        climbed.add((state["climb"] is not None, len(state["climbed"])))
-        search = search_from_state(json.loads(json.dumps(state, allow_nan=False)))
-        assert np.array_equal(search.ask(), search.ask())
-        search.tell(objective(search.ask()))
-    assert {(False, 0), (True, 1)} <= climbed
-    if objective is terraces:
-        assert (True, 3) in climbed  # a second climb too
-    assert np.array_equal(search.history, whole.history)
-
-
-def test_a_refused_value_leaves_the_search_as_it_was():
-    search = Hardened(LOWER, UPPER, seed=2, settings=SHORT)
-    search.tell(sphere(search.ask()))
-    before = search.state()
-    for values in (np.full(len(search.ask()), np.nan), np.full(len(search.ask()), np.inf), np.zeros(3)):
-        with pytest.raises(InputError, match="objective"):
-            search.tell(values)
-    assert search.state() == before
-
-
-@pytest.mark.parametrize(("key", "value"), [("step", 0.0), ("step", -0.1), ("lengths", [0.0, 1.0])])
-def test_a_stored_climb_without_width_divided_by_zero(key, value):
-    search = Hardened(LOWER, UPPER, seed=2, settings=SHORT)
-    while search.state()["climb"] is None:
-        search.tell(sphere(search.ask()))
-    state = search.state()
-    state["climb"][key] = value
-    with pytest.raises(InputError, match=r"stored 'hardened' search cannot be used.* allowed: more than 0"):
-        search_from_state(state)
-
-
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        ({"climbed": []}, "climbed: nothing is stored, but a climb has started"),
-        ({"climbed": [[0.5]]}, "climbed: shape"),
-        ({"batches": [0]}, "batches: 0 evaluations in all, not"),
-        ({"began": -1}, "began: -1; allowed: a whole number from 0"),
-    ],
-)
-def test_damage_to_a_stored_search_is_named(damage, message):
-    search = Hardened(LOWER, UPPER, seed=2, settings=SHORT)
-    while search.state()["climb"] is None:
-        search.tell(sphere(search.ask()))
-    with pytest.raises(InputError, match=message):
-        search_from_state({**search.state(), **damage})
 
 
 # --- budget and bounds ------------------------------------------------------------------------------------------------
@@ -197,8 +141,7 @@ def test_without_climbs_swarms_follow_one_another_to_the_end_of_the_budget():
     while not search.done:
         search.tell(sphere(search.ask()))
         swarms.add(id(search._swarm))
-    state = search.state()
-    assert (state["climb"], state["climbed"]) == (None, [])
+    assert (search._climb, search._climbed) == (None, [])
     assert len(swarms) > 1
     np.testing.assert_allclose(search.best_x, OPTIMUM, rtol=1e-2)
 
@@ -262,7 +205,7 @@ def test_a_swarm_without_a_feasible_point_is_replaced_at_once():
     second = search._swarm
     search.tell(np.full(len(search.ask()), -np.inf))
     assert search._swarm is not second
-    assert search.state()["climb"] is None
+    assert search._climb is None
 
 
 def test_an_optimum_in_a_corner_is_reached():

@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
+from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.vgop import entropy, occupancy, to_vehicle_frame
-from blender_lidar.scan import scan
+from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.beams import beam_lattice
-from blender_lidar.sensors.imperfections import PERFECT, FrameDraws, Imperfections
-from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.sensors.unit import unit_of
-from blender_lidar.study.evaluation import CountedFrame, Evaluator, Scoring
-from blender_lidar.study.frame_scorer import FrameScorer, Observation
 from blender_lidar.world.shapes import GLASS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
@@ -97,7 +97,7 @@ def test_draws_are_independent_between_beams_frames_seeds_and_of_each_other():
     lattice = FINE["RS-LiDAR-32"]
 
     def drawn(frame=0, seed=1):
-        draws = Imperfections(1.0, 0.5, seed=seed).draws(lattice, frame)
+        draws = Imperfections(1.0, 0.5, seed=seed).measurement(lattice, frame)
         return by_column(lattice, draws.noise_m), by_column(lattice, draws.chance)
 
     noise, chance = drawn()
@@ -113,7 +113,7 @@ def test_draws_are_independent_between_beams_frames_seeds_and_of_each_other():
 def test_noise_is_cut_off_where_beams_are_no_longer_cast():
     sigma = 2.0
     imperfections = Imperfections(sigma)
-    noise = np.concatenate([imperfections.draws(FINE["RS-16"], frame).noise_m for frame in range(40)])
+    noise = np.concatenate([imperfections.measurement(FINE["RS-16"], frame).noise_m for frame in range(40)])
     assert imperfections.most_noise_m == 6.0 * sigma
     assert 4.2 * sigma < abs(noise).max() <= imperfections.most_noise_m
 
@@ -124,7 +124,7 @@ def test_noise_is_cut_off_where_beams_are_no_longer_cast():
 @pytest.mark.parametrize("name", sorted(COARSE))
 def test_draws_are_those_of_numpys_generator_for_the_seed_and_the_frame_by_ring_and_column(name):
     lattice = COARSE[name]
-    draws = Imperfections(0.03, 0.5, seed=8).draws(lattice, 12)
+    draws = Imperfections(0.03, 0.5, seed=8).measurement(lattice, 12)
     for values, stream, expected in (
         (draws.noise_m, 0, lambda rng, shape: np.float32(0.03) * rng.standard_normal(shape, np.float32)),
         (draws.chance, 1, lambda rng, shape: rng.random(shape, np.float32)),
@@ -136,7 +136,7 @@ def test_draws_are_those_of_numpys_generator_for_the_seed_and_the_frame_by_ring_
 def test_a_firing_column_draws_the_same_wherever_it_points():
     model = load_model("RS-LiDAR-32")
     turned = beam_lattice(model, phase_rad=1.0)
-    one, other = (ROUGH.draws(lattice, 3) for lattice in (FINE["RS-LiDAR-32"], turned))
+    one, other = (ROUGH.measurement(lattice, 3) for lattice in (FINE["RS-LiDAR-32"], turned))
     assert (one.noise_m != other.noise_m).any()
     for name in ("noise_m", "chance"):
         mine, theirs = getattr(one, name), getattr(other, name)
@@ -159,14 +159,14 @@ def test_a_beam_draws_the_same_under_every_mounting():
 
 def test_noise_is_the_same_with_and_without_drop_out_and_grows_with_sigma():
     noisy, both, double = (Imperfections(sigma, p) for sigma, p in ((0.02, 0.0), (0.02, 0.5), (0.04, 0.0)))
-    noise = [each.draws(FINE["RS-16"], 4).noise_m for each in (noisy, both, double)]
+    noise = [each.measurement(FINE["RS-16"], 4).noise_m for each in (noisy, both, double)]
     np.testing.assert_array_equal(noise[0], noise[1])
     np.testing.assert_allclose(noise[2], 2.0 * noise[0], rtol=1e-6)
 
 
 def test_nothing_is_drawn_where_nothing_is_imperfect():
-    assert PERFECT.draws(FINE["RS-16"], 1) is None
-    assert Imperfections(seed=9).draws(FINE["RS-16"], 1) is None
+    model = Imperfections(seed=9).measurement(FINE["RS-16"], 1)
+    assert len(model.noise_m) == len(model.chance) == 0
     assert PERFECT.most_noise_m == 0.0
     plain, perfect = cloud_of(), cloud_of(Imperfections(0.0, 0.0, seed=9))
     for name in type(plain).__slots__:
@@ -226,15 +226,15 @@ def slow_pipeline(vehicles, seen, pose):
     lattice, triangles = seen.lattice, vehicle_triangles(vehicles, seen.detail)
     rays = pose.to_world(lattice.directions.reshape(-1, 3))
     hits = caster_class("exact")(triangles.corners).cast(pose.position, rays)
-    draws = seen.imperfections.draws(lattice, vehicles.frame) or FrameDraws(None, None, 0.0, 0.0)
+    draws = seen.imperfections.measurement(lattice, vehicles.frame)
     points = np.zeros(len(vehicles), dtype=int)
     cells = [(set(), set(), set()) for _ in range(len(vehicles))]
     for beam in np.flatnonzero(hits.triangle >= 0):
         owner = int(triangles.owner[hits.triangle[beam]])
-        distance = hits.distance[beam] + (0.0 if draws.noise_m is None else float(draws.noise_m[beam]))
+        distance = hits.distance[beam] + (float(draws.noise_m[beam]) if len(draws.noise_m) else 0.0)
         glass = seen.imperfections.glass_dropout if triangles.surface[hits.triangle[beam]] == GLASS else 0.0
         loss = 1.0 - (1.0 - seen.imperfections.dropout) * (1.0 - glass)
-        lost = loss == 1.0 or (draws.chance is not None and draws.chance[beam] < np.float32(loss))
+        lost = loss == 1.0 or (len(draws.chance) and draws.chance[beam] < np.float32(loss))
         if lost or not seen.min_range_m <= distance <= seen.max_range_m:
             continue
         points[owner] += 1

@@ -8,9 +8,9 @@ import re
 import numpy as np
 import pytest
 
-from blender_lidar.scenario import load_scenario, pose_at
-from blender_lidar.study.installation import installation_text
-from blender_lidar.study.site import prepare
+from blender_lidar.run.installation import installation_text
+from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.site import prepare
 from tests.small_scene import write_scene
 
 MOUNT = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 15.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}

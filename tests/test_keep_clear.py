@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.scenario import load_scenario
-from blender_lidar.study.keep_clear import boxes_meet_rectangle, check_mount_is_clear
-from blender_lidar.study.site import Region
+from blender_lidar.scene.observation import Region
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import boxes_meet_rectangle, check_mount_is_clear
 from tests.sample_traffic import dense_traffic, one_vehicle
 from tests.small_scene import write_scene
 

@@ -1,9 +1,8 @@
-"""scripts/make_traffic.py and the file it ships, scenes/i80_sample.csv.gz."""
+"""scripts/research/make_traffic.py and the file it ships, scenes/i80_sample.csv.gz."""
 
 from __future__ import annotations
 
 import gzip
-import importlib.util
 import math
 import sys
 from pathlib import Path
@@ -15,6 +14,9 @@ from blender_lidar.errors import MissingExtraError, OutputError
 
 pd = pytest.importorskip("pandas")
 
+import tests.research  # noqa: F401
+import make_traffic as script
+
 ROOT = Path(__file__).parents[1]
 SAMPLE = ROOT / "scenes" / "i80_sample.csv.gz"
 HEADER = (
@@ -22,17 +24,6 @@ HEADER = (
     "v_Acc,Lane_ID,Preceding,Following,Space_Headway,Time_Headway,Location"
 )
 FOOT_M = 0.3048
-
-
-def load_script():
-    spec = importlib.util.spec_from_file_location("make_traffic", ROOT / "scripts" / "make_traffic.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-script = load_script()
 
 
 def sumo_is_missing() -> bool:
@@ -227,7 +218,7 @@ def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path):
         (["--minutes", "nan"], "--minutes"),
         (["--minutes", "0.1"], "--every-s 10"),
         (["--seed", "-1"], "--seed -1"),
-        (["--out", "nowhere/there.csv"], "--out nowhere/there.csv"),
+        (["--out", "nowhere/there.csv"], "--out: nowhere/there.csv"),
     ],
 )
 def test_a_wrong_option_exits_2_with_one_line_that_names_it(options, named, tmp_path, monkeypatch, capsys):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.world.coachwork import Axle, lower_body
+from blender_lidar.world.detailed_shapes import Axle, lower_body
 from blender_lidar.world.meshes import GLASS, block, both_sides, drum, fitted, joined, limb, loft, tube, volume
 
 BARE = (  # a lower body as plain as a plank: x, bow, floor_z, sill_y, side_y, side_z, belt_y, belt_z, ridge_z

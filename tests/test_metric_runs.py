@@ -10,28 +10,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar import run_charts
-from blender_lidar.case_study.sites import QUICK, open_case
+import tests.research  # noqa: F401
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.metrics.context import Field
-from blender_lidar.metrics.metric import VIEW, Metric, vehicle_returns
-from blender_lidar.reporting.answer import answer
-from blender_lidar.reporting.page import report_html
-from blender_lidar.reporting.summary import group_scores
-from blender_lidar.results import RunFolder
-from blender_lidar.scenario import load_scenario
+from blender_lidar.metrics.metric import NEEDS_VIEW, Field, Metric, vehicle_returns
+from blender_lidar.report.page import report_html
+from blender_lidar.report.summary import answer, group_scores
+from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.installation import objective_text
+from blender_lidar.run.verdict import METRIC_VALUE, distance_bands, vehicle_table
+from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
+from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.scores import mountings_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.study.evaluation import Evaluator
-from blender_lidar.study.frame_scorer import FrameScorer, Observation
-from blender_lidar.study.objective_text import objective_text
-from blender_lidar.study.scoring import CountedFrame, Scoring, mountings_of
-from blender_lidar.study.site import prepare
-from blender_lidar.study.vehicle_table import METRIC_VALUE, vehicle_table
-from blender_lidar.study.verdict import distance_bands
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import cli, without_charts, write_scene
 
@@ -49,7 +46,7 @@ def frames_of(number):
 
 
 FRAMES = frames_of(2)
-WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and VIEW not in METRICS[name].needs]
+WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and NEEDS_VIEW not in METRICS[name].needs]
 
 
 @pytest.fixture(autouse=True)
@@ -109,7 +106,7 @@ def test_nothing_in_view_leaves_no_returns():
 
 def test_the_vehicle_table_has_a_column_for_another_metric_and_none_for_pe_vgop():
     plain, other = (
-        vehicle_table(FRAMES, POSES[1], SEEN, Scoring(0.005, "mean", None, "corrected", name), "search")
+        vehicle_table(POSES[1], search=Evaluator(FRAMES, SEEN, Scoring(0.005, "mean", None, "corrected", name)))
         for name in ("pe-vgop", "distance")
     )
     assert METRIC_VALUE not in plain
@@ -207,19 +204,6 @@ def test_groups_of_vehicles_have_no_share_of_what_a_scene_is_worth(runs):
         assert [cell == "-" for cell in cells] == 2 * [True, True, False, False]
 
 
-def test_by_distance_a_chart_shows_what_is_a_vehicles(tmp_path, monkeypatch):
-    drawn = {}
-    monkeypatch.setattr(run_charts, "plot_by_distance", lambda path, *tables, **how: drawn.update(how))
-    others = ("plot_blind_zones", "plot_clouds", "plot_occupancy", "plot_convergence", "plot_score_map")
-    for plot in others:
-        monkeypatch.setattr(run_charts, plot, lambda *given, **how: None)
-    scene = write_scene(tmp_path, {"traffic": {"frames": 2}})
-    for name, column in (("pe-vgop", "entropy_bits"), ("points", METRIC_VALUE), ("s-mig", "entropy_bits")):
-        assert main(["evaluate", str(scene), "--metric", name, "--height", "4", "--out", str(tmp_path / name)]) == 0
-        assert drawn["column"] == column
-        assert drawn["metric"].name == ("points" if name == "points" else "pe-vgop")
-
-
 def test_a_run_with_another_metric_has_its_charts(tmp_path, capsys, monkeypatch):
     monkeypatch.undo()
     pytest.importorskip("matplotlib", reason="charts need matplotlib")
@@ -286,14 +270,6 @@ def test_the_objective_in_words(metric, loss, reading, text):
     assert objective_text(result) == text
 
 
-def test_the_papers_case_study_is_made_with_the_papers_metric_alone():
-    scene = str(Path(__file__).parents[1] / "scenes" / "paper.toml")
-    with pytest.raises(
-        InputError, match=r"paper.toml: \[objective\] metric is 'points'; allowed: 'pe-vgop', the paper's"
-    ):
-        open_case(scene, {("objective", "metric"): ("points", "--metric")}, QUICK)
-
-
 # --- metrics with a memory --------------------------------------------------------------------------------------------
 
 
@@ -321,7 +297,7 @@ class Memory:
 def memory(monkeypatch):
     made = Memory()
     monkeypatch.setitem(
-        METRICS, "memory", Metric("memory", "memory", "", True, needs=frozenset({VIEW}), learn=made.learn)
+        METRICS, "memory", Metric("memory", "memory", "", True, needs=frozenset({NEEDS_VIEW}), learn=made.learn)
     )
     return made
 
@@ -330,7 +306,7 @@ def test_a_metric_learns_from_the_frames_that_it_scores_be_they_searched_or_held
     site = prepare(load_scenario(write_scene(tmp_path, {"objective": {"metric": "memory"}})))
     for frames in (site.search, site.holdout):
         places = [frame.vehicles.centre_m[frame.counted, :2].tolist() for frame in frames]
-        with site.evaluator(frames) as evaluator:
+        with site_evaluator(site, frames) as evaluator:
             totals = evaluator.totals(POSES)
         for row, pose in enumerate(POSES):
             for column, frame in enumerate(frames):
@@ -349,7 +325,7 @@ def test_a_metric_learns_from_the_frames_that_it_scores_be_they_searched_or_held
 
 def test_a_metric_is_told_where_from_and_at_which_boxes_mountings_look(memory, tmp_path):
     site = prepare(load_scenario(write_scene(tmp_path, {"objective": {"metric": "memory"}})))
-    with site.evaluator(site.search) as evaluator:
+    with site_evaluator(site, site.search) as evaluator:
         evaluator.totals(POSES)
     assert len(memory.views) == len(site.search)
     assert len({id(view.mountings) for view in memory.views}) == 1  # what depends on them alone can be kept

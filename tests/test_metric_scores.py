@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.metrics.metric import VIEW
+from blender_lidar.metrics.metric import NEEDS_VIEW
 from tests.small_scene import cli
 
-WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and VIEW not in METRICS[name].needs]
+WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and NEEDS_VIEW not in METRICS[name].needs]
 
 
 @pytest.fixture

@@ -11,11 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.ap_entropy import ap_entropy, expected_precision
 from blender_lidar.metrics.catalogue import METRICS, metric_named
 from blender_lidar.metrics.metric import VehicleReturns, vehicle_returns
+from blender_lidar.metrics.vehicle_metrics import ap_entropy, expected_precision, voxel_entropy, voxel_occupancy
 from blender_lidar.metrics.vgop import pe_vgop, to_vehicle_frame
-from blender_lidar.metrics.voxels import voxel_entropy, voxel_occupancy
 
 OF_RETURNS = [name for name in METRICS if name != "distance" and METRICS[name].learn is None]
 """Metrics of a vehicle's returns alone."""

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.expected_visibility import (
+from blender_lidar.metrics.occupancy_prior import (
+    OccupiedFrames,
     _raise_to,
+    bernoulli_entropy,
     box_visibility,
-    expected_visibility,
     reach_probability,
 )
-from blender_lidar.metrics.occupancy_entropy import bernoulli_entropy, covered_entropy, m_sog, s_mig
-from blender_lidar.metrics.occupancy_prior import OccupiedFrames
-from blender_lidar.metrics.voxel_grid import VoxelGrid
-from blender_lidar.metrics.voxel_walk import VoxelWalk, covered_voxels
+from blender_lidar.metrics.voxel_grid import VoxelGrid, VoxelWalk, covered_voxels
 
 GRID = VoxelGrid((-6.0, 2.0, 0.0), (30, 18, 5), 0.4)
 MOUNT = np.array([0.0, 0.0, 3.1])
@@ -92,13 +90,32 @@ def slow_entropy(p):
     return -sum(q * math.log(q) for q in (p, 1.0 - p) if 0.0 < q < 1.0)
 
 
-def test_entropies_equal_their_formulas_voxel_by_voxel(occupied):
-    prior = OccupiedFrames(occupied, len(GRID)).prior
+def covered_entropy(frames, covered):
+    """What the frames that taught a prior are surprised by in the mean: H(POG | L)."""
+    return np.average(frames.surprisal(covered), weights=frames.weights)
+
+
+def s_mig(frames, covered):
+    return -covered_entropy(frames, covered)
+
+
+def m_sog(frames, covered):
+    return -covered_entropy(frames, covered) / max(covered.sum(), 1)
+
+
+def expected_visibility(prior, reached):
+    """Sum of p_k prod_{j<k} (1 - p_j)."""
+    return math.fsum(prior * reached)
+
+
+@pytest.mark.parametrize("weights", [None, [3, 1, 4, 1, 5, 9, 2, 6, 5, 3, 5, 0]])
+def test_the_mean_surprisal_of_the_frames_that_taught_the_prior_is_the_entropy(occupied, weights):
+    frames = OccupiedFrames(occupied, len(GRID), weights)
     covered = covered_voxels(GRID, MOUNT, fan(), 12.0)
-    terms = [slow_entropy(p) for p, met in zip(prior.tolist(), covered, strict=True) if met]
-    assert covered_entropy(prior, covered) == pytest.approx(sum(terms), rel=1e-12)
-    assert s_mig(prior, covered) == pytest.approx(-sum(terms), rel=1e-12)
-    assert m_sog(prior, covered) == pytest.approx(-sum(terms) / len(terms), rel=1e-12)
+    terms = [slow_entropy(p) for p, met in zip(frames.prior.tolist(), covered, strict=True) if met]
+    assert frames.surprisal(covered).shape == (12,)
+    assert np.ptp(frames.surprisal(covered)) > 1.0
+    assert covered_entropy(frames, covered) == pytest.approx(sum(terms), rel=1e-12)
     assert sum(terms) > 50.0
 
 
@@ -109,16 +126,6 @@ def test_the_entropy_of_an_even_chance_is_ln_2_and_of_certainty_0():
     for wrong in (-0.1, 1.1, math.nan):
         with pytest.raises(InputError, match="allowed: 0 to 1"):
             bernoulli_entropy(np.array([wrong]))
-
-
-@pytest.mark.parametrize("weights", [None, [3, 1, 4, 1, 5, 9, 2, 6, 5, 3, 5, 0]])
-def test_the_mean_surprisal_of_the_frames_that_taught_the_prior_is_the_entropy(occupied, weights):
-    frames = OccupiedFrames(occupied, len(GRID), weights)
-    covered = covered_voxels(GRID, MOUNT, fan(), 12.0)
-    value = frames.surprisal(covered)
-    assert value.shape == (12,)
-    assert np.ptp(value) > 1.0
-    assert np.average(value, weights=weights) == pytest.approx(covered_entropy(frames.prior, covered), rel=1e-12)
 
 
 def test_a_frames_surprisal_is_that_of_the_state_of_every_covered_voxel(occupied):
@@ -136,35 +143,29 @@ def test_a_frames_surprisal_is_that_of_the_state_of_every_covered_voxel(occupied
 
 def test_a_sensor_that_sees_nothing_gets_the_best_published_score(occupied):
     """S-MIG and M-SOG as printed reward turning away; the positive form does not."""
-    prior = OccupiedFrames(occupied, len(GRID)).prior
+    frames = OccupiedFrames(occupied, len(GRID))
     road = covered_voxels(GRID, MOUNT, fan(), 12.0)
     sky = covered_voxels(GRID, MOUNT, fan() * [1.0, 1.0, 0.0] + [0.0, 0.0, 2.0], 12.0)
     assert not sky.any()
     for published in (s_mig, m_sog):
-        assert published(prior, sky) == 0.0 > published(prior, road)
-    assert covered_entropy(prior, sky) == 0.0 < covered_entropy(prior, road)
+        assert published(frames, sky) == 0.0 > published(frames, road)
+    assert covered_entropy(frames, sky) == 0.0 < covered_entropy(frames, road)
 
 
 def test_every_further_beam_lowers_s_mig_and_certain_air_raises_m_sog(occupied):
-    prior = OccupiedFrames(occupied, len(GRID)).prior
+    frames = OccupiedFrames(occupied, len(GRID))
     few, more = (covered_voxels(GRID, MOUNT, fan()[:count], 12.0) for count in (40, 150))
-    assert s_mig(prior, more) < s_mig(prior, few)
-    assert covered_entropy(prior, more) > covered_entropy(prior, few)
-    with_air = few | (prior == 0.0)
-    assert m_sog(prior, with_air) > m_sog(prior, few)
-    assert covered_entropy(prior, with_air) == pytest.approx(covered_entropy(prior, few))
+    assert s_mig(frames, more) < s_mig(frames, few)
+    assert covered_entropy(frames, more) > covered_entropy(frames, few)
+    with_air = few | (frames.prior == 0.0)
+    assert m_sog(frames, with_air) > m_sog(frames, few)
+    assert covered_entropy(frames, with_air) == pytest.approx(covered_entropy(frames, few))
 
 
 def test_a_second_beam_through_the_same_voxels_changes_nothing(occupied):
-    prior = OccupiedFrames(occupied, len(GRID)).prior
+    frames = OccupiedFrames(occupied, len(GRID))
     once, twice = (covered_voxels(GRID, MOUNT, np.tile(fan(30), (times, 1)), 12.0) for times in (1, 2))
-    assert covered_entropy(prior, once) == covered_entropy(prior, twice) > 0.0
-
-
-def test_a_prior_and_voxels_that_do_not_fit_are_refused():
-    for covered in (np.zeros(3, dtype=bool), np.zeros(4)):
-        with pytest.raises(InputError, match="one probability and one bool for each voxel"):
-            covered_entropy(np.zeros(4), covered)
+    assert covered_entropy(frames, once) == covered_entropy(frames, twice) > 0.0
 
 
 # --- expected visibility ----------------------------------------------------------------------------------------------

@@ -16,12 +16,11 @@ from blender_lidar.commands.options import (
     add_scene,
     default_folder,
     mounting_from,
-    option_name,
     parse_frames,
     scenario_from,
 )
 from blender_lidar.errors import InputError
-from blender_lidar.scenario import COORDINATES
+from blender_lidar.scene.settings import COORDINATES, MOUNTING
 from blender_lidar.world.shapes import DETAILS
 from tests.small_scene import cli, without_charts, without_times, write_scene
 
@@ -97,7 +96,7 @@ REPLACED = [
     ("--caster", "bvh", "model", "caster", "bvh"),
     ("--workers", "3", "model", "workers", 3),
     ("--cluster", "tcp://host:8786", "model", "cluster", "tcp://host:8786"),
-    ("--detail", "box", "model", "detail", "box"),
+    ("--detail", "box", "world", "detail", "box"),
     ("--metric", "pe-vgop", "objective", "metric", "pe-vgop"),
     ("--reading", "paper", "objective", "reading", "paper"),
     ("--search", "grid", "search", "method", "grid"),
@@ -145,7 +144,7 @@ def test_a_mounting_is_the_baseline_but_for_what_is_given(tmp_path):
 
 def test_every_coordinate_has_its_option():
     names = ["--x", "--y", "--height", "--tilt-x", "--tilt-y", "--yaw"]
-    assert [option_name(key) for key in COORDINATES] == names
+    assert [MOUNTING[key].option for key in COORDINATES] == names
 
 
 def test_the_default_folder_is_the_first_that_is_free(tmp_path):

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from blender_lidar.clouds.files import read_points, write_cloud
 from blender_lidar.errors import OutputError
-from blender_lidar.formats.clouds import read_points, write_cloud
 from tests.test_clouds import CLOUD, HEADER, SUFFIXES, files, refusal
 
 

@@ -1,35 +1,39 @@
-"""The sheet of the charts: written whole or not at all, on settings of its own, and readable in grey."""
+"""The sheet of the charts: written whole or not at all, readable in grey; and what charts count, against loops."""
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from blender_lidar.errors import MissingExtraError, OutputError
-from blender_lidar.plots import canvas
-from blender_lidar.plots.convergence import plot_convergence
-from tests.chart_samples import chart_arguments, lightness
+from blender_lidar.report import figure as canvas
+from blender_lidar.report.cloud_figures import footprints
+from blender_lidar.report.run_figures import band_means, cell_shares, covering_edges, plot_by_distance, plot_convergence
+from tests.chart_samples import chart_arguments, lightness, outcome, table, vehicles, with_tables
 
 
 def test_without_matplotlib_the_extra_to_install_is_named(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r'pip install "blender_lidar\[plots\]"'):
-        plot_convergence(tmp_path / "chart.png", [1], [0.5], [0.5])
+        plot_convergence(tmp_path / "chart.png", outcome())
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_in_the_way_stays_and_no_partial_file_is_left(tmp_path):
+@pytest.mark.parametrize("name", ["chart.png", "no such folder/chart.png"])
+def test_what_stands_in_the_way_stays_and_no_partial_file_is_left(name, tmp_path):
     pytest.importorskip("matplotlib", reason="charts need matplotlib")
-    target = tmp_path / "chart.png"
-    (target / "inside").mkdir(parents=True)
-    with pytest.raises(OutputError, match=r"chart\.png: the chart cannot be written"):
-        plot_convergence(target, [1], [0.5], [0.5])
-    assert [path.name for path in tmp_path.iterdir()] == ["chart.png"]
-    assert (target / "inside").is_dir()
+    (tmp_path / "chart.png" / "inside").mkdir(parents=True)
+    with pytest.raises(OutputError, match=r"chart\.png: cannot be written") as caught:
+        plot_convergence(tmp_path / name, outcome())
+    assert "\n" not in str(caught.value)
+    assert [path.name for path in tmp_path.rglob("*")] == ["chart.png", "inside"]
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
@@ -38,7 +42,7 @@ def test_a_read_only_folder_is_refused(tmp_path):
     tmp_path.chmod(0o500)
     try:
         with pytest.raises(OutputError, match="cannot be written"):
-            plot_convergence(tmp_path / "chart.png", [1], [0.5], [0.5])
+            plot_convergence(tmp_path / "chart.png", outcome())
         assert not list(tmp_path.iterdir())
     finally:
         tmp_path.chmod(0o700)
@@ -60,8 +64,9 @@ def test_drawing_leaves_settings_backend_and_pyplot_alone(tmp_path):
         "import sys, matplotlib\n"
         "matplotlib.rcParams['font.size'] = 31.0\n"
         "before = dict(matplotlib.rcParams.items())\n"
-        "from blender_lidar.plots.convergence import plot_convergence\n"
-        f"plot_convergence({str(tmp_path / 'chart.png')!r}, [1, 2], [0.4, 0.5], [0.4, 0.5])\n"
+        "from blender_lidar.report.run_figures import plot_convergence\n"
+        "from tests.chart_samples import outcome\n"
+        f"plot_convergence({str(tmp_path / 'chart.png')!r}, outcome())\n"
         "assert dict(matplotlib.rcParams.items()) == before\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
@@ -71,9 +76,9 @@ def test_drawing_leaves_settings_backend_and_pyplot_alone(tmp_path):
 
 def test_the_users_own_settings_do_not_change_a_chart(tmp_path):
     matplotlib = pytest.importorskip("matplotlib", reason="charts need matplotlib")
-    plot_convergence(tmp_path / "plain.png", [1, 2], [0.4, 0.5], [0.4, 0.5])
+    plot_convergence(tmp_path / "plain.png", outcome())
     with matplotlib.rc_context({"axes.facecolor": "black", "font.size": 20.0}):
-        plot_convergence(tmp_path / "own.png", [1, 2], [0.4, 0.5], [0.4, 0.5])
+        plot_convergence(tmp_path / "own.png", outcome())
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "own.png").read_bytes()
 
 
@@ -106,3 +111,71 @@ def test_baseline_and_optimised_differ_in_grey_and_in_shape():
     assert lightness(before["color"]) < 0.65  # still dark enough on white paper
     assert before["linestyle"] != after["linestyle"]
     assert before["marker"] != after["marker"]
+
+
+@settings(deadline=None)
+@given(rows=st.lists(st.tuples(st.integers(0, 5), st.just(math.nan) | st.floats(0.0, 1.6)), max_size=60))
+def test_means_by_band_equal_a_loop_over_the_vehicles(rows):
+    band, values = np.array(rows, dtype=float).reshape(-1, 2).T
+    means = band_means(band.astype(int), values, 6)
+    for number in range(6):
+        known = [value for mine, value in rows if mine == number and not math.isnan(value)]
+        mean = math.fsum(known) / len(known) if known else math.nan
+        np.testing.assert_allclose(means[number], mean, rtol=1e-14)
+
+
+def test_a_distance_on_the_border_belongs_to_the_farther_band(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib", reason="charts need matplotlib")
+    saved = []
+    monkeypatch.setattr(canvas, "save", lambda figure, path: saved.append(figure))
+    three = table(1, 3) | {"distance_m": np.array([0.0, 10.0, 19.9])}
+    plot_by_distance(tmp_path / "d.png", with_tables(three))
+    assert [bar.get_height() for bar in saved[0].axes[2].patches] == [1, 2]
+
+
+@settings(deadline=None)
+@given(
+    low=st.floats(-1e3, 1e3),
+    length=st.floats(0.0, 300.0),
+    step=st.floats(0.1, 20.0),
+    anchor=st.floats(-30.0, 30.0),
+)
+def test_covering_edges_hold_the_range_and_no_whole_cell_more(low, length, step, anchor):
+    high = low + length
+    edges = covering_edges(low, high, step, anchor)
+    assert edges[0] <= low
+    assert high <= edges[-1]
+    tolerance = 1e-9 * (abs(low) + length + abs(anchor) + step)
+    assert low - edges[0] <= step + tolerance
+    assert edges[-1] - high <= step + tolerance
+    np.testing.assert_allclose(np.diff(edges), step, rtol=1e-9, atol=1e-9)
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), number=st.integers(0, 80))
+def test_cell_shares_equal_a_loop_over_the_cells(seed, number):
+    rng = np.random.default_rng(seed)
+    x, y, counted = rng.uniform(-12.0, 12.0, number), rng.uniform(-2.0, 12.0, number), rng.random(number) < 0.5
+    x_edges, y_edges = np.arange(-10.0, 11.0, 5.0), np.arange(0.0, 10.1, 3.0)
+    share = cell_shares(x, y, counted, x_edges, y_edges)
+    assert share.shape == (len(y_edges) - 1, len(x_edges) - 1)
+    for row in range(share.shape[0]):
+        for column in range(share.shape[1]):
+            inside = [
+                bool(counted[i])
+                for i in range(number)
+                if x_edges[column] <= x[i] < x_edges[column + 1] and y_edges[row] <= y[i] < y_edges[row + 1]
+            ]
+            np.testing.assert_array_equal(share[row, column], np.mean(inside) if inside else math.nan)
+
+
+def test_footprints_equal_corners_turned_one_by_one():
+    boxes = vehicles(11, 20)
+    corners = footprints(boxes)
+    for index in range(20):
+        x, y, _ = boxes.centre_m[index]
+        length, width, _ = boxes.size_m[index]
+        turn = complex(math.cos(boxes.heading_rad[index]), math.sin(boxes.heading_rad[index]))
+        for corner, (along, left) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+            point = complex(x, y) + turn * complex(along * length / 2, left * width / 2)
+            np.testing.assert_allclose(corners[index, corner], (point.real, point.imag), atol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 
 from blender_lidar.casting import caster_class, is_available
 from blender_lidar.casting.culling import cut_vehicles, reachable_beams
-from blender_lidar.casting.planes import TrianglePlanes
+from blender_lidar.casting.protocol import TrianglePlanes
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(not is_available("raster"), reason="Numba is not
 
 @pytest.mark.parametrize("shared", [True, False])
 def test_compiled_planes_measure_as_numpys_do_to_the_last_digit(shared):
-    from blender_lidar.casting.compiled_planes import CompiledPlanes
+    from blender_lidar.casting.kernels import CompiledPlanes
 
     rng = np.random.default_rng(2)
     corners = rng.normal(size=(200, 3, 3)) * 5.0
@@ -38,7 +38,7 @@ def test_compiled_planes_measure_as_numpys_do_to_the_last_digit(shared):
 @pytest.mark.parametrize(("offset", "scale"), [(0.0, 1.0), (1e6, 1.0), (-3e6, 1e-3), (0.0, 1e5)])
 def test_every_corner_lies_within_the_sphere_about_its_run(offset, scale):
     """A sphere that is too small hides triangles without a word."""
-    from blender_lidar.casting.shared_vertices import RUN, mesh_of
+    from blender_lidar.casting.raster import RUN, mesh_of
 
     corners = offset + scale * np.random.default_rng(5).normal(size=(3 * RUN + 1, 3, 3))
     mesh = mesh_of(corners)
@@ -60,7 +60,7 @@ def test_a_turn_that_is_drawn_is_a_turn_that_is_cast(sensor, detail):
     raster, oracle = caster_class("raster")(corners, closed=True), caster_class("exact")(corners)
     inside = Pose(*traffic.centre_m[3].tolist())
     for pose in (*TURNED, inside):
-        turn = raster.turn(lattice, pose, 60.0)
+        turn = raster.revolution(lattice, pose, 60.0)
         rays = pose.to_world(lattice.components.reshape(3, -1).T)
         found = oracle.meet(pose.position, rays, 60.0)
         np.testing.assert_array_equal(turn.beam, found.ray)
@@ -81,7 +81,7 @@ def test_a_turn_drawn_from_a_surface_on_a_mesh_line_or_far_from_the_origin_is_th
         for start in (on_a_corner, on_a_side, above):
             pose = Pose(*start.tolist(), np.pi / 2)
             rays = pose.to_world(lattice.components.reshape(3, -1).T)
-            turn, found = raster.turn(lattice, pose, 40.0), oracle.meet(pose.position, rays, 40.0)
+            turn, found = raster.revolution(lattice, pose, 40.0), oracle.meet(pose.position, rays, 40.0)
             np.testing.assert_array_equal(turn.beam, found.ray)
             np.testing.assert_allclose(turn.distance, found.distance, atol=1e-9)
 
@@ -103,7 +103,7 @@ def test_walls_in_one_plane_seen_grazing_are_told_apart_as_the_oracle_does(aside
     tiles = np.stack([low, low + ahead, low + ahead + up], axis=1)
     corners = np.concatenate([tiles, tiles[:, ::-1] + [0.0, 0.1, 0.0]])
     lattice, pose = beam_lattice(load_model("RS-16")), Pose(height_m=1.0, tilt_x=np.radians(1.0))  # one ring is level
-    turn = caster_class("raster")(corners).turn(lattice, pose, 200.0)
+    turn = caster_class("raster")(corners).revolution(lattice, pose, 200.0)
     rays = pose.to_world(lattice.components.reshape(3, -1).T)
     found = caster_class("exact")(corners).meet(pose.position, rays, 200.0)
     assert len(found.ray) >= 6
@@ -117,23 +117,23 @@ def test_what_is_interrupted_while_it_draws_spoils_no_later_turn(monkeypatch):
     traffic, pose = dense_traffic(seed=4, vehicles=20), Pose(height_m=4.1, tilt_x=0.3)
     tree = caster_class("raster")(vehicle_triangles(traffic, "body").corners, closed=True)
     fine, coarse = (beam_lattice(load_model("RS-16"), stride=stride) for stride in (5, 60))
-    first = tree.turn(fine, pose, 60.0)
+    first = tree.revolution(fine, pose, 60.0)
     with monkeypatch.context() as patch:
         patch.setattr(raster, "take_returns", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
-            tree.turn(fine, Pose(height_m=2.0), 60.0)
-    tree.turn(coarse, pose, 60.0)
-    for column, again in zip(first, tree.turn(fine, pose, 60.0), strict=True):
+            tree.revolution(fine, Pose(height_m=2.0), 60.0)
+    tree.revolution(coarse, pose, 60.0)
+    for column, again in zip(first, tree.revolution(fine, pose, 60.0), strict=True):
         np.testing.assert_array_equal(column, again)
 
 
 def test_a_turn_without_a_limit_returns_nothing_from_infinity_and_triangles_without_area_nothing_at_all():
     car, lattice, pose = one_vehicle("car", centre=(0.0, 6.0)), beam_lattice(load_model("RS-16")), Pose(height_m=2.0)
     corners = vehicle_triangles(car, "body").corners
-    turn = caster_class("raster")(corners, closed=True).turn(lattice, pose, np.inf)
+    turn = caster_class("raster")(corners, closed=True).revolution(lattice, pose, np.inf)
     assert np.isfinite(turn.distance).all()
     assert len(turn.beam) > 100
-    assert len(caster_class("raster")(np.ones((5, 3, 3)), closed=True).turn(lattice, pose, 50.0).beam) == 0
+    assert len(caster_class("raster")(np.ones((5, 3, 3)), closed=True).revolution(lattice, pose, 50.0).beam) == 0
 
 
 def test_solids_that_lost_a_side_to_rounding_are_drawn_from_both_sides():
@@ -142,12 +142,12 @@ def test_solids_that_lost_a_side_to_rounding_are_drawn_from_both_sides():
     pose = Pose(x_m=1e12, height_m=4.1, tilt_x=0.3)
     raster, oracle = caster_class("raster")(corners, closed=True), caster_class("exact")(corners)
     found = oracle.meet(pose.position, pose.to_world(lattice.components.reshape(3, -1).T), 80.0)
-    np.testing.assert_array_equal(raster.turn(lattice, pose, 80.0).beam, found.ray)
+    np.testing.assert_array_equal(raster.revolution(lattice, pose, 80.0).beam, found.ray)
 
 
 def test_a_regular_grid_shares_its_vertices():
     """Whole numbers have few bits: their hashes must not be the same."""
-    from blender_lidar.casting.shared_vertices import mesh_of
+    from blender_lidar.casting.raster import mesh_of
 
     lines = np.arange(60.0)
     grid = np.stack([*np.meshgrid(lines, lines, indexing="ij"), np.zeros((60, 60))], axis=-1)

@@ -9,21 +9,16 @@ import shutil
 import pytest
 
 from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError, OutputError
-from blender_lidar.reporting.page import report_html, write_report
-from blender_lidar.results import RunFolder
-from tests.report_samples import Page, change, make_runs, result_of
+from blender_lidar.report.page import report_html, write_report
+from blender_lidar.run.folder import RunFolder
+from tests.report_samples import Page, change, result_of
 from tests.small_scene import cli, without_charts, write_scene
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    return make_runs(tmp_path_factory.mktemp("runs"))
-
-
 @pytest.fixture
-def folder(runs, tmp_path) -> RunFolder:
+def folder(stored_runs, tmp_path) -> RunFolder:
     """A copy of the search, to be changed."""
-    shutil.copytree(runs / "searched", tmp_path / "run")
+    shutil.copytree(stored_runs / "searched", tmp_path / "run")
     return RunFolder(tmp_path / "run")
 
 
@@ -123,28 +118,29 @@ def test_a_file_that_is_missing_is_named(folder, name):
         report_html(folder)
 
 
-def test_a_result_of_before_scenes_had_names_is_called_after_its_folder(folder):
+def test_a_result_of_before_it_told_its_scene_imperfections_and_scenery_has_a_page(folder):
     result = result_of(folder)
-    del result["scene"]
+    del result["scene"], result["imperfections"], result["scenery"]
     change(folder, result)
     page = Page(report_html(folder))
-    assert page.text(page.find("h1")[0]) == "run RS-16"
-
-
-def test_a_result_of_before_it_told_its_imperfections_and_scenery_has_a_page(folder):
-    result = result_of(folder)
-    del result["imperfections"], result["scenery"]
-    change(folder, result)
-    assert "Simulated with" not in report_html(folder)
+    assert page.text(page.find("h1")[0]) == "run RS-16"  # called after its folder
+    assert "Simulated with" not in page.text(page.find("main")[0])
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("imperfections", None), ("imperfections", {}), ("scenery", 3), ("scenery", {"objects": 1, "triangles": -1})],
+    [
+        ("imperfections", None),
+        ("imperfections", {}),
+        ("scenery", 3),
+        ("metric", "none"),
+        ("metric", []),
+        ("reading", 1),
+    ],
 )
-def test_imperfections_and_scenery_that_are_damaged_are_refused_by_name(folder, key, value):
+def test_a_key_that_is_damaged_is_refused_in_one_line(folder, key, value):
     change(folder, result_of(folder) | {key: value})
-    with pytest.raises(InputError, match=rf"result\.json: {key}") as caught:
+    with pytest.raises(InputError, match=r"result\.json: ") as caught:
         report_html(folder)
     one_line(caught.value)
 

@@ -7,22 +7,23 @@ import shutil
 
 import pytest
 
-from blender_lidar.reporting.answer import answer
-from blender_lidar.reporting.page import report_html
-from blender_lidar.results import RunFolder
-from tests.report_samples import Page, change, make_runs, result_of
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    return make_runs(tmp_path_factory.mktemp("runs"))
+from blender_lidar.report.page import report_html
+from blender_lidar.report.summary import answer, key_figures
+from blender_lidar.run.folder import RunFolder
+from tests.report_samples import Page, change, result_of
 
 
 @pytest.fixture
-def folder(runs, tmp_path) -> RunFolder:
+def folder(stored_runs, tmp_path) -> RunFolder:
     """A copy of the search, to be changed."""
-    shutil.copytree(runs / "searched", tmp_path / "run")
+    shutil.copytree(stored_runs / "searched", tmp_path / "run")
     return RunFolder(tmp_path / "run")
+
+
+@pytest.fixture
+def page(stored_runs) -> Page:
+    """The page of the search."""
+    return Page((stored_runs / "searched" / "report.html").read_text(encoding="utf-8"))
 
 
 def table_rows(page: Page, caption: str) -> dict[str, list[float]]:
@@ -44,9 +45,9 @@ def table_rows(page: Page, caption: str) -> dict[str, list[float]]:
     return rows
 
 
-def test_the_scores_are_those_of_the_result(runs):
-    result = result_of(RunFolder(runs / "searched"))
-    rows = table_rows(Page((runs / "searched" / "report.html").read_text(encoding="utf-8")), "Baseline and optimised")
+def test_the_scores_are_those_of_the_result(stored_runs, page):
+    result = result_of(RunFolder(stored_runs / "searched"))
+    rows = table_rows(page, "Baseline and optimised")
     base, held, base_held = result["baseline"], result["holdout"], result["baseline"]["holdout"]
     expected = {
         "Mounting: height [m]": [base["deployment"]["height_m"], result["deployment"]["height_m"]],
@@ -67,11 +68,11 @@ def test_the_scores_are_those_of_the_result(runs):
 
 
 @pytest.mark.parametrize(("caption", "column"), [("By distance", "distance_m"), ("By lane", "lane")])
-def test_groups_are_what_the_vehicle_tables_say(runs, caption, column):
+def test_groups_are_what_the_vehicle_tables_say(stored_runs, page, caption, column):
     """Counted row by row, in another way than the page does."""
-    rows = table_rows(Page((runs / "searched" / "report.html").read_text(encoding="utf-8")), caption)
+    rows = table_rows(page, caption)
     sums: dict[str, dict] = {}
-    files = [runs / "searched" / name for name in ("vehicles_baseline.csv", "vehicles.csv")]
+    files = [stored_runs / "searched" / name for name in ("vehicles_baseline.csv", "vehicles.csv")]
     for after, path in enumerate(files):
         with path.open(newline="") as stream:
             for row in csv.DictReader(stream):
@@ -93,8 +94,8 @@ def test_groups_are_what_the_vehicle_tables_say(runs, caption, column):
         assert rows[name][8] == sum(len(group[split, 0]) for split in ("search", "holdout"))
 
 
-def test_the_answer_gives_mounting_shares_gain_and_interval_of_the_held_out_frames(runs):
-    result = result_of(RunFolder(runs / "searched"))
+def test_the_answer_gives_mounting_shares_gain_and_interval_of_the_held_out_frames(stored_runs, page):
+    result = result_of(RunFolder(stored_runs / "searched"))
     said = answer(result).replace("\N{MINUS SIGN}", "-").replace("\N{NO-BREAK SPACE}", " ")
     held, base = result["holdout"], result["baseline"]["holdout"]
     assert said.startswith(f"Hang the RS-16 {result['deployment']['height_m']:.2f} m above the road, tilted ")
@@ -106,12 +107,23 @@ def test_the_answer_gives_mounting_shares_gain_and_interval_of_the_held_out_fram
         "{:.3f} to {:.3f}".format(*held["interval_90"]),
     ):
         assert number in said
-    page = Page((runs / "searched" / "report.html").read_text(encoding="utf-8"))
     assert page.text(page.find("p", **{"class": "answer"})[0]) == answer(result)
 
 
-def test_the_answer_hides_no_doubt(runs):
-    result = result_of(RunFolder(runs / "searched"))
+def test_the_answer_gives_the_share_found_before_that_of_the_baseline(stored_runs):
+    result = result_of(RunFolder(stored_runs / "searched"))
+    held, base = result["holdout"], result["baseline"]
+    found = result | {
+        "holdout": held | {"detectable_share": 0.75},
+        "baseline": base | {"holdout": base["holdout"] | {"detectable_share": 0.5}},
+    }
+    said = answer(found).replace("\N{NO-BREAK SPACE}", " ")
+    assert "75.0 % of the vehicles are detectable instead of 50.0 % under the baseline" in said
+    assert ("detectable on held-out traffic", "50.0 \N{RIGHTWARDS ARROW} 75.0 %") in key_figures(found)
+
+
+def test_the_answer_hides_no_doubt(stored_runs):
+    result = result_of(RunFolder(stored_runs / "searched"))
     held, base = result["holdout"], result["baseline"]
     lost = {"objective_per_vehicle": base["holdout"]["objective_per_vehicle"] - 0.25}
     assert "loses 0.250" in answer(result | {"holdout": held | lost})
@@ -123,10 +135,10 @@ def test_the_answer_hides_no_doubt(runs):
     assert "at all" not in answer(result | {"holdout": held | lost | {"interval_90": [-0.5, -0.1]}})
     assert "too few blocks of time for an interval" in answer(result | {"holdout": held | {"interval_90": None}})
     assert answer(result | {"objective": base["objective"]}).startswith("No mounting that was tried is better")
-    whole = answer(result_of(RunFolder(runs / "whole")))
+    whole = answer(result_of(RunFolder(stored_runs / "whole")))
     assert "on the traffic that chose it" in whole
     assert "nothing was held out" in whole
-    given = answer(result_of(RunFolder(runs / "given")))
+    given = answer(result_of(RunFolder(stored_runs / "given")))
     assert given.startswith("The RS-16 4.00")
     assert "tilted \N{MINUS SIGN}3.0° along it, turned 5.0°" in given
 

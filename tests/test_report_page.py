@@ -17,29 +17,22 @@ from hypothesis import strategies as st
 
 import blender_lidar
 from blender_lidar.errors import InputError
-from blender_lidar.reporting.elements import element
-from blender_lidar.reporting.page import report_html, write_report
-from blender_lidar.reporting.pictures import CHARTS, render_file
-from blender_lidar.reporting.sheet import sheet_markup
-from blender_lidar.results import RunFolder
-from tests.report_samples import Page, change, make_runs, png, result_of
+from blender_lidar.report.html import element, sheet_markup
+from blender_lidar.report.page import CHARTS, render_file, report_html, write_report
+from blender_lidar.run.folder import RunFolder
+from tests.report_samples import Page, change, png, result_of
 from tests.small_scene import cli, without_charts, write_scene
 
 LOADING = {"src", "href", "srcset", "poster", "data", "action", "formaction", "background", "cite", "ping", "manifest"}
 HOSTILE = "</title></style><script>alert(1)</script><img src=x onerror='alert(1)'>&amp;\"'--><!--"
-CHART_FILES = [chart.file for chart in CHARTS]
+CHART_FILES = list(CHARTS)
 RENDER_FILES = [render_file(name, view) for view in ("above", "pole") for name in ("baseline", "optimised")]
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    return make_runs(tmp_path_factory.mktemp("runs"))
-
-
 @pytest.fixture
-def folder(runs, tmp_path) -> RunFolder:
+def folder(stored_runs, tmp_path) -> RunFolder:
     """A copy of the search, to be changed."""
-    shutil.copytree(runs / "searched", tmp_path / "run")
+    shutil.copytree(stored_runs / "searched", tmp_path / "run")
     return RunFolder(tmp_path / "run")
 
 
@@ -52,8 +45,8 @@ def draw(folder: RunFolder, names: list[str]) -> None:
 
 
 @pytest.mark.parametrize("name", ["searched", "given", "whole"])
-def test_every_run_leaves_a_page_that_is_well_formed(runs, name):
-    text = (runs / name / "report.html").read_text(encoding="utf-8")
+def test_every_run_leaves_a_page_that_is_well_formed(stored_runs, name):
+    text = (stored_runs / name / "report.html").read_text(encoding="utf-8")
     page = Page(text)
     assert page.declared == ["DOCTYPE html"]
     assert text.startswith("<!DOCTYPE html>")
@@ -65,8 +58,8 @@ def test_every_run_leaves_a_page_that_is_well_formed(runs, name):
     assert all(after <= before + 1 for before, after in pairwise(headings))
 
 
-def test_every_header_cell_says_what_it_heads_and_rows_are_of_one_length(runs):
-    page = Page((runs / "searched" / "report.html").read_text(encoding="utf-8"))
+def test_every_header_cell_says_what_it_heads_and_rows_are_of_one_length(stored_runs):
+    page = Page((stored_runs / "searched" / "report.html").read_text(encoding="utf-8"))
     assert len(page.find("table")) == 4  # scores, distance, lanes, methods
     assert all(present.get("scope") in {"col", "row", "rowgroup"} for tag, present in page.elements if tag == "th")
     width, widths, held = 0, [], []  # `held`: columns that cells of the rows above still take

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from blender_lidar import __version__
 from blender_lidar.cli import main
+from blender_lidar.optimise import make_search
+from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.replay import Replay
+from tests.run_attacks import Attacked, check_nobody_is_left, check_same, check_stopped, check_whole
 from tests.small_scene import MAPPED, cli, without_charts, without_times, write_scene
-from tests.waiting import WAIT_S, wait_for
+from tests.waiting import wait_for
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 
 # One file is written, whole, for each of: the scene, the checkpoint after each of 3 iterations, history, two vehicle
 # tables, the installation sheet, the result, the page.
 WRITES = 10
-TABLES = ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "installation.txt")
 ENDLESS = ("--iterations", 100_000)  # a search that does not end before it is stopped
 
 # Runs the command line without charts and stores a checkpoint after every batch. Before that file takes its place whose
@@ -35,8 +36,8 @@ from pathlib import Path
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever this process was started with
 sys.modules["matplotlib"] = None
-from blender_lidar import run
-run._CHECKPOINT_EVERY_S = 0.0
+from blender_lidar.run import replay
+replay._STORE_EVERY_S = 0.0
 replace, left = Path.replace, int(sys.argv[1])
 
 def replace_or_die(self, target):
@@ -73,74 +74,27 @@ def start(tmp_path):
     """Starts runs as processes of their own, and leaves none of them, nor of their workers, behind."""
     started = []
 
-    def begin(scene: Path, out: Path, *words: object, dies_at: int = 0, by: str = "SIGKILL") -> subprocess.Popen:
-        command = [sys.executable, "-c", PROGRAM, dies_at, by, "optimise", scene, "--out", out, *words]
-        with (out.parent / "stderr.txt").open("w") as stderr:
-            process = subprocess.Popen(
-                [str(word) for word in command], stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True
-            )
-        started.append(process)
-        return process
+    def begin(scene: Path, out: Path, *words: object, dies_at: int = 0, by: str = "SIGKILL") -> Attacked:
+        how = ("-c", PROGRAM, dies_at, by)
+        folder = tmp_path / f"process_{len(started)}"
+        started.append(Attacked(folder, ["optimise", scene, "--out", out, *words], how))
+        return started[-1]
 
     yield begin
-    for process in started:
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait(WAIT_S)
-
-
-def children(pid: int) -> list[int]:
-    """Processes started by another, as /proc tells."""
-    return [child for child, (_, parent) in processes().items() if parent == pid]
-
-
-def alive(pids: list[int]) -> list[int]:
-    table = processes()
-    return [pid for pid in pids if pid in table and table[pid][0] != "Z"]
-
-
-def processes() -> dict[int, tuple[str, int]]:
-    """State and parent of every process."""
-    table = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            state, parent = (folder / "stat").read_text().rpartition(")")[2].split()[:2]
-        except OSError:  # it has just ended
-            continue
-        table[int(folder.name)] = (state, int(parent))
-    return table
+    for run in started:
+        run.end()
 
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="this system has no /proc")
 
 
-def check_nothing_is_half_written(folder: Path) -> None:
-    """Every file that can be seen is complete."""
-    for path in folder.glob("[!.]*"):
-        text = path.read_text()
-        if path.suffix == ".json":
-            json.loads(text)
-        elif path.suffix == ".csv":
-            assert text.endswith("\n")
-            assert len({len(row) for row in csv.reader(text.splitlines())}) == 1
-        else:
-            assert text.endswith("\n")
-
-
-def without_workers(folder: Path) -> list[str]:
-    """The scene as used but for the number of workers, which changes nothing."""
-    return [line for line in (folder / "scene.toml").read_text().splitlines() if not line.startswith("workers = ")]
-
-
 def check_goes_on_to_the_same(scene: Path, out: Path, undisturbed: Path, *words: object) -> None:
     assert main(["optimise", str(scene), "--out", str(out), "--resume", *map(str, words)]) == 0
-    results = (json.loads((folder / "result.json").read_text()) for folder in (out, undisturbed))
-    resumed, expected = map(without_times, results)
-    assert resumed == expected
-    for name in TABLES:
-        assert (out / name).read_bytes() == (undisturbed / name).read_bytes()
-    assert without_workers(out) == without_workers(undisturbed)
-    assert {path.name for path in out.iterdir()} == {path.name for path in undisturbed.iterdir()}
+    check_same(out, undisturbed)
+
+
+def stored_evaluations(folder: Path) -> int:
+    return sum(len(batch["told"]) for batch in json.loads((folder / "checkpoint.json").read_text())["batches"])
 
 
 # --- killed -----------------------------------------------------------------------------------------------------------
@@ -149,24 +103,20 @@ def check_goes_on_to_the_same(scene: Path, out: Path, undisturbed: Path, *words:
 @pytest.mark.parametrize("write", range(1, WRITES + 1))
 def test_a_run_killed_at_any_write_goes_on_to_the_same_result(start, tmp_path, finished, write):
     scene, undisturbed = finished
-    process = start(scene, tmp_path / "run", dies_at=write)
-    process.wait(WAIT_S)
-    assert process.returncode == -signal.SIGKILL
-    check_nothing_is_half_written(tmp_path / "run")
+    assert start(scene, tmp_path / "run", dies_at=write).code() == -signal.SIGKILL
+    check_whole(tmp_path / "run")
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
 
 def test_a_run_makes_no_more_writes_than_were_tested(start, tmp_path, finished):
-    process = start(finished[0], tmp_path / "run", dies_at=WRITES + 1)
-    process.wait(WAIT_S)
-    err = (tmp_path / "stderr.txt").read_text()
-    assert process.returncode == 0, err
+    run = start(finished[0], tmp_path / "run", dies_at=WRITES + 1)
+    assert run.code() == 0, run.stderr
 
 
 def test_a_run_killed_twice_goes_on_to_the_same_result(start, tmp_path, finished):
     scene, undisturbed = finished
-    start(scene, tmp_path / "run", dies_at=3).wait(WAIT_S)
-    start(scene, tmp_path / "run", "--resume", dies_at=3).wait(WAIT_S)
+    start(scene, tmp_path / "run", dies_at=3).code()
+    start(scene, tmp_path / "run", "--resume", dies_at=3).code()
     assert (tmp_path / "run" / "checkpoint.json").exists()
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
@@ -184,9 +134,8 @@ def test_the_rivals_go_on_as_well(start, tmp_path, method):
     words = ["--search", method, "--particles", "10", "--iterations", "6"]  # three batches of 20
     scene = write_scene(tmp_path)
     assert main(["optimise", str(scene), "--out", str(tmp_path / "whole"), *words]) == 0
-    start(scene, tmp_path / "run", *words, dies_at=4).wait(WAIT_S)
-    state = json.loads((tmp_path / "run" / "checkpoint.json").read_text())["search"]
-    assert len(state["values"]) == 40
+    start(scene, tmp_path / "run", *words, dies_at=4).code()
+    assert stored_evaluations(tmp_path / "run") == 40
     check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole", *words)
 
 
@@ -194,16 +143,15 @@ def test_the_literal_reading_goes_on_in_the_middle_of_an_iteration(start, tmp_pa
     words = ["--search", "de-pso", "--reading", "paper"]  # asks for one candidate at a time
     scene = write_scene(tmp_path)
     assert main(["optimise", str(scene), "--out", str(tmp_path / "whole"), *words]) == 0
-    start(scene, tmp_path / "run", *words, dies_at=8).wait(WAIT_S)
-    state = json.loads((tmp_path / "run" / "checkpoint.json").read_text())["search"]
-    assert len(state["values"]) == 6
+    start(scene, tmp_path / "run", *words, dies_at=8).code()
+    assert stored_evaluations(tmp_path / "run") == 6
     check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole", *words)
 
 
 def test_a_run_killed_while_it_maps_goes_on_to_the_same_map(start, tmp_path):
     scene = write_scene(tmp_path, {**MAPPED, "traffic": {"frames": 2}})
     assert main(["optimise", str(scene), "--out", str(tmp_path / "whole")]) == 0
-    start(scene, tmp_path / "run", dies_at=6).wait(WAIT_S)  # the map comes after the history
+    start(scene, tmp_path / "run", dies_at=6).code()  # the map comes after the history
     assert not (tmp_path / "run" / "score_map.csv").exists()
     check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole")
     assert (tmp_path / "run" / "score_map.csv").read_bytes() == (tmp_path / "whole" / "score_map.csv").read_bytes()
@@ -211,45 +159,41 @@ def test_a_run_killed_while_it_maps_goes_on_to_the_same_map(start, tmp_path):
 
 def test_a_run_with_two_workers_killed_while_it_searches_goes_on_with_one(start, tmp_path, finished):
     scene, undisturbed = finished
-    process = start(scene, tmp_path / "run", "--workers", 2, dies_at=3)
-    process.wait(WAIT_S)
-    assert process.returncode == -signal.SIGKILL
+    assert start(scene, tmp_path / "run", "--workers", 2, dies_at=3).code() == -signal.SIGKILL
     assert (tmp_path / "run" / "checkpoint.json").exists()
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
 
 def test_a_run_killed_while_its_workers_start_goes_on_to_the_same_result(start, tmp_path, finished):
     scene, undisturbed = finished
-    process = start(scene, tmp_path / "run", "--workers", 2)
+    run = start(scene, tmp_path / "run", "--workers", 2)
     wait_for((tmp_path / "run" / "scene.toml").exists)
-    process.kill()
-    process.wait(WAIT_S)
-    check_nothing_is_half_written(tmp_path / "run")
+    run.send(signal.SIGKILL)
+    run.code()
+    check_whole(tmp_path / "run")
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed, "--workers", 2)
 
 
 @needs_proc
 def test_the_workers_of_a_killed_run_end_with_it(start, tmp_path, finished):
-    process = start(finished[0], tmp_path / "run", "--workers", 2, *ENDLESS)
+    run = start(finished[0], tmp_path / "run", "--workers", 2, *ENDLESS)
     wait_for((tmp_path / "run" / "checkpoint.json").exists)
-    workers = children(process.pid)
-    process.kill()
-    process.wait(WAIT_S)
-    wait_for(lambda: not alive(workers), 10.0)
+    assert len(run.survivors()) > 1
+    run.send(signal.SIGKILL)
+    run.code()
+    check_nobody_is_left(run)
 
 
 @needs_proc
 def test_a_run_whose_worker_is_killed_has_failed_by_no_fault_of_its_input(start, tmp_path, finished):
-    process = start(finished[0], tmp_path / "run", "--workers", 3, *ENDLESS)
+    run = start(finished[0], tmp_path / "run", "--workers", 3, *ENDLESS)
     wait_for((tmp_path / "run" / "checkpoint.json").exists)
-    workers = [pid for pid in children(process.pid) if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    workers = [pid for pid in run.survivors() if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
     assert len(workers) == 2  # and the run's own process
     os.kill(workers[0], signal.SIGKILL)
-    process.wait(WAIT_S)
-    err = (tmp_path / "stderr.txt").read_text()
-    assert process.returncode == 1
-    assert err.splitlines()[-1].startswith("blender-lidar: a worker process ended abruptly")
-    assert "Traceback" not in err
+    assert run.code() == 1
+    assert run.stderr.splitlines()[-1].startswith("blender-lidar: a worker process ended abruptly")
+    assert "Traceback" not in run.stderr
 
 
 # --- stopped ----------------------------------------------------------------------------------------------------------
@@ -260,44 +204,37 @@ def test_a_run_whose_worker_is_killed_has_failed_by_no_fault_of_its_input(start,
 @pytest.mark.parametrize("to", ["process", "group"])
 def test_ctrl_c_says_how_to_go_on_and_leaves_no_process_behind(start, tmp_path, finished, workers, to):
     out = tmp_path / "run"
-    process = start(finished[0], out, "--workers", workers, *ENDLESS)
+    run = start(finished[0], out, "--workers", workers, *ENDLESS)
     wait_for((out / "checkpoint.json").exists)
-    helpers = children(process.pid)
-    assert bool(helpers) == (workers > 1)
-    os.kill(process.pid if to == "process" else -process.pid, signal.SIGINT)
-    process.wait(WAIT_S)
-    err = (tmp_path / "stderr.txt").read_text()
-    assert process.returncode == 1
-    assert "Traceback" not in err
-    assert err.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
-    wait_for(lambda: not alive(helpers))
-    check_nothing_is_half_written(out)
+    assert (len(run.survivors()) > 1) == (workers > 1)
+    run.send(signal.SIGINT, group=to == "group")
+    run.code()
+    check_nobody_is_left(run)
+    check_stopped(run)
+    assert run.stderr.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
+    check_whole(out)
 
 
 @pytest.mark.parametrize("write", [2, 4, 6])
 def test_a_stopped_run_goes_on_to_the_same_result(start, tmp_path, finished, write):
     scene, undisturbed = finished
-    process = start(scene, tmp_path / "run", dies_at=write, by="SIGINT")
-    process.wait(WAIT_S)
-    err = (tmp_path / "stderr.txt").read_text()
-    assert process.returncode == 1
-    assert "stopped; go on with: " in err
+    run = start(scene, tmp_path / "run", dies_at=write, by="SIGINT")
+    run.code()
+    check_stopped(run)
     assert not list((tmp_path / "run").glob(".*"))  # unlike a killed one it tidies up
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
 
 @needs_proc
 def test_ctrl_c_while_the_workers_start_is_quiet(start, tmp_path, finished):
-    process = start(finished[0], tmp_path / "run", "--workers", 2, *ENDLESS)
-    wait_for(lambda: len(children(process.pid)) > 1)
-    helpers = children(process.pid)
+    run = start(finished[0], tmp_path / "run", "--workers", 2, *ENDLESS)
+    wait_for(lambda: len(run.survivors()) > 2)
     time.sleep(0.2)  # they import what they need
-    os.killpg(process.pid, signal.SIGINT)
-    process.wait(WAIT_S)
-    err = (tmp_path / "stderr.txt").read_text()
-    wait_for(lambda: not alive(helpers))
-    assert process.returncode == 1
-    assert len(err.splitlines()) == 1, err
+    run.send(signal.SIGINT, group=True)
+    run.code()
+    check_nobody_is_left(run)
+    check_stopped(run)
+    assert len(run.stderr.splitlines()) == 1, run.stderr
 
 
 # --- resume -----------------------------------------------------------------------------------------------------------
@@ -330,11 +267,19 @@ CHANGES = [
 ]
 
 
-@pytest.fixture
-def stopped(start, finished, tmp_path):
+@pytest.fixture(scope="module")
+def killed(finished, tmp_path_factory):
     """The folder of a run that was killed while it searched."""
-    start(finished[0], tmp_path / "stopped", dies_at=4).wait(WAIT_S)
-    return tmp_path / "stopped"
+    folder = tmp_path_factory.mktemp("killed")
+    command = ["optimise", finished[0], "--out", folder / "run"]
+    Attacked(folder, command, ("-c", PROGRAM, 4, "SIGKILL")).code()
+    return folder / "run"
+
+
+@pytest.fixture
+def stopped(killed, tmp_path):
+    """A copy of it, to be changed."""
+    return shutil.copytree(killed, tmp_path / "stopped")
 
 
 @pytest.mark.parametrize("which", ["stopped", "finished"])
@@ -371,7 +316,7 @@ def test_resume_with_other_traffic_of_the_same_name_is_refused(tmp_path, capsys)
 
 def test_the_same_traffic_elsewhere_is_the_same_run(start, tmp_path, finished):
     scene, undisturbed = finished
-    start(scene, tmp_path / "run", dies_at=4).wait(WAIT_S)
+    start(scene, tmp_path / "run", dies_at=4).code()
     shutil.copy(scene.parent / "traffic.csv", tmp_path / "copy.csv")
     words = ["--traffic", str(tmp_path / "copy.csv")]
     assert main(["optimise", str(scene), "--out", str(tmp_path / "run"), "--resume", *words]) == 0
@@ -394,7 +339,7 @@ def test_an_evaluation_is_no_search_to_go_on_with(tmp_path, finished, capsys):
     assert "holds one mounting's evaluation, not a search" in err
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b'{"identity": {}}', b"\xff", b'{"search": {}}'])
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b'{"identity": {}}', b"\xff", b'{"batches": []}'])
 @pytest.mark.parametrize("name", ["checkpoint.json", "result.json"])
 def test_a_damaged_file_is_refused_by_name(tmp_path, stopped, finished, capsys, name, content):
     shutil.copytree(stopped, tmp_path / "run")
@@ -404,3 +349,73 @@ def test_a_damaged_file_is_refused_by_name(tmp_path, stopped, finished, capsys, 
     assert str(tmp_path / "run") in err
     assert len(err.splitlines()) == 1
     assert "Traceback" not in err
+
+
+def change_checkpoint(folder: Path, change) -> None:
+    content = json.loads((folder / "checkpoint.json").read_text())
+    change(content["batches"])
+    (folder / "checkpoint.json").write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda batches: batches.__setitem__(1, None),
+        lambda batches: batches[1].pop("x"),
+        lambda batches: batches[1].pop("told"),
+        lambda batches: batches[1].update(told=[1.0]),
+        lambda batches: batches[1].update(told=[[1.0]] * 4),
+        lambda batches: batches[1].update(told=[float("nan")] * 4),
+        lambda batches: batches[1].update(told=["a"] * 4),
+        lambda batches: batches[1].update(seconds=None),
+    ],
+)
+def test_a_batch_that_cannot_be_replayed_is_refused_by_its_number(stopped, finished, capsys, change):
+    change_checkpoint(stopped, change)
+    code, _, err = cli(capsys, "optimise", finished[0], "--out", stopped, "--resume")
+    assert code == 2
+    assert err.startswith(f"blender-lidar: {stopped / 'checkpoint.json'}: batch 2 is damaged: ")
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("place", ["x", "told"])
+def test_a_search_that_asks_for_anything_else_by_one_bit_is_not_gone_on_with(stopped, finished, capsys, place):
+    """As it may with another processor's linear algebra: the last bit of a mounting, or another objective."""
+
+    def change(batches):
+        if place == "x":
+            batches[1]["x"][2][0] = float(np.nextafter(batches[1]["x"][2][0], 9.0))
+        else:
+            batches[0]["told"] = batches[0]["told"][::-1]
+
+    change_checkpoint(stopped, change)
+    code, _, err = cli(capsys, "optimise", finished[0], "--out", stopped, "--resume")
+    assert code == 2
+    assert "asks for other mountings in batch 2 than the run there did" in err
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("which", ["stopped", "finished"])
+def test_a_run_made_by_other_code_is_not_gone_on_with(request, finished, capsys, monkeypatch, which):
+    """It was noticed by the version alone, which does not change from one commit to the next."""
+    folder = request.getfixturevalue("stopped") if which == "stopped" else finished[1]
+    monkeypatch.setattr("blender_lidar.scene.provenance.source_digest", lambda: "0123456789ab")
+    code, _, err = cli(capsys, "optimise", finished[0], "--out", folder, "--resume")
+    assert code == 2
+    assert f"{folder}: the run there was made by other code, blender_lidar '{__version__} (" in err
+    assert f"not '{__version__} (0123456789ab)'" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_two_thousand_evaluations_are_stored_in_no_time(tmp_path):
+    class Silent:
+        def searching(self, search):
+            pass
+
+    folder, search = RunFolder(tmp_path), make_search("hardened", [0.0] * 6, [1.0] * 6, seed=1)
+    Replay(folder, {}, resume=False).carry_out(search, lambda x: -np.square(x - 0.3).sum(axis=1), Silent())
+    batches = json.loads((tmp_path / "checkpoint.json").read_text())["batches"]
+    started = time.perf_counter()
+    folder.write_checkpoint({}, batches)
+    assert time.perf_counter() - started < 0.5
+    assert (tmp_path / "checkpoint.json").stat().st_size < 2**19

@@ -15,8 +15,8 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError, OutputError
-from blender_lidar.reporting.summary import cautions
-from blender_lidar.results import RunFolder
+from blender_lidar.report.summary import cautions
+from blender_lidar.run.folder import RunFolder
 from tests.small_scene import (
     CASTER,
     MAPPED,
@@ -365,13 +365,21 @@ def test_a_folder_that_was_there_before_stays_even_if_empty(tmp_path):
     assert (tmp_path / "run").is_dir()
 
 
-def test_what_a_killed_run_had_not_finished_writing_is_swept_away(tmp_path):
-    leftovers = [".checkpoint-abcd1234.json", ".vehicles-abcd1234.csv", ".clouds.png.123.part", ".lock"]
-    for name in [*leftovers, ".hidden.json", "mine-abcd1234.json"]:
+def test_what_a_killed_run_had_not_finished_writing_is_swept_away_and_no_file_of_anybody_else(tmp_path):
+    """Whatever was hidden and looked like `.*-????????.*` or `.*.png.*.part` went too."""
+    ours = [".blender_lidar-123-abcd_123.json", ".blender_lidar-7-abcdefgh", ".blender_lidar-7-abcdefgh.png"]
+    theirs = [
+        ".hidden.json",
+        "mine-abcd1234.json",
+        ".vehicles-12345678.csv",
+        ".photo.png.123.part",
+        ".blender_lidar-mine",
+    ]
+    for name in [*ours, *theirs, ".lock"]:
         (tmp_path / name).write_text("half")
     with RunFolder(tmp_path).locked():
         pass
-    assert {path.name for path in tmp_path.iterdir()} == {".hidden.json", "mine-abcd1234.json"}
+    assert {path.name for path in tmp_path.iterdir()} == set(theirs)
 
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path):

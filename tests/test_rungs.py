@@ -8,9 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from blender_lidar.scenario import load_scenario
-from blender_lidar.study.fidelity import Fidelity
-from blender_lidar.study.halving import (
+from blender_lidar.optimise.multi_fidelity import (
     ALL,
     BUT_PEAKS,
     NONE,
@@ -21,10 +19,16 @@ from blender_lidar.study.halving import (
     peaks,
     survivors,
 )
-from blender_lidar.study.raced_climb import RacedClimb
-from blender_lidar.study.rung_climbs import RungClimbs
-from blender_lidar.study.rungs import coarse_observation, coarsest_stride, far_apart, make_rungs, spread_order
-from blender_lidar.study.site import prepare
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.fidelity import (
+    Fidelity,
+    coarse_observation,
+    coarsest_stride,
+    far_apart,
+    make_rungs,
+    spread_order,
+)
 from tests.small_scene import write_scene
 
 
@@ -179,24 +183,3 @@ def test_no_more_go_on_than_may_and_the_best_is_always_among_them():
 
 def test_candidates_that_are_equal_on_every_frame_all_stay():
     assert len(survivors(np.ones((4, 6)), np.arange(6), 4)) == 4
-
-
-def test_climbs_side_by_side_come_to_what_each_comes_to_alone():
-    starts, block = np.array([[0.2, 0.3], [0.8, 0.7]]), np.arange(9) // 3
-
-    def objective(x, frames):
-        peaks = -np.minimum(np.square(x - 0.25).sum(axis=1), 0.1 + np.square(x - 0.75).sum(axis=1))
-        return peaks[:, None] + 0.001 * np.cos(np.arange(9)[frames]) * x[:, :1]
-
-    def climbed(climb):
-        met = []
-        while not climb.done:
-            met += climb.tell(objective(*climb.ask()))[0].tolist()
-        return met
-
-    both = climbed(RungClimbs(starts, 42, 6, 0.05, 4, block, range(7, 9)))
-    alone = [
-        climbed(RacedClimb(starts[k], 0.05, 6, generations, 4, block, 7 + k)) for k, generations in ((0, 4), (1, 3))
-    ]
-    assert len(both) == 7 * 2  # the best third of each generation
-    assert sorted(both) == sorted(alone[0] + alone[1])

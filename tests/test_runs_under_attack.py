@@ -1,6 +1,6 @@
 """Runs that are killed, stopped, starved of space or robbed of their files end in one line and lose nothing.
 
-`tests/run_attacks.py` hits runs by the hundred; here is a handful of its hits, and each failure that it once found.
+A handful of hits at any moment, and each failure that hundreds of such hits once found.
 """
 
 from __future__ import annotations
@@ -20,14 +20,13 @@ from pathlib import Path
 import pytest
 
 from blender_lidar.errors import InputError, OutputError, WorkerError, WriteError, output_error
-from blender_lidar.formats.lock import folder_lock
-from blender_lidar.results import RunFolder
-from blender_lidar.run import evaluate_site
-from blender_lidar.scenario import load_scenario
-from blender_lidar.study import site as site_module
-from blender_lidar.study.site import prepare
-from blender_lidar.study.stages import STAGES, StudyFolder
-from blender_lidar.study.worker_pool import WorkerPool
+from blender_lidar.files import folder_lock, whole_file
+from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.optimise import evaluate_site
+from blender_lidar.scene import site as site_module
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.workers import ProcessPool
 from tests.run_attacks import (
     WITHOUT_CHARTS,
     Attacked,
@@ -133,7 +132,11 @@ def test_sigterm_and_a_closed_terminal_ended_a_run_without_a_word_and_left_semap
 
 
 def python(program: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-c", "import signal, time\nfrom blender_lidar import stop_signals\n" + program]
+    command = [
+        sys.executable,
+        "-c",
+        "import signal, time\nfrom blender_lidar import signals as stop_signals\n" + program,
+    ]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -206,7 +209,7 @@ def test_a_stop_while_charts_are_drawn_did_not_say_how_to_go_on(attack, tmp_path
     pytest.importorskip("matplotlib")
     for number in range(20):
         out = tmp_path / f"run_{number}"
-        run = attack("optimise", scene, "--out", out, charts=True)
+        run = attack("optimise", scene, "--out", out, how=("-m", "blender_lidar"))
         wait_for((out / "result.json").exists)
         run.send(signal.SIGINT)
         if run.code() not in (0, -signal.SIGINT):
@@ -229,22 +232,18 @@ def test_a_run_killed_while_its_workers_started_left_their_function_in_the_tempo
     assert not list(run.temporary.iterdir())
 
 
-def test_what_a_killed_render_had_not_finished_writing_was_never_swept_away(tmp_path):
-    (tmp_path / ".render_baseline_above-abcd1234.png").write_text("half")
+def test_what_a_killed_writer_leaves_is_what_is_swept_away(tmp_path):
+    """Its name is recognised whatever the file is: a chart, a cloud, a render."""
+    for name in ("chart.png", "cloud.pcd", "none"):
+        with whole_file(tmp_path / name) as temporary:
+            os.link(temporary, tmp_path / "kept")
+            left = temporary
+        (tmp_path / "kept").rename(left)
+        (tmp_path / name).unlink()
+    assert len(list(tmp_path.iterdir())) == 3
     with RunFolder(tmp_path).locked():
         pass
     assert not list(tmp_path.iterdir())
-
-
-def test_what_a_killed_study_had_not_finished_writing_stayed_among_its_clouds_and_charts(tmp_path):
-    (tmp_path / "clouds").mkdir()
-    leftovers = ["clouds/.rs-16_baseline-abcd1234.pcd", ".fig8_rs-16.png.123.part"]
-    with StudyFolder(tmp_path, {"seed": 1}).locked():
-        for name in leftovers:
-            (tmp_path / name).write_text("half")
-    with StudyFolder(tmp_path, {"seed": 1}, ["clouds"]).locked(resume=True):
-        assert {path.name for path in tmp_path.iterdir()} == {".lock", "clouds", STAGES, "study.json"}
-        assert not list((tmp_path / "clouds").iterdir())
 
 
 # --- no space ---------------------------------------------------------------------------------------------------------
@@ -285,7 +284,7 @@ def test_a_good_place_on_a_full_disk_is_no_wrong_input(number, kind, code):
 def test_a_temporary_folder_that_cannot_be_written_was_called_the_output(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
     with pytest.raises(WorkerError, match=r"the temporary folder .*missing cannot be written.*; make room, set TMPDIR"):
-        WorkerPool(abs, 2)
+        ProcessPool(abs, 2)
 
 
 def test_semaphores_that_cannot_be_made_were_called_the_output(tmp_path, scene):
@@ -391,7 +390,7 @@ def test_a_lock_that_leads_nowhere_is_refused_and_not_tried_for_ever(tmp_path):
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 def test_a_named_pipe_in_place_of_the_lock_was_waited_for_without_end(tmp_path):
     os.mkfifo(tmp_path / ".lock")
-    program = "import pathlib, sys; from blender_lidar.formats.lock import folder_lock\n"
+    program = "import pathlib, sys; from blender_lidar.files import folder_lock\n"
     program += "with folder_lock(pathlib.Path(sys.argv[1])): print('locked')"
     command = [sys.executable, "-c", program, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=WAIT_S)

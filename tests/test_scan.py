@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
+from blender_lidar.clouds.scan import class_names, scan
 from blender_lidar.errors import InputError
-from blender_lidar.scan import class_names, scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from blender_lidar.scenario import COORDINATES, Scenario, load_scenario
+from blender_lidar.scene.scenario import COORDINATES, Scenario, load_scenario
+from blender_lidar.scene.settings import Tolerance
 from blender_lidar.sensors.model import load_model
-from blender_lidar.settings import Tolerance
 from blender_lidar.toml_table import to_toml
 from tests.scene_texts import MINIMAL, own_sensor, refusal, scene
 from tests.small_scene import write_scene

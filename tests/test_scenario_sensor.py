@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from blender_lidar.errors import InputError, MissingFileError
-from blender_lidar.scenario import load_scenario
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from tests.scene_texts import MINIMAL, own_sensor, refusal, scene

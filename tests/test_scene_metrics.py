@@ -9,27 +9,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.metrics import scene_metrics
 from blender_lidar.metrics.catalogue import METRICS, metric_named
-from blender_lidar.metrics.context import Field, SceneContext, View
-from blender_lidar.metrics.expected_visibility import expected_visibility
-from blender_lidar.metrics.ground_returns import field_area, ground_density, nuc
-from blender_lidar.metrics.metric import VehicleReturns
-from blender_lidar.metrics.occupancy_entropy import covered_entropy, m_sog, s_mig
-from blender_lidar.metrics.scene_metrics import VOXEL_M, Road, ground_points
-from blender_lidar.metrics.voxel_walk import covered_voxels
-from blender_lidar.scan import scan
-from blender_lidar.scenario import load_scenario
+from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
+from blender_lidar.metrics.scene_metrics import VOXEL_M, Road, field_area, ground_density, ground_points, nuc
+from blender_lidar.metrics.voxel_grid import covered_voxels
+from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
+from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.scores import VehicleScores, mountings_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.study.evaluation import Evaluator
-from blender_lidar.study.frame_scorer import FrameScorer, Observation
-from blender_lidar.study.scoring import CountedFrame, Scoring, VehicleScores, mountings_of
-from blender_lidar.study.site import prepare
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import cli, without_charts, write_scene
+from tests.test_occupancy_priors import covered_entropy, expected_visibility, m_sog, s_mig
 
 NAMES = [name for name, metric in METRICS.items() if metric.learn is not None]
 WITH_PRIOR = ("s-mig", "covered-entropy", "m-sog", "expected-visibility")
@@ -69,7 +67,7 @@ def published(name, pose, road):
     covered = covered_voxels(road.grid, pose.position, road.beams @ pose.rotation, 30.0, 0.4)
     if name == "expected-visibility":
         return expected_visibility(road.frames.prior, road.reached(pose.position, pose.rotation))
-    return {"s-mig": s_mig, "covered-entropy": covered_entropy, "m-sog": m_sog}[name](road.frames.prior, covered)
+    return {"s-mig": s_mig, "covered-entropy": covered_entropy, "m-sog": m_sog}[name](road.frames, covered)
 
 
 @pytest.mark.parametrize("name", WITH_PRIOR)
@@ -340,7 +338,7 @@ def test_searching_for_s_mig_hides_the_road_that_its_positive_form_uncovers(tmp_
     for name in ("s-mig", "covered-entropy"):
         site = prepare(load_scenario(scene, {("objective", "metric"): (name, "--metric")}))
         tilts = np.linspace(-40.0, 25.0, 14)
-        with site.evaluator(site.search) as evaluator:
+        with site_evaluator(site, site.search) as evaluator:
             totals = evaluator.totals([Pose(height_m=4.0, tilt_x=math.radians(angle)) for angle in tilts])
         best = int(np.argmax(totals.per_vehicle()))
         share[name], tilt[name] = totals.detectable_share()[best], tilts[best]

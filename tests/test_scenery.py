@@ -13,18 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
-from blender_lidar.casting.standing import StandingScenery
+from blender_lidar.casting.protocol import StandingScenery
+from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
-from blender_lidar.scan import scan
-from blender_lidar.scenario import load_scenario
+from blender_lidar.scene.observation import Observation
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import read_scenery
+from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.study.frame_scorer import FrameScorer, Observation
-from blender_lidar.study.scenery import read_scenery
 from blender_lidar.toml_table import read_toml, to_toml
-from blender_lidar.world.barriers import BARRIERS, barrier
-from blender_lidar.world.scenery import box, join
+from blender_lidar.world.scenery import BARRIERS, barrier, box, join
 from blender_lidar.world.shapes import STRUCTURE
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.report_samples import Page

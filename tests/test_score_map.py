@@ -6,11 +6,13 @@ import warnings
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from blender_lidar.scenario import Deployment, pose_at
-from blender_lidar.study.evaluation import Totals
-from blender_lidar.study.score_map import FINE_POINTS, POINTS, ScoreMap, map_scores
-from blender_lidar.study.statistics import FEWEST_BLOCKS
+from blender_lidar.run.verdict import FINE_POINTS, POINTS, ScoreMap, map_scores, near_best_threshold
+from blender_lidar.scene.scenario import Deployment, pose_at
+from blender_lidar.scoring.evaluation import Totals
+from blender_lidar.statistics import FEWEST_BLOCKS, interval_90, resampled_weights
 
 HEIGHT, TILT = (2.0, 4.5), (0.0, 25.0)
 FIXED = {"x_m": 1.0, "y_m": -0.5, "tilt_y_deg": 3.0, "yaw_deg": -7.0}
@@ -129,13 +131,13 @@ def test_the_interval_holds_the_optimum_and_widens_with_the_spread_of_the_blocks
 
 def test_resampled_optima_are_grid_points_that_brute_force_finds_too():
     score_map = mapped(Hill(tops_about(3.2, 12.0, 0.4, 5), [10, 30, 20, 5, 7]))
-    height, tilt = score_map.resampled_best(3)
+    height, tilt = score_map.best_under(resampled_weights(5, np.random.default_rng(3)))
     assert set(height) <= set(score_map.height_m)
     assert set(tilt) <= set(score_map.tilt_deg)
-    again = score_map.resampled_best(3)
-    np.testing.assert_array_equal(height, again[0])
-    np.testing.assert_array_equal(tilt, again[1])
-    assert (height != score_map.resampled_best(4)[0]).any()
+    intervals = score_map.optimum_intervals_90(3)
+    assert intervals == {"height_m": interval_90(height), "tilt_x_deg": interval_90(tilt)}
+    other, _ = score_map.best_under(resampled_weights(5, np.random.default_rng(4)))
+    assert (other != height).any()
     rng = np.random.default_rng(3)
     for number, drawn in enumerate(rng.integers(5, size=(2000, 4))[:50]):
         objective = score_map.block_objective[..., drawn].sum(axis=-1) / score_map.block_vehicles[drawn].sum()
@@ -146,7 +148,6 @@ def test_resampled_optima_are_grid_points_that_brute_force_finds_too():
 @pytest.mark.parametrize("blocks", range(1, FEWEST_BLOCKS))
 def test_too_few_blocks_give_no_interval(blocks):
     score_map = mapped(Hill(tops_about(3.2, 12.0, 0.4, 6)), np.arange(6) % blocks)
-    assert score_map.resampled_best(1) is None
     assert score_map.optimum_intervals_90(1) is None
 
 
@@ -154,6 +155,17 @@ def test_a_block_without_vehicles_does_not_move_the_optimum():
     score_map = mapped(Hill([(3.5, 15.0)] * 5, [100, 100, 100, 0, 0]), grid=FINE_POINTS)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        height, tilt = score_map.resampled_best(1)
-    np.testing.assert_allclose(height, 3.5)
-    np.testing.assert_allclose(tilt, 15.0)
+        intervals = score_map.optimum_intervals_90(1)
+    np.testing.assert_allclose(intervals["height_m"], 3.5)
+    np.testing.assert_allclose(intervals["tilt_x_deg"], 15.0)
+
+
+@settings(deadline=None)
+@given(best=st.floats(-1, 2), baseline=st.floats(-1, 2), share=st.floats(0, 1))
+def test_the_near_best_threshold_gives_up_that_share_of_the_gain_and_never_more(best, baseline, share):
+    threshold = near_best_threshold(best, baseline, share)
+    assert threshold <= best
+    if baseline >= best:
+        assert threshold == best
+    else:
+        assert best - threshold == pytest.approx(share * (best - baseline), abs=1e-12)

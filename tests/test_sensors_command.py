@@ -13,7 +13,7 @@ import pytest
 
 from blender_lidar.commands import sensors
 from blender_lidar.errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError, OutputError
-from blender_lidar.plots.beam_fan import fan_text, ground_distance_m
+from blender_lidar.report.beam_fan import fan_text, ground_distance_m
 from blender_lidar.sensors.model import load_model, model_names
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

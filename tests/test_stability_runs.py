@@ -12,22 +12,19 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.scenario import load_scenario, pose_at
-from blender_lidar.stability import stored, study
-from blender_lidar.stability.effort import Effort
-from blender_lidar.stability.metric_variations import metric_variations
-from blender_lidar.stability.mountings import mountings_about
-from blender_lidar.stability.report import HEADINGS, report_text
-from blender_lidar.stability.sensor_variations import sensor_variations
-from blender_lidar.stability.traffic_variations import traffic_variations
-from blender_lidar.stability.variations import TRAFFIC
-from blender_lidar.study.landscapes import HELD_OUT, Job, landscapes
-from blender_lidar.study.site import prepare
-from blender_lidar.study.variation import AS_IT_IS, Variation
+from blender_lidar.report.stability import HEADINGS, report_text
+from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import site_evaluator
+from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.studies import stability as study
+from blender_lidar.studies.driver import AS_IT_IS, HELD_OUT, Job, Variation, landscapes
+from blender_lidar.studies.findings import mountings_about
+from blender_lidar.studies.stability import Effort
+from blender_lidar.studies.variations import TRAFFIC, metric_variations, sensor_variations, traffic_variations
 from tests.small_scene import CASTER, MAPPED, cli, traffic_rows, write_scene, write_table
 
 TINY = Effort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
-ATTACKS = ("vertices", "ranges at the gate")
 
 
 @pytest.fixture(scope="module")
@@ -37,11 +34,10 @@ def site(tmp_path_factory):
 
 @pytest.fixture
 def one_study(monkeypatch):
-    """Whole studies of seconds: fewer changes and attacks of each kind, all of them real."""
+    """Whole studies of seconds: fewer changes of each kind, all of them real."""
     for name, most in (("metric_variations", 3), ("sensor_variations", 3), ("traffic_variations", 3)):
         every = getattr(study, name)
         monkeypatch.setattr(study, name, lambda *given, every=every, most=most: every(*given)[:most])
-    monkeypatch.setattr(stored, "ATTACKS", {name: stored.ATTACKS[name] for name in ATTACKS})
     monkeypatch.setattr("blender_lidar.commands.stability.QUICK", TINY)
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
 
@@ -146,12 +142,31 @@ def test_landscapes_equal_what_the_evaluator_says_whatever_the_number_of_workers
     counted = []
     searched, text, held_out = landscapes(site, jobs, counted.append)
     for scored, frames in ((searched, site.search), (held_out, site.holdout)):
-        with site.evaluator(frames) as evaluator:
+        with site_evaluator(site, frames) as evaluator:
             totals = evaluator.totals(poses[: len(scored.objective)])
         np.testing.assert_array_equal(scored.objective, totals.objective)
         np.testing.assert_array_equal(scored.vehicles, totals.vehicles)
     assert text == "it cannot be"
     assert sum(counted) == 2 * len(site.search) + len(site.holdout)
+
+
+def test_what_changes_the_score_alone_is_cast_once_and_comes_to_what_it_comes_to_alone(site, monkeypatch):
+    poses = mountings(site).poses
+    jobs = [Job(one, poses) for one in (AS_IT_IS, *metric_variations(site))]
+    jobs.insert(3, Job(Variation(TRAFFIC, "what cannot be", "", _refuse, cast_anew=False), poses))
+    jobs[1::2] = [replace(job, poses=poses[4:1:-1]) for job in jobs[1::2]]
+    counted, casts, see = [], [], FrameScorer.see
+    monkeypatch.setattr(FrameScorer, "see", lambda *given, **kept: casts.append(1) or see(*given, **kept))
+    together = list(landscapes(site, jobs, counted.append))
+    assert len(casts) == len(site.search)
+    assert sum(counted) == len(jobs) * len(site.search)
+    for job, scored in zip(jobs, together, strict=True):
+        (alone,) = landscapes(site, [job])
+        if isinstance(alone, str):
+            assert scored == alone == "it cannot be"
+        else:
+            np.testing.assert_allclose(scored.objective, alone.objective, rtol=1e-12, atol=1e-12)
+            np.testing.assert_array_equal(scored.vehicles, alone.vehicles)
 
 
 def _refuse(site):
@@ -171,7 +186,7 @@ def test_a_changed_site_is_scored_as_a_scene_that_says_so(site, tmp_path):
         chosen = next(one for one in every_variation(site) if (one.section, one.what, one.value) == variation)
         asked = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, table: {key: value}})))
         poses = [pose_at({**site.scenario.baseline, "height_m": 4.0}), site.scenario.baseline_pose]
-        with asked.evaluator(asked.search) as evaluator:
+        with site_evaluator(asked, asked.search) as evaluator:
             expected = evaluator.totals(poses).objective
         (found,) = landscapes(site, [Job(chosen, tuple(poses))])
         np.testing.assert_allclose(found.objective, expected, rtol=1e-12)
@@ -189,7 +204,7 @@ def test_a_study_leaves_table_report_and_result_with_a_verdict_on_every_line(one
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(result["findings"])
     assert {row["verdict"] for row in rows} <= {"stable", "fragile", "fails", "undecided"}
-    assert {row["section"] for row in rows} == {"traffic", "mounting", "metric", "sensor", "search", "casters"}
+    assert {row["section"] for row in rows} == {"traffic", "mounting", "metric", "sensor", "search"}
     report = (tmp_path / "run" / "report.md").read_text()
     for row in rows:
         assert row["text"] in report
@@ -286,14 +301,6 @@ def test_fewer_frames_are_not_so_few_that_they_are_empty(site):
     sparse = replace(site, search=(site.search[0], *empty))
     assert study.with_fewer_frames(sparse, 2) is sparse
     assert len(study.with_fewer_frames(site, 2).search) == 2
-
-
-def test_what_attacks_are_counted_of_is_part_of_what_a_resumed_study_must_share(site, monkeypatch):
-    before = study.study_identity(site, TINY, None)
-    monkeypatch.setattr(stored, "is_available", lambda caster: caster == "bvh")
-    after = study.study_identity(site, TINY, None)
-    assert {key for key in after if after[key] != before[key]} <= {"study casters"}
-    assert after["study casters"] == ["bvh"]
 
 
 def test_a_scene_that_fixes_height_and_tilt_is_refused_in_one_line(tmp_path, capsys):

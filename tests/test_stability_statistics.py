@@ -7,35 +7,40 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.metrics.views import PE_VGOP
-from blender_lidar.settings import Tolerance
-from blender_lidar.stability.answers import search_findings
-from blender_lidar.stability.attacked import attack_finding
-from blender_lidar.stability.caster_attacks import AttackCount
-from blender_lidar.stability.findings import (
+from blender_lidar.metrics.catalogue import PE_VGOP
+from blender_lidar.scene.settings import Tolerance
+from blender_lidar.statistics import statistic_interval_90
+from blender_lidar.studies.driver import Landscape
+from blender_lidar.studies.findings import (
+    ASKED_DEG,
+    CANDIDATES,
     FAILS,
     FRAGILE,
     MOST_FRAGILE_LOSS,
     MOST_STABLE_LOSS,
     STABLE,
     UNDECIDED,
-    Finding,
+    Draw,
+    Intervals,
+    Mountings,
     by_loss,
+    chooses,
+    finding_of,
+    gain_finding,
+    losses_to,
+    losses_to_best,
     lost,
+    optimum_finding,
+    sample_size,
+    sample_size_finding,
+    values_under,
     worst,
 )
-from blender_lidar.stability.installation import installation_findings
-from blender_lidar.stability.landscape import chooses, losses_to, losses_to_best, values_under
-from blender_lidar.stability.mountings import CANDIDATES, Mountings
-from blender_lidar.stability.sample_size import ASKED_DEG, sample_size
-from blender_lidar.stability.saturation import saturation_finding
-from blender_lidar.stability.traffic_sample import gain_finding, optimum_finding, sample_size_finding
-from blender_lidar.stability.varied import Draw, Intervals, finding_of
-from blender_lidar.study.landscape import Landscape
-from blender_lidar.study.statistics import statistic_interval_90
+from blender_lidar.studies.stability import installation_findings, saturation_finding, search_findings
 
 REFERENCE = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 10.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
 CHANGE = ("metric", "what", "value")
+TOLERANCE = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=0.0, aim="mean")
 
 
 def grid(tilts):
@@ -298,11 +303,11 @@ def test_an_installer_is_told_what_each_error_costs_in_shares_of_the_gain():
         "limits": {"height_m": [0.0, 0.01], "tilt_x_deg": [0.2, -0.05]},
     }
     beside = {"mounting": {**REFERENCE, "tilt_x_deg": 12.0}, "sharp_gain": 0.45, "robust_gain": 0.5}
-    height, tilt, together, robust = installation_findings(told, beside, Tolerance(0.05, 1.0, 0.0, "mean"))
+    height, tilt, together, robust = installation_findings(told, beside, TOLERANCE)
     assert (height.verdict, tilt.verdict, together.verdict, robust.verdict) == (STABLE, FAILS, FRAGILE, FRAGILE)
     assert tilt.text == "loses 40.0 % where it is less, is better by 10.0 % where it is more"
     assert "12.0 deg" in robust.text
-    (nothing,) = installation_findings({**told, "gain": 0.0}, beside, Tolerance(0.05, 1.0, 0.0, "mean"))
+    (nothing,) = installation_findings({**told, "gain": 0.0}, beside, TOLERANCE)
     assert nothing.verdict == UNDECIDED
 
 
@@ -330,25 +335,3 @@ def test_where_nothing_is_seen_no_share_of_it_is_judged():
     assert saturation_finding(found).verdict == UNDECIDED
     full = {"seen": 10, "share": 0.5, "share_within_10_m": None}
     assert saturation_finding(full).verdict == FAILS
-
-
-def count(**differences):
-    zeros = dict.fromkeys(("silent_misses", "false_hits", "wrong_distances", "knife_edges"), 0)
-    given = {"attack": "needles", "caster": "bvh", "rays": 9, "hits": 8, "largest_error_m": 0.0}
-    return AttackCount(**{**given, **zeros, **differences})
-
-
-@pytest.mark.parametrize(
-    ("differences", "verdict"),
-    [
-        ({}, STABLE),
-        ({"knife_edges": 3}, STABLE),
-        ({"wrong_distances": 1}, FRAGILE),
-        ({"false_hits": 1}, FAILS),
-        ({"silent_misses": 1}, FAILS),
-    ],
-)
-def test_a_silent_miss_of_any_caster_fails_and_a_knife_edge_does_not(differences, verdict):
-    finding = attack_finding([count(caster="embree"), count(**differences)])
-    assert isinstance(finding, Finding)
-    assert finding.verdict == verdict

@@ -8,9 +8,12 @@ from contextlib import contextmanager
 import pytest
 
 from blender_lidar.errors import InputError, OutputError
-from blender_lidar.formats.lock import folder_lock
-from blender_lidar.study import stages
-from blender_lidar.study.stages import IDENTITY, STAGES, StudyFolder
+from blender_lidar.files import folder_lock
+from blender_lidar.scene.provenance import run_identity
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.studies import driver as stages
+from blender_lidar.studies.driver import IDENTITY, STAGES, StudyFolder
+from tests.small_scene import write_scene
 
 SETTINGS = {"seed": 1, "file": "abc"}
 
@@ -113,17 +116,34 @@ def test_a_study_that_another_run_began_before_the_lock_was_had_is_not_written_i
     assert json.loads((tmp_path / IDENTITY).read_text())["seed"] == 2
 
 
+def test_a_study_made_by_other_code_is_not_gone_on_with(tmp_path, monkeypatch):
+    """Identities knew the version alone, which does not change from one commit to the next."""
+    scenario = load_scenario(write_scene(tmp_path))
+    with StudyFolder(tmp_path / "study", run_identity(scenario, "exact")).locked():
+        pass
+    monkeypatch.setattr("blender_lidar.scene.provenance.source_digest", lambda: "0123456789ab")
+    with pytest.raises(InputError, match=r"the study there was made by other code, .* not '.* \(0123456789ab\)'"):
+        StudyFolder(tmp_path / "study", run_identity(scenario, "exact")).check(resume=True)
+
+
 def test_two_runs_cannot_work_in_one_folder(tmp_path):
     second = StudyFolder(tmp_path, SETTINGS)
     with StudyFolder(tmp_path, SETTINGS).locked(), pytest.raises(OutputError, match="another run"):
         second.locked(resume=True).__enter__()
 
 
-def test_what_a_killed_run_had_not_finished_writing_is_swept_away(tmp_path):
+def test_what_a_killed_study_had_not_finished_writing_is_swept_away_and_no_file_of_anybody_else(tmp_path):
+    """A study removed every hidden file that matches `.*-????????.*`, also among its results."""
+    kept = [".notes-12345678.txt", "clouds/.mine-abcdefgh.pcd", ".photo.png.1.part"]
+    left = [f"{STAGES}/.blender_lidar-1-abcdefgh.json", "clouds/.blender_lidar-21-abcd_fgh.pcd"]
     with StudyFolder(tmp_path, SETTINGS).locked():
-        (tmp_path / STAGES / ".one-abcdefgh.json").write_text("{")
-    with StudyFolder(tmp_path, SETTINGS).locked(resume=True):
-        assert list((tmp_path / STAGES).iterdir()) == []
+        pass
+    (tmp_path / "clouds").mkdir()
+    for name in [*kept, *left]:
+        (tmp_path / name).write_text("{")
+    with StudyFolder(tmp_path, SETTINGS, ["clouds"]).locked(resume=True):
+        assert all((tmp_path / name).exists() for name in kept)
+        assert not any((tmp_path / name).exists() for name in left)
 
 
 def test_the_identity_is_stored_as_it_was_given(tmp_path):

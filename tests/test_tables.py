@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.errors import OutputError
-from blender_lidar.formats.tables import to_csv, write_columns
+from blender_lidar.files import to_csv, write_columns
+from blender_lidar.run.verdict import COLUMNS, vehicle_table
+from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.study.evaluation import CountedFrame, Scoring
-from blender_lidar.study.frame_scorer import Observation
-from blender_lidar.study.vehicle_table import COLUMNS, vehicle_table
 from blender_lidar.traffic import read_table
 from tests.sample_traffic import dense_traffic
 
@@ -86,7 +86,8 @@ def test_the_vehicles_of_a_run_are_a_table_of_boxes(tmp_path):
     seen = Observation(lattice, 40.0, 0.4, "exact", "box", 0.05)
     vehicles = dense_traffic(vehicles=15, length_m=60.0, frame=30)
     frame = CountedFrame(vehicles, np.arange(15) % 3 > 0)
-    table = vehicle_table([frame], Pose(height_m=4.0), seen, Scoring(0.005, "mean", -1.0, "corrected"), "search")
+    evaluator = Evaluator([frame], seen, Scoring(0.005, "mean", -1.0, "corrected"))
+    table = vehicle_table(Pose(height_m=4.0), search=evaluator)
     write_columns(tmp_path / "vehicles.csv", {name: table[name] for name in COLUMNS})
     boxes = read_table(tmp_path / "vehicles.csv").vehicles(30)
     counted = vehicles.select(frame.counted)

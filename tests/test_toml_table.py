@@ -1,9 +1,10 @@
-"""Reading settings key by key: what is accepted, and that every refusal names the place and what is allowed."""
+"""Settings: what each kind accepts, that every refusal names the place and what is allowed, and TOML there and back."""
 
 from __future__ import annotations
 
 import math
 import tomllib
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,11 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError, MissingFileError
-from blender_lidar.toml_table import TomlTable, read_toml, to_toml
+from blender_lidar.toml_table import Setting, TomlTable, read_toml, setting, settings_of, to_toml
+
+PAIR = float | tuple[float, float]
 
 
 def table(text: str, origins: dict[str, str] | None = None) -> TomlTable:
     return TomlTable(tomllib.loads(text), "site.toml: [road]", origins)
+
+
+def value(text: str, kind: object = float, **declared: object) -> object:
+    """The value of a = `text` as a setting declares it."""
+    return table(f"a = {text}").get("a", Setting(kind=kind, **declared))
 
 
 def refusal(call) -> str:
@@ -24,40 +32,57 @@ def refusal(call) -> str:
     return str(caught.value)
 
 
+def refused(text: str, kind: object = float, **declared: object) -> str:
+    told = refusal(lambda: value(text, kind, **declared))
+    assert told.startswith("site.toml: [road] a: ")
+    return told.removeprefix("site.toml: [road] a: ")
+
+
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
-def test_values_arrive_as_plain_python_types():
-    settings = table('a = 2\nb = "x"\nc = [1, 2.5]\nd = [3, 4]\ne = [1, 2]\nf = 7')
-    assert settings.number("a") == 2.0
-    assert isinstance(settings.number("a"), float)
-    assert settings.text("b") == "x"
-    assert settings.numbers("c", count=2) == (1.0, 2.5)
-    assert settings.number_or_pair("d", 0.0) == (3.0, 4.0)
-    assert settings.whole_numbers("e") == (1, 2)
-    assert settings.whole("f") == 7
-    settings.finish()
-
-
-def test_a_missing_key_takes_its_default_and_none_stays_none():
-    settings = table("")
-    assert settings.number("a", 1.5) == 1.5
-    assert settings.whole("b", None) is None
-    assert settings.text("c", None) is None
-    assert settings.numbers("d", None, count=2) is None
-    assert settings.whole_numbers("e", None) is None
-    assert settings.number_or_pair("f", (1.0, 2.0)) == (1.0, 2.0)
+@pytest.mark.parametrize(
+    ("text", "kind", "expected"),
+    [
+        ("2", float, 2.0),
+        ('"x"', str, "x"),
+        ("true", bool, True),
+        ("[1, 2.5]", tuple[float, float], (1.0, 2.5)),
+        ("[3, 4]", PAIR, (3.0, 4.0)),
+        ("3", PAIR, 3.0),
+        ("[1, 2]", tuple[int, ...], (1, 2)),
+        (str(2**53 - 1), int, 2**53 - 1),
+    ],
+)
+def test_values_arrive_as_plain_python_types(text, kind, expected):
+    found = value(text, kind)
+    assert (found, type(found)) == (expected, type(expected))
+    assert table("").get("a", Setting(kind=kind, default=None)) is None
+    assert table("").get("a", Setting(kind=kind, default=expected)) == expected
 
 
 def test_a_missing_key_without_default_is_named():
-    assert refusal(lambda: table("").text("path")) == "site.toml: [road] path: is missing"
+    assert refusal(lambda: table("").get("path", Setting(kind=str))) == "site.toml: [road] path: is missing"
 
 
-@pytest.mark.parametrize("value", ['"2"', "true", "nan", "inf", "-inf", "[1]", "2020-01-01", "{ a = 1 }"])
-def test_what_is_no_finite_number_is_refused_with_its_value_and_place(value):
-    text = refusal(lambda: table(f"a = {value}").number("a"))
-    assert text.startswith("site.toml: [road] a: is ")
-    assert text.endswith("; allowed: a number")
+WRONG = {
+    (float, "a number"): ['"2"', "true", "nan", "inf", "-inf", "[1]", "2020-01-01", "{ a = 1 }"],
+    (int, "a whole number"): ["2.0", '"2"', "true", "[2]", "2020-01-01"],
+    (str, "a text in quotes, not empty"): ["3", "true", '""', '["x"]', '"a\\u0000b"'],
+    (bool, "true or false"): ["1", '"true"'],
+    (tuple[float, float], ""): ["3", "[1]", "[1, 2, 3]", '"ab"', '[1, "b"]', "[1, true]", "[nan, 1]"],
+    (PAIR, ""): ["[1]", "[]", "[1, 2, 3]", '"x"', '["a", "b"]', "[[1, 2], 3]", "{ low = 1 }"],
+    (tuple[int, ...], ""): ["3", "[]", "[1.5]", '["1"]', "[true]", '"12"'],
+}
+WRONG = [(kind, allowed, text) for (kind, allowed), texts in WRONG.items() for text in texts]
+
+
+@pytest.mark.parametrize(("kind", "allowed", "text"), WRONG)
+def test_what_is_of_another_kind_is_refused_with_its_value_and_place(kind, allowed, text):
+    told = refused(text, kind)
+    assert told.startswith("is ")
+    assert told.endswith(allowed)
+    assert "; allowed: " in told
 
 
 @pytest.mark.parametrize(
@@ -73,17 +98,17 @@ def test_what_is_no_finite_number_is_refused_with_its_value_and_place(value):
     ],
 )
 def test_a_number_out_of_range_is_refused_with_the_range(limits, allowed):
-    assert refusal(lambda: table("a = 2").number("a", **limits)) == f"site.toml: [road] a: is 2; allowed: {allowed}"
+    assert refused("2", **limits) == f"is 2; allowed: {allowed}"
 
 
-@pytest.mark.parametrize(("value", "expected"), [('"auto"', "auto"), ("1", 1.0), ("0.5", 0.5)])
-def test_a_number_or_one_text_is_either(value, expected):
-    found = table(f"a = {value}").number_or_text("a", None, "auto", low=0.0)
+@pytest.mark.parametrize(("text", "expected"), [('"auto"', "auto"), ("1", 1.0), ("0.5", 0.5)])
+def test_a_number_or_one_text_is_either(text, expected):
+    found = value(text, word="auto", low=0.0)
     assert (found, type(found)) == (expected, type(expected))
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("text", "said"),
     [
         ('"Auto"', "is 'Auto'; allowed: a number, or \"auto\""),
         ("true", "is True; allowed: a number"),
@@ -92,68 +117,76 @@ def test_a_number_or_one_text_is_either(value, expected):
         ("-1", "is -1; allowed: at least 0"),
     ],
 )
-def test_what_is_neither_a_number_nor_that_text_is_refused(value, said):
-    text = refusal(lambda: table(f"a = {value}").number_or_text("a", None, "auto", low=0.0))
-    assert text == f"site.toml: [road] a: {said}"
+def test_what_is_neither_a_number_nor_that_text_is_refused(text, said):
+    assert refused(text, word="auto", low=0.0) == said
 
 
 def test_a_number_just_out_of_range_is_shown_with_all_its_digits():
-    assert "is 90.0000001;" in refusal(lambda: table("a = 90.0000001").number("a", high=90.0))
+    assert "is 90.0000001;" in refused("90.0000001", high=90.0)
 
 
-@pytest.mark.parametrize("value", ["2.0", '"2"', "true", "[2]", "2020-01-01"])
-def test_what_is_no_whole_number_is_refused(value):
-    assert refusal(lambda: table(f"a = {value}").whole("a")).endswith("allowed: a whole number")
-
-
-def test_a_whole_number_keeps_every_digit():
-    assert table(f"a = {2**53 - 1}").whole("a") == 2**53 - 1
-
-
-@pytest.mark.parametrize("read", ["number", "whole", "whole_numbers", "number_or_pair"])
-def test_an_integer_of_hundreds_of_digits_is_refused_in_a_short_line(read):
-    value = "1" + 400 * "0"
-    settings = table(f"a = [{value}]" if read == "whole_numbers" else f"a = {value}")
-    text = refusal(lambda: getattr(settings, read)("a", None))
-    assert text.startswith("site.toml: [road] a: is 1000")
-    assert len(text) < 200
-
-
-@pytest.mark.parametrize("value", ["3", "true", '""', '["x"]', '"a\\u0000b"'])
-def test_what_is_no_text_is_refused(value):
-    assert refusal(lambda: table(f"a = {value}").text("a")).endswith("allowed: a text in quotes, not empty")
+@pytest.mark.parametrize("kind", [float, int, PAIR, tuple[int, ...]])
+def test_an_integer_of_hundreds_of_digits_is_refused_in_a_short_line(kind):
+    digits = "1" + 400 * "0"
+    told = refused(f"[{digits}]" if kind == tuple[int, ...] else digits, kind)
+    assert told.startswith("is 1000")
+    assert len(told) < 180
 
 
 def test_a_text_that_is_none_of_the_allowed_is_refused_with_the_nearest():
-    text = refusal(lambda: table('view = "maen"').text("view", allowed=("mean", "max", "min")))
-    assert text == ("site.toml: [road] view: unknown view 'maen'; did you mean 'mean'? allowed: mean, max, min")
+    told = refusal(lambda: table('view = "maen"').get("view", Setting(kind=str, allowed=("mean", "max", "min"))))
+    assert told == "site.toml: [road] view: unknown view 'maen'; did you mean 'mean'? allowed: mean, max, min"
 
 
-@pytest.mark.parametrize("value", ["3", "[1]", "[1, 2, 3]", '"ab"', '[1, "b"]', "[1, true]", "[nan, 1]"])
-def test_what_is_no_list_of_two_numbers_is_refused(value):
-    assert refusal(lambda: table(f"a = {value}").numbers("a", count=2)).startswith("site.toml: [road] a: is ")
-
-
-@pytest.mark.parametrize("value", ["[1]", "[]", "[1, 2, 3]", '"x"', '["a", "b"]', "[[1, 2], 3]", "{ low = 1 }"])
-def test_what_is_neither_number_nor_pair_is_refused(value):
-    assert refusal(lambda: table(f"a = {value}").number_or_pair("a", 0.0)).startswith("site.toml: [road] a: is ")
-
-
-@pytest.mark.parametrize("value", ["[4.5, 2.0]", "[2.0, 2.0]"])
-def test_a_pair_upside_down_or_empty_is_refused(value):
-    expected = f"site.toml: [road] a: is {value}; allowed: the lower bound first, below the upper"
-    assert refusal(lambda: table(f"a = {value}").number_or_pair("a", 0.0)) == expected
+@pytest.mark.parametrize("text", ["[4.5, 2.0]", "[2.0, 2.0]"])
+def test_a_pair_upside_down_or_empty_is_refused(text):
+    assert refused(text, PAIR) == f"is {text}; allowed: the lower bound first, below the upper"
 
 
 def test_both_ends_of_a_pair_must_be_in_range():
-    assert "is 200; allowed: at least 0 and at most 100" in refusal(
-        lambda: table("a = [1, 200]").number_or_pair("a", 0.0, low=0.0, high=100.0)
+    assert refused("[1, 200]", PAIR, low=0.0, high=100.0) == "is 200; allowed: at least 0 and at most 100"
+
+
+# --- declarations -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Pole:
+    height_m: float = setting(2.0, above=0.0, option="--height", help="above the road")
+    lanes: tuple[int, ...] | None = setting(None)
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    name: str = setting()
+    pole: Pole | None = setting(None)
+    poles: tuple[Pole, ...] = setting(())
+    note: str = ""
+
+
+def test_a_dataclass_declares_a_table_and_the_tables_within_it():
+    found = table('name = "a"\npole = {height_m = 3}\n[[poles]]\n[[poles]]\nlanes = [1]').read(settings_of(Site))
+    assert Site(**found) == Site(
+        name="a", pole=Pole(height_m=3.0), poles=(Pole(height_m=2.0), Pole(height_m=2.0, lanes=(1,)))
     )
+    assert settings_of(Pole)["height_m"] == Setting(default=2.0, above=0.0, option="--height", help="above the road")
+    assert settings_of(Pole)["lanes"].kind == tuple[int, ...]
+    assert "note" not in settings_of(Site)
 
 
-@pytest.mark.parametrize("value", ["3", "[]", "[1.5]", '["1"]', "[true]", '"12"'])
-def test_what_is_no_list_of_whole_numbers_is_refused(value):
-    assert refusal(lambda: table(f"a = {value}").whole_numbers("a")).startswith("site.toml: [road] a: is ")
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("pole = 3", "[road.pole]: is 3; allowed: a table"),
+        ("pole = {hight_m = 3}", "[road.pole]: unknown key 'hight_m'; did you mean 'height_m'? allowed: height_m, lan"),
+        ("[pole]\nheight_m = 0", "[road.pole] height_m: is 0; allowed: more than 0"),
+        ("poles = 3", "[road] poles: is 3; allowed: a list of tables"),
+        ("poles = [{}, 3]", "[road] poles 2: is 3; allowed: a table"),
+    ],
+)
+def test_a_table_that_is_not_as_declared_is_refused_with_its_path(text, told):
+    settings = table(f'name = "a"\n{text}')
+    assert refusal(lambda: settings.read(settings_of(Site))).startswith(f"site.toml: {told}")
 
 
 # --- places -----------------------------------------------------------------------------------------------------------
@@ -161,16 +194,10 @@ def test_what_is_no_list_of_whole_numbers_is_refused(value):
 
 def test_a_value_from_an_option_is_refused_by_the_name_of_the_option():
     settings = table("a = -1", {"a": "--seed"})
-    assert refusal(lambda: settings.whole("a", low=0)).startswith("--seed: is -1; allowed: 0 to ")
+    told = refusal(lambda: settings.get("a", Setting(kind=int, low=0)))
+    assert told.startswith("--seed: is -1; allowed: 0 to ")
     assert settings.overridden("a")
     assert not settings.overridden("b")
-
-
-def test_tables_within_tables_are_named_with_their_path():
-    settings = table("[height_m]\ncar = -1")
-    assert refusal(lambda: settings.table("height_m").number("car", above=0.0)) == (
-        "site.toml: [road.height_m] car: is -1; allowed: more than 0"
-    )
 
 
 def test_a_table_of_the_file_itself_is_named_as_it_is_written():
@@ -185,13 +212,13 @@ def test_an_array_of_tables_is_no_table():
 
 def test_keys_that_nothing_asked_for_are_refused_with_the_nearest_known_one():
     settings = table("lnes = 3")
-    settings.whole("lanes", 6)
+    settings.get("lanes", Setting(kind=int, default=6))
     assert refusal(settings.finish) == "site.toml: [road]: unknown key 'lnes'; did you mean 'lanes'? allowed: lanes"
 
 
 def test_tables_gives_all_tables_and_knows_their_names_from_then_on():
     settings = table("[RS-16]\na = 1\n[RS-32]\na = 2")
-    assert {name: own.number("a") for name, own in settings.tables().items()} == {"RS-16": 1.0, "RS-32": 2.0}
+    assert {name: own.get("a", Setting()) for name, own in settings.tables().items()} == {"RS-16": 1.0, "RS-32": 2.0}
     settings.finish()
 
 

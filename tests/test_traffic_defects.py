@@ -9,15 +9,11 @@ from blender_lidar.errors import InputError
 from blender_lidar.traffic import read_traffic
 from tests import traffic_samples as samples
 
-pytest.importorskip("pandas")
-
 FOOT_M = 0.3048
 
 
 def read(tmp_path, columns, **settings):
-    path = tmp_path / "recording.txt"
-    path.write_text(samples.native(columns))
-    return read_traffic(path, **settings)
+    return read_traffic(samples.write(tmp_path, samples.native(columns)), **settings)
 
 
 def changed(columns, row, **values):
@@ -77,6 +73,14 @@ def test_times_without_a_date_get_numbers_for_names(tmp_path):
         samples.columns(origin_ms=1_163_030_300), samples.columns(origin_ms=1_163_030_300 + 11_000_000)
     )
     assert read(tmp_path, columns).report.periods == ("1", "2")
+
+
+@pytest.mark.parametrize("step_ms", [1e-3, 0.1, 1e5])
+def test_a_clock_in_other_units_is_refused(tmp_path, step_ms):
+    columns = samples.columns(vehicles=3, frames=4)
+    columns["Global_Time"] = step_ms * columns["Frame_ID"]
+    with pytest.raises(InputError, match=rf"Global_Time grows by {step_ms:g} ms from one Frame_ID to the next"):
+        read(tmp_path, columns)
 
 
 def test_unknown_period_names_the_known_ones(tmp_path, three_periods):

@@ -7,16 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.stability.traffic_mix import (
-    CAR,
-    CAR_SIZE_M,
-    TRUCK,
-    TRUCK_SIZE_M,
-    as_cars,
-    as_trucks,
-    queued,
-    thinned,
-)
+from blender_lidar.studies.variations import CAR, SIZE_M, TRUCK, queued, turned_into
 from blender_lidar.traffic import RoadFrame, overlapping_pairs
 from tests.sample_traffic import dense_traffic
 
@@ -119,10 +110,10 @@ def test_what_drives_across_the_road_stays_where_it_is():
 def test_cars_that_become_lorries_stand_on_the_road_and_push_the_others_away():
     traffic = straight(dense_traffic())
     ids = traffic.vehicle_id[traffic.class_index == CAR][::4]
-    heavier = as_trucks(traffic, ids)
+    heavier = turned_into(traffic, ids, TRUCK)
     turned = np.isin(heavier.vehicle_id, ids)
     assert (heavier.class_index[turned] == TRUCK).all()
-    np.testing.assert_allclose(heavier.size_m[turned], np.tile(TRUCK_SIZE_M, (turned.sum(), 1)))
+    np.testing.assert_allclose(heavier.size_m[turned], np.tile(SIZE_M[TRUCK], (turned.sum(), 1)))
     np.testing.assert_allclose(heavier.centre_m[:, 2], 0.5 * heavier.size_m[:, 2])
     np.testing.assert_array_equal(heavier.size_m[~turned], traffic.size_m[~turned])
     apart = queue(heavier, lengths_m=traffic.size_m[:, 0])
@@ -134,13 +125,7 @@ def test_lorries_that_become_cars_are_cars():
     traffic = dense_traffic()
     ids = traffic.vehicle_id[traffic.class_index == TRUCK]
     assert len(ids)
-    lighter = as_cars(traffic, ids)
+    lighter = turned_into(traffic, ids, CAR)
     turned = np.isin(lighter.vehicle_id, ids)
     assert (lighter.class_index[turned] == CAR).all()
-    np.testing.assert_allclose(lighter.size_m[turned], np.tile(CAR_SIZE_M, (len(ids), 1)))
-
-
-def test_thinned_traffic_has_the_vehicles_that_were_kept_and_no_others():
-    traffic = dense_traffic()
-    kept = traffic.vehicle_id[::3]
-    np.testing.assert_array_equal(thinned(traffic, kept).vehicle_id, kept)
+    np.testing.assert_allclose(lighter.size_m[turned], np.tile(SIZE_M[CAR], (len(ids), 1)))

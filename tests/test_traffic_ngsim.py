@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.traffic import CLASSES, RoadFrame, read_traffic
+from blender_lidar.traffic import CLASSES, RoadFrame, ngsim, read_traffic, source
 from tests import traffic_samples as samples
-
-pytest.importorskip("pandas")
 
 FOOT_M = 0.3048
 
@@ -23,9 +21,7 @@ def columns():
 
 @pytest.fixture
 def expected(columns, tmp_path):
-    path = tmp_path / "expected.txt"
-    path.write_text(samples.native(columns))
-    return read_traffic(path)
+    return read_traffic(samples.write(tmp_path, samples.native(columns)))
 
 
 def assert_same_boxes(given, expected):
@@ -69,9 +65,7 @@ DIALECTS = {
 
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_every_dialect_gives_the_same_boxes(dialect, columns, expected, tmp_path):
-    path = tmp_path / "recording.dat"
-    path.write_text(DIALECTS[dialect](columns), newline="", encoding="utf-8")
-    assert_same_boxes(read_traffic(path), expected)
+    assert_same_boxes(read_traffic(samples.write(tmp_path, DIALECTS[dialect](columns))), expected)
 
 
 def test_gzip_is_told_by_content_whatever_the_name(columns, expected, tmp_path):
@@ -90,19 +84,13 @@ def test_order_of_rows_does_not_matter(columns, expected, tmp_path):
 
 
 def test_chunks_do_not_show(columns, expected, tmp_path, monkeypatch):
-    from blender_lidar.traffic import ngsim_rows
-
-    monkeypatch.setattr(ngsim_rows, "_CHUNK_ROWS", 97)
-    path = tmp_path / "recording.csv"
-    path.write_text(samples.portal(columns), encoding="utf-8", newline="")
-    assert_same_boxes(read_traffic(path), expected)
+    monkeypatch.setattr(source, "_CHUNK_ROWS", 97)
+    assert_same_boxes(read_traffic(samples.write(tmp_path, samples.portal(columns))), expected)
 
 
 def test_front_centre_in_feet_becomes_box_centre_in_the_road_frame(columns, tmp_path):
-    path = tmp_path / "recording.txt"
-    path.write_text(samples.native(columns))
     road = RoadFrame(station_m=40.0, right_edge_m=25.0, setback_m=3.0)
-    recording = read_traffic(path, road=road)
+    recording = read_traffic(samples.write(tmp_path, samples.native(columns)), road=road)
     order = np.lexsort((columns["Vehicle_ID"], columns["Frame_ID"]))
     front_x = columns["Local_Y"][order] * FOOT_M - 40.0
     length = columns["v_Length"][order] * FOOT_M
@@ -127,18 +115,14 @@ def test_time_step_and_frame_times_are_inferred(columns, expected, tmp_path):
     assert expected.time_step_s == 0.1
     np.testing.assert_allclose(np.diff(expected.frame_time_s), 0.1)
     columns["Global_Time"] = samples.P1_ORIGIN_MS + 40 * columns["Frame_ID"]
-    path = tmp_path / "at_25_hz.txt"
-    path.write_text(samples.native(columns))
-    assert read_traffic(path).time_step_s == 0.04
+    assert read_traffic(samples.write(tmp_path, samples.native(columns))).time_step_s == 0.04
 
 
 def test_instants_with_neighbours_keep_frame_numbers_times_and_headings(tmp_path):
     columns = samples.columns(frames=1000)
     columns["Local_X"] = columns["Local_X"] - 0.05 * (columns["Local_Y"] - 100)
     columns = samples.picked(columns, np.isin(columns["Frame_ID"] % 100, (45, 50, 55)))
-    path = tmp_path / "instants.txt"
-    path.write_text(samples.native(columns))
-    recording = read_traffic(path)
+    recording = read_traffic(samples.write(tmp_path, samples.native(columns)))
     assert recording.frames[:4].tolist() == [145, 150, 155, 245]
     np.testing.assert_allclose(np.diff(recording.frame_time_s)[:3], [0.5, 0.5, 9.0])
     np.testing.assert_allclose(recording.heading_rad, np.arctan(0.05), atol=1e-3)
@@ -150,8 +134,7 @@ def test_classes_and_heights_follow_from_class_and_length(tmp_path):
     number = columns["Vehicle_ID"]
     columns["v_Class"] = np.array([0, 2, 2, 3, 3, 1, 2])[number]
     columns["v_Length"] = np.array([0, 14.0, 17.0, 26.0, 50.0, 7.0, 16.0])[number]
-    path = tmp_path / "classes.txt"
-    path.write_text(samples.native(columns))
+    path = samples.write(tmp_path, samples.native(columns))
     vehicles = read_traffic(path).vehicles(100)
     assert vehicles.class_name.tolist() == ["car", "van", "truck", "truck", "motorcycle", "car"]
     assert vehicles.size_m[:, 2].tolist() == [1.5, 1.9, 3.0, 3.8, 1.4, 1.5]
@@ -178,22 +161,10 @@ def test_recording_is_read_only(expected):
         expected.vehicles(100).centre_m[0] = 0.0
 
 
-def test_x_range_keeps_boxes_by_their_centre(columns, expected, tmp_path):
-    path = tmp_path / "recording.txt"
-    path.write_text(samples.native(columns))
-    near = read_traffic(path, x_range_m=(-200.0, -150.0))
-    inside = (expected.centre_m[:, 0] >= -200) & (expected.centre_m[:, 0] <= -150)
-    np.testing.assert_array_equal(near.centre_m, expected.centre_m[inside])
-    assert near.report.rows_used == inside.sum()
-    with pytest.raises(InputError, match=r"no vehicles between x = 5000\.0 m"):
-        read_traffic(path, x_range_m=(5000.0, 6000.0))
-
-
 def test_native_text_of_arterials_has_free_headings(tmp_path):
     columns = samples.columns()
     columns["Local_Y"] = 2000.0 - columns["Local_Y"]  # oncoming
-    path = tmp_path / "lankershim.txt"
-    path.write_text(samples.native(columns, arterial=True))
+    path = samples.write(tmp_path, samples.native(columns, arterial=True))
     recording = read_traffic(path)
     np.testing.assert_allclose(np.abs(recording.heading_rad), np.pi, atol=1e-9)
     front_x = columns["Local_Y"][columns["Vehicle_ID"] == 1] * FOOT_M - 250.0
@@ -238,8 +209,7 @@ def test_a_vehicle_that_never_moves_points_where_direction_has_it_bound_for(dial
     [(4, 5, "peachtree"), (5, 1, "peachtree"), (2.5, 1, "peachtree"), ("SB", 1, "peachtree"), (4, 1, "i-80")],
 )
 def test_columns_that_cannot_be_direction_and_movement_turn_no_vehicle(direction, movement, location, tmp_path):
-    path = tmp_path / "other.csv"
-    path.write_text(samples.api(at_rest([direction] * 5, movement), location))
+    path = samples.write(tmp_path, samples.api(at_rest([direction] * 5, movement), location))
     recording = read_traffic(path)
     assert not recording.heading_rad.any()
     told = "Direction or Movement is none in 100 of 100 rows: the column is left aside"
@@ -256,9 +226,7 @@ def test_a_row_without_a_direction_that_is_one_leaves_the_others_theirs(odd, out
     columns = {name: np.array(values) for name, values in columns.items()}
     for name, value in odd.items():
         columns[name][first] = value
-    path = tmp_path / "other.csv"
-    path.write_text(samples.api(columns, "peachtree"))
-    recording = read_traffic(path)
+    recording = read_traffic(samples.write(tmp_path, samples.api(columns, "peachtree")))
     rows = len(columns["Vehicle_ID"])
     expected = np.radians([0.0, 90.0, 180.0, 90.0, 180.0, 90.0])[recording.vehicle_id]
     changed = (recording.vehicle_id == 2) & (np.abs(recording.heading_rad - expected) > 1e-9)
@@ -277,3 +245,49 @@ def test_the_24_columns_say_the_same_as_the_18(columns, tmp_path):
     short, long = map(read_traffic, paths)
     for name in ("frame", "vehicle_id", "class_index", "size_m", "lane", "frame_time_s", "centre_m"):
         np.testing.assert_array_equal(getattr(long, name), getattr(short, name), err_msg=name)
+
+
+DIRTY = [
+    "",
+    "NULL",
+    "nan",
+    "-1",
+    "1_0",
+    "0x10",
+    "1,5",
+    '"1,500"',
+    '"0,001"',
+    '"a\nb"',
+    '1"5',
+    '"x"',
+    "+4",
+    "\u0663",
+]
+
+
+@pytest.mark.parametrize("dialect", [samples.native, samples.portal, samples.api])
+@pytest.mark.parametrize("place", [None, 0, 2, 8, 13, 17, 18, 24])
+def test_lines_parsed_by_numpy_and_rows_of_texts_give_the_same(tmp_path, monkeypatch, dialect, place):
+    monkeypatch.setattr(source, "_CHUNK_ROWS", 7)
+    separator = None if dialect is samples.native else ","
+    lines = dialect(samples.columns(vehicles=3, frames=20, first_frame=990)).split("\n")
+    parsed, chunks = ngsim.parsed_columns, []
+
+    def rows(path):
+        try:
+            return ngsim.read_rows(path, ngsim.sniff_layout(path), None)
+        except InputError as error:
+            return str(error)
+
+    for value in DIRTY if place is not None else ["clean"]:
+        fields = lines[31].split(separator)
+        if place is not None:
+            fields[place % len(fields)] = value
+        path = samples.write(tmp_path, "\n".join([*lines[:31], (separator or " ").join(fields), *lines[32:]]))
+        chunks.clear()
+        monkeypatch.setattr(ngsim, "parsed_columns", lambda *given: chunks.append(parsed(*given)) or chunks[-1])
+        fast = rows(path)
+        monkeypatch.setattr(ngsim, "parsed_columns", lambda *given: None)
+        np.testing.assert_equal(fast, rows(path))
+        assert sum(found is not None for found in chunks) >= 3
+        assert place is not None or all(found is not None for found in chunks)

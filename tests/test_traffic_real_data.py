@@ -9,8 +9,6 @@ import pytest
 
 from blender_lidar.traffic import CLASSES, RoadFrame, plan_frames, read_traffic
 
-pytest.importorskip("pandas")
-
 DATA = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the NGSIM excerpts of ../shared/data are not here")
 

@@ -95,14 +95,6 @@ def test_boxes_stand_on_the_flat_road_and_a_note_says_so_where_it_is_not_flat(tm
     assert not any(note.startswith("z ") for note in flat.report.notes)
 
 
-def test_boxes_are_kept_by_the_x_of_their_centre(tmp_path):
-    path = write(tmp_path, samples.driving())
-    whole, part = read_traffic(path), read_traffic(path, x_range_m=(170.0, 185.0))
-    inside = (whole.centre_m[:, 0] >= 170) & (whole.centre_m[:, 0] <= 185)
-    assert 0 < part.report.rows_used == inside.sum() < len(whole)
-    np.testing.assert_array_equal(part.centre_m, whole.centre_m[inside])
-
-
 def test_the_report_says_whose_frame_is_taken_for_the_roads(tmp_path):
     path = write(tmp_path, samples.driving())
     note = "neither origin_m nor heading_deg: the road's origin and x axis are the net's own"
@@ -169,7 +161,8 @@ def test_a_parquet_file_may_go_on_without_a_line_end(tmp_path):
 
 
 def test_chunks_do_not_show(tmp_path, expected, monkeypatch):
-    from blender_lidar.traffic import csv_rows, xml_tags
+    from blender_lidar.traffic import source as csv_rows
+    from blender_lidar.traffic import sumo as xml_tags
 
     monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 3)
     monkeypatch.setattr(xml_tags, "_BLOCK_BYTES", 101)

@@ -12,7 +12,7 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.traffic import CLASSES, overlapping_pairs, read_traffic
-from blender_lidar.traffic.sumo_types import DEFAULT_SIZES_M
+from blender_lidar.traffic.sumo import DEFAULT_TYPES
 from tests import sumo_samples as samples
 from tests.waiting import WAIT_S
 
@@ -187,7 +187,7 @@ def test_the_default_sizes_are_those_that_sumo_tells(folder):
     tools = HOME / "tools"
     if not (tools / "traci").is_dir():
         pytest.skip("SUMO's tools are not installed")
-    names = list(DEFAULT_SIZES_M)
+    names = list(DEFAULT_TYPES)
     write_xml(folder / "classes.rou.xml", "routes", "".join(f'<vType id="t_{n}" vClass="{n}"/>' for n in names))
     program = f"""
 import sys
@@ -207,4 +207,4 @@ traci.close()
     )
     assert done.returncode == 0, done.stderr
     told = {name: tuple(map(float, size)) for name, *size in map(str.split, done.stdout.splitlines()) if name in names}
-    assert told == DEFAULT_SIZES_M
+    assert told == {name: known.size_m for name, known in DEFAULT_TYPES.items()}

@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from blender_lidar.scenario import load_scenario
+from blender_lidar.scene.scenario import load_scenario
 from tests import sumo_samples as samples
 from tests.small_scene import cli, without_charts, write_scene
 

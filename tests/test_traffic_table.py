@@ -7,9 +7,11 @@ import gzip
 import numpy as np
 import pytest
 
-from blender_lidar.errors import BlenderLidarError, InputError
-from blender_lidar.traffic import csv_rows, read_table, read_traffic
-from blender_lidar.traffic.report import RepairReport
+from blender_lidar.errors import InputError
+from blender_lidar.traffic import read_table, read_traffic
+from blender_lidar.traffic import source as csv_rows
+from blender_lidar.traffic.vehicles import RepairReport
+from tests.traffic_samples import refused
 
 HEADER = "frame,vehicle_id,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg"
 ROWS = [
@@ -23,14 +25,6 @@ def write(tmp_path, header=HEADER, rows=ROWS, name="boxes.csv"):
     path = tmp_path / name
     path.write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
     return path
-
-
-def refused(path, **settings):
-    with pytest.raises(BlenderLidarError) as caught:
-        read_table(path, **settings)
-    text = str(caught.value)
-    assert "\n" not in text
-    return text.replace(str(path), "FILE")
 
 
 def test_boxes_are_read_as_they_are_written(tmp_path):
@@ -132,11 +126,6 @@ def test_chunks_do_not_show(tmp_path, monkeypatch):
     assert refused(write(tmp_path, rows=[*ROWS, "", ROWS[0].replace("5.0", "far", 1)])).startswith("FILE:6: x_m")
 
 
-def test_x_range_keeps_boxes_by_their_centre(tmp_path):
-    assert read_table(write(tmp_path), x_range_m=(0.0, 10.0)).vehicle_id.tolist() == [1]
-    assert refused(write(tmp_path), x_range_m=(50.0, 60.0)) == "FILE: no vehicles between x = 50.0 m and x = 60.0 m"
-
-
 @pytest.mark.parametrize(
     ("column", "value", "text"),
     [
@@ -184,8 +173,6 @@ def test_other_files_and_settings_that_cannot_be_used(tmp_path):
     path = write(tmp_path)
     assert refused(write(tmp_path, HEADER + ",x_m", name="twice.csv")) == "FILE:1: column x_m is there twice"
     assert "time_step_s is 0" in refused(path, time_step_s=0.0)
-    assert "origin_m" in refused(path, origin_m=(np.nan, 0.0))
-    assert "heading_deg is inf" in refused(path, heading_deg=np.inf)
     packed = gzip.compress(path.read_bytes())
     cut = tmp_path / "cut.csv.gz"
     cut.write_bytes(packed[:-10])

@@ -8,11 +8,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.traffic import CLASSES, RepairReport, Vehicles, overlapping_pairs
-from blender_lidar.traffic.headings import WINDOW_S, fitted_velocity, held_heading, lane_changing, limited
-from blender_lidar.traffic.overlaps import with_overlaps_reported
-from blender_lidar.traffic.sizes import class_index, heights, repaired_sizes
-from blender_lidar.traffic.tracks import TrackRows, drop_repeats, fill_gaps, segments, usual_step
-from blender_lidar.traffic.vehicles import Recording
+from blender_lidar.traffic.tracks import (
+    WINDOW_S,
+    class_index,
+    drop_repeats,
+    fill_gaps,
+    fitted_velocity,
+    heights,
+    held_heading,
+    lane_changing,
+    limited,
+    repaired_sizes,
+    segments,
+    usual_step,
+)
+from blender_lidar.traffic.vehicles import Recording, with_overlaps_reported
 
 
 def irregular_tracks(seed, tracks=6):
@@ -122,32 +132,22 @@ def test_repeats_keep_the_first_row_and_tell_duplicates_from_contradictions():
 
 def track_rows(vehicle, frame):
     vehicle, frame = np.array(vehicle), np.array(frame)
-    n = len(frame)
-    return TrackRows(
-        vehicle_id=vehicle,
-        frame=frame,
-        time_ms=100.0 * frame,
-        local_m=np.stack([2.0 * frame, -frame], axis=1).astype(float),
-        size_m=np.ones((n, 2)),
-        v_class=np.full(n, 2, dtype=np.int8),
-        lane=np.arange(n, dtype=np.int16),
-        direction=np.zeros(n, dtype=np.int8),
-    )
+    local = np.stack([2.0 * frame, -1.0 * frame], axis=1)
+    return {"vehicle_id": vehicle, "frame": frame, "local_m": local, "lane": np.arange(len(frame))}
 
 
 def test_several_gaps_are_filled_at_once_each_in_its_vehicle():
     rows, added = fill_gaps(track_rows([1, 1, 1, 1, 2, 2, 2, 2], [1, 2, 4, 5, 9, 10, 11, 15]), 0.1)
-    assert rows.vehicle_id.tolist() == [1] * 5 + [2] * 7
-    assert rows.frame.tolist() == [1, 2, 3, 4, 5, 9, 10, 11, 12, 13, 14, 15]
+    assert rows["vehicle_id"].tolist() == [1] * 5 + [2] * 7
+    assert rows["frame"].tolist() == [1, 2, 3, 4, 5, 9, 10, 11, 12, 13, 14, 15]
     assert np.flatnonzero(added).tolist() == [2, 8, 9, 10]
-    np.testing.assert_allclose(rows.local_m, np.stack([2.0 * rows.frame, -rows.frame], axis=1))
-    np.testing.assert_allclose(rows.time_ms, 100.0 * rows.frame)
-    assert rows.lane.tolist() == [0, 1, 1, 2, 3, 4, 5, 6, 6, 6, 6, 7], "the lane is the one before the gap"
+    np.testing.assert_allclose(rows["local_m"], np.stack([2.0 * rows["frame"], -rows["frame"]], axis=1))
+    assert rows["lane"].tolist() == [0, 1, 1, 2, 3, 4, 5, 6, 6, 6, 6, 7], "the lane is the one before the gap"
 
 
 def test_gaps_are_counted_in_the_recordings_own_steps():
     rows, added = fill_gaps(track_rows([1, 1, 1, 2, 2], [95, 100, 105, 95, 105]), 0.1)
-    assert rows.frame[added].tolist() == [100]
+    assert rows["frame"][added].tolist() == [100]
     assert usual_step(np.array([1, 2, 3]), np.array([1, 5, 9])) == 1
 
 

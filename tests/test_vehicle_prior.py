@@ -10,7 +10,7 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.metric import VehicleReturns, vehicle_returns
-from blender_lidar.metrics.vehicle_prior import VehiclePrior
+from blender_lidar.metrics.occupancy_prior import VehiclePrior
 
 
 def sample(seed, vehicles=30, points=60):

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.metrics.assignment import NO_BOX, points_in_boxes
-from blender_lidar.metrics.expected_visibility import box_visibility, reach_probability
 from blender_lidar.metrics.metric import vehicle_returns
-from blender_lidar.metrics.occupancy_prior import OccupiedFrames
-from blender_lidar.metrics.vehicle_prior import VehiclePrior
+from blender_lidar.metrics.occupancy_prior import OccupiedFrames, VehiclePrior, box_visibility, reach_probability
 from blender_lidar.metrics.vgop import to_vehicle_frame
 from blender_lidar.metrics.voxel_grid import VoxelGrid
 from blender_lidar.sensors.beams import beam_lattice

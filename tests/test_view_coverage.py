@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.casting import caster_class
-from blender_lidar.metrics.catalogue import METRICS
+from blender_lidar.metrics.catalogue import METRICS, VIEW_COVERAGE
 from blender_lidar.metrics.metric import vehicle_returns
-from blender_lidar.metrics.view_coverage import VIEW_COVERAGE, coverage
+from blender_lidar.metrics.vehicle_metrics import coverage
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.world.shapes import shape

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
+import pytest
+
+from blender_lidar.errors import BlenderLidarError
+from blender_lidar.traffic import read_traffic
 
 P1_ORIGIN_MS = 1_113_433_134_900
 """Global_Time of frame 0 of I-80's first period; the others begin 3,632 s and 4,430 s later."""
@@ -106,3 +113,18 @@ def api(given: Columns, location: str = "i-80") -> str:
         fields[-1] = location
         lines.append(",".join(fields))
     return "\n".join(lines) + "\n"
+
+
+def write(folder: Path, text: str) -> Path:
+    """A recording of that text."""
+    path = folder / "recording.txt"
+    path.write_text(text, encoding="utf-8", newline="")
+    return path
+
+
+def refused(path: Path, read: Callable = read_traffic, **settings: object) -> str:
+    """The one line that a file is refused with; the file is called FILE in it."""
+    with pytest.raises(BlenderLidarError) as caught:
+        read(path, **settings)
+    assert "\n" not in str(caught.value)
+    return str(caught.value).replace(str(path), "FILE")

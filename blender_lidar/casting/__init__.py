@@ -5,13 +5,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 
+from ..compiled import numba_works
 from ..errors import MissingExtraError, unknown_name
-from ..numba_here import numba_works
-from ..stop_signals import stops_deferred
+from ..signals import stops_deferred
 from .protocol import Caster, Hits
 
 CASTERS = ("raster", "embree", "bvh", "exact")
-RASTER = CASTERS[0]  # the one that draws whole turns
+RASTER = CASTERS[0]  # the one that rasterises whole revolutions
 EXACT = CASTERS[-1]  # the one without any tree
 
 _MODULES = {

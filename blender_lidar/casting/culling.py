@@ -1,4 +1,4 @@
-"""Which beams can reach a vehicle at all: the others need not be cast when only vehicles count.
+"""Culling of beams by angular bounds: which can reach a vehicle, as the others need not be cast when only these count.
 
 Seen from the sensor, a box covers a range of elevations and a range of azimuths; on the (ring, azimuth slot) lattice
 of a rotating LiDAR that is a rectangle. Boxes are cut along their length into pieces first, so that the rectangles of
@@ -10,19 +10,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, repeat
 
 import numpy as np
 
-from ..numba_here import numba_works
+from ..compiled import numba_works
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from ..world.shapes import shape
 from ..world.triangles import place, shape_names
+from .protocol import Caster, Revolution
 
 PIECE_LENGTH_M = 1.8
 _PIECES_AT_A_TIME = 2048  # whose bounds are found together: enough to amortise NumPy's calls, few enough for the cache
+_RAYS_AT_A_TIME = 1 << 14  # of several mountings: enough to amortise NumPy's calls, few enough for the cache
 _LEAST_COSINE = 0.01  # of the cone about a piece; a wider one is no bound
 _TURN = 2.0 * np.pi
 _MARGIN_RAD = 1e-9  # for rounding; far below any beam spacing
@@ -125,8 +127,50 @@ def ray_directions(lattice: BeamLattice, beams: np.ndarray, pose: Pose) -> np.nd
     components = lattice.components.reshape(3, -1)
     fast = _compiled()
     if fast is not None:
-        return fast.directions_of(components, beams, pose.rotation)
+        directions = np.empty((3, len(beams)))
+        fast.directions_of(components, beams, pose.rotation, directions.T)
+        return directions
     return pose.to_world(np.take(components, beams, axis=1, mode="clip").T).T
+
+
+def revolutions(
+    tree: Caster, lattice: BeamLattice, poses: Sequence[Pose], max_range: float, pieces: Pieces | None = None
+) -> Iterator[Revolution]:
+    """What the beams of one revolution meet first within `max_range` [m], for each mounting in turn.
+
+    Beams that can reach none of `pieces` are left out, unless that is None; a caster that rasterises takes them along.
+    """
+    if hasattr(tree, "revolution"):
+        yield from (tree.revolution(lattice, pose, max_range) for pose in poses)
+        return
+    if pieces is None:
+        cast = repeat(np.arange(lattice.rings * lattice.columns), len(poses))
+    else:
+        cast = reachable_beams(lattice, pieces, poses, max_range)
+    group, rays = [], 0
+    for pose, beams in zip(poses, cast, strict=True):
+        if group and rays + len(beams) > _RAYS_AT_A_TIME:
+            yield from _revolutions(tree, lattice, group, max_range)
+            group, rays = [], 0
+        group.append((pose, beams))
+        rays += len(beams)
+    if group:
+        yield from _revolutions(tree, lattice, group, max_range)
+
+
+def _revolutions(tree, lattice, group, max_range):
+    """The same of mountings with the beams of each, cast together."""
+    (pose, beams), ends = group[0], np.cumsum([len(beams) for _, beams in group])
+    origins, directions = pose.position, ray_directions(lattice, beams, pose)
+    if len(group) > 1:
+        more = [ray_directions(lattice, beams, pose) for pose, beams in group[1:]]
+        directions, beams = np.concatenate([directions, *more], axis=1), np.concatenate([beams for _, beams in group])
+        origins = np.repeat(np.array([pose.position for pose, _ in group]).T, np.diff(ends, prepend=0), axis=1).T
+    found = tree.meet(origins, directions.T, max_range)
+    beams, directions = (np.take(values, found.ray, axis=-1, mode="clip") for values in (beams, directions))
+    for first, last in pairwise([0, *np.searchsorted(found.ray, ends).tolist()]):
+        mine = slice(first, last)
+        yield Revolution(beams[mine], found.triangle[mine], found.distance[mine], directions[:, mine])
 
 
 @cache
@@ -134,9 +178,9 @@ def _compiled():
     """The compiled twin of this module, or None where Numba is not installed."""
     if not numba_works():
         return None
-    from . import compiled_culling
+    from . import kernels
 
-    return compiled_culling
+    return kernels
 
 
 def _reachable_beams(lattice, pieces, poses, max_range):

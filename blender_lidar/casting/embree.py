@@ -2,11 +2,37 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
 from .tree import TreeCaster
+
+
+@contextmanager
+def _own_symbols() -> Iterator[None]:
+    """Within a Blender binary on Linux, libraries are loaded with RTLD_DEEPBIND: they prefer their own symbols.
+
+    Debian's Blender links Embree 3, and embreex brings Embree 4: without this it would call into the other and crash.
+    """
+    if sys.platform != "linux" or not Path("/proc/self/exe").resolve().name.startswith("blender"):
+        yield
+        return
+    flags = sys.getdlopenflags()
+    sys.setdlopenflags(os.RTLD_NOW | os.RTLD_LOCAL | os.RTLD_DEEPBIND)
+    try:
+        yield
+    finally:
+        sys.setdlopenflags(flags)
+
+
+with _own_symbols():
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
 
 
 class EmbreeCaster(TreeCaster):

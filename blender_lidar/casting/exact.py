@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .planes import TrianglePlanes, fastest_planes
-from .protocol import Caster, Returns, origins_of
+from .protocol import Caster, Returns, TrianglePlanes, origins_of
 
 _EDGE_TOLERANCE = 1e-12  # barycentric: a ray at an edge belongs to both neighbours, so that it slips through neither
 # Each signed volume is made of a dozen rounded operations on coordinates that are themselves rounded.
@@ -25,11 +24,8 @@ class ExactCaster(Caster):
 
     name = "exact"
 
-    def _prepare(self):
-        self._search = ExactSearch(self._corners, fastest_planes()(self._corners, self._normal))
-
     def _meet(self, origins, directions, max_range):
-        return self._search.meet(origins, directions, max_range)
+        return self._exact.meet(origins, directions, max_range)
 
 
 class ExactSearch:

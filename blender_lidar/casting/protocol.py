@@ -1,20 +1,163 @@
-"""The protocol of all casters: triangles in, and for each ray the triangle that it meets first and how far away."""
+"""Casters of rays: one protocol, triangles in, and for each ray the triangle that it meets first and how far away."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from functools import cache, cached_property, partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from ..compiled import numba_works
 from ..errors import InputError
+from ..world.scenery import Scenery
 from ..world.triangles import MOST_M
-from .by_coordinate import by_coordinate, cross, length
+
+if TYPE_CHECKING:
+    from .exact import ExactSearch
+    from .kernels import BoxTree, RayTree
 
 MISS = -1
 _UNIT_TOLERANCE = 1e-6
 _LEAST_HEIGHT = 1e-12  # of a triangle, relative to its size and coordinates: what is flatter is rounding, not area
 FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit whatever the range
+
+_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
+
+_ROUNDING = 16.0 * float(np.finfo(float).eps)
+
+# --- Vectors as structures of arrays, coordinate after coordinate in memory: NumPy is slow over axes of three ---------
+
+
+def structure_of_arrays(corners: np.ndarray) -> np.ndarray:
+    """Corners (m, 3, 3) as (corner, axis, triangle)."""
+    return np.ascontiguousarray(corners.reshape(-1, 9).T).reshape(3, 3, -1)
+
+
+def cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Cross products of vectors (3, m)."""
+    x, y, z = first
+    u, v, w = second
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def dot(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Sums of three products along the first axis, always added up in the same order."""
+    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+
+
+def length(vectors: np.ndarray) -> np.ndarray:
+    """Lengths of vectors (3, ...)."""
+    return np.sqrt(dot(vectors, vectors))
+
+
+# --- Where rays meet the planes of triangles that another has picked, in float64 --------------------------------------
+
+
+class PlaneHits(NamedTuple):
+    """Where rays meet the planes of triangles.
+
+    Attributes
+    ----------
+    distance : ndarray, (k,)
+        Along each ray [m]; below 0 where the plane lies behind, not finite for a ray along the plane.
+    facing : ndarray, (k,)
+        Cosine between ray and normal: below 0 where the ray comes from outside.
+    inside : ndarray of bool, (k,)
+        Whether the ray meets the triangle itself; False also where the distance is below 0 or not finite.
+    """
+
+    distance: np.ndarray
+    facing: np.ndarray
+    inside: np.ndarray
+
+
+class TrianglePlanes:
+    """The planes of triangles, and the place within each triangle where a ray meets its plane.
+
+    A point p lies at ``normal . p - offset`` from the plane, and the weights of the triangle's second and third corner
+    are affine in p likewise: three affine functions, whose coefficients are kept.
+
+    Parameters
+    ----------
+    corners : ndarray, (m, 3, 3)
+        Corners of each triangle [m]; all have area.
+    normal : ndarray, (m, 3)
+        Unit normals.
+    """
+
+    def __init__(self, corners: np.ndarray, normal: np.ndarray) -> None:
+        places, normal = structure_of_arrays(corners), np.ascontiguousarray(normal.T)
+        first, second = places[1] - places[0], places[2] - places[0]
+        double_area = dot(cross(first, second), normal)
+        self._functions = np.empty((13, len(corners)))  # so that what is gathered for many rays lies side by side
+        slopes = normal, cross(second, normal) / double_area, cross(normal, first) / double_area
+        for function, slope in enumerate(slopes):
+            self._functions[4 * function : 4 * function + 3] = slope
+            self._functions[4 * function + 3] = dot(slope, places[0])
+        coordinate = np.abs(places).reshape(9, -1).max(axis=0)
+        side = np.abs(np.concatenate([first, second])).max(axis=0)
+        # Slopes are one over the triangle's heights, of which rounding takes that of the coordinates.
+        steepest = np.maximum(*(dot(slope, slope) for slope in slopes[1:]))
+        self._functions[12] = _ROUNDING * coordinate * side * steepest
+
+    def as_rows(self) -> np.ndarray:
+        """Slope and offset of each triangle's three functions and the rounding of its weights, (m, 13).
+
+        The last one is what rounding of the corners and of the slopes may add to a weight at the triangle.
+        """
+        return np.ascontiguousarray(self._functions.T)
+
+    def meet(self, origins: np.ndarray, directions: np.ndarray, triangle: np.ndarray) -> PlaneHits:
+        """Where k rays meet the planes of k triangles.
+
+        Parameters
+        ----------
+        origins : ndarray, (3,) or (3, k)
+            Start of all rays, or of each, coordinate by coordinate [m].
+        directions : ndarray, (3, k)
+            Unit directions, coordinate by coordinate.
+        triangle : ndarray of int, (k,)
+            Row of the triangle that each ray is asked about.
+        """
+        distance, facing = self._along(0, origins, directions, triangle)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance /= facing
+            inside = distance >= 0.0
+            second, gain = self._along(1, origins, directions, triangle)
+            gain *= distance
+            np.subtract(gain, second, out=second)
+            third, gain = self._along(2, origins, directions, triangle)
+            gain *= distance
+            np.subtract(gain, third, out=third)
+            inside &= np.minimum(second, third) >= 0.0
+            second += third
+            inside &= second <= 1.0
+        return PlaneHits(distance, facing, inside)
+
+    def _along(self, function, origins, directions, triangle):
+        """An affine function of each triangle: from the origin to its 0, and its growth along the ray."""
+        *slopes, offset = self._functions[4 * function : 4 * function + 4]
+        shared = origins.ndim == 1
+        missing = _take(offset - dot(slopes, origins) if shared else offset, triangle)
+        slopes = [_take(slope, triangle) for slope in slopes]
+        if not shared:
+            missing -= dot(slopes, origins)
+        growth = dot(slopes, directions)
+        return missing, growth
+
+
+@cache
+def fastest_planes() -> type[TrianglePlanes]:
+    """The compiled twin where Numba is installed."""
+    if not numba_works():
+        return TrianglePlanes
+    from .kernels import CompiledPlanes
+
+    return CompiledPlanes
+
+
+# --- Casters ----------------------------------------------------------------------------------------------------------
 
 
 class Hits(NamedTuple):
@@ -50,6 +193,27 @@ class Returns(NamedTuple):
     distance: np.ndarray
 
 
+class Revolution(NamedTuple):
+    """What the beams of one revolution met.
+
+    Attributes
+    ----------
+    beam : ndarray of int64, (k,)
+        Those that met something, flat indices into the lattice, ``ring * columns + slot``, rising.
+    triangle : ndarray of int64, (k,)
+        Row of the triangle that each met first.
+    distance : ndarray, (k,)
+        Distance along each [m].
+    directions : ndarray, (3, k)
+        Unit vectors in the road frame.
+    """
+
+    beam: np.ndarray
+    triangle: np.ndarray
+    distance: np.ndarray
+    directions: np.ndarray
+
+
 class Caster(ABC):
     """Casts rays against a fixed set of triangles.
 
@@ -76,7 +240,7 @@ class Caster(ABC):
         corners = np.asarray(corners, dtype=float)
         if corners.ndim != 3 or corners.shape[1:] != (3, 3):
             raise InputError(f"triangles have shape {corners.shape}; allowed: (m, 3, 3)")
-        places = by_coordinate(corners)
+        places = structure_of_arrays(corners)
         coordinate = np.abs(places).reshape(9, -1).max(axis=0, initial=0.0)  # largest of each triangle
         if not (coordinate <= MOST_M).all():  # also catches NaN
             row = int(np.argmin(coordinate <= MOST_M))
@@ -91,16 +255,40 @@ class Caster(ABC):
         self._solid = np.flatnonzero(area > _LEAST_HEIGHT * base * (base + coordinate))
         self._normal = np.ascontiguousarray((normal[:, self._solid] / area[self._solid]).T)
         self._corners = (corners - self._origin)[self._solid]
+        self._planes = fastest_planes()(self._corners, self._normal)
         if len(self._solid):
             self._prepare()
 
-    @abstractmethod
-    def _prepare(self) -> None:
+    def _prepare(self) -> None:  # noqa: B027 (not all have anything to do)
         """Make ready to cast against `_corners` (m, 3, 3): re-centred, all with area, at least one."""
 
     @abstractmethod
     def _meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float) -> Returns:
         """As `meet`, with at least one ray, and origins and rows in terms of `_corners`."""
+
+    @cached_property
+    def _exact(self) -> ExactSearch:
+        """Who decides in float64 what rounding would, every ray against every triangle."""
+        from .exact import ExactSearch
+
+        return ExactSearch(self._corners, self._planes)
+
+    @cached_property
+    def ray_tree(self) -> RayTree:
+        """The compiled tree in float64 of the triangles with area, at least one."""
+        from .kernels import RayTree
+
+        return RayTree(self._corners, self._planes.as_rows(), self._exact)
+
+    @property
+    def _sure(self):
+        """What meets rays in float64: the compiled tree, or without Numba the search."""
+        return self.ray_tree if numba_works() else self._exact
+
+    @property
+    def planes(self) -> np.ndarray:
+        """As `TrianglePlanes.as_rows` gives them, (m, 13): counted from `origin`, in the order of `rows`."""
+        return self._planes.as_rows()
 
     @property
     def origin(self) -> np.ndarray:
@@ -186,3 +374,64 @@ def _unusable(numbers):
     if not np.isfinite(farthest):
         return "is not finite"
     return f"lies {farthest:g} m from the origin of coordinates; allowed: up to {MOST_M:g} m"
+
+
+# --- Scenery that hides vehicles --------------------------------------------------------------------------------------
+
+
+class StandingScenery:
+    """What stands still, made ready to be cast against; its tree is made at the first cast and not pickled.
+
+    Parameters
+    ----------
+    scenery : Scenery
+        Its triangles.
+    caster : str
+        A name of `casting.CASTERS`.
+    """
+
+    def __init__(self, scenery: Scenery, caster: str) -> None:
+        self.scenery, self._caster = scenery, caster
+
+    def __getstate__(self) -> dict:
+        return {"scenery": self.scenery, "_caster": self._caster}
+
+    @cached_property
+    def tree(self) -> Caster:
+        """A caster of the triangles; meshes of others may be open."""
+        from . import caster_class
+
+        return caster_class(self._caster)(self.scenery.corners, closed=False)
+
+    @cached_property
+    def occluders(self) -> tuple[np.ndarray, BoxTree]:
+        """What compiled code needs to test for occlusion: the origin of coordinates (3,) [m], and the tree."""
+        from .kernels import NO_BOXES
+
+        return self.tree.origin, self.tree.ray_tree.boxes if len(self.tree.rows) else NO_BOXES
+
+    def hides(self, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        """Whether something stands nearer than a distance along rays, (n,) bool.
+
+        Parameters
+        ----------
+        origins : ndarray, (3,) or (n, 3)
+            Start of all rays, or of each [m].
+        directions : ndarray, (n, 3)
+            Unit directions.
+        distance : ndarray, (n,)
+            How far along each [m].
+
+        Raises
+        ------
+        InputError
+            For a distance that is not a number.
+        """
+        hidden = np.zeros(len(distance), dtype=bool)
+        if len(distance):
+            reach = float(distance.max())  # NaN if any is
+            if not reach >= 0.0:
+                raise InputError(f"rays are followed for {reach} m; allowed: a distance of 0 m or more")
+            found = self.tree.meet(origins, directions, reach)
+            hidden[found.ray] = found.distance < distance[found.ray]
+        return hidden

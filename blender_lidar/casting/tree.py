@@ -1,4 +1,4 @@
-"""What the casters with a float32 tree share: a mesh without gaps, and a verdict in float64.
+"""Casters with a bounding volume hierarchy in float32: made of a mesh without gaps, and judged in float64.
 
 Near a shared edge `BVHTree.ray_cast` and Embree now and then report neither neighbour, because their float32 tests of
 boxes and of triangles do not agree with each other. Here nothing is left to that:
@@ -23,18 +23,15 @@ Embree 1, and none and 7 met what stands within (`stability.caster_attacks` at f
 from __future__ import annotations
 
 from abc import abstractmethod
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
-from ..numba_here import numba_works
-from .exact import ExactSearch
-from .planes import fastest_planes
 from .protocol import MISS, Caster, Returns, origins_of
-from .touching import Touching
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
+_AT_A_TIME = 1 << 20  # pairs of a start and a triangle
 # Of a triangle's distance from where rays start: float32 keeps 6e-8 of it, and a ray-triangle test loses a few such.
 _MARGIN = 2e-7
 _MARGIN_OPEN = 16 * _MARGIN  # where no inside tells of a leak
@@ -46,6 +43,52 @@ _MUCH_WIDER = 4.0  # than the rays need: a tree made for such wide starts is coa
 _LEAST_COSINE_SUM = 1e-5  # at a corner: a sharper one, of 0.26 degrees, would move by more than 450 margins
 EDGE_ON = 1e-3  # cosine: what is met so nearly edge-on may lie centimetres behind what float32 takes it to hide
 _REACH_SLACK = 1e-5  # relative: back-ends look a little farther than asked and float64 decides at the limit
+
+
+class NearSurfaces:
+    """Near-surface rays: which start so near a triangle that float32 cannot tell on which side.
+
+    Parameters
+    ----------
+    corners : ndarray, (m, 3, 3)
+        Corners of each triangle [m].
+    normal : ndarray, (m, 3)
+        Unit normals.
+    gap : ndarray, (m,)
+        How near a start has to be to touch each of them [m].
+    low, high : ndarray, (3,)
+        Corners of the region [m].
+    """
+
+    def __init__(
+        self, corners: np.ndarray, normal: np.ndarray, gap: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> None:
+        lower, upper = corners.min(axis=1) - gap[:, None], corners.max(axis=1) + gap[:, None]
+        near = np.flatnonzero(((lower <= high) & (upper >= low)).all(axis=1))
+        self._lower, self._upper, self._gap = lower[near], upper[near], gap[near]
+        self._bounds = (
+            self._lower.min(axis=0, initial=np.inf).tolist(),
+            self._upper.max(axis=0, initial=-np.inf).tolist(),
+        )
+        self._normal, self._offset = normal[near], np.einsum("ti,ti->t", normal[near], corners[near, 0])
+
+    def any(self, low: np.ndarray, high: np.ndarray) -> bool:
+        """Whether any start between two corners (3,) [m], which may be one and the same array, may touch one."""
+        ends = zip(low.tolist(), high.tolist(), *self._bounds, strict=True)
+        if any(b < lower or a > upper for a, b, lower, upper in ends):  # as at most roadsides, and soon told
+            return False
+        near = ((self._lower <= high) & (self._upper >= low)).all(axis=1)
+        return bool(near.any()) and (low is not high or bool(self._of(low[None])[0]))
+
+    def of(self, origins: np.ndarray) -> np.ndarray:
+        """Which starts (n, 3) [m] touch one, (n,) bool."""
+        step = max(_AT_A_TIME // max(len(self._gap), 1), 1)
+        parts = [self._of(origins[start : start + step]) for start in range(0, len(origins), step)]
+        return np.concatenate([np.zeros(0, dtype=bool), *parts])
+
+    def _of(self, origins):
+        boxed = ((self._lower <= origins[:, None]) & (self._upper >= origins[:, None])).all(axis=2)
+        return (boxed & (np.abs(origins @ self._normal.T - self._offset) <= self._gap)).any(axis=1)
 
 
 class TreeCaster(Caster):
@@ -61,15 +104,8 @@ class TreeCaster(Caster):
 
     def _prepare(self):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
-        self._planes = fastest_planes()(self._corners, self._normal)
-        self._exact = ExactSearch(self._corners, self._planes)
         # Where rays may start; the tree is made at the first cast.
-        self._middle, self._reach, self._far, self._touching = None, 0.0, 0.0, None
-
-    @property
-    def planes(self) -> np.ndarray:
-        """As `TrianglePlanes.as_rows` gives them, (m, 13): counted from `origin`, in the order of `rows`."""
-        return self._planes.as_rows()
+        self._middle, self._reach, self._far, self._near_surfaces = None, 0.0, 0.0, None
 
     def first(self, origin: np.ndarray, directions: np.ndarray, max_range: float) -> np.ndarray | None:
         """What the tree alone says: row of the triangle that each ray meets first, or `MISS`; of closed meshes.
@@ -92,7 +128,7 @@ class TreeCaster(Caster):
             Rows as in `planes`; None where the rays start at a surface, and all is for `decide`.
         """
         self._make_ready(origin, origin)
-        if self._touching.any(origin, origin):
+        if self._near_surfaces.any(origin, origin):
             return None
         return self._first(origin - self._middle, directions, _beyond(max_range))
 
@@ -100,25 +136,16 @@ class TreeCaster(Caster):
         """What rays meet first in float64, slowly; origin and rows as for `first`."""
         return self._sure.meet(origin, directions, max_range)
 
-    @cached_property
-    def _sure(self):
-        """Who decides in float64: with Numba a tree, which leaves to the oracle what rounding decides."""
-        if not numba_works():
-            return self._exact
-        from .ray_tree import RayTree
-
-        return RayTree(self._corners, self.planes, self._exact)
-
     def _meet(self, origins, directions, max_range):
         low, high = (origins, origins) if origins.ndim == 1 else (origins.min(axis=0), origins.max(axis=0))
         self._make_ready(low, high)
-        if not self._touching.any(low, high):
+        if not self._near_surfaces.any(low, high):
             return self._meet_by_tree(origins, directions, max_range)
         if origins.ndim == 1:
             return self._sure.meet(origins, directions, max_range)
-        touches = self._touching.of(origins)
+        is_within = self._near_surfaces.of(origins)
         parts = []
-        for rays, meet in ((~touches, self._meet_by_tree), (touches, self._sure.meet)):
+        for rays, meet in ((~is_within, self._meet_by_tree), (is_within, self._sure.meet)):
             rays = np.flatnonzero(rays)
             if len(rays):
                 found = meet(origins[rays], directions[rays], max_range)
@@ -186,7 +213,7 @@ class TreeCaster(Caster):
             larger = np.concatenate([larger, *fences(larger, self._normal, margin)])
         self._build(larger - self._middle)
         served = self._middle - self._reach, self._middle + self._reach
-        self._touching = Touching(self._corners, self._normal, _MARGIN_OPEN * (away + self._reach), *served)
+        self._near_surfaces = NearSurfaces(self._corners, self._normal, _MARGIN_OPEN * (away + self._reach), *served)
 
 
 def _beyond(max_range):

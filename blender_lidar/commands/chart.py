@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
-from dataclasses import replace
 
 from ..errors import InputError
-from ..scenario import Scenario
+from ..report import chart as report
+from ..scene.scenario import Scenario
+from ..scene.site import Site, prepare
 from ..sensors.model import load_model
-from ..speed_accuracy.candidates import candidates
-from ..speed_accuracy.effort import FULL, QUICK
-from ..speed_accuracy.output import FILES, write_results
-from ..speed_accuracy.paired import read_paired
-from ..speed_accuracy.report import report_text
-from ..speed_accuracy.study import chart_identity, chart_study
-from ..stop_signals import stops_recognised
-from ..study.site import Site, prepare
-from ..study.stages import StudyFolder
-from .options import add_scene, default_folder, scenario_from
+from ..studies.chart import chart_identity, chart_study, read_paired
+from ..studies.driver import StudyFolder
+from ..studies.effects import candidates
+from ..studies.ladder import FULL, QUICK
+from .optimise import check_resume
+from .options import add_scene, scenario_from
 from .progress import Progress
-from .report import describe_site
-from .run_output import add_output, check_resume, say
+from .studies import add_study_options, carry_out, effort_of
 
 OTHER_SENSORS = ("RS-80", "RS-32")  # the first that is not the scene's own
 NO_SENSOR = "none"
@@ -56,9 +51,7 @@ def add_parser(subparsers) -> None:
     parser.add_argument(
         "--paired", metavar="PATH", help="paired.json of compare --paired, or its folder: its errors stand beside"
     )
-    add_output(parser)
-    parser.add_argument("--quick", action="store_true", help="ten frames, fewer mountings and draws")
-    parser.add_argument("--resume", action="store_true", help="go on with the study in --out DIR that was stopped")
+    add_study_options(parser, "ten frames, fewer mountings and draws")
     parser.set_defaults(run=run)
 
 
@@ -69,24 +62,12 @@ def run(args: argparse.Namespace) -> int:
     scenario = scenario_from(args)
     candidates(scenario, 2)  # refuses a scene that searches nothing
     paired = None if args.paired is None else read_paired(args.paired)
-    effort = QUICK if args.quick else FULL
-    if args.frames is not None or args.frame_ids is not None:  # asked for: none of them is left out
-        effort = replace(effort, frames=None)
-    site, other = prepare(scenario), _other_site(args, scenario)
-    folder = StudyFolder(args.out or default_folder(scenario, "chart"), chart_identity(site, effort, other), FILES)
-    with folder.locked(resume=args.resume):
-        say(args, describe_site(site) + "\n")
-        try:
-            with stops_recognised():
-                result = chart_study(site, effort, tolerance, folder, Progress, other, paired)
-        except KeyboardInterrupt:
-            print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
-            return 1
-        written = write_results(folder, result)
-    say(args, f"{report_text(result)}\n\nResults in {folder.path}: {', '.join(written)}")
-    if args.json:
-        print(json.dumps(result, indent=2))
-    return 0
+    effort, site, other = effort_of(args, FULL, QUICK), prepare(scenario), _other_site(args, scenario)
+
+    def study(folder: StudyFolder) -> dict:
+        return chart_study(site, effort, tolerance, folder, Progress, other, paired)
+
+    return carry_out(args, "chart", site, chart_identity(site, effort, other), report, study)
 
 
 def parse_share(text: str, option: str) -> float:

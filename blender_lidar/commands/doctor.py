@@ -17,6 +17,7 @@ from ..sensors.pose import Pose
 
 _OPTIONAL = {
     "pandas": "",
+    "scipy": "",
     "bpy": "blender",
     "numba": "fast",
     "embreex": "fast",
@@ -44,11 +45,8 @@ def run(args: argparse.Namespace) -> int:
         try:
             found = version(name)
         except PackageNotFoundError:
-            found = (
-                f'not installed (pip install "blender_lidar[{extra}]")'
-                if extra
-                else "not installed (pip install pandas)"
-            )
+            package = f'"blender_lidar[{extra}]"' if extra else name
+            found = f"not installed (pip install {package})"
         print(f"  {name:<13} {found}")
     verdicts = {name: _check(name) for name in CASTERS}
     for name, verdict in verdicts.items():

@@ -1,24 +1,73 @@
-"""blender-lidar optimise: traffic in, best mounting out."""
+"""blender-lidar optimise and evaluate: traffic in, the best mounting or a given one judged, a folder of results out."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 
-from ..errors import InputError
+from ..errors import InputError, MissingExtraError
 from ..metrics.catalogue import metric_named
-from ..results import VEHICLES, VEHICLES_BASELINE, RunFolder
-from ..run import Outcome, optimise_site
-from ..stop_signals import stops_recognised
-from ..study.site import prepare
-from .options import add_scene, scenario_from
+from ..report.page import write_report
+from ..run.folder import VEHICLES, VEHICLES_BASELINE, RunFolder
+from ..run.optimise import Outcome, evaluate_site, optimise_site
+from ..scene.scenario import Scenario
+from ..scene.site import Site, prepare
+from ..signals import stops_recognised
+from .options import SEARCH_OPTIONS, add_pose, add_scene, default_folder, mounting_from, scenario_from
 from .progress import RunProgress
-from .report import describe_site
-from .run_output import add_output, check_resume, folder_from, report, say
+from .report import comparison, describe_site, files
+
+# --- Where a run's results go, and how they are told: what the verbs that leave a folder share ------------
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """The options that say where results go."""
+    parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
+    parser.add_argument(
+        "--json", action="store_true", help="print the content of result.json, and nothing else, on stdout"
+    )
+
+
+def check_resume(args: argparse.Namespace) -> None:
+    """Refuse ``--resume`` without the folder that it is about."""
+    if args.resume and args.out is None:
+        raise InputError("--resume: needs --out DIR, the folder of the run that was stopped")
+
+
+def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
+    """The folder that the results go to, not yet made; a place that cannot be used is refused early."""
+    folder = RunFolder(args.out if args.out is not None else default_folder(scenario))
+    folder.check(resume=getattr(args, "resume", False))
+    return folder
+
+
+def report(args: argparse.Namespace, site: Site, outcome: Outcome, folder: RunFolder) -> int:
+    """Draw the charts, gather all in one page and print what was found."""
+    charts = []
+    try:
+        from ..report.run_figures import draw_charts
+
+        charts = draw_charts(site, outcome, folder)
+    except MissingExtraError as error:
+        print(f"blender-lidar: note: no charts: {error}", file=sys.stderr)
+    write_report(folder)
+    say(args, comparison(outcome) + "\n\n" + files(folder, charts))
+    if args.json:
+        print(json.dumps(outcome.result, indent=2))
+    return 0
+
+
+def say(args: argparse.Namespace, text: str) -> None:
+    """Print for people: on stderr where stdout is for JSON."""
+    print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
+
+
+# --- The verbs --------------------------------------------------------------------------------------------
 
 
 def add_parser(subparsers) -> None:
-    """Describe the verb to argparse."""
+    """Describe the verbs to argparse."""
     parser = subparsers.add_parser(
         "optimise",
         help="find the best mounting for a scene",
@@ -28,11 +77,20 @@ def add_parser(subparsers) -> None:
     add_scene(parser)
     add_output(parser)
     parser.add_argument("--resume", action="store_true", help="go on with the run in --out DIR that was stopped")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=_optimise)
+    parser = subparsers.add_parser(
+        "evaluate",
+        help="score one mounting",
+        description="Score one mounting against the scene's baseline, on the searched and the held-out frames.",
+    )
+    add_scene(parser, leave_out=SEARCH_OPTIONS)
+    add_pose(parser)
+    add_output(parser)
+    parser.set_defaults(run=_evaluate)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Carry it out; returns the exit code."""
+def _optimise(args: argparse.Namespace) -> int:
+    """Search for the best mounting; returns the exit code."""
     check_resume(args)
     scenario = scenario_from(args)
     if not scenario.deployment.bounds:
@@ -70,3 +128,15 @@ def _stored_outcome(folder: RunFolder, result: dict) -> Outcome:
         score_map=folder.read_score_map(),
         history=folder.read_history(),
     )
+
+
+def _evaluate(args: argparse.Namespace) -> int:
+    """Score one mounting; returns the exit code."""
+    scenario = scenario_from(args)
+    mount = mounting_from(args, scenario)
+    folder = folder_from(args, scenario)
+    site = prepare(scenario, mount)
+    with folder.locked():
+        folder.check()  # again: another run may have come first
+        say(args, describe_site(site, searched=False) + "\n")
+        return report(args, site, evaluate_site(site, folder, mount), folder)

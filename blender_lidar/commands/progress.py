@@ -6,12 +6,12 @@ import math
 import sys
 from collections.abc import Sequence
 
+from ..metrics.catalogue import PE_VGOP
 from ..metrics.metric import Metric
-from ..metrics.views import PE_VGOP
 from ..optimise import Search
-from ..study.auto_search import AutoSearch
-from ..study.score_map import POINTS
-from .options import option_name
+from ..optimise.multi_fidelity import MultiFidelitySearch
+from ..run.verdict import POINTS
+from ..scene.settings import MOUNTING
 
 _BAR = "{desc} {percentage:3.0f}% |{bar:8}| {remaining} left{postfix}"  # with the best so far it fits 80 columns
 
@@ -62,7 +62,7 @@ class RunProgress:
 
     def __init__(self, variables: Sequence[str], metric: Metric = PE_VGOP) -> None:
         self._metric = metric
-        self._names = [option_name(key).removeprefix("--") for key in variables]
+        self._names = [MOUNTING[key].option.removeprefix("--") for key in variables]
         self._searched: Search | None = None
         self._search: Progress | None = None
         self._map: Progress | None = None
@@ -76,7 +76,7 @@ class RunProgress:
             if progress is not None:
                 progress.close()
 
-    def searching(self, search: Search | AutoSearch) -> None:
+    def searching(self, search: Search | MultiFidelitySearch) -> None:
         if search is not self._searched:
             self._begin(search)
         else:
@@ -97,7 +97,7 @@ class RunProgress:
         self._map.advance(points)
 
     def _best(self, search):
-        if isinstance(search, AutoSearch) and search.best_value == -math.inf:
+        if isinstance(search, MultiFidelitySearch) and search.best_value == -math.inf:
             return search.stage
         mount = ", ".join(f"{name} {value:.2f}" for name, value in zip(self._names, search.best_x, strict=True))
         return f"best {self._metric.amount(search.best_value, -2)} at {mount}"

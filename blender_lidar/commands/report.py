@@ -8,20 +8,24 @@ from dataclasses import asdict
 
 import numpy as np
 
-from ..metrics.catalogue import metric_named
-from ..metrics.views import PE_VGOP
+from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import DePso
-from ..reporting.comparison import compared_names, comparison_sections
-from ..reporting.summary import COORDINATE_NAMES, cautions, group_scores
-from ..results import RunFolder
-from ..run import Outcome
-from ..study.auto_search import NAME as AUTO
-from ..study.circumstances import imperfections_text, scenery_counts, scenery_text
-from ..study.objective_text import objective_text
-from ..study.site import Site
-from ..study.tolerance import SEARCHED_BASE
-from ..study.tolerance_text import aim_text, tolerance_text
-from ..study.verdict import distance_bands, lanes
+from ..report.summary import cautions, compared_names, comparison_sections, group_scores
+from ..run.folder import RunFolder
+from ..run.installation import (
+    COORDINATE_NAMES,
+    aim_text,
+    imperfections_text,
+    objective_text,
+    scenery_counts,
+    scenery_text,
+    tolerance_text,
+)
+from ..run.optimise import AUTO, Outcome
+from ..run.tolerance import SEARCHED_BASE
+from ..run.verdict import distance_bands, lanes
+from ..scene.site import Site
+from ..scoring.evaluation import workplace_of
 
 _NOTE_WIDTH = 120
 
@@ -50,7 +54,7 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
         *(("", note) for note in plan.notes),
         (
             "Casting",
-            f"{observation.caster}, detail {observation.detail}, {site.workplace}",
+            f"{observation.caster}, detail {observation.detail}, {workplace_of(scenario.model)}",
         ),
     ]
     if searched:
@@ -67,10 +71,10 @@ def comparison(outcome: Outcome) -> str:
     """The mounting and the baseline side by side: scores, then detectable shares by distance and by lane."""
     result = outcome.result
     rows = [("Mounting", *compared_names(result))]
-    for section in comparison_sections(result):
-        if section.heading != rows[0][0]:
-            rows.append((section.heading,))
-        rows += [(f"  {what}", *numbers) for what, *numbers in section.rows]
+    for heading, lines in comparison_sections(result):
+        if heading != rows[0][0]:
+            rows.append((heading,))
+        rows += [(f"  {what}", *numbers) for what, *numbers in lines]
     tables = [_table(rows), _table(_group_rows("distance", distance_bands, outcome))]
     if outcome.baseline["lane"].any():
         tables.append(_table(_group_rows("lane", lanes, outcome)))
@@ -88,6 +92,7 @@ def files(folder: RunFolder, charts: Sequence[str]) -> str:
 
 
 def _group_rows(title, groups, outcome):
+    """Scores by distance or by lane under three lines of headings."""
     scores = group_scores(groups, outcome.result, outcome.baseline, outcome.optimised)
     return [
         ("", *(cell for split in scores.splits for cell in (split, "", "", "")), ""),
@@ -98,6 +103,7 @@ def _group_rows(title, groups, outcome):
 
 
 def _table(rows):
+    """Rows in columns: the first flush left, numbers flush right."""
     widths = [max(len(row[column]) for row in rows if len(row) > column) for column in range(max(map(len, rows)))]
     return "\n".join(
         "  ".join(
@@ -115,12 +121,14 @@ def _frames(frames, block):
 
 
 def _held_out(site):
+    """The held-out frames, or that there are none."""
     if not len(site.holdout):
         return "nothing"
     return f"{_frames(site.holdout, site.plan.holdout_block)}; none of them is in a searched frame"
 
 
 def _tolerance_text(scenario, searched):
+    """The tolerance of installation, and how it is searched; empty where there is none."""
     tolerance = scenario.objective.tolerance
     if tolerance is None:
         return ""
@@ -131,6 +139,7 @@ def _tolerance_text(scenario, searched):
 
 
 def _search_text(scenario):
+    """What is searched, between which bounds, how, and with what budget."""
     settings, bounds = scenario.search, scenario.deployment.bounds
     ranges = (
         f"{name} {bounds[key][0]:g} to {bounds[key][1]:g} {unit}"

@@ -1,31 +1,38 @@
-"""blender-lidar scan: the whole clouds of one frame or of many, ground included."""
+"""blender-lidar scan, build and render: what a mounting sees of frames, as clouds, as .blend files and as pictures."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ..clouds.files import WRITERS, check_cloud_name, write_cloud, write_sustechpoints
+from ..clouds.scan import PointCloud
+from ..clouds.snapshot import MountedSensor, mounted_sensor
 from ..errors import InputError
-from ..formats.atomic import check_place, make_folder
-from ..formats.clouds import WRITERS, check_cloud_name, write_cloud
-from ..formats.sustechpoints import write_sustechpoints
-from ..moments import MountedSensor, mounted_sensor
-from ..scan import PointCloud
-from ..study.keep_clear import check_mount_is_clear
-from ..study.site import frame_of, read_recording
+from ..files import check_place, make_folder
+from ..report.page import RENDER_VIEWS, read_run, render_file, write_report
+from ..run.folder import VEHICLES, RunFolder
+from ..scene.provenance import check_same_inputs
+from ..scene.scenario import Scenario, load_scenario
+from ..scene.site import check_mount_is_clear, frame_of, read_recording
+from ..traffic import Recording
 from ..traffic.vehicles import Vehicles
+from ..world.needs_blender import blender_room
 from .options import add_moments, mounting_from, parse_frames, scenario_from
 from .progress import Progress
 
 _SUSTECHPOINTS = "sustechpoints"
 _FORMATS = [*(suffix.removeprefix(".") for suffix in WRITERS), _SUSTECHPOINTS]
+_MOST_SAMPLES = 4096
 
 
 def add_parser(subparsers) -> None:
-    """Describe the verb to argparse."""
+    """Describe the verbs to argparse."""
     parser = subparsers.add_parser(
         "scan",
         help="write the point clouds of frames",
@@ -44,24 +51,63 @@ def add_parser(subparsers) -> None:
         choices=_FORMATS,
         help="format of the files in the folder; npz unless said, sustechpoints adds labels",
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=_scan)
+    parser = subparsers.add_parser(
+        "build",
+        help="write a scene as a .blend file",
+        description="Build one frame's road, vehicles, LiDAR and point cloud in Blender and write them as a .blend "
+        "file. With --frame-ids the vehicles drive through those frames, as an animation; the cloud is the first's.",
+    )
+    add_moments(parser, many="an animation")
+    parser.add_argument("--no-cloud", action="store_true", help="leave the point cloud out")
+    parser.add_argument("--out", required=True, metavar="FILE.blend", help="the file to write")
+    parser.set_defaults(run=_build)
+    parser = subparsers.add_parser(
+        "render",
+        help="pictures of a run's mountings with their clouds, by Cycles",
+        description="Render the baseline and the mounting of a run with the clouds that they see, from above and from "
+        "the pole, into the run's folder, and gather them in its report.html. Points on a vehicle go from red to green "
+        "with the vehicle's entropy.",
+    )
+    parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
+    parser.add_argument("--frame", type=int, metavar="K", help="frame number; by default the fullest searched one")
+    parser.add_argument("--samples", type=int, metavar="N", help="light paths per pixel; more is smoother and slower")
+    parser.set_defaults(run=_render)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Carry it out; returns the exit code."""
+def _frame_numbers(args: argparse.Namespace) -> tuple[list[int], str]:
+    """The frames that are asked for, and the option that says so."""
+    if args.sequence is None:
+        return [args.frame], "--frame"
+    return parse_frames(args.sequence, "--frame-ids"), "--frame-ids"
+
+
+def _frames(
+    scenario: Scenario, mount: Mapping[str, float], numbers: list[int], option: str
+) -> tuple[Recording, list[Vehicles]]:
+    """The recording and its frames of these numbers, in none of which the mount stands in traffic."""
+    recording = read_recording(scenario)
+    frames = [frame_of(recording, number, option) for number in numbers]
+    check_mount_is_clear(scenario, frames, {"--x, --y": mount})
+    return recording, frames
+
+
+# --- Clouds -----------------------------------------------------------------------------------------------
+
+
+def _scan(args: argparse.Namespace) -> int:
+    """Write clouds; returns the exit code."""
     one = args.sequence is None
     if one and args.format is not None:
         raise InputError("--format: goes with --frame-ids; the suffix of --out says what one cloud is written as")
-    numbers, option = ([args.frame], "--frame") if one else (parse_frames(args.sequence, "--frame-ids"), "--frame-ids")
+    numbers, option = _frame_numbers(args)
     if one:
         check_place(args.out, "--out")
     paths = [check_cloud_name(args.out, "--out")] if one else _paths(Path(args.out), numbers, args.format or "npz")
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
     scanner = _Scanner(mounted_sensor(scenario, mount), args.format == _SUSTECHPOINTS)
-    recording = read_recording(scenario)
-    frames = [frame_of(recording, number, option) for number in numbers]
-    check_mount_is_clear(scenario, frames, {"--x, --y": mount})
+    _, frames = _frames(scenario, mount, numbers, option)
     if one:
         cloud = scanner.write(paths[0], frames[0])
         of_vehicle = cloud.vehicle_id[cloud.vehicle_id >= 0]
@@ -113,3 +159,64 @@ def _paths(folder: Path, numbers: list[int], cloud_format: str) -> list[Path]:
     if cloud_format == _SUSTECHPOINTS:
         return [folder] * len(numbers)
     return [folder / f"{number:06d}.{cloud_format}" for number in numbers]
+
+
+# --- A .blend file ----------------------------------------------------------------------------------------
+
+
+def _build(args: argparse.Namespace) -> int:
+    """Write a scene as a .blend file; returns the exit code."""
+    if Path(args.out).suffix.lower() != ".blend":
+        raise InputError(f"--out: {args.out}: allowed: a file name that ends in .blend")
+    check_place(args.out, "--out")
+    numbers, option = _frame_numbers(args)
+    animated = args.sequence is not None
+    scenario = scenario_from(args)
+    mount = mounting_from(args, scenario)
+    scene = blender_room("scene", "build")
+    sensor = mounted_sensor(scenario, mount)
+    recording, frames = _frames(scenario, mount, sorted(set(numbers)), option)
+    moment = sensor.moment(frames[0], with_cloud=not args.no_cloud)
+    scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
+    points = "no cloud" if moment.cloud is None else f"{len(moment.cloud)} points"
+    moving = f" driving through {len(frames)} frames" if animated else ""
+    print(f"{args.out}: {len(frames[0])} vehicles{moving}, {points} ({sensor.lattice.model.name}, {sensor.caster})")
+    return 0
+
+
+# --- Pictures ---------------------------------------------------------------------------------------------
+
+
+def _render(args: argparse.Namespace) -> int:
+    """Render a run's mountings; returns the exit code."""
+    folder = RunFolder(args.folder)
+    result = read_run(folder).result
+    blender = blender_room("scene", "render")
+    samples = blender.SAMPLES if args.samples is None else args.samples
+    if not 1 <= samples <= _MOST_SAMPLES:
+        raise InputError(f"--samples: is {samples}; allowed: 1 to {_MOST_SAMPLES}")
+    scenario = load_scenario(folder.scene)
+    check_same_inputs(scenario, result["identity"])
+    recording = read_recording(scenario)
+    number = _fullest_frame(folder) if args.frame is None else args.frame
+    vehicles = frame_of(recording, number, "--frame")
+    mounts = {"baseline": result["baseline"]["deployment"], "optimised": result["deployment"]}
+    written = []
+    with folder.locked(), closing(Progress(len(mounts) * len(RENDER_VIEWS), "render")) as progress:
+        for name, mount in mounts.items():
+            scene = blender.empty_scene()
+            blender.build_scene(scene, mounted_sensor(scenario, mount).moment(vehicles))
+            for view in RENDER_VIEWS:
+                written.append(folder.file(render_file(name, view)))
+                blender.render_picture(written[-1], scene, blender.CAMERAS[view], size=blender.SIZE, samples=samples)
+                progress.advance(1)
+        written.append(write_report(folder))
+    print(f"frame {number}: " + ", ".join(map(str, written)))
+    return 0
+
+
+def _fullest_frame(folder: RunFolder) -> int:
+    """The searched frame with the most counted vehicles."""
+    table = folder.read_vehicles(VEHICLES)
+    frames, counts = np.unique(table["frame"][table["split"] == "search"], return_counts=True)
+    return int(frames[counts.argmax()])

@@ -9,12 +9,12 @@ import warnings
 
 import numpy as np
 
+from ..clouds.files import read_points
 from ..errors import InputError
-from ..formats.clouds import read_points
-from ..formats.tables import write_columns
+from ..files import write_columns
 from ..metrics.assignment import NO_BOX, points_in_boxes
 from ..metrics.catalogue import METRICS, metric_named
-from ..metrics.metric import DISTANCE, POINTS, Metric, vehicle_returns
+from ..metrics.metric import NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
 from ..metrics.vgop import DEFAULT_CELL_M, entropy, to_vehicle_frame
 from ..optimise import VIEWS, detectable
 from ..traffic import read_table
@@ -120,10 +120,10 @@ def _metrics(args) -> list[Metric]:
     for name in args.metric:
         if name != _ALL:
             found[name] = metric_named(name, "--metric").learnt(None)
-            if DISTANCE in found[name].needs and args.lidar is None:
+            if NEEDS_DISTANCE in found[name].needs and args.lidar is None:
                 raise InputError(f"--metric: {name} needs to know where the LiDAR is; give --lidar X Y")
             continue
-        known = {POINTS} if args.lidar is None else {POINTS, DISTANCE}
+        known = {NEEDS_POINTS} if args.lidar is None else {NEEDS_POINTS, NEEDS_DISTANCE}
         of_cloud = {key: metric for key, metric in _of_vehicles().items() if metric.needs <= known}
         found |= of_cloud
         if left_out := METRICS.keys() - of_cloud.keys():

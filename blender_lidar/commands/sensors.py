@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..plots.beam_fan import MOUNT_HEIGHT_M, fan_text, ground_distance_m, plot_beam_fan
+from ..report.beam_fan import MOUNT_HEIGHT_M, fan_text, ground_distance_m, plot_beam_fan
 from ..sensors.model import LidarModel, load_model, model_names
 
 _WIDTH = 100

@@ -1,4 +1,4 @@
-"""Which box each point of a cloud belongs to, where the cloud does not say."""
+"""Point-in-box assignment: which box each point of a cloud belongs to, where the cloud does not say."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Metrics of a whole scene: S-MIG, its positive form, M-SOG, expected visibility, density and evenness on the ground.
+"""Scene metrics: S-MIG, covered entropy, M-SOG, expected visibility, density and NUC of ground returns.
 
 They look at the carriageway within the range gate, not at a vehicle. For the objective the value of a scene counts once
 for every counted vehicle of a frame: the mean per vehicle is then the scene's value, and frames weigh as they do with
@@ -17,19 +17,147 @@ Beams are those of a perfect sensor, and neither the vehicles of the moment nor 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from ..errors import InputError
-from .context import Field, SceneContext
-from .expected_visibility import reach_probability
-from .ground_returns import field_area, ground_density, nuc
-from .metric import VIEW, Metric, VehicleReturns
-from .occupancy_prior import OccupiedFrames
-from .voxel_grid import VoxelGrid
-from .voxel_walk import covered_voxels
+from .metric import Field, SceneContext, VehicleReturns
+from .occupancy_prior import OccupiedFrames, reach_probability
+from .voxel_grid import VoxelGrid, covered_voxels
+
+# --- How densely and how evenly beams sample the empty road: the two surrogate metrics of Cai and others --
+
+DISC_RADIUS_M, DISCS, SEED = 0.7, 6000, 1
+"""r and D of `nuc` as in the authors' code; theirs has no fixed seed, and draws no return twice."""
+_PAIRS_AT_A_TIME = 1 << 16  # whose temporaries stay in cache
+
+
+def ground_density(points_m: np.ndarray, area_m2: float) -> float:
+    """Returns from the ground per area of the field, N / A [points/m²]; higher is better.
+
+    Cai et al., ICRA 2023, arXiv:2211.15975 (PCSim, `ComputeDNUC.py`). It falls with the square of distance, so that the
+    metres next to the pole decide it. It knows no vehicles: neither where they drive nor what they hide.
+
+    Parameters
+    ----------
+    points_m : ndarray, (n, 2)
+        Returns in the field [m].
+    area_m2 : float
+        Its area A [m²].
+
+    Raises
+    ------
+    InputError
+        When the shape is another, a point is not finite or the area is not positive.
+    """
+    return len(_checked(points_m, area_m2)) / area_m2
+
+
+def nuc(
+    points_m: np.ndarray, area_m2: float, radius_m: float = DISC_RADIUS_M, discs: int = DISCS, seed: int = SEED
+) -> float:
+    """Non-uniformity of ground returns, the standard deviation of x_i = n_i / (N p) over discs; lower is better.
+
+    n_i of all N returns lie in the i-th of D discs of radius r about returns drawn at random, with replacement; p = pi
+    r^2 / A is a disc's share of the field, so that x is about 1 for returns spread evenly. Cai et al., ICRA 2023,
+    arXiv:2211.15975 (PCSim, `ComputeDNUC.py`), after PU-Net's normalised uniformity coefficient.
+
+    As published, discs reach over the field's edge, and are drawn where returns are dense, so that sparse zones hardly
+    count. A few returns close together, or a single one, make it 0, which no road can better: read it beside
+    `ground_density`. Without any return it is taken for its upper bound 1 / (2 p).
+
+    Parameters
+    ----------
+    points_m : ndarray, (n, 2)
+        Returns in the field [m].
+    area_m2 : float
+        Its area A [m²].
+    radius_m : float
+        r [m].
+    discs : int
+        D.
+    seed : int
+        Of the draws. The same numbers in [0, 1) pick the discs of every cloud.
+
+    Raises
+    ------
+    InputError
+        When the shape is another, a point is not finite or a number is not positive.
+    """
+    points = _checked(points_m, area_m2)
+    if not 0.0 < radius_m < math.inf or discs < 1:
+        raise InputError(f"{discs} discs of radius {radius_m} m; allowed: 1 or more, a positive radius")
+    share = math.pi * radius_m**2 / area_m2
+    if not len(points):
+        return 0.5 / share  # x lies between 0 and 1 / p
+    drawn = (np.random.default_rng(seed).random(discs) * len(points)).astype(np.int64)
+    within = _neighbours(points, points[drawn], radius_m)
+    return float(np.std(within)) / (len(points) * share)
+
+
+def field_area(radius_m: float, y_m: tuple[float, float]) -> float:
+    """Area of the part of a strip between two y that lies in a disc about the origin [m²].
+
+    Parameters
+    ----------
+    radius_m : float
+        The disc's radius R [m].
+    y_m : tuple of float
+        From y to y [m].
+    """
+    low, high = np.clip(y_m, -radius_m, radius_m)
+    # The integral of 2 sqrt(R^2 - y^2).
+    below = [y * math.sqrt(radius_m**2 - y**2) + radius_m**2 * math.asin(y / radius_m) for y in (low, high)]
+    return max(below[1] - below[0], 0.0)
+
+
+def _neighbours(points, centres, radius):
+    """How many points lie within `radius` of each centre, rim included, (c,).
+
+    Points are sorted into columns as wide as `radius`, and by y within each: a disc's neighbours then lie in one run of
+    each of three columns.
+    """
+    low, reach = points.min(axis=0), radius * (1.0 + 1e-9)  # more than enough for rounding; the distance decides
+    x, y = (points - low).T
+    height = y.max() + 3.0 * reach  # of a column, so that no run leaves its own
+    place = np.floor(x / reach) * height + y
+    order = np.argsort(place, kind="stable")
+    x, y, place = x[order], y[order], place[order]
+    middle_x, middle_y = (centres - low).T
+    middle = (np.floor(middle_x / reach)[:, None] + np.array([-1.0, 0.0, 1.0])) * height + middle_y[:, None]
+    first = np.searchsorted(place, middle - reach, side="left")
+    length = np.searchsorted(place, middle + reach, side="right") - first
+    ends = np.cumsum(length.sum(axis=1))
+    within = np.zeros(len(centres), dtype=np.int64)
+    start = 0
+    while start < len(centres):
+        before = ends[start - 1] if start else 0
+        stop = max(int(np.searchsorted(ends, before + _PAIRS_AT_A_TIME, side="right")), start + 1)
+        many = length[start:stop].ravel()
+        candidate = np.arange(many.sum()) + np.repeat(first[start:stop].ravel() - (np.cumsum(many) - many), many)
+        pairs = length[start:stop].sum(axis=1)
+        across = x[candidate] - np.repeat(middle_x[start:stop], pairs)
+        along = y[candidate] - np.repeat(middle_y[start:stop], pairs)
+        near = np.append(0, np.cumsum(across * across + along * along <= radius * radius))
+        last = np.cumsum(pairs)
+        within[start:stop] = near[last] - near[last - pairs]
+        start = stop
+    return within
+
+
+def _checked(points, area):
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise InputError(f"points: shape {points.shape}; allowed: (n, 2), finite")
+    if not 0.0 < area < math.inf:
+        raise InputError(f"area_m2 is {area}; allowed: a positive number of square metres")
+    return points
+
+
+# --- Metrics of a whole scene: S-MIG, its positive form, M-SOG, expected visibility, density and evenness on the ground
 
 VOXEL_M = 0.4
 """That of the published code for expected visibility: a car is about 11 x 5 x 4 voxels. S-MIG's authors take 0.05 m,
@@ -154,101 +282,62 @@ def _area(field: Field):
     return field_area(field.radius_m, (field.y_m[0] - field.centre_xy_m[1], field.y_m[1] - field.centre_xy_m[1]))
 
 
-def _covered_entropy(road: Road, origin, rotation):
-    return road.frames.surprisal(road.covered(origin, rotation))
+def covered_entropy(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Entropy H(POG | L) of the voxels that a mounting's beams cross, as surprisal in each frame [nats], (f,).
+
+    S-MIG of Hu, Liu, Chitlangia, Agnihotri and Zhao (CVPR 2022, arXiv:2105.00373) is minus it: this has the sign that
+    rewards a sensor for covering what is uncertain, where vehicles are sometimes but not always. No published metric
+    has this sign with this formula; see `s_mig` for why it is needed. Higher is better.
+    """
+    return road.frames.surprisal(road.covered(origin_m, rotation))
 
 
-def _s_mig(road: Road, origin, rotation):
-    return 0.0 - _covered_entropy(road, origin, rotation)
+def s_mig(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """S-MIG as published, minus the sum of H(p) over covered voxels, as surprisal in each frame [nats], (f,).
+
+    Hu, Liu, Chitlangia, Agnihotri and Zhao, "Investigating the Impact of Multi-LiDAR Placement on Object Detection for
+    Autonomous Driving", CVPR 2022, arXiv:2105.00373. Their information gain IG = H(POG) - H(POG | L) differs from it by
+    a constant. Written from the definition: their released code counts a voxel once for every beam.
+
+    The sign makes it degenerate: a sensor whose beams miss the road altogether gets 0, the greatest value there is, and
+    every voxel that a beam adds lowers it. It was meant for set-ups with as many beams in the same region, and is of
+    use between such alone; a search that may turn beams away from the road will do so.
+    """
+    return 0.0 - covered_entropy(road, origin_m, rotation)
 
 
-def _m_sog(road: Road, origin, rotation):
-    covered = road.covered(origin, rotation)
+def m_sog(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """M-SOG, minus the mean of H(p) over covered voxels, as surprisal in each frame [nats], (f,); 0 without any.
+
+    Li, Kong, Hu, Xu and Huang, "Is Your LiDAR Placement Optimized for 3D Scene Understanding?" (Place3D), NeurIPS 2024,
+    arXiv:2403.17009, section 3, as for car detection: two classes, vehicle and anything else. Theirs learns classes
+    from dense merged clouds and follows beams as `VoxelWalk` does; code for the metric was not released.
+
+    As a mean of -H it rises with every *certain* voxel that is covered, such as the air above the roofs, and is
+    greatest for a sensor that covers nothing uncertain, or nothing at all: degenerate as `s_mig` is. Between set-ups
+    with as many covered voxels both say the same.
+    """
+    covered = road.covered(origin_m, rotation)
     return 0.0 - road.frames.surprisal(covered) / max(np.count_nonzero(covered), 1)
 
 
-def _visibility(road: Road, origin, rotation):
-    return road.frames.sums(road.reached(origin, rotation))
+def visible_voxels(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Expected visibility: occupied voxels that a beam can be expected to meet in each frame, (f,); higher is better.
+
+    What the group of Ma, Zheng and Easa places roadside LiDARs by, sum of p_k prod_{j<k} (1 - p_j) in the mean over the
+    frames, as read in their code (github.com/yangma93/Roadside-LiDAR-placement-), for one sensor: its cap at p_k holds
+    because the best beam counts. They go on to compare histograms of the true and the seen grid, which is left out.
+    Occlusion by traffic enters as an expectation, from one prior and without casting a beam at a vehicle. How densely
+    beams sample a voxel does not enter.
+    """
+    return road.frames.sums(road.reached(origin_m, rotation))
 
 
-def _density(context: SceneContext, origin, rotation):
-    return ground_density(ground_points(context, origin, rotation), _area(context.field))
+def density_on_ground(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
+    """`ground_density` of a mounting over the empty road [points/m²]."""
+    return ground_density(ground_points(context, origin_m, rotation), _area(context.field))
 
 
-def _nuc(context: SceneContext, origin, rotation):
-    return nuc(ground_points(context, origin, rotation), _area(context.field))
-
-
-def _itself(context: SceneContext) -> SceneContext:
-    return context
-
-
-def _metric(name, label, unit, prepare, values, tells, decimals, higher_is_better=True):
-    return Metric(
-        name,
-        label,
-        unit,
-        higher_is_better,
-        needs=frozenset({VIEW}),
-        learn=partial(SceneScore, prepare=prepare, values=values),
-        tells=tells,
-        decimals=decimals,
-        of_scene=True,
-    )
-
-
-COVERED_ENTROPY = _metric(
-    "covered-entropy",
-    "entropy of covered voxels",
-    "nats",
-    Road,
-    _covered_entropy,
-    "how uncertain the voxels of the road are, together, that beams cross",
-    1,
-)
-S_MIG = _metric(
-    "s-mig",
-    "S-MIG",
-    "nats",
-    Road,
-    _s_mig,
-    "how certain the voxels of the road are, together, that beams cross",
-    1,
-)
-M_SOG = _metric(
-    "m-sog",
-    "M-SOG",
-    "nats",
-    Road,
-    _m_sog,
-    "how certain the voxels of the road are, in the mean, that beams cross",
-    4,
-)
-EXPECTED_VISIBILITY = _metric(
-    "expected-visibility",
-    "expected visibility",
-    "voxels",
-    Road,
-    _visibility,
-    "how many occupied voxels beams can be expected to meet",
-    1,
-)
-GROUND_DENSITY = _metric(
-    "ground-density",
-    "density of ground returns",
-    "points/m²",
-    _itself,
-    _density,
-    "how densely beams sample the empty road",
-    3,
-)
-GROUND_NUC = _metric(
-    "ground-nuc",
-    "non-uniformity of ground returns (NUC)",
-    "",
-    _itself,
-    _nuc,
-    "how unevenly beams sample the empty road",
-    3,
-    higher_is_better=False,
-)
+def nuc_on_ground(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
+    """`nuc` of a mounting over the empty road."""
+    return nuc(ground_points(context, origin_m, rotation), _area(context.field))

@@ -1,17 +1,38 @@
-"""The grids over a vehicle's top, side and front view, and what share of their cells holds a point (Eqs. 6 to 8)."""
+"""Occupancy grids over a vehicle's top, side and front view: the share of cells that hold a point (Eqs. 6 to 8)."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from ..errors import InputError
-from .cell_marks import VIEW_AXES, fastest_marks, places_kept, places_of, whole_cells
-from .readings import check_reading
+from ..compiled import numba_works
+from ..errors import InputError, unknown_name
+
+# --- The two readings of the paper's equations: the corrected one, and the literal one for comparison -----
+
+READINGS = ("corrected", "paper")
+
+
+def check_reading(reading: str) -> None:
+    """Raise `InputError` unless `reading` is one of `READINGS`."""
+    if reading not in READINGS:
+        raise unknown_name(reading, READINGS, "reading")
+
+
+# --- The grids over a vehicle's top, side and front view ---------------------------------------------------
 
 VIEWS = ("top", "side", "front")
+VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
 DEFAULT_CELL_M = 0.05
 
 _WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
+_KEPT_BYTES = 1 << 22  # 4 MB: larger arrays of marks are not kept from one cloud to the next
+_CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
+_WORDS_TO_SUM = 255  # of eight bytes, each 0 or 1: the sum of so many overflows no byte
+_MOST_MARKS = 255  # of a byte; then all cells are emptied
+
+_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 
 def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
@@ -39,7 +60,12 @@ def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
 
 
 class ViewGrids:
-    """The three grids of each of n boxes, made once for any number of clouds.
+    """Occupancy grids of the three views of each of n boxes (Eqs. 6 to 8), made once for any number of clouds.
+
+    Points are not sorted: every point marks its cells in one array of bytes, in which each grid begins at a whole
+    64-bit word. In NumPy eight cells at a time are then summed as one number; compiled code, which takes over where
+    Numba is installed, counts a cell when it is marked for the first time, and marks each cloud with another number so
+    that cells need not be emptied between clouds.
 
     Parameters
     ----------
@@ -49,6 +75,16 @@ class ViewGrids:
         Side of a square cell [m].
     reading : {"corrected", "paper"}
         What Eq. 8 divides by: the number of whole cells, or, as printed, the area of the view over that of a cell.
+
+    Attributes
+    ----------
+    cells : ndarray of int64, (3, n)
+        Cells along each side of each box.
+    start : ndarray of int64, (3, n)
+        Cell at which each grid begins in the array of marks, by view and box.
+    half_m : ndarray, (3, n)
+        Half of the boxes' sides [m].
+    cell_m : float
 
     Raises
     ------
@@ -60,19 +96,23 @@ class ViewGrids:
         check_reading(reading)
         cells = cell_counts(size, cell_m)
         size = np.asarray(size, dtype=float)
-        self._cell_m = cell_m
-        self._half, self._cells = 0.5 * size.T, np.ascontiguousarray(cells.T)  # (3, n): one side after another
+        self.cell_m, self.half_m = float(cell_m), np.ascontiguousarray(0.5 * size.T)
+        self.cells = np.ascontiguousarray(cells.T)
+        self._counts = self.cells.astype(float)
         sides = cells if reading == "corrected" else size / cell_m
         self._whole = np.stack([sides[:, row] * sides[:, column] for row, column in VIEW_AXES], axis=1)  # Eq. 8
-        self.marks = fastest_marks()(self._cells)
+        words = -(-np.stack([self.cells[row] * self.cells[column] for row, column in VIEW_AXES]) // 8).ravel()
+        first_word = np.cumsum(words) - words
+        self.start, self._bytes = (8 * first_word).reshape(3, -1), 8 * int(words.sum())
+        self._marks, self._last_mark = np.zeros(0, dtype=np.uint8), 0
+        # Each grid is summed in parts.
+        parts = -(-words // _WORDS_TO_SUM)
+        self._first_part = np.cumsum(parts) - parts
+        part = np.arange(parts.sum()) - np.repeat(self._first_part, parts)
+        self._part_start = np.repeat(first_word, parts) + _WORDS_TO_SUM * part
 
     def __len__(self) -> int:
         return len(self._whole)
-
-    @property
-    def clouds_at_a_time(self) -> int:
-        """How many clouds can be scored together within the memory that is kept; 1 at least."""
-        return self.marks.clouds_at_a_time
 
     def occupancy(self, points: np.ndarray, vehicle: np.ndarray) -> np.ndarray:
         """P of the top, side and front view of each box (Eqs. 6 to 8), (n, 3).
@@ -85,9 +125,20 @@ class ViewGrids:
         vehicle : ndarray of int64, (k,)
             The box that each point belongs to; in range, which is not checked here either.
         """
-        self.marks.begin(1)
-        self.marks.mark_points(points, vehicle, self._half, self._cell_m)
-        return self.shares(self.marks.counts())[0]
+        if numba_works():
+            from .compiled_marks import mark_points
+
+            counts = np.zeros((len(self), 3), dtype=np.int64)
+            mark_points(points, vehicle, self.half_m, self.cell_m, self.cells, self.start, *self.take_marks(1), counts)
+            return self.shares(counts)
+        marks = np.zeros(self._bytes, dtype=np.uint8)
+        for first in range(0, len(points), _CHUNK_POINTS):
+            chunk = slice(first, first + _CHUNK_POINTS)
+            cell, count, kept = self._cells_of(points[chunk], vehicle[chunk])
+            start = _take(self.start, kept, axis=1)
+            for view, (row, column) in enumerate(VIEW_AXES):
+                marks[(cell[row] * count[column] + cell[column]).astype(np.int64) + start[view]] = 1
+        return self.shares(self._marked(marks))
 
     def shares(self, counts: np.ndarray) -> np.ndarray:
         """P of views (Eq. 7) from the marked cells of each box's views, both (..., n, 3)."""
@@ -95,87 +146,34 @@ class ViewGrids:
 
     def cells_of(self, points: np.ndarray, vehicle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cell of each point along each axis, (3, j), and its vehicle, (j,), without the points that are dropped."""
-        place = places_of(points, vehicle, self._half, self._cell_m)
-        place, vehicle, _ = places_kept(place, vehicle, self._cells)
-        return whole_cells(place, vehicle, self._cells), vehicle
+        cell, _, vehicle = self._cells_of(points, vehicle)
+        return cell.astype(np.int64), vehicle
 
+    def _cells_of(self, points, vehicle):
+        """The same, whole numbers as floats; with the cells along the sides of the boxes, (3, j)."""
+        cell = points.T + _take(self.half_m, vehicle, axis=1)
+        cell /= self.cell_m  # from the box's rear right lower corner
+        count = _take(self._counts, vehicle, axis=1)
+        kept = ((cell >= -1.0) & (cell < count + 1.0)).all(axis=0)
+        if not kept.all():
+            cell, count, vehicle = cell[:, kept], count[:, kept], vehicle[kept]
+        np.minimum(cell, count - 1.0, out=cell)  # beyond the rim the rim's
+        np.maximum(cell, 0.0, out=cell)
+        return np.floor(cell, out=cell), count, vehicle
 
-class PlacedGrids(ViewGrids):
-    """The grids of boxes that stand somewhere, for returns as a LiDAR measures them: a direction and a distance.
+    def take_marks(self, clouds: int) -> tuple[np.ndarray, int]:
+        """Marks of all cells for compiled code, and the first of so many numbers (255 at most) that none has."""
+        marks, first = self._marks, self._last_mark + 1
+        if len(marks) != self._bytes or self._last_mark + clouds > _MOST_MARKS:
+            marks, first = np.zeros(self._bytes, dtype=np.uint8), 1
+        self._last_mark = first + clouds - 1
+        self._marks = marks if self._bytes <= _KEPT_BYTES else marks[:0].copy()
+        return marks, first
 
-    Parameters
-    ----------
-    centre, size : ndarray, (n, 3)
-        Box centres; length, width and height [m].
-    heading : ndarray, (n,)
-        Counter-clockwise from +x [rad].
-    cell_m, reading
-        As for `ViewGrids`.
-    """
-
-    def __init__(
-        self,
-        centre: np.ndarray,
-        size: np.ndarray,
-        heading: np.ndarray,
-        cell_m: float = DEFAULT_CELL_M,
-        reading: str = "corrected",
-    ) -> None:
-        super().__init__(size, cell_m, reading)
-        centre, heading = np.asarray(centre, dtype=float), np.asarray(heading, dtype=float)
-        if centre.shape != (len(self), 3) or heading.shape != (len(self),):
-            raise InputError(
-                f"centre and heading have shapes {centre.shape} and {heading.shape}; "
-                f"allowed: {(len(self), 3)} and {(len(self),)}"
-            )
-        self._centre = centre
-        self._cos, self._sin = np.cos(heading), np.sin(heading)
-
-    def returns_occupancy(
-        self,
-        origins: np.ndarray,
-        cloud: np.ndarray | None,
-        directions: np.ndarray,
-        distance: np.ndarray,
-        vehicle: np.ndarray,
-        noisy: bool = False,
-    ) -> np.ndarray:
-        """P of the top, side and front view of each box in each of s clouds (Eqs. 2 to 8), (s, n, 3).
-
-        The same as `occupancy` of each cloud with its returns in their vehicles' frames, in fewer passes over them.
-
-        Parameters
-        ----------
-        origins : ndarray, (s, 3)
-            Optical centre of each cloud, in the frame of the boxes [m].
-        cloud : ndarray of int64, (k,), or None
-            The cloud that each return belongs to, rising; None where there is one.
-        directions : ndarray, (3, k)
-            Unit vectors in the frame of the boxes, coordinate by coordinate.
-        distance : ndarray, (k,)
-            Distance of each return [m].
-        vehicle : ndarray of int64, (k,)
-            The box whose surface each return comes from.
-        noisy : bool
-            Whether returns may lie off that surface: those more than a cell beyond the box are then dropped. Otherwise
-            that is not checked, and what lies beside the box falls into the rim's cell.
-        """
-        self.marks.begin(len(origins))
-        self.marks.mark_returns(directions, distance, vehicle, cloud, self.starts(origins), self.turning, noisy)
-        return self.shares(self.marks.counts())
-
-    def starts(self, origins: np.ndarray) -> np.ndarray:
-        """Origins (s, 3) [m] as the grids count them, in cells from each box's rear right lower corner, (3, s n)."""
-        x, y, z = np.moveaxis(origins[:, None] - self._centre, -1, 0)
-        turned = np.stack([self._cos * x + self._sin * y, self._cos * y - self._sin * x, z])  # Eqs. 4 and 5
-        return ((turned + self._half[:, None]) / self._cell_m).reshape(3, -1)
-
-    @property
-    def placing(self) -> tuple[np.ndarray, np.ndarray]:
-        """The boxes' centres, (n, 3), and half of their sides, (3, n) [m]."""
-        return self._centre, self._half
-
-    @property
-    def turning(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Cosine and sine of the boxes' headings, (n,) each, and the side of a cell [m]."""
-        return self._cos, self._sin, self._cell_m
+    def _marked(self, marks):
+        """Marked cells of each box's views, (n, 3)."""
+        if not len(self):
+            return np.zeros((0, 3), dtype=np.int64)
+        of_part = np.add.reduceat(marks.view(np.uint64), self._part_start).view(np.uint8)
+        of_part = of_part.reshape(-1, 8).sum(axis=1, dtype=np.int64)
+        return np.add.reduceat(of_part, self._first_part).reshape(3, -1).T

@@ -3,14 +3,13 @@
 A function in, a best point out; needs numpy alone.
 """
 
-from ..metrics.readings import READINGS
-from .build import SEARCHES, make_search, search_from_state
+from ..metrics.view_grids import READINGS
+from .baselines import GridSearch, RandomSearch
+from .de_pso import DePso, DePsoSettings
 from .hardened import Hardened, HardenedSettings
 from .objective import VIEWS, detectable, vehicle_score
-from .protocol import Search
-from .rivals import GridSearch, RandomSearch
-from .solve import Objective, SearchResult, de_pso, maximise, run
-from .swarm import DePso, DePsoSettings
+from .search import Search
+from .solve import SEARCHES, Objective, SearchResult, de_pso, make_search, maximise, run
 
 __all__ = [
     "READINGS",
@@ -30,6 +29,5 @@ __all__ = [
     "make_search",
     "maximise",
     "run",
-    "search_from_state",
     "vehicle_score",
 ]

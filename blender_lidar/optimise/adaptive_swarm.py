@@ -16,12 +16,10 @@ Only the order of values counts. Positions are shares of the box, 0 to 1 in ever
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
-from .sampling import latin_hypercube
-from .stored import read_array, read_count, read_values, write_values
+from .search import latin_hypercube
 
 CONSTRICTION = 0.7298  # Clerc and Kennedy (2002)
 ATTRACTION = 1.49618  # each of both: 0.7298 * 4.1 / 2
@@ -39,7 +37,7 @@ class AdaptiveSwarm:
     Parameters
     ----------
     rng : Generator
-        Shared with the caller, who stores its state.
+        Shared with the caller.
     particles, variables : int
         4 or more particles; 1 or more variables.
     flights : float
@@ -161,46 +159,6 @@ class AdaptiveSwarm:
             kept = np.concatenate([self._replaced, replaced])
             chosen = self._rng.permutation(len(kept))[: len(self.best)]
             self._replaced = kept[np.sort(chosen)]
-
-    def state(self) -> dict[str, Any]:
-        """Everything but the random generator, for JSON."""
-        return {
-            **{key: getattr(self, f"_{key}").tolist() for key in self._shapes()},
-            "best": self.best.tolist(),
-            "value": write_values(self.value.tolist()),
-            "candidates": self.candidates.tolist(),
-            "flown": self._flown.tolist(),
-            "replaced": self._replaced.tolist(),
-            "oldest": self._oldest,
-            "idle": self._idle,
-            "told": self._told,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Become what `state` described; raises `InputError` naming what is damaged."""
-        shape = self.best.shape
-        for key, size in self._shapes().items():
-            setattr(self, f"_{key}", read_array(state, key, size))
-        self.best, self.candidates = read_array(state, "best", shape), read_array(state, "candidates", shape)
-        self.value = read_values(state, "value", shape[0])
-        self._flown = read_array(state, "flown", shape[:1]).astype(bool)
-        self._replaced = read_array(state, "replaced", (len(state["replaced"]), shape[1]))
-        self._oldest = read_count(state, "oldest", MEMORY - 1)
-        self._idle = read_count(state, "idle")
-        self._told = bool(state["told"])
-
-    def _shapes(self) -> dict[str, tuple[int, ...]]:
-        particles, variables = self.best.shape
-        each, every = (particles,), (particles, variables)
-        return {
-            "position": every,
-            "velocity": every,
-            "next_velocity": every,
-            "scale": each,
-            "crossover": each,
-            "scales": (MEMORY,),
-            "crossovers": (MEMORY,),
-        }
 
 
 def reflected(target: np.ndarray) -> np.ndarray:

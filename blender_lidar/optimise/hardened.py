@@ -13,19 +13,85 @@ of a variable, nor on anything that raises all values in order. docs/search.md t
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Self
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from ..errors import InputError
 from .adaptive_swarm import AdaptiveSwarm
-from .basins import Basins
-from .checks import check_number, check_whole
-from .covariance_adaptation import NARROW, CovarianceAdaptation
-from .recorded import RecordedSearch
-from .sampling import generator
-from .stored import read_array, read_count
+from .cma_es import NARROW, CovarianceAdaptation
+from .search import Search, check_number, check_whole, generator, numbered
+
+# --- Where else a landscape may have a maximum, told from points that were evaluated ----------------------
+# A point whose nearest better one is far tops a basin, as far as anybody knows; on a slope the nearest better one is
+# near (after nearest-better clustering: Preuss, Niching the CMA-ES via nearest-better clustering, GECCO 2010). Points
+# are shares of the box, 0 to 1 in every variable; distances are root mean squares over the variables. Only the order
+# of values counts.
+
+WATCHED = 1000  # the best points alone are kept; their nearest better ones are among them
+
+
+class Basins:
+    """The best points so far, and how far each is from the nearest better one.
+
+    Of equal points the earlier counts as better.
+
+    Parameters
+    ----------
+    variables : int
+    """
+
+    def __init__(self, variables: int) -> None:
+        self._points = np.empty((0, variables))  # this and the others from the best point to the worst
+        self._values = np.empty(0)
+        self._nearest = np.empty(0)
+
+    def add(self, points: np.ndarray, values: np.ndarray) -> None:
+        """Take further points, (n, d), and their values, (n,); ``-inf`` says that one is infeasible."""
+        known, feasible = len(self._points), values > -math.inf
+        points = np.concatenate([self._points, points[feasible]])
+        values = np.concatenate([self._values, values[feasible]])
+        nearest = np.concatenate([self._nearest, np.full(len(values) - known, math.inf)])
+        best = np.argsort(-values, kind="stable")[:WATCHED]
+        is_new = best >= known
+        self._points, self._values, self._nearest = points[best], values[best], nearest[best]
+        for place in np.flatnonzero(is_new):
+            distances = _distances(self._points, self._points[place])
+            self._nearest[place] = distances[:place].min(initial=math.inf)
+            self._nearest[place + 1 :] = np.minimum(self._nearest[place + 1 :], distances[place + 1 :])
+
+    def unclimbed(self, climbed: np.ndarray) -> tuple[np.ndarray, float] | None:
+        """The best point that may top a basin nobody has climbed, and its distance to the nearest better one.
+
+        Near is the mean distance of a point to its nearest better one: among many points some are farther by chance.
+        That costs little climbs, and tries out ragged tops. As climbs add points, near shrinks.
+
+        Parameters
+        ----------
+        climbed : ndarray, (n, d)
+            Where climbs began and ended.
+
+        Returns
+        -------
+        start, distance : ndarray, (d,), and float
+            The distance is ``inf`` for the best point of all. None where every point has a better one, or a climb's
+            beginning or end, near.
+        """
+        if len(self._points) < 2:
+            return None
+        near = self._nearest[1:].mean()
+        for place in np.flatnonzero(self._nearest > near):
+            if _distances(climbed, self._points[place]).min() > near:
+                return self._points[place], float(self._nearest[place])
+        return None
+
+
+def _distances(points: np.ndarray, point: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.square(points - point).mean(axis=1))
+
+
+# --- The search, round after round ------------------------------------------------------------------------------------
 
 _FEWEST = 4  # particles of a swarm, samples of a climb
 _NARROWEST, _WIDEST = 1e-3, 0.25  # step sizes that a climb may start with, in shares of the box
@@ -72,10 +138,10 @@ class HardenedSettings:
     climbs: bool = True
 
     def __post_init__(self) -> None:
-        for name, least in (("particles", 1), ("evaluations", 1)):
-            object.__setattr__(self, name, check_whole(getattr(self, name), least, name))
+        check_whole(self.particles, 1, "particles")
+        check_whole(self.evaluations, 1, "evaluations")
         for name in ("opening", "flights", "greed", "turned"):
-            object.__setattr__(self, name, check_number(getattr(self, name), 0.0, 1.0, name))
+            check_number(getattr(self, name), 0.0, 1.0, name)
         if not isinstance(self.climbs, bool):
             raise InputError(f"climbs: {self.climbs!r}; allowed: True or False")
 
@@ -85,7 +151,7 @@ class HardenedSettings:
         return max(_FEWEST, min(self.particles, self.evaluations // 10))
 
 
-class Hardened(RecordedSearch):
+class Hardened(Search):
     """The hardened search as an ask/tell search; see `Search` for the methods.
 
     Parameters
@@ -109,8 +175,7 @@ class Hardened(RecordedSearch):
     ) -> None:
         self.settings = settings or HardenedSettings()
         super().__init__(lower, upper, budget=self.settings.evaluations, per_iteration=self.settings.swarm)
-        self._seed = check_whole(seed, 0, "seed")
-        self._rng = generator(self._seed)
+        self._rng = generator(seed)
         self._begin_anew()
         self._climb: CovarianceAdaptation | None = None  # whose candidates are asked for, else the swarm's
         self._basins = Basins(self._lower.size)
@@ -143,13 +208,11 @@ class Hardened(RecordedSearch):
         scaled = self._lower + self._shares() * (self._upper - self._lower)
         return np.clip(scaled, self._lower, self._upper)
 
-    def tell(self, values: np.ndarray) -> None:
-        super().tell(values)
-        values = np.asarray(values, dtype=float)
+    def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
         self._batches.append(values.size)
-        self._watch(self.evaluations - values.size, values.size)
         if self.done:
             return
+        self._basins.add((candidates - self._lower) / (self._upper - self._lower), values)
         if self._climb is None:
             self._swarm.tell(values)
         else:
@@ -160,12 +223,6 @@ class Hardened(RecordedSearch):
         if self._climb is None:
             self._choose()
         (self._climb or self._swarm).move()
-
-    def _watch(self, first: int, size: int) -> None:
-        """Tell the basins of a batch, `size` rows of the record from `first`: what is recorded is all they know."""
-        rows = slice(first, first + size)
-        shares = (np.array(self._x[rows]) - self._lower) / (self._upper - self._lower)
-        self._basins.add(shares, np.array(self._values[rows]))
 
     def _over(self) -> bool:
         """Whether the climb has ended, has become one point, or will hardly reach the best that is known."""
@@ -211,43 +268,4 @@ class Hardened(RecordedSearch):
         return len(self._batches)
 
     def _numbering(self) -> tuple[np.ndarray, np.ndarray]:
-        batches = np.array(self._batches, dtype=int)
-        first = np.repeat(np.cumsum(batches) - batches, batches)
-        return np.repeat(np.arange(batches.size), batches), np.arange(self.evaluations) - first
-
-    def _arguments(self) -> dict[str, Any]:
-        return {"seed": self._seed, "settings": asdict(self.settings)}
-
-    @classmethod
-    def _from_arguments(cls, arguments: dict[str, Any]) -> Self:
-        return cls(**{**arguments, "settings": HardenedSettings(**arguments["settings"])})
-
-    def state(self) -> dict[str, Any]:
-        return {
-            **super().state(),
-            "batches": list(self._batches),
-            "swarm": self._swarm.state(),
-            "climb": None if self._climb is None else self._climb.state(),
-            "climbed": [point.tolist() for point in self._climbed],
-            "began": self._began,
-            "followed": self._followed,
-            "random": self._rng.bit_generator.state,
-        }
-
-    def _restore(self, state: dict[str, Any]) -> None:
-        super()._restore(state)
-        self._batches = [read_count({"batches": size}, "batches") for size in state["batches"]]
-        if sum(self._batches) != self.evaluations or 0 in self._batches:
-            raise InputError(f"batches: {sum(self._batches)} evaluations in all, not {self.evaluations}")
-        first = 0
-        for size in self._batches:
-            self._watch(first, size)
-            first += size
-        self._swarm.restore(state["swarm"])
-        climb = state["climb"]
-        self._climb = None if climb is None else CovarianceAdaptation.restored(self._rng, self._lower.size, climb)
-        self._climbed = list(read_array(state, "climbed", (len(state["climbed"]), self._lower.size)))
-        self._began, self._followed = read_count(state, "began"), bool(state["followed"])
-        if self._followed and not self._climbed:
-            raise InputError("climbed: nothing is stored, but a climb has started")
-        self._rng.bit_generator.state = state["random"]
+        return numbered(self._batches)

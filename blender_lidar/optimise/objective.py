@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from ..metrics.readings import check_reading
-from .checks import check_number
+from ..metrics.view_grids import check_reading
+from .search import check_number
 
 VIEWS = ("mean", "max", "min")
 

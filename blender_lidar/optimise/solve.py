@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .build import make_search
-from .protocol import Search
-from .swarm import DePso, DePsoSettings
+from ..errors import unknown_name
+from .baselines import GridSearch, RandomSearch, grid_points
+from .de_pso import DePso, DePsoSettings
+from .hardened import Hardened, HardenedSettings
+from .search import Search, check_whole
+
+SEARCHES = (Hardened.name, DePso.name, GridSearch.name, RandomSearch.name)
 
 Objective = Callable[[np.ndarray], np.ndarray]
 """Takes candidates, (s, d), and returns their values, (s,): the higher the better, ``-inf`` for an infeasible one."""
@@ -43,11 +47,11 @@ def run(search: Search, objective: Objective, callback: Callable[[Search], None]
     Parameters
     ----------
     search : Search
-        Fresh, or restored from a stored state.
+        Fresh, or on its way.
     objective : callable
         See `Objective`.
     callback : callable, optional
-        Called with the search after every batch of values: to show progress, or to store ``search.state()``.
+        Called with the search after every batch of values: to show progress.
 
     Returns
     -------
@@ -63,6 +67,42 @@ def run(search: Search, objective: Objective, callback: Callable[[Search], None]
         if callback is not None:
             callback(search)
     return SearchResult(search.best_x, search.best_value, search.evaluations, search.history)
+
+
+def make_search(
+    name: str, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int = 2000, **settings: object
+) -> Search:
+    """A search by its name, before its first evaluation.
+
+    Parameters
+    ----------
+    name : str
+        One of `SEARCHES`.
+    lower, upper : array_like, (d,)
+        Bounds of each variable.
+    seed : int
+        Same seed, same candidates; a grid has no use for it.
+    evaluations : int
+        The budget, never exceeded: DE-PSO makes as many whole iterations as fit, a grid is as fine as fits.
+    **settings
+        The method's own: fields of `HardenedSettings` or `DePsoSettings` but for the budget; grid and random have none.
+
+    Raises
+    ------
+    InputError
+        If the name is unknown or an argument cannot be used.
+    """
+    if name not in SEARCHES:
+        raise unknown_name(name, SEARCHES, "search")
+    if name == GridSearch.name:
+        return GridSearch(lower, upper, points=grid_points(evaluations, np.size(lower)), **settings)
+    if name == RandomSearch.name:
+        return RandomSearch(lower, upper, seed=seed, evaluations=evaluations, **settings)
+    if name == Hardened.name:
+        return Hardened(lower, upper, seed=seed, settings=HardenedSettings(evaluations=evaluations, **settings))
+    use = DePsoSettings(**settings)
+    evaluations = check_whole(evaluations, use.particles, f"evaluations with {use.particles} particles")
+    return DePso(lower, upper, seed=seed, settings=replace(use, iterations=evaluations // use.particles))
 
 
 def de_pso(

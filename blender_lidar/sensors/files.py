@@ -5,36 +5,32 @@ from __future__ import annotations
 import csv
 import math
 import reprlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import numpy as np
 
 from ..errors import InputError, MissingFileError, unknown_name
-from ..input_file import read_file
-from ..toml_table import parse_toml
-from .detection_range import STATED_RANGE_LIMITS_M
+from ..files import read_file
+from ..toml_table import Setting, setting, settings_of
+from .imperfections import STATED_RANGE_LIMITS_M
 
 SUFFIXES = (".toml", ".csv")
 MAX_FILE_BYTES = 4_000_000
 MAX_RINGS = 4096
 MAX_BEAMS_PER_TURN = 10_000_000  # twenty times a 128-ring sensor at 5 Hz; directions alone would take 240 MB
 
-REQUIRED_COLUMNS = ("ring", "elevation_deg")
-BEAM_COLUMNS = (*REQUIRED_COLUMNS, "azimuth_offset_deg", "fire_offset_us")
-_TEXT_KEYS = ("name", "description", "source", "confidence")
-_NUMBER_DEFAULTS = {"block_time_us": 55.55, "range_min_m": 0.4, "range_max_m": 200.0, "range_noise_m": 0.02}
-_KEYS = (
-    *_TEXT_KEYS,
-    "aliases",
-    "rotation_hz",
-    "default_rotation_hz",
-    *_NUMBER_DEFAULTS,
-    "range_at_10_percent_m",
-    "beams",
-)
+_BEAM = {
+    "ring": Setting(),
+    "elevation_deg": Setting(low=-90.0, high=90.0),
+    "azimuth_offset_deg": Setting(default=0.0, low=-180.0, high=180.0),
+    "fire_offset_us": Setting(default=math.nan, low=0.0, high=1e6),  # NaN where it is not known, in a file too
+}
+BEAM_COLUMNS = tuple(_BEAM)
+REQUIRED_COLUMNS = tuple(column for column, declared in _BEAM.items() if declared.default is ...)
 
 Row = tuple[str, dict[str, float]]  # where the row stands (file:line or file:beams[i]), {column: value}
 
@@ -50,13 +46,13 @@ class SensorFile:
     aliases : tuple of str
         Other names of the same sensor.
     rotation_hz : tuple of float
-        Rotation rates the sensor has [Hz]; 10 when the file gives none.
+        Rotation rates the sensor has [Hz].
     default_rotation_hz : float
         One of them; when not given 10 if the sensor has it, else the first.
     block_time_us : float
-        Time between firing columns [us]; 55.55 when not given.
+        Time between firing columns [us].
     range_min_m, range_max_m, range_noise_m : float
-        Range gate and standard deviation of the range noise [m]; 0.4, 200 and 0.02 when not given.
+        Range gate and standard deviation of the range noise [m].
     range_at_10_percent_m : float or None
         Farthest range at which a target of 10 % reflectivity is seen [m]; None when not given.
     beams : ndarray, (r, 4)
@@ -64,18 +60,18 @@ class SensorFile:
         for the azimuth offset and NaN (unknown) for the fire offset.
     """
 
-    name: str
-    description: str
-    source: str
-    confidence: str
-    aliases: tuple[str, ...]
-    rotation_hz: tuple[float, ...]
-    default_rotation_hz: float
-    block_time_us: float
-    range_min_m: float
-    range_max_m: float
-    range_noise_m: float
-    range_at_10_percent_m: float | None
+    name: str = setting("")
+    description: str = setting("")
+    source: str = setting("")
+    confidence: str = setting("")
+    aliases: tuple[str, ...] = setting(())
+    rotation_hz: tuple[float, ...] = setting((10.0,), low=0.01, high=1000.0)
+    default_rotation_hz: float = setting(None, low=0.01, high=1000.0)
+    block_time_us: float = setting(55.55, low=0.01, high=1e6)
+    range_min_m: float = setting(0.4, low=0.0, high=1e5)
+    range_max_m: float = setting(200.0, high=1e5)
+    range_noise_m: float = setting(0.02, low=0.0, high=1e3)
+    range_at_10_percent_m: float | None = setting(None, low=STATED_RANGE_LIMITS_M[0], high=STATED_RANGE_LIMITS_M[1])
     beams: np.ndarray
 
 
@@ -96,17 +92,14 @@ def read_sensor_file(path: Path) -> SensorFile:
     if suffix == ".csv":
         return _checked({}, list(_csv_rows(text, path)), path)
     try:
-        table = parse_toml(text)
+        table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
         raise InputError(f"{path}: not valid TOML: {error}") from None
+    keys = (*settings_of(SensorFile), "beams")
     for key in table:
-        if key not in _KEYS:
-            raise unknown_name(key, _KEYS, "key", f"{path}:{key}")
-    return _checked(table, list(_toml_rows(table, path)), path)
-
-
-def _wrong_number(rings: int, path: Path) -> InputError:
-    return InputError(f"{path}:beams: {rings} rings; allowed: 1 to {MAX_RINGS}")
+        if key not in keys:
+            raise unknown_name(key, keys, "key", f"{path}:{key}")
+    return _checked(table, list(_toml_rows(table.get("beams"), path)), path)
 
 
 def _read_text(path: Path) -> str:
@@ -132,11 +125,19 @@ def _read_text(path: Path) -> str:
     return text
 
 
-def _csv_rows(text: str, path: Path) -> Iterator[Row]:
-    lines = text.splitlines()
-    rings = sum(1 for line in lines if line.strip(" \t,")) - 1
+def _wrong_number(rings: int, path: Path) -> InputError:
+    return InputError(f"{path}:beams: {rings} rings; allowed: 1 to {MAX_RINGS}")
+
+
+def _check_most(rings: int, path: Path) -> None:
+    """Refuse too many rings before any is read: a table of something else may have millions of rows."""
     if rings > MAX_RINGS:
         raise _wrong_number(rings, path)
+
+
+def _csv_rows(text: str, path: Path) -> Iterator[Row]:
+    lines = text.splitlines()
+    _check_most(sum(1 for line in lines if line.strip(" \t,")) - 1, path)
     reader = csv.reader(lines)
     columns: list[str] = []
     try:
@@ -167,59 +168,49 @@ def _checked_header(columns: list[str], where: str) -> list[str]:
     return columns
 
 
-def _toml_rows(table: dict[str, Any], path: Path) -> Iterator[Row]:
+def _parsed(cell: str, where: str) -> float:
+    try:
+        if "_" in cell:  # "1_0" is 10 to Python alone
+            raise ValueError(cell)
+        return float(cell)
+    except ValueError:
+        raise InputError(f"{where}: {reprlib.repr(cell)} is not a number") from None
+
+
+def _toml_rows(beams: object, path: Path) -> Iterator[Row]:
     layout = f"[{', '.join(BEAM_COLUMNS)}]"
-    beams = table.get("beams")
     if not isinstance(beams, list):
-        raise InputError(f"{path}:beams: {_given(beams)}, where a list of {layout} is needed")
-    if len(beams) > MAX_RINGS:
-        raise _wrong_number(len(beams), path)
+        given = "missing" if beams is None else reprlib.repr(beams)
+        raise InputError(f"{path}:beams: {given}, where a list of {layout} is needed")
+    _check_most(len(beams), path)
     for index, row in enumerate(beams):
         where = f"{path}:beams[{index}]"
         if not isinstance(row, list) or not len(REQUIRED_COLUMNS) <= len(row) <= len(BEAM_COLUMNS):
-            raise InputError(f"{where}: {_given(row)}, where {layout} is needed; the last two may be left out")
+            given = reprlib.repr(row)
+            raise InputError(f"{where}: {given}, where {layout} is needed; the last two may be left out")
         yield where, {name: _number(value, f"{where}: {name}") for name, value in zip(BEAM_COLUMNS, row, strict=False)}
 
 
-def _checked(table: dict[str, Any], rows: Sequence[Row], path: Path) -> SensorFile:
-    texts = {key: _text(table.get(key, ""), f"{path}:{key}") for key in _TEXT_KEYS}
-    texts["name"] = texts["name"] or path.stem
-    aliases = [_text(alias, f"{path}:aliases") for alias in _list(table.get("aliases", []), f"{path}:aliases")]
-    numbers = {key: _number(table.get(key, value), f"{path}:{key}") for key, value in _NUMBER_DEFAULTS.items()}
-    _check_between(numbers["block_time_us"], 0.01, 1e6, f"{path}:block_time_us")
-    _check_between(numbers["range_min_m"], 0.0, 1e5, f"{path}:range_min_m")
-    _check_between(numbers["range_max_m"], math.nextafter(numbers["range_min_m"], math.inf), 1e5, f"{path}:range_max_m")
-    _check_between(numbers["range_noise_m"], 0.0, 1e3, f"{path}:range_noise_m")
-    at_10_percent = table.get("range_at_10_percent_m")
-    if at_10_percent is not None:
-        at_10_percent = _number(at_10_percent, f"{path}:range_at_10_percent_m")
-        _check_between(at_10_percent, *STATED_RANGE_LIMITS_M, f"{path}:range_at_10_percent_m")
-    rates, default_rate = _rotation(table, path)
-    beams = _checked_beams(rows, path)
-    _check_turn(rates, numbers["block_time_us"], len(beams), path)
-    return SensorFile(
-        **texts,
-        aliases=tuple(aliases),
-        rotation_hz=rates,
-        default_rotation_hz=default_rate,
-        **numbers,
-        range_at_10_percent_m=at_10_percent,
-        beams=beams,
-    )
-
-
-def _rotation(table: dict[str, Any], path: Path) -> tuple[tuple[float, ...], float]:
-    where = f"{path}:rotation_hz"
-    rates = tuple(_number(rate, where) for rate in _list(table.get("rotation_hz", [10.0]), where))
+def _checked(table: Mapping[str, Any], rows: Sequence[Row], path: Path) -> SensorFile:
+    """The file's settings, each as declared, and what they must be to one another."""
+    found = {}
+    for key, one in settings_of(SensorFile).items():
+        if key == "range_max_m":
+            one = replace(one, low=math.nextafter(found["range_min_m"], math.inf))
+        given = table.get(key, one.default)
+        found[key] = None if given is None else _value(given, one, f"{path}:{key}")
+    found["name"] = found["name"] or path.stem
+    rates, default = found["rotation_hz"], found["default_rotation_hz"]
     if not rates:
-        raise InputError(f"{where}: [], where at least one rate is needed")
-    for rate in rates:
-        _check_between(rate, 0.01, 1000.0, where)
-    where = f"{path}:default_rotation_hz"
-    default = _number(table.get("default_rotation_hz", 10.0 if 10.0 in rates else rates[0]), where)
-    if default not in rates:
-        raise InputError(f"{where}: {default:g} is not in rotation_hz = {', '.join(f'{rate:g}' for rate in rates)}")
-    return rates, default
+        raise InputError(f"{path}:rotation_hz: [], where at least one rate is needed")
+    if default is None:
+        found["default_rotation_hz"] = 10.0 if 10.0 in rates else rates[0]
+    elif default not in rates:
+        allowed = ", ".join(f"{rate:g}" for rate in rates)
+        raise InputError(f"{path}:default_rotation_hz: {default:g} is not in rotation_hz = {allowed}")
+    beams = _checked_beams(rows, path)
+    _check_turn(rates, found["block_time_us"], len(beams), path)
+    return SensorFile(**found, beams=beams)
 
 
 def _check_turn(rates: Sequence[float], block_time_us: float, rings: int, path: Path) -> None:
@@ -233,81 +224,63 @@ def _check_turn(rates: Sequence[float], block_time_us: float, rings: int, path: 
 
 
 def _checked_beams(rows: Sequence[Row], path: Path) -> np.ndarray:
+    """The beams (r, 4) in ring order, which must be that of their elevations."""
     count = len(rows)
-    if not 1 <= count <= MAX_RINGS:
+    if not count:
         raise _wrong_number(count, path)
-    beams: dict[int, list[float]] = {}
+    beams = np.empty((count, len(BEAM_COLUMNS)))
     places: dict[int, str] = {}
     for where, row in rows:
-        ring = _checked_ring(row["ring"], count, where)
-        if ring in places:
-            raise InputError(f"{where}: ring {ring} is given twice, first at {places[ring]}")
-        places[ring] = where
-        beams[ring] = [float(ring), *_checked_angles(row, where)]
-    # As many different rings as there are rows, each below their number: none is missing.
-    for ring in range(1, count):
-        below, here = beams[ring - 1][1], beams[ring][1]
-        if here < below:
+        ring = row["ring"]
+        if not (0 <= ring < count and ring == int(ring)):
             raise InputError(
-                f"{places[ring]}: ring {ring} at {here:g} degrees lies below ring {ring - 1} at {below:g}; "
-                "rings are numbered from the lowest beam up"
+                f"{where}: ring is {ring:g}; {count} rings are numbered 0 (lowest) to {count - 1}, none left out"
             )
-    return np.array([beams[ring] for ring in range(count)])
-
-
-def _checked_ring(value: float, count: int, where: str) -> int:
-    if not (0 <= value < count and value == int(value)):
+        if ring in places:
+            raise InputError(f"{where}: ring {ring:g} is given twice, first at {places[ring]}")
+        places[int(ring)] = where
+        beams[int(ring)] = [_within_limits(row.get(key, _BEAM[key].default), key, where) for key in BEAM_COLUMNS]
+    # As many different rings as there are rows, each below their number: none is missing.
+    falls = np.flatnonzero(np.diff(beams[:, 1]) < 0.0)
+    if len(falls):
+        below = int(falls[0])
         raise InputError(
-            f"{where}: ring is {value:g}; {count} rings are numbered 0 (lowest) to {count - 1}, none left out"
+            f"{places[below + 1]}: ring {below + 1} at {beams[below + 1, 1]:g} degrees lies below ring {below} at "
+            f"{beams[below, 1]:g}; rings are numbered from the lowest beam up"
         )
-    return int(value)
+    return beams
 
 
-def _checked_angles(row: dict[str, float], where: str) -> tuple[float, float, float]:
-    elevation, azimuth = row["elevation_deg"], row.get("azimuth_offset_deg", 0.0)
-    fire = row.get("fire_offset_us", math.nan)
-    _check_between(elevation, -90.0, 90.0, f"{where}: elevation_deg")
-    _check_between(azimuth, -180.0, 180.0, f"{where}: azimuth_offset_deg")
-    if not math.isnan(fire):  # not known
-        _check_between(fire, 0.0, 1e6, f"{where}: fire_offset_us")
-    return elevation, azimuth, fire
+def _within_limits(value: float, column: str, where: str) -> float:
+    unknown = column == "fire_offset_us" and math.isnan(value)
+    return value if unknown else _limited(value, _BEAM[column], f"{where}: {column}")
 
 
-def _check_between(value: float, low: float, high: float, where: str) -> None:
-    if not low <= value <= high:  # NaN fails too
-        raise InputError(f"{where} is {value:g}; allowed: {low:g} to {high:g}")
-
-
-def _given(value: object) -> str:
-    return "missing" if value is None else reprlib.repr(value)
-
-
-def _list(value: object, where: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise InputError(f"{where}: {_given(value)} is not a list")
-    return value
-
-
-def _text(value: object, where: str) -> str:
+def _value(value: object, declared: Setting, where: str) -> Any:
+    """A text, a number or a list of either, as its setting declares it."""
+    if get_origin(declared.kind) is tuple:
+        if not isinstance(value, list | tuple):
+            raise InputError(f"{where}: {reprlib.repr(value)} is not a list")
+        one = replace(declared, kind=get_args(declared.kind)[0])
+        return tuple(_value(entry, one, where) for entry in value)
+    if declared.kind is not str:
+        return _limited(_number(value, where), declared, where)
     if not isinstance(value, str):
-        raise InputError(f"{where}: {_given(value)} is not text")
+        raise InputError(f"{where}: {reprlib.repr(value)} is not text")
     return " ".join(value.split())  # one line, however the file wraps it
-
-
-def _parsed(cell: str, where: str) -> float:
-    try:
-        if "_" in cell:  # "1_0" is 10 to Python alone
-            raise ValueError(cell)
-        return float(cell)
-    except ValueError:
-        raise InputError(f"{where}: {_given(cell)} is not a number") from None
 
 
 def _number(value: object, where: str) -> float:
     # To Python a bool is an int.
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where}: {_given(value)} is not a number")
+        raise InputError(f"{where}: {reprlib.repr(value)} is not a number")
     try:
         return float(value)
     except OverflowError:
-        raise InputError(f"{where}: {_given(value)} is too large a number") from None
+        raise InputError(f"{where}: {reprlib.repr(value)} is too large a number") from None
+
+
+def _limited(value: float, declared: Setting, where: str) -> float:
+    if not declared.low <= value <= declared.high:  # NaN fails too
+        raise InputError(f"{where} is {value:g}; allowed: {declared.low:g} to {declared.high:g}")
+    return value

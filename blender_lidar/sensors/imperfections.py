@@ -1,19 +1,22 @@
-"""What a LiDAR measures beside the truth: noisy ranges and lost returns, the same for the same seed.
+"""Measurement effects of a LiDAR: range noise, drop-out, glass and weak returns, the same for the same seed.
 
-Every beam of a turn draws its own numbers, which belong to the seed, the frame, the ring and the firing column alone.
-So they are the same whatever the mounting (common random numbers: two mountings differ by what they see, not by luck),
-the caster, the culling, the number of workers and the order in which anything is asked.
+Every beam of a revolution draws its own numbers, which belong to the seed, the frame, the ring and the firing column
+alone. So they are the same whatever the mounting (common random numbers: two mountings differ by what they see, not by
+luck), the caster, the culling, the number of workers and the order in which anything is asked.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..errors import InputError
-from .beams import BeamLattice
+
+if TYPE_CHECKING:
+    from .beams import BeamLattice
 
 MOST_RANGE_NOISE_M = 10.0
 _MOST_DEVIATIONS = 6.0  # noise is cut off here, so that its reach is known; a normal draw is beyond once in 5e8
@@ -37,7 +40,7 @@ class Imperfections:
         twice, in and out again, and vehicles have no inside here.
     range_at_10_percent_m : float or None
         Farthest range at which a target of 10 % reflectivity that faces the sensor is seen [m], more than 0: what
-        returns more weakly is lost, as `detection_range` says. None: nothing is too weak.
+        returns more weakly is lost, as `detection_range_m` says. None: nothing is too weak.
     seed : int
         Of all draws, 0 or more.
 
@@ -71,25 +74,27 @@ class Imperfections:
         """The farthest that noise moves a return [m]: beams are cast so far beyond the range gate."""
         return _MOST_DEVIATIONS * self.range_noise_m
 
-    @property
-    def _loses_by_chance(self) -> bool:
-        return self.dropout > 0.0 or 0.0 < self.glass_dropout < 1.0
-
-    def draws(self, lattice: BeamLattice, frame: int) -> FrameDraws | None:
-        """What the beams of one frame draw, and so measure; None where that is the truth."""
-        if not (self.range_noise_m or self.dropout or self.glass_dropout):
-            return None
-        noise = chance = None
+    def measurement(
+        self, lattice: BeamLattice, frame: int, min_range_m: float = 0.0, max_range_m: float = math.inf
+    ) -> MeasurementModel:
+        """What the beams of one frame draw, and so measure of what they meet; the range gate is [m]."""
+        noise = chance = np.empty(0, dtype=np.float32)
         if self.range_noise_m:
             deviations = self._generator(frame, _NOISE).standard_normal((lattice.rings, lattice.columns), np.float32)
             np.clip(deviations, -_MOST_DEVIATIONS, _MOST_DEVIATIONS, out=deviations)
-            deviations *= np.float32(self.range_noise_m)
-            noise = _by_slot(lattice, deviations)
-        if self._loses_by_chance:
-            chance = _by_slot(
-                lattice, self._generator(frame, _CHANCE).random((lattice.rings, lattice.columns), np.float32)
-            )
-        return FrameDraws(noise, chance, self.dropout, self.dropout + (1.0 - self.dropout) * self.glass_dropout)
+            noise = _by_slot(lattice, deviations * np.float32(self.range_noise_m))
+        if self.dropout > 0.0 or 0.0 < self.glass_dropout < 1.0:
+            drawn = self._generator(frame, _CHANCE).random((lattice.rings, lattice.columns), np.float32)
+            chance = _by_slot(lattice, drawn)
+        return MeasurementModel(
+            float(min_range_m),
+            float(max_range_m),
+            noise,
+            chance,
+            np.float32(self.dropout),
+            np.float32(self.dropout + (1.0 - self.dropout) * self.glass_dropout),
+            math.inf if self.range_at_10_percent_m is None else float(self.range_at_10_percent_m),
+        )
 
     def _generator(self, frame: int, stream: int) -> np.random.Generator:
         key = (int(frame) % _FRAME_NUMBERS, stream)
@@ -99,39 +104,50 @@ class Imperfections:
 PERFECT = Imperfections()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameDraws:
-    """What the beams of one frame have drawn; by flat index into the lattice, ``ring * columns + slot``.
+class MeasurementModel(NamedTuple):
+    """Measurement model of one frame: the range noise, lost returns and range gate that turn hits into returns.
 
-    Chances are kept, not what comes of them, which depends on what a beam meets.
+    `measured` is the one place where a return becomes noisy or lost; compiled code (`compiled_frames`) does the same.
+    Draws are by flat index into the lattice, ``ring * columns + slot``. Chances are kept, not what comes of them, which
+    depends on what a beam meets.
 
     Attributes
     ----------
-    noise_m : ndarray of float32, (beams,), or None
-        Error of the range of each beam's return [m].
-    chance : ndarray of float32, (beams,), or None
-        Uniform in [0, 1): the return is lost where the probability of that is greater. None where every probability is
-        0 or 1.
-    loss : float
-        That probability, for all but glass.
-    glass_loss : float
-        That for glass, `loss` or more.
+    min_range_m, max_range_m : float
+        The range gate [m]. It judges what is measured: noise carries returns across it both ways.
+    noise_m : ndarray of float32, (beams,) or (0,)
+        Error of the range of each beam's return [m]; empty without noise.
+    chance : ndarray of float32, (beams,) or (0,)
+        Uniform in [0, 1): the return is lost where the probability of that is greater. Empty, and as if 0, where every
+        probability is 0 or 1.
+    loss, glass_loss : float32
+        That probability, for all but glass and for glass.
+    range_at_10_percent_m : float
+        As in `Imperfections`; inf where nothing is too weak.
     """
 
-    noise_m: np.ndarray | None
-    chance: np.ndarray | None
-    loss: float
-    glass_loss: float
+    min_range_m: float
+    max_range_m: float
+    noise_m: np.ndarray
+    chance: np.ndarray
+    loss: np.float32
+    glass_loss: np.float32
+    range_at_10_percent_m: float
 
     @property
-    def asks_for_glass(self) -> bool:
-        """Whether it matters which returns are from glass."""
-        return self.glass_loss > self.loss
+    def asks_for_surface(self) -> bool:
+        """Whether it matters what returns come from: `glass`, `reflectivity` and `cosine` are needed then."""
+        return self.glass_loss > self.loss or self.range_at_10_percent_m < math.inf
 
-    def measured(self, beam: np.ndarray, distance: np.ndarray, of_glass: np.ndarray | None = None) -> np.ndarray:
-        """Ranges as the sensor measures them, (k,) [m]; inf where the return is lost.
-
-        To be judged by the range gate afterwards: noise carries returns across it both ways.
+    def measured(
+        self,
+        beam: np.ndarray,
+        distance: np.ndarray,
+        glass: np.ndarray | None = None,
+        reflectivity: np.ndarray | None = None,
+        cosine: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Ranges as the sensor measures them, (k,) [m]; inf where nothing returns.
 
         Parameters
         ----------
@@ -139,22 +155,54 @@ class FrameDraws:
             Flat indices of the beams, in range, which is not checked.
         distance : ndarray, (k,)
             Distance to what each met first [m]; inf where it met nothing.
-        of_glass : ndarray of bool, (k,), optional
-            Whether that is glass; needed where `asks_for_glass`.
+        glass : ndarray of bool, (k,), optional
+            Whether that is glass.
+        reflectivity, cosine : ndarray, (k,), optional
+            Its diffuse reflectivity, 0 to 1, and the cosine of the beam's incidence on it.
         """
-        if self.noise_m is not None:
-            distance = distance + np.take(self.noise_m, beam, mode="clip")
-        if self.chance is None:
-            lost = of_glass if self.asks_for_glass else None
-        else:
-            chance = np.take(self.chance, beam, mode="clip")
-            lost = chance < self.loss
-            if self.asks_for_glass:
-                lost |= of_glass & (chance < self.glass_loss)
-        return distance if lost is None else np.where(lost, math.inf, distance)
+        found = distance
+        if len(self.noise_m):
+            found = found + np.take(self.noise_m, beam, mode="clip")
+        kept = (found >= self.min_range_m) & (found <= self.max_range_m)
+        chance = np.take(self.chance, beam, mode="clip") if len(self.chance) else np.float32(0.0)
+        if self.loss > 0.0:
+            kept &= chance >= self.loss
+        if self.glass_loss > self.loss:
+            kept &= ~glass | (chance >= self.glass_loss)
+        if self.range_at_10_percent_m < math.inf:
+            kept &= distance <= detection_range_m(self.range_at_10_percent_m, reflectivity, cosine)
+        return np.where(kept, found, math.inf)
 
 
 def _by_slot(lattice: BeamLattice, drawn: np.ndarray) -> np.ndarray:
     """Draws by (ring, firing column), flat in the lattice's order by (ring, slot)."""
     ring = np.arange(lattice.rings)[:, None]
     return drawn[ring, lattice.column(ring, np.arange(lattice.columns))].ravel()
+
+
+# --- Weak returns: Lambert's law and the inverse square of the range, against the weakest return that counts ----------
+
+STATED_REFLECTIVITY = 0.1
+STATED_RANGE_LIMITS_M = (0.01, 1e5)  # that sensor tables and scenes may state
+
+
+def detection_range_m(
+    range_at_10_percent_m: float, reflectivity: np.ndarray | float, cosine: np.ndarray | float
+) -> np.ndarray | float:
+    """Detection range: farthest range at which surfaces are seen [m], that range included; the latter two broadcast.
+
+    The light that comes back from a surface wider than the beam is as reflectivity x cos(incidence) / range^2, so a
+    sensor that needs a certain strength sees a surface as far as the square root of reflectivity x cos(incidence)
+    reaches. Makers state that strength as the range at which a target of 10 % reflectivity that faces the sensor is
+    still seen.
+
+    Parameters
+    ----------
+    range_at_10_percent_m : float
+        Farthest range at which the sensor sees a target of 10 % reflectivity that faces it [m].
+    reflectivity : array_like
+        Diffuse reflectivity of each surface, 0 to 1.
+    cosine : array_like
+        Cosine of each beam's incidence, 0 (grazing) to 1 (head-on).
+    """
+    return range_at_10_percent_m * np.sqrt(reflectivity * cosine / STATED_REFLECTIVITY)

@@ -9,8 +9,47 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from .instants import instants, well_populated_frames
 from .vehicles import Recording, Vehicles, unknown_frame
+
+# --- Which frames of a recording are fit to be analysed ---------------------------------------------------
+
+_POPULATED_SHARE = 0.5
+_PAUSE_OVER_SPACING = 3.0
+
+
+def well_populated_frames(recording: Recording, frames: np.ndarray | None = None) -> np.ndarray:
+    """Frame numbers, (m,) int64, without the thin ends; of `frames`, ascending, or else of all.
+
+    A recording that holds complete passages only is thin for the first and last minute or so. Frames are skipped from
+    either end until one has at least half the median number of vehicles.
+    """
+    frames = recording.frames if frames is None else frames
+    counts = recording.counts[np.searchsorted(recording.frames, frames)]
+    enough = np.flatnonzero(counts >= _POPULATED_SHARE * np.median(counts))
+    return frames[enough[0] : enough[-1] + 1]
+
+
+def instants(recording: Recording) -> np.ndarray:
+    """Frame numbers, (m,) int64, without those that are there for their neighbours' headings only.
+
+    Where frames come in clusters of one odd size, each shorter than the pauses between them, those are the middle ones
+    (t - 0.5 s, **t**, t + 0.5 s, every 10 s); else all. A pause is more than three times the closest spacing.
+    """
+    frames, time_s = recording.frames, recording.frame_time_s
+    spacing = np.diff(time_s)
+    if not len(spacing):
+        return frames
+    pauses = np.flatnonzero(spacing > _PAUSE_OVER_SPACING * spacing.min())
+    first = np.concatenate([[0], pauses + 1])
+    last = np.concatenate([pauses, [len(frames) - 1]])
+    size = last - first + 1
+    clustered = len(pauses) and size[0] > 1 and size[0] % 2 == 1 and (size == size[0]).all()
+    if not clustered or (time_s[last] - time_s[first]).max() >= spacing[pauses].min():
+        return frames
+    return frames[first + size[0] // 2]
+
+
+# --- The choice of frames ---------------------------------------------------------------------------------------------
 
 Counted = Callable[[Vehicles], np.ndarray]
 """Marks the vehicles of a frame that score, (n,) bool: those inside the region."""
@@ -19,8 +58,8 @@ DEFAULT_COUNT = 30
 _SHORTEST_BLOCK_S = 5.0
 _TRANSIT_PERCENTILE = 95
 _FEWEST_HOLDOUT_BLOCKS = 2
-_LARGEST_HOLDOUT = 0.9
 _SHORTEST_S = 1e-3
+_MOST_MULTIPLES = 10_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,10 +123,12 @@ def plan_frames(
     Raises
     ------
     InputError
-        For a frame that the recording does not have, or a number outside its range.
+        For a frame that the recording does not have, or a spacing or block of next to no time.
     """
     ids = None if ids is None else _known_frames(recording, ids)
-    _check(count, ids, spacing_s, holdout, block_s)
+    for name, value in (("the spacing of frames", spacing_s), ("the length of a block", block_s)):
+        if value is not None and not value >= _SHORTEST_S:
+            raise InputError(f"{name} is {value} s; at least {_SHORTEST_S:g} is needed")
     whole = instants(recording)
     candidates = _Frames.of(recording, well_populated_frames(recording, whole))
     if block_s is None:
@@ -109,7 +150,7 @@ def plan_frames(
         search_block=_blocks(search, searched, block_s),
         holdout_block=_blocks(judged, rest, block_s) if judged else np.zeros(0, dtype=np.int64),
         block_s=float(block_s),
-        searched_ids=_counted_ids(recording, search.frames, counted),
+        searched_ids=np.unique(np.concatenate(_counted_ids(recording, search.frames, counted))),
         notes=tuple(notes),
     )
 
@@ -139,39 +180,21 @@ class _Frames:
 
 
 def _known_frames(recording: Recording, ids: Iterable[int]) -> np.ndarray:
-    frames = np.array(list(ids), dtype=np.int64)
-    if not len(frames):
-        raise InputError(f"{recording.source}: no frame ids given; at least one is needed")
+    frames = np.unique(np.array(list(ids), dtype=np.int64))
     unknown = frames[~np.isin(frames, recording.frames)]
     if len(unknown):
         raise unknown_frame(unknown[0], recording)
-    return np.unique(frames)
+    return frames
 
 
-def _check(
-    count: int | None, ids: np.ndarray | None, spacing_s: float | None, holdout: float, block_s: float | None
-) -> None:
-    if ids is not None and (count is not None or spacing_s is not None):
-        raise InputError("frame ids are given together with a number or spacing of frames; one of them is needed")
-    if count is not None and count < 1:
-        raise InputError(f"{count} frames asked for; at least 1 is needed")
-    for name, value in (("the spacing of frames", spacing_s), ("the length of a block", block_s)):
-        if value is not None and not 0 < value < math.inf:
-            raise InputError(f"{name} is {value} s; more than 0 is needed")
-        if value is not None and value < _SHORTEST_S:
-            raise InputError(f"{name} is {value} s; at least {_SHORTEST_S:g} is needed")
-    if not 0 <= holdout <= _LARGEST_HOLDOUT:
-        raise InputError(f"holdout is {holdout}; allowed: 0 to {_LARGEST_HOLDOUT}")
-
-
-def _counted_ids(recording: Recording, frames: np.ndarray, counted: Counted) -> np.ndarray:
-    ids = [vehicles.vehicle_id[counted(vehicles)] for vehicles in map(recording.vehicles, frames)]
-    return np.unique(np.concatenate(ids))
+def _counted_ids(recording: Recording, frames: np.ndarray, counted: Counted) -> list[np.ndarray]:
+    """Ids of the vehicles that count, frame by frame."""
+    return [vehicles.vehicle_id[counted(vehicles)] for vehicles in map(recording.vehicles, frames)]
 
 
 def _transit_block_s(recording: Recording, candidates: _Frames, counted: Counted) -> float:
     """A block longer than most transits: from a vehicle's first counted instant to the end of its last [s]."""
-    ids = [vehicles.vehicle_id[counted(vehicles)] for vehicles in map(recording.vehicles, candidates.frames)]
+    ids = _counted_ids(recording, candidates.frames, counted)
     time_s = np.repeat(candidates.time_s, [len(some) for some in ids])
     seen = np.concatenate(ids)
     if not len(seen):
@@ -220,18 +243,13 @@ def _spread(part: _Frames, count: int | None, spacing_s: float | None, notes: li
 
 
 def _nearest_to_multiples(time_s: np.ndarray, spacing_s: float, count: int | None) -> np.ndarray:
-    """Places of the times (n,), ascending, that are nearest to one of the first `count` multiples from the first on.
-
-    Of the multiples, which may be far more than the times, only those about the middles between two times decide.
-    """
+    """Places of the times (n,), ascending, that are nearest to one of the first `count` multiples from the first on."""
     if len(time_s) == 1:
         return np.zeros(1, dtype=np.int64)
-    step = (time_s[0] + spacing_s - time_s[0]) or spacing_s  # as NumPy's arange counts
-    multiples = math.ceil((time_s[-1] + 1e-9 - time_s[0]) / spacing_s)
-    last = (multiples if count is None else min(multiples, count)) - 1
-    middle = (time_s[1:] + time_s[:-1]) / 2 - time_s[0]
-    deciding = np.floor(middle / step)[:, None] + np.array([-1.0, 0.0, 1.0, 2.0])
-    target = time_s[0] + step * np.unique(np.clip(np.append(deciding, [0.0, last]), 0.0, last))
+    multiples = (time_s[-1] - time_s[0]) / spacing_s
+    if multiples > _MOST_MULTIPLES:
+        raise InputError(f"the spacing of frames is {spacing_s} s: {multiples:.0f} times in the searched part")
+    target = np.arange(time_s[0], time_s[-1] + 1e-9, spacing_s)[:count]
     after = np.clip(np.searchsorted(time_s, target), 1, len(time_s) - 1)
     is_before = np.abs(time_s[after - 1] - target) <= np.abs(time_s[after] - target)
     return np.unique(np.where(is_before, after - 1, after))

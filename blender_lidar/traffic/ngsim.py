@@ -1,28 +1,36 @@
-"""NGSIM trajectories to boxes in the road frame, with the defects of the recordings handled on the way.
+"""Reading NGSIM trajectories: dialects, periods, locations and known defects, to boxes in the road frame.
 
 US DOT FHWA, Next Generation Simulation Vehicle Trajectories and Supporting Data, DOI 10.21949/1504477.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from .headings import fitted_velocity, held_heading, lane_changing, limited
-from .ngsim_layout import Layout, sniff_layout
-from .ngsim_periods import choose_period, find_periods, time_step_ms
-from .ngsim_rows import FileRows, read_rows
-from .overlaps import with_overlaps_reported
-from .report import RepairReport
-from .road import RoadFrame, within_x
-from .sizes import checked_heights, class_index, heights, repaired_sizes
-from .tracks import TrackRows, drop_repeats, fill_gaps, segments
-from .vehicles import Recording
+from ..errors import InputError, unknown_name
+from .source import column_places, csv_columns, fields_of, number, numbers, parsed_columns, quoted, table_lines
+from .tracks import (
+    class_index,
+    drop_repeats,
+    fill_gaps,
+    fitted_velocity,
+    heights,
+    held_heading,
+    lane_changing,
+    limited,
+    repaired_sizes,
+    segments,
+)
+from .vehicles import Recording, RepairReport, RoadFrame, with_overlaps_reported
 
+FOOT_M = 0.3048
+"""International foot, exactly; 0.3084 circulates."""
 FREEWAYS = ("i-80", "us-101")
 _BOUND_FOR_RAD = np.radians([0.0, -90.0, 0.0, 90.0, 180.0])
 """Headings by Direction: unknown, east, north, west, south. Local_Y, the road frame's x, runs north on arterials."""
@@ -37,7 +45,6 @@ def read_ngsim(
     period: int | str | None = None,
     location: str | None = None,
     height_m: Mapping[str, float] | None = None,
-    x_range_m: tuple[float, float] | None = None,
 ) -> Recording:
     """Read one period of one location of an NGSIM recording.
 
@@ -55,9 +62,7 @@ def read_ngsim(
     location : str, optional
         Which site of a file that mixes several, such as ``"i-80"``.
     height_m : mapping, optional
-        Heights [m] that replace those of `sizes.HEIGHTS_M`; its keys: car, van, truck, long_truck, bus, motorcycle.
-    x_range_m : (float, float), optional
-        Keep boxes whose centre has its x [m, road frame] in this range.
+        Heights [m] that replace those of `vehicles.HEIGHTS_M`, by its keys.
 
     Returns
     -------
@@ -71,103 +76,413 @@ def read_ngsim(
     MissingFileError, InputError
         If the file or one of its values cannot be used; the text names the line and the column.
     """
-    checked_heights(height_m or {})
     layout = sniff_layout(path)
-    file = read_rows(path, layout, location)
-    step_ms = time_step_ms(file.rows, str(path))
-    periods = find_periods(file.rows, step_ms)
-    chosen = choose_period(periods, period, str(path))
-    rows = file.rows if len(periods.names) == 1 else file.rows.take(periods.of_row == chosen)
-    notes = (*_notes(layout, location, period, periods.names), *_direction_notes(layout, file))
-    on_map = (np.abs(rows.local_m) <= _OFF_MAP_M).all(axis=1)
-    kept, duplicates, repeated = _without_repeats(rows.take(on_map))
-    if not len(kept):
-        raise InputError(f"{path}: no vehicles left; every row is more than {_OFF_MAP_M:.0f} m off the section")
-    report = RepairReport(
-        rows_read=file.rows_read,
-        location=file.location,
-        locations=file.locations,
-        period=periods.names[chosen],
-        periods=periods.names,
-        duplicates=duplicates,
-        repeated=repeated,
-        off_map=int((~on_map).sum()),
-        notes=notes,
-    )
-    recording = _boxes(kept, step_ms / 1000, road, _follows_road(layout, file), height_m, x_range_m, str(path), report)
-    return with_overlaps_reported(recording)
-
-
-def _without_repeats(rows: TrackRows) -> tuple[TrackRows, int, int]:
-    values = np.column_stack([rows.time_ms, rows.local_m, rows.size_m, rows.v_class, rows.lane])
-    kept, duplicates, repeated = drop_repeats(rows.vehicle_id, rows.frame, values)
-    return rows.take(kept), duplicates, repeated
-
-
-def _follows_road(layout: Layout, file: FileRows) -> bool:
-    """Whether Local_Y follows the direction of travel everywhere: on freeways, not where there are intersections."""
-    return file.location in FREEWAYS if file.location else not layout.arterial
-
-
-def _notes(layout: Layout, location: str | None, period: int | str | None, periods: tuple[str, ...]) -> tuple[str, ...]:
+    rows, report, odd_directions = read_rows(path, layout, location)
+    step_ms = _time_step_ms(rows, path)
+    periods, of_row = _periods(rows, step_ms)
+    chosen = _chosen(periods, period, path)
+    # Local_Y follows the direction of travel everywhere on freeways, not where there are intersections.
+    follows_road = report.location in FREEWAYS if report.location else not layout.arterial
     notes = []
-    if location is not None and not layout.has_location:
+    if location is not None and "location" not in layout.columns:
         notes.append(f"the file has no Location column: taken to be {location}")
     if period is None and len(periods) > 1:
         notes.append(f"{len(periods)} periods found ({', '.join(periods)}); none was chosen, so the first is used")
-    return tuple(notes)
+    if odd_directions and not follows_road:
+        outcome = "theirs is unknown" if rows["direction"].any() else "the column is left aside"
+        notes.append(f"Direction or Movement is none in {odd_directions:,} of {len(of_row):,} rows: {outcome}")
+    in_period = of_row == chosen
+    on_map = (np.abs(rows["local_m"]) <= _OFF_MAP_M).all(axis=1)
+    rows = _taken(rows, in_period & on_map)
+    told_apart = np.column_stack([rows[name] for name in ("time_ms", "local_m", "size_m", "v_class", "lane")])
+    kept, duplicates, repeated = drop_repeats(rows["vehicle_id"], rows["frame"], told_apart)
+    if not len(kept):
+        raise InputError(f"{path}: no vehicles left; every row is more than {_OFF_MAP_M:.0f} m off the section")
+    report = replace(
+        report,
+        period=periods[chosen],
+        periods=periods,
+        duplicates=duplicates,
+        repeated=repeated,
+        off_map=int((in_period & ~on_map).sum()),
+        notes=tuple(notes),
+    )
+    return with_overlaps_reported(
+        _boxes(_taken(rows, kept), step_ms / 1000, road, follows_road, height_m, str(path), report)
+    )
 
 
-def _direction_notes(layout: Layout, file: FileRows) -> Iterator[str]:
-    if file.odd_directions and not _follows_road(layout, file):
-        outcome = "theirs is unknown" if file.rows.direction.any() else "the column is left aside"
-        yield f"Direction or Movement is none in {file.odd_directions:,} of {len(file.rows):,} rows: {outcome}"
+def _taken(rows: dict[str, np.ndarray], which: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: column[which] for name, column in rows.items()}
 
 
 def _boxes(
-    rows: TrackRows,
+    rows: dict[str, np.ndarray],
     time_step_s: float,
     road: RoadFrame,
     follows_road: bool,
     height_m: Mapping[str, float] | None,
-    x_range_m: tuple[float, float] | None,
     source: str,
     report: RepairReport,
 ) -> Recording:
     """Rows of one period, sorted by (vehicle, frame) without repeats, as boxes in the road frame."""
     rows, added = fill_gaps(rows, time_step_s)
-    segment, split = segments(rows.vehicle_id, rows.frame, time_step_s)
-    time_s = rows.frame * time_step_s
-    front = road.from_local(rows.local_m)
-    at_rest = 0.0 if follows_road else _BOUND_FOR_RAD[rows.direction]
-    motion, held = held_heading(rows.vehicle_id, fitted_velocity(segment, time_s, front), at_rest)
-    heading = limited(motion, lane_changing(rows.vehicle_id, time_s, rows.lane)) if follows_road else motion
-    size, resized = repaired_sizes(rows.v_class, rows.size_m)
+    vehicle, frame, lane, v_class = (rows[name] for name in ("vehicle_id", "frame", "lane", "v_class"))
+    segment, split = segments(vehicle, frame, time_step_s)
+    time_s = frame * time_step_s
+    front = road.from_local(rows["local_m"])
+    at_rest = 0.0 if follows_road else _BOUND_FOR_RAD[rows["direction"]]
+    motion, held = held_heading(vehicle, fitted_velocity(segment, time_s, front), at_rest)
+    heading = limited(motion, lane_changing(vehicle, time_s, lane)) if follows_road else motion
+    size, resized = repaired_sizes(v_class, rows["size_m"])
     length = size[:, 0]
-    index = class_index(rows.v_class, length)
+    index = class_index(v_class, length)
     height = heights(index, length, height_m)
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     # NGSIM records the front centre.
     centre = np.column_stack([front - length[:, None] / 2 * forward, height / 2])
-    inside = within_x(centre, x_range_m, source)
     return Recording.from_rows(
-        frame=rows.frame[inside],
-        time_s=time_s[inside],
-        vehicle_id=rows.vehicle_id[inside],
-        class_index=index[inside],
-        centre_m=centre[inside],
-        size_m=np.column_stack([size, height])[inside],
-        heading_rad=heading[inside],
-        lane=rows.lane[inside],
+        frame=frame,
+        time_s=time_s,
+        vehicle_id=vehicle,
+        class_index=index,
+        centre_m=centre,
+        size_m=np.column_stack([size, height]),
+        heading_rad=heading,
+        lane=lane,
         time_step_s=time_step_s,
         source=source,
         report=replace(
             report,
-            rows_used=int((inside & ~added).sum()),
-            interpolated=int((inside & added).sum()),
+            rows_used=int((~added).sum()),
+            interpolated=int(added.sum()),
             tracks_split=split,
-            sizes_repaired=len(np.unique(rows.vehicle_id[inside & resized])),
-            headings_held=int((inside & held).sum()),
-            headings_clamped=int((inside & (heading != motion)).sum()),
+            sizes_repaired=len(np.unique(vehicle[resized])),
+            headings_held=int(held.sum()),
+            headings_clamped=int((heading != motion).sum()),
         ),
     )
+
+
+# --- Which of NGSIM's dialects a file speaks: native text, the portal's CSV or its API's ------------------
+
+_LARGEST_WHOLE = 2.0**53
+
+
+def _whole(values: np.ndarray) -> np.ndarray:
+    return (np.abs(values) <= _LARGEST_WHOLE) & (np.rint(values) == values)
+
+
+def _size(values: np.ndarray) -> np.ndarray:
+    return np.isnan(values) | ((values >= 0) & np.isfinite(values))
+
+
+COLUMNS = {
+    "vehicle_id": ("Vehicle_ID", _whole, "a whole number"),
+    "frame_id": ("Frame_ID", _whole, "a whole number"),
+    "global_time": ("Global_Time", lambda values: np.abs(values) <= _LARGEST_WHOLE, "milliseconds"),
+    "local_x": ("Local_X", np.isfinite, "feet"),
+    "local_y": ("Local_Y", np.isfinite, "feet"),
+    "v_length": ("v_Length", _size, "feet, at least 0"),
+    "v_width": ("v_Width", _size, "feet, at least 0"),
+    "v_class": ("v_Class", lambda values: np.isin(values, (1, 2, 3)), "1 (motorcycle), 2 (auto) or 3 (truck)"),
+    "lane_id": (
+        "Lane_ID",
+        lambda values: np.isnan(values) | (_whole(values) & (np.abs(values) < 2**15)),
+        "a whole number",
+    ),
+}
+"""The columns that are needed, in lower case: NGSIM's spelling, which numbers they may hold (an empty cell is NaN), and
+what an error says is allowed."""
+EMPTY = ("", "NULL", "null")
+"""What stands for a missing number; the text ``nan`` does not."""
+_FIRST_14 = [
+    *("vehicle_id", "frame_id", "total_frames", "global_time", "local_x", "local_y", "global_x", "global_y"),
+    *("v_length", "v_width", "v_class", "v_vel", "v_acc", "lane_id"),
+]
+_LAST_4 = ["preceding", "following", "space_headway", "time_headway"]
+_ARTERIAL = ["o_zone", "d_zone", "int_id", "section_id", "direction", "movement"]
+# The six columns of arterials come after column 14 (the data dictionaries of Lankershim and Peachtree); it is said, of
+# files not seen, after 16. Of them, and of what they shift, Direction alone is used.
+_WITHOUT_HEADER = {
+    18: [*_FIRST_14, *_LAST_4],
+    24: [*_FIRST_14, *_ARTERIAL, *_LAST_4],
+    25: [*_FIRST_14, *_ARTERIAL, *_LAST_4, "location"],
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How the rows of one file are written.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Lower-case column names in the file's order.
+    delimiter : str or None
+        None stands for any run of spaces and tabs.
+    first_line : int
+        Number of the first data line, counting from 1.
+    """
+
+    columns: tuple[str, ...]
+    delimiter: str | None
+    first_line: int
+
+    @property
+    def arterial(self) -> bool:
+        """Whether this is the native text of a site with intersections, 24 columns wide."""
+        return "location" not in self.columns and "int_id" in self.columns
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    """The fields of one line, without quotes and padding."""
+    return line.split() if delimiter is None else [field.strip() for field in fields_of(line, delimiter)]
+
+
+def sniff_layout(path: str | Path) -> Layout:
+    """Find the dialect of a file of NGSIM trajectories; lines before the table that are blank or comments are skipped.
+
+    Raises
+    ------
+    MissingFileError
+        If there is no such file.
+    InputError
+        If the file is empty, is not text, has a header without one of the needed columns, or has no header and
+        neither 18, 24 nor 25 columns.
+    """
+    lines = list(islice(table_lines(path), 2))
+    if not lines:
+        raise InputError(f"{path}: no rows; a file of vehicles is needed")
+    line, text = lines[0]
+    delimiter = next((mark for mark in (",", ";") if mark in text), None)
+    fields = _split(text, delimiter)
+    if not np.isnan(number(fields[0].replace(",", ""))):
+        trailing = [""] if fields[-1] == "" else []  # a delimiter at the line's end
+        columns = _WITHOUT_HEADER.get(len(fields) - len(trailing))
+        if columns is None:
+            raise InputError(f"{path}:{line}: {len(fields)} fields; NGSIM rows have 18 or 24, the portal's 25")
+        return Layout((*columns, *trailing), delimiter, line)
+    if delimiter is None and "\t" in text:
+        delimiter = "\t"  # under a header, cells may be empty: every tab counts
+    columns = [field.lower().replace(" ", "_") for field in _split(text, delimiter)]
+    needed = {column: name for column, (name, *_) in COLUMNS.items()}
+    column_places(columns, needed, (), f"{path}:{line}", " (any letter case)")
+    if len(lines) < 2:
+        raise InputError(f"{path}: no rows below the header in line {line}")
+    return Layout(tuple(columns), delimiter, line + 1)
+
+
+# --- Reading NGSIM rows, by the million and from files that mix all sites ---------------------------------
+
+_DIRECTIONS = {"direction": 4, "movement": 3}
+"""Columns of arterials, with their largest numbers: where a vehicle is bound for, whether it goes straight or turns."""
+_FEW_ODD = 0.01  # of the rows; more, and the column is another one
+_ODD = -1
+_TEXT = "U16"  # longer ones are read as rows
+
+
+def read_rows(
+    path: str | Path, layout: Layout, location: str | None
+) -> tuple[dict[str, np.ndarray], RepairReport, int]:
+    """Read the rows of one location in the file's order, converted from feet to metres.
+
+    Parameters
+    ----------
+    path : path
+    layout : Layout
+        How the file is written.
+    location : str, optional
+        Which one of a file that mixes several, in any letter case. A file without that column is taken whole.
+
+    Returns
+    -------
+    rows : dict of str to ndarray, (n,) or (n, 2)
+        vehicle_id, frame, time_ms, local_m (Local_X and Local_Y of the front centre), size_m (length and width; 0 where
+        missing), v_class, lane, direction (1 east, 2 north, 3 west, 4 south, where Local_Y runs north; 0 where not
+        known).
+    report : RepairReport
+        Rows read and locations.
+    odd_directions : int
+        Rows whose Direction or Movement is none that there is. Where they are more than a few, `direction` is 0 in all.
+
+    Raises
+    ------
+    InputError
+        If a row has too few or too many fields, or a value that cannot be used; if the location is not there, or none
+        is chosen and there are several; if there are no or too many rows.
+    """
+    used = [name for name in (*COLUMNS, *_DIRECTIONS, "location") if name in layout.columns]
+    has_location = "location" in used
+    wanted = location.strip().lower() if location is not None and has_location else None
+    seen: set[str] = set()
+    parts: list[dict[str, np.ndarray]] = []
+    rows_read = 0
+    parse = partial(_parsed, layout, {layout.columns.index(name): name for name in used})
+    width = len(layout.columns)
+    chunks = csv_columns(path, layout.first_line - 1, width, layout.delimiter, "the other rows have", parse)
+    for lines, fields in chunks:
+        rows_read += len(lines)
+        texts = {name: fields[layout.columns.index(name)] for name in used}
+        if has_location:
+            names = {text: "" if text in EMPTY else text.strip().lower() for text in set(texts["location"])}
+            seen.update(names.values())
+            if wanted is None and len(seen) > 1:
+                parts.clear()  # only their names matter now, for the message
+                continue
+            if wanted is not None:
+                rows = [row for row, text in enumerate(texts["location"]) if names[text] == wanted]
+                lines, texts = [lines[row] for row in rows], {name: _of_rows(texts[name], rows) for name in used}
+        parts.append(_metric(path, texts, lines))
+    locations = tuple(sorted(seen))
+    if wanted is None and len(locations) > 1:
+        raise InputError(f"{path}: holds {len(locations)} locations; choose one of: {', '.join(locations)}")
+    if wanted is not None and wanted not in seen:
+        raise unknown_name(location, locations, "location", str(path))
+    if not parts:
+        raise InputError(f"{path}: no rows; a file of vehicles is needed")
+    rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    odd = rows["direction"] == _ODD
+    rows["direction"][odd if odd.mean() <= _FEW_ODD else slice(None)] = 0
+    report = RepairReport(rows_read, location="".join(locations) if wanted is None else wanted, locations=locations)
+    return rows, report, int(odd.sum())
+
+
+def _parsed(layout: Layout, used: Mapping[int, str], lines: list[str]) -> list[Sequence] | None:
+    """The columns of lines that need no second look, by `parsed_columns`; numbers are those that `COLUMNS` accepts."""
+    names = [used.get(place) for place in range(len(layout.columns))]
+    kinds = ["f8" if name in COLUMNS else _TEXT if name else "U1" for name in names]
+    columns = parsed_columns(lines, layout.delimiter, kinds)
+    accepted = (name not in COLUMNS or COLUMNS[name][1](columns[place]).all() for place, name in used.items())
+    if columns is None or not all(accepted):
+        return None
+    return [column.tolist() if kind == _TEXT else column for kind, column in zip(kinds, columns, strict=True)]
+
+
+def _of_rows(column: Sequence, rows: list[int]) -> Sequence:
+    return column[rows] if isinstance(column, np.ndarray) else [column[row] for row in rows]
+
+
+def _metric(path: str | Path, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> dict[str, np.ndarray]:
+    """The columns that are used, in metres; `lines` are the rows' numbers, for messages."""
+    values = {name: _numbers(path, name, texts[name], lines) for name in COLUMNS}
+    return {
+        "vehicle_id": values["vehicle_id"].astype(np.int64),
+        "frame": values["frame_id"].astype(np.int64),
+        "time_ms": values["global_time"],
+        "local_m": np.stack([values["local_x"], values["local_y"]], axis=1) * FOOT_M,
+        "size_m": np.nan_to_num(np.stack([values["v_length"], values["v_width"]], axis=1)) * FOOT_M,
+        "v_class": values["v_class"].astype(np.int8),
+        "lane": np.nan_to_num(values["lane_id"]).astype(np.int16),
+        "direction": _directions(texts, len(lines)),
+    }
+
+
+def _numbers(path: str | Path, column: str, texts: Sequence[str], lines: Sequence[int]) -> np.ndarray:
+    """The numbers of a column of `COLUMNS`, without separators of thousands; NaN where one is missing."""
+    if isinstance(texts, np.ndarray):  # `_parsed` has looked at them
+        return texts
+    name, accepts, allowed = COLUMNS[column]
+    joined = "\0".join(texts)
+    values = numbers(joined.replace(",", "").split("\0") if "," in joined else texts)
+    good = accepts(values)
+    for row in np.flatnonzero(~good | np.isnan(values)):
+        text = texts[row].strip()
+        if not good[row] or text not in EMPTY:
+            given = quoted(text) if text else "nothing"
+            raise InputError(f"{path}:{lines[row]}: {name} is {given}; allowed: {allowed}")
+    return values
+
+
+def _directions(texts: Mapping[str, Sequence[str]], count: int) -> np.ndarray:
+    """The column Direction, (n,) int8; 0 where it is empty or not there, `_ODD` where it or Movement is none.
+
+    Files are said to exist whose six columns of arterials stand two places later. The column after Direction, Movement,
+    would hold other numbers there: it tells whether Direction is what it seems.
+    """
+    if any(name not in texts for name in _DIRECTIONS):
+        return np.zeros(count, dtype=np.int8)
+    pairs = list(zip(*(texts[name] for name in _DIRECTIONS), strict=True))
+    meant = {pair: _direction(pair) for pair in set(pairs)}
+    return np.array([meant[pair] for pair in pairs], dtype=np.int8)
+
+
+def _direction(pair: tuple[str, ...]) -> int:
+    values = [0 if text.strip() in EMPTY else number(text) for text in pair]
+    known = all(value in range(largest + 1) for value, largest in zip(values, _DIRECTIONS.values(), strict=True))
+    return int(values[0]) if known else _ODD
+
+
+# --- The recording periods of an NGSIM file, each of which numbers vehicles and frames from 1 again -------
+# Two of I-80's three even overlap in time, so that a row belongs to the period whose clock its frame number fits:
+# ``Global_Time - step * Frame_ID`` is constant within one.
+
+_SAME_PERIOD_S = 60.0
+_STEP_LIMITS_MS = (10.0, 60_000.0)
+_USUAL_STEP_MS = 100.0
+# Nominal starts in Pacific Daylight Time; recording began up to 2 min 15 s earlier.
+_PACIFIC_H = -7
+_NOMINAL_S = {
+    "0400-0415": 16 * 3600,
+    "0500-0515": 17 * 3600,
+    "0515-0530": 17 * 3600 + 15 * 60,
+    "0750-0805": 7 * 3600 + 50 * 60,
+    "0805-0820": 8 * 3600 + 5 * 60,
+    "0820-0835": 8 * 3600 + 20 * 60,
+    "0828-0845": 8 * 3600 + 28 * 60,
+    "0845-0900": 8 * 3600 + 45 * 60,
+}
+_NOMINAL_TOLERANCE_S = 180
+_FIRST_REAL_TIME_MS = 1e12  # Peachtree's 10-digit times are no times of day
+
+
+def _time_step_ms(rows: dict[str, np.ndarray], path: str | Path) -> float:
+    """Milliseconds per frame number: the median over neighbouring rows of each vehicle; 100 if none has two."""
+    vehicle, frame, time_ms = rows["vehicle_id"], rows["frame"], rows["time_ms"]
+    order = np.lexsort((time_ms, vehicle))
+    frames = np.diff(frame[order])
+    usable = (np.diff(vehicle[order]) == 0) & (frames != 0)
+    step = float(np.median(np.diff(time_ms[order])[usable] / frames[usable])) if usable.any() else _USUAL_STEP_MS
+    if step <= 0:
+        return _USUAL_STEP_MS
+    low, high = _STEP_LIMITS_MS
+    if not low <= step <= high:
+        raise InputError(
+            f"{path}: Global_Time grows by {step:g} ms from one Frame_ID to the next; allowed: {low:g} to {high:g}"
+        )
+    return step
+
+
+def _periods(rows: dict[str, np.ndarray], step_ms: float) -> tuple[tuple[str, ...], np.ndarray]:
+    """The periods in order of time, rows whose clocks agree within `_SAME_PERIOD_S`, and each row's, (n,), from 0.
+
+    They are called as the recording calls them (``"0400-0415"``), else by their number, from ``"1"``.
+    """
+    origin_s = np.rint((rows["time_ms"] - step_ms * rows["frame"]) / 1000.0)
+    distinct, of_row = np.unique(origin_s, return_inverse=True)
+    starts = np.append(True, np.diff(distinct) > _SAME_PERIOD_S)
+    names = [_nominal(origin) for origin in distinct[starts]]
+    called = [name if name and names.count(name) == 1 else str(place) for place, name in enumerate(names, start=1)]
+    return tuple(called), (np.cumsum(starts) - 1)[of_row.reshape(-1)]
+
+
+def _nominal(origin_s: float) -> str | None:
+    """The name of the period that begins at a time [s since 1970], if it is a known one."""
+    if origin_s * 1000 < _FIRST_REAL_TIME_MS:
+        return None
+    of_day = (origin_s + _PACIFIC_H * 3600) % 86400
+    name = min(_NOMINAL_S, key=lambda known: abs(_NOMINAL_S[known] - of_day))
+    return name if abs(_NOMINAL_S[name] - of_day) <= _NOMINAL_TOLERANCE_S else None
+
+
+def _chosen(periods: tuple[str, ...], period: int | str | None, path: str | Path) -> int:
+    """The number, from 0, of the period asked for by number (from 1) or name; the first if none is."""
+    if period is None:
+        return 0
+    asked = str(period).strip().replace(":", "")
+    if asked in periods:
+        return periods.index(asked)
+    if asked.isdecimal() and 1 <= int(asked) <= len(periods):
+        return int(asked) - 1
+    known = (f"{place}" if name == str(place) else f"{place} ({name})" for place, name in enumerate(periods, 1))
+    raise InputError(f"{path}: no period {period!r}; the recording has: {', '.join(known)}")

@@ -20,31 +20,30 @@ One row per vehicle and frame under a header; columns in any order, further ones
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .csv_rows import csv_columns, fields_of
-from .overlaps import with_overlaps_reported
-from .report import RepairReport
-from .road import Placing, within_x
-from .source import table_lines
+from .source import column_places, csv_columns, fields_of, first_line, number, numbers, quoted
 from .tracks import drop_repeats
-from .vehicles import CLASSES, Recording
+from .vehicles import CLASSES, Placing, Recording, RepairReport, with_overlaps_reported
 
-NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", "length_m", "width_m", "height_m", "heading_deg")
+_LENGTHS = ("length_m", "width_m", "height_m")
+NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
 OPTIONAL = ("z_m", "time_s", "lane")
-_WHOLE = {"frame": 2**53, "vehicle_id": 2**53, "lane": 2**15 - 1}
-_NOT_NEGATIVE = ("vehicle_id",)  # -1 is what is no vehicle
-_POSITIVE = ("length_m", "width_m", "height_m")
-_SIDE_LIMITS_M = (1e-3, 1e3)
-_LARGEST = {"x_m": 1e9, "y_m": 1e9, "z_m": 1e9, "heading_deg": 1e9, "time_s": 1e12}  # sums and squares stay finite
+_WHOLE = ("frame", "vehicle_id", "lane")
+_LIMITS = {
+    "frame": (-(2**53), 2**53),
+    "vehicle_id": (0, 2**53),  # -1 is what is no vehicle
+    "lane": (1 - 2**15, 2**15 - 1),
+    "time_s": (-1e12, 1e12),
+    **dict.fromkeys(_LENGTHS, (1e-3, 1e3)),
+    **dict.fromkeys(("x_m", "y_m", "z_m", "heading_deg"), (-1e9, 1e9)),  # sums and squares stay finite
+}
 _TIME_STEP_LIMITS_S = (1e-3, 1e6)
 _SAME_TIME_S = 1e-6
-_LONGEST_SHOWN = 40
 _ASSUMED_TIME_STEP_S = 0.1
 
 
@@ -54,7 +53,6 @@ def read_table(
     origin_m: tuple[float, float] = (0.0, 0.0),
     heading_deg: float = 0.0,
     time_step_s: float | None = None,
-    x_range_m: tuple[float, float] | None = None,
 ) -> Recording:
     """Read a table of boxes.
 
@@ -67,8 +65,6 @@ def read_table(
         Direction of the road's x axis in the table's frame [degrees], counter-clockwise.
     time_step_s : float, optional
         Time between consecutive frame numbers [s], instead of a column ``time_s``; 0.1 s if there is neither.
-    x_range_m : (float, float), optional
-        Keep boxes whose centre has its x [m, road frame] in this range.
 
     Raises
     ------
@@ -76,8 +72,6 @@ def read_table(
         If the file or one of its values cannot be used; the text names the line and the column.
     """
     placing = Placing(origin_m, heading_deg)
-    if time_step_s is not None and not 0 < time_step_s < math.inf:
-        raise InputError(f"time_step_s is {time_step_s}; more than 0 is needed")
     low, high = _TIME_STEP_LIMITS_S
     if time_step_s is not None and not low <= time_step_s <= high:
         raise InputError(f"time_step_s is {time_step_s}; allowed: {low:g} to {high:g}")
@@ -88,26 +82,18 @@ def read_table(
     columns = {name: column[kept] for name, column in columns.items()}
     time_s, step_s, notes = _times(path, columns, time_step_s)
     plane = placing.points(np.column_stack([columns["x_m"], columns["y_m"]]))
-    centre = np.column_stack([plane, columns.get("z_m", columns["height_m"] / 2)])
-    inside = within_x(centre, x_range_m, str(path))
     recording = Recording.from_rows(
-        frame=columns["frame"][inside],
-        time_s=time_s[inside],
-        vehicle_id=columns["vehicle_id"][inside],
-        class_index=columns["class"][inside],
-        centre_m=centre[inside],
-        size_m=np.column_stack([columns[name] for name in _POSITIVE])[inside],
-        heading_rad=placing.headings(np.radians(columns["heading_deg"]))[inside],
-        lane=columns.get("lane", np.zeros(len(centre)))[inside],
+        frame=columns["frame"],
+        time_s=time_s,
+        vehicle_id=columns["vehicle_id"],
+        class_index=columns["class"],
+        centre_m=np.column_stack([plane, columns.get("z_m", columns["height_m"] / 2)]),
+        size_m=np.column_stack([columns[name] for name in _LENGTHS]),
+        heading_rad=placing.headings(np.radians(columns["heading_deg"])),
+        lane=columns.get("lane", np.zeros(len(kept))),
         time_step_s=step_s,
         source=str(path),
-        report=RepairReport(
-            rows_read=rows_read,
-            rows_used=int(inside.sum()),
-            duplicates=duplicates,
-            repeated=repeated,
-            notes=notes,
-        ),
+        report=RepairReport(rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=notes),
     )
     return with_overlaps_reported(recording)
 
@@ -119,75 +105,38 @@ def is_table_header(fields: list[str]) -> bool:
 
 def _columns(path: str | Path) -> dict[str, np.ndarray]:
     """The columns that are used, by name: classes as indices, the others as float64."""
-    header, header_line = _header(path)
-    wanted = [name for name in (*NEEDED, *OPTIONAL) if name in header]
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
-    for lines, fields in csv_columns(path, header, header_line):
-        texts = dict(zip(header, fields, strict=True))
-        for name in wanted:
+    header_line, line = first_line(path, "a table of boxes")
+    header = [field.strip().lower() for field in fields_of(line)]
+    places = column_places(header, {name: name for name in NEEDED}, OPTIONAL, f"{path}:{header_line}")
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in places}
+    for lines, fields in csv_columns(path, header_line, len(header)):
+        for name, place in places.items():
             read = _class_indices if name == "class" else _numbers
-            parts[name].append(read(path, name, texts[name], lines))
+            parts[name].append(read(path, name, fields[place], lines))
     if not parts["frame"]:
         raise InputError(f"{path}: no rows below the header in line {header_line}")
     return {name: np.concatenate(part) for name, part in parts.items()}
 
 
-def _header(path: str | Path) -> tuple[list[str], int]:
-    """The column names, in lower case, and the number of their line."""
-    number, line = next(table_lines(path), (0, ""))
-    if not line:
-        raise InputError(f"{path}: no rows; a table of boxes is needed")
-    header = [field.strip().lower() for field in fields_of(line)]
-    missing = [name for name in NEEDED if name not in header]
-    if missing:
-        raise InputError(f"{path}:{number}: no column {', '.join(missing)}; needed: {', '.join(NEEDED)}")
-    twice = [name for name in (*NEEDED, *OPTIONAL) if header.count(name) > 1]
-    if twice:
-        raise InputError(f"{path}:{number}: column {twice[0]} is there twice")
-    return header, number
-
-
 def _numbers(path: str | Path, name: str, texts: tuple[str, ...], lines: Sequence[int]) -> np.ndarray:
-    try:
-        values = np.array(texts, dtype=np.float64)
-        good = _accepted(name, values)
-        doubtful = "_" in "".join(texts)  # "1_0" is 10 to Python alone
-    except ValueError:
-        doubtful = True
-    if doubtful:
-        good = np.array([_is_accepted(name, text) for text in texts])
+    values, (low, high) = numbers(texts), _LIMITS[name]
+    good = (values >= low) & (values <= high)
+    if name in _WHOLE:
+        good &= np.rint(values) == values
     if not good.all():
         at = int(good.argmin())
-        text = texts[at] if len(texts[at]) <= _LONGEST_SHOWN else texts[at][:_LONGEST_SHOWN] + "..."
-        raise InputError(f"{path}:{lines[at]}: {name} is {text!r}; allowed: {_allowed(name, texts[at])}")
+        raise InputError(f"{path}:{lines[at]}: {name} is {quoted(texts[at])}; allowed: {_allowed(name, texts[at])}")
     return values
 
 
 def _allowed(name: str, text: str) -> str:
+    low, high = _LIMITS[name]
     if name in _WHOLE:
-        return "a whole number of at least 0" if name in _NOT_NEGATIVE else "a whole number"
-    try:
-        value = math.nan if "_" in text else float(text)
-    except ValueError:
-        value = math.nan
-    if name in _POSITIVE:
-        return f"{_SIDE_LIMITS_M[0]:g} to {_SIDE_LIMITS_M[1]:g}" if 0 < value < math.inf else "more than 0"
-    return f"{-_LARGEST[name]:g} to {_LARGEST[name]:g}" if math.isfinite(value) else "a finite number"
-
-
-def _accepted(name: str, values: np.ndarray) -> np.ndarray:
-    if name in _WHOLE:
-        lowest = 0 if name in _NOT_NEGATIVE else -_WHOLE[name]
-        return (values >= lowest) & (values <= _WHOLE[name]) & (np.rint(values) == values)
-    low, high = _SIDE_LIMITS_M if name in _POSITIVE else (-_LARGEST[name], _LARGEST[name])
-    return (values >= low) & (values <= high)
-
-
-def _is_accepted(name: str, text: str) -> bool:
-    try:
-        return "_" not in text and bool(_accepted(name, np.array([float(text)]))[0])
-    except ValueError:
-        return False
+        return "a whole number of at least 0" if low == 0 else "a whole number"
+    value = number(text)
+    if np.isfinite(value) and not (name in _LENGTHS and value <= 0):
+        return f"{low:g} to {high:g}"
+    return "more than 0" if name in _LENGTHS else "a finite number"
 
 
 def _class_indices(path: str | Path, name: str, texts: tuple[str, ...], lines: Sequence[int]) -> np.ndarray:

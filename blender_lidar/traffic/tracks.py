@@ -1,50 +1,138 @@
-"""Rows of one recording put in order: repeats dropped, short gaps filled, long ones found."""
+"""What NGSIM lacks or records badly: headings (Savitzky-Golay), repeats, gaps, vehicle sizes and heights."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from .vehicles import CLASSES, HEIGHTS_M, VAN_LONGER_THAN_M
+
+# --- Which way vehicles point, from where they have been: NGSIM records no heading ------------------------
+# Local straight-line fits over a moving window, as a Savitzky-Golay filter of 3.1 s; a speed gate below which a
+# heading is held; a limit against the tracker's lateral wander.
+
+WINDOW_S = 3.1
+SLOWEST_M_S = 2.0
+"""Below this speed, steps of the size of the position noise would turn a vehicle anywhere."""
+LIMIT_RAD = np.radians(6.0)
+LANE_CHANGE_LIMIT_RAD = np.radians(15.0)
+LANE_CHANGE_S = 3.0
+"""Time before and after the change of lane number during which the wider limit holds."""
+
+
+def fitted_velocity(segment: np.ndarray, time_s: np.ndarray, position_m: np.ndarray) -> np.ndarray:
+    """Velocity by a least-squares straight line through all positions within half a window of each row.
+
+    Over a window that is symmetric about the row, this is also the slope of the quadratic Savitzky-Golay filter; where
+    a track begins or ends, the line is the steadier of the two.
+
+    Parameters
+    ----------
+    segment : ndarray, (n,) int
+        Unbroken stretch of track that each row belongs to, ascending; nothing is fitted across two.
+    time_s : ndarray, (n,)
+        Ascending within a segment [s]; spacing may vary.
+    position_m : ndarray, (n, 2)
+
+    Returns
+    -------
+    ndarray, (n, 2)
+        [m/s]; NaN where the window holds fewer than two times.
+    """
+    t, window_sum = _windows(segment, time_s, WINDOW_S / 2)
+    p = position_m - position_m[np.searchsorted(segment, segment)]
+    n, sum_t = window_sum(np.ones(len(t))), window_sum(t)
+    spread = window_sum(t * t) - sum_t**2 / n
+    spread[(n < 2) | (spread < 1e-6)] = np.nan
+    slopes = [(window_sum(t * axis) - sum_t * window_sum(axis) / n) / spread for axis in p.T]
+    return np.stack(slopes, axis=1)
+
+
+def _windows(
+    group: np.ndarray, time_s: np.ndarray, half_s: float
+) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Times from the start of each row's group, ascending, (n,) [s], and a function that sums over moving windows.
+
+    It takes and gives a value a row: the sum over the rows of the same group at most `half_s` before or after. Sums are
+    differences of running sums; counting from each group's start keeps them exact.
+    """
+    half_s += 1e-6
+    t = time_s - time_s[np.searchsorted(group, group)]
+    key = group * (t.max() + 4 * half_s) + t
+    low = np.searchsorted(key, key - half_s, side="left")
+    high = np.searchsorted(key, key + half_s, side="right")
+
+    def window_sum(values: np.ndarray) -> np.ndarray:
+        running = np.concatenate([[0.0], np.cumsum(values)])
+        return running[high] - running[low]
+
+    return t, window_sum
+
+
+def held_heading(
+    vehicle_id: np.ndarray, velocity: np.ndarray, at_rest_rad: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Heading of motion where it is fast enough; else the vehicle's last one, else its next one, else `at_rest_rad`.
+
+    Parameters
+    ----------
+    vehicle_id : ndarray, (n,)
+        Rows of a vehicle are neighbours, in order of time.
+    velocity : ndarray, (n, 2)
+        [m/s]; NaN where unknown.
+    at_rest_rad : float or ndarray, (n,)
+        Headings of vehicles that are never fast enough [rad]; the road's if left out.
+
+    Returns
+    -------
+    heading_rad : ndarray, (n,)
+    held : ndarray, (n,) bool
+        Where it is not the heading of the row's own motion.
+    """
+    n = len(vehicle_id)
+    rows = np.arange(n)
+    moving = np.hypot(velocity[:, 0], velocity[:, 1]) >= SLOWEST_M_S
+    last = np.maximum.accumulate(np.where(moving, rows, -1))
+    following = np.minimum.accumulate(np.where(moving, rows, n)[::-1])[::-1]
+    heading = np.array(np.broadcast_to(at_rest_rad, n), dtype=np.float64)
+    open_rows = np.ones(n, dtype=bool)
+    for source, known in ((last, last >= 0), (following, following < n)):
+        at = np.where(known, source, 0)
+        take = open_rows & known & (vehicle_id[at] == vehicle_id)
+        heading[take] = np.arctan2(velocity[at[take], 1], velocity[at[take], 0])
+        open_rows &= ~take
+    return heading, ~moving
+
+
+def lane_changing(vehicle_id: np.ndarray, time_s: np.ndarray, lane: np.ndarray) -> np.ndarray:
+    """Rows within `LANE_CHANGE_S` of a change of lane number, (n,) bool; rows as in `held_heading`."""
+    same = np.diff(vehicle_id) == 0
+    changed = np.flatnonzero(same & (np.diff(lane) != 0))
+    if not len(changed):
+        return np.zeros(len(lane), dtype=bool)
+    # Both rows of a change count, as it lies somewhere between them.
+    events = np.zeros(len(lane))
+    events[changed] = events[changed + 1] = 1
+    number = np.concatenate([[0], np.cumsum(~same)])  # ids may be too large to be multiplied with times
+    _, window_sum = _windows(number, time_s, LANE_CHANGE_S)
+    return window_sum(events) > 0
+
+
+def limited(heading_rad: np.ndarray, changing: np.ndarray) -> np.ndarray:
+    """Headings kept within 6 degrees of the road, 15 where a lane change explains more, (n,) [rad].
+
+    For roads whose x axis follows the direction of travel; a vehicle that moves backwards is taken for a
+    tracker's error and limited too.
+    """
+    limit = np.where(changing, LANE_CHANGE_LIMIT_RAD, LIMIT_RAD)
+    return np.clip(heading_rad, -limit, limit)
+
+
+# --- Rows of one recording put in order: repeats dropped, short gaps filled, long ones found --------------
+
 LONGEST_FILLED_GAP_S = 0.5
 """Longer gaps are left open: a car may have changed lanes in between."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackRows:
-    """NGSIM rows as they are recorded, in metres.
-
-    Attributes
-    ----------
-    vehicle_id, frame : ndarray, (n,) int64
-    time_ms : ndarray, (n,) float64
-        Global_Time [ms].
-    local_m : ndarray, (n, 2) float64
-        Local_X and Local_Y of the front centre [m].
-    size_m : ndarray, (n, 2) float64
-        Length and width [m]; 0 where missing.
-    v_class : ndarray, (n,) int8
-        1 motorcycle, 2 auto, 3 truck.
-    lane : ndarray, (n,) int16
-    direction : ndarray, (n,) int8
-        Bound for: 1 east, 2 north, 3 west, 4 south, where Local_Y runs north; 0 where not recorded, as on freeways.
-    """
-
-    vehicle_id: np.ndarray
-    frame: np.ndarray
-    time_ms: np.ndarray
-    local_m: np.ndarray
-    size_m: np.ndarray
-    v_class: np.ndarray
-    lane: np.ndarray
-    direction: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.vehicle_id)
-
-    def take(self, which: np.ndarray) -> TrackRows:
-        """The rows that a mask or an index array picks."""
-        return TrackRows(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 def drop_repeats(vehicle_id: np.ndarray, frame: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, int, int]:
@@ -83,40 +171,36 @@ def usual_step(vehicle_id: np.ndarray, frame: np.ndarray) -> int:
     return int(values[counts.argmax()])
 
 
-def fill_gaps(rows: TrackRows, time_step_s: float) -> tuple[TrackRows, np.ndarray]:
+def fill_gaps(rows: Mapping[str, np.ndarray], time_step_s: float) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Interpolate gaps of at most `LONGEST_FILLED_GAP_S` linearly; lane, size and class are those before the gap.
 
     Parameters
     ----------
-    rows : TrackRows
-        Sorted by (vehicle_id, frame), without repeats.
+    rows : mapping of str to ndarray, (n,) or (n, 2)
+        ``vehicle_id``, ``frame``, ``local_m`` and others; sorted by the first two, without repeats.
     time_step_s : float
         Time between consecutive frame numbers [s].
 
     Returns
     -------
-    rows : TrackRows
+    rows : dict
         With the new rows in their places.
     added : ndarray, (n,) bool
         Which ones are new.
     """
-    step = usual_step(rows.vehicle_id, rows.frame)
-    jump = np.diff(rows.frame)
+    step = usual_step(rows["vehicle_id"], rows["frame"])
+    jump = np.diff(rows["frame"])
     lost_s = (jump - step) * time_step_s
     short = (lost_s > 0) & (lost_s <= LONGEST_FILLED_GAP_S + 1e-9) & (jump % step == 0)
-    short &= np.diff(rows.vehicle_id) == 0
-    before = np.flatnonzero(short)
+    before = np.flatnonzero(short & (np.diff(rows["vehicle_id"]) == 0))
     missing = jump[before] // step - 1
-    if not len(before):
-        return rows, np.zeros(len(rows), dtype=bool)
     source = np.repeat(before, missing)
     nth = np.arange(len(source)) - np.repeat(np.cumsum(missing) - missing, missing) + 1
     weight = nth / np.repeat(missing + 1, missing)
-    added = np.insert(np.zeros(len(rows), dtype=bool), source + 1, True)
-    filled = rows.take(np.insert(np.arange(len(rows)), source + 1, source))
-    filled.frame[added] += nth * step
-    filled.time_ms[added] += weight * np.diff(rows.time_ms)[source]
-    filled.local_m[added] += weight[:, None] * np.diff(rows.local_m, axis=0)[source]
+    added = np.insert(np.zeros(len(rows["frame"]), dtype=bool), source + 1, True)
+    filled = {name: np.insert(column, source + 1, column[source], axis=0) for name, column in rows.items()}
+    filled["frame"][added] += nth * step
+    filled["local_m"][added] += weight[:, None] * np.diff(rows["local_m"], axis=0)[source]
     return filled, added
 
 
@@ -145,3 +229,58 @@ def segments(vehicle_id: np.ndarray, frame: np.ndarray, time_step_s: float) -> t
     frames = np.unique(frame)
     skipped = np.diff(np.searchsorted(frames, frame))
     return segment, int((gap & (skipped > 1)).sum())
+
+
+# --- Classes, sizes and heights of NGSIM vehicles, which are measured from video blobs and have no height -
+
+_LONG_TRUCK_M = 9.0
+_CLASS_INDEX = np.array([0, *map(CLASSES.index, ("motorcycle", "car", "truck"))], dtype=np.int8)
+"""By v_Class: 1 motorcycle, 2 auto, 3 truck."""
+_PLAUSIBLE_M = {
+    1: ((1.6, 2.8, 2.1), (0.5, 1.0, 0.8)),
+    2: ((2.5, 7.0, 4.5), (1.3, 2.6, 2.05)),
+    3: ((5.0, 25.0, 12.7), (1.8, 2.6, 2.59)),
+}
+"""Least, largest and default length, and the same of width, by v_Class: percentiles of I-80's and US-101's vehicles."""
+
+
+def repaired_sizes(v_class: np.ndarray, size_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths and widths brought into their class's range; missing ones (0) become its default.
+
+    Parameters
+    ----------
+    v_class : ndarray, (n,) int
+        1 motorcycle, 2 auto, 3 truck.
+    size_m : ndarray, (n, 2)
+        Length and width [m].
+
+    Returns
+    -------
+    size_m : ndarray, (n, 2)
+    changed : ndarray, (n,) bool
+    """
+    repaired = size_m.copy()
+    for number, limits in _PLAUSIBLE_M.items():
+        rows = v_class == number
+        for column, (low, high, default) in enumerate(limits):
+            given = size_m[rows, column]
+            repaired[rows, column] = np.where(given > 0, np.clip(given, low, high), default)
+    # Motorcycle blobs are inflated to about 1.55 m: anything wider than a motorcycle becomes the default.
+    _, high, default = _PLAUSIBLE_M[1][1]
+    repaired[(v_class == 1) & (size_m[:, 1] > high), 1] = default
+    return repaired, (repaired != size_m).any(axis=1)
+
+
+def class_index(v_class: np.ndarray, length_m: np.ndarray) -> np.ndarray:
+    """Index into `CLASSES`, (n,) int8, from NGSIM's three classes and the lengths [m]: long autos are vans."""
+    index = _CLASS_INDEX[v_class]
+    index[(v_class == 2) & (length_m > VAN_LONGER_THAN_M)] = CLASSES.index("van")
+    return index
+
+
+def heights(index: np.ndarray, length_m: np.ndarray, height_m: Mapping[str, float] | None = None) -> np.ndarray:
+    """Heights [m], (n,), from indices into `CLASSES` and lengths [m]; `height_m` replaces those of `HEIGHTS_M`."""
+    table = {**HEIGHTS_M, **(height_m or {})}
+    result = np.array([table[name] for name in CLASSES])[index]
+    result[(index == CLASSES.index("truck")) & (length_m >= _LONG_TRUCK_M)] = table["long_truck"]
+    return result

@@ -1,17 +1,121 @@
-"""The traffic as the rest of the package sees it: boxes in the road frame, by frame."""
+"""Traffic as oriented bounding boxes in the road frame, by frame; the report of repairs; overlapping boxes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..errors import InputError
-from .report import RepairReport
+from ..errors import InputError, printable
+
+# --- What reading a recording found and repaired ----------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class RepairReport:
+    """Counts of everything that reading a recording changed.
+
+    Attributes
+    ----------
+    rows_read : int
+        Rows in the file, all locations and periods.
+    rows_used : int
+        Rows of the file that became boxes.
+    location, period : str
+        What was read of a file that mixes several; empty where the file names none.
+    locations, periods : tuple of str
+        What the file holds.
+    duplicates : int
+        Rows dropped because they repeat another in every value that is used.
+    repeated : int
+        Rows dropped because their vehicle was already there in that frame, elsewhere or with another size.
+    off_map : int
+        Rows dropped because they lie kilometres from the section, or have no place at all.
+    left_out : int
+        Rows of what is no vehicle on a road: persons, containers, trains.
+    interpolated : int
+        Boxes added in gaps of at most 0.5 s.
+    tracks_split : int
+        Longer gaps, over which no heading is smoothed.
+    sizes_repaired : int
+        Vehicles whose size was missing or absurd.
+    headings_held, headings_clamped : int
+        Boxes whose heading was kept from before, being slow or alone; or limited, being too far off the road's.
+    overlaps, overlap_frames : int
+        Pairs of overlapping boxes, and the number of frames looked at.
+    notes : tuple of str
+        Choices made for want of a setting, as sentences.
+    """
+
+    rows_read: int = 0
+    rows_used: int = 0
+    location: str = ""
+    period: str = ""
+    locations: tuple[str, ...] = ()
+    periods: tuple[str, ...] = ()
+    duplicates: int = 0
+    repeated: int = 0
+    off_map: int = 0
+    left_out: int = 0
+    interpolated: int = 0
+    tracks_split: int = 0
+    sizes_repaired: int = 0
+    headings_held: int = 0
+    headings_clamped: int = 0
+    overlaps: int = 0
+    overlap_frames: int = 0
+    notes: tuple[str, ...] = ()
+
+    def lines(self) -> list[str]:
+        """A few lines for a person: only what happened; names from the file are made printable."""
+        happened = [
+            (self.duplicates, "duplicate row", "dropped"),
+            (self.repeated, "row", "dropped: vehicle already in that frame"),
+            (self.off_map, "row", "dropped: off the map"),
+            (self.left_out, "row", "left out: no vehicle on a road"),
+            (self.interpolated, "box", "interpolated in gaps of at most 0.5 s"),
+            (self.tracks_split, "longer gap", "left open"),
+            (self.sizes_repaired, "vehicle", "with a missing or absurd size repaired"),
+            (self.headings_held, "heading", "held (slower than 2 m/s, or no neighbour in time)"),
+            (self.headings_clamped, "heading", "limited"),
+        ]
+        chosen = [f"location {self.location}"] if len(self.locations) > 1 else []
+        chosen += [f"period {self.period}"] if len(self.periods) > 1 else []
+        of_what = f" ({', '.join(chosen)})" if chosen else ""
+        lines = [f"{self.rows_used:,} of {_counted(self.rows_read, 'row')} used{of_what}"]
+        lines += [f"{_counted(count, noun)} {outcome}" for count, noun, outcome in happened if count]
+        if self.overlaps:
+            pairs, frames = _counted(self.overlaps, "pair"), _counted(self.overlap_frames, "frame")
+            lines.append(f"{pairs} of overlapping boxes in {frames} looked at")
+        return [printable(line) for line in (*lines, *self.notes)]
+
+    def as_dict(self) -> dict[str, object]:
+        """All counts, for a result file."""
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
+
+def _counted(count: int, noun: str) -> str:
+    plural = "es" if noun.endswith("x") else "s"
+    return f"{count:,} {noun}{plural if count != 1 else ''}"
+
+
+# --- The traffic as the rest of the package sees it: boxes in the road frame, by frame --------------------
 
 CLASSES = ("car", "van", "truck", "bus", "motorcycle")
 """Vehicle classes; `class_index` counts into them. A van is any car longer than 4.9 m: van, SUV or pick-up."""
+VAN_LONGER_THAN_M = 4.9
+HEIGHTS_M = {"car": 1.5, "van": 1.9, "truck": 3.0, "long_truck": 3.8, "bus": 3.2, "motorcycle": 1.4}
+"""Heights by kind [m], for recordings that have none; a ``long_truck`` is one of 9 m or more."""
+_COLUMNS = {
+    "vehicle_id": np.int64,
+    "class_index": np.int8,
+    "centre_m": np.float64,
+    "size_m": np.float64,
+    "heading_rad": np.float64,
+    "lane": np.int16,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,15 +160,7 @@ class Vehicles:
 
     def select(self, which: np.ndarray) -> Vehicles:
         """The same frame with the vehicles that `which`, a (n,) mask or an index array, picks."""
-        return replace(
-            self,
-            vehicle_id=self.vehicle_id[which],
-            class_index=self.class_index[which],
-            centre_m=self.centre_m[which],
-            size_m=self.size_m[which],
-            heading_rad=self.heading_rad[which],
-            lane=self.lane[which],
-        )
+        return replace(self, **{name: getattr(self, name)[which] for name in _COLUMNS})
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,52 +198,22 @@ class Recording:
 
     @classmethod
     def from_rows(
-        cls,
-        *,
-        frame: np.ndarray,
-        time_s: np.ndarray,
-        vehicle_id: np.ndarray,
-        class_index: np.ndarray,
-        centre_m: np.ndarray,
-        size_m: np.ndarray,
-        heading_rad: np.ndarray,
-        lane: np.ndarray,
-        time_step_s: float,
-        source: str,
-        report: RepairReport,
+        cls, *, frame: np.ndarray, time_s: np.ndarray, time_step_s: float, source: str, report: RepairReport, **columns
     ) -> Recording:
-        """Build one from rows in any order, (n,) or (n, 3) each; `time_s` is every row's time [s]."""
-        order = np.lexsort((vehicle_id, frame))
+        """Build one from rows in any order; `time_s` is every row's time [s], `columns` are those of `Vehicles`."""
+        order = np.lexsort((columns["vehicle_id"], frame))
         frame = np.asarray(frame, dtype=np.int64)[order]
         frames, first = np.unique(frame, return_index=True)
-        columns = {
-            "frame": frame,
-            "vehicle_id": np.asarray(vehicle_id, dtype=np.int64)[order],
-            "class_index": np.asarray(class_index, dtype=np.int8)[order],
-            "centre_m": np.asarray(centre_m, dtype=np.float64)[order],
-            "size_m": np.asarray(size_m, dtype=np.float64)[order],
-            "heading_rad": np.asarray(heading_rad, dtype=np.float64)[order],
-            "lane": np.asarray(lane, dtype=np.int16)[order],
-            "frames": frames,
-            "frame_time_s": np.asarray(time_s, dtype=np.float64)[order[first]],
-        }
-        for column in columns.values():
-            column.flags.writeable = False
-        return cls(**columns, time_step_s=float(time_step_s), source=source, report=report)
+        arrays = {name: np.asarray(columns[name], dtype=kind)[order] for name, kind in _COLUMNS.items()}
+        arrays |= {"frame": frame, "frames": frames, "frame_time_s": np.asarray(time_s, np.float64)[order[first]]}
+        for array in arrays.values():
+            array.flags.writeable = False
+        return cls(**arrays, time_step_s=float(time_step_s), source=source, report=report)
 
     def where(self, which: np.ndarray) -> Recording:
-        """The same recording with the rows that `which`, a (n,) mask, picks; frames left without one disappear.
-
-        Raises
-        ------
-        InputError
-            When no row is left.
-        """
-        if not which.any():
-            raise InputError(f"{self.source}: no vehicle is left of {len(self)} boxes")
-        names = ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
+        """The same recording with the rows that `which`, a (n,) mask, picks; frames left without one disappear."""
         return Recording.from_rows(
-            **{name: getattr(self, name)[which] for name in names},
+            **{name: getattr(self, name)[which] for name in ("frame", *_COLUMNS)},
             time_s=self.frame_time_s[np.searchsorted(self.frames, self.frame[which])],
             time_step_s=self.time_step_s,
             source=self.source,
@@ -180,16 +246,8 @@ class Recording:
         if at == len(self.frames) or self.frames[at] != frame:
             raise unknown_frame(frame, self)
         rows = slice(self._bounds[at], self._bounds[at + 1])
-        return Vehicles(
-            frame=int(frame),
-            time_s=float(self.frame_time_s[at]),
-            vehicle_id=self.vehicle_id[rows],
-            class_index=self.class_index[rows],
-            centre_m=self.centre_m[rows],
-            size_m=self.size_m[rows],
-            heading_rad=self.heading_rad[rows],
-            lane=self.lane[rows],
-        )
+        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
+        return Vehicles(frame=int(frame), time_s=float(self.frame_time_s[at]), **columns)
 
 
 def unknown_frame(frame: object, recording: Recording) -> InputError:
@@ -198,3 +256,187 @@ def unknown_frame(frame: object, recording: Recording) -> InputError:
     return InputError(
         f"{recording.source}: no frame {frame}; the recording has {len(frames)} frames from {frames[0]} to {frames[-1]}"
     )
+
+
+# --- The road frame, beside a carriageway: where it lies in a recording's own coordinates -----------------
+
+
+@dataclass(frozen=True, slots=True)
+class RoadFrame:
+    """The road frame beside a carriageway: x in the direction of travel, y to the left, the LiDAR at y <= 0.
+
+    The defaults are I-80's: past the on-ramp, whose acceleration lane ends at Local_Y 202 m.
+
+    Attributes
+    ----------
+    station_m : float
+        Local_Y of x = 0 [m].
+    right_edge_m : float
+        Local_X of the carriageway's right edge [m]; 72 ft on I-80.
+    setback_m : float
+        From the line y = 0 to that edge [m].
+    lanes : int
+        Lanes of the carriageway.
+    lane_width_m : float
+        Width of one lane [m].
+    """
+
+    station_m: float = 250.0
+    right_edge_m: float = 21.9456
+    setback_m: float = 2.0
+    lanes: int = 6
+    lane_width_m: float = 3.66
+
+    @property
+    def carriageway_y(self) -> tuple[float, float]:
+        """The y [m] of the carriageway's right and left edge."""
+        return self.setback_m, self.setback_m + self.lanes * self.lane_width_m
+
+    def from_local(self, local_m: np.ndarray) -> np.ndarray:
+        """NGSIM's local coordinates to the road frame.
+
+        Parameters
+        ----------
+        local_m : ndarray, (n, 2)
+            Local_X (to the right, from the left edge) and Local_Y (along travel) [m].
+
+        Returns
+        -------
+        ndarray, (n, 2)
+            x and y [m, road frame].
+        """
+        local_m = np.asarray(local_m, dtype=np.float64)
+        return np.stack(
+            [local_m[:, 1] - self.station_m, self.setback_m + (self.right_edge_m - local_m[:, 0])],
+            axis=1,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Placing:
+    """Where the road frame lies in the plane coordinates of a table or a net.
+
+    Attributes
+    ----------
+    origin_m : (float, float)
+        The road frame's origin [m, the file's frame].
+    heading_deg : float
+        Direction of the road's x axis in the file's frame [degrees], counter-clockwise.
+    """
+
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    heading_deg: float = 0.0
+
+    def points(self, xy_m: np.ndarray) -> np.ndarray:
+        """Points of the file's frame, (n, 2) [m], in the road frame."""
+        turn = math.radians(self.heading_deg)
+        x, y = (np.asarray(xy_m, dtype=np.float64) - self.origin_m).T
+        along = x * math.cos(turn) + y * math.sin(turn)
+        across = y * math.cos(turn) - x * math.sin(turn)
+        return np.stack([along, across], axis=1)
+
+    def headings(self, heading_rad: np.ndarray) -> np.ndarray:
+        """Headings from the file's +x, (n,) [rad], as headings from the road's, within half a turn."""
+        turned = heading_rad - math.radians(self.heading_deg)
+        return np.arctan2(np.sin(turned), np.cos(turned))
+
+
+# --- Vehicles that stand in one another: a defect of recordings that is reported, not repaired ------------
+
+_FRAMES_LOOKED_AT = 60
+_MOST_NEAR_PAIRS = 2_000_000  # in one frame; ten thousand vehicles spread over a city have some 200,000
+
+
+def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
+    """Pairs of vehicles whose oriented boxes overlap, seen from above: sweep and prune, then separating axes.
+
+    Parameters
+    ----------
+    vehicles : Vehicles
+        One frame.
+
+    Returns
+    -------
+    ndarray, (p, 2) int64
+        Rows of `vehicles`, the smaller first.
+
+    Raises
+    ------
+    InputError
+        If millions of pairs are close enough to overlap.
+    """
+    centre, half, heading = vehicles.centre_m[:, :2], vehicles.size_m[:, :2] / 2, vehicles.heading_rad
+    reach = np.hypot(half[:, 0], half[:, 1])
+    # Along the axis on which the fewest circles overlap, each is paired with those that begin before it ends.
+    order, following = min((_swept(along, reach) for along in centre.T), key=lambda swept: int(swept[1].sum()))
+    if following.sum() > _MOST_NEAR_PAIRS:
+        raise InputError(f"frame {vehicles.frame}: {len(order):,} vehicles so close to one another are no traffic")
+    row = np.repeat(np.arange(len(order)), following)
+    nth = np.arange(len(row)) - np.repeat(np.cumsum(following) - following, following)
+    pairs = np.sort(np.stack([order[row], order[row + 1 + nth]], axis=1), axis=1)
+    near = np.abs(centre[pairs[:, 0]] - centre[pairs[:, 1]]).max(axis=1) < reach[pairs].sum(axis=1)
+    first, second = pairs[near].T
+    together = rectangles_overlap(
+        centre[first], half[first], heading[first], centre[second], half[second], heading[second]
+    )
+    pairs = pairs[near][together]
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+
+def _swept(along: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Order by where circles begin along an axis, and how many begin within each after it."""
+    order = np.argsort(along - reach, kind="stable")
+    begin = (along - reach)[order]
+    within = np.searchsorted(begin, (along + reach)[order], side="left") - np.arange(1, len(order) + 1)
+    return order, np.maximum(within, 0)
+
+
+def rectangles_overlap(
+    centre: np.ndarray,
+    half: np.ndarray,
+    heading: np.ndarray,
+    other_centre: np.ndarray,
+    other_half: np.ndarray,
+    other_heading: np.ndarray | float,
+) -> np.ndarray:
+    """Which rectangles overlap another each, row by row, (n,) bool; those that only touch do not.
+
+    By the separating-axis theorem: two rectangles are apart if and only if they are apart along one of their sides.
+
+    Parameters
+    ----------
+    centre, half : ndarray, (n, 2)
+        Centres, and half the length and width [m].
+    heading : ndarray, (n,)
+        Direction of the length, counter-clockwise from +x [rad].
+    other_centre, other_half, other_heading
+        The same of the others; also those of one rectangle for all, (2,), (2,) and a number.
+    """
+    forward, other_forward = _directions(heading), _directions(other_heading)
+    left, other_left = (np.stack([-side[..., 1], side[..., 0]], axis=-1) for side in (forward, other_forward))
+    offset = other_centre - centre
+    together = np.ones(len(centre), dtype=bool)
+    for axis in (forward, left, other_forward, other_left):
+        extent = half[:, 0] * _along(forward, axis) + half[:, 1] * _along(left, axis)
+        extent += other_half[..., 0] * _along(other_forward, axis) + other_half[..., 1] * _along(other_left, axis)
+        together &= _along(offset, axis) < extent
+    return together
+
+
+def _directions(heading):
+    return np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+
+
+def _along(vectors, axis):
+    return np.abs((vectors * axis).sum(axis=-1))
+
+
+def with_overlaps_reported(recording: Recording) -> Recording:
+    """The same recording, its report telling the overlaps of up to 60 frames spread evenly over it."""
+    total = len(recording.frames)
+    looked_at = recording.frames[np.unique(np.linspace(0, total - 1, min(total, _FRAMES_LOOKED_AT)).astype(int))]
+    try:
+        pairs = sum(len(overlapping_pairs(recording.vehicles(frame))) for frame in looked_at)
+    except InputError as error:
+        raise InputError(f"{recording.source}: {error}") from error
+    return replace(recording, report=replace(recording.report, overlaps=pairs, overlap_frames=len(looked_at)))

@@ -1,4 +1,4 @@
-"""Closed triangle meshes out of tubes: rings of points joined one to the next and closed by a cap at either end.
+"""Closed triangle meshes by lofting: rings of points joined one to the next and closed by a cap at either end.
 
 Every part of a vehicle is such a tube, a wheel as well as a body, and a shape is any number of them; where they overlap
 a ray from outside meets the outermost first. So shapes are closed and their faces point outwards by construction.

@@ -6,7 +6,7 @@ import importlib
 from types import ModuleType
 
 from ..errors import MissingExtraError
-from ..stop_signals import stops_deferred
+from ..signals import stops_deferred
 
 
 def blender_room(name: str, needed_by: str) -> ModuleType:

@@ -1,4 +1,4 @@
-"""One frame's triangles, with the vehicle that owns each."""
+"""Triangles of a frame's vehicles, placed in the road frame, with the vehicle that owns each."""
 
 from __future__ import annotations
 

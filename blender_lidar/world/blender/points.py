@@ -1,14 +1,23 @@
-"""A point cloud as an object: a vertex for each return with named attributes, shown as spheres by a node group."""
+"""A point cloud as a mesh with named attributes: a vertex for each return, shown as spheres by geometry nodes."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
 
-from ...scan import PointCloud
-from .materials import point_material
-from .meshes import add_attribute, new_mesh
-from .roles import CLOUD, KEY, add_object, clear, collection, of_ours, only_for_the_eye
+from ...clouds.scan import PointCloud
+from .objects import (
+    CLOUD,
+    KEY,
+    add_attribute,
+    add_object,
+    clear,
+    collection,
+    new_mesh,
+    of_ours,
+    only_for_the_eye,
+    point_material,
+)
 
 _NAME = "Point cloud"
 _GROUP, _MATERIAL = "LiDAR points", "LiDAR points"

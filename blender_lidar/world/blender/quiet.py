@@ -1,4 +1,4 @@
-"""Blender writes to standard output, through Python and past it: kept off it, since results are printed there."""
+"""Blender's chatter kept off standard output, since results are printed there, whether it comes from Python or C."""
 
 from __future__ import annotations
 

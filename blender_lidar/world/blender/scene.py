@@ -1,7 +1,9 @@
-"""A whole scene: road, vehicles, LiDAR and what it saw, in Blender, and as a .blend file."""
+"""Scenes in Blender: cameras and light, rendered pictures, a whole frame built, and saved as a .blend file."""
 
 from __future__ import annotations
 
+import math
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,22 +11,181 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
-from ...errors import OutputError
-from ...formats.atomic import whole_file
-from ...scan import PointCloud
+from ...clouds.scan import PointCloud
+from ...errors import InputError, OutputError
+from ...files import whole_file, write_bytes
 from ...sensors.beams import BeamLattice
 from ...sensors.pose import Pose
-from ...traffic.road import RoadFrame
-from ...traffic.vehicles import Vehicles
+from ...signals import stops_end_at_once
+from ...traffic.vehicles import RoadFrame, Vehicles
 from ..scenery import Scenery
-from .lidar import build_lidar
+from .objects import (
+    FAN,
+    KEY,
+    STAGE,
+    add_object,
+    build_lidar,
+    build_road,
+    build_scenery,
+    clear,
+    collection,
+    of_ours,
+    role,
+)
 from .points import build_cloud
 from .quiet import first_error, quiet
-from .render import SIZE
-from .road import build_road, build_scenery
-from .stage import build_stage, show_in_viewports
 from .traffic import animate, show_vehicles
+
+# --- Cameras, light and viewports: a scene that looks right without touching a setting --------------------
+
+ABOVE, FROM_POLE = "From above", "From the pole"
+_CLIP_END_M = 2000.0
+_CAMERA_ZOOM = 15.0  # the camera's picture fills the viewport
+_ABOVE = (-0.38, -0.62, 0.5)  # from the middle of the road to the camera, in depths: from before the pole
+_OVER_HEAD_M, _LOOKS_DOWN_RAD = 0.3, math.radians(15.0)  # the same for every tilt, so that pictures can be compared
+_SUN_DIRECTION = (0.35, 0.45, -0.8)
+_SUN_STRENGTH, _SKY, _SKY_STRENGTH = 3.2, (0.55, 0.65, 0.8), 0.55
+
+
+def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: float) -> None:
+    """Two cameras and a sun, in place of earlier ones, and a sky where the scene has no world.
+
+    Parameters
+    ----------
+    pose : Pose
+        The mounting: one camera sees it from above, obliquely, the other looks across the road from just over it.
+    depth_m : float
+        How much of the road the camera above takes in, along x, at the far edge of the carriageway [m].
+    """
+    into = collection(scene, "Cameras and light", STAGE)
+    clear(into)
+    right, left = road.carriageway_y
+    middle = Vector((pose.x_m, 0.5 * (right + left), 0.0))
+    above = middle + depth_m * Vector(_ABOVE)
+    camera = _camera(into, ABOVE, above, middle, 50.0)
+    mount = Vector(pose.position.tolist()) + Vector((0.0, 0.0, _OVER_HEAD_M))
+    ahead = Vector((0.0, math.cos(_LOOKS_DOWN_RAD), -math.sin(_LOOKS_DOWN_RAD)))
+    _camera(into, FROM_POLE, mount, mount + ahead, 100.0)
+    sun = add_object(into, "Sun", bpy.data.lights.new("Sun", "SUN"))
+    sun.data.energy, sun.data.angle = _SUN_STRENGTH, math.radians(1.5)
+    sun.rotation_euler = Vector(_SUN_DIRECTION).to_track_quat("-Z", "Y").to_euler()
+    scene.camera = camera
+    if scene.world is None:
+        scene.world = _sky()
+
+
+def show_in_viewports(scene: bpy.types.Scene) -> None:
+    """Let every 3D viewport of the file look through the scene's camera and show materials."""
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            for space in area.spaces:
+                if space.type == "VIEW_3D":
+                    space.shading.type = "MATERIAL"
+                    space.clip_end = _CLIP_END_M
+                    space.overlay.show_relationship_lines = False
+                    space.region_3d.view_perspective = "CAMERA"
+                    space.region_3d.view_camera_zoom = _CAMERA_ZOOM
+
+
+def _camera(into, name, place, target, angle_deg):
+    camera = add_object(into, name, bpy.data.cameras.new(name))
+    camera.location = place
+    camera.rotation_euler = (target - place).to_track_quat("-Z", "Y").to_euler()
+    camera.data.angle, camera.data.clip_end = math.radians(angle_deg), _CLIP_END_M
+    return camera
+
+
+def _sky():
+    world = of_ours(bpy.data.worlds, STAGE)
+    if world is not None:
+        return world
+    world = bpy.data.worlds.new("Sky")
+    world[KEY] = STAGE
+    world.color = _SKY
+    if bpy.app.version < (5, 0):
+        world.use_nodes = True
+    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (*_SKY, 1.0)
+    background.inputs["Strength"].default_value = _SKY_STRENGTH
+    return world
+
+
+# --- Pictures of a scene, by Cycles on the processor: the same picture from the same scene, on any machine -
+
+CAMERAS = {"above": ABOVE, "pole": FROM_POLE}  # by the names of the pictures' files
+SIZE = (1280, 720)
+SAMPLES = 24
+_SEED = 1
+_BOUNCES = 3  # light that has been reflected more often shows in no picture of a road
+
+
+def render_picture(
+    path: str | Path, scene: bpy.types.Scene, camera: str, *, size: tuple[int, int] = SIZE, samples: int = SAMPLES
+) -> None:
+    """Render a scene through one of its cameras to a PNG file.
+
+    Parameters
+    ----------
+    path : path
+    scene : Scene
+    camera : str
+        Name of the camera.
+    size : (int, int)
+        Width and height [pixels].
+    samples : int
+        Light paths per pixel.
+
+    Raises
+    ------
+    InputError
+        For a camera that the scene does not have, or a Blender without Cycles.
+    OutputError
+        When the file cannot be written.
+    """
+    cameras = {item.name: item for item in scene.objects if item.type == "CAMERA"}
+    if camera not in cameras:
+        raise InputError(f"unknown camera {camera!r}; allowed: {', '.join(cameras) or 'none, the scene has no camera'}")
+    scene.camera = cameras[camera]
+    for item in scene.objects:
+        if role(item) == FAN:  # seen from its own apex it would hide the road
+            item.hide_render = camera == FROM_POLE
+    _settings(scene, size, samples)
+    with tempfile.TemporaryDirectory(prefix="blender_lidar-") as folder:  # in a path of ours nothing is a template
+        picture = Path(folder) / "picture.png"
+        scene.render.filepath = str(picture)
+        try:
+            with quiet(), stops_end_at_once():  # Cycles would swallow them and go on
+                bpy.ops.render.render(write_still=True, scene=scene.name)
+        except RuntimeError as error:
+            raise OutputError(f"{path}: cannot be rendered: {first_error(error)}") from error
+        write_bytes(path, picture.read_bytes())
+
+
+def _settings(scene, size, samples):
+    render = scene.render
+    try:
+        render.engine = "CYCLES"
+    except TypeError as error:
+        raise InputError(f"this Blender, {bpy.app.version_string}, has no Cycles to render with") from error
+    scene.cycles.device, scene.cycles.samples, scene.cycles.seed = "CPU", samples, _SEED
+    scene.cycles.use_adaptive_sampling, scene.cycles.adaptive_threshold = True, 0.03
+    scene.cycles.use_denoising = "OPENIMAGEDENOISE" in _denoisers(scene)
+    scene.cycles.max_bounces = _BOUNCES
+    render.resolution_x, render.resolution_y = size
+    render.resolution_percentage = 100
+    render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGB"
+    render.image_settings.compression = 90  # pictures are mailed within report.html
+    render.use_file_extension = True
+
+
+def _denoisers(scene):
+    """Names of the denoisers that this Blender was built with."""
+    return [item.identifier for item in scene.cycles.bl_rna.properties["denoiser"].enum_items]
+
+
+# --- A whole scene: road, vehicles, LiDAR and what it saw, in Blender, and as a .blend file ---------------
 
 _LEAST_REACH_M = 120.0
 _SEEN_SHARE, _SEEN_AT_MOST_M = 1.4, 120.0  # of the range gate: how much road the camera above takes in

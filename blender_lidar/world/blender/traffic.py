@@ -1,4 +1,4 @@
-"""A frame's vehicles as objects that share one mesh for each shape and level of detail; frames as an animation."""
+"""Vehicles as instances of shared meshes, and frames of a recording as an animation."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from mathutils import Matrix
 from ...traffic.vehicles import Vehicles
 from ..shapes import GLASS, shape
 from ..triangles import shape_names
-from .materials import glass, paint_of
-from .meshes import new_mesh
-from .roles import KEY, SHAPE, VEHICLE, VEHICLE_ID, add_object, collection, of_ours
+from .objects import KEY, SHAPE, VEHICLE, VEHICLE_ID, add_object, collection, glass, new_mesh, of_ours, paint_of
 
 
 def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body") -> list[bpy.types.Object]:

@@ -1,0 +1,1 @@
+"""Point clouds: one revolution over one frame, and cloud files in and out."""

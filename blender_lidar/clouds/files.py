@@ -1,0 +1,488 @@
+"""Point clouds as files: NPZ, which keeps everything, and the formats of viewers, surveyors and data sets."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import warnings
+import zipfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ..errors import InputError, MissingExtraError, MissingFileError, OutputError
+from ..files import make_folder, open_file, write_bytes, write_text
+from ..traffic.vehicles import Vehicles
+from .scan import PointCloud, class_names
+
+# --- NPZ, which keeps everything -------------------------------------------------------------------------
+
+
+def write_npz(path: str | Path, cloud: PointCloud, header: dict) -> None:
+    """Write every attribute of a cloud, and `header` as JSON, to an NPZ file; angles become degrees."""
+    columns = {
+        "xyz": cloud.xyz,
+        "range_m": cloud.range_m,
+        "ring": cloud.ring,
+        "azimuth_deg": np.degrees(cloud.azimuth_rad),
+        "time_s": cloud.time_s,
+        "vehicle_id": cloud.vehicle_id,
+        "class": class_names(cloud.class_index),
+        "incidence_deg": np.degrees(cloud.incidence_rad),
+        "intensity": cloud.intensity,
+        "header": np.array(json.dumps(header)),
+    }
+    packed = io.BytesIO()  # as a ZipFile on a full disk would complain again when it is collected
+    np.savez_compressed(packed, **columns)
+    write_bytes(path, packed.getvalue())
+
+
+def read_npz(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """The array `xyz` as floats, and `vehicle_id` as the file has it, None where it has none.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, or has no `xyz` of real numbers.
+    OSError
+        If it cannot be read.
+    """
+    with open_file(path) as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                files = {name.removesuffix(".npy"): name for name in archive.namelist()}
+                if "xyz" not in files:
+                    raise InputError(f"{path}: has no array 'xyz'; it has {', '.join(files) or 'nothing'}")
+                wanted = (files[name] for name in ("xyz", "vehicle_id") if name in files)  # others may be damaged
+                xyz, *ids = (np.lib.format.read_array(archive.open(name)) for name in wanted)
+        except (InputError, OSError):
+            raise
+        except Exception as error:  # NumPy and zipfile raise many kinds for a damaged file
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(f"{path}: is not a readable NPZ file ({reason})") from error
+    if xyz.dtype.kind not in "iufb":
+        raise InputError(f"{path}: xyz is of type {xyz.dtype}; allowed: numbers")
+    with np.errstate(over="ignore", invalid="ignore"):  # what float64 cannot hold is not finite, and left out
+        return xyz.astype(float), ids[0] if ids else None
+
+
+# --- What PLY and PCD hold of a cloud --------------------------------------------------------------------
+
+# Type of each column in NumPy and PLY; in NumPy it is little endian.
+_COLUMNS = {
+    "x": ("<f4", "float"),
+    "y": ("<f4", "float"),
+    "z": ("<f4", "float"),
+    "intensity": ("<f4", "float"),
+    "ring": ("<u2", "ushort"),
+    "time": ("<f8", "double"),
+    "vehicle_id": ("<i4", "int"),
+    "class": ("<i1", "char"),
+}
+
+
+def _records(path: str | Path, cloud: PointCloud) -> bytes:
+    """The points of a cloud, one after another with `_COLUMNS` each."""
+    _check_ids_fit(path, cloud.vehicle_id, 31)
+    record = np.zeros(len(cloud), dtype=[(name, kind) for name, (kind, _) in _COLUMNS.items()])
+    record["x"], record["y"], record["z"] = cloud.xyz.T
+    record["intensity"], record["ring"], record["time"] = cloud.intensity, cloud.ring, cloud.time_s
+    record["vehicle_id"], record["class"] = cloud.vehicle_id, cloud.class_index
+    return record.tobytes()
+
+
+def _check_ids_fit(path: str | Path, vehicle_id: np.ndarray, bits: int) -> None:
+    """Refuse to write ids that a file with so many `bits` for a number, its sign apart, would change."""
+    wide = vehicle_id[(vehicle_id >= 2**bits) | (vehicle_id < -(2**bits))]
+    if len(wide):
+        kind = Path(path).suffix.lstrip(".").upper()
+        raise OutputError(
+            f"{path}: vehicle_id {wide[0]} does not fit into the {bits + 1} bits of a {kind} file; .npz keeps it"
+        )
+
+
+# --- PLY files, which mesh and cloud viewers open: http://paulbourke.net/dataformats/ply ------------------
+
+
+def write_ply(path: str | Path, cloud: PointCloud, header: dict) -> None:
+    """Write a binary file in the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, or a vehicle's id does not fit into its 32 bits.
+    """
+    lines = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {json.dumps(header)}",
+        f"element vertex {len(cloud)}",
+        *(f"property {kind} {name}" for name, (_, kind) in _COLUMNS.items()),
+        "end_header",
+    ]
+    write_bytes(path, ("\n".join(lines) + "\n").encode("ascii") + _records(path, cloud))
+
+
+# --- PCD 0.7, the files of the Point Cloud Library: https://pointclouds.org/documentation/tutorials/pcd_file_format -
+
+_PCD_KINDS = {"F": "f", "U": "u", "I": "i"}  # and NumPy's
+_PADDING = "_"
+
+
+def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
+    """Write a binary file in the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, or a vehicle's id does not fit into its 32 bits.
+    """
+    names = ("timestamp" if name == "time" else name for name in _COLUMNS)
+    kinds = [kind for kind, _ in _COLUMNS.values()]
+    lines = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        f"# {json.dumps(header)}",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(names)}",
+        f"SIZE {' '.join(kind[2] for kind in kinds)}",
+        f"TYPE {' '.join(kind[1].upper() for kind in kinds)}",
+        f"COUNT {' '.join('1' for _ in kinds)}",
+        f"WIDTH {len(cloud)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(cloud)}",
+        "DATA binary",
+    ]
+    write_bytes(path, ("\n".join(lines) + "\n").encode("utf-8") + _records(path, cloud))
+
+
+def read_pcd(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Points (n, 3) and, where there is such a field, `vehicle_id` (n,) as the file has it: binary or ascii.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, contradicts itself, is compressed or lacks x, y or z.
+    OSError
+        If it cannot be read.
+    """
+    with open_file(path) as stream:
+        header = _read_header(path, stream)
+        body = stream.read()
+    try:
+        columns = _READERS[header.encoding](header, body)
+        with np.errstate(over="ignore", invalid="ignore"):  # such points are left out later
+            xyz = np.stack([np.asarray(columns[axis], dtype=float) for axis in "xyz"], axis=1)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise InputError(f"{path}: damaged PCD file ({error})") from error
+    return xyz, columns["vehicle_id"] if "vehicle_id" in header.names else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    names: list[str]
+    formats: list[str]
+    counts: list[int]
+    points: int
+    encoding: str
+
+
+def _read_header(path: Path, stream: BinaryIO) -> _Header:
+    """What the lines up to DATA say; `stream` then stands at the first point."""
+    entries: dict[str, list[str]] = {}
+    while "DATA" not in entries:
+        line = stream.readline()
+        words = line.decode("ascii", errors="replace").split()
+        if not line or (not entries and words and not words[0].startswith("#") and words[0] != "VERSION"):
+            raise InputError(f"{path}: is not a PCD file: no header with a DATA line")
+        if words and not words[0].startswith("#"):
+            entries[words[0]] = words[1:]
+    encoding = " ".join(entries["DATA"])
+    if encoding not in _READERS:
+        raise InputError(f"{path}: DATA {encoding} cannot be read; allowed: {' or '.join(_READERS)}")
+    missing = [key for key in ("FIELDS", "SIZE", "TYPE", "POINTS") if not entries.get(key)]
+    if missing:
+        raise InputError(f"{path}: damaged PCD file (no {', '.join(missing)} in its header)")
+    try:
+        return _interpreted(entries, encoding)
+    except ValueError as error:
+        raise InputError(f"{path}: damaged PCD file ({error})") from error
+
+
+def _interpreted(entries: dict[str, list[str]], encoding: str) -> _Header:
+    fields, kinds, sizes = entries["FIELDS"], entries["TYPE"], entries["SIZE"]
+    counts = [int(count) for count in entries.get("COUNT", ["1"] * len(fields))]
+    points = int(entries["POINTS"][0])
+    if not len(fields) == len(kinds) == len(sizes) == len(counts):
+        raise ValueError("FIELDS, SIZE, TYPE and COUNT differ in length")
+    if points < 0 or min(counts) < 1:
+        raise ValueError("POINTS is less than 0" if points < 0 else "a COUNT is less than 1")
+    if not set(kinds) <= set(_PCD_KINDS):
+        raise ValueError(f"a TYPE is none of {', '.join(_PCD_KINDS)}")
+    # No field of a file has a space in its name, so padding, of which there may be several, is like no other.
+    names = [f"{_PADDING} {at}" if name == _PADDING else name for at, name in enumerate(fields)]
+    absent = [axis for axis in "xyz" if axis not in names]
+    if absent or len(set(names)) < len(names):
+        raise ValueError(f"no field {', '.join(absent)}" if absent else "two fields have the same name")
+    formats = [f"<{_PCD_KINDS[kind]}{int(size)}" for kind, size in zip(kinds, sizes, strict=True)]
+    return _Header(names, formats, counts, points, encoding)
+
+
+def _read_binary(header: _Header, body: bytes) -> np.ndarray:
+    fields = zip(header.names, header.formats, header.counts, strict=True)
+    layout = np.dtype([(name, kind) if count == 1 else (name, kind, count) for name, kind, count in fields])
+    needed = header.points * layout.itemsize
+    if len(body) < needed:
+        raise ValueError(f"its points take {needed} bytes, but it has {len(body)}")
+    return np.frombuffer(body, dtype=layout, count=header.points)
+
+
+def _read_ascii(header: _Header, body: bytes) -> dict[str, np.ndarray]:
+    rows = [row for row in body.decode("ascii").split("\n") if row.strip()]
+    if len(rows) != header.points:
+        raise ValueError(f"POINTS is {header.points}, but it has {len(rows)} rows")
+    width = sum(header.counts)
+    table = np.loadtxt(rows, ndmin=2, comments=None) if rows else np.empty((0, width))
+    if table.shape[1] != width:
+        raise ValueError(f"its fields take {width} columns, but it has {table.shape[1]}")
+    first = np.cumsum([0, *header.counts])
+    return {
+        name: table[:, start] if count == 1 else table[:, start : start + count]
+        for name, start, count in zip(header.names, first, header.counts, strict=False)
+    }
+
+
+_READERS = {"binary": _read_binary, "ascii": _read_ascii}
+
+
+# --- LAS and LAZ files of surveyors, by laspy -------------------------------------------------------------
+
+_RESOLUTION_M = 0.0001
+_CLASSIFICATION_ROAD, _CLASSIFICATION_VEHICLE = 11, 64  # ASPRS: road surface; the first number that users may define
+_USER_RECORD = 1
+
+
+def write_las(path: str | Path, cloud: PointCloud, header: dict) -> None:
+    """Write LAS 1.4, or LAZ by the suffix, in the road frame; ring, vehicle and class as extra dimensions.
+
+    The GPS time is the time since the start of the revolution [s]; the intensity fills 16 bits.
+
+    Raises
+    ------
+    MissingExtraError
+        If laspy is not installed, or for LAZ its compression is not.
+    OutputError
+        If the file cannot be written, or a vehicle's id does not fit into its 32 bits.
+    """
+    try:
+        import laspy
+    except ImportError:
+        raise MissingExtraError(f'{path}: needs laspy: pip install "blender_lidar[formats]"') from None
+    _check_ids_fit(path, cloud.vehicle_id, 31)
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.header.scales = np.full(3, _RESOLUTION_M)
+    las.header.generating_software = "blender_lidar"
+    las.vlrs.append(
+        laspy.VLR("blender_lidar", _USER_RECORD, "JSON header", record_data=json.dumps(header).encode("utf-8"))
+    )
+    for name, kind in (("ring", "u2"), ("vehicle_id", "i4"), ("class_index", "i1")):
+        las.add_extra_dim(laspy.ExtraBytesParams(name, kind))
+    las.x, las.y, las.z = cloud.xyz.T
+    las.intensity = np.round(cloud.intensity * 65535).astype(np.uint16)
+    las.gps_time = cloud.time_s
+    las.return_number = las.number_of_returns = np.ones(len(cloud), dtype=np.uint8)
+    las.classification = np.where(cloud.vehicle_id >= 0, _CLASSIFICATION_VEHICLE, _CLASSIFICATION_ROAD).astype(np.uint8)
+    las.ring, las.vehicle_id, las.class_index = cloud.ring, cloud.vehicle_id, cloud.class_index
+    packed = io.BytesIO()
+    try:
+        las.write(packed, do_compress=Path(path).suffix.lower() == ".laz")
+    except laspy.errors.LaspyException as error:
+        raise MissingExtraError(f'{path}: {error}: pip install "blender_lidar[formats]"') from None
+    write_bytes(path, packed.getvalue())
+
+
+# --- KITTI's velodyne files, and SemanticKITTI's labels beside them ---------------------------------------
+
+# SemanticKITTI's numbers of our classes, in the order of `traffic.vehicles.CLASSES`: a van is a car there.
+SEMANTIC_CLASSES = np.array([10, 10, 18, 13, 15])
+ROAD = 40
+
+
+def write_kitti(path: str | Path, cloud: PointCloud, header: dict) -> None:
+    """Write ``x, y, z, intensity`` as float32 rows, and a ``.label`` file beside them.
+
+    The frame is the levelled sensor's: origin at its optical centre, x where the LiDAR's +y looks, y to its left, z up.
+    A label is uint32: the lower half SemanticKITTI's class, the upper half the vehicle's id.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written, or a vehicle's id does not fit into its 16 bits.
+    """
+    path = Path(path)
+    of_vehicle = cloud.vehicle_id >= 0
+    instance = np.where(of_vehicle, cloud.vehicle_id, 0)
+    if (instance >= 2**16).any():
+        raise OutputError(
+            f"{path}: vehicle_id {instance.max()} does not fit into the 16 bits of a .label file; .npz keeps it"
+        )
+    rows = np.empty((len(cloud), 4), dtype="<f4")
+    rows[:, :3], rows[:, 3] = levelled(cloud.xyz, header["pose"]), cloud.intensity
+    label = np.where(of_vehicle, SEMANTIC_CLASSES[cloud.class_index], ROAD) | instance << 16
+    write_bytes(path.with_suffix(".label"), label.astype("<u4").tobytes())
+    write_bytes(path, rows.tobytes())
+
+
+def levelled(xyz: np.ndarray, pose: dict[str, float]) -> np.ndarray:
+    """Points in the frame of a sensor that hangs where `pose` says, turned by its yaw and not tilted.
+
+    Parameters
+    ----------
+    xyz : ndarray, (n, 3)
+        Points [m, road frame].
+    pose : dict
+        ``x_m, y_m, height_m`` [m] and ``yaw_deg``.
+
+    Returns
+    -------
+    ndarray, (n, 3)
+        x along the LiDAR's +y, y along its -x, z up [m].
+    """
+    east, north, up = (xyz - [pose["x_m"], pose["y_m"], pose["height_m"]]).T
+    cos, sin = np.cos(np.radians(pose["yaw_deg"])), np.sin(np.radians(pose["yaw_deg"]))
+    across, ahead = cos * east + sin * north, cos * north - sin * east  # the LiDAR's x and y
+    return np.column_stack([ahead, -across, up])
+
+
+# --- Folders of SUSTechPOINTS, the annotation tool of the paper: https://github.com/naurril/SUSTechPOINTS -
+
+# Names of the tool's own object types, in the order of `traffic.vehicles.CLASSES`.
+OBJECT_TYPES = ("Car", "Van", "Truck", "Bus", "Motorcycle")
+
+
+def write_sustechpoints(folder: str | Path, cloud: PointCloud, vehicles: Vehicles, header: dict) -> None:
+    """Write one frame into a scene folder: ``lidar/NNNNNN.pcd`` and ``label/NNNNNN.json``.
+
+    Both are in the levelled sensor's frame: x where the LiDAR's +y looks, y to its left, z up. A label is the list of
+    the boxes that return at least one point, with centre, size along, across and up, and Euler angles [rad].
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    folder = Path(folder)
+    for part in ("lidar", "label"):
+        make_folder(folder / part, "--out")
+    pose = header["pose"]
+    seen = np.flatnonzero(np.isin(vehicles.vehicle_id, cloud.vehicle_id))
+    centre = levelled(vehicles.centre_m[seen], pose)
+    turn = math.radians(pose["yaw_deg"]) + 0.5 * math.pi  # from the road's x axis to that of the levelled frame
+    boxes = [
+        {
+            "obj_id": str(vehicles.vehicle_id[row]),
+            "obj_type": OBJECT_TYPES[vehicles.class_index[row]],
+            "psr": {
+                "position": _axes(place),
+                "rotation": _axes([0.0, 0.0, math.remainder(vehicles.heading_rad[row] - turn, 2.0 * math.pi)]),
+                "scale": _axes(vehicles.size_m[row]),
+            },
+        }
+        for row, place in zip(seen.tolist(), centre, strict=True)
+    ]
+    name = f"{vehicles.frame:06d}"
+    write_text(folder / "label" / f"{name}.json", json.dumps(boxes, indent=1) + "\n")
+    write_pcd(folder / "lidar" / f"{name}.pcd", replace(cloud, xyz=levelled(cloud.xyz, pose)), header)
+
+
+def _axes(values):
+    return {axis: round(float(value), 6) for axis, value in zip("xyz", values, strict=True)}
+
+
+# --- All formats ------------------------------------------------------------------------------------------
+
+WRITERS: dict[str, Callable[[str | Path, PointCloud, dict], None]] = {
+    ".npz": write_npz,
+    ".pcd": write_pcd,
+    ".ply": write_ply,
+    ".bin": write_kitti,
+    ".las": write_las,
+    ".laz": write_las,
+}
+READABLE = (".npz", ".pcd")
+_FARTHEST_M = 1e9  # farther is no place but a mark of no return, and its square may be none either
+
+
+def check_cloud_name(path: str | Path, option: str, formats: Iterable[str] = WRITERS) -> Path:
+    """`path`, if its suffix names one of the formats; by default those that clouds are written in."""
+    path = Path(path)
+    if path.suffix.lower() not in formats:
+        raise InputError(f"{option}: {path}: unknown cloud format {path.suffix!r}; allowed: {', '.join(formats)}")
+    return path
+
+
+def write_cloud(path: str | Path, cloud: PointCloud, header: dict) -> None:
+    """Write a cloud in the format that the suffix of `path` names."""
+    WRITERS[check_cloud_name(path, "cloud").suffix.lower()](path, cloud, header)
+
+
+def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """The finite points of an NPZ or PCD file, and the vehicle that each belongs to.
+
+    NPZ files need the array `xyz`; PCD files, binary or ascii, the fields x, y and z. `vehicle_id` is optional in both.
+
+    Returns
+    -------
+    points : ndarray, (n, 3)
+        In the frame of the file [m].
+    vehicle_id : ndarray of int64, (n,), or None
+        None where the file does not say.
+
+    Warns
+    -----
+    UserWarning
+        If points were left out because they are not finite; organised clouds have such for beams without a return.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If there is no such file, or it cannot be used.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise IsADirectoryError
+        check_cloud_name(path, "cloud", READABLE)
+        points, vehicle_id = read_npz(path) if path.suffix.lower() == ".npz" else read_pcd(path)
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: there is no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(READABLE)}") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"{path}: xyz has shape {points.shape}; allowed: (n, 3)")
+    if vehicle_id is not None and vehicle_id.shape != (len(points),):
+        raise InputError(f"{path}: vehicle_id has shape {vehicle_id.shape}; allowed: ({len(points)},)")
+    finite = (np.abs(points) <= _FARTHEST_M).all(axis=1)
+    if not finite.all():
+        farther = "" if np.isfinite(points).all(axis=1).sum() == finite.sum() else f", or beyond {_FARTHEST_M:g} m"
+        text = f"{path}: {np.count_nonzero(~finite)} of {len(points)} points left out: not finite{farther}"
+        warnings.warn(text, stacklevel=2)
+    return points[finite], None if vehicle_id is None else _whole_ids(path, vehicle_id[finite])
+
+
+def _whole_ids(path: Path, vehicle_id: np.ndarray) -> np.ndarray:
+    """The ids as int64, if that is what they are."""
+    if vehicle_id.dtype.kind not in "iuf":
+        raise InputError(f"{path}: vehicle_id is of type {vehicle_id.dtype}; allowed: whole numbers")
+    with np.errstate(invalid="ignore"):
+        whole = vehicle_id.astype(np.int64)
+    changed = whole != vehicle_id
+    if changed.any():
+        raise InputError(f"{path}: vehicle_id is {vehicle_id[changed][0]}; allowed: whole numbers of at most 63 bits")
+    return whole

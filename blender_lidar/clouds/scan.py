@@ -1,0 +1,176 @@
+"""One revolution of a LiDAR over one frame of traffic: the point cloud."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..casting import caster_class
+from ..casting.culling import cut_vehicles, revolutions
+from ..casting.protocol import StandingScenery, dot
+from ..errors import InputError
+from ..sensors.beams import BeamLattice
+from ..sensors.imperfections import PERFECT, Imperfections
+from ..sensors.pose import Pose
+from ..traffic.vehicles import CLASSES, Vehicles
+from ..world.meshes import GLASS, REFLECTIVITY, ROAD
+from ..world.triangles import STATIC, vehicle_triangles
+
+NO_CLASS = -1
+FULL_INTENSITY_M = 10.0  # up to here a surface that faces the sensor returns its full reflectivity
+
+
+@dataclass(frozen=True, slots=True)
+class PointCloud:
+    """The returns of one revolution, one row each; only beams that met something within range.
+
+    Attributes
+    ----------
+    xyz : ndarray, (n, 3)
+        Points [m, road frame].
+    range_m : ndarray, (n,)
+        Distance from the optical centre, as measured [m].
+    ring : ndarray of uint16, (n,)
+        Ring, 0 the lowest.
+    azimuth_rad : ndarray, (n,)
+        Azimuth in the sensor frame, clockwise from +y [rad].
+    time_s : ndarray, (n,)
+        Time since the start of the revolution [s].
+    vehicle_id : ndarray of int64, (n,)
+        Vehicle that was met, -1 for anything else.
+    class_index : ndarray of int8, (n,)
+        Index into `traffic.vehicles.CLASSES`, -1 for anything else.
+    incidence_rad : ndarray, (n,)
+        Angle between beam and surface normal [rad]; 0 is head-on.
+    intensity : ndarray, (n,)
+        Lambert's law by surface class, falling with the square of the range, 0 to 1.
+    """
+
+    xyz: np.ndarray
+    range_m: np.ndarray
+    ring: np.ndarray
+    azimuth_rad: np.ndarray
+    time_s: np.ndarray
+    vehicle_id: np.ndarray
+    class_index: np.ndarray
+    incidence_rad: np.ndarray
+    intensity: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+def scan(
+    vehicles: Vehicles,
+    lattice: BeamLattice,
+    pose: Pose,
+    *,
+    caster: str,
+    detail: str = "body",
+    min_range_m: float = 0.0,
+    max_range_m: float,
+    ground: bool = True,
+    scenery: StandingScenery | None = None,
+    imperfections: Imperfections = PERFECT,
+) -> PointCloud:
+    """Cast one revolution over one frame.
+
+    Parameters
+    ----------
+    vehicles : Vehicles
+        The frame.
+    lattice : BeamLattice
+        The sensor's beams.
+    pose : Pose
+        The mounting.
+    caster : str
+        A name of `casting.CASTERS`.
+    detail : str
+        Level of detail of the vehicles' shapes.
+    min_range_m, max_range_m : float
+        Returns measured nearer or farther are lost [m].
+    ground : bool
+        Whether the road, the plane z = 0, returns.
+    scenery : StandingScenery, optional
+        What stands still: it returns, and hides what is behind it.
+    imperfections : Imperfections
+        Range noise, which moves points along their beams, and what is lost: by drop-out, on glass, or because it is
+        too weak; none unless said. Hits become returns as in `scoring.frame_scorer`, by the same `MeasurementModel`.
+
+    Raises
+    ------
+    InputError
+        When the sensor is not above the ground.
+    """
+    if ground and not pose.height_m > 0.0:
+        raise InputError(f"the LiDAR hangs {pose.height_m} m above the ground; allowed: more than 0 m")
+    world = vehicle_triangles(vehicles, detail)
+    reach_m = max_range_m + imperfections.most_noise_m
+    tree = caster_class(caster)(world.corners, closed=True)
+    (hits,) = revolutions(tree, lattice, [pose], reach_m, cut_vehicles(vehicles, detail))
+    directions = pose.to_world(lattice.components.reshape(3, -1).T)
+    distance = np.full(len(directions), np.inf)
+    owner = np.full(len(directions), STATIC)
+    surface = np.full(len(directions), ROAD)
+    cosine = np.ones(len(directions))
+    distance[hits.beam], owner[hits.beam] = hits.distance, world.owner[hits.triangle]
+    surface[hits.beam] = world.surface[hits.triangle]
+    cosine[hits.beam] = np.abs(dot(tree.normals(hits.triangle).T, hits.directions))
+    if scenery is not None:
+        _add_scenery(scenery, pose.position, directions, reach_m, distance, owner, surface, cosine)
+    if ground:
+        _add_ground(pose.height_m, directions[:, 2], reach_m, distance, owner, surface, cosine)
+
+    model = imperfections.measurement(lattice, vehicles.frame, min_range_m, max_range_m)
+    every = np.arange(len(distance))
+    measured = model.measured(every, distance, surface == GLASS, REFLECTIVITY[surface], cosine)
+    kept = np.flatnonzero(measured < np.inf)
+    ring, slot = np.divmod(kept, lattice.columns)
+    of_vehicle = owner[kept] >= 0
+    row = np.where(of_vehicle, owner[kept], 0)
+    return PointCloud(
+        xyz=pose.position + measured[kept, None] * directions[kept],  # Eqs. 2 and 3
+        range_m=measured[kept],
+        ring=ring.astype(np.uint16),
+        azimuth_rad=lattice.azimuth_rad(ring, slot),
+        time_s=lattice.time_s(ring, slot),
+        vehicle_id=_of_vehicle(vehicles.vehicle_id, row, of_vehicle, -1),
+        class_index=_of_vehicle(vehicles.class_index, row, of_vehicle, NO_CLASS),
+        incidence_rad=np.arccos(np.clip(cosine[kept], 0.0, 1.0)),
+        intensity=_intensity(surface[kept], cosine[kept], distance[kept]),
+    )
+
+
+def class_names(class_index: np.ndarray) -> np.ndarray:
+    """Class of each point as text: a name of `CLASSES`, or "" for what is no vehicle."""
+    return np.array([*CLASSES, ""])[class_index]
+
+
+def _add_scenery(scenery, position, directions, reach_m, distance, owner, surface, cosine):
+    """Let beams that reach something that stands still before a vehicle return from it."""
+    found = scenery.tree.meet(position, directions, reach_m)
+    first = found.distance < distance[found.ray]
+    beam, triangle = found.ray[first], found.triangle[first]
+    distance[beam], owner[beam], surface[beam] = found.distance[first], STATIC, scenery.scenery.surface[triangle]
+    cosine[beam] = np.abs(dot(scenery.tree.normals(triangle).T, directions[beam].T))
+
+
+def _add_ground(height_m, vertical, max_range_m, distance, owner, surface, cosine):
+    """Let beams that reach the plane z = 0 before anything else return from it (exact, where a mesh would leak)."""
+    with np.errstate(divide="ignore", over="ignore"):
+        to_ground = np.where(vertical < 0.0, height_m / -vertical, np.inf)
+    first = (to_ground < distance) & (to_ground <= max_range_m)
+    distance[first], owner[first], surface[first] = to_ground[first], STATIC, ROAD
+    cosine[first] = -vertical[first]
+
+
+def _intensity(surface, cosine, distance):
+    fall = np.minimum(1.0, FULL_INTENSITY_M / np.maximum(distance, 1e-9)) ** 2
+    return REFLECTIVITY[surface] * cosine * fall
+
+
+def _of_vehicle(column, row, of_vehicle, otherwise):
+    if len(column) == 0:
+        return np.full(len(row), otherwise, dtype=column.dtype)
+    return np.where(of_vehicle, column[row], otherwise).astype(column.dtype)

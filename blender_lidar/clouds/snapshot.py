@@ -1,0 +1,116 @@
+"""Moments of a scene: one frame of its traffic under a mounting, with what the LiDAR saw, for Blender to show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..casting import resolve
+from ..casting.protocol import StandingScenery
+from ..metrics.vgop import pe_vgop, to_vehicle_frame
+from ..scene.provenance import versions
+from ..scene.scenario import Scenario, pose_at
+from ..scene.settings import ObjectiveSettings
+from ..scene.site import lattice_of, standing_scenery
+from ..sensors.beams import BeamLattice
+from ..traffic.vehicles import Vehicles
+from ..world.needs_blender import blender_room
+from .scan import PointCloud, scan
+
+if TYPE_CHECKING:
+    from ..world.blender.scene import Moment
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountedSensor:
+    """A scene's sensor at one mounting.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        The scene.
+    mount : mapping of str to float
+        The six coordinates of the mounting [m, degrees].
+    lattice : BeamLattice
+        The sensor's beams.
+    caster : str
+        A name of `casting.CASTERS`.
+    scenery : StandingScenery or None
+        What stands still.
+    """
+
+    scenario: Scenario
+    mount: Mapping[str, float]
+    lattice: BeamLattice
+    caster: str
+    scenery: StandingScenery | None
+
+    def scan(self, vehicles: Vehicles) -> PointCloud:
+        """One revolution over a frame, ground included."""
+        return scan(
+            vehicles,
+            self.lattice,
+            pose_at(self.mount),
+            caster=self.caster,
+            detail=self.scenario.world.detail,
+            min_range_m=self.lattice.model.range_min_m,
+            max_range_m=self.scenario.sensor.range_gate_m,
+            ground=self.scenario.world.ground,
+            scenery=self.scenery,
+            imperfections=self.scenario.sensor.imperfections,
+        )
+
+    def cloud_header(self, vehicles: Vehicles) -> dict[str, object]:
+        """What made the cloud of a frame, for the file that holds it."""
+        lattice, sensor = self.lattice, self.scenario.sensor
+        return {
+            "sensor": lattice.model.name,
+            "pose": dict(self.mount),
+            "frame": vehicles.frame,
+            "caster": self.caster,
+            "detail": self.scenario.world.detail,
+            "ring_elevation_deg": np.degrees(lattice.elevation_rad).round(6).tolist(),
+            "azimuth_step_deg": float(np.degrees(lattice.step_rad)),
+            "rotation_hz": lattice.rotation_hz,
+            "range_m": [lattice.model.range_min_m, sensor.range_gate_m],
+            "imperfections": sensor.imperfections_as_table(),
+            "versions": versions(self.caster),
+        }
+
+    def moment(self, vehicles: Vehicles, *, with_cloud: bool = True) -> Moment:
+        """A frame and what the sensor sees of it, for `world.blender.scene`."""
+        moment_class = blender_room("scene", "a scene to be shown").Moment
+        cloud = self.scan(vehicles) if with_cloud else None
+        return moment_class(
+            road=self.scenario.road,
+            vehicles=vehicles,
+            detail=self.scenario.world.detail,
+            lattice=self.lattice,
+            pose=pose_at(self.mount),
+            range_gate_m=self.scenario.sensor.range_gate_m,
+            cloud=cloud,
+            entropy_bits=None if cloud is None else entropy_of_points(cloud, vehicles, self.scenario.objective),
+            scenery=None if self.scenery is None else self.scenery.scenery,
+        )
+
+
+def mounted_sensor(scenario: Scenario, mount: Mapping[str, float]) -> MountedSensor:
+    """The scene's sensor at the mounting `mount`, its six coordinates in metres and degrees."""
+    caster = resolve(scenario.model.caster)
+    return MountedSensor(
+        scenario, mount, lattice_of(scenario.sensor), caster, standing_scenery(scenario, caster, mount)
+    )
+
+
+def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
+    """PE-VGOP (Eq. 9) of the vehicle that each point lies on, (n,) [bits]; 0 for points on no vehicle."""
+    bits = np.zeros(len(cloud))
+    on_vehicle = np.flatnonzero(cloud.vehicle_id >= 0)
+    order = np.argsort(vehicles.vehicle_id)
+    row = order[np.searchsorted(vehicles.vehicle_id, cloud.vehicle_id[on_vehicle], sorter=order)]
+    points = to_vehicle_frame(cloud.xyz[on_vehicle], vehicles.centre_m[row], vehicles.heading_rad[row])
+    bits[on_vehicle] = pe_vgop(points, row, vehicles.size_m, objective.cell_m, reading=objective.reading)[row]
+    return bits

@@ -1,0 +1,60 @@
+"""What the verbs chart and stability share: their options, and how a study is carried out in its folder."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import ModuleType
+
+from ..scene.site import Site
+from ..signals import stops_recognised
+from ..studies.driver import StudyFolder
+from .optimise import add_output, say
+from .options import default_folder
+from .report import describe_site
+
+
+def add_study_options(parser: argparse.ArgumentParser, quick: str) -> None:
+    """Describe where a study is left, that it may go on, and what its quick form is."""
+    add_output(parser)
+    parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--resume", action="store_true", help="go on with the study in --out DIR that was stopped")
+
+
+def effort_of(args: argparse.Namespace, full, quick):
+    """How much is done; where frames are asked for, none of them is left out."""
+    effort = quick if args.quick else full
+    asked = args.frames is not None or args.frame_ids is not None
+    return replace(effort, frames=None) if asked else effort
+
+
+def carry_out(
+    args: argparse.Namespace,
+    verb: str,
+    site: Site,
+    identity: Mapping[str, object],
+    report: ModuleType,
+    study: Callable[[StudyFolder], dict],
+) -> int:
+    """Make a study in its folder, write what it leaves and tell of it; returns the exit code.
+
+    `report` knows the study's `FILES`, `write_results` and `report_text`; without --out the folder is named after the
+    scene and the verb.
+    """
+    folder = StudyFolder(args.out or default_folder(site.scenario, verb), identity, report.FILES)
+    with folder.locked(resume=args.resume):
+        say(args, describe_site(site) + "\n")
+        try:
+            with stops_recognised():
+                result = study(folder)
+        except KeyboardInterrupt:
+            print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
+            return 1
+        written = report.write_results(folder, result)
+    say(args, f"{report.report_text(result)}\n\nResults in {folder.path}: {', '.join(written)}")
+    if args.json:
+        print(json.dumps(result, indent=2))
+    return 0

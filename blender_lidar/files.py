@@ -1,0 +1,316 @@
+"""Files: written whole or not at all, folders locked, CSV tables, and opening what a user names.
+
+Only regular files are opened: a named pipe would be waited for without end, and a device read without end. Errors of
+opening are plain `OSError`: each reader says in its own words what it needed.
+"""
+
+from __future__ import annotations
+
+import csv
+import errno
+import hashlib
+import io
+import os
+import re
+import stat
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import IO, BinaryIO
+
+import numpy as np
+
+from .errors import OutputError, output_error
+
+# --- Files that are written whole or not at all -----------------------------------------------------------
+
+_TEMPORARY = ".blender_lidar-"  # how names of temporary files begin; process id, random characters and suffix follow
+_OURS = re.compile(re.escape(_TEMPORARY) + r"\d+-[a-z0-9_]{8}(\..*)?")
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside `path`; it takes the place of `path` when the block ends well, else nothing is left.
+
+    The temporary file keeps the suffix of `path`, for writers that choose their format by it.
+
+    Raises
+    ------
+    OutputError
+        When the file cannot be written, or what is there is no regular file: a folder, a device, a named pipe.
+    """
+    path = Path(path)
+    temporary = None
+    try:
+        if path.exists() and not path.is_file():
+            raise OSError("is there and is not a regular file")
+        prefix = f"{_TEMPORARY}{os.getpid()}-"
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        temporary = Path(name)
+        yield temporary
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())  # a name must never point to a file whose content a power cut would lose
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(path)
+    except OutputError:  # says already what and where
+        raise
+    except OSError as error:
+        raise output_error(f"{path}: cannot be written", error) from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def sweep(folder: Path) -> None:
+    """Remove the temporary files that killed processes of ours left in a folder, and nothing else.
+
+    The caller holds the folder's lock: nobody else is writing there.
+    """
+    for leftover in folder.glob(f"{_TEMPORARY}*"):
+        if _OURS.fullmatch(leftover.name):
+            leftover.unlink(missing_ok=True)
+
+
+def check_place(path: str | Path, option: str) -> None:
+    """Refuse early, before the work, a file whose folder is not there; `option` says what gave it.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder.
+    """
+    if not Path(path).parent.is_dir():
+        raise OutputError(f"{option}: {path}: cannot be written: there is no folder {Path(path).parent}")
+
+
+def check_folder(path: Path, option: str) -> None:
+    """Refuse early a folder that cannot be made; `option` says what gave it.
+
+    Raises
+    ------
+    OutputError
+        Naming the folder, and the file that stands in its way.
+    """
+    try:
+        if path.is_symlink() and not path.exists():
+            raise OutputError(f"{option}: {path}: the folder cannot be made: a link there leads nowhere")
+        there = next(place for place in (path, *path.absolute().parents) if place.exists())
+    except OutputError:
+        raise
+    except OSError as error:  # a name too long, say
+        raise output_error(f"{option}: {path}: the folder cannot be made", error) from error
+    if not there.is_dir():
+        raise OutputError(f"{option}: {path}: the folder cannot be made: {there} is a file")
+
+
+def make_folder(path: Path, option: str) -> None:
+    """Make a folder, and those above it, unless it is there; `option` says what gave it.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(f"{option}: {path}: the folder cannot be made", error) from error
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write `text` as UTF-8 to `path`, whole or not at all; half a character, as file names may hold, becomes a ?."""
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", errors="replace")
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write `data` to `path`, whole or not at all."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+# --- A lock on a folder: one process at a time ------------------------------------------------------------
+
+
+@contextmanager
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Keep other processes out of a folder while the block lasts; a process that is killed lets go by itself.
+
+    Raises
+    ------
+    OutputError
+        When another process is at work there, or the folder cannot be written.
+    """
+    path = folder / ".lock"
+    with _locked(path, folder):
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _locked(path: Path, folder: Path) -> IO[str]:
+    """The lock file, open and locked."""
+    while True:
+        try:
+            stream = _opened(path)
+        except FileNotFoundError as error:
+            if folder.is_dir():
+                raise output_error(f"--out: {folder}: cannot be written", error) from error
+            make_folder(folder, "--out")  # a run that has failed removed it after we had found or made it
+            continue
+        except OSError as error:
+            raise output_error(f"--out: {folder}: cannot be written", error) from error
+        try:
+            _take(stream, folder)
+            if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                return stream
+        except BlockingIOError as error:
+            stream.close()
+            raise OutputError(f"--out: {folder}: another run is at work there") from error
+        except FileNotFoundError:
+            pass
+        stream.close()  # a run that has just ended removed the file between our opening and locking it
+
+
+def _opened(path: Path) -> IO[str]:
+    """The file, made if need be and never emptied; a named pipe in its place is not waited for."""
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_NONBLOCK", 0), 0o666)
+    return os.fdopen(handle, "w")
+
+
+def _take(stream: IO[str], folder: Path) -> None:
+    try:
+        import fcntl
+    except ImportError:  # a system without such locks
+        return
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError as error:  # a file system without them
+        text = f"{folder}: another run there would not be noticed, as it cannot be locked: {error.strerror}"
+        warnings.warn(text, stacklevel=2)
+
+
+# --- CSV tables: a header line, then rows; numbers with the digits that matter ----------------------------
+
+
+def write_columns(
+    path: str | Path, columns: Mapping[str, np.ndarray], decimals: Mapping[str, int] | None = None
+) -> None:
+    """Write columns of equal length as CSV.
+
+    Parameters
+    ----------
+    path : path
+        The file; written whole or not at all.
+    columns : mapping of str to ndarray, (n,)
+        Names and values; True and False become 1 and 0.
+    decimals : mapping of str to int, optional
+        Digits after the point for a column of floats; others are written so that reading gives the same float.
+    """
+    decimals = decimals or {}
+    texts = [_texts(np.asarray(values), decimals.get(name)) for name, values in columns.items()]
+    write_text(path, to_csv(list(columns), zip(*texts, strict=True)))
+
+
+def to_csv(header: Sequence[str], rows) -> str:
+    """A header and rows as the text of a CSV file."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def _texts(values, decimals):
+    if values.dtype == bool:
+        values = values.astype(int)
+    if decimals is not None:
+        return [f"{value:.{decimals}f}" for value in values.tolist()]
+    return [repr(value) if isinstance(value, float) else str(value) for value in values.tolist()]
+
+
+# --- Opening a file that a user names: a regular file -----------------------------------------------------
+
+_NO_FILES = {
+    stat.S_IFIFO: "is a named pipe",
+    stat.S_IFCHR: "is a device",
+    stat.S_IFBLK: "is a device",
+    stat.S_IFSOCK: "is a socket",
+}
+
+
+def open_file(path: str | Path) -> BinaryIO:
+    """Open a regular file for reading, without waiting for anything.
+
+    Raises
+    ------
+    FileNotFoundError, IsADirectoryError, OSError
+        With a `strerror` that says why.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    except ValueError as error:
+        raise OSError(errno.EINVAL, "its name holds a zero character", str(path)) from error
+    try:
+        kind = stat.S_IFMT(os.fstat(handle).st_mode)
+        if kind == stat.S_IFDIR:
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if kind != stat.S_IFREG:
+            what = _NO_FILES.get(kind, "is no file")
+            raise OSError(errno.EINVAL, f"{what}; a regular file is needed", str(path))
+        return os.fdopen(handle, "rb")
+    except BaseException:
+        os.close(handle)
+        raise
+
+
+def read_file(path: str | Path, most_bytes: int | None = None) -> bytes:
+    """The content of a regular file, or its first `most_bytes`.
+
+    Raises
+    ------
+    OSError
+        As `open_file`.
+    """
+    with open_file(path) as stream:
+        return stream.read() if most_bytes is None else stream.read(most_bytes)
+
+
+def read_text(path: str | Path) -> str:
+    """The content of a regular file of UTF-8 text, with its line ends as ``\\n``.
+
+    Raises
+    ------
+    OSError
+        As `open_file`.
+    UnicodeDecodeError
+        If it is no such text.
+    """
+    return read_file(path).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+
+
+# --- The code that runs -----------------------------------------------------------------------------------
+
+
+@cache
+def source_digest() -> str:
+    """The beginning of the SHA-256 of this package's source and tables: the same for the same code anywhere."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*")):
+        if path.suffix in (".py", ".toml"):
+            digest.update(path.read_bytes().replace(b"\r\n", b"\n") + b"\0")
+    return digest.hexdigest()[:12]

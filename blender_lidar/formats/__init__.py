@@ -1,1 +1,0 @@
-"""Files: clouds and tables, written whole or not at all."""

@@ -1,0 +1,115 @@
+"""The plain rivals that a search has to beat: an exhaustive grid and uniform random points."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from ..errors import InputError
+from .search import Search, check_whole, generator, uniform
+
+_BATCH = 20  # candidates to an ask, of a list that may be longer than memory
+
+
+class _ListSearch(Search):
+    """A fixed list of candidates, asked for in batches; a batch is an "iteration" of the history."""
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, budget: int) -> None:
+        super().__init__(lower, upper, budget=budget, per_iteration=_BATCH)
+
+    @abstractmethod
+    def _rows(self, start: int, stop: int) -> np.ndarray:
+        """Candidates `start` to `stop` of the list, (stop - start, d)."""
+
+    def _candidates(self) -> np.ndarray:
+        return self._rows(self.evaluations, min(self.evaluations + _BATCH, self.budget))
+
+    def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
+        pass
+
+
+class GridSearch(_ListSearch):
+    """Exhaustive search of a full factorial grid that includes both bounds; the last variable changes fastest.
+
+    Parameters
+    ----------
+    lower, upper : array_like, (d,)
+        Bounds of each variable.
+    points : sequence of int, (d,)
+        Nodes along each variable, 2 or more: ``(26, 26)`` is 0.1 m by 1 degree on the paper's bounds. See
+        `grid_points` for the finest grid within a budget.
+
+    Raises
+    ------
+    InputError
+        If the bounds cannot be used, or there is not one whole number of at least 2 points per variable.
+    """
+
+    name: ClassVar[str] = "grid"
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, points: Sequence[int]) -> None:
+        if np.shape(points) != (np.size(lower),):
+            allowed = f"one whole number for each of the {np.size(lower)} variables"
+            raise InputError(f"grid points: {points!r}; allowed: {allowed}")
+        self._points = tuple(check_whole(count, 2, "grid points") for count in points)
+        super().__init__(lower, upper, math.prod(self._points))
+
+    def _rows(self, start: int, stop: int) -> np.ndarray:
+        node = np.column_stack(np.unravel_index(np.arange(start, stop), self._points))
+        last = np.array(self._points) - 1
+        x = node * ((self._upper - self._lower) / last) + self._lower  # as NumPy's linspace, which may not fit memory
+        return np.where(node == last, self._upper, x)
+
+
+class RandomSearch(_ListSearch):
+    """Random search: independent uniform candidates.
+
+    Parameters
+    ----------
+    lower, upper : array_like, (d,)
+        Bounds of each variable.
+    seed : int
+        Same seed, same candidates.
+    evaluations : int
+        Their number, 1 or more.
+
+    Raises
+    ------
+    InputError
+        If the bounds, the seed or a number cannot be used.
+    """
+
+    name: ClassVar[str] = "random"
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int = 2000) -> None:
+        super().__init__(lower, upper, check_whole(evaluations, 1, "evaluations"))
+        self._seed = check_whole(seed, 0, "seed")
+
+    def _rows(self, start: int, stop: int) -> np.ndarray:
+        rng = generator(self._seed)
+        rng.bit_generator.advance(start * self._lower.size)
+        return uniform(rng, stop - start, self._lower, self._upper)
+
+
+def grid_points(evaluations: int, variables: int) -> tuple[int, ...]:
+    """The finest near-cubic grid of at most `evaluations` nodes: points along each of `variables` variables.
+
+    Raises
+    ------
+    InputError
+        If the budget does not reach for both bounds of every variable, ``2 ** variables``.
+    """
+    evaluations = check_whole(evaluations, 2**variables, f"evaluations of a grid over {variables} variables")
+    even = max(2, int(evaluations ** (1 / variables)) - 1)  # below the root, however that is rounded
+    while (even + 1) ** variables <= evaluations:
+        even += 1
+    points = [even] * variables
+    for variable in range(variables):
+        finer = math.prod(points) // even * (even + 1)
+        if finer <= evaluations:
+            points[variable] = even + 1
+    return tuple(points)

@@ -1,0 +1,245 @@
+"""What all searches share: ask and tell, the record of candidates and values, checks, and random points in a box."""
+
+from __future__ import annotations
+
+import math
+import operator
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from ..errors import InputError
+
+# --- Checks of what a search is given: bounds, whole numbers, objective values ----------------------------
+
+
+def check_bounds(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The search box as two float arrays, (d,).
+
+    Raises
+    ------
+    InputError
+        If the bounds are not two equally long lists of finite numbers, with every lower one below its upper one.
+    """
+    lower, upper = _numbers(lower, "lower bounds"), _numbers(upper, "upper bounds")
+    if lower.ndim != 1 or lower.shape != upper.shape or lower.size == 0:
+        raise InputError(
+            f"bounds: shapes {lower.shape} and {upper.shape}; allowed: two lists of equal length, not empty"
+        )
+    for variable, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
+        where = f"bounds of variable {variable}: [{low:g}, {high:g}]"
+        if not np.isfinite([low, high, high - low]).all():
+            raise InputError(f"{where}; allowed: finite numbers, a finite distance apart")
+        if low > high:
+            raise InputError(f"{where} are upside down; allowed: low below high")
+        if low == high:
+            raise InputError(f"{where} leave nothing to search; fix it with a number instead")
+    return lower, upper
+
+
+def check_whole(value: int, least: int, what: str) -> int:
+    """`value` as a plain int of at least `least`, or `InputError` naming `what`."""
+    try:
+        whole = operator.index(value)
+    except TypeError:
+        raise InputError(f"{what}: {value!r}; allowed: a whole number, {least} or more") from None
+    if whole < least:
+        raise InputError(f"{what}: {whole}; allowed: {least} or more")
+    return whole
+
+
+def check_number(value: float, least: float, most: float, what: str) -> float:
+    """`value` as a plain finite float from `least` to `most`, or `InputError` naming `what`."""
+    try:
+        number = math.nan if isinstance(value, str) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not (math.isfinite(number) and least <= number <= most):
+        raise InputError(f"{what}: {value!r}; allowed: a finite number from {least:g} to {most:g}")
+    return number
+
+
+def check_values(values: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """The objective's values of `candidates` (s, d) as a float array, (s,).
+
+    Raises
+    ------
+    InputError
+        If there is not one number per candidate, or one is NaN or +inf. ``-inf`` marks a candidate as infeasible.
+    """
+    values = _numbers(values, "objective values")
+    if values.shape != candidates.shape[:1]:
+        raise InputError(f"objective values: shape {values.shape}; allowed: {candidates.shape[:1]}, one per candidate")
+    unusable = np.isnan(values) | (values == np.inf)
+    if unusable.any():
+        first = int(np.argmax(unusable))
+        raise InputError(
+            f"objective: {values[first]} at candidate {candidates[first].tolist()}; allowed: finite or -inf"
+        )
+    return values
+
+
+def _numbers(values: np.ndarray, what: str) -> np.ndarray:
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: {values!r}; allowed: numbers") from None
+
+
+# --- Random points in a box -------------------------------------------------------------------------------
+
+
+def generator(seed: int) -> np.random.Generator:
+    """A random generator whose kind is fixed, whatever NumPy may prefer: the same seed, the same draws."""
+    return np.random.Generator(np.random.PCG64(check_whole(seed, 0, "seed")))
+
+
+def latin_hypercube(rng: np.random.Generator, points: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Points of which each of `points` equal slices of every variable holds exactly one, (points, d)."""
+    slices = rng.permuted(np.tile(np.arange(points), (lower.size, 1)), axis=1).T
+    return _in_box((slices + rng.random(slices.shape)) / points, lower, upper)
+
+
+def uniform(rng: np.random.Generator, points: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Independent uniform points, (points, d)."""
+    return _in_box(rng.random((points, lower.size)), lower, upper)
+
+
+def _in_box(unit: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    # the clip catches a last digit that rounding carries over the upper bound
+    return np.clip(lower + unit * (upper - lower), lower, upper)
+
+
+# --- Ask and tell -----------------------------------------------------------------------------------------
+
+
+class Search(ABC):
+    """A search for the maximum of a function over a box, by ask and tell: the caller evaluates and owns the loop.
+
+    ::
+
+        while not search.done:
+            search.tell(objective(search.ask()))
+
+    A search is deterministic: made anew and told the same, it asks for the same to the last bit. So a record of what
+    it asked for and was told is all that is needed to go on with it, here or in another process. A subclass says which
+    candidates are next, and may learn from their values.
+
+    Attributes
+    ----------
+    name : str
+        What users call it.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, budget: int, per_iteration: int) -> None:
+        self._lower, self._upper = check_bounds(lower, upper)
+        self._budget = budget
+        self._per_iteration = per_iteration
+        self._x: list[list[float]] = []
+        self._values: list[float] = []
+        self._best = -1  # row of the best so far
+
+    @abstractmethod
+    def _candidates(self) -> np.ndarray:
+        """The candidates to evaluate next, (s, d); fixed between two calls of `tell`."""
+
+    @abstractmethod
+    def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
+        """Take candidates, (s, d), and their values, (s,), that have just been recorded."""
+
+    def ask(self) -> np.ndarray:
+        """The candidates to evaluate next, (s, d), all within the bounds. Asking again returns the same ones.
+
+        Raises
+        ------
+        InputError
+            If the search is done.
+        """
+        if self.done:
+            raise InputError(f"search {self.name!r}: all {self._budget} evaluations are made; nothing is left to ask")
+        return self._candidates().copy()
+
+    def tell(self, values: np.ndarray) -> None:
+        """Take the objective's values, (s,), of the candidates last asked for; the higher the better.
+
+        ``-inf`` marks a candidate as infeasible.
+
+        Raises
+        ------
+        InputError
+            If there is not one value per candidate, or one is NaN or +inf: the candidate is named and the search
+            stays as it was.
+        """
+        candidates = self.ask()
+        values = check_values(values, candidates)
+        for x, value in zip(candidates.tolist(), values.tolist(), strict=True):
+            if not self._values or value > self.best_value:
+                self._best = len(self._values)
+            self._x.append(x)
+            self._values.append(value)
+        self._learn(candidates, values)
+
+    @property
+    def done(self) -> bool:
+        """Whether the budget is spent."""
+        return self.evaluations >= self._budget
+
+    @property
+    def budget(self) -> int:
+        """Evaluations that the whole search makes."""
+        return self._budget
+
+    @property
+    def evaluations(self) -> int:
+        """Candidates evaluated so far."""
+        return len(self._values)
+
+    @property
+    def iteration(self) -> int:
+        """The iteration that the latest evaluation belongs to, from 1; 0 before the first."""
+        return math.ceil(self.evaluations / self._per_iteration)
+
+    @property
+    def best_x(self) -> np.ndarray:
+        """The best candidate so far, (d,); the first of equals.
+
+        Raises
+        ------
+        InputError
+            If nothing has been evaluated yet.
+        """
+        if not self._values:
+            raise InputError(f"search {self.name!r}: nothing has been evaluated yet")
+        return np.array(self._x[self._best])
+
+    @property
+    def best_value(self) -> float:
+        """Its value; ``-inf`` before the first evaluation, and as long as no candidate was feasible."""
+        return self._values[self._best] if self._values else -math.inf
+
+    @property
+    def history(self) -> np.ndarray:
+        """One row per evaluation, (n, d + 5): evaluation, iteration, particle (all from 1), x, value, best so far."""
+        iteration, particle = self._numbering()
+        return history_of(np.reshape(self._x, (-1, self._lower.size)), np.array(self._values), iteration, particle)
+
+    def _numbering(self) -> tuple[np.ndarray, np.ndarray]:
+        """Iteration of every evaluation and its place there, both from 0."""
+        return np.divmod(np.arange(self.evaluations), self._per_iteration)
+
+
+def history_of(x: np.ndarray, values: np.ndarray, iteration: np.ndarray, particle: np.ndarray) -> np.ndarray:
+    """Rows of `Search.history`; iteration and particle, (evaluations,), are counted from 0."""
+    best = np.maximum.accumulate(values)
+    return np.column_stack([np.arange(len(x)) + 1, iteration + 1, particle + 1, x, values, best])
+
+
+def numbered(batches: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Batch of every evaluation and its place there, both from 0, from how many each batch has."""
+    sizes = np.array(batches, dtype=int)
+    first = np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return np.repeat(np.arange(len(sizes)), sizes), np.arange(len(first)) - first

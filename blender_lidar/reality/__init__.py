@@ -1,1 +1,0 @@
-"""The anchor to reality: real, labelled sweeps beside what our shapes, beams and scores make of the same scenes."""

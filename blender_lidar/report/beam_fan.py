@@ -1,0 +1,179 @@
+"""The beam fan of a LiDAR: where its beams meet the road, as text for a terminal and as a chart."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..sensors.model import LidarModel
+from .figure import FAINT, INK, say_empty, sheet
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOUNT_HEIGHT_M = 4.0
+REACH_M = 100.0
+_TOP_M = 6.0  # the picture's upper edge
+_BAND_M = 20.0
+
+_COLUMNS, _ROWS = 89, 13  # the text picture's cells; their centres lie on both edges
+_SHADES = " .:+#"  # by the beams in a cell
+_SHADE_FROM = (1, 2, 4, 8)
+
+
+def ground_distance_m(model: LidarModel, height_m: float = MOUNT_HEIGHT_M) -> np.ndarray:
+    """Horizontal distance at which each ring of a level sensor meets the road, (r,) [m].
+
+    It is inf for a ring that never does, or only beyond the sensor's maximum range.
+    """
+    fall = -np.sin(model.elevation_rad)
+    slant = np.divide(height_m, fall, out=np.full(model.rings, np.inf), where=fall > 0.0)
+    return np.where(slant <= model.range_max_m, slant, np.inf) * np.cos(model.elevation_rad)
+
+
+def fan_text(model: LidarModel) -> str:
+    """Side view of a level sensor's beams at 4 m, 100 m far, and where they meet the road; within 100 characters.
+
+    The more beams cross a character's cell, the darker it is: ``.`` one, ``:`` from two, ``+`` from four, ``#`` from
+    eight.
+    """
+    crossings = np.zeros((_ROWS, _COLUMNS), dtype=int)
+    for end in _ends_m(model):
+        crossings[_cells(*end)] += 1
+    shades = np.array(list(_SHADES))[np.searchsorted(_SHADE_FROM, crossings, side="right")]
+    lines = []
+    for height, shade in zip(np.linspace(_TOP_M, 0.0, _ROWS), shades, strict=True):
+        label = f"{height:.0f} m" if height == int(height) else ""
+        lines.append(f"{label:>6} |{''.join(shade)}".rstrip())
+    distance = ground_distance_m(model)
+    landings = np.bincount(_column_of(distance[distance <= REACH_M]), minlength=_COLUMNS)
+    marks = "".join(" " if count == 0 else str(count) if count < 10 else "*" for count in landings)
+    ruler, labels = _ruler()
+    lines += [f"{'rings':>6} |{marks}".rstrip(), f"{'':6} +{ruler}", f"{'':6}  {labels}", "", _bands(distance)]
+    return "\n".join(lines)
+
+
+def plot_beam_fan(model: LidarModel, path: str | Path) -> None:
+    """Draw a sensor's beams from the side, the gaps between its rings, and one firing column.
+
+    Parameters
+    ----------
+    model : LidarModel
+        The sensor, drawn level at 4 m.
+    path : str or Path
+        The PNG to write; an existing file is replaced.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    OutputError
+        If the file cannot be written.
+    """
+    low, high = np.degrees(model.elevation_rad[[0, -1]])
+    subtitle = (
+        f"{model.rings} rings, {low:+.4g} to {high:+.4g} degrees, {model.columns()} columns a turn at "
+        f"{model.default_rotation_hz:g} Hz, {model.range_min_m:g} to {model.range_max_m:g} m"
+    )
+    with sheet(path, 150.0, f"{model.name}: beam fan", subtitle) as figure:
+        axes = figure.subplot_mosaic([["side", "side"], ["gaps", "column"]])
+        axes["column"].sharey(axes["gaps"])
+        _draw_side(axes["side"], model)
+        _draw_gaps(axes["gaps"], model)
+        _draw_column(axes["column"], model)
+
+
+def _ends_m(model: LidarModel) -> np.ndarray:
+    """Where each beam leaves the picture or reaches the sensor's range: distance and height, (r, 2) [m]."""
+    along, up = np.cos(model.elevation_rad), np.sin(model.elevation_rad)
+    room = np.where(up < 0.0, MOUNT_HEIGHT_M, _TOP_M - MOUNT_HEIGHT_M)
+    length = np.full(model.rings, model.range_max_m)
+    for extent, component in ((np.full(model.rings, REACH_M), along), (room, np.abs(up))):
+        reach = np.divide(extent, component, out=np.full(model.rings, np.inf), where=component > 0.0)
+        length = np.minimum(length, reach)
+    return np.stack([length * along, MOUNT_HEIGHT_M + length * up], axis=1)
+
+
+def _cells(end_distance: float, end_height: float) -> tuple[np.ndarray, np.ndarray]:
+    """The cells of a line from the sensor: rows and columns, one per column or, if it is steep, one per row."""
+    columns = _column_of(np.array([0.0, end_distance]))
+    rows = np.rint((_TOP_M - np.array([MOUNT_HEIGHT_M, end_height])) / _TOP_M * (_ROWS - 1)).astype(int)
+    count = 1 + max(abs(columns[1] - columns[0]), abs(rows[1] - rows[0]))
+    return np.rint(np.linspace(*rows, count)).astype(int), np.rint(np.linspace(*columns, count)).astype(int)
+
+
+def _column_of(distance_m: np.ndarray) -> np.ndarray:
+    """Column of the text picture for each distance [m]."""
+    return np.rint(distance_m / REACH_M * (_COLUMNS - 1)).astype(int)
+
+
+def _ruler() -> tuple[str, str]:
+    """The text picture's axis: marks every 10 m, and the numbers below them."""
+    ruler, labels = ["-"] * _COLUMNS, [" "] * _COLUMNS
+    for tick in range(0, int(REACH_M), 10):
+        column = int(_column_of(np.array(tick)))
+        ruler[column] = "+"
+        start = max(0, column - len(str(tick)) // 2)
+        labels[start : start + len(str(tick))] = str(tick)
+    ruler[-1] = "+"
+    return "".join(ruler), f"{''.join(labels[:-3])}{REACH_M:.0f} m"
+
+
+def _bands(distance_m: np.ndarray) -> str:
+    """How many rings meet the road in each band of 20 m."""
+    edges = np.arange(0.0, REACH_M + _BAND_M, _BAND_M)
+    counts, _ = np.histogram(distance_m[distance_m <= REACH_M], edges)
+    parts = [f"{low:.0f}-{low + _BAND_M:.0f} m {count}" for low, count in zip(edges, counts, strict=False)]
+    unseen = int(np.isinf(distance_m).sum())
+    parts.append(f"further {len(distance_m) - int(counts.sum()) - unseen}")
+    return f"Rings that meet the road: {', '.join(parts)}\nRings that never do, or out of the sensor's range: {unseen}"
+
+
+def _draw_side(axes: Axes, model: LidarModel) -> None:
+    """The beams from the side, those that meet the road dark."""
+    distance = ground_distance_m(model)
+    lands = distance <= REACH_M
+    for (end_distance, end_height), dark in zip(_ends_m(model), lands, strict=True):
+        look = {"color": INK, "linewidth": 0.7} if dark else {"color": FAINT, "linewidth": 0.5}
+        axes.plot([0.0, end_distance], [MOUNT_HEIGHT_M, end_height], **look)
+    for landing in distance[lands]:
+        axes.plot(landing, 0.0, "|", color=INK, markersize=7.0, clip_on=False)
+    axes.axhline(0.0, color=INK, linewidth=1.0)
+    axes.plot(0.0, MOUNT_HEIGHT_M, "^", color="white", markeredgecolor="black", markersize=8.0, clip_on=False, zorder=5)
+    axes.set(xlim=(0.0, REACH_M), ylim=(-0.25, _TOP_M))
+    axes.set_xlabel("Distance from the mount [m]")
+    axes.set_ylabel("Height above the road [m]")
+    axes.set_title(
+        f"Level at {MOUNT_HEIGHT_M:g} m, heights stretched: {lands.sum()} of {model.rings} rings (dark) meet the road "
+        f"within {REACH_M:g} m"
+    )
+
+
+def _draw_gaps(axes: Axes, model: LidarModel) -> None:
+    """The step from each ring to the next over elevation."""
+    axes.set_title("Gaps between neighbouring rings")
+    axes.set_xlabel("Step to the next ring [degrees]")
+    axes.set_ylabel("Elevation [degrees]")
+    if model.rings == 1:
+        say_empty(axes, "only one ring")
+        return
+    elevation = np.degrees(model.elevation_rad)
+    step = np.diff(elevation)
+    axes.plot(step, (elevation[1:] + elevation[:-1]) / 2.0, "o", color=INK, markersize=2.5)
+    axes.set_xlim(0.0, 1.1 * step.max() or 1.0)
+    axes.grid(visible=True)
+
+
+def _draw_column(axes: Axes, model: LidarModel) -> None:
+    """Azimuth offset and elevation of every beam of one firing column."""
+    offset = np.degrees(model.azimuth_offset_rad)
+    axes.plot(offset, np.degrees(model.elevation_rad), "o", color=INK, markersize=2.5)
+    widest = max(1.0, 1.1 * math.ceil(np.abs(offset).max()))
+    axes.set_xlim(-widest, widest)
+    axes.set_title("One firing column, seen from the sensor")
+    axes.set_xlabel("Azimuth offset, clockwise positive [degrees]")
+    axes.set_ylabel("Elevation [degrees]")
+    axes.grid(visible=True)

@@ -1,0 +1,314 @@
+"""What both mountings see: a frame's point clouds from above, and a vehicle's occupancy grids (the paper's Fig. 4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..clouds.scan import PointCloud, scan
+from ..metrics.vgop import VIEWS, entropy, occupancy_views
+from ..run.optimise import Outcome
+from ..scene.scenario import pose_at
+from ..scene.site import Site
+from ..scoring.frame_scorer import FrameScorer
+from ..traffic.vehicles import Vehicles
+from .figure import (
+    FAINT,
+    HEIGHT_COLOURS,
+    INK,
+    OPTIMISED,
+    SMALL_PT,
+    TRAVEL_LABEL,
+    WIDTH_MM,
+    colours,
+    header_mm,
+    legend_below,
+    mark_sensor,
+    place,
+    sheet,
+)
+from .summary import mounting_text, sides
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
+    from matplotlib.patches import Patch
+
+# --- Point clouds of one frame from above -----------------------------------------------------------------------------
+
+_MARGIN_M = 2.0
+_LONGEST_M = 160.0  # a longer piece of road is cut into stretches below one another
+_HIGHEST_M = 4.0  # a truck's roof: all panels, and any two charts, share one scale
+_LEFT_MM, _PANEL_MM = 13.0, 152.0  # where the panels begin on paper, and their width
+_HEADING_MM, _TICKS_MM, _KEY_MM = 9.0, 7.0, 30.0  # above a mounting, below a panel, below all panels
+_STEEPEST = 0.45  # a panel's height over its width is at most this
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """One frame as a mounting sees it.
+
+    Attributes
+    ----------
+    name : str
+        What the mounting is called.
+    mount : mapping of str to float
+        Its six coordinates [m, degrees].
+    cloud : PointCloud
+        One revolution.
+    detectable : ndarray, (v,) bool
+        Which of the frame's vehicles reach the threshold.
+    """
+
+    name: str
+    mount: Mapping[str, float]
+    cloud: PointCloud
+    detectable: np.ndarray
+
+    @property
+    def sensor_xy(self) -> np.ndarray:
+        """Where the LiDAR stands, (2,) [m, road frame]."""
+        return np.array([self.mount["x_m"], self.mount["y_m"]])
+
+
+def draw_clouds(path: str | Path, site: Site, outcome: Outcome) -> None:
+    """Draw the searched frame with the most vehicles in view, as both mountings of a run see it."""
+    frame = max(site.search, key=lambda candidate: int(candidate.counted.sum()))
+    vehicles, observation = frame.vehicles.select(frame.counted), site.observation
+    sights = []
+    for table, (name, mount) in zip((outcome.baseline, outcome.optimised), sides(outcome.result), strict=True):
+        cloud = scan(
+            frame.vehicles,
+            observation.lattice,
+            pose_at(mount),
+            caster=observation.caster,
+            detail=observation.detail,
+            min_range_m=observation.min_range_m,
+            max_range_m=observation.max_range_m,
+            ground=site.scenario.world.ground,
+            scenery=observation.scenery,
+            imperfections=observation.imperfections,
+        )
+        of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
+        sights.append(Sight(name, mount, cloud, table["detectable"][of_frame]))
+    title = f"{outcome.result['sensor']}: one revolution from above, frame {vehicles.frame}"
+    plot_clouds(path, vehicles, sights, title)
+
+
+def plot_clouds(
+    path: str | Path, vehicles: Vehicles, sights: Sequence[Sight], title: str = "", subtitle: str = ""
+) -> None:
+    """Draw one frame's cloud under the baseline and under the other mounting, to scale.
+
+    The boxes of the `vehicles` and the LiDARs set what part of the road is drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    OutputError
+        If the file cannot be written.
+    """
+    corners = footprints(vehicles)
+    x_edges, (low, high) = _stretches(np.concatenate([corners.reshape(-1, 2), [sight.sensor_xy for sight in sights]]))
+    rows = len(x_edges) - 1
+    panel_mm = _PANEL_MM * (high - low) / (x_edges[1] - x_edges[0])
+    mounting_mm = _HEADING_MM + rows * (panel_mm + _TICKS_MM)
+    top = header_mm(title, subtitle)
+    bottom = top + len(sights) * mounting_mm
+    with sheet(path, bottom + _KEY_MM, title, subtitle, to_scale=True) as figure:
+        for sight in sights:
+            for row in range(rows):
+                axes = place(figure, _LEFT_MM, top + _HEADING_MM + row * (panel_mm + _TICKS_MM), _PANEL_MM, panel_mm)
+                dots, entries = _draw_panel(axes, sight, corners)
+                axes.set_xlim(x_edges[row : row + 2])
+                axes.set_ylim(low, high)
+                if row == 0:
+                    axes.set_title(f"{sight.name}: {mounting_text(sight.mount)}\n{_seen(sight)}")
+            top += mounting_mm
+        axes.set_xlabel(TRAVEL_LABEL)
+        bar = place(figure, 0.25 * WIDTH_MM, bottom + 7.0, 0.5 * WIDTH_MM, 2.5)
+        label = "Height above the road of points on vehicles [m]"
+        figure.colorbar(dots, cax=bar, orientation="horizontal", label=label)
+        legend_below(figure, entries, columns=3)
+
+
+def footprints(vehicles: Vehicles) -> np.ndarray:
+    """Corners of vehicle boxes seen from above, (n, 4, 2) [m, road frame], counter-clockwise from the front left."""
+    corner = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
+    along, left = (vehicles.size_m[:, side, None] * corner[:, side] for side in (0, 1))
+    heading = vehicles.heading_rad[:, None]
+    x = vehicles.centre_m[:, :1] + along * np.cos(heading) - left * np.sin(heading)
+    y = vehicles.centre_m[:, 1:2] + along * np.sin(heading) + left * np.cos(heading)
+    return np.stack([x, y], axis=-1)
+
+
+def _stretches(window: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
+    """Edges along x of the pieces of road that hold the points (n, 2), and their common range of y [m]."""
+    low, high = window.min(axis=0) - _MARGIN_M, window.max(axis=0) + _MARGIN_M
+    length, width = high - low
+    missing = max(width / _STEEPEST - length, 0.0)
+    pieces = math.ceil((length + missing) / _LONGEST_M)
+    return np.linspace(low[0] - 0.5 * missing, high[0] + 0.5 * missing, pieces + 1), (low[1], high[1])
+
+
+def _seen(sight: Sight) -> str:
+    """What a mounting sees of the frame, in words."""
+    points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
+    seen = sight.detectable
+    return f"{np.count_nonzero(seen)} of {len(seen)} vehicles detectable, {points:,} points on vehicles"
+
+
+def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathCollection, list[Artist]]:
+    """The cloud, the boxes and the LiDAR; returns the graded points and the legend's entries."""
+    dots = _draw_points(axes, sight.cloud)
+    outlines = _draw_boxes(axes, corners, sight.detectable)
+    marker = mark_sensor(axes, sight.sensor_xy)
+    axes.set_ylabel("y [m]")
+    axes.yaxis.get_major_locator().set_params(integer=True)
+    return dots, [marker, *outlines]
+
+
+def _draw_points(axes: Axes, cloud: PointCloud) -> PathCollection:
+    """Ground faint, points on vehicles the darker the higher they lie."""
+    x, y, _ = cloud.xyz[cloud.vehicle_id < 0].T
+    axes.plot(x, y, ".", color=FAINT, markersize=1.0, markeredgewidth=0.0, zorder=1)
+    x, y, z = cloud.xyz[cloud.vehicle_id >= 0].T
+    scale = {"cmap": colours(HEIGHT_COLOURS), "vmin": 0.0, "vmax": _HIGHEST_M}
+    return axes.scatter(x, y, c=z, s=1.5, linewidths=0.0, zorder=3, **scale)
+
+
+def _draw_boxes(axes: Axes, corners: np.ndarray, detectable: np.ndarray) -> list[Patch]:
+    """Outlines from above, solid if detectable, else dashed and grey inside; returns the legend's entries."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
+
+    solid = {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7}
+    dashed = {**solid, "facecolor": "#e2e2e2", "linestyle": (0, (2.5, 1.5))}
+    for chosen, look in ((detectable, solid), (~detectable, dashed)):
+        axes.add_collection(PolyCollection(corners[chosen], zorder=2, **look))
+    return [Patch(label="vehicle, detectable", **solid), Patch(label="vehicle, not detectable", **dashed)]
+
+
+# --- One vehicle's three occupancy grids ------------------------------------------------------------------------------
+
+_LONGEST_MM = 79.0  # room for a vehicle's length on half a sheet
+_LARGEST_SCALE = 20.0  # millimetres on paper for a metre: 1 to 50
+_TITLE_MM = 10.0  # above a mounting's drawing
+_PAD_MM = 3.0
+_GAP_MM = 7.0  # above each view, for its caption
+_LEAST_OUTLINED_MM = 0.5  # smaller cells would drown in their outlines
+_SIDES_OF_VIEW = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # of the box, to the right and upwards
+
+
+def draw_occupancy(path: str | Path, site: Site, outcome: Outcome) -> None:
+    """Draw the occupancy grids of a vehicle that gains a typical amount under both mountings of a run."""
+    searched = outcome.optimised["split"] == "search"
+    before, after = (table["entropy_bits"][searched] for table in (outcome.baseline, outcome.optimised))
+    visible = np.flatnonzero((after > 0) & (before > 0))
+    if len(visible) == 0:
+        visible = np.arange(len(after))
+    gain = (after - before)[visible]
+    row = visible[np.argsort(gain, kind="stable")[int(0.75 * (len(gain) - 1))]]
+    number, vehicle_id = (int(outcome.optimised[key][searched][row]) for key in ("frame", "vehicle_id"))
+    frame = next(candidate for candidate in site.search if candidate.vehicles.frame == number)
+    counted = frame.vehicles.select(frame.counted)
+    index = int(np.flatnonzero(counted.vehicle_id == vehicle_id)[0])
+    scorer = FrameScorer(frame.vehicles, frame.counted, site.observation)
+    size_m, cell_m = counted.size_m[index], site.observation.cell_m
+    grids = []
+    for _, mount in sides(outcome.result):
+        points, owner = scorer.vehicle_points(pose_at(mount))
+        grids.append(occupancy_views(points[owner == index], size_m, cell_m))
+    plot_occupancy(
+        path,
+        grids,
+        size_m,
+        cell_m,
+        [f"{name}: {mounting_text(mount)}" for name, mount in sides(outcome.result)],
+        f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
+        f"{outcome.result['sensor']}, {outcome.optimised['distance_m'][searched][row]:.0f} m away; "
+        "three quarters of the vehicles that both mountings see gain less PE-VGOP",
+    )
+
+
+def plot_occupancy(
+    path: str | Path,
+    grids: Sequence[Mapping[str, np.ndarray]],
+    size_m: np.ndarray,
+    cell_m: float,
+    headings: Sequence[str],
+    title: str,
+    subtitle: str,
+) -> None:
+    """Draw the top, side and front grid of one vehicle under two mountings, all at one scale.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG to write.
+    grids : two mappings of str to ndarray of bool
+        ``top`` (length cells, width cells), ``side`` (length, height) and ``front`` (width, height): True where a
+        point fell. Cell (0, 0) lies at the box's rear, right, bottom end of the two axes.
+    size_m : array_like, (3,)
+        Length, width and height of the box [m].
+    cell_m : float
+        Side of a cell [m].
+    headings : two str
+        What to write above each mounting's grids.
+    title, subtitle : str
+        Of the sheet.
+    """
+    length, width, height = size_m
+    scale = min(_LONGEST_MM / length, _LARGEST_SCALE)
+    drawing_mm = scale * (width + 2.0 * height) + 4.0 * _GAP_MM
+    top = header_mm(title, subtitle) + _TITLE_MM
+    with sheet(path, top + drawing_mm + _PAD_MM, title, subtitle, to_scale=True) as figure:
+        for side, (views, heading) in enumerate(zip(grids, headings, strict=True)):
+            axes = place(figure, 0.5 * WIDTH_MM * side + _PAD_MM, top, _LONGEST_MM, drawing_mm)
+            axes.set_axis_off()
+            axes.set_xlim(0.0, _LONGEST_MM / scale)
+            axes.set_ylim(-drawing_mm / scale, 0.0)
+            floor = total = 0.0
+            for view in VIEWS:
+                across, up = (size_m[axis] for axis in _SIDES_OF_VIEW[view])
+                floor -= _GAP_MM / scale + up
+                p = float(np.mean(views[view]))  # Eq. 7
+                total += entropy(p)
+                _draw_grid(axes, views[view], floor, cell_m, outlined=scale * cell_m >= _LEAST_OUTLINED_MM)
+                _draw_rim(axes, floor, across, up)
+                caption = f"{view} view, {across:.2f} m by {up:.2f} m: P = {p:.4f}, adds {entropy(p):z.3f} bits"
+                axes.text(0.0, floor + up + 1.0 / scale, caption, va="bottom", fontsize=SMALL_PT)
+            _draw_scale_bar(axes, floor - _GAP_MM / scale, cell_m, scale)
+            axes.set_title(f"{heading}\nPE-VGOP {total:z.3f} bits")
+
+
+def _draw_grid(axes: Axes, grid: np.ndarray, floor: float, cell_m: float, *, outlined: bool) -> None:
+    """The cells of one view, dark where a point fell, from `floor` [m on the drawing] upwards."""
+    from matplotlib.colors import ListedColormap
+
+    lines = {"edgecolors": FAINT, "linewidth": 0.25} if outlined else {}
+    right, upwards = (cell_m * np.arange(cells + 1) for cells in grid.shape)
+    shades = ListedColormap(["white", OPTIMISED["color"]])
+    values = grid.T.astype(float)
+    axes.pcolormesh(right, floor + upwards, values, cmap=shades, vmin=0.0, vmax=1.0, clip_on=False, **lines)
+
+
+def _draw_rim(axes: Axes, floor: float, across: float, up: float) -> None:
+    """The outline of the box."""
+    from matplotlib.patches import Rectangle
+
+    axes.add_patch(Rectangle((0.0, floor), across, up, fill=False, edgecolor="black", linewidth=1.0, clip_on=False))
+
+
+def _draw_scale_bar(axes: Axes, height: float, cell_m: float, scale: float) -> None:
+    """One metre, and what a cell measures."""
+    axes.plot([0.0, 1.0], [height, height], "|-", color="black", linewidth=1.0, markersize=6.0, clip_on=False)
+    text = f"1 m; a cell is {cell_m:g} m by {cell_m:g} m"
+    axes.text(1.0 + 2.0 / scale, height, text, va="center", fontsize=SMALL_PT)

@@ -1,0 +1,264 @@
+"""The sheet every chart is drawn on: one style, one size, and a PNG that is written whole or not at all."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import MissingExtraError
+from ..files import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+WIDTH_MM = 170.0  # the text width of an A4 report
+DPI = 200
+SMALL_PT = 7.0
+_PAD_MM = 2.0
+_OLDEST_MATPLOTLIB = (3, 7)  # the first with legends outside the axes
+MM_PER_INCH = 25.4
+
+# Told apart in grey by lightness, and without any colour by dash and marker.
+BASELINE = {
+    "color": "#cf7f1b",
+    "linestyle": "--",
+    "marker": "s",
+    "markersize": 6.5,  # shows around the other series' marker where both agree
+    "markerfacecolor": "white",
+    "label": "baseline",
+}
+OPTIMISED = {"color": "#173f70", "linestyle": "-", "marker": "o", "markersize": 4.0, "label": "optimised"}
+FAINT = "#b8b8b8"
+INK = "#202020"
+
+TRAVEL_LABEL = "Along the road, x [m], direction of travel \N{LONG RIGHTWARDS ARROW}"
+
+# Name and part of a colour map that only rises or only falls in lightness, so that a grey print keeps the order of the
+# values. The parts leave out what black lines would drown in and what would vanish on white paper.
+SCORE_COLOURS = ("viridis", 0.35, 1.0)
+BLIND_COLOURS = ("YlOrBr", 0.0, 0.85)
+HEIGHT_COLOURS = ("viridis", 0.85, 0.0)
+
+_STYLE = {
+    "font.size": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
+    "figure.titlesize": 10.0,
+    "figure.titleweight": "bold",
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.6,
+    "hatch.linewidth": 0.5,
+    "legend.frameon": False,
+    "figure.constrained_layout.h_pad": 0.07,
+    "text.parse_math": False,  # a "$" in a title is a dollar sign
+}
+
+
+@contextmanager
+def sheet(
+    path: str | Path, height_mm: float, title: str = "", subtitle: str = "", *, to_scale: bool = False
+) -> Iterator[Figure]:
+    """An empty figure to draw on; saved to `path` when the block ends without an error.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG to write; an existing file is replaced.
+    height_mm : float
+        Height on paper [mm]; the width is `WIDTH_MM`.
+    title, subtitle : str
+        Headings above the chart; left out when empty.
+    to_scale : bool
+        The axes will be put in place by `place`, below `header_mm`; otherwise the layout is found automatically.
+
+    Yields
+    ------
+    Figure
+        On an Agg canvas of its own: pyplot, the chosen backend and the user's own settings play no part, and
+        ``rcParams`` are afterwards what they were.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed, or too old.
+    OutputError
+        If the file cannot be written.
+    """
+    try:
+        from matplotlib import __version_info__ as installed
+        from matplotlib import style
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError('charts need matplotlib: pip install "blender_lidar[plots]"') from error
+    if installed[:2] < _OLDEST_MATPLOTLIB:
+        oldest, here = (".".join(map(str, version[:2])) for version in (_OLDEST_MATPLOTLIB, installed))
+        raise MissingExtraError(f"charts need matplotlib {oldest} or later; {here} is installed")
+    with style.context(["default", _STYLE]):
+        size = (WIDTH_MM / MM_PER_INCH, height_mm / MM_PER_INCH)
+        figure = Figure(figsize=size, dpi=DPI, layout="none" if to_scale else "constrained")
+        FigureCanvasAgg(figure)
+        # An automatic layout keeps room for the heading only if it may choose the height itself.
+        _headline(figure, title, subtitle, **({"y": 1.0 - _PAD_MM / height_mm} if to_scale else {}))
+        yield figure
+        save(figure, path)
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG, whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written; an older file of that name is then untouched and nothing else is left.
+    """
+    drawing = io.BytesIO()
+    figure.savefig(drawing, format="png", metadata={"Software": None})
+    write_bytes(path, drawing.getvalue())
+
+
+def header_mm(title: str, subtitle: str) -> float:
+    """Height that the headings of a sheet drawn to scale take up [mm]."""
+    return _PAD_MM + 5.0 * bool(title or subtitle) + 4.5 * bool(subtitle)
+
+
+def place(figure: Figure, left_mm: float, top_mm: float, width_mm: float, height_mm: float) -> Axes:
+    """An axes of a given size at a given distance from the sheet's upper left corner, all in millimetres on paper."""
+    sheet_width, sheet_height = MM_PER_INCH * figure.get_size_inches()
+    bottom = 1.0 - (top_mm + height_mm) / sheet_height
+    return figure.add_axes((left_mm / sheet_width, bottom, width_mm / sheet_width, height_mm / sheet_height))
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], columns: int) -> None:
+    """One legend for the whole figure, under the axes and so never on the data."""
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=2.6)
+
+
+def say_empty(axes: Axes, text: str) -> None:
+    """Write in the middle of an axes why nothing is drawn there."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=INK)
+
+
+def colours(part: tuple[str, float, float]) -> ListedColormap:
+    """Part of a colour map, from the first share of its range to the second."""
+    import matplotlib
+    from matplotlib.colors import ListedColormap
+
+    name, first, last = part
+    return ListedColormap(matplotlib.colormaps[name](np.linspace(first, last, 256)))
+
+
+def mark_sensor(axes: Axes, sensor_xy: np.ndarray) -> Line2D:
+    """A marker where the LiDAR stands, (2,) [m, road frame]; it is also the legend's entry."""
+    look = {"markersize": 8.0, "markerfacecolor": "white", "markeredgecolor": "black", "markeredgewidth": 1.2}
+    (line,) = axes.plot(*sensor_xy, "^", linestyle="none", zorder=5, label="LiDAR", **look)
+    return line
+
+
+def _headline(figure: Figure, title: str, subtitle: str, **position: float) -> None:
+    """The title in bold and, on the line that a trailing newline keeps free for it, the subtitle."""
+    if not (title or subtitle):
+        return
+    from matplotlib.text import Annotation
+
+    heading = figure.suptitle(f"{title}\n " if subtitle else title, x=_PAD_MM / WIDTH_MM, ha="left", **position)
+    if subtitle:
+        note = Annotation(subtitle, xy=(0.0, 0.0), xycoords=heading, ha="left", va="bottom", fontsize=8.0, color=INK)
+        figure.add_artist(note)
+
+
+# --- Names beside many points, none of them over another or over a point ----------------------------------
+
+_FONT_PT = 5.6
+_GAP_PT = 0.6  # between a point and its name
+_RINGS = (_GAP_PT, 4.5, 9.0, 14.0, 20.0, 27.0, 35.0, 45.0, 56.0)
+_DIRECTIONS = np.radians(np.arange(0.0, 360.0, 22.5))
+_APART_PT = 0.3  # about each name: where it is drawn is rounded
+_LINE_PT = 0.4  # half the width of a line
+
+
+def name_points(
+    axes: Axes,
+    places: np.ndarray,
+    names: Sequence[str],
+    weights: Sequence[str],
+    sizes_pt: Sequence[float],
+    lines: Sequence[tuple[tuple[float, float], tuple[float, float]]] = (),
+) -> None:
+    """Write each point's name near it; those farther away get a thin line to their point.
+
+    The crowded ones choose first. A name for which nothing is free goes where it covers least.
+
+    Parameters
+    ----------
+    axes : Axes
+        With their final limits and place.
+    places : ndarray, (n, 2)
+        The points, in data coordinates.
+    names, weights : sequence of str, (n,)
+        And how bold they are.
+    sizes_pt : sequence of float, (n,)
+        Half the side of what each marker covers [points].
+    lines : sequence of two points
+        Level and upright lines that no name should cross.
+    """
+    figure = axes.figure
+    scale = figure.dpi / 72.0
+    at = axes.transData.transform(places)
+    texts = [
+        axes.text(*place, name, fontsize=_FONT_PT, weight=weight, color=INK, ha="center", va="center", zorder=5)
+        for place, name, weight in zip(places, names, weights, strict=True)
+    ]
+    half = np.array([(box.width, box.height) for box in (text.get_window_extent() for text in texts)]) / 2.0
+    half += _APART_PT * scale
+    inside = axes.get_window_extent()
+    near = np.hypot(*(at[:, None] - at[None]).transpose(2, 0, 1))
+    crowd = (near < 40.0 * scale).sum(axis=1)
+    covered = [(place, np.full(2, size * scale)) for place, size in zip(at, sizes_pt, strict=True)]
+    for line in lines:
+        ends = axes.transData.transform(line)
+        covered.append((ends.mean(axis=0), 0.5 * np.abs(ends[1] - ends[0]) + _LINE_PT * scale))
+    for row in np.argsort(-crowd, kind="stable").tolist():
+        spot, ring = _free_spot(at[row], half[row], sizes_pt[row] * scale, covered, inside, scale)
+        covered.append((spot, half[row]))
+        texts[row].set_position(axes.transData.inverted().transform(spot))
+        if ring > 0:
+            end = np.clip(at[row], spot - half[row], spot + half[row])
+            line = axes.transData.inverted().transform([at[row], end])
+            axes.plot(*line.T, color=INK, linewidth=0.3, zorder=1.5)
+
+
+def _free_spot(point, half, size, covered, inside, scale) -> tuple[np.ndarray, int]:
+    """Middle of a name's box beside a point, the nearest that is free, and on which ring about the point it lies."""
+    middles, sizes = (np.array(column) for column in zip(*covered, strict=True))
+    best = None
+    for ring, radius in enumerate(_RINGS):
+        for direction in _DIRECTIONS:
+            way = np.array([np.cos(direction), np.sin(direction)])
+            spot = point + way * (half * np.array([abs(way[0]) ** 0.5, abs(way[1]) ** 0.5]) + size + radius * scale)
+            overlap = np.clip(half + sizes - np.abs(middles - spot), 0.0, None).prod(axis=1).sum()
+            outside = (spot - half < [inside.x0, inside.y0]).any() or (spot + half > [inside.x1, inside.y1]).any()
+            cost = overlap + 1e6 * outside
+            if best is None or cost < best[0]:
+                best = (cost, spot, ring)
+            if best[0] == 0.0:
+                return best[1], best[2]
+    return best[1], best[2]

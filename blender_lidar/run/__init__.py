@@ -1,0 +1,1 @@
+"""One optimisation or evaluation: search, held-out verdict, score map, tolerance, folder of results."""

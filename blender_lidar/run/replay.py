@@ -1,0 +1,110 @@
+"""Resume by replay: what searches asked for and were told is all that is needed to go on with them.
+
+Searches are deterministic and none reads a clock. So a search that is made anew and told what is on record comes to
+where it was, as long as it asks for the same, which is checked to the last bit: other code is refused before, by the
+run's identity, but the linear algebra of another processor may round otherwise.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+import numpy as np
+
+from ..errors import InputError
+from ..optimise import Search
+from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
+from .folder import CHECKPOINT, RunFolder
+
+_STORE_EVERY_S = 2.0
+
+
+class Listener(Protocol):
+    """Told how a run comes along; every method may do nothing."""
+
+    def searching(self, search: Search | MultiFidelitySearch) -> None:
+        """After each batch of evaluations, and once before the first; where there is a tolerance, of both searches."""
+
+    def mapping(self, points: int) -> None:
+        """After `points` more of the score map's grid points."""
+
+
+class Replay:
+    """The record of a run's searches, one after the other: replayed, then gone on with, and stored as it grows.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Where it is stored.
+    identity : mapping
+        What must be the same for a record to be gone on with.
+    resume : bool
+        Whether there may be one; else it begins empty.
+    """
+
+    def __init__(self, folder: RunFolder, identity: Mapping, *, resume: bool) -> None:
+        self._folder, self._identity = folder, identity
+        self._batches = folder.read_checkpoint(identity) if resume else []
+        self._replayed = 0
+
+    def carry_out(
+        self,
+        search: Search | MultiFidelitySearch,
+        score: Callable[[np.ndarray | Asked], np.ndarray],
+        listener: Listener,
+    ) -> None:
+        """Bring a search to its end: first by the record, then by what `score` makes of what it asks for.
+
+        Raises
+        ------
+        InputError
+            Where the record is damaged, or the search asks for something else than it holds.
+        """
+        while self._replayed < len(self._batches) and not search.done:
+            self._replay(search, self._batches[self._replayed])
+            self._replayed += 1
+        listener.searching(search)
+        stored_at = -np.inf
+        while not search.done:
+            asked, started = search.ask(), time.perf_counter()
+            told = score(asked)
+            seconds = time.perf_counter() - started
+            _tell(search, told, seconds)
+            self._batches.append({**_as_stored(asked), "told": told.tolist(), "seconds": seconds})
+            if time.monotonic() - stored_at >= _STORE_EVERY_S or search.done:
+                self._folder.write_checkpoint(self._identity, self._batches)
+                stored_at = time.monotonic()
+            listener.searching(search)
+        self._replayed = len(self._batches)
+
+    def _replay(self, search: Search | MultiFidelitySearch, batch: dict) -> None:
+        number = self._replayed + 1
+        try:
+            asked = _as_stored(search.ask())
+            alike = asked == {key: batch[key] for key in asked}
+            if alike:
+                _tell(search, np.array(batch["told"], dtype=float), float(batch["seconds"]))
+        except (LookupError, TypeError, ValueError) as error:
+            path = self._folder.file(CHECKPOINT)
+            raise InputError(f"{path}: batch {number} is damaged: {type(error).__name__}: {error}") from None
+        if not alike:
+            raise InputError(
+                f"--resume: {self._folder.path}: the search asks for other mountings in batch {number} than the run "
+                "there did, as on another kind of processor; go on there, or give another --out"
+            )
+
+
+def _as_stored(asked: np.ndarray | Asked) -> dict[str, object]:
+    """What a search asks for, as JSON holds it."""
+    if isinstance(asked, Asked):
+        return {"fidelity": asked.fidelity.name, "frames": list(asked.frames), "x": asked.x.tolist()}
+    return {"x": asked.tolist()}
+
+
+def _tell(search: Search | MultiFidelitySearch, told: np.ndarray, seconds: float) -> None:
+    if isinstance(search, MultiFidelitySearch):
+        search.tell(told, seconds)
+    else:
+        search.tell(told)

@@ -1,0 +1,301 @@
+"""The verdict on mountings: beside the baseline on searched and held-out frames, over a score map, vehicle by vehicle.
+
+The score map is the objective over height and tilt: a picture of the whole landscape, and how certain its top is. A
+vehicle table has one row for each counted vehicle and frame: what a mounting sees of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..metrics.catalogue import PE_VGOP
+from ..metrics.vgop import entropy
+from ..scene.scenario import Deployment, pose_at
+from ..scene.site import Site
+from ..scoring.evaluation import Evaluator, Totals
+from ..scoring.scores import Scored
+from ..sensors.pose import Pose
+from ..statistics import FEWEST_BLOCKS, block_sums, interval_90, ratio_interval_90, resampled_weights
+from ..traffic.vehicles import Vehicles
+
+REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
+
+# --- Beside the baseline: on the frames that chose a mounting, and on frames that did not -----------------
+
+
+def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed: int) -> dict:
+    """Scores of mountings on the searched and on the held-out frames.
+
+    Parameters
+    ----------
+    mountings : mapping of str to Pose
+        The mountings by name; one is the ``"baseline"`` that the others' gains are measured against.
+    evaluator : Evaluator
+        Scores the searched frames, and the held-out ones apart.
+    seed : int
+        For the resampling of blocks.
+
+    Returns
+    -------
+    dict
+        For each name ``objective`` and ``objective_per_vehicle`` in the metric's unit, ``detectable_share`` and
+        ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` and its ``interval_90``. ``holdout`` is
+        None where nothing was held out; ``interval_90`` where there are too few blocks.
+    """
+    poses, base = list(mountings.values()), list(mountings).index("baseline")
+    searched = evaluator.totals(poses)
+    held_out = evaluator.held_out.totals(poses) if evaluator.held_out.vehicles.sum() else None
+    return {
+        name: {
+            "objective": float(searched.objective[row].sum()),
+            **_per_vehicle(searched, row),
+            "holdout": None if held_out is None else _held_out(held_out, row, base, site.plan.holdout_block, seed),
+        }
+        for row, name in enumerate(mountings)
+    }
+
+
+def _per_vehicle(totals: Totals, row: int) -> dict:
+    return {
+        "objective_per_vehicle": float(totals.per_vehicle()[row]),
+        "detectable_share": float(totals.detectable_share()[row]),
+    }
+
+
+def _held_out(totals: Totals, row: int, base: int, block: Sequence[int], seed: int) -> dict:
+    gain = totals.objective[row] - totals.objective[base]
+    interval = ratio_interval_90(block_sums(gain, block), block_sums(totals.vehicles, block), seed)
+    return {
+        **_per_vehicle(totals, row),
+        "gain_over_baseline": float(gain.sum() / totals.vehicles.sum()),
+        "interval_90": None if interval is None else list(interval),
+        "vehicles": int(totals.vehicles.sum()),
+        "frames": len(totals.vehicles),
+        "blocks": len(np.unique(block)),
+    }
+
+
+# --- The objective over height and tilt: a picture of the whole landscape, and how certain its top is -----
+
+AXES = ("height_m", "tilt_x_deg")
+POINTS = (11, 26)  # a quarter metre by 1 degree over the paper's ranges: enough to see the landscape
+FINE_POINTS = (26, 26)  # 0.1 m by 1 degree: the resolution in which the paper reports
+_CHUNK = 26
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoreMap:
+    """The objective on a grid of heights and tilts, the other coordinates fixed.
+
+    Attributes
+    ----------
+    height_m : ndarray, (h,)
+    tilt_deg : ndarray, (t,)
+    per_vehicle : ndarray, (h, t)
+        Objective per vehicle, in the metric's unit.
+    detectable_share : ndarray, (h, t)
+    block_objective : ndarray, (h, t, b)
+        Objective summed over each block of time that has vehicles.
+    block_vehicles : ndarray, (b,)
+        Vehicles of each block.
+    """
+
+    height_m: np.ndarray
+    tilt_deg: np.ndarray
+    per_vehicle: np.ndarray
+    detectable_share: np.ndarray
+    block_objective: np.ndarray
+    block_vehicles: np.ndarray
+
+    @property
+    def best(self) -> tuple[float, float, float]:
+        """Height [m], tilt [deg] and objective per vehicle of the best grid point."""
+        row, column = np.unravel_index(np.argmax(self.per_vehicle), self.per_vehicle.shape)
+        return float(self.height_m[row]), float(self.tilt_deg[column]), float(self.per_vehicle[row, column])
+
+    def best_coordinates(self, others: dict[str, float]) -> dict[str, float]:
+        """The six coordinates of the best grid point; `others` fixes those that the grid does not span."""
+        return {**others, **dict(zip(AXES, self.best, strict=False))}
+
+    def best_under(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Height [m] and tilt [deg] of the best grid point, (r,) each, with each block counted `weights` (r, b) times.
+
+        Every row of the weights must leave some vehicles.
+        """
+        objective = self.block_objective.reshape(-1, len(self.block_vehicles))
+        values = weights @ objective.T / (weights @ self.block_vehicles)[:, None]
+        row, column = np.unravel_index(np.argmax(values, axis=1), self.per_vehicle.shape)
+        return self.height_m[row], self.tilt_deg[column]
+
+    def optimum_intervals_90(self, seed: int) -> dict[str, tuple[float, float]] | None:
+        """90 % intervals of the best height and tilt under block resampling; None for too few blocks."""
+        blocks = len(self.block_vehicles)
+        if blocks < FEWEST_BLOCKS:
+            return None
+        resampled = self.best_under(resampled_weights(blocks, np.random.default_rng(seed)))
+        return {axis: interval_90(values) for axis, values in zip(AXES, resampled, strict=True)}
+
+
+def map_scores(
+    evaluator: Evaluator,
+    deployment: Deployment,
+    optimum: dict[str, float],
+    block: np.ndarray,
+    progress: Callable[[int], None] = lambda points: None,
+    grid: tuple[int, int] = POINTS,
+) -> ScoreMap | None:
+    """Score a grid over the searched heights and tilts through the `optimum`; None unless both are searched.
+
+    Parameters
+    ----------
+    evaluator : Evaluator
+        What scores.
+    deployment : Deployment
+        Bounds of both axes.
+    optimum : dict of str to float
+        The six coordinates found, which fix the other four.
+    block : ndarray of int, (f,)
+        Block of time of each of the evaluator's frames.
+    progress : callable
+        Told how many grid points have been scored since it was last called.
+    grid : (int, int)
+        Number of heights and of tilts.
+    """
+    if not all(axis in deployment.bounds for axis in AXES):
+        return None
+    height, tilt = (np.linspace(*deployment.bounds[axis], points) for axis, points in zip(AXES, grid, strict=True))
+    poses = [pose_at({**optimum, AXES[0]: float(h), AXES[1]: float(t)}) for h in height for t in tilt]
+    parts = []
+    for start in range(0, len(poses), _CHUNK):
+        chunk = poses[start : start + _CHUNK]
+        parts.append(evaluator.totals(chunk))
+        progress(len(chunk))
+    totals = Totals(
+        np.concatenate([part.objective for part in parts]),
+        np.concatenate([part.detectable for part in parts]),
+        evaluator.vehicles,
+    )
+    block_vehicles = block_sums(evaluator.vehicles, block)
+    filled = block_vehicles > 0  # an empty block prefers no mounting
+    return ScoreMap(
+        height_m=height,
+        tilt_deg=tilt,
+        per_vehicle=totals.per_vehicle().reshape(grid),
+        detectable_share=totals.detectable_share().reshape(grid),
+        block_objective=block_sums(totals.objective, block)[:, filled].reshape(*grid, -1),
+        block_vehicles=block_vehicles[filled],
+    )
+
+
+def map_verdict(score_map: ScoreMap, verdict: Mapping[str, dict], found: str, seed: int) -> dict:
+    """The landscape in numbers; shares of the gain are None where nothing is better than the baseline.
+
+    Parameters
+    ----------
+    verdict : mapping
+        What `judge` says of the ``"baseline"``, of the ``"best_of_map"`` and of the mounting that was `found`.
+    seed : int
+        For the resampling of blocks.
+    """
+    height, tilt, value = score_map.best
+    base, reached = (verdict[name]["objective_per_vehicle"] for name in ("baseline", found))
+    best = max(value, reached)
+    gains = best > base
+    near_best = near_best_threshold(best, base, REGION_SHARE)
+    intervals = score_map.optimum_intervals_90(seed)
+    return {
+        "points": list(score_map.per_vehicle.shape),
+        "best": {"height_m": height, "tilt_x_deg": tilt, "objective_per_vehicle": value},
+        "search_shortfall": (best - reached) / (best - base) if gains else None,
+        "holdout_regret": _regret(*(verdict[name]["holdout"] for name in ("best_of_map", found))),
+        "optimum_interval_90": None if intervals is None else {key: list(pair) for key, pair in intervals.items()},
+        "share_within_1_percent": float((score_map.per_vehicle >= near_best).mean()) if gains else None,
+    }
+
+
+def near_best_threshold(best: float, baseline: float, share: float) -> float:
+    """The least value within `share` of the gain ``best - baseline`` below the best; the best itself without a gain."""
+    return best - share * max(best - baseline, 0.0)
+
+
+def _regret(best: dict | None, found: dict | None) -> float | None:
+    """Share of the gain of the map's best mounting that the found one lacks, on held-out frames; below 0 if better."""
+    if best is None or not best["gain_over_baseline"] > 0.0:
+        return None
+    return 1.0 - found["gain_over_baseline"] / best["gain_over_baseline"]
+
+
+# --- One row for each counted vehicle and frame: what a mounting sees of it -------------------------------
+
+COLUMNS = ("frame", "vehicle_id", "class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "heading_deg")
+COLUMNS += ("distance_m", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable", "lane", "split")
+METRIC_VALUE = "metric_value"
+"""The column of the chosen metric, in its own unit, where that is another than PE-VGOP: that one is `entropy_bits`."""
+
+
+def columns_for(metric: str) -> tuple[str, ...]:
+    """The columns of the table of a run with a metric."""
+    return COLUMNS if metric == PE_VGOP.name else (*COLUMNS, METRIC_VALUE)
+
+
+def metric_values(table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The chosen metric of each vehicle of a table, in its own unit, (n,)."""
+    return table[METRIC_VALUE] if METRIC_VALUE in table else table["entropy_bits"]
+
+
+def vehicle_table(pose: Pose, **splits: Evaluator) -> dict[str, np.ndarray]:
+    """Score one mounting vehicle by vehicle.
+
+    Parameters
+    ----------
+    **splits : Evaluator
+        Of one metric: each with the frames of a split, by the name that the column ``split`` gives them. In one of
+        them at least a vehicle counts.
+
+    Returns
+    -------
+    dict of str to ndarray, (n,)
+        The columns of `columns_for` the metric; `distance_m` is horizontal, from the mount.
+    """
+    tables = [
+        _frame_table(frame.vehicles.select(frame.counted), pose, scored, split)
+        for split, evaluator in splits.items()
+        for frame, scored in zip(evaluator.frames, evaluator.by_vehicle([pose]), strict=True)
+        if frame.counted.any()
+    ]
+    metric = next(iter(splits.values())).metric
+    return {name: np.concatenate([table[name] for table in tables]) for name in columns_for(metric)}
+
+
+def _frame_table(vehicles: Vehicles, pose: Pose, scored: Scored, split: str) -> dict[str, np.ndarray]:
+    shares = scored.seen.occupancy[0]
+    return {
+        "frame": np.full(len(vehicles), vehicles.frame),
+        "vehicle_id": vehicles.vehicle_id,
+        "class": vehicles.class_name,
+        **dict(zip(("x_m", "y_m", "z_m"), vehicles.centre_m.T, strict=True)),
+        **dict(zip(("length_m", "width_m", "height_m"), vehicles.size_m.T, strict=True)),
+        "heading_deg": np.degrees(vehicles.heading_rad),
+        "distance_m": np.hypot(vehicles.centre_m[:, 0] - pose.x_m, vehicles.centre_m[:, 1] - pose.y_m),
+        "points": scored.seen.points[0],
+        **dict(zip(("p_top", "p_side", "p_front"), shares.T, strict=True)),
+        "entropy_bits": entropy(shares).sum(axis=1),
+        "detectable": scored.detectable[0],
+        "lane": vehicles.lane,
+        "split": np.full(len(vehicles), split),
+        METRIC_VALUE: scored.values[0],
+    }
+
+
+def distance_bands(table: dict[str, np.ndarray], width_m: float = 10.0) -> list[tuple[str, np.ndarray]]:
+    """Names of the distance bands that hold vehicles, and which rows of a vehicle table each holds."""
+    band = (table["distance_m"] // width_m).astype(int)
+    return [(f"{number * width_m:g}-{(number + 1) * width_m:g} m", band == number) for number in np.unique(band)]
+
+
+def lanes(table: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Names of the lanes that hold vehicles, and which rows of a vehicle table each holds."""
+    return [(f"lane {number}" if number else "no lane", table["lane"] == number) for number in np.unique(table["lane"])]

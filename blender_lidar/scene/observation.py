@@ -1,0 +1,125 @@
+"""What a mounting is judged by: an observation, the counted frames of a region, and how they are scored."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..casting.protocol import StandingScenery
+from ..errors import InputError
+from ..metrics.catalogue import PE_VGOP, metric_named
+from ..metrics.metric import Field, FrameBoxes
+from ..sensors.beams import BeamLattice
+from ..sensors.imperfections import PERFECT, Imperfections
+from ..traffic import RoadFrame
+from ..traffic.vehicles import Vehicles
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """How a mounting's beams see vehicles, before any score is made of it.
+
+    Attributes
+    ----------
+    lattice : BeamLattice
+        The sensor's beams.
+    max_range_m : float
+        Returns from farther away are lost [m].
+    min_range_m : float
+        Returns from nearer are lost [m].
+    caster : str
+        A name of `casting.CASTERS`.
+    detail : str
+        Level of detail of the vehicles' shapes.
+    cell_m : float
+        Side of an occupancy cell [m].
+    reading : str
+        How Eq. 8 is read: see `metrics.vgop.occupancy`.
+    scenery : StandingScenery or None
+        What stands still and hides vehicles.
+    imperfections : Imperfections
+        Range noise and lost returns; none unless said.
+    culled : bool
+        Whether beams that can reach no vehicle are left out; it changes no result. `raster` always does without them.
+    """
+
+    lattice: BeamLattice
+    max_range_m: float
+    min_range_m: float
+    caster: str
+    detail: str
+    cell_m: float
+    reading: str = "corrected"
+    scenery: StandingScenery | None = None
+    imperfections: Imperfections = PERFECT
+    culled: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """The region of interest: a disc about the nominal mount, the same for every mounting that is tried."""
+
+    centre_xy: tuple[float, float]
+    radius_m: float
+
+    def distance(self, vehicles: Vehicles) -> np.ndarray:
+        """Horizontal distance of each box centre from the middle, (n,) [m]."""
+        return np.hypot(*(vehicles.centre_m[:, :2] - self.centre_xy).T)
+
+    def holds(self, vehicles: Vehicles) -> np.ndarray:
+        """Which box centres lie inside, (n,) bool."""
+        return self.distance(vehicles) <= self.radius_m
+
+
+@dataclass(frozen=True, slots=True)
+class CountedFrame:
+    """A frame, and which of its vehicles count; the others hide and are not scored."""
+
+    vehicles: Vehicles
+    counted: np.ndarray
+
+    @property
+    def boxes(self) -> FrameBoxes:
+        """The frame as metrics know it."""
+        vehicles = self.vehicles
+        return FrameBoxes(vehicles.frame, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, self.counted)
+
+
+@dataclass(frozen=True, slots=True)
+class Scoring:
+    """What is made of what a mounting sees: the metric, and the settings of Eqs. 10 and 11.
+
+    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do. `field` is where
+    metrics of a whole scene look; None serves all others.
+    """
+
+    threshold: float
+    view: str
+    loss: float | None
+    reading: str
+    metric: str = PE_VGOP.name
+    field: Field | None = None
+
+
+def scene_field(
+    metric: str, road: RoadFrame, centre_xy_m: tuple[float, float], radius_m: float, searched: Sequence[CountedFrame]
+) -> Field | None:
+    """Where a metric with a memory looks, the carriageway within a region; None for any other metric.
+
+    Raises
+    ------
+    InputError
+        When no counted vehicle of the searched frames is there.
+    """
+    if metric_named(metric).learn is None:
+        return None
+    low, high = road.carriageway_y
+    y = np.concatenate([frame.vehicles.centre_m[frame.counted, 1] for frame in searched])
+    if not ((y >= low) & (y <= high)).any():
+        raise InputError(
+            f"metric {metric!r} looks at the carriageway of [road], y {low:g} to {high:g} m, where no vehicle of the "
+            "searched frames is; check [road] and [traffic]"
+        )
+    return Field(centre_xy_m, radius_m, (low, high))

@@ -1,0 +1,143 @@
+"""What a result depends on: settings, the content of the input files, versions."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from .. import __version__
+from ..errors import InputError, MissingFileError, shown
+from ..files import open_file, source_digest
+from .settings import Scenario
+
+CODE = "blender_lidar"  # of an identity: version, and a digest of the source
+
+
+def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = None) -> dict[str, object]:
+    """What must be the same for two runs to have the same result: code, settings and the content of the input files.
+
+    Of scenery it is the `Scenery.digest` that counts, None where there is none.
+    """
+    tables = scenario.as_tables()
+    tables["model"] = {"caster": caster}  # the number of workers changes nothing
+    for (table, key), path in _input_files(scenario).items():
+        tables[table][key] = _named_by_content(path)
+    if scenery_digest is not None:
+        files = [key for key in ("blend", "mesh") if tables["world"][key] is not None]
+        tables["world"] |= dict.fromkeys(files, "file that is read")  # it may draw on further files
+        tables["world"]["scenery"] = f"triangles with SHA-256 {scenery_digest}"
+    flat = {f"[{table}] {key}": value for table, content in tables.items() for key, value in content.items()}
+    return json.loads(json.dumps({CODE: f"{__version__} ({source_digest()})", **flat}))
+
+
+def check_identity(stored: object, identity: Mapping[str, object], what: str) -> None:
+    """Refuse to go on with what other code, settings or files have made.
+
+    Parameters
+    ----------
+    stored : object
+        The identity that was stored, as JSON holds it.
+    identity : mapping
+        The one of now: that of `run_identity`, and perhaps more.
+    what : str
+        What was stored, and where: ``"runs/a: the run there"``.
+
+    Raises
+    ------
+    InputError
+        Naming the first thing that differs.
+    """
+    if not isinstance(stored, dict):
+        raise InputError(f"--resume: {what} does not say with which settings it was made")
+    for key in sorted({*stored, *identity}):
+        before, now = stored.get(key), identity.get(key)
+        if before != now and key == CODE:
+            raise InputError(
+                f"--resume: {what} was made by other code, blender_lidar {shown(before)}, not {shown(now)}; "
+                "go on with that one, or give another --out"
+            )
+        if before != now:
+            raise InputError(
+                f"--resume: {what} had {key} = {shown(before)}, not {shown(now)}; "
+                "give it the same settings, or another --out"
+            )
+
+
+def check_same_inputs(scenario: Scenario, identity: Mapping[str, object]) -> None:
+    """Refuse files that are no longer those of a run, whose `run_identity` is given.
+
+    Raises
+    ------
+    InputError
+        Naming the file.
+    """
+    for (table, key), path in _input_files(scenario).items():
+        if identity.get(f"[{table}] {key}") != _named_by_content(path):
+            raise InputError(f"{path}: is not as it was when the run read it")
+
+
+@contextmanager
+def unchanged_inputs(scenario: Scenario) -> Iterator[None]:
+    """Refuse a file that a scene names and that changes while the block reads it: its digest would be another's.
+
+    Raises
+    ------
+    InputError
+        Naming the file.
+    """
+    before = {path: _stamp(path) for path in _input_files(scenario).values()}
+    yield
+    for path, stamp in before.items():
+        if _stamp(path) != stamp:
+            raise InputError(f"{path}: was changed while it was read; start again when it is complete")
+
+
+def _input_files(scenario: Scenario) -> dict[tuple[str, str], str]:
+    """The files that a scene names, but for scenery, by table and key."""
+    files = {("traffic", "path"): scenario.traffic.path, ("traffic", "vehicle_types"): scenario.traffic.vehicle_types}
+    if scenario.sensor.is_file:
+        files["sensor", "name"] = scenario.sensor.name
+    return {place: path for place, path in files.items() if path is not None}
+
+
+def _named_by_content(path: str) -> str:
+    return f"file with SHA-256 {file_digest(path)}"
+
+
+def _stamp(path: str | Path) -> tuple[int, int, int] | None:
+    """What tells that a file is the same as before; None without one."""
+    try:
+        status = Path(path).stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def file_digest(path: str | Path) -> str:
+    """SHA-256 of a file's content."""
+    try:
+        with open_file(path) as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def versions(caster: str) -> dict[str, str]:
+    """Versions of what a result depends on."""
+    libraries = ("numpy", "pandas", *{"raster": ("numba",), "embree": ("embreex",)}.get(caster, ()))
+    found = {"blender_lidar": __version__, "python": platform.python_version()}
+    for library in libraries:
+        with suppress(PackageNotFoundError):
+            found[library] = version(library)
+    bpy = sys.modules.get("bpy")  # casts, or has read scenery; within a real Blender it is no installed package
+    if bpy is not None:
+        found["bpy"] = bpy.app.version_string
+    return found

@@ -1,0 +1,408 @@
+"""The settings of a scene, each declared once: type, default, limits, option and help; frozen when read.
+
+`scenario.load_scenario` reads them from a file, `commands.options` from the command line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+from ..casting import CASTERS
+from ..metrics.catalogue import METRICS, PE_VGOP
+from ..optimise import READINGS, SEARCHES, VIEWS, DePsoSettings, Hardened
+from ..sensors.files import SUFFIXES
+from ..sensors.imperfections import MOST_RANGE_NOISE_M, STATED_RANGE_LIMITS_M, Imperfections
+from ..sensors.model import MOST_SPREAD_DEG
+from ..sensors.pose import Pose
+from ..toml_table import Setting, setting
+from ..traffic import FORMATS, RoadFrame
+from ..world.scenery import BARRIERS
+from ..world.shapes import DETAILS
+
+DATASHEET = "datasheet"  # in place of a number: the model's own
+AIMS = ("mean", "low")
+FIDELITIES = ("full", "auto")
+_LARGEST_M, _LARGEST_ORIGIN_M = 1e6, 1e9  # of the road, and of a place in a net; sums and squares stay finite
+_FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
+_MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
+_COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
+_HEADING = {"low": -360.0, "high": 360.0}
+
+_ROAD, DE_PSO = RoadFrame(), DePsoSettings()
+ROAD = {
+    "station_m": Setting(default=_ROAD.station_m, low=-_LARGEST_M, high=_LARGEST_M),
+    "right_edge_m": Setting(default=_ROAD.right_edge_m, low=-_LARGEST_M, high=_LARGEST_M),
+    "setback_m": Setting(default=_ROAD.setback_m, low=0.0, high=_LARGEST_M),
+    "lanes": Setting(kind=int, default=_ROAD.lanes, low=1, high=50),
+    "lane_width_m": Setting(default=_ROAD.lane_width_m, above=0.0, high=10.0),
+}
+"""[road]: of a `RoadFrame`."""
+
+HEIGHTS = dict.fromkeys(
+    ("car", "van", "truck", "long_truck", "bus", "motorcycle"), Setting(default=None, above=0.0, high=10.0)
+)
+"""[traffic.height_m]: of vehicles in recordings that give none [m]."""
+
+MOUNTING = {
+    "x_m": Setting(default=0.0, low=-1e5, high=1e5, option="--x", help="along the road, in the direction of travel"),
+    "y_m": Setting(default=0.0, low=-1e5, high=1e5, option="--y", help="across the road, to the left"),
+    "height_m": Setting(default=2.0, low=0.1, high=100.0, option="--height", help="above the road"),
+    "tilt_x_deg": Setting(
+        default=0.0, low=-90.0, high=90.0, option="--tilt-x", help="across the road, positive looks down towards +y"
+    ),
+    "tilt_y_deg": Setting(
+        default=0.0, low=-90.0, high=90.0, option="--tilt-y", help="along the road, positive raises the side ahead"
+    ),
+    "yaw_deg": Setting(default=0.0, option="--yaw", help="counter-clockwise seen from above", **_HEADING),
+}
+"""[baseline], and a mounting given by options: the height is that of the paper's section V.A."""
+COORDINATES = tuple(MOUNTING)
+COORDINATE_LIMITS = {key: (declared.low, declared.high) for key, declared in MOUNTING.items()}
+SEARCHED = {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
+"""What [deployment] searches unless said: the paper's ranges, section V.A."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrafficSettings:
+    """[traffic]: where the vehicles come from and which instants are looked at.
+
+    `frames` is None where `frame_ids` lists them, or `spacing_s` alone spreads them. `vehicle_types` is the path of the
+    file with the sizes of SUMO's vehicles. `height_m` holds heights in metres by class.
+    """
+
+    path: str = setting(is_path=True, option="--traffic", help="trajectory file in place of the scene's")
+    format: str = setting("auto", allowed=FORMATS)
+    period: str | None = setting(
+        None, option="--period", help="recording period of an NGSIM file: 1, 2 ... or 0400-0415"
+    )
+    location: str | None = setting(None, option="--location", help="site of a file that mixes several: i-80")
+    origin_m: tuple[float, float] | None = setting(None, low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
+    heading_deg: float | None = setting(None, **_HEADING)
+    time_step_s: float | None = setting(None, above=0.0)
+    vehicle_types: str | None = setting(
+        None, is_path=True, option="--vehicle-types", help="SUMO route or additional file with the <vType>s"
+    )
+    lanes: tuple[int, ...] | None = setting(None)
+    frames: int | None = setting(
+        None, low=1, option="--frames", rivals=("frame_ids",), help="number of searched frames, spread evenly"
+    )
+    frame_ids: tuple[int, ...] | None = setting(
+        None,
+        option="--frame-ids",
+        rivals=("frames", "spacing_s"),
+        metavar="IDS",
+        help="the searched frames: 100,150 or 100:160:5, its end included",
+    )
+    spacing_s: float | None = setting(None, above=0.0)
+    holdout: float = setting(0.4, low=0.0, high=0.9)
+    block_s: float | None = setting(None, above=0.0)
+    height_m: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorSettings:
+    """[sensor]: the model, its rate, the range within which it is asked to see, and how imperfect it is.
+
+    `name` is that of a model, or the path of a user's own beam table. What is None where the scene says nothing is the
+    model's own, or none.
+    """
+
+    name: str = setting(
+        "RS-16", option="--sensor", help="sensor model or the path of a beam table; see `blender-lidar sensors`"
+    )
+    rotation_hz: float = setting(None, above=0.0)
+    range_gate_m: float = setting(None, above=0.0)
+    range_noise_m: float = setting(
+        None,
+        low=0.0,
+        high=MOST_RANGE_NOISE_M,
+        word=DATASHEET,
+        option="--range-noise",
+        help="standard deviation of the range noise in metres, or datasheet for the model's own",
+    )
+    dropout: float = setting(None, low=0.0, below=1.0, option="--dropout", help="probability that a return is lost")
+    glass_dropout: float = setting(
+        None,
+        low=0.0,
+        high=1.0,
+        option="--glass-dropout",
+        help="probability that a return from glass is lost besides; 1: windows return nothing",
+    )
+    range_at_10_percent_m: float | None = setting(
+        None,
+        low=STATED_RANGE_LIMITS_M[0],
+        high=STATED_RANGE_LIMITS_M[1],
+        word=DATASHEET,
+        option="--range-at-10-percent",
+        help="metres to which a target of 10 percent reflectivity is seen, or datasheet; weaker returns are lost",
+    )
+    unit_spread_deg: float = setting(
+        None,
+        low=0.0,
+        high=MOST_SPREAD_DEG,
+        option="--unit-spread",
+        help="standard deviation between units' beams in degrees",
+    )
+    unit: int = setting(1, low=0)
+    noise_seed: int = setting(1, low=0)
+
+    @property
+    def is_file(self) -> bool:
+        """Whether the sensor is a user's own."""
+        return is_sensor_file(self.name)
+
+    @property
+    def imperfections(self) -> Imperfections:
+        """How its returns differ from the truth."""
+        return Imperfections(
+            self.range_noise_m,
+            self.dropout,
+            glass_dropout=self.glass_dropout,
+            range_at_10_percent_m=self.range_at_10_percent_m,
+            seed=self.noise_seed,
+        )
+
+    def imperfections_as_table(self) -> dict[str, float | int | None]:
+        """The keys of [sensor] that make it imperfect."""
+        keys = ("range_noise_m", "dropout", "glass_dropout", "range_at_10_percent_m")
+        return {key: getattr(self, key) for key in (*keys, "unit_spread_deg", "unit", "noise_seed")}
+
+
+@dataclass(frozen=True, slots=True)
+class Deployment:
+    """[deployment]: which coordinates of the mounting are fixed, and between what bounds the others are searched.
+
+    Attributes
+    ----------
+    fixed : mapping of str to float
+        Coordinates of `COORDINATES` that stay.
+    bounds : mapping of str to (float, float)
+        The others, in the order of `COORDINATES`; metres and degrees.
+    """
+
+    fixed: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the searched coordinates."""
+        return tuple(self.bounds)
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        return tuple(low for low, _ in self.bounds.values())
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        return tuple(high for _, high in self.bounds.values())
+
+    @property
+    def nominal_xy(self) -> tuple[float, float]:
+        """Where the region of interest is centred [m]: the mount's place, or the middle of where it may be."""
+        return tuple(0.5 * sum(self.bounds[key]) if key in self.bounds else self.fixed[key] for key in ("x_m", "y_m"))
+
+    def coordinates(self, x) -> dict[str, float]:
+        """All six coordinates (metres, degrees) at the point `x` (d,) of the search space."""
+        free = dict(zip(self.variables, map(float, x), strict=True))
+        return {key: free[key] if key in free else self.fixed[key] for key in COORDINATES}
+
+    def pose(self, x) -> Pose:
+        """The mounting at the point `x` (d,) of the search space."""
+        return pose_at(self.coordinates(x))
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """[objective] tolerance: how far off its plan a mounting may end up, as half-widths.
+
+    Each error is uniform between minus and plus its half-width and independent of the others. Beyond the limits it is
+    another mounting and not an error. `tilt_deg` is of both tilts: the inclinometer that sets the one sets the other
+    too. `aim` says what is maximised of the objective over these errors: its mean, or what it reaches in nine cases of
+    ten.
+    """
+
+    height_m: float = setting(0.0, low=0.0, high=1.0)
+    tilt_deg: float = setting(0.0, low=0.0, high=10.0)
+    yaw_deg: float = setting(0.0, low=0.0, high=10.0)
+    aim: str = setting("mean", allowed=AIMS)
+
+    @property
+    def half_widths(self) -> dict[str, float]:
+        """Of each of `COORDINATES` that is not exact, in their order [m, degrees]."""
+        widths = {
+            "height_m": self.height_m,
+            "tilt_x_deg": self.tilt_deg,
+            "tilt_y_deg": self.tilt_deg,
+            "yaw_deg": self.yaw_deg,
+        }
+        return {key: width for key, width in widths.items() if width > 0.0}
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectiveSettings:
+    """[objective]: what is maximised.
+
+    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do, which is what is
+    done unless said for any metric but the paper's; `tolerance` is None where mountings are taken to hang as planned.
+    """
+
+    metric: str = setting(
+        PE_VGOP.name,
+        allowed=METRICS,
+        option="--metric",
+        metavar="METRIC",
+        help=f"what is maximised: {', '.join(METRICS)}",
+    )
+    reading: str = setting(
+        "corrected", allowed=READINGS, option="--reading", help="the paper's equations as corrected, or as printed"
+    )
+    cell_m: float = setting(0.05, low=0.005, high=1.0)
+    threshold: float = setting(0.005, low=0.0, high=1.0)
+    view: str = setting("mean", allowed=VIEWS)
+    loss: float | None = setting(None, low=-_MOST_LOSS, high=_MOST_LOSS)
+    tolerance: Tolerance | None = setting(
+        None,
+        option="--tolerance",
+        help="how far off its plan the mounting may end up, as half-widths: tilt_deg=1,height_m=0.05; also yaw_deg, "
+        "and aim=mean or aim=low; none: it hangs as planned",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """[search]: how the best mounting is looked for; what is DE-PSO's alone is None with any other method.
+
+    `fidelity` is "full" where every mounting is scored on all searched frames with all beams, "auto" where most are
+    screened on less.
+    """
+
+    method: str = setting(
+        Hardened.name, allowed=SEARCHES, option="--search", help="how the best mounting is looked for"
+    )
+    fidelity: str = setting(
+        "full",
+        allowed=FIDELITIES,
+        option="--fidelity",
+        help="full: every mounting is scored on all frames with all beams; auto: most are screened on less, and what "
+        "is reported is scored on all of it",
+    )
+    seed: int = setting(1, low=0, option="--seed", help="seed of everything random")
+    particles: int = setting(
+        DE_PSO.particles, low=3, high=10_000, option="--particles", help="particles of the swarm, hardened or DE-PSO's"
+    )
+    iterations: int = setting(
+        DE_PSO.iterations,
+        low=1,
+        high=1_000_000,
+        option="--iterations",
+        help="every search gets particles x iterations evaluations",
+    )
+    inertia: float | None = setting(None, **_COEFFICIENT)
+    differential_weight: float | None = setting(None, **_COEFFICIENT)
+    cognitive: float | None = setting(None, **_COEFFICIENT)
+    social: float | None = setting(None, **_COEFFICIENT)
+    differential_threshold: float | None = setting(None, low=0.0, high=1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class BoxSettings:
+    """An entry of [[world.boxes]]: something that stands still, in the road frame; `name` is a number unless said."""
+
+    name: str | None = setting(None)
+    centre_m: tuple[float, float, float] = setting(low=-_FARTHEST_M, high=_FARTHEST_M)
+    size_m: tuple[float, float, float] = setting(low=-_FARTHEST_M, high=_FARTHEST_M)
+    heading_deg: float = setting(0.0, **_HEADING)
+
+
+@dataclass(frozen=True, slots=True)
+class BarrierSettings:
+    """An entry of [[world.barriers]]: a barrier along the line y = `y_m` between two x."""
+
+    kind: str = setting(allowed=BARRIERS)
+    y_m: float = setting(low=-_FARTHEST_M, high=_FARTHEST_M)
+    x_m: float | tuple[float, float] = setting((-200.0, 200.0), low=-_FARTHEST_M, high=_FARTHEST_M)
+
+
+@dataclass(frozen=True, slots=True)
+class WorldSettings:
+    """[world]: what there is, and how finely vehicles are modelled.
+
+    `ground` is whether the plane z = 0 returns. `blend` and `mesh` are files of scenery in a frame of their own, in
+    which the road frame's origin lies at `origin_m` and its x axis points along `heading_deg`.
+    """
+
+    detail: str = setting("body", allowed=DETAILS, option="--detail", help="level of detail of the vehicles")
+    ground: bool = setting(True)
+    blend: str | None = setting(None, is_path=True)
+    mesh: str | None = setting(None, is_path=True)
+    origin_m: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
+    heading_deg: float = setting(0.0, **_HEADING)
+    boxes: tuple[BoxSettings, ...] = setting(())
+    barriers: tuple[BarrierSettings, ...] = setting(())
+
+    @property
+    def has_scenery(self) -> bool:
+        """Whether anything stands still and hides vehicles."""
+        return bool(self.blend or self.mesh or self.boxes or self.barriers)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelSettings:
+    """[model]: what casts the rays, and in how many processes, or on which dask scheduler's workers."""
+
+    caster: str = setting("auto", allowed=("auto", *CASTERS), option="--caster", help="what casts the rays")
+    workers: int = setting(
+        0, low=0, high=256, option="--workers", rivals=("cluster",), help="processes; 0 takes one for each processor"
+    )
+    cluster: str | None = setting(
+        None,
+        option="--cluster",
+        rivals=("workers",),
+        help="dask scheduler whose workers are used instead: tcp://host:8786",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A whole scene, checked."""
+
+    source: str
+    traffic: TrafficSettings
+    road: RoadFrame
+    world: WorldSettings
+    sensor: SensorSettings
+    deployment: Deployment
+    baseline: Mapping[str, float]
+    objective: ObjectiveSettings
+    search: SearchSettings
+    model: ModelSettings
+
+    @property
+    def baseline_pose(self) -> Pose:
+        return pose_at(self.baseline)
+
+    def as_tables(self) -> dict[str, dict]:
+        """The scene as used, in the layout of a scene file: reading it again gives this scene."""
+        tables = asdict(self)
+        del tables["source"]
+        tables["deployment"] = {**tables["deployment"]["fixed"], **tables["deployment"]["bounds"]}
+        return tables
+
+
+def is_sensor_file(name: str) -> bool:
+    """Whether `name` is the path of a beam table, not the name of a model."""
+    return name.lower().endswith(SUFFIXES)
+
+
+def pose_at(coordinates: Mapping[str, float]) -> Pose:
+    """The mounting at the six coordinates of `COORDINATES`, degrees becoming radians."""
+    return Pose(
+        x_m=coordinates["x_m"],
+        y_m=coordinates["y_m"],
+        height_m=coordinates["height_m"],
+        tilt_x=math.radians(coordinates["tilt_x_deg"]),
+        tilt_y=math.radians(coordinates["tilt_y_deg"]),
+        yaw=math.radians(coordinates["yaw_deg"]),
+    )

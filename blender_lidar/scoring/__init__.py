@@ -1,0 +1,1 @@
+"""Scores of mountings: one frame kept ready, many frames, processes, a cluster, fidelities."""

@@ -1,0 +1,348 @@
+"""Workers of a cluster (`dask.distributed`): reached by the address of their scheduler, and never ended.
+
+Each worker is handed the function once and keeps it until we leave: what it keeps is the result of a task that names
+that worker, so that dask makes it anew when it is lost, and lets go of it when the process that asked for it ends,
+however it ends. Calls name a worker too, which another one may relieve. The scheduler, which looks at tasks, needs
+nothing but dask, as it sees bytes alone. Nobody else imports that library, which the extra `cluster` brings.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import operator
+import pickle
+import threading
+import time
+import uuid
+import warnings
+import weakref
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from itertools import takewhile
+from platform import python_version
+from typing import NamedTuple
+
+from .. import __version__
+from ..errors import MissingExtraError, WorkerError
+from ..files import source_digest
+from ..signals import stops_deferred
+
+_ANSWER_S = 10.0  # a scheduler that is there answers in milliseconds, unless it is very busy
+_NOBODY_S = 30.0  # what a worker that died may take to be started anew
+_LOOK_ROUND_S = 2.0
+_LOOK_AGAIN_S = 0.1
+_MOST_CANCELLED = 20  # times that calls of one batch are begun anew
+_LEAST_ITEMS = 16  # of a task, which costs some milliseconds
+_TASKS_PER_WORKER = 4  # few enough to amortise a task, enough to even out uneven ones
+_LIBRARIES = ("numpy", "embreex", "numba", "bpy", "distributed")  # which may alter digits, or how we talk
+_LOGGERS = ("distributed", "distributed.client", "distributed.worker", "tornado.application")
+_LOST = ("cancelled", "lost")
+
+
+class ClusterWorkers:
+    """Calls one function on the workers of an existing cluster, each of which keeps a copy of it.
+
+    Parameters
+    ----------
+    function : callable
+        What to call; it and what belongs to it can be pickled.
+    address : str
+        The scheduler's: ``tcp://host:8786``.
+
+    Raises
+    ------
+    MissingExtraError
+        Without dask.distributed.
+    WorkerError
+        When no scheduler answers there, it has no workers, or they run another blender_lidar.
+    """
+
+    def __init__(self, function: Callable, address: str) -> None:
+        self._distributed = _library()
+        self.address, self._client, self._sent, self._kept = address, None, None, {}
+        self._content = _packed(_hold, uuid.uuid4().hex, pickle.dumps(function, pickle.HIGHEST_PROTOCOL))
+        self._levels = {name: logging.getLogger(name).level for name in _LOGGERS}
+        for name in _LOGGERS:  # its failures are ours to tell, in one line
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+        try:
+            self._client = self._connected()
+            self._hand_out()
+            if max(self._client.nthreads().values(), default=1) > 1:
+                warnings.warn(
+                    f"{address}: a worker process does one task at a time, however many threads it has; start them "
+                    "with --nthreads 1, one for each core",
+                    stacklevel=2,
+                )
+        except BaseException:
+            self.close()
+            raise
+
+    def sizes(self, items: int, work: int) -> list[int]:
+        """How many of so many items each call is to take, in their order; they differ by one at most."""
+        tasks = min(items, self.count * _TASKS_PER_WORKER, max(self.count, items // _LEAST_ITEMS))
+        return [(number + 1) * items // tasks - number * items // tasks for number in range(tasks)]
+
+    def map(self, *arguments: Iterable) -> list:
+        """What the function returns for each set of arguments, in their order.
+
+        Raises
+        ------
+        WorkerError
+            When the scheduler has gone, or workers that nobody replaces.
+        """
+        return list(self.each(*arguments))
+
+    def each(self, *arguments: Iterable) -> Iterator:
+        """As `map`, one after another as soon as it is known; all calls are under way at once."""
+        calls = self._begun([pickle.dumps(given) for given in zip(*arguments, strict=True)])
+        begun_anew = 0
+        try:
+            while calls:
+                first = calls[0].future
+                with suppress(TimeoutError, CancelledError):
+                    first.exception(timeout=_LOOK_ROUND_S)
+                if first.status == "error":
+                    raise self._told(first.exception())
+                done = [call.future for call in takewhile(lambda call: call.future.status == "finished", calls)]
+                try:
+                    with self._scheduler_needed():
+                        found = self._client.gather(done)
+                except CancelledError:
+                    found, begun_anew = [], begun_anew + 1
+                del calls[: len(found)]
+                yield from found
+                if not found:
+                    begun_anew += self._begin_anew(calls)
+                if begun_anew > _MOST_CANCELLED:
+                    raise WorkerError(f"{self.address}: calls are cancelled there again and again")
+        finally:
+            with suppress(Exception):
+                self._client.cancel([call.future for call in calls])
+
+    def await_ready(self) -> None:
+        """Nothing: calls wait for the function."""
+
+    def close(self) -> None:
+        """Leave the cluster, which drops what is ours there and lives on."""
+        if self._client is not None:
+            with suppress(Exception):  # it has gone before us
+                self._client.close(timeout=_ANSWER_S)
+        for name, level in self._levels.items():
+            logging.getLogger(name).setLevel(level)
+
+    # --- calls --------------------------------------------------------------------------------------------------------
+
+    def _begun(self, tasks: list[bytes]) -> list[_Call]:
+        """Begin calls; the n-th goes to the same worker each time, while it is there and has time for it."""
+        workers, calls = self._hand_out(), [None] * len(tasks)
+        for number, worker in enumerate(workers[: len(tasks)]):
+            mine = slice(number, None, len(workers))
+            function = [self._kept[worker]] * len(tasks[mine])
+            futures = self._client.map(operator.call, function, tasks[mine], **_preferably(worker))
+            calls[mine] = [_Call(task, worker, one) for task, one in zip(tasks[mine], futures, strict=True)]
+        return calls
+
+    def _begin_anew(self, calls: list[_Call]) -> bool:
+        """Begin calls anew, in place, that are lost; whether any were cancelled, as where the cluster is restarted.
+
+        Dask does so by itself unless their workers were the last ones.
+        """
+        present = self._workers()
+        again = [
+            number
+            for number, (_, worker, future) in enumerate(calls)
+            if future.status in _LOST or (worker not in present and future.status != "finished")
+        ]
+        cancelled = any(calls[number].future.status in _LOST for number in again)
+        for number, call in zip(again, self._begun([calls[number].task for number in again]), strict=True):
+            calls[number] = call
+        return cancelled
+
+    def _told(self, error: BaseException) -> BaseException:
+        """What to raise for what a call has raised."""
+        if isinstance(error, ImportError):
+            text = f"a worker cannot do its task: {error}"
+        elif isinstance(error, self._distributed.KilledWorker):
+            text = "workers died one after another over the same mountings, perhaps for want of memory"
+        else:
+            return error
+        told = WorkerError(f"{self.address}: {text}")
+        told.__cause__ = error
+        return told
+
+    # --- the cluster --------------------------------------------------------------------------------------------------
+
+    def _connected(self):
+        """A client; asked for its name first, as a client waits for ever for what takes calls and says nothing."""
+        try:
+            with ThreadPoolExecutor(1) as thread, warnings.catch_warnings():  # some callers run an event loop here
+                kind = thread.submit(asyncio.run, self._kind()).result()
+                if kind != "Scheduler":
+                    raise ValueError(f"there is a {kind}")
+                warnings.simplefilter("ignore")  # versions that differ are told by who knows which of them matter
+                how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
+                return self._distributed.Client(self.address, **how)
+        except Exception as error:  # whatever else may listen there
+            raise WorkerError(
+                f"{self.address}: no dask scheduler answers there within {_ANSWER_S:g} s; start one with "
+                "`dask scheduler`, or leave --cluster out"
+            ) from error
+
+    async def _kind(self) -> str:
+        how = self._distributed.Security().get_connection_args("client")
+        async with asyncio.timeout(_ANSWER_S), self._distributed.rpc(self.address, connection_args=how) as there:
+            return (await there.identity())["type"]
+
+    def _workers(self) -> list[str]:
+        """Addresses of the worker processes; waits a while for one."""
+        end = time.monotonic() + _NOBODY_S
+        while True:
+            with self._scheduler_needed():
+                present = list(self._client.nthreads())
+            if present:
+                return present
+            if time.monotonic() >= end:
+                raise WorkerError(
+                    f"{self.address}: the dask scheduler there has no workers; start some with `dask worker "
+                    f"{self.address} --nthreads 1`"
+                )
+            time.sleep(_LOOK_AGAIN_S)
+
+    def _hand_out(self) -> list[str]:
+        """The workers, of which the new ones are checked and given the function to keep."""
+        present = self._workers()
+        kept = {worker: self._kept[worker] for worker in present if worker in self._kept}
+        self._kept = {worker: future for worker, future in kept.items() if future.status not in _LOST}
+        new = [worker for worker in present if worker not in self._kept]
+        if new:
+            with self._scheduler_needed():
+                there = self._client.run(pickle.loads, _packed(_description), workers=new, on_error="return")
+            _check_alike(there, self.address)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Sending large graph")
+            if self._sent is None or self._sent.status in _LOST:
+                self._sent = self._client.submit(bytes, self._content, pure=False)
+        for worker in new:
+            self._kept[worker] = self._client.submit(pickle.loads, self._sent, **_preferably(worker))
+        self.count = len(present)
+        return present
+
+    @contextmanager
+    def _scheduler_needed(self) -> Iterator[None]:
+        try:
+            if self._client.status != "running":  # it would go on trying
+                raise ConnectionError(self._client.status)
+            yield
+        except CancelledError:
+            raise
+        except Exception as error:
+            raise WorkerError(f"{self.address}: the dask scheduler there has gone, or no longer answers") from error
+
+
+class _Call(NamedTuple):
+    """A call that has begun: its pickled arguments, the worker whom it was given to, and dask's future."""
+
+    task: bytes
+    worker: str
+    future: object
+
+
+def _preferably(worker: str) -> dict[str, object]:
+    """How dask is asked for a task that is done there if there is time for it."""
+    return {"workers": [worker], "allow_other_workers": True, "pure": False}
+
+
+def _library():
+    try:
+        with stops_deferred():  # an import that is interrupted may fail in any way
+            import distributed
+    except ImportError as error:
+        raise MissingExtraError('--cluster needs dask.distributed: pip install "blender_lidar[cluster]"') from error
+    return distributed
+
+
+def _check_alike(descriptions: dict[str, object], address: str) -> None:
+    """Refuse workers with another blender_lidar, whose answers may differ; tell of other libraries that do."""
+    ours, unlike = _description(), set()
+    for worker, theirs in descriptions.items():
+        if isinstance(theirs, OSError):  # it has just been lost
+            continue
+        if isinstance(theirs, Exception):
+            raise WorkerError(
+                f"{address}: its worker {worker} cannot import blender_lidar: {theirs}; install it where that runs"
+            ) from theirs
+        if theirs["blender_lidar"] != ours["blender_lidar"]:
+            raise WorkerError(
+                f"{address}: its worker {worker} has another blender_lidar, {theirs['blender_lidar']}, than here, "
+                f"{ours['blender_lidar']}; install the same there and start the worker again"
+            )
+        unlike |= {
+            f"{name} {theirs[name] or 'none'} there, {ours[name] or 'none'} here"
+            for name in ours
+            if theirs[name] != ours[name]
+        }
+    if unlike:
+        told = ", ".join(sorted(unlike))
+        warnings.warn(f"{address}: versions differ, and so may the last digits: {told}", stacklevel=4)
+
+
+# --- in a worker of the cluster ---------------------------------------------------------------------------------------
+
+
+@cache
+def _description() -> dict[str, str]:
+    """Versions of what runs here; that of blender_lidar is followed by a digest of its source."""
+    found = {"blender_lidar": f"{__version__} ({source_digest()})", "python": python_version()}
+    for library in _LIBRARIES:
+        try:
+            found[library] = version(library)
+        except PackageNotFoundError:
+            found[library] = ""
+    return found
+
+
+class _Unpickled:
+    """What becomes, where it is unpickled, the result of a call."""
+
+    def __init__(self, function: Callable, arguments: tuple) -> None:
+        self._parts = function, arguments
+
+    def __reduce__(self):
+        return self._parts
+
+
+def _packed(function: Callable, *arguments) -> bytes:
+    """A call for `pickle.loads` to carry out."""
+    return pickle.dumps(_Unpickled(function, arguments), pickle.HIGHEST_PROTOCOL)
+
+
+class _Held:
+    """A function that this process keeps; one thread at a time calls it."""
+
+    def __init__(self, token: str, content: bytes) -> None:
+        self._token, self._size = token, len(content)
+        self._function, self._lock = pickle.loads(content), threading.Lock()
+
+    def __call__(self, task: bytes) -> object:
+        with self._lock:
+            return self._function(*pickle.loads(task))
+
+    def __reduce__(self):
+        """Dask may move what a worker keeps, to disk or to another one."""
+        return _hold, (self._token, pickle.dumps(self._function, pickle.HIGHEST_PROTOCOL))
+
+    def __sizeof__(self) -> int:
+        """By which dask knows what it takes to move it."""
+        return self._size
+
+
+_held: weakref.WeakValueDictionary[str, _Held] = weakref.WeakValueDictionary()  # dask has the reference that counts
+
+
+def _hold(token: str, content: bytes) -> _Held:
+    """The function of that token, of which a process keeps no more than one."""
+    return _held.setdefault(token, _held.get(token) or _Held(token, content))

@@ -1,0 +1,260 @@
+"""Many mountings over many frames, spread over processes, of one machine or several.
+
+A frame's result does not depend on which process computed it nor on what else was asked: casters decide hits in
+float64, whatever they look for them in. So the number of workers changes the time that a run takes and nothing else.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass
+from itertools import accumulate, chain, pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from ..scene.observation import CountedFrame, Observation, Scoring
+from ..scene.settings import ModelSettings
+from ..scene.site import Site
+from ..sensors.pose import Pose
+from .cluster import ClusterWorkers
+from .fidelity import Fidelity, coarse_observation
+from .frame_scorer import FrameScorer, FrameShapes
+from .scores import Scored, VehicleScores, mountings_of
+from .workers import Workers, within_blender
+
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
+
+
+@dataclass(frozen=True, slots=True)
+class Workplace:
+    """Where to work; it changes the time that a run takes and nothing else.
+
+    Attributes
+    ----------
+    processes : int
+        How many, this one among them.
+    cluster : str or None
+        Address of a dask scheduler, whose workers are used instead.
+    """
+
+    processes: int = 1
+    cluster: str | None = None
+
+    def __str__(self) -> str:
+        if self.cluster is not None:
+            return f"cluster {self.cluster}"
+        return f"{self.processes} worker{'s' * (self.processes != 1)}"
+
+    def employ(self, function: Callable, most: int) -> Workers | ClusterWorkers:
+        """Workers who call a function, up to so many; to be closed.
+
+        Raises
+        ------
+        WorkerError, MissingExtraError
+            When they cannot be had.
+        """
+        if self.cluster is not None and most:
+            return ClusterWorkers(function, self.cluster)
+        return Workers(function, max(1, min(self.processes, most)))
+
+
+def workplace_of(settings: ModelSettings) -> Workplace:
+    """Where a scene is evaluated: workers as set, else one for each processor that this process may use.
+
+    Within a real Blender it is one, which cannot start Python processes that have bpy too.
+    """
+    if within_blender():
+        return Workplace(1, settings.cluster)
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return Workplace(settings.workers or processors, settings.cluster)
+
+
+class Totals(NamedTuple):
+    """Sums over the counted vehicles of each frame, for each mounting.
+
+    Attributes
+    ----------
+    objective : ndarray, (s, f)
+        Eq. 10, in the metric's unit.
+    detectable : ndarray of int64, (s, f)
+        Vehicles at or above the threshold.
+    vehicles : ndarray of int64, (f,)
+        Vehicles that count.
+    """
+
+    objective: np.ndarray
+    detectable: np.ndarray
+    vehicles: np.ndarray
+
+    def per_vehicle(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Objective per counted vehicle over the chosen frames, (s,), in the metric's unit."""
+        return self.objective[:, frames].sum(axis=1) / self.vehicles[frames].sum()
+
+    def detectable_share(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Share of counted vehicles at or above the threshold over the chosen frames, (s,)."""
+        return self.detectable[:, frames].sum(axis=1) / self.vehicles[frames].sum()
+
+
+class Evaluator:
+    """Scores mountings over a fixed list of frames.
+
+    Parameters
+    ----------
+    frames : sequence of CountedFrame
+        The frames; their trees are built once, in each process that needs them, and kept.
+    observation : Observation
+        Sensor, range, caster and detail.
+    scoring : Scoring
+        The metric and the settings of Eqs. 10 and 11.
+    workers : int
+        Processes, this one among them.
+    cluster : str, optional
+        Address of a dask scheduler, whose workers are used instead.
+    held_out : sequence of CountedFrame
+        Further frames for the same processes, scored apart: by `held_out`.
+
+    Use it as a context manager: leaving it ends the processes, or leaves the cluster.
+
+    Attributes
+    ----------
+    frames : tuple of CountedFrame, (f,)
+    vehicles : ndarray of int64, (f,)
+        Vehicles that count in each.
+    metric : str
+    """
+
+    def __init__(
+        self,
+        frames: Sequence[CountedFrame],
+        observation: Observation,
+        scoring: Scoring,
+        workers: int = 1,
+        cluster: str | None = None,
+        held_out: Sequence[CountedFrame] = (),
+    ) -> None:
+        self.frames, self._held_out, self.metric = tuple(frames), tuple(held_out), scoring.metric
+        self.vehicles = _counts(self.frames)
+        self._first = 0  # place of the first of them among all frames
+        self._turn = np.arange(len(self.frames) + len(self._held_out)) * _GOLDEN % 1.0  # of each, wherever asked for
+        self._work = _Work(self.frames, self._held_out, observation, scoring)
+        self._workplace = Workplace(workers, cluster)
+        self._pool: Workers | ClusterWorkers = Workers(self._work)
+
+    def __enter__(self) -> Evaluator:
+        self._pool = self._workplace.employ(self._work, len(self._turn))
+        return self
+
+    def __exit__(self, *exception) -> None:
+        pool, self._pool = self._pool, Workers(self._work)
+        pool.close()
+
+    @property
+    def held_out(self) -> Evaluator:
+        """Scores the held-out frames in the same processes; a metric with a memory learns from those alone."""
+        other = copy(self)
+        other.frames, other._held_out, other._first = self._held_out, (), len(self.frames)
+        other.vehicles = _counts(other.frames)
+        return other
+
+    def totals(
+        self, poses: Sequence[Pose], frames: Sequence[int] | None = None, fidelity: Fidelity | None = None
+    ) -> Totals:
+        """Score s mountings.
+
+        Parameters
+        ----------
+        poses : sequence of Pose, (s,)
+        frames : sequence of int, (f,), optional
+            Places of the frames that are scored, in that order; all of them when left out.
+        fidelity : Fidelity, optional
+            What the frames are seen through, by `coarse_observation`; the observation itself when left out.
+        """
+        chosen = np.arange(len(self.vehicles)) if frames is None else np.array(frames, dtype=int)
+        parts, back = self._carried_out("totals", chosen, poses, fidelity)
+        objective, found = (np.concatenate(column, axis=1)[:, back] for column in zip(*parts, strict=True))
+        return Totals(np.ascontiguousarray(objective), np.ascontiguousarray(found), self.vehicles[chosen])
+
+    def by_vehicle(self, poses: Sequence[Pose]) -> list[Scored]:
+        """What s mountings make of each counted vehicle, for each frame; without the returns themselves."""
+        parts, back = self._carried_out("by_vehicle", np.arange(len(self.vehicles)), poses, None)
+        scored = list(chain.from_iterable(parts))
+        return [scored[place] for place in back]
+
+    def await_workers(self) -> None:
+        """Until all processes have started, which they do in the background; raises `WorkerError` if one cannot."""
+        self._pool.await_ready()
+
+    def _carried_out(self, what: str, chosen: np.ndarray, poses: Sequence[Pose], fidelity: Fidelity | None):
+        """What each call returns, the frames in as many parts as there are calls; and the order that undoes theirs."""
+        order = np.argsort(self._turn[self._first + chosen], kind="stable")
+        frames = (self._first + chosen[order]).tolist()
+        ends = accumulate(self._pool.sizes(len(frames), len(poses)), initial=0)
+        tasks = [(what, frames[start:stop], tuple(poses), fidelity) for start, stop in pairwise(ends)]
+        return self._pool.map(*zip(*tasks, strict=True)), np.argsort(order)
+
+
+def _counts(frames: Sequence[CountedFrame]) -> np.ndarray:
+    return np.array([int(frame.counted.sum()) for frame in frames], dtype=np.int64)
+
+
+def site_evaluator(site: Site, frames: Sequence[CountedFrame], held_out: Sequence[CountedFrame] = ()) -> Evaluator:
+    """An evaluator of mountings on frames of a site, as its scene asks for workers."""
+    place = workplace_of(site.scenario.model)
+    return Evaluator(frames, site.observation, site.scoring, place.processes, place.cluster, held_out)
+
+
+class _Work:
+    """Frames and settings, with the scorers built so far; called with the name of what to do."""
+
+    def __init__(self, frames, held_out, observation, scoring) -> None:
+        self._groups, self._frames = (frames, held_out), (*frames, *held_out)
+        self._observation, self._scoring = observation, scoring
+        self._scorers: dict[tuple[Fidelity | None, int], FrameScorer] = {}
+        self._shapes: dict[tuple[int, str, str], FrameShapes] = {}  # coarser fidelities share them
+        self._seen: dict[tuple[Fidelity | None, bool], tuple[Observation, VehicleScores]] = {}
+
+    def __getstate__(self):
+        return {**vars(self), "_scorers": {}, "_shapes": {}, "_seen": {}}
+
+    def __call__(self, what, frames, poses, fidelity):
+        return getattr(self, what)(frames, poses, fidelity)
+
+    def totals(self, frames, poses, fidelity):
+        """Objective and number of detectable vehicles, (s, frames) each."""
+        objective = np.empty((len(poses), len(frames)))
+        found = np.empty((len(poses), len(frames)), dtype=np.int64)
+        for column, scored in enumerate(self._scored(frames, poses, fidelity)):
+            objective[:, column] = scored.objective.sum(axis=1)  # Eq. 10
+            found[:, column] = scored.detectable.sum(axis=1)
+        return objective, found
+
+    def by_vehicle(self, frames, poses, fidelity):
+        """Scores of each frame; returns, which may be many, stay here."""
+        scored = self._scored(frames, poses, fidelity)
+        return [one._replace(seen=one.seen._replace(returns=None)) for one in scored]
+
+    def _scored(self, frames, poses, fidelity) -> Iterator[Scored]:
+        mountings = mountings_of(poses)
+        for frame in frames:
+            observation, scores = self._through(fidelity, frame >= len(self._groups[0]))
+            yield scores.of(self._frames[frame], self._scorer(frame, fidelity, observation), poses, mountings)
+
+    def _through(self, fidelity, held_out):
+        """How vehicles are seen through a fidelity, and what scores them; None is the observation as it is."""
+        if (fidelity, held_out) not in self._seen:
+            observation = self._observation
+            if fidelity is not None:
+                observation = coarse_observation(observation, fidelity)
+            scores = VehicleScores(self._scoring, observation, self._groups[held_out])
+            self._seen[fidelity, held_out] = observation, scores
+        return self._seen[fidelity, held_out]
+
+    def _scorer(self, frame, fidelity, observation) -> FrameScorer:
+        if (fidelity, frame) not in self._scorers:
+            chosen, place = self._frames[frame], (frame, observation.detail, observation.caster)
+            scorer = FrameScorer(chosen.vehicles, chosen.counted, observation, self._shapes.get(place))
+            self._scorers[fidelity, frame], self._shapes[place] = scorer, scorer.shapes
+        return self._scorers[fidelity, frame]

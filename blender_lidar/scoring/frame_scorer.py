@@ -1,0 +1,201 @@
+"""One frame of traffic, made ready once, seen from any number of mountings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import numpy as np
+
+from ..casting import EXACT, caster_class
+from ..casting.culling import Pieces, cut_vehicles, revolutions
+from ..casting.protocol import Revolution, dot
+from ..compiled import numba_works
+from ..metrics.vgop import to_vehicle_frame
+from ..metrics.view_grids import ViewGrids
+from ..scene.observation import Observation
+from ..sensors.pose import Pose
+from ..signals import stops_recognised
+from ..traffic.vehicles import Vehicles
+from ..world.meshes import GLASS, REFLECTIVITY, ROAD
+from ..world.triangles import vehicle_triangles
+
+# --- The vehicles of a frame as shapes, ready to be cast against: made once for any sensor and mounting ---
+
+
+class FrameShapes:
+    """A frame at one level of detail, behind one caster.
+
+    Parameters
+    ----------
+    vehicles : Vehicles
+        All vehicles of the frame; each can hide another.
+    counted : ndarray of bool, (n,)
+        Those that are scored.
+    detail : str
+        Level of detail, of `world.shapes.DETAILS`.
+    caster : str
+        A name of `casting.CASTERS`.
+    ground : ndarray, (t, 3, 3), optional
+        Triangles of the road [m], which face up: cast against too, though none of its returns counts.
+
+    Attributes
+    ----------
+    counted : Vehicles
+        The vehicles that are scored.
+    tree : Caster
+        Of all triangles.
+    counted_row : ndarray of int64, (m,)
+        Row of each triangle's vehicle among the counted; -1 where it does not count.
+    surface : ndarray of uint8, (m,)
+        What each triangle is made of, an index into `world.meshes.SURFACES`.
+    """
+
+    def __init__(
+        self, vehicles: Vehicles, counted: np.ndarray, detail: str, caster: str, ground: np.ndarray | None = None
+    ) -> None:
+        self.frame, self.detail, self.caster = vehicles.frame, detail, caster
+        self.counted = vehicles.select(counted)
+        triangles = vehicle_triangles(vehicles, detail)
+        corners, self.surface = triangles.corners, triangles.surface
+        self.counted_row = np.where(counted, np.cumsum(counted) - 1, -1)[triangles.owner].astype(np.int64)
+        if ground is not None:
+            corners = np.concatenate([corners, ground])
+            self.counted_row = np.pad(self.counted_row, (0, len(ground)), constant_values=-1)
+            self.surface = np.pad(self.surface, (0, len(ground)), constant_values=ROAD)
+        self.tree = caster_class(caster)(corners, closed=True)
+
+    @cached_property
+    def pieces(self) -> Pieces:
+        """The counted vehicles cut for culling: beams that can reach only others hide nothing from them."""
+        return cut_vehicles(self.counted, self.detail)
+
+
+# --- The frame scorer -------------------------------------------------------------------------------------------------
+
+_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
+
+
+class Seen(NamedTuple):
+    """What mountings saw of the counted vehicles of one frame.
+
+    Attributes
+    ----------
+    points : ndarray of int64, (s, n)
+        Returns from each vehicle, for each mounting.
+    occupancy : ndarray, (s, n, 3)
+        P of the top, side and front view.
+    returns : (ndarray, ndarray) or None
+        If they were asked for: the returns of all mountings, each in its vehicle's frame, (k, 3) [m], and the row that
+        each belongs to, (k,): vehicles are counted on from mounting to mounting, 0 to s n - 1.
+    """
+
+    points: np.ndarray
+    occupancy: np.ndarray
+    returns: tuple[np.ndarray, np.ndarray] | None = None
+
+
+class FrameScorer:
+    """Frame scorer: casts the beams that can reach a vehicle of one frame and counts what they occupy.
+
+    Compiled code (`compiled_frames`) does so where Numba is installed; NumPy's way is the one to read beside the paper,
+    and decides where compiled code leaves something to rounding. Both find the same to the last digit.
+
+    Parameters
+    ----------
+    vehicles : Vehicles
+        All vehicles of the frame; each can hide another.
+    counted : ndarray of bool, (n,)
+        Those whose occupancy is wanted.
+    observation : Observation
+        Sensor, range, caster and detail. What its imperfections draw is kept: up to 8 bytes for each beam.
+    shapes : FrameShapes, optional
+        Of the same frame at the same detail behind the same caster, where they are made already.
+
+    Attributes
+    ----------
+    vehicles : Vehicles
+        The counted vehicles.
+    shapes : FrameShapes
+    grids : ViewGrids
+        Of the counted vehicles.
+    compiled : CompiledScorer or None
+        Who does the same where Numba is installed, for a frame in which something counts.
+    """
+
+    def __init__(
+        self, vehicles: Vehicles, counted: np.ndarray, observation: Observation, shapes: FrameShapes | None = None
+    ) -> None:
+        seen = self._observation = observation
+        self.shapes = shapes or FrameShapes(vehicles, counted, seen.detail, seen.caster)
+        self.vehicles = self.shapes.counted
+        self._measurement = seen.imperfections.measurement(
+            seen.lattice, vehicles.frame, seen.min_range_m, seen.max_range_m
+        )
+        self._reach_m = seen.max_range_m + seen.imperfections.most_noise_m
+        self.grids = ViewGrids(self.vehicles.size_m, seen.cell_m, seen.reading)
+        self.compiled = None
+        if numba_works() and seen.caster != EXACT and len(self) and len(self.shapes.tree.rows):
+            from .compiled_frames import CompiledScorer
+
+            self.compiled = CompiledScorer(self.shapes, self.grids, seen, self._measurement, self._reach_m)
+
+    def __len__(self) -> int:
+        return len(self.vehicles)
+
+    @stops_recognised()
+    def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
+        """What each of s mountings sees of the n counted vehicles; the returns themselves only where they are kept."""
+        if self.compiled is None or keep_returns:
+            return self._see(poses, keep_returns)
+        points, cells, undecided = self.compiled.see(poses)
+        shares = self.grids.shares(cells)
+        for row in undecided.tolist():
+            seen = self._see(poses[row : row + 1])
+            points[row], shares[row] = seen.points[0], seen.occupancy[0]
+        return Seen(points, shares)
+
+    def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+        """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
+        (found,) = self._revolutions([pose])
+        return self.returns_of(pose, found)
+
+    def returns_of(self, pose: Pose, hits: Revolution) -> tuple[np.ndarray, np.ndarray]:
+        """Returns of a mounting from counted vehicles, as `vehicle_points`, given what its beams met."""
+        seen, shapes, vehicles = self._observation, self.shapes, self.vehicles
+        row = _take(shapes.counted_row, hits.triangle)
+        distance = self._measurement.measured(hits.beam, hits.distance, *self._surface(hits))
+        wanted = np.flatnonzero((row >= 0) & (distance < np.inf))
+        directions = _take(hits.directions, wanted, axis=1)
+        if seen.scenery is not None:
+            shown = ~seen.scenery.hides(pose.position, directions.T, _take(hits.distance, wanted))
+            wanted, directions = wanted[shown], directions[:, shown]
+        distance, row = _take(distance, wanted), _take(row, wanted)
+        points = pose.position + (distance * directions).T  # Eqs. 2 and 3, the range scaling the direction alone
+        return to_vehicle_frame(points, vehicles.centre_m, vehicles.heading_rad, row), row  # Eqs. 4 and 5
+
+    def _revolutions(self, poses):
+        """What the beams of each mounting meet, in turn."""
+        seen, shapes = self._observation, self.shapes
+        return revolutions(shapes.tree, seen.lattice, poses, self._reach_m, shapes.pieces if seen.culled else None)
+
+    def _surface(self, hits):
+        """Whether hits are on glass, their reflectivity and the cosine of their incidence, where the sensor cares."""
+        if not self._measurement.asks_for_surface:
+            return ()
+        surface = _take(self.shapes.surface, hits.triangle)
+        cosine = np.abs(dot(self.shapes.tree.normals(hits.triangle).T, hits.directions))
+        return surface == GLASS, REFLECTIVITY[surface], cosine
+
+    def _see(self, poses, keep_returns=False) -> Seen:
+        points = np.zeros((len(poses), len(self)), dtype=np.int64)
+        shares = np.zeros((len(poses), len(self), 3))
+        kept = [(np.empty((0, 3)), np.empty(0, dtype=np.int64))]
+        for number, (pose, found) in enumerate(zip(poses, self._revolutions(poses), strict=True)):
+            local, row = self.returns_of(pose, found)
+            points[number] = np.bincount(row, minlength=len(self))
+            shares[number] = self.grids.occupancy(local, row)  # Eqs. 6 to 8
+            if keep_returns:
+                kept.append((local, number * len(self) + row))
+        return Seen(points, shares, tuple(map(np.concatenate, zip(*kept, strict=True))) if keep_returns else None)

@@ -1,0 +1,98 @@
+"""What is made of what mountings see: each vehicle's value by the chosen metric, and what it adds to the objective."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..metrics.catalogue import metric_named
+from ..metrics.metric import NEEDS_POINTS, NEEDS_VIEW, Mountings, SceneContext, VehicleReturns, View
+from ..optimise.objective import detectable, vehicle_score
+from ..scene.observation import CountedFrame, Observation, Scoring
+from ..sensors.pose import Pose
+from .frame_scorer import FrameScorer, Seen
+
+
+class Scored(NamedTuple):
+    """What s mountings make of the n counted vehicles of one frame.
+
+    Attributes
+    ----------
+    seen : Seen
+        Returns and occupancies.
+    values : ndarray, (s, n)
+        The metric, in its own unit.
+    detectable : ndarray of bool, (s, n)
+        Eq. 11.
+    objective : ndarray, (s, n)
+        What each vehicle adds to the objective (Eq. 10).
+    """
+
+    seen: Seen
+    values: np.ndarray
+    detectable: np.ndarray
+    objective: np.ndarray
+
+
+class VehicleScores:
+    """Scores frames under mountings by one metric.
+
+    Parameters
+    ----------
+    scoring : Scoring
+        The metric and the settings of Eqs. 10 and 11.
+    observation : Observation
+        How vehicles are seen.
+    frames : sequence of CountedFrame
+        All that will be scored: a metric with a memory learns from them, once.
+    """
+
+    def __init__(self, scoring: Scoring, observation: Observation, frames: Sequence[CountedFrame]) -> None:
+        context = None if scoring.field is None else _context(scoring.field, observation, frames)
+        self._scoring, self._metric = scoring, metric_named(scoring.metric).learnt(context)
+
+    def of(self, frame: CountedFrame, scorer: FrameScorer, poses: Sequence[Pose], mountings: Mountings) -> Scored:
+        """Score s mountings, given as poses and as what `mountings_of` makes of them, on the frame of a scorer."""
+        scoring, metric = self._scoring, self._metric
+        seen = scorer.see(poses, keep_returns=NEEDS_POINTS in metric.needs)
+        noticed = detectable(seen.occupancy, scoring.threshold, scoring.view)
+        values = metric.values(_rows(metric, frame, scorer, seen, mountings)).reshape(noticed.shape)
+        objective = vehicle_score(metric.merit(values), noticed, scoring.loss, scoring.reading)
+        return Scored(seen, values, noticed, objective)
+
+
+def mountings_of(poses: Sequence[Pose]) -> Mountings:
+    """Mountings as metrics know them."""
+    return Mountings(
+        np.array([pose.position for pose in poses]).reshape(-1, 3),
+        np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3),
+    )
+
+
+def _context(field, observation, frames) -> SceneContext:
+    """What a metric with a memory learns from."""
+    return SceneContext(
+        tuple(frame.boxes for frame in frames),
+        observation.lattice.directions,
+        observation.min_range_m,
+        observation.max_range_m,
+        field,
+    )
+
+
+def _rows(metric, frame, scorer, seen: Seen, mountings) -> VehicleReturns:
+    """What a metric is given: one row for each mounting and vehicle, mounting after mounting."""
+    vehicles = scorer.vehicles
+    away = vehicles.centre_m[:, :2] - mountings.origin_m[:, None, :2]
+    points, owner = (None, None) if seen.returns is None else seen.returns
+    return VehicleReturns(
+        size_m=np.tile(vehicles.size_m, (len(mountings), 1)),
+        count=seen.points.reshape(-1),
+        occupancy=seen.occupancy.reshape(-1, 3),
+        distance_m=np.hypot(away[..., 0], away[..., 1]).reshape(-1),
+        points=points,
+        vehicle=owner,
+        view=View(mountings, frame.boxes) if NEEDS_VIEW in metric.needs else None,
+    )

@@ -1,1 +1,0 @@
-"""Speed charted against accuracy, and how much model a scene needs."""

@@ -1,1 +1,0 @@
-"""Where a scene's answer holds and where it breaks: one thing changed at a time, and a verdict on each."""

@@ -1,0 +1,1 @@
+"""Studies that change one thing about a scene and score again: chart, stability; and compare, beside real sweeps."""

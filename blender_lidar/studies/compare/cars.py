@@ -1,0 +1,305 @@
+"""Every labelled car of a folder of sweeps: the points in its box, its metrics, and what detectors made of it.
+
+Metrics of single cars are the catalogue's, PE-VGOP's logarithm, and four that learn: S-MIG, M-SOG, the entropy of the
+voxels hit and expected visibility. These are published for a region; `metrics.vehicle_prior` and `expected_visibility`
+say in which form they score a car. Their prior is learned from the frames that detectors learned from, and frozen
+before any other car is scored.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ...errors import InputError, unknown_name
+from ...metrics.assignment import NO_BOX, points_in_boxes
+from ...metrics.catalogue import METRICS
+from ...metrics.metric import (
+    NEEDS_POINTS,
+    NEEDS_VIEW,
+    FrameBoxes,
+    Metric,
+    Mountings,
+    VehicleReturns,
+    View,
+    vehicle_returns,
+)
+from ...metrics.occupancy_prior import OccupiedFrames, VehiclePrior, box_visibility, reach_probability
+from ...metrics.vgop import to_vehicle_frame
+from ...metrics.voxel_grid import VoxelGrid
+from .detections import Detections
+from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+BEARINGS = {"end-on": (0.0, 20.0), "oblique": (20.0, 70.0), "side-on": (70.0, 90.0)}
+"""Between the line of sight and the car's axis [deg]; the upper end belongs to the next but for the last."""
+OURS, PAPERS = "view-coverage", "pe-vgop"
+KEYS = ["frame", "label_line"]
+SHARES = ["p_top", "p_side", "p_front"]
+COLUMNS = ["class", "distance_m", "occlusion", "truncation", "length_m", "width_m", "height_m"]
+COLUMNS += ["bearing_deg", "points_in_box", *SHARES]
+VOXEL_M = 0.4  # of the prior of expected visibility
+REACH_M = 80.0  # cars farther away are not looked for
+LOWEST_M, HIGHEST_M = -3.2, 2.0  # of its region, above the sensor: a car's LiDAR sits on its roof
+_OFFSET_BITS = 0.001  # so that a car without a point has a logarithm
+_AT_THE_ORIGIN = Mountings(np.zeros((1, 3)), np.eye(3)[None])
+
+# --- Which metrics ----------------------------------------------------------------------------------------------------
+
+
+def log_pe_vgop(returns: VehicleReturns) -> np.ndarray:
+    """ln(PE-VGOP + 0.001), (n,): the same order as PE-VGOP, in which detectors saturate later."""
+    return np.log(METRICS[PAPERS].values(returns) + _OFFSET_BITS)
+
+
+LOG_PE_VGOP = Metric("log-pe-vgop", "ln(PE-VGOP + 0.001)", "", higher_is_better=True, score=log_pe_vgop)
+LEARNED = {
+    name: Metric(name, label, unit, higher_is_better=True, needs=frozenset({needs}))
+    for name, label, unit, needs in (
+        ("covered-entropy-per-car", "entropy of the voxels hit", "nats", NEEDS_POINTS),
+        ("s-mig-per-car", "S-MIG of a car, as published", "nats", NEEDS_POINTS),
+        ("m-sog-per-car", "M-SOG of a car, as published", "nats", NEEDS_POINTS),
+        ("expected-visibility-per-car", "expected visibility of a car", "", NEEDS_VIEW),
+    )
+}
+"""Without a score until they are `taught`."""
+
+
+def comparable() -> dict[str, Metric]:
+    """Metrics of single cars, by name: those that learn from a scene's traffic are left out."""
+    of_cars = {name: one for name, one in METRICS.items() if one.learn is None and NEEDS_VIEW not in one.needs}
+    first = {name: of_cars.pop(name) for name in (OURS, PAPERS)}
+    return {**first, LOG_PE_VGOP.name: LOG_PE_VGOP, **of_cars, **LEARNED}
+
+
+def chosen_metrics(names: str | None, option: str = "--metrics") -> tuple[Metric, ...]:
+    """The metrics that an option names, divided by commas; all by default.
+
+    Raises
+    ------
+    InputError
+        For one that is not known or named twice.
+    """
+    known = comparable()
+    if names is None:
+        return tuple(known.values())
+    chosen = [name.strip() for name in names.split(",")]
+    for number, name in enumerate(chosen):
+        if name not in known:
+            raise unknown_name(name, known, "metric", option)
+        if name in chosen[:number]:
+            raise InputError(f"{option}: names {name} twice")
+    return tuple(known[name] for name in chosen)
+
+
+class TrainingCars(NamedTuple):
+    """Labelled cars that metrics learn from: their returns, and their boxes sweep by sweep in the sensor's frame."""
+
+    returns: VehicleReturns
+    frames: tuple[FrameBoxes, ...]
+
+
+def taught(metrics: Sequence[Metric], training: TrainingCars | None) -> list[Metric]:
+    """The metrics, those of `LEARNED` with what the training cars taught them; left out where there is no such car."""
+    if training is None:
+        return [metric for metric in metrics if metric.name not in LEARNED]
+    prior = VehiclePrior.learn(training.returns)
+    scores = (prior.covered_entropy, prior.s_mig, prior.m_sog, expected_visibility(training.frames))
+    learned = {name: replace(LEARNED[name], score=score) for name, score in zip(LEARNED, scores, strict=True)}
+    return [learned.get(metric.name, metric) for metric in metrics]
+
+
+def expected_visibility(frames: Sequence[FrameBoxes]) -> Callable[[VehicleReturns], np.ndarray]:
+    """Expected visibility of single cars: mean, over a box's voxels, of the probability that a beam gets there.
+
+    `metrics.expected_visibility` has the formula and its source. The prior of a voxel, in the sensor's frame, is the
+    share of training frames with a labelled car in it. A beam goes through the centre of every voxel of a car: how
+    densely a sensor samples does not enter, nor do the car's returns.
+
+    Parameters
+    ----------
+    frames : sequence of FrameBoxes
+        The training frames, in the sensor's frame.
+
+    Returns
+    -------
+    callable
+        Of each car, (n,), 0 to 1; the `view` of the returns is one sensor in the origin of their frame.
+    """
+    corner = np.array([REACH_M, REACH_M, HIGHEST_M])
+    grid = VoxelGrid.covering((-REACH_M, -REACH_M, LOWEST_M), corner, VOXEL_M)
+
+    def inside(boxes: FrameBoxes) -> np.ndarray:
+        return grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad)
+
+    prior = OccupiedFrames([inside(frame) for frame in frames], len(grid)).prior
+
+    def visibility(returns: VehicleReturns) -> np.ndarray:
+        boxes = returns.view.boxes
+        (origin,) = returns.view.mountings.origin_m
+        way = grid.centres(inside(boxes)) - origin
+        beams = way / np.linalg.norm(way, axis=1, keepdims=True)
+        reached = reach_probability(grid, prior, origin, beams, 2.0 * REACH_M)
+        return box_visibility(grid, reached, boxes.centre_m, boxes.size_m, boxes.heading_rad)
+
+    return visibility
+
+
+# --- Cars and their scores --------------------------------------------------------------------------------------------
+
+
+def score_cars(
+    clouds: LabelledClouds,
+    frames: Sequence[str],
+    classes: Sequence[str],
+    metrics: Sequence[Metric],
+    ground_clearance_m: float = 0.0,
+) -> tuple[pd.DataFrame, dict[str, float]]:
+    """Read, assign and score every labelled car, one sweep after the other.
+
+    Parameters
+    ----------
+    clouds : LabelledClouds
+    frames : sequence of str
+        Which sweeps.
+    classes : sequence of str
+        What counts as a car, in the data set's words; capitals do not matter.
+    metrics : sequence of Metric
+        The first is timed by itself.
+    ground_clearance_m : float
+        Points less than this above a box's floor are left out [m].
+
+    Returns
+    -------
+    cars : DataFrame
+        A row for each, in the order of sweeps and labels: the columns of `KEYS` and `COLUMNS`, and each metric's score
+        in its own unit.
+    seconds : dict of str to float
+        Processor time of the stages over all sweeps, which other programs do not lengthen: ``read``, ``assign``,
+        ``pe_vgop``, which holds what metrics share, and ``other_metrics``.
+
+    Raises
+    ------
+    InputError, MissingFileError
+        Of files that cannot be used, or where no sweep has such a label.
+    """
+    import pandas as pd
+
+    seconds = dict.fromkeys(("read", "assign", "pe_vgop", "other_metrics"), 0.0)
+    parts: list[tuple[LabelledBoxes, VehicleReturns]] = []
+    scores: dict[str, list[np.ndarray]] = {metric.name: [] for metric in metrics}
+    met: set[str] = set()
+    for frame in frames:
+        clock = [time.process_time()]
+        sweep = clouds.read(frame)
+        met.update(sweep.boxes.label.tolist())
+        clock.append(time.process_time())
+        boxes, row = _assigned(sweep, classes, ground_clearance_m)
+        clock.append(time.process_time())
+        returns = _returns(sweep.points, boxes, row)
+        for metric in metrics:
+            scores[metric.name].append(metric.values(returns))
+            if metric is metrics[0]:
+                clock.append(time.process_time())
+        clock.append(time.process_time())
+        parts.append((boxes, returns))
+        for stage, spent in zip(seconds, np.diff(clock).tolist(), strict=True):
+            seconds[stage] += spent
+    counts = [len(boxes) for boxes, _ in parts]
+    if not sum(counts):
+        raise InputError(
+            f"--class: {', '.join(classes)}: {clouds.folder} labels none in {len(frames)} sweeps; it labels "
+            f"{', '.join(sorted(met)) or 'nothing'}"
+        )
+    boxes = LabelledBoxes.joined([boxes for boxes, _ in parts])
+    columns = {
+        "frame": np.repeat(list(frames), counts),
+        "label_line": boxes.label_line,
+        "class": boxes.label,
+        "distance_m": boxes.distance_m,
+        "occlusion": boxes.occlusion,
+        "truncation": boxes.truncation,
+        **dict(zip(("length_m", "width_m", "height_m"), boxes.size_m.T, strict=True)),
+        "bearing_deg": boxes.bearing_deg,
+        "points_in_box": np.concatenate([returns.count for _, returns in parts]),
+        **dict(zip(SHARES, np.concatenate([returns.occupancy for _, returns in parts]).T, strict=True)),
+        **{name: np.concatenate(values) for name, values in scores.items()},
+    }
+    return pd.DataFrame(columns), seconds
+
+
+def training_cars(
+    clouds: LabelledClouds, frames: Sequence[str], classes: Sequence[str], ground_clearance_m: float = 0.0
+) -> TrainingCars | None:
+    """The labelled cars of some sweeps, for metrics to learn from; None without such a car.
+
+    Parameters as in `score_cars`.
+    """
+    found = []
+    for frame in frames:
+        sweep = clouds.read(frame)
+        found.append(_returns(sweep.points, *_assigned(sweep, classes, ground_clearance_m)))
+    first = np.cumsum([0, *map(len, found)]).tolist()
+    if not first.pop():
+        return None
+    vehicle = np.concatenate([one.vehicle + row for one, row in zip(found, first, strict=True)])
+    points, size_m, distance_m = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("points", "size_m", "distance_m")
+    )
+    returns = vehicle_returns(points, vehicle, size_m, distance_m)
+    return TrainingCars(returns, tuple(one.view.boxes for one in found))
+
+
+def of_bearing(bearing_deg: np.ndarray) -> dict[str, np.ndarray]:
+    """Which cars, (n,) bool, are seen end-on, obliquely and from the side."""
+    last = list(BEARINGS)[-1]
+    return {
+        name: (bearing_deg >= low) & ((bearing_deg < high) | (name == last)) for name, (low, high) in BEARINGS.items()
+    }
+
+
+def _assigned(
+    sweep: LabelledSweep, classes: Sequence[str], ground_clearance_m: float
+) -> tuple[LabelledBoxes, np.ndarray]:
+    """The boxes that count, and the row among them of each point.
+
+    Boxes of other classes take part, so that a point of a van that a car's box overlaps goes to the nearer one.
+    """
+    boxes, mine = sweep.boxes, sweep.boxes.of_class(classes)
+    row = points_in_boxes(sweep.points, boxes.centre_m, boxes.size_m, boxes.heading_rad, ground_clearance_m)
+    number = np.full(len(boxes) + 1, NO_BOX, dtype=np.int64)  # the last is for points in no box
+    number[:-1][mine] = np.arange(np.count_nonzero(mine))
+    return boxes.select(mine), number[row]
+
+
+def _returns(points: np.ndarray, boxes: LabelledBoxes, row: np.ndarray) -> VehicleReturns:
+    """The returns from a frame's cars, seen by the sensor in the origin of their frame."""
+    inside = np.flatnonzero(row != NO_BOX)
+    local = to_vehicle_frame(points[inside], boxes.centre_m, boxes.heading_rad, row[inside])
+    returns = vehicle_returns(local, row[inside], boxes.size_m, boxes.distance_m)
+    placed = FrameBoxes(0, boxes.centre_m, boxes.size_m, boxes.heading_rad, np.ones(len(boxes), dtype=bool))
+    return replace(returns, view=View(_AT_THE_ORIGIN, placed))
+
+
+def judged_cars(cars: pd.DataFrame, detections: Detections, classes: Sequence[str]) -> pd.DataFrame:
+    """The cars that the detections list, with what is told of them, in the order of the cars.
+
+    Raises
+    ------
+    InputError
+        For a detection of no such car.
+    """
+    there = cars.set_index(KEYS).index
+    for row in detections.table[~detections.table.set_index(KEYS).index.isin(there)].itertuples():
+        known = ", ".join(map(str, cars["label_line"][cars["frame"] == row.frame])) or "none"
+        raise InputError(
+            f"{detections.path}:{row.line}: label_line {row.label_line} of frame {row.frame} is no "
+            f"{' or '.join(classes)}; allowed: {known}"
+        )
+    return cars.merge(detections.table, on=KEYS)

@@ -1,0 +1,284 @@
+"""Rings and rays of a rotating LiDAR, recovered from a sweep alone: elevations, laser offsets, rays without a return.
+
+Files of rotating LiDARs such as KITTI's keep ring after ring, in each of which the azimuth turns once; a new ring
+starts where it wraps. Lasers do not fire from one point: in KITTI's HDL-64E the rays of the upper block cross the axis
+0.20 m above the origin of the coordinates, those of the lower one 0.12 m, and where a sweep tells it, in a third of the
+rings, they pass it by about 0.02 m to the left or to the right. Seen from the origin a ring's elevation therefore
+depends on the range, by a degree between 10 m and far away, which is two to three rings; and azimuths shift by nearly a
+step at 10 m. Seen from the laser neither does. So each ring is the cone ``z = height + tan(elevation) * rho``, which
+its points miss by 0.3 mm (median over KITTI's sweeps), with the same heights and elevations in all sweeps to 1 mm and
+0.001 degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import InputError
+from ...metrics.vgop import to_vehicle_frame
+
+FEWEST_RINGS, MOST_RINGS = 4, 256
+_FEWEST_RETURNS = 8  # of half of the rings; high ones may see next to nothing
+_LEAST_ORDERED = 0.9  # share of neighbouring rings of which the one is above the other as all others are
+_NEW_RING_RAD = 0.1  # falls the azimuth so far, a ring begins; edges of near things and jitter take it back by less
+_BACKWARDS_RAD, _MOST_BACKWARDS = 1e-4, 0.01  # share of steps between neighbours that may go against the turn
+_OFF_CONE_M, _MOST_OFF_CONE = 0.05, 0.1  # a return is off its ring's cone from here on; share of them that may be
+_MOST_HEIGHT_M = 0.6  # of a laser; a plane, such as the road through parts of two rings, is a cone of greater height
+_FITS = 25
+_FINE_M = 5e-4  # distances below do not count as less
+_HEIGHT_PRIOR_M = 0.2  # a ring that sees one range alone says nothing of its height: it is near 0
+_LATERAL_M = np.linspace(-0.06, 0.06, 61)  # candidates
+_LEVEL = 0.002  # [1/m]: neighbours whose inverse ranges differ by less have no parallax
+_CLEARLY_BETTER = 0.7  # of the misfit of a laser on the axis
+_TURN = 2.0 * math.pi
+_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+NO_POINT = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rings:
+    """The rings of one sweep; ring 0 is the lowest.
+
+    Attributes
+    ----------
+    ring : ndarray of int64, (n,)
+        Ring of each point.
+    elevation_rad : ndarray, (r,)
+        Angle of each ring above the horizontal, seen from its own laser [rad]; rising, but for rings of few returns.
+    height_m : ndarray, (r,)
+        Where the ring's rays cross the vertical axis, above the origin [m].
+    lateral_m : ndarray, (r,)
+        How far its rays pass the axis by, to the left of their direction [m].
+    step_rad : float
+        Mean azimuth from one firing to the next [rad].
+    spread_m : float
+        Median distance of the points from their rings' cones, upwards [m].
+    """
+
+    ring: np.ndarray
+    elevation_rad: np.ndarray
+    height_m: np.ndarray
+    lateral_m: np.ndarray
+    step_rad: float
+    spread_m: float
+
+    def __len__(self) -> int:
+        return len(self.elevation_rad)
+
+
+def recover_rings(points: np.ndarray, where: str = "the sweep") -> Rings:
+    """The rings of a sweep whose points are in ring order.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        Returns in the sensor's levelled frame, in the order of the file [m].
+    where : str
+        What to call the sweep in a message.
+
+    Raises
+    ------
+    InputError
+        Where the points are not ring after ring, each with the azimuth turning once, from one end of the field of view
+        to the other: such as PCD files that were filtered, merged or written column by column.
+    """
+    points = np.asarray(points, dtype=float)
+    rho, z = np.hypot(points[:, 0], points[:, 1]), points[:, 2]
+    azimuth = np.arctan2(points[:, 1], points[:, 0])
+    for starts in _ring_starts(azimuth):
+        ends = np.append(starts, len(points))
+        ring = np.repeat(np.arange(len(starts)), np.diff(ends))
+        cones = np.array([_cone(rho[a:b], z[a:b]) for a, b in pairwise(ends)])
+        off = np.abs(z - cones[ring, 0] - cones[ring, 1] * rho)
+        rising = np.diff(cones[:, 1])
+        ordered = max((rising > 0).mean(), (rising < 0).mean()) >= _LEAST_ORDERED
+        if ordered and (off > _OFF_CONE_M).mean() <= _MOST_OFF_CONE and np.abs(cones[:, 0]).max() <= _MOST_HEIGHT_M:
+            break
+    else:
+        raise InputError(
+            f"{where}: its {len(points)} points are not in ring order; allowed: ring after ring from the top or from "
+            "the bottom, each one turn that starts ahead (+x) or behind (-x), as in KITTI's .bin files and `scan`'s"
+        )
+    level = (np.diff(ring) == 0) & (np.abs(np.diff(1.0 / np.maximum(rho, 1e-9))) < _LEVEL)
+    steps = np.abs(_wrapped(np.diff(azimuth)))[level]
+    usual = np.median(steps)  # encoders round steps, so that the median alone is off
+    step = float(steps[(steps > 0.25 * usual) & (steps < 1.25 * usual)].mean())
+    lateral = np.array([_lateral(azimuth[a:b], rho[a:b], step) for a, b in pairwise(ends)])
+    if (rising < 0).mean() > 0.5:
+        ring, cones, lateral = len(cones) - 1 - ring, cones[::-1], lateral[::-1]
+    return Rings(ring, np.arctan(cones[:, 1]), cones[:, 0].copy(), lateral.copy(), step, float(np.median(off)))
+
+
+def _ring_starts(azimuth: np.ndarray) -> Iterator[np.ndarray]:
+    """First points of the rings, for every way and place that turns may start from and that fits."""
+    for seam in (0.0, math.pi):  # ahead or behind
+        for way in (1.0, -1.0):
+            step = np.diff(np.mod(way * (azimuth - seam), _TURN))
+            wraps = step < -_NEW_RING_RAD
+            backwards = (step < -_BACKWARDS_RAD) & ~wraps
+            starts = np.concatenate([[0], np.flatnonzero(wraps) + 1])
+            usual = np.median(np.diff(np.append(starts, len(azimuth))))
+            ordered = usual >= _FEWEST_RETURNS and backwards.mean() <= _MOST_BACKWARDS
+            if ordered and FEWEST_RINGS <= len(starts) <= MOST_RINGS:
+                yield starts
+
+
+def _cone(rho: np.ndarray, z: np.ndarray) -> tuple[float, float]:
+    """Height and tangent of the elevation of the cone about the vertical axis that most points lie on."""
+    design = np.column_stack([np.ones_like(rho), rho])
+    height, slope = 0.0, float(np.median(z / np.maximum(rho, 1e-9)))
+    for _ in range(_FITS):  # least absolute distances, by weights
+        weight = 1.0 / np.maximum(np.abs(z - height - slope * rho), _FINE_M)
+        normal = (weight[:, None] * design).T @ design
+        normal[0, 0] += 1.0 / _HEIGHT_PRIOR_M
+        height, slope = np.linalg.solve(normal, design.T @ (weight * z))
+    return float(height), float(slope)
+
+
+def _lateral(azimuth: np.ndarray, rho: np.ndarray, step: float) -> float:
+    """How far a ring's rays pass the axis by [m]: what puts its returns on one grid of azimuths at any range."""
+    between, nearer = np.abs(_wrapped(np.diff(azimuth))), np.diff(1.0 / np.maximum(rho, 1.0))
+    way = np.sign(np.median(_wrapped(np.diff(azimuth))))
+    telling = (np.abs(nearer) > 0.004) & (between < 10.0 * step)
+    if telling.sum() < 12:
+        return 0.0
+    grid = 0.5 * step  # encoders of half a step are common
+    phase = (between[telling] - way * _LATERAL_M[:, None] * nearer[telling]) / grid
+    weight = np.minimum(np.abs(nearer[telling]), 0.05)
+    misfit = np.abs(phase - np.round(phase)) @ weight / weight.sum()
+    best = int(np.argmin(misfit))
+    return float(_LATERAL_M[best]) if misfit[best] < _CLEARLY_BETTER * misfit[len(_LATERAL_M) // 2] else 0.0
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    return np.mod(angle + math.pi, _TURN) - math.pi
+
+
+# --- Rays -------------------------------------------------------------------------------------------------------------
+
+
+class Rays(NamedTuple):
+    """Rays of one sweep.
+
+    Attributes
+    ----------
+    origin, direction : ndarray, (k, 3)
+        Where each starts [m, sensor frame], and its unit vector; through the point where it returned.
+    point : ndarray of int64, (k,)
+        Row of the sweep's point that it returned as; `NO_POINT` where it did not return.
+    range_m : ndarray, (k,)
+        How far away that point is along the ray [m]; inf where there is none.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    point: np.ndarray
+    range_m: np.ndarray
+
+
+class Firings:
+    """What a sensor fired during one sweep, recovered from what returned.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        The sweep's returns [m, sensor frame].
+    rings : Rings
+        Their rings.
+    """
+
+    def __init__(self, points: np.ndarray, rings: Rings) -> None:
+        self._points, self._rings = points, rings
+        rho = np.hypot(points[:, 0], points[:, 1])
+        parallax = np.arcsin(np.clip(rings.lateral_m[rings.ring] / np.maximum(rho, 1e-9), -1.0, 1.0))
+        azimuth = np.mod(np.arctan2(points[:, 1], points[:, 0]) - parallax, _TURN)
+        order = np.lexsort((azimuth, rings.ring))
+        ends = np.searchsorted(rings.ring[order], np.arange(len(rings) + 1))
+        self._of_ring = [order[a:b] for a, b in pairwise(ends)]
+        # Three turns, so that a window never wraps.
+        self._azimuth = [(azimuth[own] + np.array([[-_TURN], [0.0], [_TURN]])).ravel() for own in self._of_ring]
+
+    def towards(self, centre: np.ndarray, size: np.ndarray, heading: float) -> Rays:
+        """All rays that meet a box, which must not hold the sensor's axis.
+
+        Parameters
+        ----------
+        centre, size : ndarray, (3,)
+            Box centre; length, width and height [m, sensor frame].
+        heading : float
+            Counter-clockwise from +x [rad].
+        """
+        low, high, nearest, farthest = _window(centre, size, heading)
+        margin = np.abs(self._rings.lateral_m).max() / nearest + self._rings.step_rad
+        low, high = low - margin, high + margin
+        slope, height = np.tan(self._rings.elevation_rad), self._rings.height_m
+        ends = height + slope * np.array([[nearest], [farthest]])
+        bottom, top = centre[2] - 0.5 * size[2], centre[2] + 0.5 * size[2]
+        fitting = np.flatnonzero((ends.max(axis=0) >= bottom) & (ends.min(axis=0) <= top))
+        found = [self._within(int(ring), low, high) for ring in fitting]
+        azimuth = np.concatenate([np.empty(0), *(one[0] for one in found)])
+        point = np.concatenate([np.empty(0, dtype=np.int64), *(one[1] for one in found)])
+        ring = np.repeat(fitting, [len(one[0]) for one in found])
+        rays = self._rays(azimuth, point, ring)
+        entry, leave = crossing(rays, centre, size, heading)
+        meets = (leave >= entry) & (leave > 0.0)
+        return Rays(*(values[meets] for values in rays))
+
+    def _within(self, ring: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+        """Azimuths between two angles at which a ring fired, and the points that came of it."""
+        azimuth, own, step = self._azimuth[ring], self._of_ring[ring], self._rings.step_rad
+        first, last = np.searchsorted(azimuth, [low, high])
+        # With a neighbour on either side: three turns hold one.
+        nodes = azimuth[first - 1 : last + 1]
+        point = own[np.arange(first - 1, first - 1 + len(nodes)) % len(own)]
+        gap = np.diff(nodes)
+        lacking = np.maximum(np.round(gap / step).astype(int) - 1, 0)  # firings without a return
+        count = np.repeat(lacking, lacking)
+        number = np.arange(len(count)) - np.repeat(np.cumsum(lacking) - lacking, lacking) + 1
+        between = np.repeat(nodes[:-1], lacking) + np.repeat(gap, lacking) * number / (count + 1)
+        every = np.concatenate([nodes, between])
+        points = np.concatenate([point, np.full(len(between), NO_POINT)])
+        inside = (every >= low) & (every <= high)
+        return every[inside], points[inside]
+
+    def _rays(self, azimuth: np.ndarray, point: np.ndarray, ring: np.ndarray) -> Rays:
+        """Rays of rings at azimuths counter-clockwise from +x, and the points that they returned as, (k,) each."""
+        lateral, elevation = self._rings.lateral_m[ring], self._rings.elevation_rad[ring]
+        cos, sin, level = np.cos(azimuth), np.sin(azimuth), np.cos(elevation)
+        origin = np.column_stack([-lateral * sin, lateral * cos, self._rings.height_m[ring]])
+        direction = np.column_stack([cos * level, sin * level, np.sin(elevation)])
+        returned = point != NO_POINT
+        way = self._points[point[returned]] - origin[returned]
+        distance = np.full(len(point), np.inf)
+        distance[returned] = np.linalg.norm(way, axis=1)
+        direction[returned] = way / distance[returned, None]
+        return Rays(origin, direction, point, distance)
+
+
+def crossing(rays: Rays, centre: np.ndarray, size: np.ndarray, heading: float) -> tuple[np.ndarray, np.ndarray]:
+    """How far along each ray it enters and leaves a box, (k,) each [m]; it meets the box where it leaves it later."""
+    start = to_vehicle_frame(rays.origin, centre, heading)
+    way = to_vehicle_frame(rays.direction, np.zeros(3), heading)
+    with np.errstate(divide="ignore"):
+        inverse = 1.0 / np.where(way == 0.0, 1e-300, way)
+    near, far = (-0.5 * size - start) * inverse, (0.5 * size - start) * inverse
+    return np.minimum(near, far).max(axis=1), np.maximum(near, far).min(axis=1)
+
+
+def _window(centre: np.ndarray, size: np.ndarray, heading: float) -> tuple[float, float, float, float]:
+    """Lowest and highest azimuth of a box, the lowest within one turn [rad], and its nearest and farthest [m]."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    corner = _CORNERS * size @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) + centre
+    middle = math.atan2(centre[1], centre[0])
+    relative = _wrapped(np.arctan2(corner[:, 1], corner[:, 0]) - middle)
+    low = math.fmod(middle + float(relative.min()) + 2.0 * _TURN, _TURN)
+    rho = np.hypot(corner[:, 0], corner[:, 1])
+    own = to_vehicle_frame(np.array([[0.0, 0.0, centre[2]]]), centre, heading)[0, :2]
+    away = np.maximum(np.abs(own) - 0.5 * size[:2], 0.0)
+    return low, low + float(np.ptp(relative)), max(float(np.hypot(*away)), 0.1), float(rho.max())

@@ -1,0 +1,280 @@
+"""What studies change about a scene: its traffic, its metric, its sensor; a `Variation` for each change.
+
+Traffic is remixed as a model for asking what would change, not as a forecast: vehicles keep their lanes, their order
+and their sizes, unless they are turned into others, and queue up anew with the gaps that they are given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from ..metrics.catalogue import METRICS
+from ..optimise import VIEWS
+from ..scene.observation import CountedFrame, scene_field
+from ..scene.site import Site, lattice_of
+from ..sensors.beams import beam_lattice
+from ..traffic import RoadFrame
+from ..traffic.vehicles import CLASSES, Vehicles
+from .driver import Variation
+
+TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH = "traffic", "mounting", "metric", "sensor", "search"
+SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
+
+# --- traffic: lighter, denser, and other shares of lorries ------------------------------------------------------------
+
+SHARES_KEPT = {"light: a quarter of it": 0.25, "medium: half of it": 0.5}
+JAM_GAPS_M = (1.0, 2.5)
+TRUCK_SHARES = (0.0, 0.1, 0.3)
+CAR, VAN, TRUCK, BUS = (CLASSES.index(name) for name in ("car", "van", "truck", "bus"))
+SIZE_M = {TRUCK: (12.7, 2.59, 3.8), CAR: (4.5, 2.1, 1.5)}  # I-80's median lorry, as high as NGSIM's get, and car
+_ALONG = np.cos(np.radians(30.0))  # of the heading: what drives across the road does not queue
+
+Gaps = Callable[[np.ndarray], np.ndarray]
+"""New bumper gaps from old ones [m]; negative where vehicles overlap."""
+
+
+def traffic_variations(site: Site, draws: int) -> list[Variation]:
+    """The recording's traffic thinned, jammed, and with other shares of lorries; what is drawn `draws` times over."""
+    numbers = range(1, draws + 1)
+    found = [
+        Variation(TRAFFIC, "density", text, partial(_light, share=share, seed=number), number)
+        for text, share in SHARES_KEPT.items()
+        for number in numbers
+    ]
+    found.append(Variation(TRAFFIC, "density", f"jammed: gaps of {JAM_GAPS_M[1]:g} m at most", _jammed))
+    return found + [
+        Variation(TRAFFIC, "lorries", f"{100 * share:g} %", partial(_with_trucks, share=share, seed=number), number)
+        for share in TRUCK_SHARES
+        for number in (numbers if share else (0,))  # no lorries at all is no draw
+    ]
+
+
+def _light(site: Site, share: float, seed: int) -> Site:
+    ids = np.unique(site.recording.vehicle_id)
+    kept = ids[np.random.default_rng(seed).random(len(ids)) < share]
+    return _with_traffic(site, lambda vehicles: vehicles.select(np.isin(vehicles.vehicle_id, kept)))
+
+
+def _jammed(site: Site) -> Site:
+    return _with_traffic(site, lambda vehicles: vehicles, lambda gaps: np.clip(gaps, *JAM_GAPS_M), site.reach_m)
+
+
+def _with_trucks(site: Site, share: float, seed: int) -> Site:
+    """The site with that share of lorries and buses among its vehicles: others turn into them, or they into cars."""
+    ids, first = np.unique(site.recording.vehicle_id, return_index=True)
+    kind = site.recording.class_index[first]
+    large = np.isin(kind, (TRUCK, BUS))
+    missing = round(share * len(ids)) - int(large.sum())
+    some = ids[large] if missing < 0 else ids[np.isin(kind, (CAR, VAN))]
+    changed = np.random.default_rng(seed).choice(some, min(abs(missing), len(some)), replace=False)
+    turned = partial(turned_into, ids=changed, kind=CAR if missing < 0 else TRUCK)
+    return _with_traffic(site, turned, lambda gaps: gaps)
+
+
+def _with_traffic(
+    site: Site, change: Callable[[Vehicles], Vehicles], gaps: Gaps | None = None, filled_to_m: float = 0.0
+) -> Site:
+    """The site with every frame's traffic changed, as the recording has it before anything is cut off.
+
+    What is changed queues up anew with other `gaps`, if any; see `queued`. In held-out frames nothing counts that
+    counts in a searched frame, as recorded or changed, nor copies of it: a queue that closes up brings vehicles into
+    the region that were not there yet.
+    """
+    step = int(site.recording.vehicle_id.max()) + 1
+    place = {"anchor_x_m": site.scenario.deployment.nominal_xy[0], "road": site.scenario.road, "copies_from": step}
+
+    def changed(number: int) -> CountedFrame:
+        recorded = site.recording.vehicles(number)
+        vehicles = change(recorded)
+        if gaps is not None:
+            vehicles = queued(vehicles, recorded.size_m[:, 0], gaps, filled_to_m=filled_to_m, **place)
+        return site.counted(vehicles)
+
+    searched, held_out = (tuple(map(changed, frames)) for frames in (site.plan.search, site.plan.holdout))
+    chose = [site.plan.searched_ids, *(frame.vehicles.vehicle_id[frame.counted] % step for frame in searched)]
+    chosen = np.concatenate(chose)
+    judged = (
+        replace(frame, counted=frame.counted & ~np.isin(frame.vehicles.vehicle_id % step, chosen)) for frame in held_out
+    )
+    return replace(site, search=searched, holdout=tuple(judged))
+
+
+def turned_into(vehicles: Vehicles, ids: np.ndarray, kind: int) -> Vehicles:
+    """The vehicles of those ids turned into lorries or cars where they stand; `queued` makes room for them."""
+    chosen = np.isin(vehicles.vehicle_id, ids)
+    size, centre = vehicles.size_m.copy(), vehicles.centre_m.copy()
+    ground = centre[:, 2] - 0.5 * size[:, 2]
+    size[chosen] = SIZE_M[kind]
+    centre[:, 2] = ground + 0.5 * size[:, 2]
+    classes = np.where(chosen, kind, vehicles.class_index).astype(vehicles.class_index.dtype)
+    return replace(vehicles, size_m=size, centre_m=centre, class_index=classes)
+
+
+def queued(
+    vehicles: Vehicles,
+    lengths_m: np.ndarray,
+    gaps: Gaps,
+    *,
+    anchor_x_m: float,
+    road: RoadFrame,
+    filled_to_m: float = 0.0,
+    copies_from: int = 0,
+) -> Vehicles:
+    """Vehicles lined up anew, lane by lane, about the one that is nearest to `anchor_x_m`, which stays.
+
+    Parameters
+    ----------
+    vehicles : Vehicles
+        One frame, with the sizes that they are to have.
+    lengths_m : ndarray, (n,)
+        The lengths that they had: what their gaps are measured with.
+    gaps : callable
+        New bumper gaps from old ones.
+    anchor_x_m : float
+        Where the lanes are looked at [m].
+    road : RoadFrame
+        Its lanes, and strips as wide as they beside it, say who drives behind whom.
+    filled_to_m : float
+        How far to both sides of the anchor lanes are to be full [m]. A lane of the road that ends nearer is continued
+        with itself, the same vehicles under other numbers, as the recording knows none beyond its ends.
+    copies_from : int
+        More than any vehicle's number: a copy has its original's and a multiple of this.
+
+    Returns
+    -------
+    Vehicles
+        With copies, if any, at the end. What drives across the road stays where it is.
+    """
+    along = np.abs(np.cos(vehicles.heading_rad)) >= _ALONG
+    lane = np.floor((vehicles.centre_m[:, 1] - road.carriageway_y[0]) / road.lane_width_m).astype(int)
+    x = vehicles.centre_m[:, 0].copy()
+    copied_rows, copied_x, copied_turn = [], [], []
+    for number in np.unique(lane[along]):
+        rows = np.flatnonzero(along & (lane == number))
+        rows = rows[np.argsort(x[rows], kind="stable")]
+        if len(rows) < 2:
+            continue
+        old, new = lengths_m[rows], vehicles.size_m[rows, 0]
+        spread = gaps(np.diff(x[rows]) - 0.5 * (old[1:] + old[:-1]))
+        places = np.concatenate([[0.0], np.cumsum(spread + 0.5 * (new[1:] + new[:-1]))])
+        middle = np.argmin(np.abs(x[rows] - anchor_x_m))
+        places += x[rows[middle]] - places[middle]
+        period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
+        x[rows] = places
+        if not 0 <= number < road.lanes or period < new.sum():  # a ramp ends where it ends; a pile cannot be continued
+            continue
+        for turn in _turns(places[0] - anchor_x_m, places[-1] - anchor_x_m, period, filled_to_m):
+            copied_rows.append(rows)
+            copied_x.append(places + turn * period)
+            copied_turn.append(np.full(len(rows), turn))
+    queue = replace(vehicles, centre_m=np.column_stack([x, vehicles.centre_m[:, 1:]]))
+    if not copied_rows:
+        return queue
+    rows, copied_x, turn = map(np.concatenate, (copied_rows, copied_x, copied_turn))
+    together = queue.select(np.concatenate([np.arange(len(queue)), rows]))
+    centre, ids = together.centre_m.copy(), together.vehicle_id.copy()
+    centre[len(queue) :, 0] = copied_x
+    ids[len(queue) :] += copies_from * np.where(turn > 0, 2 * turn - 1, -2 * turn)  # 1, 2, 3 ... for turns 1, -1, 2 ...
+    return replace(together, centre_m=centre, vehicle_id=ids)
+
+
+def _turns(first: float, last: float, period: float, reach: float) -> list[int]:
+    """By how many periods the copies of a lane are shifted that fill it from -reach to reach; not 0, itself."""
+    before = max(0, int(np.ceil((first + reach) / period)))
+    after = max(0, int(np.ceil((reach - last) / period)))
+    return [*range(-before, 0), *range(1, after + 1)]
+
+
+# --- metric: the score with other constants, and other scores, of the same returns ------------------------------------
+
+CELLS_M = (0.025, 0.05, 0.1, 0.2)
+THRESHOLDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
+LOSSES = (0.0, 0.5, 1.0, 2.0, 4.0)  # abs(C), in the metric's unit
+
+
+def metric_variations(site: Site) -> list[Variation]:
+    """Cell size, view, delta and C of the scene's objective, and every other metric in its place.
+
+    Without a C the objective asks for neither view nor delta.
+    """
+    scoring, cell_m = site.scoring, site.observation.cell_m
+    changes = [
+        ("cell size", f"{100 * side:g} cm", partial(_with_cells, cell_m=side)) for side in CELLS_M if side != cell_m
+    ]
+    if scoring.loss is not None:
+        settings = (
+            ("view of Eq. 11", "view", {view: view for view in VIEWS}, scoring.view),
+            ("delta of Eq. 11", "threshold", {f"{value:g}": value for value in THRESHOLDS}, scoring.threshold),
+            ("abs(C) of Eq. 10", "loss", {f"{value:g}": -value for value in LOSSES}, -abs(scoring.loss)),
+        )
+        changes += [
+            (what, text, partial(_with_scoring, **{key: value}))
+            for what, key, values, now in settings
+            for text, value in values.items()
+            if value != now
+        ]
+    changes += [("other metric", name, partial(_with_metric, name=name)) for name in METRICS if name != scoring.metric]
+    return [Variation(METRIC, *change, cast_anew=False) for change in changes]
+
+
+def _with_cells(site: Site, cell_m: float) -> Site:
+    return replace(site, observation=replace(site.observation, cell_m=cell_m))
+
+
+def _with_scoring(site: Site, **settings) -> Site:
+    return replace(site, scoring=replace(site.scoring, **settings))
+
+
+def _with_metric(site: Site, name: str) -> Site:
+    """The site with another metric and, as a scene has it that says nothing else, no loss for a missed vehicle."""
+    scenario = site.scenario
+    field = scene_field(name, scenario.road, scenario.deployment.nominal_xy, scenario.sensor.range_gate_m, site.search)
+    return _with_scoring(site, metric=name, loss=None, field=field)
+
+
+# --- sensor: other units of it, noise, lost returns, azimuths ---------------------------------------------------------
+
+PHASES = (1.0 / 3.0, 2.0 / 3.0)  # of a step between columns
+_DRAWN = (  # what, key of [sensor], values, unit of the values, key of the seed
+    ("unit-to-unit spread", "unit_spread_deg", (0.03, 0.1), " deg", "unit"),
+    ("range noise", "range_noise_m", (0.02, 0.05), " m", "noise_seed"),
+    ("drop-out", "dropout", (0.1, 0.3), "", "noise_seed"),
+    ("glass drop-out", "glass_dropout", (0.5,), "", "noise_seed"),
+)
+
+
+def sensor_variations(site: Site, draws: int) -> list[Variation]:
+    """Each imperfection alone, what is drawn `draws` times over; phase and step of the azimuths."""
+    found = [
+        Variation(SENSOR, what, f"{value:g}{unit}", partial(with_sensor, settings={key: value, seed: number}), number)
+        for what, key, values, unit, seed in _DRAWN
+        for value in values
+        for number in range(1, draws + 1)
+    ]
+    rates = [rate for rate in site.model.rotation_hz if rate != site.observation.lattice.rotation_hz]
+    fixed = [("glass drop-out", "1", {"glass_dropout": 1.0})]  # loses them all
+    fixed += [("10 % target seen", f"to {reach:g} m", {"range_at_10_percent_m": reach}) for reach in (60.0, 30.0)]
+    fixed += [("rotation rate", f"{rate:g} Hz", {"rotation_hz": rate}) for rate in rates]
+    found += [Variation(SENSOR, what, text, partial(with_sensor, settings=settings)) for what, text, settings in fixed]
+    return found + [
+        Variation(SENSOR, "azimuth phase", f"{share:.2f} of a step", partial(_turned, share=share)) for share in PHASES
+    ]
+
+
+def with_sensor(site: Site, settings: Mapping[str, float | None]) -> Site:
+    """The site with other keys of [sensor]."""
+    sensor = replace(site.scenario.sensor, **settings)
+    lattice = lattice_of(sensor)
+    observation = replace(site.observation, lattice=lattice, imperfections=sensor.imperfections)
+    return replace(site, model=lattice.model, observation=observation)
+
+
+def _turned(site: Site, share: float) -> Site:
+    """The site with its sensor's columns shifted by a share of their step."""
+    old = site.observation.lattice
+    lattice = beam_lattice(site.model, old.rotation_hz, phase_rad=share * old.step_rad)
+    return replace(site, observation=replace(site.observation, lattice=lattice))

@@ -1,0 +1,353 @@
+"""Blender objects of a scene: roles, mesh data-blocks, materials, road, scenery, and the mounted LiDAR."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import bpy
+import numpy as np
+from mathutils import Euler, Matrix
+
+from ...sensors.beams import BeamLattice, beam_directions
+from ...sensors.pose import Pose
+from ...traffic.vehicles import RoadFrame
+from ..scenery import Scenery
+from ..shapes import GLASS, PAINT, ROAD, STRUCTURE
+
+# --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
+
+KEY = "blender_lidar"  # custom property of our objects and collections
+VEHICLE_ID, SHAPE = "vehicle_id", "shape"  # further ones of vehicles
+VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
+SENSOR, FAN, CLOUD, STAGE = "lidar", "beam fan", "cloud", "stage"
+# What a LiDAR would not meet: paint, its own pole, what it has measured.
+DISPLAY_ONLY = (MARKING, SENSOR, FAN, CLOUD)
+
+
+def role(thing: bpy.types.ID) -> str | None:
+    """What a thing of ours stands for; None for what is not ours."""
+    return thing.get(KEY)
+
+
+def of_ours(blocks: Iterable[bpy.types.ID], key: str) -> bpy.types.ID | None:
+    """The data-block that was marked with `key` when it was made, whatever it is called; None where there is none.
+
+    A file of the user's may hold blocks of the same names.
+    """
+    return next((block for block in blocks if block.library is None and role(block) == key), None)
+
+
+def collection(scene: bpy.types.Scene, name: str, of: str) -> bpy.types.Collection:
+    """The scene's collection for objects of a role; made when it is not there."""
+    for child in scene.collection.children:
+        if role(child) == of:
+            return child
+    made = bpy.data.collections.new(name)
+    made[KEY] = of
+    scene.collection.children.link(made)
+    return made
+
+
+def add_object(
+    into: bpy.types.Collection, name: str, data: bpy.types.ID | None, of: str | None = None
+) -> bpy.types.Object:
+    """A new object in a collection, of that collection's role unless another is said."""
+    made = bpy.data.objects.new(name, data)
+    made[KEY] = of or role(into)
+    into.objects.link(made)
+    return made
+
+
+def only_for_the_eye(item: bpy.types.Object) -> None:
+    """Let an object neither throw a shadow nor shine on others: what is drawn into the scene is not part of it."""
+    item.visible_shadow = item.visible_diffuse = item.visible_glossy = False
+
+
+def clear(from_collection: bpy.types.Collection) -> None:
+    """Remove our objects from a collection, and the meshes, curves, cameras and lights that nothing else uses then."""
+    objects = [item for item in from_collection.objects if role(item) is not None]
+    data = {item.data for item in objects if item.data is not None}
+    bpy.data.batch_remove(objects)
+    bpy.data.batch_remove([item for item in data if item.users == 0])
+
+
+# --- Mesh data-blocks from arrays, in a few calls whatever their size -------------------------------------
+
+
+def new_mesh(
+    name: str,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    materials: Sequence[bpy.types.Material] = (),
+    material_index: np.ndarray | None = None,
+) -> bpy.types.Mesh:
+    """A mesh of polygons that all have the same number of corners.
+
+    Parameters
+    ----------
+    name : str
+    vertices : ndarray, (n, 3)
+        Positions [m, object frame]; stored as float32.
+    faces : ndarray of int, (m, corners)
+        Vertices of each polygon, counter-clockwise seen from outside; (0, 3) for a cloud of points.
+    materials : sequence of Material
+        Its material slots.
+    material_index : ndarray of int, (m,), optional
+        Slot of each polygon; the first for all if left out.
+    """
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, dtype=np.float32).ravel())
+    if len(faces):
+        corners = faces.shape[1]
+        mesh.loops.add(faces.size)
+        mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(faces, dtype=np.int32).ravel())
+        mesh.polygons.add(len(faces))
+        mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, corners, dtype=np.int32))
+        mesh.polygons.foreach_set("loop_total", np.full(len(faces), corners, dtype=np.int32))
+        mesh.polygons.foreach_set("use_smooth", np.zeros(len(faces), dtype=bool))  # Blender 4.1 on shades smoothly
+    for material in materials:
+        mesh.materials.append(material)
+    if material_index is not None:
+        mesh.polygons.foreach_set("material_index", np.ascontiguousarray(material_index, dtype=np.int32))
+    mesh.update(calc_edges=True)
+    return mesh
+
+
+def add_attribute(mesh: bpy.types.Mesh, name: str, values: np.ndarray) -> None:
+    """Give every vertex a number, (n,): whole ones become INT, others FLOAT."""
+    whole = values.dtype.kind in "iu"
+    attribute = mesh.attributes.new(name, "INT" if whole else "FLOAT", "POINT")
+    attribute.data.foreach_set("value", np.ascontiguousarray(values, dtype=np.int32 if whole else np.float32))
+
+
+# --- Materials: plain ones by name, and the one that colours a point cloud by its attributes --------------
+
+# Linear RGB. Classes are told apart by lightness too.
+CLASS_COLOURS = {
+    "car": (0.10, 0.23, 0.48),
+    "van": (0.16, 0.42, 0.40),
+    "truck": (0.72, 0.36, 0.08),
+    "bus": (0.70, 0.58, 0.10),
+    "motorcycle": (0.50, 0.06, 0.10),
+}
+GLASS_COLOUR = (0.012, 0.016, 0.02)
+ASPHALT, VERGE, LINE = (0.045, 0.047, 0.05), (0.10, 0.125, 0.07), (0.75, 0.75, 0.72)
+CONCRETE, METAL, HEAD, BEAM = (0.34, 0.33, 0.31), (0.30, 0.31, 0.33), (0.02, 0.02, 0.025), (0.9, 0.12, 0.08)
+
+SURFACE_KEY = "blender_lidar_surface"  # custom property: index into `shapes.SURFACES`
+
+
+def plain(name: str, colour: tuple[float, float, float], surface: int = STRUCTURE, roughness: float = 0.7):
+    """A material of one colour, (r, g, b) linear; the one that we made of that name before is used again."""
+    material = of_ours(bpy.data.materials, name)
+    if material is not None:
+        return material
+    material = bpy.data.materials.new(name)
+    material[KEY], material[SURFACE_KEY] = name, surface
+    material.diffuse_color = (*colour, 1.0)
+    material.roughness = roughness
+    if bpy.app.version < (5, 0):  # from then on they always do
+        material.use_nodes = True
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Base Color"].default_value = (*colour, 1.0)
+    shader.inputs["Roughness"].default_value = roughness
+    return material
+
+
+def paint_of(vehicle_class: str) -> bpy.types.Material:
+    """The paint of a class of vehicles."""
+    return plain(f"Paint {vehicle_class}", CLASS_COLOURS[vehicle_class], PAINT, 0.35)
+
+
+def glass() -> bpy.types.Material:
+    """Windows: dark and glossy."""
+    return plain("Glass", GLASS_COLOUR, GLASS, 0.05)
+
+
+def asphalt() -> bpy.types.Material:
+    """The carriageway."""
+    return plain("Asphalt", ASPHALT, ROAD, 0.9)
+
+
+def point_material(name: str, bits: tuple[float, float]) -> bpy.types.Material:
+    """Colours points on vehicles by their vehicle's `entropy` over a range of bits, and all others faintly by `range`.
+
+    The points shine by themselves, so that their colours are those of the ramps under any light.
+    """
+    material = bpy.data.materials.new(name)
+    material[KEY] = name
+    material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
+    if bpy.app.version < (5, 0):  # from then on they always do
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    on_vehicle = _ramp(tree, "entropy", bits, ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25)))
+    elsewhere = _ramp(tree, "range", (0.0, 100.0), ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)))
+    is_vehicle = tree.nodes.new("ShaderNodeMath")
+    is_vehicle.operation = "GREATER_THAN"
+    is_vehicle.inputs[1].default_value = -0.5
+    tree.links.new(_attribute(tree, "vehicle"), is_vehicle.inputs[0])
+    mix, output = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(is_vehicle.outputs[0], mix.inputs[0])
+    tree.links.new(elsewhere, mix.inputs[1])
+    tree.links.new(on_vehicle, mix.inputs[2])
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    for column, node in enumerate(tree.nodes):
+        node.location = (220.0 * (column % 5), -260.0 * (column // 5))
+    return material
+
+
+def _attribute(tree, name):
+    node = tree.nodes.new("ShaderNodeAttribute")
+    node.attribute_name = name
+    return node.outputs["Fac"]
+
+
+def _ramp(tree, attribute, bounds, colours):
+    """A shining colour that runs through `colours` as an attribute goes from one bound to the other."""
+    scaled = tree.nodes.new("ShaderNodeMapRange")
+    scaled.inputs["From Min"].default_value, scaled.inputs["From Max"].default_value = bounds
+    tree.links.new(_attribute(tree, attribute), scaled.inputs["Value"])
+    ramp = tree.nodes.new("ShaderNodeValToRGB")
+    elements = ramp.color_ramp.elements
+    elements[0].color, elements[-1].color = (*colours[0], 1.0), (*colours[-1], 1.0)
+    for place, colour in enumerate(colours[1:-1], start=1):
+        elements.new(place / (len(colours) - 1)).color = (*colour, 1.0)
+    tree.links.new(scaled.outputs[0], ramp.inputs["Fac"])
+    shine = tree.nodes.new("ShaderNodeEmission")
+    tree.links.new(ramp.outputs["Color"], shine.inputs["Color"])
+    return shine.outputs[0]
+
+
+# --- The road: carriageway, shoulders and verge as one plane, lane lines on it, and what stands beside it -
+
+_SHOULDER_M = 2.0
+_VERGE_M = 60.0  # beyond the shoulders
+_LINE_WIDTH_M, _DASH_M, _DASH_EVERY_M = 0.12, 3.0, 12.0  # MUTCD: 10 ft lines and 30 ft gaps
+_LINE_ABOVE_M = 0.01  # high enough not to flicker, seen from afar
+
+
+def build_road(scene: bpy.types.Scene, road: RoadFrame, reach_m: float) -> None:
+    """The plane z = 0 from x = -`reach_m` to `reach_m`, with lane lines; it takes the place of an earlier one."""
+    into = collection(scene, "Road", ROAD_ROLE)
+    clear(into)
+    right, left = road.carriageway_y
+    edges = np.array([right - _VERGE_M, right - _SHOULDER_M, left + _SHOULDER_M, left + _VERGE_M])
+    ground = np.array([(x, y, 0.0) for y in edges for x in (-reach_m, reach_m)])
+    faces = np.array([(2 * row, 2 * row + 1, 2 * row + 3, 2 * row + 2) for row in range(3)])
+    materials = [plain("Verge", VERGE, roughness=1.0), asphalt()]
+    add_object(into, "Surface", new_mesh("Surface", ground, faces, materials, np.array([0, 1, 0])))
+
+    solid = [((right, left)[side], -reach_m, reach_m) for side in (0, 1)]
+    starts = np.arange(-reach_m, reach_m - _DASH_M, _DASH_EVERY_M)
+    dashed = [
+        (right + lane * road.lane_width_m, start, start + _DASH_M) for lane in range(1, road.lanes) for start in starts
+    ]
+    half, z = 0.5 * _LINE_WIDTH_M, _LINE_ABOVE_M
+    vertices = np.array(
+        [
+            corner
+            for y, first, last in solid + dashed
+            for corner in ((first, y - half, z), (last, y - half, z), (last, y + half, z), (first, y + half, z))
+        ]
+    )
+    lines = new_mesh("Lane lines", vertices, np.arange(len(vertices)).reshape(-1, 4), [plain("Lane line", LINE)])
+    add_object(into, "Lane lines", lines, MARKING)
+
+
+def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
+    """Barriers, buildings and whatever else stands still, an object each; they take the place of earlier ones."""
+    into = collection(scene, "Scenery", STANDING)
+    clear(into)
+    if scenery is None:
+        return
+    materials = [plain("Structure", CONCRETE), glass()]
+    order = np.argsort(scenery.owner, kind="stable")
+    owners, starts = np.unique(scenery.owner[order], return_index=True)
+    for row, own in zip(owners.tolist(), np.split(order, starts[1:]), strict=True):
+        name = scenery.names[row]
+        corners = scenery.corners[own]
+        middle = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # float32 is finest about an object
+        vertices, faces = _welded(corners - middle)
+        item = add_object(into, name, new_mesh(name, vertices, faces, materials, scenery.surface[own] == GLASS))
+        item.location = middle
+
+
+def _welded(corners):
+    """Vertices and faces of triangles (m, 3, 3) whose equal corners are shared."""
+    vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return vertices, faces.reshape(-1, 3)
+
+
+# --- The mounted LiDAR: pole, head, and a fan of its beams ------------------------------------------------
+
+_HEAD_RADIUS_M, _HEAD_HEIGHT_M, _POLE_RADIUS_M = 0.06, 0.09, 0.07
+_SIDES = 32
+_FAN_REACH_M, _BEAM_RADIUS_M = 25.0, 0.006
+_AZIMUTHS_RAD = (-math.pi / 3.0, 0.0, math.pi / 3.0)  # of the fan: across the road and obliquely ahead and back
+
+
+def build_lidar(scene: bpy.types.Scene, lattice: BeamLattice, pose: Pose) -> bpy.types.Object:
+    """Pole, head and beam fan at a mounting, in place of earlier ones.
+
+    Returns
+    -------
+    Object
+        The head, whose axes are those of the sensor frame.
+    """
+    into = collection(scene, "LiDAR", SENSOR)
+    clear(into)
+    metal = plain("Pole", METAL, roughness=0.4)
+    length = pose.height_m - _HEAD_HEIGHT_M  # up to below the head
+    if length > 0.0:
+        pole = add_object(into, "Pole", _cylinder("Pole", _POLE_RADIUS_M, 0.0, length, metal))
+        pole.location = (pose.x_m, pose.y_m, 0.0)
+    half = 0.5 * _HEAD_HEIGHT_M
+    head = add_object(into, "LiDAR", _cylinder("LiDAR", _HEAD_RADIUS_M, -half, half, plain("Head", HEAD)))
+    head.matrix_world = sensor_matrix(pose)
+    fan = add_object(into, "Beam fan", _fan(lattice, pose), FAN)
+    fan.parent = head
+    only_for_the_eye(fan)
+    return head
+
+
+def sensor_matrix(pose: Pose) -> Matrix:
+    """What takes the sensor frame to the road frame: Eqs. 2 to 5 as Blender's Euler angles (-tilt_x, -tilt_y, yaw)."""
+    turn = Euler((-pose.tilt_x, -pose.tilt_y, pose.yaw), "XYZ").to_matrix().to_4x4()
+    return Matrix.Translation(pose.position.tolist()) @ turn
+
+
+def _cylinder(name, radius, low, high, material):
+    angle = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    vertices = np.concatenate(
+        [np.insert(ring, 2, level, axis=1) for level in (low, high)] + [[(0, 0, low), (0, 0, high)]]
+    )
+    here, there = np.arange(_SIDES), np.roll(np.arange(_SIDES), -1)
+    bottom, top = np.full(_SIDES, 2 * _SIDES), np.full(_SIDES, 2 * _SIDES + 1)
+    faces = [
+        (here, there, there + _SIDES),
+        (here, there + _SIDES, here + _SIDES),
+        (there, here, bottom),
+        (here + _SIDES, there + _SIDES, top),
+    ]
+    return new_mesh(name, vertices, np.concatenate([np.stack(face, axis=1) for face in faces]), [material])
+
+
+def _fan(lattice: BeamLattice, pose: Pose) -> bpy.types.Curve:
+    """A thin line for each ring at a few azimuths, to the ground or as far as the fan reaches."""
+    azimuth, elevation = np.meshgrid(np.array(_AZIMUTHS_RAD), lattice.elevation_rad)
+    directions = beam_directions(azimuth.ravel(), elevation.ravel())
+    down = -pose.to_world(directions)[:, 2]
+    with np.errstate(divide="ignore"):
+        reach = np.minimum(np.where(down > 0.0, pose.height_m / down, np.inf), _FAN_REACH_M)
+    curve = bpy.data.curves.new("Beam fan", "CURVE")
+    curve.dimensions, curve.bevel_depth, curve.bevel_resolution = "3D", _BEAM_RADIUS_M, 0
+    for direction, length in zip(directions.tolist(), reach.tolist(), strict=True):
+        line = curve.splines.new("POLY")
+        line.points.add(1)
+        line.points[1].co = (*(length * component for component in direction), 1.0)
+    curve.materials.append(plain("Beam", BEAM))
+    return curve

@@ -1,0 +1,53 @@
+"""What the scripts here have in common: their options, options in a scene's place, and errors in one line."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from blender_lidar.errors import BlenderLidarError
+from blender_lidar.signals import stops_recognised
+
+SCENES = Path(__file__).parents[2] / "scenes"
+
+
+def parser_of(text: str, scene: Path | None = None) -> argparse.ArgumentParser:
+    """A parser with a module's docstring; where there is a default `scene`, it is the first argument."""
+    parser = argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    if scene is not None:
+        parser.add_argument("scene", nargs="?", default=str(scene), metavar="SCENE.toml")
+    return parser
+
+
+def positive(text: str) -> int:
+    """A whole number from 1."""
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"is {text!r}; allowed: a whole number from 1")
+    return int(text)
+
+
+def overrides_of(args: argparse.Namespace, settings: Mapping[str, tuple[str, str]]) -> dict:
+    """Options that were given, in the place of a scene's settings as `load_scenario` takes them."""
+    given = {name: getattr(args, name) for name in settings}
+    return {settings[name]: (value, f"--{name}") for name, value in given.items() if value is not None}
+
+
+def run_script(name: str, work: Callable[[], object]) -> int:
+    """Do the work; the exit code. What cannot be used and Ctrl-C are told in one line."""
+    try:
+        with stops_recognised():
+            work()
+    except BlenderLidarError as error:
+        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+        return error.exit_code
+    except ModuleNotFoundError as error:
+        print(f'{name}: {error}: pip install -e ".[fast,plots,study]"', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{name}: stopped", file=sys.stderr)
+        return 1
+    return 0

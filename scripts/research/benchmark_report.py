@@ -1,0 +1,237 @@
+"""What a benchmark found: as text, as JSON, and as a picture of rows of times."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmark_growth import FRAMES_FOR_WORKERS, VEHICLES, PowerLaw, Series, processors
+from benchmark_rivals import NAIVE, RAW, RAW_SURVIVORS, RIVALS
+from benchmark_stages import METRIC, SWARM, Quartiles, Timing, casting_of, whole_of
+from blender_lidar.report.figure import BASELINE, INK, OPTIMISED, SMALL_PT, sheet
+
+
+class Target(NamedTuple):
+    """What one entry's time over another's may be at most, for one RS-80 frame of dense traffic."""
+
+    entry: str
+    rival: str
+    most: float
+
+
+TARGETS = (
+    Target(casting_of("embree"), RAW_SURVIVORS, 1.15),
+    Target(whole_of("embree"), RAW, 0.73),
+    Target(whole_of("raster"), RAW, 0.73),
+    Target(whole_of("bvh"), NAIVE, 1.0 / 15.0),
+)
+
+
+@dataclass(slots=True)
+class Found:
+    """What came of it; what was not asked for, or not come to before it was stopped, is empty."""
+
+    about: dict[str, object] = field(default_factory=dict)
+    times: dict[str, Timing] = field(default_factory=dict)
+    wholes: dict[str, Timing] = field(default_factory=dict)
+    growth: list[Series] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+    stopped: bool = False
+
+    def verdicts(self) -> list[tuple[Target, Quartiles, bool]]:
+        """Of every target whose two entries were timed: what the ratio came to, and whether its median holds."""
+        found = []
+        for target in TARGETS:
+            if target.entry in self.times and target.rival in self.times:
+                ratio = self.times[target.entry].ratio(self.times[target.rival])
+                found.append((target, ratio, ratio.median <= target.most))
+        return found
+
+    def beside_raw(self, timing: Timing) -> Quartiles | None:
+        """A frame's time over raw Embree's; None without that, and for the metric, which has rounds of its own."""
+        raw = self.times.get(RAW)
+        return None if raw is None or timing.group == METRIC else timing.ratio(raw)
+
+
+def machine() -> dict[str, object]:
+    """On what it was measured; `load` is the mean number of processes that wanted to run in the last minute."""
+    libraries = {}
+    for name in ("numpy", "numba", "embreex", "bpy"):
+        try:
+            libraries[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    cpu = Path("/proc/cpuinfo")
+    lines = cpu.read_text(encoding="utf-8").splitlines() if cpu.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return {
+        "processor": names[0] if names else platform.processor() or platform.machine(),
+        "processors": processors(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "libraries": libraries,
+        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+    }
+
+
+# --- JSON -------------------------------------------------------------------------------------------------------------
+
+
+def document(found: Found, here: Mapping[str, object]) -> dict[str, object]:
+    """The whole content; what was not asked for, or not come to, is an empty list."""
+    return {
+        "machine": here,
+        "frame": found.about,
+        "times": [_timing(each, found.beside_raw(each)) for each in found.times.values()],
+        "targets": [
+            {**target._asdict(), "ratio": ratio._asdict(), "held": held} for target, ratio, held in found.verdicts()
+        ],
+        "optimisations": [_timing(each, None) for each in found.wholes.values()],
+        "growth": [_series(each) for each in found.growth],
+        "left_out": found.left_out,
+        "stopped": found.stopped,
+    }
+
+
+def _timing(timing: Timing, beside: Quartiles | None) -> dict[str, object]:
+    row = {
+        **timing._asdict(),
+        "seconds": timing.quartiles._asdict(),
+        "rounds": timing.seconds.tolist(),
+    }
+    return row if beside is None else {**row, "times_raw_embree": beside._asdict()}
+
+
+def _series(series: Series) -> dict[str, object]:
+    laws = {"time_law": series.time_law, "memory_law": series.memory_law}
+    return {
+        **series._asdict(),
+        "seconds": [each._asdict() for each in series.seconds],
+        **{name: None if law is None else law._asdict() for name, law in laws.items()},
+    }
+
+
+# --- text -------------------------------------------------------------------------------------------------------------
+
+_NAME = 52
+
+
+def report(found: Found, here: Mapping[str, object]) -> str:
+    """All of it, a paragraph for each part."""
+    libraries = ", ".join(f"{name} {of}" for name, of in here["libraries"].items())
+    load = "" if here["load"] is None else f", load {here['load']:.1f}"
+    head = f"{here['processor']}, {here['processors']} processors, Python {here['python']}, {libraries}{load}"
+    parts = [_times(found), _verdicts(found), _wholes(found), _growth(found)]
+    parts.append(f"left out: {name} ({why})" for name, why in found.left_out.items())
+    return "\n\n".join(text for text in (head, *map("\n".join, parts)) if text)
+
+
+def exponent_text(law: PowerLaw | None) -> str:
+    """An exponent with its standard error."""
+    if law is None:
+        return "no exponent"
+    error = "" if law.standard_error is None else f" \N{PLUS-MINUS SIGN} {law.standard_error:.2f}"
+    return f"{law.exponent:.2f}{error}"
+
+
+def _times(found: Found) -> Iterator[str]:
+    if about := found.about:
+        each = [
+            f"{middle:,} ({low:,} to {high:,})"
+            for low, middle, high in (about[k] for k in ("vehicles", "vehicles_counted", "triangles", "survivors"))
+        ]
+        number = len(about["frames"])
+        yield (
+            f"{about['sensor']}, {about['beams']:,} beams, {number} frame{'s' * (number > 1)}, detail "
+            f"{about['detail']}; median (and range) of a frame:\n{each[0]} vehicles, {each[1]} within "
+            f"{about['range_gate_m']:g} m, {each[2]} triangles, {each[3]} beams can reach one of these"
+        )
+    beside = f"{'x raw Embree':>14}" if RAW in found.times else ""
+    if found.times:
+        yield _heading("milliseconds, median and quartiles over repeats") + beside
+    for timing in found.times.values():
+        ratio = found.beside_raw(timing)
+        column = "" if not beside else " " * 14 if ratio is None else f"{ratio.median:14.2f}"
+        yield _line(timing, 1e3, column)
+
+
+def _heading(what: str) -> str:
+    return f"{what:<{_NAME}} {'median':>10} {'25 %':>10} {'75 %':>10}"
+
+
+def _line(timing: Timing, scale: float, column: str = "") -> str:
+    low, median, high = (scale * value for value in timing.quartiles)
+    return f"{timing.name:<{_NAME}} {median:10.2f} {low:10.2f} {high:10.2f}{column}  {timing.note}".rstrip()
+
+
+def _verdicts(found: Found) -> Iterator[str]:
+    verdicts = found.verdicts()
+    if verdicts:
+        yield "ratios, medians of pairs of the same round (quartiles); limits are for RS-80 frames of dense traffic"
+    for (entry, rival, most), ratio, held in verdicts:
+        told = f"{ratio.median:.3g} ({ratio.low:.3g} to {ratio.high:.3g}), at most {most:.3g}"
+        yield f"{entry} / {rival}: {told}: {'held' if held else 'NOT held'}"
+
+
+def _wholes(found: Found) -> Iterator[str]:
+    if found.wholes:
+        yield _heading("seconds of a search, without map and hold-out")
+    for timing in found.wholes.values():
+        yield _line(timing, 1.0)
+
+
+def _growth(found: Found) -> Iterator[str]:
+    if found.growth:
+        yield (
+            f"growth: a swarm of {SWARM} mountings, {VEHICLES} vehicles within 150 m in a frame, one frame "
+            f"({FRAMES_FOR_WORKERS} for workers), one process; but for what grows\n"
+            "seconds as medians, trees being ready; MiB resident at most, above what libraries take"
+        )
+    for series in found.growth:
+        memory = exponent_text(series.memory_law)
+        yield f"over {series.over}, {series.caster}: time ^ {exponent_text(series.time_law)}, memory ^ {memory}"
+        for x, seconds, ready, peak, above in zip(*series[2:], strict=True):
+            held = "" if peak is None or above is None else f"{peak:9.1f} MiB at most,{above:9.1f} above"
+            yield f"  {x:>6,} {seconds.median:10.4f} s  ready in {ready:8.4f} s {held}".rstrip()
+
+
+# --- picture ----------------------------------------------------------------------------------------------------------
+
+_ROW_MM, _HEAD_MM = 5.2, 30.0
+
+
+def draw(path: str | Path, found: Found, here: Mapping[str, object]) -> None:
+    """Write a PNG of the frames' times; optimisations and growth are in the text alone."""
+    about, times = found.about, list(found.times.values())
+    subtitle = f"{here['processor']}, Python {here['python']}"
+    if about:
+        subtitle = f"{about['sensor']}, {about['beams']:,} beams, {about['vehicles'][1]} vehicles; {subtitle}"
+    with sheet(path, _HEAD_MM + _ROW_MM * len(times), "Speed beside others", subtitle) as figure:
+        _draw_times(figure.subplots(), times)
+
+
+def _draw_times(axes, times: Sequence[Timing]) -> None:
+    """A dot at each median, a line between the quartiles, the number beside it; the first row on top."""
+    for row, timing in enumerate(times):
+        low, median, high = (1e3 * value for value in timing.quartiles)
+        look = BASELINE if timing.group == RIVALS else OPTIMISED
+        axes.plot([low, high], [row, row], color=look["color"], linewidth=2.4, solid_capstyle="butt")
+        face = "white" if timing.group == RIVALS else look["color"]
+        axes.plot(median, row, look["marker"], color=look["color"], markersize=4.5, markerfacecolor=face)
+        told = f"{median:,.3g}" if median < 1000.0 else f"{median:,.0f}"
+        place = {"xytext": (6.0, 0.0), "textcoords": "offset points", "va": "center"}
+        axes.annotate(told, (high, row), fontsize=SMALL_PT, color=INK, **place)
+    ends = [timing.quartiles for timing in times]
+    axes.set_xscale("log")
+    axes.set_xlim(600.0 * min(end.low for end in ends), 4000.0 * max(end.high for end in ends))
+    axes.set_yticks(range(len(times)), [f"{timing.name}{' (scaled)' * ('timed' in timing.note)}" for timing in times])
+    axes.set_ylim(len(times) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0.0)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("Milliseconds: median and quartiles over repeats; filled: ours, open: others")
+    axes.grid(visible=True, axis="x")

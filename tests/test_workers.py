@@ -1,0 +1,122 @@
+"""Calls shared by this process and others: all are made, once, in whichever process, and returned in their order."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from blender_lidar.scoring.workers import Workers
+
+
+def slowly(number: int, seconds: float = 0.0) -> tuple[int, int]:
+    time.sleep(seconds)
+    if number < 0:
+        raise ValueError(f"{number} is negative")
+    return number, os.getpid()
+
+
+@pytest.fixture(params=[2, 3])
+def shared(request):
+    work = Workers(slowly, request.param)
+    yield work
+    work.close()
+
+
+def test_results_come_in_the_order_of_the_calls_before_and_after_the_others_have_started(shared):
+    for _ in range(2):
+        assert [number for number, _ in shared.map(range(50))] == list(range(50))
+        shared.await_ready()
+    assert shared.map([]) == []
+
+
+def test_all_processes_take_part_and_this_one_takes_the_last(shared):
+    shared.await_ready()
+    made = shared.map(range(24), [0.02] * 24)
+    assert len({process for _, process in made}) == shared.count
+    assert made[-1][1] == os.getpid()
+    assert made[0][1] != os.getpid()
+
+
+def test_in_like_batches_two_processes_meet_the_same_items():
+    """What is kept for an item is then made by one of them."""
+    work = Workers(slowly, 2)
+    try:
+        work.await_ready()
+        batches = [[process for _, process in work.map(range(16), [0.05] * 16)] for _ in range(3)]
+    finally:
+        work.close()
+    assert sum(len(set(process)) > 1 for process in zip(*batches, strict=True)) <= 6
+    assert batches[0] == sorted(batches[0], key=lambda process: process == os.getpid())
+
+
+@pytest.mark.parametrize("place", [0, 12, 23])
+def test_an_error_in_any_call_is_raised_and_the_next_batch_is_none_the_worse(shared, place):
+    shared.await_ready()
+    numbers = [-1 if number == place else number for number in range(24)]
+    with pytest.raises(ValueError, match="-1 is negative"):
+        shared.map(numbers, [0.005] * 24)
+    assert [number for number, _ in shared.map(range(8))] == list(range(8))
+
+
+def noted(folder: Path, number: int) -> int:
+    (folder / str(number)).touch()
+    time.sleep(0.02)
+    return number
+
+
+@pytest.fixture
+def noting():
+    work = Workers(noted, 2)
+    work.await_ready()
+    yield work
+    work.close()
+
+
+def test_what_nobody_asks_for_any_more_is_not_begun(noting, tmp_path):
+    results = noting.each([tmp_path] * 40, range(40))
+    next(results)
+    results.close()
+    noting.map([tmp_path] * 2, (40, 41))
+    assert len(list(tmp_path.iterdir())) < 12
+
+
+def test_of_a_study_that_is_stopped_nearly_all_that_was_done_had_been_handed_over(noting, tmp_path):
+    """Each process may be at work on one, and one more may wait at hand."""
+    for given, _ in enumerate(noting.each([tmp_path] * 30, range(30)), start=1):
+        assert len(list(tmp_path.iterdir())) <= given + 4
+
+
+@pytest.mark.parametrize("work", [1, 6, 700])
+@pytest.mark.parametrize("items", [0, 1, 2, 7, 54, 1000])
+def test_calls_hold_all_items_are_large_at_both_ends_and_small_where_they_meet(shared, items, work):
+    sizes = shared.sizes(items, work)
+    assert sum(sizes) == items
+    assert all(size > 0 for size in sizes)
+    turn = sizes.index(min(sizes)) if sizes else 0
+    assert sizes[:turn] == sorted(sizes[:turn], reverse=True)
+    assert sizes[turn:] == sorted(sizes[turn:])
+    if items >= 54:
+        assert sizes[turn] == 1
+        assert max(sizes) <= items / 2
+
+
+def test_little_work_is_one_large_call_to_each_of_the_others_and_a_small_one(shared):
+    """Handing a call over takes as long as some casts: batches of a climb lost a fifth to it."""
+    others, items = shared.count - 1, 12 * shared.count
+    sizes = shared.sizes(items, 4)
+    assert sizes[: 2 * others] == [11] * others + [1] * others
+    assert max(shared.sizes(items, 700)) <= items / (4 * shared.count)
+
+
+def test_closing_ends_the_others():
+    before = set(multiprocessing.active_children())
+    work = Workers(slowly, 3)
+    work.await_ready()
+    children = set(multiprocessing.active_children()) - before
+    work.close()
+    assert len(children) == 2
+    assert not any(child.is_alive() for child in children)
