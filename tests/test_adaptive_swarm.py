@@ -6,14 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.optimise.adaptive_swarm import AdaptiveSwarm, distinct_donors, reflected
 from blender_lidar.optimise.search import generator
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=5))
 def test_the_bounds_reflect(targets):
     found = reflected(np.array(targets))

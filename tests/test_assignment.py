@@ -35,7 +35,7 @@ def by_loop(points, centre, size, heading, clearance=0.0, slack=SLACK_M):
     return np.array(rows, dtype=np.int64)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 2**32 - 1),
     boxes=st.integers(0, 8),

@@ -39,7 +39,7 @@ def unclimbed_by_definition(points, values, climbed):
     return min(starts, key=lambda i: (-values[i], i), default=None)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 4), st.lists(st.integers(1, 9), max_size=5))
 def test_the_start_is_that_of_the_definition_however_the_points_come(seed, count, variables, sizes):
     rng = np.random.default_rng(seed)

@@ -100,7 +100,7 @@ def test_a_change_of_frame_moves_vehicles_and_leaves_nothing_behind(scene):
     assert {mesh.name for mesh in bpy.data.meshes} == {f"{name} body" for name in seen}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(*[st.floats(-3.0, 3.0)] * 6)
 def test_the_head_is_turned_as_the_beams_are(x, y, height, tilt_x, tilt_y, yaw):
     pose = Pose(x, y, height, tilt_x, tilt_y, yaw)

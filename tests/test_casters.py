@@ -139,7 +139,7 @@ def test_a_scene_far_from_the_origin_is_cast_as_well_as_near_it(name, shift):
     assert (np.abs(here[both] - there[both]) < 1e-4).mean() >= 0.999
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(CASTERS))
 def test_triangle_soup_is_met_where_the_oracle_meets_it(seed, name):
     if not is_available(name):

@@ -55,7 +55,7 @@ def reference_of(seed: int, noise: float = 0.1) -> Reference:
 # --- ranking ----------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=seeds, decimals=st.sampled_from([None, 1]))
 def test_the_weighted_tau_is_scipys_with_the_references_ranks(seed, decimals):
     stats = pytest.importorskip("scipy.stats")
@@ -111,7 +111,6 @@ def test_a_score_that_is_the_same_everywhere_is_calibrated_to_the_mean_of_the_ot
 # --- choices and regret -----------------------------------------------------------------------------------------------
 
 
-@settings(deadline=None)
 @given(seed=seeds)
 def test_orders_that_agree_regret_nothing(seed):
     reference = reference_of(seed)

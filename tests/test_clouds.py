@@ -157,7 +157,7 @@ def test_an_npz_file_is_read_though_an_array_that_is_not_needed_is_damaged(tmp_p
     np.testing.assert_array_equal(vehicle_id, CLOUD.vehicle_id)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(SUFFIXES), st.data())
 @pytest.mark.filterwarnings("ignore")
 def test_a_file_with_wrong_bytes_is_read_or_refused_but_never_a_crash(tmp_path, suffix, data):

@@ -63,7 +63,6 @@ def resampled(seed, columns):
     return [rng.integers(0, rng.integers(1, 9), number).astype(float) for _ in range(columns)], weights
 
 
-@settings(deadline=None)
 @SEEDS
 def test_correlations_equal_those_of_the_observations_written_out(seed):
     (x, y), weights = resampled(seed, 2)
@@ -78,7 +77,7 @@ def test_correlations_equal_those_of_the_observations_written_out(seed):
         np.testing.assert_allclose(straight[number], plain_r(*much), atol=1e-7)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @SEEDS
 def test_partial_spearman_is_that_of_the_residuals_of_least_squares_on_ranks(seed):
     (x, y, *controls), weights = resampled(seed, 4)
@@ -111,7 +110,7 @@ def test_large_numbers_far_from_zero_keep_their_correlation():
     np.testing.assert_allclose(pearson(1e6 + x, 1e4 * y, weights), plain_r(x, y), rtol=1e-8)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), one_for_all=st.booleans())
 def test_group_means_equal_a_loop(seed, one_for_all):
     (values,), weights = resampled(seed, 1)
@@ -166,7 +165,6 @@ def by_max_of_min(x, y):
     return np.array(knots), np.array(fitted)
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 8), st.integers(-5, 5)), min_size=1, max_size=14))
 def test_isotonic_regression_equals_the_max_min_formula(pairs):
     x, y = np.array(pairs, dtype=float).T
@@ -238,7 +236,6 @@ def test_holm_of_a_worked_example():
     assert holm([0.6, math.nan, 0.7]) == pytest.approx([1.0, math.nan, 1.0], nan_ok=True)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(0.0, 1.0), max_size=8))
 def test_holm_never_lowers_a_p_value_and_keeps_their_order(p_values):
     adjusted = holm(p_values)

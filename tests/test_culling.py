@@ -53,7 +53,7 @@ def mount(place, vehicles, rng):
     return [rng.uniform(-20, 20), rng.uniform(-6, 0), rng.uniform(0.5, 6.0)]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     seed=st.integers(0, 2**32 - 1),
     vehicles=st.integers(1, 5),

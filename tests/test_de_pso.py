@@ -144,7 +144,7 @@ def test_a_search_that_finds_nothing_feasible_says_so():
     assert np.array_equal(result.x, points_of(result.history)[0])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32), st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=2))
 def test_moving_the_origin_moves_the_corrected_trace_along(seed, shift):
     def moved(x):
@@ -179,7 +179,7 @@ def test_a_rising_function_of_the_objective_leaves_the_trace_as_it_is(reading, r
     assert np.array_equal(points_of(there.history), points_of(here.history))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32), st.integers(1, 5), st.sampled_from(READINGS), st.floats(0.0, 1.0))
 def test_every_candidate_lies_within_the_bounds(seed, variables, reading, differential_threshold):
     rng = np.random.default_rng(seed)

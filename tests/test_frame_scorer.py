@@ -90,7 +90,7 @@ def slow_pipeline(vehicles, counted, seen, pose):
     return np.array(points)[counted], np.array(shares).reshape(-1, 3)[counted]
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     seed=st.integers(0, 2**32 - 1),
     sensor=st.sampled_from(sorted(LATTICES)),

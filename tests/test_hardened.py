@@ -35,7 +35,7 @@ def test_the_same_seed_gives_the_same_trace_and_another_seed_another():
     assert not np.array_equal(first.history, other.history)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.tuples(*[st.integers(-1000, 1000)] * 2), st.integers(0, 1000))
 def test_moving_the_domain_moves_every_candidate_and_changes_nothing_else(shift, seed):
     shift = np.array(shift, dtype=float)
@@ -44,7 +44,7 @@ def test_moving_the_domain_moves_every_candidate_and_changes_nothing_else(shift,
     np.testing.assert_allclose(points_of(there.history) - shift, points_of(here.history), rtol=0.0, atol=1e-6)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.tuples(*[st.sampled_from([2.0**-20, 0.25, 2.0, 1024.0])] * 2), st.integers(0, 1000))
 def test_the_unit_of_a_variable_plays_no_part(scale, seed):
     scale = np.array(scale)
@@ -66,7 +66,7 @@ def test_only_the_order_of_values_counts(objective, rising):
 # --- budget and bounds ------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(1, 8), st.integers(1, 400), st.integers(3, 40), st.integers(0, 2**32))
 def test_the_budget_is_spent_to_the_last_and_no_candidate_leaves_the_box(variables, budget, particles, seed):
     lower, upper = np.full(variables, -3.0), np.linspace(1.0, 1e4, variables)

@@ -260,7 +260,7 @@ def slow_pipeline(vehicles, seen, pose):
     return points, np.array(shares)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     sensor=st.sampled_from(sorted(COARSE)),

@@ -35,7 +35,7 @@ def sampled_overlap(vehicle, low, high, points=70):
     return bool(((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])).any())
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(
     centre=st.tuples(PLACES, PLACES),
     size=st.tuples(LENGTHS, LENGTHS),

@@ -32,7 +32,7 @@ def ring(sides, radius=1.0, x=0.0):
     return np.column_stack([np.full(sides, x), radius * np.cos(turn), radius * np.sin(turn)])
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(3, 15), st.lists(st.floats(0.1, 3.0), min_size=2, max_size=6), st.booleans(), st.booleans())
 def test_a_tube_is_closed_and_points_outwards_whichever_way_its_rings_turn(sides, radii, turned, backwards):
     rings = np.stack([ring(sides, radius, x) for x, radius in enumerate(radii)])
@@ -54,7 +54,7 @@ def test_volumes_of_a_block_and_a_wheel():
     np.testing.assert_allclose(np.unique(wheel.vertices[:, 1].round(9)), [0.4, 0.6])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.tuples(*[st.floats(-1, 1)] * 3), st.floats(0.02, 0.3), st.sampled_from([4, 6, 8]))
 def test_a_limb_leads_from_end_to_end_and_mirrors_into_its_twin(way, radius, sides):
     way = np.add(way, (1.5, 0.0, 0.0))  # never along y

@@ -132,7 +132,7 @@ def test_the_order_of_points_does_not_matter(name):
     )
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(-7, 7), st.floats(-500, 500), st.floats(-500, 500), st.integers(0, 2**32 - 1))
 def test_moving_vehicle_and_points_together_changes_no_metric(heading, x, y, seed):
     rng = np.random.default_rng(seed)
@@ -149,7 +149,7 @@ def test_moving_vehicle_and_points_together_changes_no_metric(heading, x, y, see
         np.testing.assert_array_equal(METRICS[name].values(after), METRICS[name].values(before), err_msg=name)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_metrics_that_claim_it_never_fall_when_returns_are_added(seed):
     points, vehicle, size, _ = cloud(seed)

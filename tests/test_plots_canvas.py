@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.errors import MissingExtraError, OutputError
@@ -113,7 +113,6 @@ def test_baseline_and_optimised_differ_in_grey_and_in_shape():
     assert before["marker"] != after["marker"]
 
 
-@settings(deadline=None)
 @given(rows=st.lists(st.tuples(st.integers(0, 5), st.just(math.nan) | st.floats(0.0, 1.6)), max_size=60))
 def test_means_by_band_equal_a_loop_over_the_vehicles(rows):
     band, values = np.array(rows, dtype=float).reshape(-1, 2).T
@@ -133,7 +132,6 @@ def test_a_distance_on_the_border_belongs_to_the_farther_band(tmp_path, monkeypa
     assert [bar.get_height() for bar in saved[0].axes[2].patches] == [1, 2]
 
 
-@settings(deadline=None)
 @given(
     low=st.floats(-1e3, 1e3),
     length=st.floats(0.0, 300.0),
@@ -151,7 +149,6 @@ def test_covering_edges_hold_the_range_and_no_whole_cell_more(low, length, step,
     np.testing.assert_allclose(np.diff(edges), step, rtol=1e-9, atol=1e-9)
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), number=st.integers(0, 80))
 def test_cell_shares_equal_a_loop_over_the_cells(seed, number):
     rng = np.random.default_rng(seed)

@@ -118,7 +118,7 @@ def test_the_angle_of_incidence_on_a_box_is_that_to_its_face():
     np.testing.assert_allclose(cloud.incidence_rad[mine][clear], expected[clear], atol=1e-6)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     sensor=st.sampled_from(sorted(LATTICES)),

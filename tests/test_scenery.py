@@ -129,7 +129,7 @@ def test_the_score_counts_what_a_scan_counts_behind_scenery(caster):
     assert scored.points.sum() < free.sum()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(-40.0, 40.0), st.floats(-3.0, 30.0), st.floats(2.0, 60.0))
 def test_what_lies_within_reach_is_met_whether_or_not_the_rest_is_left_out(x, y, reach):
     near = SCENERY.within((x, y), reach)

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.run.verdict import FINE_POINTS, POINTS, ScoreMap, map_scores, near_best_threshold
@@ -160,7 +160,6 @@ def test_a_block_without_vehicles_does_not_move_the_optimum():
     np.testing.assert_allclose(intervals["tilt_x_deg"], 15.0)
 
 
-@settings(deadline=None)
 @given(best=st.floats(-1, 2), baseline=st.floats(-1, 2), share=st.floats(0, 1))
 def test_the_near_best_threshold_gives_up_that_share_of_the_gain_and_never_more(best, baseline, share):
     threshold = near_best_threshold(best, baseline, share)

@@ -66,7 +66,7 @@ def errors_deg_unsorted(model, spread_deg, unit):
     return spread_deg * np.random.Generator(np.random.PCG64(unit)).standard_normal((2, model.rings))[0]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.sampled_from(["RS-16", "RS-80", "RS-LiDAR-32"]), st.floats(0.0, MOST_SPREAD_DEG), st.integers(0, 2**53))
 def test_a_unit_makes_a_lattice_as_any_sensor_does(name, spread, unit):
     made = unit_of(load_model(name), spread, unit)

@@ -117,7 +117,7 @@ def test_vehicles_have_windows_above_their_belt_line(name, detail):
     assert made.surface.max() < len(SURFACES)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     st.sampled_from(CLASSES),
     st.sampled_from(DETAILS),

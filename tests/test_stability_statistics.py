@@ -55,7 +55,7 @@ def landscape(rows, vehicles=None):
 # --- losses -----------------------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32), st.integers(1, 6), st.integers(1, 5))
 def test_losses_equal_those_by_hand(seed, candidates, columns):
     values = np.random.default_rng(seed).normal(size=(CANDIDATES + candidates, columns))

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.optimise import make_search, run
@@ -151,7 +151,6 @@ def test_the_low_aim_of_evenly_spread_values_is_their_tenth():
     assert aimed((np.arange(25) + 0.5) / 25, "low") == pytest.approx(0.1)
 
 
-@settings(deadline=None)
 @given(st.floats(0.0, 3.0), st.floats(0.0, 0.4))
 def test_a_symmetric_landscape_keeps_its_optimum(tilt, height):
     def cone(at):

@@ -122,7 +122,7 @@ def test_a_vehicle_that_lingers_is_named_so_that_it_can_be_left_out(recording):
     assert not (judged - set(plan.searched_ids)) & set(plan.searched_ids)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     length=st.integers(20, 400),
     count=st.integers(1, 80),

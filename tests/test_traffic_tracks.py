@@ -89,7 +89,7 @@ def test_heading_is_held_from_before_else_taken_from_after_else_the_roads():
     assert held.tolist() == [True, False, True, True, False, True, False, True]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_held_headings_agree_with_a_loop(seed):
     rng = np.random.default_rng(seed)
@@ -204,7 +204,7 @@ def test_boxes_that_only_touch_or_only_cross_by_their_corners_circles_do_not_ove
     assert len(overlapping_pairs(frame_of(np.zeros((0, 2)), np.zeros((0, 2)), []))) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_overlaps_agree_with_points_sampled_in_the_boxes(seed):
     """A point of one box inside the other proves an overlap; pairs that share no point of a fine grid barely touch."""

@@ -74,7 +74,7 @@ def test_points_are_scored_the_same_in_chunks_as_at_once(monkeypatch):
     np.testing.assert_array_equal(vgop.occupancy(points, vehicle, size), at_once)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.5), st.floats(0.5, 2.0))
 def test_occupancy_is_a_share_and_ignores_the_order_of_points(seed, cell, spread):
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_occupancy_is_a_share_and_ignores_the_order_of_points(seed, cell, spread
     np.testing.assert_array_equal(vgop.occupancy(points[order], vehicle[order], size, cell), p)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1))
 def test_adding_points_never_lowers_an_occupancy(seed):
     points, vehicle, size = cloud(np.random.default_rng(seed), 3, 400)
@@ -93,7 +93,7 @@ def test_adding_points_never_lowers_an_occupancy(seed):
     assert (vgop.occupancy(points, vehicle, size) >= some).all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-7, 7), st.floats(-500, 500), st.floats(-500, 500), st.integers(0, 2**32 - 1))
 def test_moving_vehicle_and_points_together_changes_nothing(heading, x, y, seed):
     rng = np.random.default_rng(seed)
