@@ -191,7 +191,7 @@ def test_every_detector_that_has_a_confidence_is_read(tmp_path):
     found = read_detections(written(tmp_path, HEADER, *ROWS))
     assert found.detectors == ("a", "b")
     assert found.about == ()
-    told = found.table.to_dict("list")
+    told = {name: column.tolist() for name, column in found.table.items()}
     assert (told["line"], told["frame"], told["label_line"]) == ([2, 3, 4], ["1", "1", "2"], [0, 2, 0])
     assert told["a_performance"] == pytest.approx([0.4, 0.0, 1.0])
     assert told["a_in_range"] == [True, True, True]  # not told: all are

@@ -60,7 +60,8 @@ def train_criterion(kitti, table):
     frames = detections.frames("train")
     if not frames:
         raise InputError(f"{table}: tells no frame of split 'train'; allowed: a column split, here or in frames.csv")
-    mine = replace(detections, table=detections.table[detections.table["split"] == "train"])
+    train = detections.table["split"] == "train"
+    mine = replace(detections, table={name: column[train] for name, column in detections.table.items()})
     cars, _ = score_cars(clouds, frames, ["Car"], candidates())
     judged = judged_cars(cars, mine, ["Car"])
     print(f"{len(judged)} cars in {len(frames)} frames of the training split; no other car was read")

@@ -295,11 +295,13 @@ def judged_cars(cars: pd.DataFrame, detections: Detections, classes: Sequence[st
     InputError
         For a detection of no such car.
     """
-    there = cars.set_index(KEYS).index
-    for row in detections.table[~detections.table.set_index(KEYS).index.isin(there)].itertuples():
+    import pandas as pd
+
+    listed, there = pd.DataFrame(detections.table), cars.set_index(KEYS).index
+    for row in listed[~listed.set_index(KEYS).index.isin(there)].itertuples():
         known = ", ".join(map(str, cars["label_line"][cars["frame"] == row.frame])) or "none"
         raise InputError(
             f"{detections.path}:{row.line}: label_line {row.label_line} of frame {row.frame} is no "
             f"{' or '.join(classes)}; allowed: {known}"
         )
-    return cars.merge(detections.table, on=KEYS)
+    return cars.merge(listed, on=KEYS)

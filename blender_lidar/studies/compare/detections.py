@@ -14,15 +14,11 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...errors import InputError, printable
 from .labelled import read_content
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FRAMES_FILE = "frames.csv"
 FRAME_COLUMNS = ("split", "label_kind", "drive")
@@ -111,10 +107,11 @@ class Detections:
     Attributes
     ----------
     path : Path
-    table : DataFrame
-        A row for each car: ``line`` (where in the file it stands), ``frame``, ``label_line``, those of `about`, and for
-        each detector ``NAME_in_range`` (whether the car lies where the detector looks; others are no test of it) and
-        ``NAME_performance``, confidence times IoU, the paper's `Performance`: 0 to 1, 0 where the car was missed.
+    table : dict of str to ndarray, (n,)
+        Columns with a row for each car: ``line`` (where in the file it stands), ``frame``, ``label_line``, those of
+        `about`, and for each detector ``NAME_in_range`` (whether the car lies where the detector looks; others are no
+        test of it) and ``NAME_performance``, confidence times IoU, the paper's `Performance`: 0 to 1, 0 where the car
+        was missed.
     detectors : tuple of str
         Their names, in the order of their columns.
     about : tuple of str
@@ -122,15 +119,16 @@ class Detections:
     """
 
     path: Path
-    table: pd.DataFrame
+    table: dict[str, np.ndarray]
     detectors: tuple[str, ...]
     about: tuple[str, ...]
 
     def frames(self, split: str | None = None) -> tuple[str, ...]:
         """Names of the sweeps, sorted; of a split those that are told to be of it."""
-        if split is None:
-            return tuple(sorted(set(self.table["frame"])))
-        return tuple(sorted(set(self.table["frame"][self.table["split"] == split]))) if "split" in self.about else ()
+        if split is not None and "split" not in self.about:
+            return ()
+        of_all = self.table["frame"]
+        return tuple(np.unique(of_all if split is None else of_all[self.table["split"] == split]).tolist())
 
 
 def read_detections(path: str | Path, frames_table: str | Path | None = None) -> Detections:
@@ -148,8 +146,6 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
     InputError, MissingFileError
         Naming the file, and the line or the column.
     """
-    import pandas as pd
-
     path = Path(path)
     table = _Table(path)
     cars = {"frame": table.texts("frame"), "label_line": table.whole_numbers("label_line")}
@@ -168,13 +164,13 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
                 raise InputError(f"{path}:{line}: frame {name} has no row in {frames_table}")
         rows = [row[name,] for name in cars["frame"].tolist()]
         about |= {name: of_frames.texts(name)[rows] for name in FRAME_COLUMNS if name in of_frames.header}
-    columns = {"line": table.lines, **cars, **about}
+    columns = {"line": np.array(table.lines), **cars, **about}
     for name in names:
         columns |= {f"{name}_in_range": _in_range(table, name + IN_RANGE)}
         columns |= {f"{name}_performance": table.shares(name + CONFIDENCE) * table.shares(name + IOU)}
         if name + IOU_BEV in table.header:
             table.shares(name + IOU_BEV)  # is not used, but checked
-    return Detections(path, pd.DataFrame(columns), tuple(names), tuple(about))
+    return Detections(path, columns, tuple(names), tuple(about))
 
 
 def _in_range(table: _Table, name: str) -> np.ndarray:

@@ -175,11 +175,12 @@ def compare(clouds: LabelledClouds, detections: Detections, metrics: Sequence[Me
     InputError, MissingFileError
         Of files that cannot be used or do not belong together.
     """
-    for row in detections.table[~detections.table["frame"].isin(clouds.frames)].itertuples():
-        raise InputError(
-            f"{detections.path}:{row.line}: frame {row.frame!r} is no sweep of {clouds.folder}, which has "
-            f"{len(clouds)}, {clouds.frames[0]} to {clouds.frames[-1]}"
-        )
+    for line, frame in zip(*(detections.table[name].tolist() for name in ("line", "frame")), strict=True):
+        if frame not in clouds.frames:
+            raise InputError(
+                f"{detections.path}:{line}: frame {frame!r} is no sweep of {clouds.folder}, which has {len(clouds)}, "
+                f"{clouds.frames[0]} to {clouds.frames[-1]}"
+            )
     classes, clearance_m, frames = settings.classes, settings.ground_clearance_m, detections.frames()
     training = training_cars(clouds, detections.frames(TRAINING), classes, clearance_m)
     asked, metrics = metrics, tuple(taught(metrics, training))
