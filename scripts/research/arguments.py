@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+from blender_lidar.commands.progress import Progress
 from blender_lidar.errors import BlenderLidarError
 from blender_lidar.signals import stops_recognised
 
 SCENES = Path(__file__).parents[2] / "scenes"
+# Option -> the scene's setting that it replaces, in the scripts that have it.
+SETTINGS = {
+    "sensor": ("sensor", "name"),
+    "traffic": ("traffic", "path"),
+    **{name: ("traffic", name) for name in ("period", "location", "frames")},
+    "reading": ("objective", "reading"),
+    "search": ("search", "method"),
+    "seed": ("search", "seed"),
+    **{name: ("model", name) for name in ("caster", "workers", "cluster")},
+}
 
 
 def parser_of(text: str, scene: Path | None = None) -> argparse.ArgumentParser:
@@ -30,10 +42,20 @@ def positive(text: str) -> int:
     return int(text)
 
 
-def overrides_of(args: argparse.Namespace, settings: Mapping[str, tuple[str, str]]) -> dict:
-    """Options that were given, in the place of a scene's settings as `load_scenario` takes them."""
-    given = {name: getattr(args, name) for name in settings}
-    return {settings[name]: (value, f"--{name}") for name, value in given.items() if value is not None}
+def overrides_of(args: argparse.Namespace) -> dict:
+    """Those of `SETTINGS` that were given, in the place of a scene's settings as `load_scenario` takes them."""
+    given = {name: getattr(args, name, None) for name in SETTINGS}
+    return {SETTINGS[name]: (value, f"--{name}") for name, value in given.items() if value is not None}
+
+
+@contextmanager
+def counting(total: int, what: str) -> Iterator[Callable[..., None]]:
+    """Shows progress on stderr: what it gives is told steps, and perhaps a note, as they are done."""
+    progress = Progress(total, what)
+    try:
+        yield progress.advance
+    finally:
+        progress.close()
 
 
 def run_script(name: str, work: Callable[[], object]) -> int:

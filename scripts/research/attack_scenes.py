@@ -458,31 +458,10 @@ def ranges_at_the_gate(rng, quick):
 ATTACKS: dict[str, Callable[[np.random.Generator, bool], Iterator[Attack]]] = {
     attack.__name__.replace("_", " "): attack
     for attack in (
-        vertices,
-        edges,
-        grazing,
-        grazing_a_floor,
-        grazing_a_box_around_another,
-        coplanar_faces,
-        duplicate_faces,
-        degenerate_triangles,
-        needles,
-        fans_of_needles,
-        small_triangles,
-        parallel_sheets,
-        triangle_soup,
-        overlapping_vehicles,
-        inside_a_vehicle,
-        on_the_road_surface,
-        on_a_mesh_line,
-        exactly_above,
-        along_the_axes,
-        shifted_scenes,
-        outliers,
-        large_triangles,
-        origins_far_apart,
-        touching_a_surface,
-        ranges_at_the_gate,
+        *(vertices, edges, grazing, grazing_a_floor, grazing_a_box_around_another, coplanar_faces, duplicate_faces),
+        *(degenerate_triangles, needles, fans_of_needles, small_triangles, parallel_sheets, triangle_soup),
+        *(overlapping_vehicles, inside_a_vehicle, on_the_road_surface, on_a_mesh_line, exactly_above, along_the_axes),
+        *(shifted_scenes, outliers, large_triangles, origins_far_apart, touching_a_surface, ranges_at_the_gate),
     )
 }
 

@@ -1,8 +1,7 @@
 """Time frames, ours by stage beside what others cast with, in one run; and how time and memory grow.
 
     python scripts/research/benchmark.py [SCENE.toml] [--sensor RS-80] [--detail body] [--frames 10] [--repeats 7]
-        [--caster NAME] [--growth] [--only ours|stages|rivals|metric|whole|growth] [--json FILE]
-        [--picture FILE]
+        [--caster NAME] [--growth] [--only ours|rivals|metric|whole|growth] [--json FILE] [--picture FILE]
 
 Rounds are interleaved: everything is timed once in each, one after another, so that a busy moment of the machine falls
 on all. Medians and quartiles are over the rounds, ratios of pairs within the same round. --growth measures 1 to 256
@@ -17,16 +16,15 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"  # one core
 
-from arguments import SCENES, parser_of, positive, run_script
+from arguments import SCENES, counting, parser_of, positive, run_script
 from benchmark_growth import grow, steps
 from benchmark_report import Found, document, draw, machine, report
-from benchmark_rivals import rivals_missing, rivals_of, yardsticks_of
+from benchmark_rivals import rivals_missing, rivals_of
 from benchmark_stages import (
     MOUNTINGS,
     NumPyProcess,
@@ -38,13 +36,12 @@ from benchmark_stages import (
     summary_of,
 )
 from blender_lidar.casting import CASTERS, is_available, resolve
-from blender_lidar.commands.progress import Progress
 from blender_lidar.files import check_place, write_text
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.shapes import DETAILS
 
-USUAL = ("stages", "rivals", "metric", "whole")
-PARTS = ("ours", *USUAL, "growth")  # "ours" are the stages without the rivals that targets are set by
+USUAL = ("rivals", "metric", "whole")
+PARTS = ("ours", *USUAL, "growth")  # "rivals" are timed beside ours
 _TOO_SLOW = "exact"  # for a frame of this size minutes go by
 
 
@@ -99,7 +96,7 @@ def _carry_out(args, found: Found) -> None:
     overrides = {("sensor", "name"): (args.sensor, "--sensor")}
     if args.detail:
         overrides["world", "detail"] = (args.detail, "--detail")
-    if parts & {"ours", "stages", "rivals"}:
+    if parts & {"ours", "rivals"}:
         _frames(args, load_scenario(args.scene, overrides), casters, parts, found)
     if "metric" in parts:
         _time("the metric", [[metric_entry()]], args.repeats, found.times)
@@ -114,15 +111,14 @@ def _frames(args, scenario, casters: Sequence[str], parts: set[str], found: Foun
     """Time frames, cast by us and by others."""
     cases = cases_of(scenario, args.frames)
     found.about = summary_of(cases)
-    theirs = rivals_of if "rivals" in parts else yardsticks_of if "stages" in parts else lambda case: []
     if "rivals" in parts:
         found.left_out |= rivals_missing()
     without_numba = NumPyProcess(cases, casters)
     try:
-        columns = [
-            stage_entries(case, casters) + without_numba.entries(row) + [rival.entry for rival in theirs(case)]
-            for row, case in enumerate(cases)
-        ]
+        columns = [stage_entries(case, casters) + without_numba.entries(row) for row, case in enumerate(cases)]
+        if "rivals" in parts:
+            for column, case in zip(columns, cases, strict=True):
+                column += [rival.entry for rival in rivals_of(case)]
         _time("frames", columns, args.repeats, found.times)
     finally:
         without_numba.close()
@@ -136,7 +132,7 @@ def _grow(args, detail: str, casters: Sequence[str], found: Found) -> None:
     for caster in chosen:
         for over, values in steps(args.most_frames, args.most_workers).items():
             place = len(found.growth)
-            with _counting(args.repeats * len(values), f"growth over {over}, {caster}") as advance:
+            with counting(args.repeats * len(values), f"growth over {over}, {caster}") as advance:
 
                 def keep(series, place=place, advance=advance):
                     found.growth[place:] = [series]
@@ -146,17 +142,8 @@ def _grow(args, detail: str, casters: Sequence[str], found: Found) -> None:
 
 
 def _time(what: str, columns, rounds: int, into: dict, *, warm: bool = True) -> None:
-    with _counting(rounds, what) as advance:
+    with counting(rounds, what) as advance:
         in_rounds(columns, rounds, into, warm=warm, told=lambda: advance(1))
-
-
-@contextmanager
-def _counting(total: int, what: str) -> Iterator:
-    progress = Progress(total, what)
-    try:
-        yield progress.advance
-    finally:
-        progress.close()
 
 
 if __name__ == "__main__":

@@ -8,28 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NamedTuple
 
 from benchmark_growth import FRAMES_FOR_WORKERS, VEHICLES, PowerLaw, Series, processors
-from benchmark_rivals import NAIVE, RAW, RAW_SURVIVORS, RIVALS
-from benchmark_stages import METRIC, SWARM, Quartiles, Timing, casting_of, whole_of
+from benchmark_rivals import RAW, RIVALS
+from benchmark_stages import METRIC, SWARM, Quartiles, Timing
 from blender_lidar.report.figure import BASELINE, INK, OPTIMISED, SMALL_PT, sheet
-
-
-class Target(NamedTuple):
-    """What one entry's time over another's may be at most, for one RS-80 frame of dense traffic."""
-
-    entry: str
-    rival: str
-    most: float
-
-
-TARGETS = (
-    Target(casting_of("embree"), RAW_SURVIVORS, 1.15),
-    Target(whole_of("embree"), RAW, 0.73),
-    Target(whole_of("raster"), RAW, 0.73),
-    Target(whole_of("bvh"), NAIVE, 1.0 / 15.0),
-)
 
 
 @dataclass(slots=True)
@@ -42,15 +25,6 @@ class Found:
     growth: list[Series] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     stopped: bool = False
-
-    def verdicts(self) -> list[tuple[Target, Quartiles, bool]]:
-        """Of every target whose two entries were timed: what the ratio came to, and whether its median holds."""
-        found = []
-        for target in TARGETS:
-            if target.entry in self.times and target.rival in self.times:
-                ratio = self.times[target.entry].ratio(self.times[target.rival])
-                found.append((target, ratio, ratio.median <= target.most))
-        return found
 
     def beside_raw(self, timing: Timing) -> Quartiles | None:
         """A frame's time over raw Embree's; None without that, and for the metric, which has rounds of its own."""
@@ -88,9 +62,6 @@ def document(found: Found, here: Mapping[str, object]) -> dict[str, object]:
         "machine": here,
         "frame": found.about,
         "times": [_timing(each, found.beside_raw(each)) for each in found.times.values()],
-        "targets": [
-            {**target._asdict(), "ratio": ratio._asdict(), "held": held} for target, ratio, held in found.verdicts()
-        ],
         "optimisations": [_timing(each, None) for each in found.wholes.values()],
         "growth": [_series(each) for each in found.growth],
         "left_out": found.left_out,
@@ -99,11 +70,7 @@ def document(found: Found, here: Mapping[str, object]) -> dict[str, object]:
 
 
 def _timing(timing: Timing, beside: Quartiles | None) -> dict[str, object]:
-    row = {
-        **timing._asdict(),
-        "seconds": timing.quartiles._asdict(),
-        "rounds": timing.seconds.tolist(),
-    }
+    row = {**timing._asdict(), "seconds": timing.quartiles._asdict(), "rounds": timing.seconds.tolist()}
     return row if beside is None else {**row, "times_raw_embree": beside._asdict()}
 
 
@@ -126,7 +93,7 @@ def report(found: Found, here: Mapping[str, object]) -> str:
     libraries = ", ".join(f"{name} {of}" for name, of in here["libraries"].items())
     load = "" if here["load"] is None else f", load {here['load']:.1f}"
     head = f"{here['processor']}, {here['processors']} processors, Python {here['python']}, {libraries}{load}"
-    parts = [_times(found), _verdicts(found), _wholes(found), _growth(found)]
+    parts = [_times(found), _wholes(found), _growth(found)]
     parts.append(f"left out: {name} ({why})" for name, why in found.left_out.items())
     return "\n\n".join(text for text in (head, *map("\n".join, parts)) if text)
 
@@ -141,10 +108,8 @@ def exponent_text(law: PowerLaw | None) -> str:
 
 def _times(found: Found) -> Iterator[str]:
     if about := found.about:
-        each = [
-            f"{middle:,} ({low:,} to {high:,})"
-            for low, middle, high in (about[k] for k in ("vehicles", "vehicles_counted", "triangles", "survivors"))
-        ]
+        ranges = (about[name] for name in ("vehicles", "vehicles_counted", "triangles", "survivors"))
+        each = [f"{middle:,} ({low:,} to {high:,})" for low, middle, high in ranges]
         number = len(about["frames"])
         yield (
             f"{about['sensor']}, {about['beams']:,} beams, {number} frame{'s' * (number > 1)}, detail "
@@ -167,15 +132,6 @@ def _heading(what: str) -> str:
 def _line(timing: Timing, scale: float, column: str = "") -> str:
     low, median, high = (scale * value for value in timing.quartiles)
     return f"{timing.name:<{_NAME}} {median:10.2f} {low:10.2f} {high:10.2f}{column}  {timing.note}".rstrip()
-
-
-def _verdicts(found: Found) -> Iterator[str]:
-    verdicts = found.verdicts()
-    if verdicts:
-        yield "ratios, medians of pairs of the same round (quartiles); limits are for RS-80 frames of dense traffic"
-    for (entry, rival, most), ratio, held in verdicts:
-        told = f"{ratio.median:.3g} ({ratio.low:.3g} to {ratio.high:.3g}), at most {most:.3g}"
-        yield f"{entry} / {rival}: {told}: {'held' if held else 'NOT held'}"
 
 
 def _wholes(found: Found) -> Iterator[str]:

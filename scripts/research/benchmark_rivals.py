@@ -58,12 +58,6 @@ def rivals_of(case: FrameCase) -> list[Rival]:
     return [rival for library, (_, make) in _LIBRARIES.items() if _is_here(library) for rival in make(case)]
 
 
-def yardsticks_of(case: FrameCase) -> list[Rival]:
-    """Those alone that targets are set by: raw Embree and the naive loop."""
-    found = _embree(case) if _is_here("embreex") else []
-    return found + ([_naive(NAIVE, case, all_beams(case))] if _is_here("bpy") else [])
-
-
 def rivals_missing() -> dict[str, str]:
     """Rivals that cannot be timed, and why."""
     return {what: f"{name} is not installed" for name, (what, _) in _LIBRARIES.items() if not _is_here(name)}

@@ -9,20 +9,20 @@ asks for at a time: 20 mountings on every searched frame. Trees are built before
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
+from itertools import repeat
 from pathlib import Path
 from statistics import median
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
 import numpy as np
 
+from arguments import SCENES, overrides_of, parser_of, positive, run_script
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare
 from blender_lidar.scoring.evaluation import Evaluator, Workplace
@@ -32,16 +32,21 @@ MOUNTINGS = 20
 TASKS = 200
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scene", nargs="?", default="scenes/i80.toml", help="the scene file; scenes/i80.toml")
-    parser.add_argument("--frames", type=int, help="searched frames; the scene's")
-    parser.add_argument("--rounds", type=int, default=5, help="of which the median is told; 5")
-    parser.add_argument("--batches", type=int, default=3, help="of 20 mountings, in each round; 3")
+def main(argv: list[str] | None = None) -> int:
+    return run_script("benchmark_workers", lambda: _benchmark(_arguments(argv)))
+
+
+def _arguments(argv):
+    parser = parser_of(__doc__, SCENES / "i80.toml")
+    parser.add_argument("--frames", type=positive, help="searched frames; the scene's")
+    parser.add_argument("--rounds", type=positive, default=5, help="of which the median is told; 5")
+    parser.add_argument("--batches", type=positive, default=3, help="of 20 mountings, in each round; 3")
     parser.add_argument("--json", metavar="FILE", help="write the figures there too")
-    args = parser.parse_args()
-    overrides = {} if args.frames is None else {("traffic", "frames"): (args.frames, "--frames")}
-    site = prepare(load_scenario(args.scene, overrides))
+    return parser.parse_args(argv)
+
+
+def _benchmark(args) -> None:
+    site = prepare(load_scenario(args.scene, overrides_of(args)))
     with tempfile.TemporaryDirectory() as folder, two_workers(Path(folder)) as address:
         places = {"this process": Workplace(1), "two processes": Workplace(2)}
         if address is not None:
@@ -53,12 +58,12 @@ def main() -> int:
     print(told(found))
     if args.json:
         Path(args.json).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    return 0
 
 
 @contextmanager
 def two_workers(folder: Path) -> Iterator[str | None]:
     """The address of a cluster of this machine; None where dask.distributed is not installed."""
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # where tests are
     try:
         import distributed  # noqa: F401
 
@@ -111,9 +116,8 @@ def batch_times(site: Site, places: dict[str, Workplace], rounds: int, batches: 
                     raise SystemExit("places differ in their scores")
         for _ in range(rounds):
             for name, evaluator in evaluators.items():
-                taken[name].append(
-                    seconds(lambda totals=evaluator.totals: [totals(poses) for _ in range(batches)]) / batches
-                )
+                work = partial(list, map(evaluator.totals, repeat(poses, batches)))
+                taken[name].append(seconds(work) / batches)
     return taken
 
 

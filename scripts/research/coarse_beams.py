@@ -27,20 +27,13 @@ STRIDES, FRAMES = (4, 8), (8, 30)
 NEAR = {"_m": 0.15, "_deg": 5.0}  # to either side of the best
 
 
-SETTINGS = {"sensor": ("sensor", "name"), "frames": ("traffic", "frames")}
-
-
 def main(argv: list[str] | None = None) -> int:
-    return run_script("coarse_beams", lambda: _study(argv))
+    return run_script("coarse_beams", lambda: print_study(_arguments(argv)))
 
 
-def _study(argv):
-    args = _arguments(argv)
-    print_study(prepare(load_scenario(args.scene, overrides_of(args, SETTINGS))), args.mountings)
-
-
-def print_study(site: Site, mountings: int) -> None:
+def print_study(args) -> None:
     """Print both tables, a row as soon as it is known."""
+    site, mountings = prepare(load_scenario(args.scene, overrides_of(args))), args.mountings
     every, detail = candidates(site.scenario, mountings), site.scenario.world.detail
     order = spread_order(site.plan.search_block, [int(frame.counted.sum()) for frame in site.search])
     with site_evaluator(site, site.search) as evaluator:

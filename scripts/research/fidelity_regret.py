@@ -20,8 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from arguments import SCENES, parser_of, positive, run_script
-from blender_lidar.commands.progress import Progress
+from arguments import SCENES, counting, overrides_of, parser_of, positive, run_script
 from blender_lidar.errors import InputError
 from blender_lidar.files import write_text
 from blender_lidar.optimise import SEARCHES, GridSearch, run
@@ -76,15 +75,14 @@ def _study(args):
         identity[sensor] = {key: value for key, value in site.identity.items() if key != "[search] seed"}
     folder = StudyFolder(args.out, identity, [TABLE])
     tasks = [(sensor, *task) for sensor in sites for task in _tasks(args)]
+    runs = {sensor: {} for sensor in sites}
     with folder.locked(resume=args.resume):
-        progress = Progress(len(tasks), "runs")
-        runs = {sensor: {} for sensor in sites}
-        for sensor, name, seed, waited in tasks:
-            where = f"{sensor}_{name}_{seed}{'' if waited else '_whole'}".replace("/", "_")
-            made = folder.stage(where, lambda task=(sensor, name, seed, waited): _run(args, *task))
-            runs[sensor][name, seed, waited] = made
-            progress.advance(1, f"{sensor} {name} seed {seed}: {made['seconds']:.1f} s")
-        progress.close()
+        with counting(len(tasks), "runs") as advance:
+            for sensor, name, seed, waited in tasks:
+                where = f"{sensor}_{name}_{seed}{'' if waited else '_whole'}".replace("/", "_")
+                made = folder.stage(where, lambda task=(sensor, name, seed, waited): _run(args, *task))
+                runs[sensor][name, seed, waited] = made
+                advance(1, f"{sensor} {name} seed {seed}: {made['seconds']:.1f} s")
         lines = [line for sensor in sites for line in _report(args, sensor, sites[sensor], runs[sensor], folder)]
         text = "\n".join(lines) + "\n"
         write_text(folder.file(TABLE), text)
@@ -103,15 +101,8 @@ def _tasks(args):
 
 
 def _site(args, sensor, seed):
-    overrides = {
-        ("sensor", "name"): (sensor, "--sensors"),
-        ("traffic", "frames"): (args.frames, "--frames"),
-        ("model", "workers"): (args.workers, "--workers"),
-        ("search", "seed"): (seed, "--seeds"),
-    }
-    if args.traffic is not None:
-        overrides["traffic", "path"] = args.traffic, "--traffic"
-    return prepare(load_scenario(args.scene, overrides))
+    own = {("sensor", "name"): (sensor, "--sensors"), ("search", "seed"): (seed, "--seeds")}
+    return prepare(load_scenario(args.scene, {**overrides_of(args), **own}))
 
 
 def _run(args, sensor, name, seed, waited):
@@ -124,10 +115,7 @@ def _run(args, sensor, name, seed, waited):
             evaluator.await_workers()
             _load_compiled(site, evaluator, others)
         started = time.perf_counter() if waited else begun
-        if name == AUTO:
-            x, rungs = _auto(site, evaluator)
-        else:
-            x, rungs = _full(args, site, evaluator, name)
+        x, rungs = _auto(site, evaluator) if name == AUTO else _full(args, site, evaluator, name)
         seconds = time.perf_counter() - started
     start = started - begun
     return {"x": x.tolist(), "seconds": seconds, "start": start, "rungs": rungs, "mount": deployment.coordinates(x)}
@@ -172,10 +160,8 @@ def _report(args, sensor, site, runs, folder):
     mounts = {(name, seed): made["mount"] for (name, seed, waited), made in runs.items() if waited}
     poses = [pose_at(mount) for mount in mounts.values()] + [site.scenario.baseline_pose]
     scores = {}
-    for frames, block, name in (
-        (site.search, site.plan.search_block, "searched"),
-        (site.holdout, site.plan.holdout_block, "held-out"),
-    ):
+    judged = {"searched": (site.search, site.plan.search_block), "held-out": (site.holdout, site.plan.holdout_block)}
+    for name, (frames, block) in judged.items():
         if not len(frames):
             continue
         made = folder.stage(f"{sensor}_scores_{name}".replace("/", "_"), lambda some=frames: _scored(site, some, poses))
@@ -195,9 +181,8 @@ def _report(args, sensor, site, runs, folder):
         for rival in (GRID, *args.searches, BEST):
             chosen = [seed for seed in seeds if rival not in args.searches or seed <= args.rival_seeds]
             against = [known if rival == BEST else (rival, seed if rival in args.searches else 1) for seed in chosen]
-            lines.append(
-                f"  {frames}: {_regret(rows, vehicles, chosen, against, rival, resampled=frames == 'held-out')}"
-            )
+            told = _regret(rows, vehicles, chosen, against, rival, resampled=frames == "held-out")
+            lines.append(f"  {frames}: {told}")
     return [*lines, ""]
 
 
@@ -231,10 +216,8 @@ def _speed(args, runs):
         if name in whole:
             longer = np.median(whole[name])
             times += f"; with the start {longer:.1f} s, {longer / np.median(whole[AUTO]):.1f} times"
-        yield (
-            f"  {name}: {times}; {casts / last:.1f} times as many casts of a whole frame, {casts / beams:.1f} times as "
-            "many beams"
-        )
+        more = f"{casts / last:.1f} times as many casts of a whole frame, {casts / beams:.1f} times as many beams"
+        yield f"  {name}: {times}; {more}"
 
 
 def _scored(site, frames, poses):

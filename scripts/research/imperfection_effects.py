@@ -23,13 +23,8 @@ from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.site import Site, lattice_of, prepare, standing_scenery
 from blender_lidar.scoring.evaluation import Evaluator
 
-PERFECT = {
-    "range_noise_m": 0.0,
-    "dropout": 0.0,
-    "glass_dropout": 0.0,
-    "range_at_10_percent_m": None,
-    "unit_spread_deg": 0.0,
-}
+PERFECT = dict.fromkeys(("range_noise_m", "dropout", "glass_dropout", "unit_spread_deg"), 0.0)
+PERFECT["range_at_10_percent_m"] = None
 EFFECTS = (
     # name, what is on, what differs from draw to draw (None: nothing)
     ("range noise 0.02 m", {"range_noise_m": 0.02}, "noise_seed"),
@@ -45,16 +40,13 @@ EFFECTS = (
 OTHER_SCORES = ("detectable [%]", "occupancy [%]", "points")
 
 
-SETTINGS = {"sensor": ("sensor", "name"), "frames": ("traffic", "frames")}
-
-
 def main(argv: list[str] | None = None) -> int:
     return run_script("imperfection_effects", lambda: _study(argv))
 
 
 def _study(argv):
     args = _arguments(argv)
-    scenario = load_scenario(args.scene, overrides_of(args, SETTINGS))
+    scenario = load_scenario(args.scene, overrides_of(args))
     mount = mounting_from(args, scenario)
     print_effects(prepare(scenario, mount), mount, args.draws)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import spearmanr
 
-from arguments import SCENES, parser_of, run_script
+from arguments import SCENES, overrides_of, parser_of, run_script
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS, metric_named
 from blender_lidar.run.verdict import map_scores
@@ -37,16 +37,14 @@ def print_choices(args):
         share = 100.0 * scores.detectable_share[best]
         flat = np.ptp(scores.per_vehicle) <= 1e-12 * np.abs(scores.per_vehicle).max()  # the same wherever it hangs
         alike = np.nan if flat else spearmanr(scores.per_vehicle, ours.per_vehicle, axis=None).statistic
-        chosen = f"{scores.height_m[best[0]]:>12.2f}{scores.tilt_deg[best[1]]:>12.1f}{share:>16.1f}"
-        if flat:
-            chosen = f"{'-':>12}{'-':>12}{'-':>16}"
+        told = (f"{scores.height_m[best[0]]:.2f}", f"{scores.tilt_deg[best[1]]:.1f}", f"{share:.1f}")
+        chosen = "{:>12}{:>12}{:>16}".format(*(("-",) * 3 if flat else told))
         print(f"{name:<25}{chosen}{alike:>14.2f}", flush=True)
 
 
 def map_of(args, name):
     """The scores of all heights and tilts by one metric."""
-    given = {("objective", "metric"): (name, "--metrics"), ("sensor", "name"): (args.sensor, "--sensor")}
-    scenario = load_scenario(args.scene, {key: value for key, value in given.items() if value[0] is not None})
+    scenario = load_scenario(args.scene, {**overrides_of(args), ("objective", "metric"): (name, "--metrics")})
     site = prepare(scenario)
     with site_evaluator(site, site.search) as evaluator:
         scores = map_scores(evaluator, scenario.deployment, dict(scenario.baseline), site.plan.search_block)

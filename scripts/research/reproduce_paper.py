@@ -12,14 +12,11 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from math import prod
 
 import numpy as np
 
-from arguments import SCENES, overrides_of, parser_of, run_script
-from blender_lidar.commands.progress import Progress
+from arguments import SCENES, counting, overrides_of, parser_of, run_script
 from blender_lidar.errors import MissingExtraError
 from blender_lidar.files import make_folder, write_text
 from blender_lidar.optimise import READINGS
@@ -49,17 +46,6 @@ from case_study_report import report_text, tables
 
 RESULT, REPORT, CLOUDS = "case_study.json", "report.md", "clouds"
 NEAR_BEST = (0.01, 0.05)  # shares of the gain
-SETTINGS = {
-    "traffic": ("traffic", "path"),
-    "period": ("traffic", "period"),
-    "location": ("traffic", "location"),
-    "frames": ("traffic", "frames"),
-    "caster": ("model", "caster"),
-    "reading": ("objective", "reading"),
-    "seed": ("search", "seed"),
-    "workers": ("model", "workers"),
-    "cluster": ("model", "cluster"),
-}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -88,7 +74,7 @@ def _arguments(argv):
 
 def study(args) -> None:
     """Carry out what the folder does not hold yet, and write the results."""
-    case = open_case(args.scene, overrides_of(args, SETTINGS), QUICK if args.quick else FULL)
+    case = open_case(args.scene, overrides_of(args), QUICK if args.quick else FULL)
     with opened(case, args.out, args.resume) as folder:
         result = reproduce(case, folder)
         written = write_results(case, folder, result)
@@ -164,18 +150,9 @@ def reproduce(case: CaseStudy, folder: StudyFolder) -> dict:
     }
 
 
-@contextmanager
-def _counting(total: int, what: str) -> Iterator[Callable[[int], None]]:
-    progress = Progress(total, what)
-    try:
-        yield progress.advance
-    finally:
-        progress.close()
-
-
 def _landscape(folder, site: Site, grid, bounds, what) -> Landscape:
     def compute():
-        with _counting(prod(grid), f"{site.model.name}, {what}") as advance:
+        with counting(prod(grid), f"{site.model.name}, {what}") as advance:
             return landscape(site, grid, bounds, advance).as_dict()
 
     return Landscape.from_dict(folder.stage(f"{what.replace(' ', '_')}_{site.model.name.lower()}", compute))
@@ -184,7 +161,7 @@ def _landscape(folder, site: Site, grid, bounds, what) -> Landscape:
 def _search(folder, site: Site) -> dict:
     def compute():
         settings = site.scenario.search
-        with _counting(settings.particles * settings.iterations, f"{site.model.name}, {settings.method}") as advance:
+        with counting(settings.particles * settings.iterations, f"{site.model.name}, {settings.method}") as advance:
             return searched_optimum(site, advance)
 
     return folder.stage(f"search_{site.model.name.lower()}", compute)
@@ -258,7 +235,7 @@ def _fig9(sites, optima, seed: int) -> dict[str, list[dict]]:
 
 def _sensitivity(case: CaseStudy, folder: StudyFolder, seed: int) -> dict:
     each, rows = sensitivity_variants(case), []
-    with _counting(len(each), "what the paper leaves unstated") as advance:
+    with counting(len(each), "what the paper leaves unstated") as advance:
         for sensor, variant in each:
             name = "_".join(f"sensitivity {variant.what} {variant.value} {sensor}".lower().split())
             rows += folder.stage(name, lambda at=(sensor, variant): variant_rows(case, *at, seed))

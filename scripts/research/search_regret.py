@@ -23,14 +23,6 @@ from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
 
-SETTINGS = {
-    "sensor": ("sensor", "name"),
-    "traffic": ("traffic", "path"),
-    "frames": ("traffic", "frames"),
-    "search": ("search", "method"),
-    "reading": ("objective", "reading"),
-}
-
 
 def main(argv: list[str] | None = None) -> int:
     return run_script("search_regret", lambda: _study(_arguments(argv)))
@@ -48,7 +40,7 @@ def _arguments(argv):
 
 
 def _study(args):
-    overrides, regrets, found_poses = overrides_of(args, SETTINGS), [], []
+    overrides, regrets, found_poses = overrides_of(args), [], []
     site = prepare(load_scenario(args.scene, overrides))
     with site_evaluator(site, site.search) as evaluator:
         scenario = site.scenario
@@ -70,14 +62,10 @@ def _study(args):
             seeded = load_scenario(args.scene, {**overrides, ("search", "seed"): (seed, "--seeds")})
             result = run(fresh_search(seeded), objective)
             regrets.append((best - result.value) / (best - baseline))
-            mount = ", ".join(
-                f"{key} {value:.2f}" for key, value in zip(scenario.deployment.variables, result.x, strict=True)
-            )
             found_poses.append(scenario.deployment.pose(result.x))
-            print(
-                f"seed {seed}: {metric.number(result.value, 1)} at {mount}; regret {100 * regrets[-1]:.2f} %",
-                flush=True,
-            )
+            pairs = zip(scenario.deployment.variables, result.x, strict=True)
+            told = f"{metric.number(result.value, 1)} at {', '.join(f'{key} {value:.2f}' for key, value in pairs)}"
+            print(f"seed {seed}: {told}; regret {100 * regrets[-1]:.2f} %", flush=True)
     _print_regrets("searched", regrets)
     if len(site.holdout):
         grid_best = pose_at(found.best_coordinates(scenario.baseline))

@@ -23,10 +23,9 @@ from pathlib import Path
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")  # small matrices: more threads only get in each other's way
 
-from arguments import SCENES, parser_of, positive, run_script
+from arguments import SCENES, counting, parser_of, positive, run_script
 from blender_lidar import optimise
 from blender_lidar.casting import resolve
-from blender_lidar.commands.progress import Progress
 from blender_lidar.errors import InputError, MissingExtraError
 from blender_lidar.files import write_text
 from blender_lidar.scene.provenance import file_digest, run_identity
@@ -88,11 +87,8 @@ def _study(args):
     folder = StudyFolder(args.out, study_identity(SCENE, seeds, budget, args.traffic), (PAGE, NUMBERS, *PICTURES))
     with folder.locked(resume=args.resume):
         if not args.report:
-            progress = Progress(len(wanted), "tuning" if args.tune else "judging")
-            try:
-                carry_out(folder, wanted, args.workers, progress.advance)
-            finally:
-                progress.close()
+            with counting(len(wanted), "tuning" if args.tune else "judging") as advance:
+                carry_out(folder, wanted, args.workers, advance)
         written = write_results(folder, [*tuned, *judged])
     print(f"Results in {folder.path}: {', '.join(written)}", file=sys.stderr)
 
