@@ -30,7 +30,7 @@ from .view_grids import ViewGrids, cell_counts
 # Cell and h are the best of this form on 55 labelled cars of KITTI's train split, frozen before any other car was
 # looked at. These cars cannot tell this form from the plain sum of the three s, or from the better of side and front
 # in place of the root; bearing decided. `scripts/research/choose_view_coverage.py` does it again, and
-# `docs/reproduction.md` has what it is worth on the other split.
+# `docs/evidence/reproduction.md` has what it is worth on the other split.
 
 CELL_M = 0.2
 HALF_SHARE = 0.5

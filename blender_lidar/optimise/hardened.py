@@ -7,7 +7,7 @@ A climb ends when it has arrived, is stuck, or has become narrow below the best 
 for each variable, or when no basin is left, the next round begins with another swarm.
 
 It works in shares of the box and by the order of values alone, so that its candidates do not depend on origin and unit
-of a variable, nor on anything that raises all values in order. docs/search.md tells how it was chosen and judged.
+of a variable, nor on anything that raises all values in order. How it was chosen and judged: docs/evidence/search.md.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ _HOPE = 3  # generations that a climb has in any case, and that one point has to
 
 @dataclass(frozen=True, slots=True)
 class HardenedSettings:
-    """Settings of the hardened search; the defaults are what docs/search.md measured.
+    """Settings of the hardened search; the defaults are what docs/evidence/search.md measured.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Reading a scene file into frozen settings: what one setting alone cannot say is checked here.
 
-Every table and key is described in the README. Options of the command line replace the file's values before they are
-checked, so both pass the same checks.
+Every table and key is described in docs/reference/scene_file.md. Options of the command line replace the file's values
+before they are checked, so both pass the same checks.
 """
 
 from __future__ import annotations

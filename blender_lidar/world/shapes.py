@@ -55,7 +55,7 @@ def shape(name: str, detail: str = "body") -> Shape:
 # Cross-sections from tail to nose. Each: position along the length (0 tail, 1 nose), half-width at the sill, at the
 # belt line and at the roof edge (0.5 = half the box), height of the belt line and of the top (0 ground, 1 roof), and
 # whether the upper band that leads to the next cross-section is glass on its sides and on its top. Proportions by eye
-# from common vehicles, those of the car fitted to ranges that a real LiDAR measured (README, "Against reality"); sills
+# from common vehicles, those of the car fitted to ranges that a real LiDAR measured (docs/evidence/reality.md); sills
 # reach the ground, so that the box is filled to its floor.
 _BODIES = {
     "car": (

@@ -1,6 +1,6 @@
 """From the stored runs of the searches to shares, quantiles, tests and the verdict on what ours was to achieve.
 
-The rules, fixed before anything was judged, are the constants at the top; docs/search.md tells them.
+The rules, fixed before anything was judged, are the constants at the top; docs/evidence/search.md tells them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The judgement of the searches as tables of Markdown, and runtime ECDFs as a picture; docs/search.md has the story."""
+"""The judgement of the searches as tables of Markdown, and runtime ECDFs as a picture (docs/evidence/search.md)."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def cma_es(objective: Counted, seed: int) -> None:
 
 
 OURS = "hardened"
-SCIPY_POPULATION = 5  # docs/search.md tells how it was tuned
+SCIPY_POPULATION = 5  # docs/evidence/search.md tells how it was tuned
 SOLVERS: dict[str, Solver] = {
     OURS: hardened(),
     "DE-PSO": ours("de-pso"),

@@ -1,4 +1,4 @@
-"""How the searches do beside each other and beside other people's: the tables of docs/search.md made again.
+"""How the searches do beside each other and beside other people's: the tables of docs/evidence/search.md made again.
 
     python scripts/research/search_study.py [--out DIR] [--resume] [--part bbob] [--traffic FILE] [--quick] [--tune]
 
