@@ -1,14 +1,26 @@
-"""Numba: whether it works here, and functions compiled by it that are kept on disk from one process to the next."""
+"""Numba: whether it works here, within Blender too, and functions compiled by it that are kept on disk."""
 
 from __future__ import annotations
 
+import multiprocessing  # here first of all: Numba, too, imports it
+import sys
 import warnings
 from collections.abc import Callable
 from functools import cache
-from multiprocessing import parent_process
 from pathlib import Path
 
 _SETTINGS = {"nogil": True, "error_model": "numpy"}  # a division by zero gives inf, as in NumPy
+
+
+def within_blender() -> bool:
+    """Whether this process is a real Blender: it cannot start Python processes that have bpy too."""
+    bpy = sys.modules.get("bpy")
+    return bpy is not None and not getattr(bpy.app, "module", False)
+
+
+if within_blender():
+    # A second name for the main module: Blender frees that before it looks through all modules at its end, and crashed.
+    sys.modules.pop("__mp_main__", None)
 
 
 @cache
@@ -52,7 +64,7 @@ def inlined(function: Callable) -> Callable:
 @cache
 def _tell_once() -> None:
     """Warn that nothing can be kept, and not again in the processes that this one starts."""
-    if parent_process() is None:
+    if multiprocessing.parent_process() is None:
         text = (
             f"compiled code cannot be kept in {Path(__file__).parent} nor in the user's folder for caches, and is "
             "compiled anew at every start, for half a minute; NUMBA_CACHE_DIR may name another folder"

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..compiled import within_blender
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..scene.settings import ModelSettings
 from ..scene.site import Site
@@ -23,7 +24,7 @@ from .cluster import ClusterWorkers
 from .fidelity import Fidelity, coarse_observation
 from .frame_scorer import FrameScorer, FrameShapes
 from .scores import Scored, VehicleScores, mountings_of
-from .workers import Workers, within_blender
+from .workers import Workers
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
 

@@ -306,17 +306,3 @@ def _end_with_parent(folder: Path) -> None:
 
 def _call(*arguments):
     return _function(*arguments)
-
-
-# --- within a real Blender --------------------------------------------------------------------------------------------
-
-
-def within_blender() -> bool:
-    """Whether this process is a real Blender: it cannot start Python processes that have bpy too."""
-    bpy = sys.modules.get("bpy")
-    return bpy is not None and not getattr(bpy.app, "module", False)
-
-
-if within_blender():
-    # A second name for the main module: Blender frees that before it looks through all modules at its end, and crashed.
-    sys.modules.pop("__mp_main__", None)
