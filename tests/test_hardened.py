@@ -245,7 +245,6 @@ def test_few_candidates_lie_on_the_bounds_where_the_best_is_inside():
         ({"flights": 1.5}, "flights: 1.5; allowed: a finite number from 0 to 1"),
         ({"greed": "all"}, "greed: 'all'; allowed: a finite number"),
         ({"turned": -1.0}, "turned: -1.0; allowed: a finite number"),
-        ({"climbs": 1}, "climbs: 1; allowed: True or False"),
     ],
 )
 def test_unusable_settings_are_refused(setting, message):

@@ -3,31 +3,21 @@
 A function in, a best point out; needs numpy alone.
 """
 
-from ..metrics.view_grids import READINGS
-from .baselines import GridSearch, RandomSearch
-from .de_pso import DePso, DePsoSettings
-from .hardened import Hardened, HardenedSettings
-from .objective import VIEWS, detectable, vehicle_score
-from .search import Search
-from .solve import SEARCHES, Objective, SearchResult, de_pso, make_search, maximise, run
-
-__all__ = [
-    "READINGS",
-    "SEARCHES",
-    "VIEWS",
-    "DePso",
-    "DePsoSettings",
-    "GridSearch",
-    "Hardened",
-    "HardenedSettings",
-    "Objective",
-    "RandomSearch",
-    "Search",
-    "SearchResult",
-    "de_pso",
-    "detectable",
-    "make_search",
-    "maximise",
-    "run",
-    "vehicle_score",
-]
+from ..metrics.view_grids import READINGS as READINGS
+from .baselines import GridSearch as GridSearch
+from .baselines import RandomSearch as RandomSearch
+from .de_pso import DePso as DePso
+from .de_pso import DePsoSettings as DePsoSettings
+from .hardened import Hardened as Hardened
+from .hardened import HardenedSettings as HardenedSettings
+from .objective import VIEWS as VIEWS
+from .objective import detectable as detectable
+from .objective import vehicle_score as vehicle_score
+from .search import Search as Search
+from .solve import SEARCHES as SEARCHES
+from .solve import Objective as Objective
+from .solve import SearchResult as SearchResult
+from .solve import de_pso as de_pso
+from .solve import make_search as make_search
+from .solve import maximise as maximise
+from .solve import run as run

@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from .search import latin_hypercube
+from .search import distinct_donors, latin_hypercube
 
 CONSTRICTION = 0.7298  # Clerc and Kennedy (2002)
 ATTRACTION = 1.49618  # each of both: 0.7298 * 4.1 / 2
@@ -96,7 +96,10 @@ class AdaptiveSwarm:
         reached = self.value.max()
         kept, better = values >= self.value, values > self.value
         self._learn(values, better & ~self._flown)
-        self._archive(self.best[better & np.isfinite(self.value)])
+        replaced = self.best[better & np.isfinite(self.value)]
+        if len(replaced):
+            archive = np.concatenate([self._replaced, replaced])
+            self._replaced = archive[np.sort(self._rng.permutation(len(archive))[: len(self.best)])]
         moved = kept | self._flown
         self._position[moved], self._velocity[moved] = self.candidates[moved], self._next_velocity[moved]
         self.best[kept], self.value[kept] = self.candidates[kept], values[kept]
@@ -118,17 +121,16 @@ class AdaptiveSwarm:
         flown = self._flown[:, None]
         velocity = np.where(flown, flight, target - self.best)
         target = np.where(flown, self._position + flight, target)
-        outside = (target < 0.0) | (target > 1.0)
         self.candidates = reflected(target)
-        self._next_velocity = np.where(outside, -0.5 * velocity, velocity)
+        self._next_velocity = np.where((target < 0.0) | (target > 1.0), -0.5 * velocity, velocity)
 
     def _jumps(self, guide: np.ndarray) -> np.ndarray:
         """Steps of current-to-pbest/1 from the personal bests, crossed over."""
         particles, variables = self.best.shape
         self._draw_rates()
-        i = np.arange(particles)
-        pool = np.concatenate([self.best, self._replaced])
-        j, k = distinct_donors(self._rng, particles, len(pool))
+        i, pool = np.arange(particles), np.concatenate([self.best, self._replaced])
+        others, left = (self._rng.integers(count, size=particles) for count in (particles - 1, len(pool) - 2))
+        j, k = distinct_donors(i, others, left)
         step = self._scale[:, None] * (guide - self.best + self.best[j] - pool[k])
         crossed = self._rng.random((particles, variables)) < self._crossover[:, None]
         crossed[i, self._rng.integers(variables, size=particles)] = True
@@ -154,24 +156,8 @@ class AdaptiveSwarm:
         self._crossovers[self._oldest] = (weight * crossover).sum() / weight.sum()
         self._oldest = (self._oldest + 1) % MEMORY
 
-    def _archive(self, replaced: np.ndarray) -> None:
-        if len(replaced):
-            kept = np.concatenate([self._replaced, replaced])
-            chosen = self._rng.permutation(len(kept))[: len(self.best)]
-            self._replaced = kept[np.sort(chosen)]
-
 
 def reflected(target: np.ndarray) -> np.ndarray:
     """Points folded back into the unit box at its walls, however far outside they lie."""
     folded = np.mod(target, 2.0)
     return np.where(folded > 1.0, 2.0 - folded, folded)
-
-
-def distinct_donors(rng: np.random.Generator, particles: int, pool: int) -> tuple[np.ndarray, np.ndarray]:
-    """For every particle i two others, j among the particles and k among the `pool`, all three different."""
-    i = np.arange(particles)
-    j = rng.integers(particles - 1, size=particles)
-    j = j + (j >= i)
-    k = rng.integers(pool - 2, size=particles)
-    k = k + (k >= np.minimum(i, j))
-    return j, k + (k >= np.maximum(i, j))

@@ -18,9 +18,6 @@ _BATCH = 20  # candidates to an ask, of a list that may be longer than memory
 class _ListSearch(Search):
     """A fixed list of candidates, asked for in batches; a batch is an "iteration" of the history."""
 
-    def __init__(self, lower: np.ndarray, upper: np.ndarray, budget: int) -> None:
-        super().__init__(lower, upper, budget=budget, per_iteration=_BATCH)
-
     @abstractmethod
     def _rows(self, start: int, stop: int) -> np.ndarray:
         """Candidates `start` to `stop` of the list, (stop - start, d)."""
@@ -56,7 +53,7 @@ class GridSearch(_ListSearch):
             allowed = f"one whole number for each of the {np.size(lower)} variables"
             raise InputError(f"grid points: {points!r}; allowed: {allowed}")
         self._points = tuple(check_whole(count, 2, "grid points") for count in points)
-        super().__init__(lower, upper, math.prod(self._points))
+        super().__init__(lower, upper, budget=math.prod(self._points))
 
     def _rows(self, start: int, stop: int) -> np.ndarray:
         node = np.column_stack(np.unravel_index(np.arange(start, stop), self._points))
@@ -86,7 +83,7 @@ class RandomSearch(_ListSearch):
     name: ClassVar[str] = "random"
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int = 2000) -> None:
-        super().__init__(lower, upper, check_whole(evaluations, 1, "evaluations"))
+        super().__init__(lower, upper, budget=check_whole(evaluations, 1, "evaluations"))
         self._seed = check_whole(seed, 0, "seed")
 
     def _rows(self, start: int, stop: int) -> np.ndarray:
@@ -107,9 +104,7 @@ def grid_points(evaluations: int, variables: int) -> tuple[int, ...]:
     even = max(2, int(evaluations ** (1 / variables)) - 1)  # below the root, however that is rounded
     while (even + 1) ** variables <= evaluations:
         even += 1
-    points = [even] * variables
-    for variable in range(variables):
-        finer = math.prod(points) // even * (even + 1)
-        if finer <= evaluations:
-            points[variable] = even + 1
-    return tuple(points)
+    finer = 0  # variables with a point more
+    while (even + 1) ** (finer + 1) * even ** (variables - finer - 1) <= evaluations:
+        finer += 1
+    return (even + 1,) * finer + (even,) * (variables - finer)

@@ -66,7 +66,7 @@ class CovarianceAdaptation:
         self._rng = rng
         self._mean, self._step = mean.copy(), float(step)
         self.samples = samples
-        self._weights, self._rates = _constants(d, samples)
+        self._rates = _Rates(d, samples)
         self._step_path, self._path = np.zeros(d), np.zeros(d)
         self._covariance = np.eye(d) if covariance is None else covariance
         self._axes, self._lengths = np.eye(d), np.ones(d)
@@ -102,11 +102,11 @@ class CovarianceAdaptation:
 
     def tell(self, values: np.ndarray) -> None:
         """Take the values, (samples,), of `candidates`, and move and shape the Gaussian by their ranks."""
-        d, use = self._mean.size, self._rates
+        d, use, weights = self._mean.size, self._rates, self._rates.weights.copy()
         self.generation += 1
         steps = ((self._drawn - self._mean) / self._step)[np.argsort(-values, kind="stable")]
         parents = self.samples // 2
-        mean_step = self._weights[:parents] @ steps[:parents]
+        mean_step = weights[:parents] @ steps[:parents]
         beyond = BEYOND * self._step * np.sqrt(np.square(self._axes * self._lengths).sum(axis=1))
         self._mean = np.clip(self._mean + self._step * mean_step, -beyond, 1.0 + beyond)
         whitened = self._axes @ ((mean_step @ self._axes) / self._lengths)
@@ -118,62 +118,43 @@ class CovarianceAdaptation:
         steady = float(length / settled < (1.4 + 2.0 / (d + 1.0)) * use.expected)
         self._path = (1.0 - use.c_path) * self._path
         self._path += steady * math.sqrt(use.c_path * (2.0 - use.c_path) * use.mass) * mean_step
-        weights = self._weights.copy()
         worse = weights < 0.0
         lengths = np.square((steps[worse] @ self._axes) / self._lengths).sum(axis=1)
         weights[worse] *= d / np.maximum(lengths, 1e-12)  # keeps the covariance positive definite
-        kept = (
-            1.0
-            - use.c_one
-            - use.c_mu * self._weights.sum()
-            + (1.0 - steady) * use.c_one * use.c_path * (2.0 - use.c_path)
-        )
-        self._covariance = (
-            kept * self._covariance
-            + use.c_one * np.outer(self._path, self._path)
-            + use.c_mu * (steps.T * weights) @ steps
-        )
+        stalled = (1.0 - steady) * use.c_one * use.c_path * (2.0 - use.c_path)
+        self._covariance = (1.0 - use.c_one - use.c_mu * use.weights.sum() + stalled) * self._covariance
+        self._covariance += use.c_one * np.outer(self._path, self._path)
+        self._covariance += use.c_mu * (steps.T * weights) @ steps
         self._decompose()
-        self._watch(values)
-
-    def _decompose(self) -> None:
-        self._covariance = (self._covariance + self._covariance.T) / 2.0
-        variances, self._axes = np.linalg.eigh(self._covariance)
-        self._lengths = np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
-
-    def _watch(self, values: np.ndarray) -> None:
         best = float(values.max())
         if best == values.min():
             self._step *= FLAT_GROWTH  # a plateau: look further
         self.idle = 0 if best > self.reached else self.idle + 1
         self.reached = max(best, self.reached)
 
+    def _decompose(self) -> None:
+        self._covariance = (self._covariance + self._covariance.T) / 2.0
+        variances, self._axes = np.linalg.eigh(self._covariance)
+        self._lengths = np.sqrt(np.maximum(variances, _LEAST_VARIANCE))
+
 
 class _Rates:
-    """Learning rates for `d` variables and a selection mass, Table 1 of Hansen's tutorial."""
+    """Weights from the best of so many samples to the worst, and learning rates for d variables (Hansen, Table 1)."""
 
-    def __init__(self, d: int, mass: float) -> None:
-        self.mass = mass  # variance-effective selection mass, mu_eff
+    def __init__(self, d: int, samples: int) -> None:
+        weights = math.log((samples + 1) / 2) - np.log(np.arange(1, samples + 1))
+        positive, negative = weights[: samples // 2], np.minimum(weights[samples // 2 :], 0.0)
+        positive, total = positive / positive.sum(), -negative.sum()
+        self.mass = mass = float(1.0 / np.square(positive).sum())  # variance-effective selection mass, mu_eff
         self.c_one = 2.0 / ((d + 1.3) ** 2 + mass)
         self.c_mu = min(1.0 - self.c_one - 1e-8, 2.0 * (mass - 2.0 + 1.0 / mass) / ((d + 2.0) ** 2 + mass))
         self.c_step = (mass + 2.0) / (d + mass + 5.0)
         self.damping = 1.0 + 2.0 * max(0.0, math.sqrt((mass - 1.0) / (d + 1.0)) - 1.0) + self.c_step
         self.c_path = (4.0 + mass / d) / (d + 4.0 + 2.0 * mass / d)
         self.expected = math.sqrt(d) * (1.0 - 1.0 / (4.0 * d) + 1.0 / (21.0 * d * d))  # length of a normal vector
-
-
-def _constants(d: int, samples: int) -> tuple[np.ndarray, _Rates]:
-    """Weights from the best sample to the worst, (samples,), and the rates."""
-    weights = math.log((samples + 1) / 2) - np.log(np.arange(1, samples + 1))
-    parents = samples // 2
-    positive = weights[:parents] / weights[:parents].sum()
-    rates = _Rates(d, float(1.0 / np.square(positive).sum()))
-    negative = np.minimum(weights[parents:], 0.0)
-    total = -negative.sum()
-    negative_mass = total**2 / np.square(negative).sum()
-    share = min(
-        1.0 + rates.c_one / rates.c_mu,
-        1.0 + 2.0 * negative_mass / (rates.mass + 2.0),
-        (1.0 - rates.c_one - rates.c_mu) / (d * rates.c_mu),
-    )
-    return np.concatenate([positive, negative / total * share]), rates
+        share = min(
+            1.0 + self.c_one / self.c_mu,
+            1.0 + 2.0 * (total**2 / np.square(negative).sum()) / (mass + 2.0),
+            (1.0 - self.c_one - self.c_mu) / (d * self.c_mu),
+        )
+        self.weights = np.concatenate([positive, negative / total * share])

@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..metrics.view_grids import check_reading
-from .search import Search, check_number, check_whole, generator, latin_hypercube
+from .search import Search, check_number, check_whole, distinct_donors, generator, latin_hypercube
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +148,4 @@ class DePso(Search):
             j = (u_j * particles).astype(int)
             k = (u_k * (particles - 1)).astype(int)
             return j, k + (k >= j)
-        j = (u_j * (particles - 1)).astype(int)
-        j = j + (j >= i)
-        k = (u_k * (particles - 2)).astype(int)
-        k = k + (k >= np.minimum(i, j))
-        return j, k + (k >= np.maximum(i, j))
+        return distinct_donors(i, (u_j * (particles - 1)).astype(int), (u_k * (particles - 2)).astype(int))

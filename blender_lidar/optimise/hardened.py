@@ -18,10 +18,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..errors import InputError
 from .adaptive_swarm import AdaptiveSwarm
 from .cma_es import NARROW, CovarianceAdaptation
-from .search import Search, check_number, check_whole, generator, numbered
+from .search import Search, check_number, check_whole, generator, in_box
 
 # --- Where else a landscape may have a maximum, told from points that were evaluated ----------------------
 # A point whose nearest better one is far tops a basin, as far as anybody knows; on a slope the nearest better one is
@@ -142,8 +141,6 @@ class HardenedSettings:
         check_whole(self.evaluations, 1, "evaluations")
         for name in ("opening", "flights", "greed", "turned"):
             check_number(getattr(self, name), 0.0, 1.0, name)
-        if not isinstance(self.climbs, bool):
-            raise InputError(f"climbs: {self.climbs!r}; allowed: True or False")
 
     @property
     def swarm(self) -> int:
@@ -174,18 +171,17 @@ class Hardened(Search):
         self, lower: np.ndarray, upper: np.ndarray, *, seed: int, settings: HardenedSettings | None = None
     ) -> None:
         self.settings = settings or HardenedSettings()
-        super().__init__(lower, upper, budget=self.settings.evaluations, per_iteration=self.settings.swarm)
+        super().__init__(lower, upper, budget=self.settings.evaluations)
         self._rng = generator(seed)
         self._begin_anew()
         self._climb: CovarianceAdaptation | None = None  # whose candidates are asked for, else the swarm's
         self._basins = Basins(self._lower.size)
         self._climbed: list[np.ndarray] = []  # where climbs began and ended, in shares of the box
-        self._batches: list[int] = []  # evaluations of each
 
     def _begin_anew(self) -> None:
         use = self.settings
-        moves = {"flights": use.flights, "greed": use.greed, "turned": use.turned}
-        self._swarm = AdaptiveSwarm(self._rng, use.swarm, self._lower.size, **moves)
+        size = use.swarm, self._lower.size
+        self._swarm = AdaptiveSwarm(self._rng, *size, flights=use.flights, greed=use.greed, turned=use.turned)
         self._began = self.evaluations
         self._followed = False  # whether a climb has started from its best
 
@@ -200,16 +196,11 @@ class Hardened(Search):
         """Evaluations after which no climb starts without another swarm."""
         return _ROUND * self._lower.size
 
-    def _shares(self) -> np.ndarray:
-        batch = (self._climb or self._swarm).candidates
-        return batch[: self._budget - self.evaluations]
-
     def _candidates(self) -> np.ndarray:
-        scaled = self._lower + self._shares() * (self._upper - self._lower)
-        return np.clip(scaled, self._lower, self._upper)
+        shares = (self._climb or self._swarm).candidates[: self._budget - self.evaluations]
+        return in_box(shares, self._lower, self._upper)
 
     def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
-        self._batches.append(values.size)
         if self.done:
             return
         self._basins.add((candidates - self._lower) / (self._upper - self._lower), values)
@@ -262,10 +253,3 @@ class Hardened(Search):
         samples = _FEWEST + int(3.0 * math.log(self._lower.size))
         self._climb = CovarianceAdaptation(self._rng, start, min(step, _WIDEST), samples, shape)
         self._climbed.append(start.copy())
-
-    @property
-    def iteration(self) -> int:
-        return len(self._batches)
-
-    def _numbering(self) -> tuple[np.ndarray, np.ndarray]:
-        return numbered(self._batches)

@@ -9,7 +9,7 @@ fidelity and frames, and tells the objective on each frame; what a fidelity is, 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import InputError
 from ..statistics import FEWEST_BLOCKS, block_sums, student_t
 from .cma_es import CovarianceAdaptation
-from .search import Search, check_values, generator, history_of, numbered
+from .search import Search, check_values, generator, history_of, in_box
 
 _STEPS = 0.1, 0.05, 0.012  # of the box, with which climbs start: on the first rung, later ones, and at the reference
 _SAMPLES = 6, 7  # to a generation, and more for more variables; at the reference, where each is a round of large calls
@@ -93,19 +93,18 @@ class MultiFidelitySearch:
         self._screen, self.rungs, self._block = screen, tuple(rungs), np.asarray(block)
         self._lower, self._upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
         self._seed = seed
-        self._level = 0  # of the rung that is at work
-        self._x = np.empty((0, self._lower.size))  # candidates that came to this rung
-        self._known = np.empty((0, 0))  # what they have on its frames from the rung below
-        self._record = RungRecord(self._lower.size, self.rungs[0].frames)
-        self._climbs: list[RacedClimb] = []  # of this rung; they keep step
+        self._level, self._work = 0, "screen"  # the rung that is at work, and at what
+        self._records = [RungRecord(self._lower.size, rung.frames) for rung in self.rungs]
         self.done, self.evaluations = False, 0
         self._spent = [{"candidates": 0, "frame_casts": 0, "seconds": 0.0} for _ in self.rungs]
+        self._batches = self._searched()
+        self._asked = next(self._batches)
 
     @property
     def stage(self) -> str:
         """What is at work, in words."""
-        what = "climb" if self._climbs else "halving" if self._level else "screen"
-        return f"{what}: {self._rung.fidelity.name}, {len(self._rung.frames)} frames"
+        rung = self.rungs[self._level]
+        return f"{self._work}: {rung.fidelity.name}, {len(rung.frames)} frames"
 
     @property
     def budget(self) -> int:
@@ -114,28 +113,19 @@ class MultiFidelitySearch:
 
     @property
     def best_x(self) -> np.ndarray:
-        """The best candidate at the reference, (d,); the first of equals.
-
-        Raises
-        ------
-        InputError
-            Before there is one.
-        """
-        confirmed = self._confirmed
-        if not len(confirmed.x):
-            raise InputError("search over several fidelities: no mounting has come to the last one yet")
-        return confirmed.x[np.argmax(confirmed.totals)].copy()
+        """The best candidate at the reference, (d,), once there is one; the first of equals."""
+        return self._records[-1].x[np.argmax(self._records[-1].totals)].copy()
 
     @property
     def best_value(self) -> float:
         """Its value; ``-inf`` before there is one."""
-        return float(self._confirmed.totals.max(initial=-math.inf))
+        return float(self._records[-1].totals.max(initial=-math.inf))
 
     @property
     def history(self) -> np.ndarray:
         """One row for each candidate scored at the reference, as `Search.history`; a batch is an iteration."""
-        confirmed = self._confirmed
-        return history_of(confirmed.x, confirmed.totals, *numbered(confirmed.batches))
+        confirmed = self._records[-1]
+        return history_of(confirmed.x, confirmed.totals, np.array(confirmed.batches, dtype=int))
 
     @property
     def spent(self) -> list[dict[str, float]]:
@@ -147,14 +137,7 @@ class MultiFidelitySearch:
 
     def ask(self) -> Asked:
         """What to score next; asking again returns the same."""
-        rung = self._rung
-        if self._climbs:
-            asked = [climb.ask() for climb in self._climbing]
-            unit, frames = np.concatenate([candidates for candidates, _ in asked]), asked[0][1]
-            return Asked(rung.fidelity, rung.frames[frames], self._in_box(unit))
-        if self._level:
-            return Asked(rung.fidelity, rung.frames[self._known.shape[1] :], self._x.copy())
-        return Asked(rung.fidelity, rung.frames, self._screen.ask())
+        return self._asked
 
     def tell(self, objective: np.ndarray, seconds: float = 0.0) -> None:
         """Take the objective of what was asked for, (s, frames asked for), and how long it took to score.
@@ -164,85 +147,43 @@ class MultiFidelitySearch:
         InputError
             If there is not one usable number for each candidate and frame; the search stays as it was.
         """
-        asked, spent = self.ask(), self._spent[self._level]
+        asked, spent = self._asked, self._spent[self._level]
         objective = np.asarray(objective, dtype=float)
         if objective.shape != (len(asked.x), len(asked.frames)):
             allowed = len(asked.x), len(asked.frames)
             raise InputError(f"objective values: shape {objective.shape}; allowed: {allowed}, one per frame")
-        totals = check_values(objective.sum(axis=1), asked.x)
-        if not self._climbs or asked.frames[0] == self._rung.frames[0]:  # what is raced was counted when it began
-            self.evaluations += len(totals)
-            spent["candidates"] += len(totals)
+        check_values(objective.sum(axis=1), asked.x)
+        if self._work != "climb" or asked.frames[0] == self.rungs[self._level].frames[0]:  # else counted when it began
+            self.evaluations += len(asked.x)
+            spent["candidates"] += len(asked.x)
         spent["frame_casts"] += objective.size
         spent["seconds"] += seconds
-        if self._climbs:
-            self._climb(objective)
-        elif self._level:
-            self._arrive(np.concatenate([self._known, objective], axis=1))
-        else:
-            self._screen.tell(totals)
-            self._record.add(asked.x, objective)
-            if self._screen.done:
-                self._climb_or_go_on()
-
-    @property
-    def _rung(self) -> Rung:
-        return self.rungs[self._level]
-
-    @property
-    def _at_reference(self) -> bool:
-        return self._level == len(self.rungs) - 1
-
-    @property
-    def _confirmed(self) -> RungRecord:
-        """What was scored at the reference."""
-        return self._record if self._at_reference else RungRecord(self._lower.size, self.rungs[-1].frames)
-
-    @property
-    def _climbing(self) -> list[RacedClimb]:
-        """The climbs that have not ended."""
-        return [climb for climb in self._climbs if not climb.done]
-
-    def _arrive(self, objective: np.ndarray) -> None:
-        """Record what came to this rung, now that it has met all of its frames."""
-        self._record.add(self._x, objective)
-        self._climb_or_go_on()
-
-    def _climb_or_go_on(self) -> None:
-        rung, record = self._rung, self._record
-        if not rung.climb:
-            self._go_on()
-            return
-        unit, block = self._unit(record.x), self._block[list(rung.frames)]
-        starts = unit[climb_starts(unit, record.objective, block, likely=self._level > 0)]
-        first = math.ceil((_FIRST_SHARE if self._level else 1.0) * len(rung.frames))
-        step = _STEPS[2 if self._at_reference else min(self._level, 1)]
-        samples = _SAMPLES[self._at_reference] + int(3.0 * math.log(self._lower.size))
-        wanted = rung.climb * (len(starts) if self._at_reference else 1)  # too short to be shared by two
-        for number, start in enumerate(starts):
-            generations = max(1, (wanted // samples + len(starts) - 1 - number) // len(starts))
-            seed = self._seed + self._level + number * len(self.rungs)
-            self._climbs.append(RacedClimb(start, step, samples, generations, first, block, seed))
-
-    def _climb(self, objective: np.ndarray) -> None:
-        """Tell the climbs their parts of the objective, and record what has met all frames by now."""
-        climbs = self._climbing
-        ends = np.cumsum([len(climb.ask()[0]) for climb in climbs])
-        parts = zip(climbs, np.split(objective, ends[:-1]), strict=True)
-        met, whole = zip(*(climb.tell(part) for climb, part in parts), strict=True)
-        self._record.add(self._in_box(np.concatenate(met)), np.concatenate(whole))
-        if not self._climbing:
-            self._go_on()
-
-    def _go_on(self) -> None:
-        """Send the best to the next rung; from the last one there is none."""
-        if self._at_reference:
+        try:
+            self._asked = self._batches.send(objective)
+        except StopIteration:
             self.done = True
-            return
-        below, record = self._rung, self._record
-        self._level += 1
-        rung, reference = self._rung, self.rungs[-1]
-        alike = below.fidelity == rung.fidelity
+
+    # What follows are generators of `Asked`, which are sent the objective of each, (s, frames asked for).
+
+    def _searched(self) -> Iterator[Asked]:
+        """The whole search, from the screen on the first rung to the climbs at the reference."""
+        first = self.rungs[0]
+        while not self._screen.done:
+            x = self._screen.ask()
+            objective = yield Asked(first.fidelity, first.frames, x)
+            self._screen.tell(objective.sum(axis=1))
+            self._records[0].add(x, objective)
+        yield from self._climbed()
+        while self._level < len(self.rungs) - 1:
+            self._level += 1
+            yield from self._halved()
+            yield from self._climbed()
+
+    def _halved(self) -> Iterator[Asked]:
+        """Score the best of the rung below on those frames of this rung that they have not met."""
+        self._work = "halving"
+        below, rung, reference = self.rungs[self._level - 1], self.rungs[self._level], self.rungs[-1]
+        record, alike = self._records[self._level - 1], below.fidelity == rung.fidelity
         kept = going_on(
             self._unit(record.x),
             record.objective,
@@ -251,16 +192,70 @@ class MultiFidelitySearch:
             distance=_APART if self._level == 1 else _BARELY_APART,
             drops=NONE if not alike else ALL if below.fidelity == reference.fidelity else BUT_PEAKS,
         )
-        self._climbs, self._record = [], RungRecord(self._lower.size, rung.frames)
-        self._x, self._known = record.x[kept], record.objective[kept, : len(below.frames) * alike]
-        if self._known.shape[1] == len(rung.frames):  # with few frames rungs are alike
-            self._arrive(self._known)
+        x, known = record.x[kept], record.objective[kept, : len(below.frames) * alike]
+        if known.shape[1] < len(rung.frames):  # with few frames rungs are alike
+            new = yield Asked(rung.fidelity, rung.frames[known.shape[1] :], x.copy())
+            known = np.concatenate([known, new], axis=1)
+        self._records[self._level].add(x, known)
+
+    def _climbed(self) -> Iterator[Asked]:
+        """Climb from the best of a rung, and race the samples over its frames: see `_ranks`.
+
+        CMA-ES needs no more than the ranks of its samples. Each generation is scored on the first frames of the rungs'
+        order; its best third goes on to the others. All climbs of a rung keep step.
+        """
+        rung, record, block = self.rungs[self._level], self._records[self._level], self._block
+        if not rung.climb:
+            return
+        self._work, unit, block = "climb", self._unit(record.x), block[list(rung.frames)]
+        starts = unit[climb_starts(unit, record.objective, block, likely=self._level > 0)]
+        first = math.ceil((_FIRST_SHARE if self._level else 1.0) * len(rung.frames))
+        at_reference = self._level == len(self.rungs) - 1
+        step = _STEPS[2 if at_reference else min(self._level, 1)]
+        samples = _SAMPLES[at_reference] + int(3.0 * math.log(self._lower.size))
+        wanted = rung.climb * (len(starts) if at_reference else 1)  # too short to be shared by two
+        climbs = []
+        for number, start in enumerate(starts):
+            generations = max(1, (wanted // samples + len(starts) - 1 - number) // len(starts))
+            rng = generator(self._seed + self._level + number * len(self.rungs))
+            climbs.append((CovarianceAdaptation(rng, start, step, samples), generations))
+        while going := [climb for climb, last in climbs if climb.generation < last and not climb.exhausted]:
+            for climb in going:
+                climb.move()
+            tried = [climb.candidates for climb in going]
+            begun = whole = yield from self._asked_of(tried, rung, slice(0, first))
+            rows = [np.arange(samples) for _ in going]
+            if first < len(block):
+                rows = [survivors(part, block[:first], math.ceil(samples / 3)) for part in begun]
+                tried = [candidates[better] for candidates, better in zip(tried, rows, strict=True)]
+                ends = yield from self._asked_of(tried, rung, slice(first, len(block)))
+                parts = zip(begun, rows, ends, strict=True)
+                whole = [np.concatenate([part[better], end], axis=1) for part, better, end in parts]
+            record.add(self._in_box(np.concatenate(tried)), np.concatenate(whole))
+            for climb, *told in zip(going, begun, rows, whole, strict=True):
+                climb.tell(_ranks(*told))
+
+    def _asked_of(self, tried: list[np.ndarray], rung: Rung, frames: slice) -> Iterator[Asked]:
+        """Ask for the candidates of several climbs at once; returns the objective of each climb's, (s, frames)."""
+        objective = yield Asked(rung.fidelity, rung.frames[frames], self._in_box(np.concatenate(tried)))
+        return np.split(objective, np.cumsum([len(candidates) for candidates in tried])[:-1])
 
     def _unit(self, x: np.ndarray) -> np.ndarray:
         return (x - self._lower) / (self._upper - self._lower)
 
     def _in_box(self, unit: np.ndarray) -> np.ndarray:
-        return np.clip(self._lower + unit * (self._upper - self._lower), self._lower, self._upper)
+        return in_box(unit, self._lower, self._upper)
+
+
+def _ranks(begun: np.ndarray, rows: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """What orders a generation, (samples,): `rows`, which met all frames, by these, above the others by the first.
+
+    So the last of a generation's parents may be chosen by the first frames alone.
+    """
+    values = -np.argsort(np.argsort(-begun.sum(axis=1), kind="stable"), kind="stable").astype(float)
+    totals = whole.sum(axis=1)
+    values[rows] = 1.0 + np.searchsorted(np.sort(totals), totals)  # equals stay equal
+    return values
 
 
 class RungRecord:
@@ -288,95 +283,14 @@ class RungRecord:
         self.batches: list[int] = []
 
     def add(self, x: np.ndarray, objective: np.ndarray) -> None:
-        """Record a batch of candidates (s, d) and their objective (s, f); an empty one is none."""
-        if len(x):
-            self.x, self.objective = np.concatenate([self.x, x]), np.concatenate([self.objective, objective])
-            self.batches.append(len(x))
+        """Record a batch of candidates (s, d) and their objective (s, f)."""
+        self.x, self.objective = np.concatenate([self.x, x]), np.concatenate([self.objective, objective])
+        self.batches.append(len(x))
 
     @property
     def totals(self) -> np.ndarray:
         """Objective of each candidate, (s,): summed over the frames in time, as an evaluation of it is."""
         return np.ascontiguousarray(self.objective[:, self._in_time]).sum(axis=1)
-
-
-# --- A climb that spends all frames on the best third of every generation only ----------------------------
-# CMA-ES needs no more than the ranks of its samples. Each generation is scored on
-# the first frames of the rungs' order; its best third goes on to the others, and the rest rank below by what they
-# have; so the last of its parents may be chosen by the first frames alone.
-
-
-class RacedClimb:
-    """Generations of samples about a mean, each raced over the frames.
-
-    Parameters
-    ----------
-    mean : ndarray, (d,)
-        Where it starts, in shares of the box.
-    step : float
-        Standard deviation it starts with, in shares of the box.
-    samples, generations : int
-        Samples to a generation, and generations in all.
-    first : int
-        How many frames all samples meet; the others are for the best third.
-    block : ndarray of int, (f,)
-        Block of time of each frame, in the order of the rungs.
-    seed : int
-        Same seed, same samples.
-    """
-
-    def __init__(
-        self, mean: np.ndarray, step: float, samples: int, generations: int, first: int, block: np.ndarray, seed: int
-    ) -> None:
-        self._rng = generator(seed)
-        self._climb = CovarianceAdaptation(self._rng, mean, step, samples)
-        self._climb.move()
-        self._left, self._first, self._block = generations, first, np.asarray(block)
-        self._begun: np.ndarray | None = None  # what a generation has on the first frames
-
-    @property
-    def done(self) -> bool:
-        """Whether all generations are made, or it has arrived or is stuck."""
-        return self._left == 0 or self._climb.exhausted
-
-    def ask(self) -> tuple[np.ndarray, slice]:
-        """Candidates, (s, d) in shares of the box, and which of the frames they are to meet."""
-        if self._begun is None:
-            return self._climb.candidates, slice(0, self._first)
-        return self._climb.candidates[self._better()], slice(self._first, len(self._block))
-
-    def tell(self, objective: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Take the objective of what was asked for, (s, frames asked for).
-
-        Returns
-        -------
-        ndarray, (k, d), and ndarray, (k, f)
-            The candidates that have met all frames by now, and their objective on each; none in mid-generation.
-        """
-        if self._begun is None and self._first < len(self._block):
-            self._begun = objective
-            return self._climb.candidates[:0], np.empty((0, len(self._block)))
-        if self._begun is None:
-            rows, whole = np.arange(len(objective)), objective
-        else:
-            rows = self._better()
-            whole = np.concatenate([self._begun[rows], objective], axis=1)
-        met = self._climb.candidates[rows]
-        self._climb.tell(self._ranks(rows, whole))
-        self._left, self._begun = self._left - 1, None
-        self._climb.move()
-        return met, whole
-
-    def _better(self) -> np.ndarray:
-        """Rows of the samples that go on to all frames."""
-        return survivors(self._begun, self._block[: self._first], math.ceil(len(self._begun) / 3))
-
-    def _ranks(self, rows: np.ndarray, whole: np.ndarray) -> np.ndarray:
-        """What orders a generation, (samples,): those that met all frames by these, above the others by theirs."""
-        begun = whole if self._begun is None else self._begun
-        values = -np.argsort(np.argsort(-begun.sum(axis=1), kind="stable"), kind="stable").astype(float)
-        totals = whole.sum(axis=1)
-        values[rows] = 1.0 + np.searchsorted(np.sort(totals), totals)  # equals stay equal
-        return values
 
 
 # --- Which mountings go on to a dearer rung, and from which of them to climb: the best, and those far from any better -

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import operator
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -99,15 +98,23 @@ def generator(seed: int) -> np.random.Generator:
 def latin_hypercube(rng: np.random.Generator, points: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Points of which each of `points` equal slices of every variable holds exactly one, (points, d)."""
     slices = rng.permuted(np.tile(np.arange(points), (lower.size, 1)), axis=1).T
-    return _in_box((slices + rng.random(slices.shape)) / points, lower, upper)
+    return in_box((slices + rng.random(slices.shape)) / points, lower, upper)
+
+
+def distinct_donors(i: np.ndarray, j: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Donors j and k of particles i, all three different, from draws out of those that are left: one less, two less."""
+    j = j + (j >= i)
+    k = k + (k >= np.minimum(i, j))
+    return j, k + (k >= np.maximum(i, j))
 
 
 def uniform(rng: np.random.Generator, points: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Independent uniform points, (points, d)."""
-    return _in_box(rng.random((points, lower.size)), lower, upper)
+    return in_box(rng.random((points, lower.size)), lower, upper)
 
 
-def _in_box(unit: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+def in_box(unit: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Points of the box from shares of it, 0 to 1 in every variable."""
     # the clip catches a last digit that rounding carries over the upper bound
     return np.clip(lower + unit * (upper - lower), lower, upper)
 
@@ -135,12 +142,13 @@ class Search(ABC):
 
     name: ClassVar[str]
 
-    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, budget: int, per_iteration: int) -> None:
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, budget: int, per_iteration: int = 1) -> None:
         self._lower, self._upper = check_bounds(lower, upper)
         self._budget = budget
-        self._per_iteration = per_iteration
+        self._per_iteration = per_iteration  # evaluations, at least; a batch is never divided
         self._x: list[list[float]] = []
         self._values: list[float] = []
+        self._iterations: list[int] = []  # evaluations of each
         self._best = -1  # row of the best so far
 
     @abstractmethod
@@ -181,6 +189,9 @@ class Search(ABC):
                 self._best = len(self._values)
             self._x.append(x)
             self._values.append(value)
+        if not self._iterations or self._iterations[-1] >= self._per_iteration:
+            self._iterations.append(0)
+        self._iterations[-1] += len(values)
         self._learn(candidates, values)
 
     @property
@@ -201,7 +212,7 @@ class Search(ABC):
     @property
     def iteration(self) -> int:
         """The iteration that the latest evaluation belongs to, from 1; 0 before the first."""
-        return math.ceil(self.evaluations / self._per_iteration)
+        return len(self._iterations)
 
     @property
     def best_x(self) -> np.ndarray:
@@ -224,22 +235,13 @@ class Search(ABC):
     @property
     def history(self) -> np.ndarray:
         """One row per evaluation, (n, d + 5): evaluation, iteration, particle (all from 1), x, value, best so far."""
-        iteration, particle = self._numbering()
-        return history_of(np.reshape(self._x, (-1, self._lower.size)), np.array(self._values), iteration, particle)
-
-    def _numbering(self) -> tuple[np.ndarray, np.ndarray]:
-        """Iteration of every evaluation and its place there, both from 0."""
-        return np.divmod(np.arange(self.evaluations), self._per_iteration)
+        x = np.reshape(self._x, (-1, self._lower.size))
+        return history_of(x, np.array(self._values), np.array(self._iterations, dtype=int))
 
 
-def history_of(x: np.ndarray, values: np.ndarray, iteration: np.ndarray, particle: np.ndarray) -> np.ndarray:
-    """Rows of `Search.history`; iteration and particle, (evaluations,), are counted from 0."""
-    best = np.maximum.accumulate(values)
-    return np.column_stack([np.arange(len(x)) + 1, iteration + 1, particle + 1, x, values, best])
-
-
-def numbered(batches: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Batch of every evaluation and its place there, both from 0, from how many each batch has."""
-    sizes = np.array(batches, dtype=int)
-    first = np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return np.repeat(np.arange(len(sizes)), sizes), np.arange(len(first)) - first
+def history_of(x: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Rows of `Search.history` from candidates (n, d), values (n,) and how many of them each iteration has."""
+    evaluation = np.arange(len(x)) + 1
+    iteration = np.repeat(np.arange(len(sizes)) + 1, sizes)
+    particle = evaluation - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return np.column_stack([evaluation, iteration, particle, x, values, np.maximum.accumulate(values)])

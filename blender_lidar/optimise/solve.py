@@ -145,16 +145,8 @@ def de_pso(
     InputError
         If the bounds, a setting or a value of the objective cannot be used.
     """
-    settings = DePsoSettings(
-        particles=particles,
-        iterations=iterations,
-        inertia=inertia,
-        differential_weight=differential_weight,
-        cognitive=cognitive,
-        social=social,
-        differential_threshold=differential_threshold,
-        reading=reading,
-    )
+    weights = inertia, differential_weight, cognitive, social
+    settings = DePsoSettings(particles, iterations, *weights, differential_threshold, reading)
     return run(DePso(lower, upper, seed=seed, settings=settings), objective, callback)
 
 
