@@ -23,7 +23,7 @@ from typing import IO, BinaryIO
 
 import numpy as np
 
-from .errors import OutputError, output_error
+from .errors import BlenderLidarError, InputError, MissingFileError, OutputError, output_error
 
 # --- Files that are written whole or not at all -----------------------------------------------------------
 
@@ -276,6 +276,27 @@ def open_file(path: str | Path) -> BinaryIO:
     except BaseException:
         os.close(handle)
         raise
+
+
+@contextmanager
+def reading(path: str | Path, what: str) -> Iterator[None]:
+    """Let what keeps a file from being read be a user's error; `what` is needed: ``"a TOML file"``.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        In place of the `OSError` of the block.
+    """
+    try:
+        yield
+    except BlenderLidarError:  # says already what and where
+        raise
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: there is no such file") from error
+    except IsADirectoryError as error:
+        raise InputError(f"{path}: is a folder; allowed: {what}") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def read_file(path: str | Path, most_bytes: int | None = None) -> bytes:

@@ -8,22 +8,22 @@ options of the command line, and whatever else shows settings.
 from __future__ import annotations
 
 import dataclasses
-import itertools
+import json
 import math
+import re
 import sys
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from types import NoneType
-from typing import Any, get_args, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
-from .errors import InputError, MissingFileError, shown, unknown_name
-from .files import read_file
+from .errors import InputError, shown, unknown_name
+from .files import read_file, reading
 
 _MAX_BYTES = 1 << 20
 _LARGEST_WHOLE = 2**53  # what a float and a CSV column still hold exactly
-_LARGEST_FLOAT = sys.float_info.max
 
 # --- Declarations -----------------------------------------------------------------------------------------
 
@@ -35,7 +35,8 @@ class Setting:
     Attributes
     ----------
     kind : type
-        Of its value: a key of `CHECKS`, a dataclass for a table that it declares, or a tuple of such.
+        Of its value: float, int, bool or str; a tuple of numbers, or a number or such a tuple; a dataclass for a table
+        that it declares, or a tuple of such; a mapping for a table of numbers that are called as is `allowed`.
     default : object
         Its value where it is left out; without one it may not be.
     low, high, above, below : float
@@ -44,6 +45,10 @@ class Setting:
         What a text may be; any where there are none.
     word : str
         A text that may stand in place of a number.
+    fits : callable
+        Whether a value that is all of that may be used; none asks for no more.
+    form : str
+        What `fits` asks for, in words.
     is_path : bool
         Whether it is a path: in a file it starts from the file's folder, as an option from the working folder.
     option : str
@@ -64,6 +69,8 @@ class Setting:
     below: float = math.inf
     allowed: Iterable[str] = ()
     word: str = ""
+    fits: Callable[[Any], object] | None = None
+    form: str = ""
     is_path: bool = False
     option: str = ""
     rivals: tuple[str, ...] = ()
@@ -95,83 +102,66 @@ def _without_none(kind):
 
 # --- Values -----------------------------------------------------------------------------------------------
 
+_KINDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a text in quotes, not empty"}
 
-def _number(value, declared, where):
-    """A finite number within its limits, or the word that may stand in its place."""
-    if declared.word and isinstance(value, str):
-        if value != declared.word:
-            raise _refused(where, value, f'a number, or "{declared.word}"')
+
+def checked(value: object, declared: Setting, where: str) -> Any:
+    """A value as its setting declares it, numbers as float or int and lists as tuples; `where` it came from.
+
+    Raises
+    ------
+    InputError
+        When it is something else, with what is allowed.
+    """
+    found = _of_kind(value, declared.kind, declared, where)
+    if declared.allowed and found not in declared.allowed:
+        raise unknown_name(found, declared.allowed, where.rpartition(" ")[2].lstrip("-"), where)
+    if declared.fits is not None and not declared.fits(found):
+        raise _refused(where, value, declared.form)
+    return found
+
+
+def _of_kind(value, kind, declared, where):
+    is_list, parts = isinstance(value, list | tuple), get_args(kind)
+    if get_origin(kind) is UnionType:
+        return _of_kind(value, parts[is_list], declared, where)
+    if get_origin(kind) is tuple:
+        count = None if ... in parts else len(parts)
+        if not is_list or not value or (count and len(value) != count):
+            raise _refused(where, value, f"a list of {count or 'whole'} numbers")
+        return tuple(_of_kind(entry, parts[0], declared, where) for entry in value)
+    if declared.word and value == declared.word:
         return value
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST_FLOAT:
-        raise _refused(where, value, "a number")  # inf and NaN too
-    limits = {"more than": declared.above, "at least": declared.low, "at most": declared.high}
-    limits["less than"] = declared.below
-    if not (declared.low <= value <= declared.high and declared.above < value < declared.below):
-        allowed = (f"{word} {limit:g}" for word, limit in limits.items() if math.isfinite(limit))
-        raise _refused(where, value, " and ".join(allowed))
-    return float(value)
+    if not _is_a(kind, value):
+        raise _refused(where, value, _KINDS[kind] + (f', or "{declared.word}"' if declared.word else ""))
+    return _within(value, kind, declared, where) if kind in (float, int) else value
 
 
-def _whole(value, declared, where):
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise _refused(where, value, "a whole number")
-    low, high = max(declared.low, -_LARGEST_WHOLE), min(declared.high, _LARGEST_WHOLE)
-    if not low <= value <= high:
-        raise _refused(where, value, f"{low} to {high}")
-    return value
+def _is_a(kind, value):
+    if kind is str:
+        return isinstance(value, str) and value and "\0" not in value
+    if kind is bool or isinstance(value, bool):  # to Python a bool is an int
+        return kind is bool and isinstance(value, bool)
+    return isinstance(value, kind | int) and abs(value) <= sys.float_info.max  # which inf and NaN are not
 
 
-def _truth(value, _declared, where):
-    if not isinstance(value, bool):
-        raise _refused(where, value, "true or false")
-    return value
-
-
-def _text(value, _declared, where):
-    if not isinstance(value, str) or not value or "\0" in value:
-        raise _refused(where, value, "a text in quotes, not empty")
-    return value
-
-
-def _whole_numbers(value, declared, where):
-    if not isinstance(value, list | tuple) or not value:
-        raise _refused(where, value, "a list of whole numbers")
-    return tuple(_whole(entry, declared, where) for entry in value)
-
-
-def _numbers(value, declared, where):
-    count = len(get_args(declared.kind))
-    if not isinstance(value, list | tuple) or len(value) != count:
-        raise _refused(where, value, f"a list of {count} numbers")
-    return tuple(_number(entry, declared, where) for entry in value)
-
-
-def _number_or_pair(value, declared, where):
-    if not isinstance(value, list | tuple):
-        return _number(value, declared, where)
-    if len(value) != 2:
-        raise _refused(where, value, "a number, or a pair [low, high]")
-    low, high = (_number(entry, declared, where) for entry in value)
-    if not low < high:
-        raise _refused(where, [low, high], "the lower bound first, below the upper")
-    return low, high
+def _within(value, kind, declared, where):
+    """The number as its kind, if it is within its limits."""
+    low, high = declared.low, declared.high
+    if kind is int:
+        low, high = max(low, -_LARGEST_WHOLE), min(high, _LARGEST_WHOLE)
+    if not (low <= value <= high and declared.above < value < declared.below):
+        show = str if kind is int else "{:g}".format
+        if math.isfinite(low) and math.isfinite(high):
+            raise _refused(where, value, f"{show(low)} to {show(high)}")
+        limits = {"more than": declared.above, "at least": low, "at most": high, "less than": declared.below}
+        told = (f"{word} {show(limit)}" for word, limit in limits.items() if math.isfinite(limit))
+        raise _refused(where, value, " and ".join(told))
+    return kind(value)
 
 
 def _refused(where, value, allowed):
     return InputError(f"{where}: is {shown(value)}; allowed: {allowed}")
-
-
-CHECKS = {
-    float: _number,
-    int: _whole,
-    bool: _truth,
-    str: _text,
-    tuple[int, ...]: _whole_numbers,
-    tuple[float, float]: _numbers,
-    tuple[float, float, float]: _numbers,
-    float | tuple[float, float]: _number_or_pair,
-}
-"""What a value of each kind of setting must be; returns it with numbers as float and lists as tuples."""
 
 
 # --- Files ------------------------------------------------------------------------------------------------
@@ -185,166 +175,125 @@ def read_toml(path: str | Path) -> dict:
     MissingFileError, InputError
         When there is no such file, or it is a folder, too large, not UTF-8 or not TOML.
     """
-    path = Path(path)
-    try:
+    with reading(path, "a TOML file"):
         content = read_file(path, _MAX_BYTES + 1)
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: there is no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: is a folder; allowed: a TOML file") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     if len(content) > _MAX_BYTES:
         raise InputError(f"{path}: is larger than {_MAX_BYTES} bytes; allowed: a TOML file of settings")
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"{path}: is not UTF-8 text ({error.reason} at byte {error.start}); allowed: a TOML file"
-        ) from error
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
+    except (ValueError, RecursionError) as error:  # no UTF-8 too, and a number of thousands of digits
         raise InputError(f"{path}: is not TOML: {str(error).splitlines()[0]}") from error
 
 
 class TomlTable:
-    """One table of settings; each value is checked where it is read, and what is left over is refused by name.
+    """One table of settings, and where its values came from.
 
     Parameters
     ----------
     values : mapping
         The table's keys and values.
-    where : str
+    name : str
         What an error names: ``"i80.toml: [sensor]"``.
     origins : mapping, optional
         For keys that did not come from the file: where they came from, e.g. ``{"name": "--sensor"}``.
     folder : path, optional
         Where paths in the file start from.
+
+    Raises
+    ------
+    InputError
+        When `values` is no table.
     """
 
     def __init__(
-        self, values: object, where: str, origins: Mapping[str, str] | None = None, folder: Path = Path()
+        self, values: object, name: str, origins: Mapping[str, str] | None = None, folder: Path = Path()
     ) -> None:
         if not isinstance(values, Mapping):
-            raise _refused(where, values, "a table")
-        self._values, self._where, self._origins, self._folder = dict(values), where, dict(origins or {}), folder
-        self._known: list[str] = []
-
-    def __str__(self) -> str:
-        """What an error names: the table itself."""
-        return self._where
+            raise _refused(name, values, "a table")
+        self.values, self.name, self.origins, self.folder = values, name, origins or {}, folder
 
     def where(self, key: str) -> str:
         """Where the value of `key` came from, as an error names it."""
-        return self._origins.get(key, f"{self._where} {key}")
+        return self.origins.get(key, f"{self.name} {key}")
 
-    def overridden(self, key: str) -> bool:
-        """Whether the value of `key` came from elsewhere than the file."""
-        return key in self._origins
-
-    def folder_of(self, key: str) -> Path:
-        """Where a path that is the value of `key` starts from."""
-        return Path() if self.overridden(key) else self._folder
-
-    def get(self, key: str, declared: Setting) -> Any:
-        """The value of a key as its setting declares it; its default where the key is missing."""
-        self._known.append(key)
-        if self._values.get(key) is None:  # an option may say none
-            if declared.default is ...:
-                raise InputError(f"{self._where} {key}: is missing")
-            return declared.default
-        value, kind, of_each = self._values[key], declared.kind, next(iter(get_args(declared.kind)), None)
-        if dataclasses.is_dataclass(kind):
-            return self._entry(kind, value, self.nested(key))
-        if dataclasses.is_dataclass(of_each):
-            if not isinstance(value, list | tuple):
-                raise _refused(self.where(key), value, "a list of tables")
-            places = (f"{self.where(key)} {number}" for number in itertools.count(1))
-            return tuple(self._entry(of_each, entry, where) for entry, where in zip(value, places, strict=False))
-        value = CHECKS[kind](value, declared, self.where(key))
-        if declared.allowed and value not in declared.allowed:
-            raise unknown_name(value, declared.allowed, key, self.where(key))
-        return str(self.folder_of(key) / value) if declared.is_path else value
-
-    def read(self, declared: Mapping[str, Setting]) -> dict[str, Any]:
-        """The values of settings, by key."""
-        return {key: self.get(key, one) for key, one in declared.items()}
+    def path(self, key: str, value: str) -> str:
+        """A path that is the value of `key`, from the folder on where it starts."""
+        return str(value if key in self.origins else self.folder / value)
 
     def table(self, key: str) -> TomlTable:
         """A table within this one; empty where the key is missing."""
-        self._known.append(key)
-        return TomlTable(self._values.get(key, {}), self.nested(key), folder=self._folder)
+        name = f"{self.name[:-1]}.{key}]" if self.name.endswith("]") else f"{self.name}: [{key}]"
+        return TomlTable(self.values.get(key, {}), self.origins.get(key, name), folder=self.folder)
 
-    def nested(self, key: str) -> str:
-        """What an error names: a table within this one."""
-        where = f"{self._where[:-1]}.{key}]" if self._where.endswith("]") else f"{self._where}: [{key}]"
-        return self._origins.get(key, where)
+    def read(self, declared: Mapping[str, Setting]) -> dict[str, Any]:
+        """The values of settings, by key, the default where one is left out.
 
-    def tables(self) -> dict[str, TomlTable]:
-        """All tables within this one, whatever their names."""
-        names = [key for key, value in self._values.items() if isinstance(value, Mapping)]
-        return {name: self.table(name) for name in names}
+        Raises
+        ------
+        InputError
+            For a value that is not as its setting declares it, and a key that none declares.
+        """
+        for key in self.values:
+            if key not in declared:
+                raise unknown_name(key, declared, "key", self.origins.get(key, self.name))
+        return {key: self._value(key, one) for key, one in declared.items()}
 
-    def _entry(self, declared: type, value: object, where: str) -> Any:
-        """A table within this one, as a dataclass declares it."""
-        table = TomlTable(value, where, folder=self._folder)
-        found = declared(**table.read(settings_of(declared)))
-        table.finish()
-        return found
+    def read_as(self, declared: type) -> Any:
+        """The table as a dataclass declares it."""
+        return declared(**self.read(settings_of(declared)))
 
-    def finish(self, what: str = "key") -> None:
-        """Refuse the keys that nothing asked for; `what` says what they are."""
-        for key in self._values:
-            if key not in self._known:
-                raise unknown_name(key, self._known, what, self._origins.get(key, self._where))
+    def _value(self, key, declared):
+        value, kind = self.values.get(key), declared.kind
+        entry = next(iter(get_args(kind)), None)
+        if get_origin(kind) is Mapping:
+            numbers = dataclasses.replace(declared, kind=float, default=None, allowed=())
+            found = self.table(key).read(dict.fromkeys(declared.allowed, numbers))
+            return {name: number for name, number in found.items() if number is not None}
+        if value is None:  # which an option may say
+            if declared.default is ...:
+                raise InputError(f"{self.name} {key}: is missing")
+            return declared.default
+        if dataclasses.is_dataclass(kind):
+            return self.table(key).read_as(kind)
+        if dataclasses.is_dataclass(entry):
+            if not isinstance(value, list | tuple):
+                raise _refused(self.where(key), value, "a list of tables")
+            places = (f"{self.where(key)} {number}" for number in range(1, len(value) + 1))
+            tables = (TomlTable(one, place, folder=self.folder) for one, place in zip(value, places, strict=True))
+            return tuple(table.read_as(entry) for table in tables)
+        found = checked(value, declared, self.where(key))
+        return self.path(key, found) if declared.is_path else found
 
 
 def to_toml(tables: Mapping[str, Mapping]) -> str:
-    """Tables of numbers, texts, lists (also of tables) and tables of those as TOML; keys that hold None are left out.
+    """Tables of numbers, texts, lists and tables of those as TOML; keys that hold None are left out.
 
     Raises
     ------
     InputError
         For a value that TOML has no place for.
     """
-    lines: list[str] = []
-    for name, table in tables.items():
-        _append_table(lines, _key(name), table)
-    return "\n".join(lines).strip() + "\n"
+    parts = (f"[{_key(name)}]\n" + "".join(f"{line}\n" for line in _lines(table)) for name, table in tables.items())
+    return "\n".join(parts)
 
 
-def _append_table(lines, name, table):
-    lines += ["", f"[{name}]"]
-    lines += [
-        f"{_key(key)} = {_value(value)}"
-        for key, value in table.items()
-        if value is not None and not isinstance(value, Mapping)
-    ]
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            _append_table(lines, f"{name}.{_key(key)}", value)
+def _lines(table):
+    return [f"{_key(key)} = {_value(value)}" for key, value in table.items() if value is not None]
 
 
 def _key(key):
-    return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else _value(key)
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
 
 
 def _value(value):
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return '"' + "".join(_escape(c) for c in value) + '"'
+    if isinstance(value, str) and value == value.encode(errors="replace").decode():
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool | int):
+        return json.dumps(value)
+    if isinstance(value, float):
+        return float.__repr__(value)  # NumPy's own says np.float64(...)
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(entry) for entry in value) + "]"
+        return "[" + ", ".join(map(_value, value)) + "]"
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(key)} = {_value(entry)}" for key, entry in value.items()) + " }"
-    if isinstance(value, int | float):
-        return float.__repr__(value) if isinstance(value, float) else int.__repr__(value)  # NumPy's say np.float64(...)
+        return "{ " + ", ".join(_lines(value)) + " }"
     raise InputError(f"{value!r}: has no place in a TOML file; allowed: a number, a text, or a list of those")
-
-
-def _escape(character):
-    if character in '"\\':
-        return "\\" + character
-    if 0xD800 <= ord(character) < 0xE000:  # half a character: a file name that is not UTF-8
-        raise InputError(f"{character!r}: has no place in a TOML file; allowed: whole Unicode characters")
-    return f"\\u{ord(character):04x}" if ord(character) < 32 or ord(character) == 127 else character

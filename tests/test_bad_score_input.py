@@ -101,10 +101,10 @@ def test_boxes_of_several_frames_need_a_frame(tmp_path, capsys, points):
     ("words", "expected"),
     [
         (["--cell", "0"], "--cell: is 0.0; allowed: at least 0.001"),
-        (["--cell", "nan"], "--cell: is nan; allowed: at least 0.001"),
+        (["--cell", "nan"], "--cell: is nan; allowed: a number"),
         (["--threshold", "-1"], "--threshold: is -1.0; allowed: at least 0"),
         (["--ground-clearance", "-0.1"], "--ground-clearance: is -0.1; allowed: at least 0"),
-        (["--ground-clearance", "low"], "argument --ground-clearance: invalid float value: 'low'"),
+        (["--ground-clearance", "low"], "--ground-clearance: is 'low'; allowed: a number"),
         (["--assign", "near"], "argument --assign: invalid choice: 'near'"),
         (["--view", "back"], "argument --view: invalid choice: 'back'"),
     ],

@@ -118,15 +118,15 @@ def test_each_imperfection_by_itself_changes_the_score(tmp_path, capsys, words):
     [
         (("--dropout", 1), "--dropout: is 1.0; allowed: at least 0 and less than 1"),
         (("--dropout", "nan"), "--dropout: is nan; allowed: a number"),
-        (("--glass-dropout", 1.1), "--glass-dropout: is 1.1; allowed: at least 0 and at most 1"),
-        (("--range-at-10-percent", 0), "--range-at-10-percent: is 0.0; allowed: at least 0.01"),
+        (("--glass-dropout", 1.1), "--glass-dropout: is 1.1; allowed: 0 to 1"),
+        (("--range-at-10-percent", 0), "--range-at-10-percent: is 0.0; allowed: 0.01"),
         (("--range-at-10-percent", "far"), "--range-at-10-percent: is 'far'; allowed: a number, or \"datasheet\""),
         (
             ("--sensor", "RS-LiDAR-32", "--range-at-10-percent", "datasheet"),
             "--range-at-10-percent: no source gives that of RS-LiDAR-32; allowed: a number",
         ),
         (("--range-noise", "much"), "--range-noise: is 'much'; allowed: a number, or \"datasheet\""),
-        (("--unit-spread", 50), "--unit-spread: is 50.0; allowed: at least 0 and at most 5"),
+        (("--unit-spread", 50), "--unit-spread: is 50.0; allowed: 0 to 5"),
         (("--sensor", "RS-BPearl", "--unit-spread", 5), "--unit-spread: unit 4 of RS-BPearl has ring 31 at 9"),
     ],
 )

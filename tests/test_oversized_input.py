@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +87,7 @@ def test_frames_that_lie_next_to_no_time_apart(tmp_path, key, value):
 
 
 def test_ranges_of_frames_that_are_many_together():
-    with pytest.raises(InputError, match="--frame-ids: names more than 1,000,000 frames"):
+    with pytest.raises(InputError, match=r"--frame-ids: .* not more than 1,000,000 frames"):
         parse_frames(",".join(["0:999998"] * 1000), "--frame-ids")
 
 
@@ -106,7 +107,7 @@ def test_ranges_of_frames_that_are_many_together():
 )
 def test_lengths_whose_squares_no_number_holds(tmp_path, table, key, value):
     path = write_scene(tmp_path, {table: {key: value}})
-    assert "at most 1e+0" in refused(load_scenario, path)
+    assert re.search(r"allowed: .*\b(to|at most) 1e\+0", refused(load_scenario, path))
 
 
 # --- clouds ---------------------------------------------------------------------------------------------------------

@@ -118,11 +118,11 @@ def test_imperfections_that_cannot_be_are_refused_with_what_is_allowed(tmp_path)
     for line, allowed in {
         "dropout = 1": "dropout: is 1; allowed: at least 0 and less than 1",
         'range_noise_m = "high"': "range_noise_m: is 'high'; allowed: a number, or \"datasheet\"",
-        "range_noise_m = -1": "range_noise_m: is -1; allowed: at least 0 and at most 10",
-        "glass_dropout = 1.5": "glass_dropout: is 1.5; allowed: at least 0 and at most 1",
-        "range_at_10_percent_m = 0": "range_at_10_percent_m: is 0; allowed: at least 0.01 and at most 100000",
-        "range_at_10_percent_m = 1e308": "range_at_10_percent_m: is 1e+308; allowed: at least 0.01 and at most 100000",
-        "unit_spread_deg = 6": "unit_spread_deg: is 6; allowed: at least 0 and at most 5",
+        "range_noise_m = -1": "range_noise_m: is -1; allowed: 0 to 10",
+        "glass_dropout = 1.5": "glass_dropout: is 1.5; allowed: 0 to 1",
+        "range_at_10_percent_m = 0": "range_at_10_percent_m: is 0; allowed: 0.01 to 100000",
+        "range_at_10_percent_m = 1e308": "range_at_10_percent_m: is 1e+308; allowed: 0.01 to 100000",
+        "unit_spread_deg = 6": "unit_spread_deg: is 6; allowed: 0 to 5",
     }.items():
         assert refusal(tmp_path, f"{MINIMAL}[sensor]\n{line}\n") == f"[sensor] {allowed}"
         assert refusal(tmp_path, f"{MINIMAL}[sensor.RS-16]\n{line}\n") == f"[sensor.RS-16] {allowed}"
@@ -131,7 +131,7 @@ def test_imperfections_that_cannot_be_are_refused_with_what_is_allowed(tmp_path)
 def test_a_data_sheet_with_more_noise_than_is_allowed_is_refused_where_it_is_asked_for(tmp_path):
     (tmp_path / "own.toml").write_text("range_noise_m = 20.0\nbeams = [[0, -10.0], [1, 0.0]]\n")
     text = refusal(tmp_path, MINIMAL + '[sensor]\nname = "own.toml"\nrange_noise_m = "datasheet"\n')
-    assert text == "[sensor] range_noise_m: own has 20; allowed: at most 10"
+    assert text == "[sensor] range_noise_m: own: is 20.0; allowed: 0 to 10"
 
 
 @pytest.mark.parametrize(("name", "found"), [("RS-32", 90.0), ("RS-LiDAR-32", None)])

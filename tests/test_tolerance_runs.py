@@ -331,9 +331,9 @@ def test_an_option_reads_as_the_scenes_table():
     ("given", "told"),
     [
         ("tilt=1", "--tolerance: unknown key 'tilt'; did you mean 'tilt_deg'? allowed: height_m, tilt_deg, yaw_deg"),
-        ("tilt_deg=-1", "--tolerance tilt_deg: is -1.0; allowed: at least 0 and at most 10"),
-        ("tilt_deg=11", "--tolerance tilt_deg: is 11.0; allowed: at least 0 and at most 10"),
-        ("height_m=1.5", "--tolerance height_m: is 1.5; allowed: at least 0 and at most 1"),
+        ("tilt_deg=-1", "--tolerance tilt_deg: is -1.0; allowed: 0 to 10"),
+        ("tilt_deg=11", "--tolerance tilt_deg: is 11.0; allowed: 0 to 10"),
+        ("height_m=1.5", "--tolerance height_m: is 1.5; allowed: 0 to 1"),
         ("height_m=nan", "--tolerance height_m: is nan; allowed: a number"),
         ("height_m=low", "--tolerance height_m: is 'low'; allowed: a number"),
         ("tilt_deg=1,aim=best", "--tolerance aim: unknown aim 'best'; allowed: mean, low"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError, MissingFileError
-from blender_lidar.toml_table import Setting, TomlTable, read_toml, setting, settings_of, to_toml
+from blender_lidar.toml_table import Setting, TomlTable, checked, read_toml, setting, settings_of, to_toml
 
 PAIR = float | tuple[float, float]
 
@@ -23,7 +24,7 @@ def table(text: str, origins: dict[str, str] | None = None) -> TomlTable:
 
 def value(text: str, kind: object = float, **declared: object) -> object:
     """The value of a = `text` as a setting declares it."""
-    return table(f"a = {text}").get("a", Setting(kind=kind, **declared))
+    return table(f"a = {text}").read({"a": Setting(kind=kind, **declared)})["a"]
 
 
 def refusal(call) -> str:
@@ -57,12 +58,12 @@ def refused(text: str, kind: object = float, **declared: object) -> str:
 def test_values_arrive_as_plain_python_types(text, kind, expected):
     found = value(text, kind)
     assert (found, type(found)) == (expected, type(expected))
-    assert table("").get("a", Setting(kind=kind, default=None)) is None
-    assert table("").get("a", Setting(kind=kind, default=expected)) == expected
+    for default in (None, expected):
+        assert table("").read({"a": Setting(kind=kind, default=default)}) == {"a": default}
 
 
 def test_a_missing_key_without_default_is_named():
-    assert refusal(lambda: table("").get("path", Setting(kind=str))) == "site.toml: [road] path: is missing"
+    assert refusal(lambda: table("").read({"path": Setting(kind=str)})) == "site.toml: [road] path: is missing"
 
 
 WRONG = {
@@ -92,7 +93,7 @@ def test_what_is_of_another_kind_is_refused_with_its_value_and_place(kind, allow
         ({"high": 1.0}, "at most 1"),
         ({"above": 2.0}, "more than 2"),
         ({"above": 2.0, "high": 9.0}, "more than 2 and at most 9"),
-        ({"low": 3.0, "high": 9.0}, "at least 3 and at most 9"),
+        ({"low": 3.0, "high": 9.0}, "3 to 9"),
         ({"below": 2.0}, "less than 2"),
         ({"low": 0.0, "below": 1.0}, "at least 0 and less than 1"),
     ],
@@ -111,9 +112,9 @@ def test_a_number_or_one_text_is_either(text, expected):
     ("text", "said"),
     [
         ('"Auto"', "is 'Auto'; allowed: a number, or \"auto\""),
-        ("true", "is True; allowed: a number"),
-        ("nan", "is nan; allowed: a number"),
-        ("[1]", "is [1]; allowed: a number"),
+        ("true", 'is True; allowed: a number, or "auto"'),
+        ("nan", 'is nan; allowed: a number, or "auto"'),
+        ("[1]", 'is [1]; allowed: a number, or "auto"'),
         ("-1", "is -1; allowed: at least 0"),
     ],
 )
@@ -134,17 +135,18 @@ def test_an_integer_of_hundreds_of_digits_is_refused_in_a_short_line(kind):
 
 
 def test_a_text_that_is_none_of_the_allowed_is_refused_with_the_nearest():
-    told = refusal(lambda: table('view = "maen"').get("view", Setting(kind=str, allowed=("mean", "max", "min"))))
+    told = refusal(lambda: checked("maen", Setting(kind=str, allowed=("mean", "max", "min")), "site.toml: [road] view"))
     assert told == "site.toml: [road] view: unknown view 'maen'; did you mean 'mean'? allowed: mean, max, min"
 
 
-@pytest.mark.parametrize("text", ["[4.5, 2.0]", "[2.0, 2.0]"])
-def test_a_pair_upside_down_or_empty_is_refused(text):
-    assert refused(text, PAIR) == f"is {text}; allowed: the lower bound first, below the upper"
+def test_what_does_not_fit_is_refused_with_the_form_that_would():
+    even = {"kind": int, "fits": lambda number: number % 2 == 0, "form": "an even number"}
+    assert value("2", **even) == 2
+    assert refused("3", **even) == "is 3; allowed: an even number"
 
 
 def test_both_ends_of_a_pair_must_be_in_range():
-    assert refused("[1, 200]", PAIR, low=0.0, high=100.0) == "is 200; allowed: at least 0 and at most 100"
+    assert refused("[1, 200]", PAIR, low=0.0, high=100.0) == "is 200; allowed: 0 to 100"
 
 
 # --- declarations -----------------------------------------------------------------------------------------------------
@@ -194,10 +196,8 @@ def test_a_table_that_is_not_as_declared_is_refused_with_its_path(text, told):
 
 def test_a_value_from_an_option_is_refused_by_the_name_of_the_option():
     settings = table("a = -1", {"a": "--seed"})
-    told = refusal(lambda: settings.get("a", Setting(kind=int, low=0)))
+    told = refusal(lambda: settings.read({"a": Setting(kind=int, low=0)}))
     assert told.startswith("--seed: is -1; allowed: 0 to ")
-    assert settings.overridden("a")
-    assert not settings.overridden("b")
 
 
 def test_a_table_of_the_file_itself_is_named_as_it_is_written():
@@ -210,16 +210,17 @@ def test_an_array_of_tables_is_no_table():
     assert refusal(lambda: root.table("road")).startswith("site.toml: [road]: is [{'lanes': 3}]; allowed: a table")
 
 
-def test_keys_that_nothing_asked_for_are_refused_with_the_nearest_known_one():
-    settings = table("lnes = 3")
-    settings.get("lanes", Setting(kind=int, default=6))
-    assert refusal(settings.finish) == "site.toml: [road]: unknown key 'lnes'; did you mean 'lanes'? allowed: lanes"
+def test_a_key_that_none_declares_is_refused_with_the_nearest_known_one():
+    told = refusal(lambda: table("lnes = 3").read({"lanes": Setting(kind=int, default=6)}))
+    assert told == "site.toml: [road]: unknown key 'lnes'; did you mean 'lanes'? allowed: lanes"
 
 
-def test_tables_gives_all_tables_and_knows_their_names_from_then_on():
-    settings = table("[RS-16]\na = 1\n[RS-32]\na = 2")
-    assert {name: own.get("a", Setting()) for name, own in settings.tables().items()} == {"RS-16": 1.0, "RS-32": 2.0}
-    settings.finish()
+def test_a_table_of_numbers_has_those_that_are_given_and_no_others():
+    declared = {"a": Setting(kind=Mapping[str, float], allowed=("car", "bus"), above=0.0)}
+    assert table("").read(declared) == {"a": {}}
+    assert table("a = {bus = 3}").read(declared) == {"a": {"bus": 3.0}}
+    assert refusal(lambda: table("a = {bus = 0}").read(declared)).endswith("[road.a] bus: is 0; allowed: more than 0")
+    assert "[road.a]: unknown key 'vus'; did you mean 'bus'?" in refusal(lambda: table("a = {vus = 3}").read(declared))
 
 
 # --- files ------------------------------------------------------------------------------------------------------------

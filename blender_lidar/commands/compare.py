@@ -27,8 +27,9 @@ from ..studies.compare.findings import as_json, car_columns, correlation_table
 from ..studies.compare.labelled import open_labelled
 from ..studies.compare.paired import CLEARANCE_M, GROWN_M, LABEL_MARGIN_M, MEASURED, SHORT_M, pair_cars, variants
 from ..studies.compare.paired_findings import RESULT, TABLE, aggregate, cheapest_within_noise, judging, paired_table
+from ..toml_table import Setting, checked
 from ..world.shapes import DETAILS
-from .options import checked_number, label_classes, new_folder
+from .options import label_classes, new_folder
 from .progress import Progress
 
 SCHEMA = 1
@@ -132,7 +133,7 @@ def _beside_detectors(args: argparse.Namespace) -> tuple[str, Path, list[str], d
         raise InputError(f"--block-frames: is {args.block_frames}; allowed: 1 to {_MOST_BLOCK_FRAMES}")
     if args.seed < 0:
         raise InputError(f"--seed: is {args.seed}; allowed: 0 or more")
-    clearance_m = checked_number(args.ground_clearance, "--ground-clearance", low=0.0)
+    clearance_m = checked(args.ground_clearance, Setting(low=0.0), "--ground-clearance")
     settings = Settings(label_classes(args), clearance_m, args.block_frames, args.seed)
     metrics = chosen_metrics(args.metrics)
     for library in ("pandas", "scipy"):

@@ -3,34 +3,49 @@
 from __future__ import annotations
 
 import argparse
-import math
-from collections.abc import Callable
+import re
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 from ..scene.scenario import DECLARED, Scenario, load_scenario
 from ..scene.settings import MOUNTING
-from ..toml_table import Setting
+from ..toml_table import Setting, checked
 
 _MOST_FRAMES = 1_000_000
+_FRAMES = re.compile(r"\s*(-?\d+)(?::(-?\d+)(?::(\d+))?)?\s*")
 _SETTINGS = {
     declared.option: (table, key, declared)
     for table, settings in DECLARED.items()
     for key, declared in settings.items()
-    if declared.option and not MOUNTING.keys() & settings.keys()
+    if declared.option and table not in ("deployment", "baseline")
 }
 SEARCH_OPTIONS = ("--search", "--fidelity", "--particles", "--iterations")
-_FOR_SEARCHES = (
-    *SEARCH_OPTIONS,
-    "--frames",
-    "--frame-ids",
-    "--metric",
-    "--tolerance",
-    "--reading",
-    "--workers",
-    "--cluster",
-    "--seed",
-)
+_FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--tolerance", "--reading", "--workers")
+_FOR_SEARCHES += ("--cluster", "--seed")
+
+# --- Options that are declared as settings are ------------------------------------------------------------
+
+
+def add_option(parser, declared: Setting, default: object = None, **more: str) -> None:
+    """The option of a setting; what is given is read by `option_value`, `more` is argparse's."""
+    listed = None if declared.metavar else tuple(declared.allowed) or None
+    metavar = declared.metavar or (None if listed else declared.option[2:].upper())
+    parser.add_argument(declared.option, choices=listed, metavar=metavar, help=declared.help, default=default, **more)
+
+
+def option_value(given: object, declared: Setting) -> Any:
+    """What an option is given, checked as its setting declares it."""
+    return checked(_number_or_text(given, declared.kind), declared, declared.option)
+
+
+def _number_or_text(given, kind=float):
+    """A text as the number that it is, if numbers are asked for; the checks see to texts that are none."""
+    try:
+        return kind(given) if kind in (int, float) else given
+    except ValueError:
+        return given
 
 
 def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
@@ -38,24 +53,8 @@ def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = (
     parser.add_argument("scene", metavar="SCENE.toml", help="the scene file")
     for option, (_, _, declared) in _SETTINGS.items():
         if option not in leave_out:
-            listed = None if declared.metavar else tuple(declared.allowed) or None
-            metavar = declared.metavar or (None if listed else option[2:].upper())
-            parser.add_argument(option, type=_type_of(declared), choices=listed, metavar=metavar, help=declared.help)
+            add_option(parser, declared)
     parser.set_defaults(left_out=leave_out)
-
-
-def _type_of(declared: Setting) -> Callable[[str], object]:
-    """What argparse makes of an option's text; the scene's checks see to the rest, and to texts that stay."""
-    if declared.word:
-        return _number_or_text
-    return declared.kind if declared.kind in (int, float) else str
-
-
-def _number_or_text(given: str) -> float | str:
-    try:
-        return float(given)
-    except ValueError:
-        return given
 
 
 def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
@@ -73,58 +72,44 @@ def add_pose(parser: argparse.ArgumentParser) -> None:
     """The six coordinates of one mounting."""
     group = parser.add_argument_group("mounting", "metres and degrees; what is left out is the scene's baseline")
     for key, declared in MOUNTING.items():
-        metavar = key.rsplit("_", 1)[1].upper()
-        group.add_argument(declared.option, type=float, metavar=metavar, dest=f"pose_{key}", help=declared.help)
+        add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), dest=f"pose_{key}")
 
 
 def scenario_from(args: argparse.Namespace) -> Scenario:
     """The scene with the options given in place of its settings."""
     overrides = {}
-    for option, (table, key, _) in _SETTINGS.items():
-        value = getattr(args, option[2:].replace("-", "_"), None)
-        if value is not None and option not in args.left_out:
-            overrides[table, key] = (_READ_AS[option](value, option) if option in _READ_AS else value, option)
+    for option, (table, key, declared) in _SETTINGS.items():
+        given = getattr(args, option[2:].replace("-", "_"), None)
+        if given is not None and option not in args.left_out:
+            read = _READ_AS.get(option, lambda text, _, kind=declared.kind: _number_or_text(text, kind))
+            overrides[table, key] = (read(given, option), option)
     return load_scenario(args.scene, overrides)
 
 
 def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, float]:
     """The mounting that the options name, in metres and degrees."""
-    mount = dict(scenario.baseline)
-    for key, declared in MOUNTING.items():
-        value = getattr(args, f"pose_{key}")
-        if value is None:
-            continue
-        if not declared.low <= value <= declared.high:
-            raise InputError(f"{declared.option}: is {value}; allowed: {declared.low:g} to {declared.high:g}")
-        mount[key] = value
-    return mount
+    given = {key: getattr(args, f"pose_{key}") for key in MOUNTING}
+    named = {key: option_value(text, MOUNTING[key]) for key, text in given.items() if text is not None}
+    return {**scenario.baseline, **named}
 
 
-def checked_number(value: float, option: str, *, low: float) -> float:
-    """`value`, if it is finite and at least `low`."""
-    if not low <= value < math.inf:
-        raise InputError(f"{option}: is {value}; allowed: at least {low:g}")
-    return value
+# --- Options that are written in another way than a scene's settings --------------------------------------
 
 
 def parse_frames(text: str, option: str) -> list[int]:
     """Frame numbers from "100,150" or "100:160:5" or both mixed; the end of a range is included."""
     frames: list[int] = []
     for part in text.split(","):
-        try:
-            numbers = [int(number) for number in part.split(":")]
-            if len(numbers) > 3:
-                raise ValueError
-            first, last, step = [*numbers, *([numbers[0], 1][len(numbers) - 1 :])]
-        except ValueError:
-            raise InputError(f"{option}: {part!r}; allowed: frame numbers such as 100,150 or 100:160:5") from None
-        if step < 1 or last < first or (last - first) // step >= _MOST_FRAMES:
+        found = _FRAMES.fullmatch(part)
+        if not found:
+            raise InputError(f"{option}: {part!r}; allowed: frame numbers such as 100,150 or 100:160:5")
+        first, last, step = int(found[1]), int(found[2] or found[1]), int(found[3] or 1)
+        if step < 1 or last < first or len(frames) + (last - first) // step >= _MOST_FRAMES:
             raise InputError(
-                f"{option}: {part!r}; allowed: a range from:to:step with to not below from and step 1 or more"
+                f"{option}: {part!r}; allowed: a range from:to:step with to not below from, step 1 or more, and not "
+                f"more than {_MOST_FRAMES:,} frames in all"
             )
         frames += range(first, last + 1, step)
-        if len(frames) > _MOST_FRAMES:
-            raise InputError(f"{option}: names more than {_MOST_FRAMES:,} frames")
     return frames
 
 
@@ -142,8 +127,18 @@ def parse_tolerance(text: str, option: str) -> dict[str, float | str] | None:
     return table
 
 
-# Settings that an option writes in another way than a scene.
 _READ_AS = {"--tolerance": parse_tolerance, "--frame-ids": parse_frames}
+
+
+def label_classes(args: argparse.Namespace) -> tuple[str, ...]:
+    """What ``--class`` calls a car, in the words of a data set's labels."""
+    classes = tuple(name.strip() for name in args.classes or ["Car"])
+    if not all(classes):
+        raise InputError("--class: is empty; allowed: a name that the labels use")
+    return classes
+
+
+# --- Folders of results -----------------------------------------------------------------------------------
 
 
 def default_folder(scenario: Scenario, *more: str) -> Path:
@@ -156,11 +151,3 @@ def new_folder(name: str) -> Path:
     stem = name.lower()
     candidates = (Path("runs") / (stem if number == 1 else f"{stem}_{number}") for number in range(1, 1_000_000))
     return next(path for path in candidates if not path.exists())
-
-
-def label_classes(args: argparse.Namespace) -> tuple[str, ...]:
-    """What ``--class`` calls a car, in the words of a data set's labels."""
-    classes = tuple(name.strip() for name in args.classes or ["Car"])
-    if not all(classes):
-        raise InputError("--class: is empty; allowed: a name that the labels use")
-    return classes

@@ -17,13 +17,27 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
 from ..metrics.vgop import DEFAULT_CELL_M, entropy, to_vehicle_frame
 from ..optimise import VIEWS, detectable
+from ..toml_table import Setting
 from ..traffic import read_table
 from ..traffic.vehicles import Vehicles
-from .options import checked_number
+from .options import add_option, option_value
 
 _ALL = "all"
 _ALWAYS = {"pe-vgop": "entropy_bits", "points": "points"}  # columns of metrics that the table has anyway
+_SHARES = ("p_top", "p_side", "p_front")
 _HEADING = "vehicle  class       points   p_top  p_side p_front  entropy  detectable"
+_ROW = "{vehicle_id:<8} {class:<10} {points:>7} {p_top:7.4f} {p_side:7.4f} {p_front:7.4f} {entropy_bits:8.4f}"
+_CLEARANCE = Setting(
+    default=0.1,
+    low=0.0,
+    option="--ground-clearance",
+    metavar="M",
+    help="with --assign box, points this little above a box's floor are ground (default 0.1)",
+)
+_CELL = Setting(default=DEFAULT_CELL_M, low=0.001, option="--cell", metavar="M", help="side of a cell (default 0.05)")
+_THRESHOLD = Setting(
+    default=0.005, low=0.0, option="--threshold", help="least occupancy that counts as detectable (default 0.005)"
+)
 
 
 def add_parser(subparsers) -> None:
@@ -33,58 +47,30 @@ def add_parser(subparsers) -> None:
         help="score the vehicles of a labelled cloud",
         description="Score a point cloud by boxes that are known: PE-VGOP of each vehicle, and other metrics if asked.",
     )
-    parser.add_argument("--points", required=True, metavar="CLOUD", help="the cloud: .npz with xyz, or .pcd")
-    parser.add_argument(
-        "--boxes",
-        required=True,
-        metavar="BOXES.csv",
-        help="the boxes, in the columns of vehicles.csv and the frame of the cloud",
-    )
-    parser.add_argument("--frame", type=int, metavar="K", help="frame of the boxes, where they come from several")
-    parser.add_argument(
-        "--assign",
-        choices=("id", "box"),
-        default="id",
-        help="a point belongs to the vehicle that its vehicle_id names, or to the box it lies in",
-    )
-    parser.add_argument(
-        "--ground-clearance",
-        type=float,
-        default=0.1,
-        metavar="M",
-        help="with --assign box, points this little above a box's floor are ground (default 0.1)",
-    )
-    parser.add_argument("--cell", type=float, default=DEFAULT_CELL_M, metavar="M", help="side of a cell (default 0.05)")
-    parser.add_argument(
-        "--threshold", type=float, default=0.005, help="least occupancy that counts as detectable (default 0.005)"
-    )
-    parser.add_argument(
-        "--view", choices=VIEWS, default="mean", help="which of the three occupancies the threshold asks for"
-    )
-    parser.add_argument(
-        "--metric",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help=f"another metric beside PE-VGOP, again for more, or all: {', '.join(_of_vehicles())}",
-    )
-    parser.add_argument(
-        "--lidar",
-        nargs=2,
-        type=float,
-        metavar=("X", "Y"),
-        help="where the LiDAR is, in the frame of the cloud [m]: for the metric distance",
-    )
-    parser.add_argument("--out", metavar="CSV", help="write one row for each vehicle")
-    parser.add_argument("--json", action="store_true", help="print the scores as JSON, and nothing else, on stdout")
+    add = parser.add_argument
+    add("--points", required=True, metavar="CLOUD", help="the cloud: .npz with xyz, or .pcd")
+    boxes = "the boxes, in the columns of vehicles.csv and the frame of the cloud"
+    add("--boxes", required=True, metavar="BOXES.csv", help=boxes)
+    add("--frame", type=int, metavar="K", help="frame of the boxes, where they come from several")
+    assign = "a point belongs to the vehicle that its vehicle_id names, or to the box it lies in"
+    add("--assign", choices=("id", "box"), default="id", help=assign)
+    for number in (_CLEARANCE, _CELL, _THRESHOLD):
+        add_option(parser, number, number.default)
+    add("--view", choices=VIEWS, default="mean", help="which of the three occupancies the threshold asks for")
+    of_cloud = ", ".join(name for name, metric in METRICS.items() if metric.learn is None)
+    metric = f"another metric beside PE-VGOP, again for more, or all: {of_cloud}"
+    add("--metric", action="append", default=[], metavar="NAME", help=metric)
+    lidar = "where the LiDAR is, in the frame of the cloud [m]: for the metric distance"
+    add("--lidar", nargs=2, type=float, metavar=("X", "Y"), help=lidar)
+    add("--out", metavar="CSV", help="write one row for each vehicle")
+    add("--json", action="store_true", help="print the scores as JSON, and nothing else, on stdout")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    clearance = checked_number(args.ground_clearance, "--ground-clearance", low=0.0)
-    cell_m = checked_number(args.cell, "--cell", low=0.001)
-    threshold = checked_number(args.threshold, "--threshold", low=0.0)
+    clearance = option_value(args.ground_clearance, _CLEARANCE)
+    cell_m, threshold = option_value(args.cell, _CELL), option_value(args.threshold, _THRESHOLD)
     metrics = _metrics(args)
     points, vehicle_id = read_points(args.points)
     vehicles = _boxes(args)
@@ -98,36 +84,31 @@ def run(args: argparse.Namespace) -> int:
         "vehicle_id": vehicles.vehicle_id,
         "class": vehicles.class_name,
         "points": returns.count,
-        **dict(zip(("p_top", "p_side", "p_front"), shares.T, strict=True)),
+        **dict(zip(_SHARES, shares.T, strict=True)),
         "entropy_bits": entropy(shares).sum(axis=1),
         "detectable": detectable(shares, threshold, args.view),
         **{_column(metric): metric.values(returns) for metric in metrics if metric.name not in _ALWAYS},
     }
     if args.out:
-        write_columns(args.out, table, dict.fromkeys(("p_top", "p_side", "p_front", "entropy_bits"), 6))
-    _print(args, table, len(points), metrics)
+        write_columns(args.out, table, dict.fromkeys((*_SHARES, "entropy_bits"), 6))
+    (_print_json if args.json else _print)(table, len(points), metrics)
     return 0
-
-
-def _of_vehicles() -> dict[str, Metric]:
-    """The metrics that need no scene to learn from."""
-    return {name: metric for name, metric in METRICS.items() if metric.learn is None}
 
 
 def _metrics(args) -> list[Metric]:
     """The metrics that were asked for beside PE-VGOP, each once."""
-    found = {}
+    found: dict[str, Metric] = {}
+    known = {NEEDS_POINTS} if args.lidar is None else {NEEDS_POINTS, NEEDS_DISTANCE}
     for name in args.metric:
-        if name != _ALL:
-            found[name] = metric_named(name, "--metric").learnt(None)
-            if NEEDS_DISTANCE in found[name].needs and args.lidar is None:
-                raise InputError(f"--metric: {name} needs to know where the LiDAR is; give --lidar X Y")
+        if name == _ALL:
+            can_be = {key: metric for key, metric in METRICS.items() if metric.learn is None and metric.needs <= known}
+            found |= can_be
+            if left_out := METRICS.keys() - can_be.keys():
+                print(f"blender-lidar: note: left out: {', '.join(sorted(left_out))}", file=sys.stderr)
             continue
-        known = {NEEDS_POINTS} if args.lidar is None else {NEEDS_POINTS, NEEDS_DISTANCE}
-        of_cloud = {key: metric for key, metric in _of_vehicles().items() if metric.needs <= known}
-        found |= of_cloud
-        if left_out := METRICS.keys() - of_cloud.keys():
-            print(f"blender-lidar: note: left out: {', '.join(sorted(left_out))}", file=sys.stderr)
+        found[name] = metric_named(name, "--metric").learnt(None)
+        if NEEDS_DISTANCE in found[name].needs - known:
+            raise InputError(f"--metric: {name} needs to know where the LiDAR is; give --lidar X Y")
     return list(found.values())
 
 
@@ -147,14 +128,12 @@ def _distance(args, vehicles):
 
 def _boxes(args) -> Vehicles:
     recording = read_table(args.boxes)
-    if args.frame is not None:
-        return recording.vehicles(args.frame)
-    if len(recording.frames) > 1:
+    frames = recording.frames
+    if args.frame is None and len(frames) > 1:
         raise InputError(
-            f"{args.boxes}: holds {len(recording.frames)} frames, {recording.frames[0]} to {recording.frames[-1]}; "
-            "name one with --frame"
+            f"{args.boxes}: holds {len(frames)} frames, {frames[0]} to {frames[-1]}; name one with --frame"
         )
-    return recording.vehicles(int(recording.frames[0]))
+    return recording.vehicles(int(frames[0]) if args.frame is None else args.frame)
 
 
 def _assigned(args, points, vehicle_id, vehicles, clearance):
@@ -172,34 +151,36 @@ def _assigned(args, points, vehicle_id, vehicles, clearance):
     return row
 
 
-def _print(args, table, points, metrics):
-    mean = float(table["entropy_bits"].mean())
-    share = float(table["detectable"].mean())
+def _rows(table):
     columns = (column.tolist() for column in table.values())
-    rows = [dict(zip(table, values, strict=True)) for values in zip(*columns, strict=True)]
-    means = {metric: float(np.mean(table[_column(metric)])) for metric in metrics}
-    if args.json:
-        scores = {"points": points, "entropy_bits_per_vehicle": mean, "detectable_share": share}
-        if metrics:
-            scores["metrics"] = {
-                metric.name: {"column": _column(metric), "unit": metric.unit, "per_vehicle": value}
-                for metric, value in means.items()
-            }
-        print(json.dumps(scores | {"vehicles": rows}, indent=2))
-        return
+    return [dict(zip(table, values, strict=True)) for values in zip(*columns, strict=True)]
+
+
+def _print_json(table, points, metrics):
+    scores = {
+        "points": points,
+        "entropy_bits_per_vehicle": float(table["entropy_bits"].mean()),
+        "detectable_share": float(table["detectable"].mean()),
+    }
+    if metrics:
+        scores["metrics"] = {
+            metric.name: {"column": column, "unit": metric.unit, "per_vehicle": float(np.mean(table[column]))}
+            for metric, column in zip(metrics, map(_column, metrics), strict=True)
+        }
+    print(json.dumps(scores | {"vehicles": _rows(table)}, indent=2))
+
+
+def _print(table, points, metrics):
     added = [metric for metric in metrics if metric.name not in _ALWAYS]
     print("  ".join([_HEADING, *(metric.name for metric in added)]))
-    for row in rows:
-        text = (
-            "{vehicle_id:<8} {class:<10} {points:>7} {p_top:7.4f} {p_side:7.4f} {p_front:7.4f} "
-            "{entropy_bits:8.4f}  {noticed}"
-        ).format(**row, noticed="yes" if row["detectable"] else "no")
+    for row in _rows(table):
+        text = f"{_ROW.format(**row)}  {'yes' if row['detectable'] else 'no'}"
         values = "".join(f"  {metric.number(row[_column(metric)], 1):>{len(metric.name)}}" for metric in added)
         print(f"{text:<{len(_HEADING)}}{values}".rstrip())
-    for metric, value in means.items():
-        print(f"{metric.name}: {metric.amount(value, 1)} per vehicle")
-    number = len(rows)
+    for metric in metrics:
+        print(f"{metric.name}: {metric.amount(float(np.mean(table[_column(metric)])), 1)} per vehicle")
+    number = len(table["points"])
     print(
-        f"{number} vehicle{'s' * (number != 1)}, {points} points: {mean:.4f} bits per vehicle, "
-        f"{100 * share:.1f} % detectable"
+        f"{number} vehicle{'s' * (number != 1)}, {points} points: {table['entropy_bits'].mean():.4f} bits per vehicle, "
+        f"{100 * table['detectable'].mean():.1f} % detectable"
     )

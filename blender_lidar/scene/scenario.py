@@ -6,17 +6,15 @@ before they are checked, so both pass the same checks.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import InputError, MissingFileError, shown
+from ..errors import InputError, MissingFileError, unknown_name
 from ..metrics.catalogue import PE_VGOP
 from ..optimise import DePso, GridSearch
-from ..sensors.imperfections import MOST_RANGE_NOISE_M
 from ..sensors.model import LidarModel, load_model, unit_of
-from ..toml_table import TomlTable, read_toml, settings_of
+from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic import RoadFrame
 from ..traffic.frames import DEFAULT_COUNT
 from .settings import (
@@ -24,10 +22,8 @@ from .settings import (
     COORDINATES,
     DATASHEET,
     DE_PSO,
-    HEIGHTS,
+    DEPLOYMENT,
     MOUNTING,
-    ROAD,
-    SEARCHED,
     Deployment,
     ModelSettings,
     ObjectiveSettings,
@@ -45,13 +41,10 @@ __all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_s
 
 DECLARED = {
     "traffic": settings_of(TrafficSettings),
-    "road": ROAD,
+    "road": settings_of(RoadFrame),
     "world": settings_of(WorldSettings),
     "sensor": settings_of(SensorSettings),
-    "deployment": {
-        key: replace(declared, kind=float | tuple[float, float], default=SEARCHED.get(key, 0.0))
-        for key, declared in MOUNTING.items()
-    },
+    "deployment": DEPLOYMENT,
     "baseline": MOUNTING,
     "objective": settings_of(ObjectiveSettings),
     "search": settings_of(SearchSettings),
@@ -61,8 +54,6 @@ DECLARED = {
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
-_LONGEST_BARRIER_M = 10_000.0
-_ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
 
@@ -83,138 +74,113 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     MissingFileError, InputError
         Naming the file, the table and the key.
     """
-    path = Path(path)
-    values = read_toml(path)
-    root = TomlTable(values, str(path))
-    tables = {}
-    for name, declared in DECLARED.items():
-        root.table(name)  # refuses what is no table
-        options = {key: given for (table, key), given in (overrides or {}).items() if table == name}
-        rivals = {rival for key in options if key in declared for rival in declared[key].rivals}
-        if name == "search" and options.get("method", (DePso.name,))[0] != DePso.name:
-            rivals.update(_DE_PSO_ALONE)  # the file's settings of a search that the option replaces
-        content = {key: value for key, value in values.get(name, {}).items() if key not in rivals}
-        content |= {key: value for key, (value, _) in options.items()}
-        origins = {key: origin for key, (_, origin) in options.items()}
-        tables[name] = TomlTable(content, f"{path}: [{name}]", origins, path.parent)
-    root.finish("table")
-
-    bounds = tables["deployment"].read(DECLARED["deployment"])
+    tables = _tables(Path(path), overrides or {})
+    bounds = tables["deployment"].read(DEPLOYMENT)
     deployment = Deployment(
         {key: value for key, value in bounds.items() if not isinstance(value, tuple)},
         {key: value for key, value in bounds.items() if isinstance(value, tuple)},
     )
     nominal = dict(zip(("x_m", "y_m"), deployment.nominal_xy, strict=True))
+    baseline = {key: replace(one, default=nominal.get(key, one.default)) for key, one in MOUNTING.items()}
     objective, search = _objective(tables["objective"]), _search(tables["search"], deployment)
     if search.fidelity == "auto" and objective.tolerance is not None:
         raise InputError(
             f'{tables["search"].where("fidelity")}: "auto" searches mountings that hang as planned, but '
             f'{tables["objective"].where("tolerance")} is given; allowed: fidelity = "full", or no tolerance'
         )
-    scenario = Scenario(
+    return Scenario(
         source=str(path),
         traffic=_traffic(tables["traffic"]),
-        road=RoadFrame(**tables["road"].read(ROAD)),
+        road=tables["road"].read_as(RoadFrame),
         world=_world(tables["world"]),
         sensor=_sensor(tables["sensor"]),
         deployment=deployment,
-        baseline=tables["baseline"].read(
-            {key: replace(one, default=nominal.get(key, one.default)) for key, one in MOUNTING.items()}
-        ),
+        baseline=tables["baseline"].read(baseline),
         objective=objective,
         search=search,
         model=_model(tables["model"]),
     )
-    for table in tables.values():
-        table.finish()
-    return scenario
+
+
+def _tables(path: Path, overrides: Overrides) -> dict[str, TomlTable]:
+    """The tables of a scene file, options in place of the settings that they replace or put out of force."""
+    values = read_toml(path)
+    for name in values:
+        if name not in DECLARED:
+            raise unknown_name(name, DECLARED, "table", str(path))
+    tables = {}
+    for name, declared in DECLARED.items():
+        given = {key: option for (table, key), option in overrides.items() if table == name}
+        rivals = {rival for key in given if key in declared for rival in declared[key].rivals}
+        if name == "search" and given.get("method", (DePso.name,))[0] != DePso.name:
+            rivals.update(_DE_PSO_ALONE)  # the file's settings of a search that the option replaces
+        of_file = TomlTable(values.get(name, {}), f"{path}: [{name}]").values
+        content = {key: value for key, value in of_file.items() if key not in rivals}
+        content |= {key: value for key, (value, _) in given.items()}
+        origins = {key: option for key, (_, option) in given.items()}
+        tables[name] = TomlTable(content, f"{path}: [{name}]", origins, path.parent)
+    return tables
 
 
 def _traffic(table: TomlTable) -> TrafficSettings:
-    found = table.read(DECLARED["traffic"])
-    if found["frame_ids"] is not None and (found["frames"] is not None or found["spacing_s"] is not None):
-        spread = table.where("frames" if found["frames"] is not None else "spacing_s")
+    traffic = table.read_as(TrafficSettings)
+    spread = next((key for key in ("frames", "spacing_s") if getattr(traffic, key) is not None), None)
+    if traffic.frame_ids is not None and spread is not None:
         raise InputError(
-            f"{table.where('frame_ids')}: lists the frames that {spread} spreads evenly; allowed: one of both"
+            f"{table.where('frame_ids')}: lists the frames that {table.where(spread)} spreads evenly; allowed: one of "
+            "both"
         )
-    if found["frames"] is None and found["frame_ids"] is None and found["spacing_s"] is None:
-        found["frames"] = DEFAULT_COUNT
-    heights = table.table("height_m")
-    height_m = heights.read(HEIGHTS)
-    heights.finish()
-    return TrafficSettings(**found, height_m={key: value for key, value in height_m.items() if value is not None})
+    return traffic if traffic.frame_ids or spread else replace(traffic, frames=DEFAULT_COUNT)
 
 
 def _world(table: TomlTable) -> WorldSettings:
-    found = table.read(DECLARED["world"])
-    for key, allowed in (
-        ("blend", "a .blend file"),
-        ("mesh", "a mesh file that Blender reads; .blend files go to blend"),
-    ):
-        if found[key] is not None and (Path(found[key]).suffix.lower() == ".blend") != (key == "blend"):
-            raise InputError(f"{table.where(key)}: is {found[key]!r}; allowed: {allowed}")
-    for number, box in enumerate(found["boxes"], start=1):
-        if not all(length > 0.0 for length in box.size_m):
-            where = f"{table.where('boxes')} {number} size_m"
-            raise InputError(f"{where}: is {list(box.size_m)}; allowed: a length, width and height above 0")
-    for number, barrier in enumerate(found["barriers"], start=1):
-        where = f"{table.where('barriers')} {number} x_m"
-        if not isinstance(barrier.x_m, tuple):
-            raise InputError(f"{where}: is {barrier.x_m}; allowed: a pair [from, to]")
-        if barrier.x_m[1] - barrier.x_m[0] > _LONGEST_BARRIER_M:
-            raise InputError(f"{where}: is {list(barrier.x_m)}; allowed: at most {_LONGEST_BARRIER_M:g} m apart")
-    named = (replace(box, name=box.name or f"box {number}") for number, box in enumerate(found["boxes"], start=1))
-    return WorldSettings(**found | {"boxes": tuple(named)})
+    world = table.read_as(WorldSettings)
+    named = (replace(box, name=box.name or f"box {number}") for number, box in enumerate(world.boxes, start=1))
+    return replace(world, boxes=tuple(named))
 
 
 def _sensor(table: TomlTable) -> SensorSettings:
     """[sensor], and the table of the chosen model within it, whose keys count over the general ones."""
-    found = table.read(DECLARED["sensor"])
-    name = _sensor_name(found["name"], table.folder_of("name"))
+    declared = DECLARED["sensor"]
+    of_models = {key: table.table(key) for key, value in table.values.items() if isinstance(value, Mapping)}
+    general = {key: value for key, value in table.values.items() if key not in of_models}
+    table = TomlTable(general, table.name, table.origins, table.folder)
+    name = _sensor_name(table, "name", table.read(declared)["name"])
     model = _model_named(name, table.where("name"))
-    where = {key: table.where(key) for key in found}
-    of_one = {key: declared for key, declared in DECLARED["sensor"].items() if key not in _OF_ANY_MODEL}
-    for sensor, own in table.tables().items():
-        own_found = own.read(of_one)
-        own.finish()
-        if _model_named(_sensor_name(sensor, own.folder_of("")), table.where(sensor)).name != model.name:
-            continue
-        for key, value in own_found.items():
-            if value is not None and not table.overridden(key):
-                found[key], where[key] = value, own.where(key)
-    try:
-        rate = model.rotation_rate(found["rotation_hz"])
-    except InputError as error:
-        raise InputError(f"{where['rotation_hz']}: {error}") from error
-    gate = found["range_gate_m"] or model.range_max_m
-    if not model.range_min_m < gate <= model.range_max_m:
-        raise InputError(
-            f"{where['range_gate_m']}: is {gate}; allowed for {model.name}: more than {model.range_min_m:g}, "
-            f"at most {model.range_max_m:g}"
-        )
-    if found["range_noise_m"] == DATASHEET:
-        found["range_noise_m"] = model.range_noise_m
-        if model.range_noise_m > MOST_RANGE_NOISE_M:
-            told = f"{model.name} has {model.range_noise_m:g}; allowed: at most {MOST_RANGE_NOISE_M:g}"
-            raise InputError(f"{where['range_noise_m']}: {told}")
-    if found["range_at_10_percent_m"] == DATASHEET:
-        found["range_at_10_percent_m"] = model.range_at_10_percent_m
-        if model.range_at_10_percent_m is None:
-            told = f"no source gives that of {model.name}; allowed: a number"
-            raise InputError(f"{where['range_at_10_percent_m']}: {told}")
+    for key, own in of_models.items():
+        own.read({key: one for key, one in declared.items() if key not in _OF_ANY_MODEL})
+        if _model_named(_sensor_name(own, "", key), table.where(key)).name == model.name:
+            kept = {key: value for key, value in own.values.items() if key not in table.origins}
+            origins = {key: own.where(key) for key in kept} | table.origins
+            table = TomlTable({**general, **kept}, table.name, origins, table.folder)
+    found = table.read(declared)
+    for key in ("range_noise_m", "range_at_10_percent_m"):
+        if found[key] == DATASHEET:
+            found[key] = getattr(model, key)
+            if found[key] is None:
+                raise InputError(f"{table.where(key)}: no source gives that of {model.name}; allowed: a number")
+            checked(found[key], declared[key], f"{table.where(key)}: {model.name}")
     for key in ("range_noise_m", "dropout", "glass_dropout", "unit_spread_deg"):
         found[key] = found[key] or 0.0
+    found["range_gate_m"] = gate = found["range_gate_m"] or model.range_max_m
+    if not model.range_min_m < gate <= model.range_max_m:
+        raise InputError(
+            f"{table.where('range_gate_m')}: is {gate}; allowed for {model.name}: more than {model.range_min_m:g}, "
+            f"at most {model.range_max_m:g}"
+        )
+    key = "rotation_hz"
     try:
-        unit_of(model, found["unit_spread_deg"], found["unit"])
+        found[key] = model.rotation_rate(found[key])
+        key = "unit_spread_deg"
+        unit_of(model, found[key], found["unit"])
     except InputError as error:
-        raise InputError(f"{where['unit_spread_deg']}: {error}") from error
-    known = name if is_sensor_file(name) else model.name
-    return SensorSettings(**found | {"name": known, "rotation_hz": rate, "range_gate_m": gate})
+        raise InputError(f"{table.where(key)}: {error}") from error
+    return SensorSettings(**found | {"name": name if is_sensor_file(name) else model.name})
 
 
-def _sensor_name(name: str, folder: Path) -> str:
-    """A sensor's name as it is, the path of a beam table from `folder` on."""
-    return str(folder / name) if is_sensor_file(name) else name
+def _sensor_name(table: TomlTable, key: str, name: str) -> str:
+    """A sensor's name as it is, the path of a beam table from where it starts."""
+    return table.path(key, name) if is_sensor_file(name) else name
 
 
 def _model_named(name: str, where: str) -> LidarModel:
@@ -225,18 +191,18 @@ def _model_named(name: str, where: str) -> LidarModel:
 
 
 def _objective(table: TomlTable) -> ObjectiveSettings:
-    found = table.read(DECLARED["objective"])
-    if found["loss"] is None and found["metric"] == PE_VGOP.name:
-        found["loss"] = _PAPERS_LOSS
-    if found["tolerance"] is not None and not found["tolerance"].half_widths:
+    objective = table.read_as(ObjectiveSettings)
+    if objective.tolerance is not None and not objective.tolerance.half_widths:
         keys = ", ".join(key for key in settings_of(Tolerance) if key != "aim")
-        where = table.nested("tolerance")
+        where = table.table("tolerance").name
         raise InputError(f"{where}: leaves every coordinate exact; allowed: at least one of {keys} above 0")
-    return ObjectiveSettings(**found)
+    if objective.loss is None and objective.metric == PE_VGOP.name:
+        return replace(objective, loss=_PAPERS_LOSS)
+    return objective
 
 
 def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
-    search = SearchSettings(**table.read(DECLARED["search"]))
+    search = table.read_as(SearchSettings)
     given = [key for key in _DE_PSO_ALONE if getattr(search, key) is not None]
     if search.method == DePso.name:
         search = replace(search, **{key: getattr(DE_PSO, key) for key in _DE_PSO_ALONE if key not in given})
@@ -255,11 +221,8 @@ def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
 
 
 def _model(table: TomlTable) -> ModelSettings:
-    model = ModelSettings(**table.read(DECLARED["model"]))
-    address = model.cluster and _ADDRESS.fullmatch(model.cluster)
-    if model.cluster is not None and not (address and 0 < int(address["port"]) < 2**16):
-        raise InputError(f"{table.where('cluster')}: is {shown(model.cluster)}; allowed: such as tcp://host:8786")
-    if model.cluster is not None and (model.workers or table.overridden("workers")):
+    model = table.read_as(ModelSettings)
+    if model.cluster is not None and (model.workers or "workers" in table.origins):
         raise InputError(
             f"{table.where('cluster')}: has its own workers, and {table.where('workers')} asks for {model.workers} "
             "processes here; allowed: one of both"

@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 from ..casting import CASTERS
 from ..metrics.catalogue import METRICS, PE_VGOP
@@ -22,38 +24,26 @@ from ..world.scenery import BARRIERS
 from ..world.shapes import DETAILS
 
 DATASHEET = "datasheet"  # in place of a number: the model's own
-AIMS = ("mean", "low")
-FIDELITIES = ("full", "auto")
-_LARGEST_M, _LARGEST_ORIGIN_M = 1e6, 1e9  # of the road, and of a place in a net; sums and squares stay finite
+DE_PSO = DePsoSettings()
+_LARGEST_ORIGIN_M = 1e9  # of a place in a net; sums and squares stay finite
 _FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
+_LONGEST_BARRIER_M = 10_000.0
 _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
 _HEADING = {"low": -360.0, "high": 360.0}
-
-_ROAD, DE_PSO = RoadFrame(), DePsoSettings()
-ROAD = {
-    "station_m": Setting(default=_ROAD.station_m, low=-_LARGEST_M, high=_LARGEST_M),
-    "right_edge_m": Setting(default=_ROAD.right_edge_m, low=-_LARGEST_M, high=_LARGEST_M),
-    "setback_m": Setting(default=_ROAD.setback_m, low=0.0, high=_LARGEST_M),
-    "lanes": Setting(kind=int, default=_ROAD.lanes, low=1, high=50),
-    "lane_width_m": Setting(default=_ROAD.lane_width_m, above=0.0, high=10.0),
-}
-"""[road]: of a `RoadFrame`."""
-
-HEIGHTS = dict.fromkeys(
-    ("car", "van", "truck", "long_truck", "bus", "motorcycle"), Setting(default=None, above=0.0, high=10.0)
-)
-"""[traffic.height_m]: of vehicles in recordings that give none [m]."""
+_TILT = {"low": -90.0, "high": 90.0}
+_PLACE = {"low": -1e5, "high": 1e5}
+_ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
 MOUNTING = {
-    "x_m": Setting(default=0.0, low=-1e5, high=1e5, option="--x", help="along the road, in the direction of travel"),
-    "y_m": Setting(default=0.0, low=-1e5, high=1e5, option="--y", help="across the road, to the left"),
+    "x_m": Setting(default=0.0, option="--x", help="along the road, in the direction of travel", **_PLACE),
+    "y_m": Setting(default=0.0, option="--y", help="across the road, to the left", **_PLACE),
     "height_m": Setting(default=2.0, low=0.1, high=100.0, option="--height", help="above the road"),
     "tilt_x_deg": Setting(
-        default=0.0, low=-90.0, high=90.0, option="--tilt-x", help="across the road, positive looks down towards +y"
+        default=0.0, option="--tilt-x", help="across the road, positive looks down towards +y", **_TILT
     ),
     "tilt_y_deg": Setting(
-        default=0.0, low=-90.0, high=90.0, option="--tilt-y", help="along the road, positive raises the side ahead"
+        default=0.0, option="--tilt-y", help="along the road, positive raises the side ahead", **_TILT
     ),
     "yaw_deg": Setting(default=0.0, option="--yaw", help="counter-clockwise seen from above", **_HEADING),
 }
@@ -62,6 +52,17 @@ COORDINATES = tuple(MOUNTING)
 COORDINATE_LIMITS = {key: (declared.low, declared.high) for key, declared in MOUNTING.items()}
 SEARCHED = {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
 """What [deployment] searches unless said: the paper's ranges, section V.A."""
+DEPLOYMENT = {
+    key: replace(
+        declared,
+        kind=float | tuple[float, float],
+        default=SEARCHED.get(key, 0.0),
+        fits=lambda bounds: not isinstance(bounds, tuple) or bounds[0] < bounds[1],
+        form="the lower bound first, below the upper",
+    )
+    for key, declared in MOUNTING.items()
+}
+"""[deployment]: a number fixes a coordinate, a pair [low, high] has it searched."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ class TrafficSettings:
     """[traffic]: where the vehicles come from and which instants are looked at.
 
     `frames` is None where `frame_ids` lists them, or `spacing_s` alone spreads them. `vehicle_types` is the path of the
-    file with the sizes of SUMO's vehicles. `height_m` holds heights in metres by class.
+    file with the sizes of SUMO's vehicles. `height_m` holds heights by class, of vehicles in recordings that give none.
     """
 
     path: str = setting(is_path=True, option="--traffic", help="trajectory file in place of the scene's")
@@ -98,7 +99,9 @@ class TrafficSettings:
     spacing_s: float | None = setting(None, above=0.0)
     holdout: float = setting(0.4, low=0.0, high=0.9)
     block_s: float | None = setting(None, above=0.0)
-    height_m: Mapping[str, float]
+    height_m: Mapping[str, float] = setting(
+        allowed=("car", "van", "truck", "long_truck", "bus", "motorcycle"), above=0.0, high=10.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,18 +229,13 @@ class Tolerance:
     height_m: float = setting(0.0, low=0.0, high=1.0)
     tilt_deg: float = setting(0.0, low=0.0, high=10.0)
     yaw_deg: float = setting(0.0, low=0.0, high=10.0)
-    aim: str = setting("mean", allowed=AIMS)
+    aim: str = setting("mean", allowed=("mean", "low"))
 
     @property
     def half_widths(self) -> dict[str, float]:
         """Of each of `COORDINATES` that is not exact, in their order [m, degrees]."""
-        widths = {
-            "height_m": self.height_m,
-            "tilt_x_deg": self.tilt_deg,
-            "tilt_y_deg": self.tilt_deg,
-            "yaw_deg": self.yaw_deg,
-        }
-        return {key: width for key, width in widths.items() if width > 0.0}
+        widths = (0.0, 0.0, self.height_m, self.tilt_deg, self.tilt_deg, self.yaw_deg)
+        return {key: width for key, width in zip(COORDINATES, widths, strict=True) if width > 0.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,7 +281,7 @@ class SearchSettings:
     )
     fidelity: str = setting(
         "full",
-        allowed=FIDELITIES,
+        allowed=("full", "auto"),
         option="--fidelity",
         help="full: every mounting is scored on all frames with all beams; auto: most are screened on less, and what "
         "is reported is scored on all of it",
@@ -312,7 +310,7 @@ class BoxSettings:
 
     name: str | None = setting(None)
     centre_m: tuple[float, float, float] = setting(low=-_FARTHEST_M, high=_FARTHEST_M)
-    size_m: tuple[float, float, float] = setting(low=-_FARTHEST_M, high=_FARTHEST_M)
+    size_m: tuple[float, float, float] = setting(above=0.0, high=_FARTHEST_M)
     heading_deg: float = setting(0.0, **_HEADING)
 
 
@@ -322,7 +320,17 @@ class BarrierSettings:
 
     kind: str = setting(allowed=BARRIERS)
     y_m: float = setting(low=-_FARTHEST_M, high=_FARTHEST_M)
-    x_m: float | tuple[float, float] = setting((-200.0, 200.0), low=-_FARTHEST_M, high=_FARTHEST_M)
+    x_m: tuple[float, float] = setting(
+        (-200.0, 200.0),
+        low=-_FARTHEST_M,
+        high=_FARTHEST_M,
+        fits=lambda x: 0.0 < x[1] - x[0] <= _LONGEST_BARRIER_M,
+        form=f"a pair [from, to], to after from and at most {_LONGEST_BARRIER_M:g} m away",
+    )
+
+
+def _is_blend(path: str) -> bool:
+    return Path(path).suffix.lower() == ".blend"
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,8 +343,13 @@ class WorldSettings:
 
     detail: str = setting("body", allowed=DETAILS, option="--detail", help="level of detail of the vehicles")
     ground: bool = setting(True)
-    blend: str | None = setting(None, is_path=True)
-    mesh: str | None = setting(None, is_path=True)
+    blend: str | None = setting(None, is_path=True, fits=_is_blend, form="a .blend file")
+    mesh: str | None = setting(
+        None,
+        is_path=True,
+        fits=lambda path: not _is_blend(path),
+        form="a mesh file that Blender reads; .blend files go to blend",
+    )
     origin_m: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
     heading_deg: float = setting(0.0, **_HEADING)
     boxes: tuple[BoxSettings, ...] = setting(())
@@ -360,6 +373,8 @@ class ModelSettings:
         None,
         option="--cluster",
         rivals=("workers",),
+        fits=lambda address: (found := _ADDRESS.fullmatch(address)) and 0 < int(found["port"]) < 2**16,
+        form="such as tcp://host:8786",
         help="dask scheduler whose workers are used instead: tcp://host:8786",
     )
 

@@ -9,6 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError, printable
+from ..toml_table import setting
+
+_LARGEST_M = 1e6  # of the road; sums and squares stay finite
 
 # --- What reading a recording found and repaired ----------------------------------------------------------
 
@@ -263,7 +266,7 @@ def unknown_frame(frame: object, recording: Recording) -> InputError:
 
 @dataclass(frozen=True, slots=True)
 class RoadFrame:
-    """The road frame beside a carriageway: x in the direction of travel, y to the left, the LiDAR at y <= 0.
+    """[road], the road frame beside a carriageway: x in the direction of travel, y to the left, the LiDAR at y <= 0.
 
     The defaults are I-80's: past the on-ramp, whose acceleration lane ends at Local_Y 202 m.
 
@@ -281,11 +284,11 @@ class RoadFrame:
         Width of one lane [m].
     """
 
-    station_m: float = 250.0
-    right_edge_m: float = 21.9456
-    setback_m: float = 2.0
-    lanes: int = 6
-    lane_width_m: float = 3.66
+    station_m: float = setting(250.0, low=-_LARGEST_M, high=_LARGEST_M)
+    right_edge_m: float = setting(21.9456, low=-_LARGEST_M, high=_LARGEST_M)
+    setback_m: float = setting(2.0, low=0.0, high=_LARGEST_M)
+    lanes: int = setting(6, low=1, high=50)
+    lane_width_m: float = setting(3.66, above=0.0, high=10.0)
 
     @property
     def carriageway_y(self) -> tuple[float, float]:
