@@ -14,11 +14,10 @@ from blender_lidar.studies.ablations import (
     UNTOLD,
     Ablation,
     Compared,
-    _with_judges,
     ablation_row,
-    compared,
     draw_of,
     verdict,
+    with_judges,
 )
 from blender_lidar.studies.driver import Landscape
 from blender_lidar.studies.effects import (
@@ -81,17 +80,17 @@ def test_choices_without_a_block_are_those_of_traffic_that_never_had_it():
 
 def test_what_changes_nothing_has_no_effect_and_no_width():
     found = effects([draw(1)], HALVES)
-    for name in ("score", "bias", "optimum", "cost"):
+    for name in ("score", "bias", "apart", "regret"):
         assert found[name] == Effect(0.0, (0.0, 0.0))
     assert found["error"].value == pytest.approx(0.0, abs=1e-12)
-    assert found["ranking"].value == pytest.approx(1.0)
+    assert found["tau"].value == pytest.approx(1.0)
 
 
 def test_a_shift_of_all_scores_is_a_bias_alone():
     found = effects([draw(1, shift=0.25)], HALVES)
     assert found["bias"].value == pytest.approx(0.25)
     assert found["score"].interval_90 == pytest.approx((0.25, 0.25))
-    assert found["cost"].value == 0.0
+    assert found["regret"].value == 0.0
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():
@@ -108,9 +107,9 @@ def test_a_choice_that_is_worth_half_of_the_gain_costs_half_and_is_half_apart():
     worth = np.linspace(0.0, 1.0, MOUNTINGS)[:, None] * np.ones((1, BLOCKS))
     judged = np.concatenate([-np.ones((1, BLOCKS)), worth])
     found = effects([Draw(worth[::-1], worth, np.ones(BLOCKS), judged)], HALVES)
-    assert found["cost"] == Effect(pytest.approx(0.5), pytest.approx((0.5, 0.5)))
-    assert found["optimum"].value == pytest.approx(0.5)
-    assert found["ranking"].value == pytest.approx(-1.0)
+    assert found["regret"] == Effect(pytest.approx(0.5), pytest.approx((0.5, 0.5)))
+    assert found["apart"].value == pytest.approx(0.5)
+    assert found["tau"].value == pytest.approx(-1.0)
 
 
 def test_draws_that_differ_widen_the_interval():
@@ -140,19 +139,19 @@ def test_the_interval_of_the_bias_covers_the_truth_in_nine_of_ten_cases():
 
 def test_intervals_of_what_has_no_sign_do_not_go_below_0():
     found = effects([draw(seed, noise=0.2) for seed in (1, 2)], HALVES)
-    assert found["optimum"].interval_90[0] >= 0.0
+    assert found["apart"].interval_90[0] >= 0.0
     assert found["score"].interval_90[0] >= 0.0
     assert found["bias"].interval_90[0] < 0.0
 
 
-def test_what_is_not_judged_has_neither_optimum_nor_cost_and_few_judges_give_no_interval():
+def test_what_is_not_judged_has_no_regret_and_few_judges_give_no_interval():
     one = draw(1, noise=0.5)
-    found = effects([replace(one, judged=None)], HALVES)
-    assert (found["optimum"], found["cost"]) == (None, None)
+    found = effects([replace(one, judged=one.judged[:, :0])], HALVES)
+    assert (found["apart"], found["regret"]) == (None, None)
     found = effects([replace(one, judged=one.judged[:, :2])], HALVES)
-    assert found["cost"].interval_90 is None
+    assert found["regret"].interval_90 is None
     nothing_gained = replace(one, judged=np.concatenate([one.judged[1:].max(axis=0, keepdims=True), one.judged[1:]]))
-    assert effects([nothing_gained], HALVES)["cost"] is None
+    assert effects([nothing_gained], HALVES)["regret"] is None
 
 
 # --- verdicts and rows ------------------------------------------------------------------------------------------------
@@ -182,10 +181,10 @@ def compared_on(noise: float, shift: float = 0.0, blocks: int = BLOCKS) -> tuple
     vehicles, below = np.full(blocks, 10), np.full((1, blocks), -10.0)
     having, without = (Landscape(np.concatenate([below, part]), vehicles) for part in (one.having, one.without))
     judged = Landscape(one.judged, np.full(8, 10))
-    reference = Reference.of(having, np.arange(blocks), judged, np.arange(8), 1)
+    reference = Reference(having, np.arange(blocks), judged, np.arange(8), 1)
     every = Candidates(("height_m",), np.linspace(2.0, 5.0, MOUNTINGS)[:, None], (None,) * (1 + MOUNTINGS))
-    on = compared(None, every, reference)
-    return _with_judges(draw_of(without, having, on), (judged, slice(None)), on), on
+    on = Compared(None, every, reference)
+    return with_judges(draw_of(without, having, on), judged, slice(None), on), on
 
 
 def rows(noise: float, shift: float = 0.0, blocks: int = BLOCKS) -> dict:
@@ -231,5 +230,5 @@ def test_a_side_that_cannot_be_had_is_told_of_in_its_words():
 
 def test_candidates_that_nobody_chooses_are_filled_up_as_unknown():
     one, on = compared_on(0.0)
-    judged = _with_judges(one, (Landscape(np.ones((3, 8)), np.full(8, 4)), [0, 2, 5]), on).judged
+    judged = with_judges(one, Landscape(np.ones((3, 8)), np.full(8, 4)), [0, 2, 5], on).judged
     assert np.flatnonzero(np.isfinite(judged[:, 0])).tolist() == [0, 2, 5]

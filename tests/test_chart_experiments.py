@@ -1,4 +1,4 @@
-"""The chart's experiments: the plain scorer, moving vehicles, shapes without wheels, and every ablation of a scene."""
+"""The chart's experiments: float32, moving vehicles, shapes without wheels, and every ablation of a scene."""
 
 from __future__ import annotations
 
@@ -9,20 +9,18 @@ import numpy as np
 import pytest
 
 from blender_lidar.casting import is_available
-from blender_lidar.errors import InputError
+from blender_lidar.casting.protocol import Revolution
 from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.fidelity import Fidelity
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies.ablations import ablations, without_offsets
-from blender_lidar.studies.driver import AS_IT_IS, Job, landscapes
+from blender_lidar.studies.driver import Job, landscapes
 from blender_lidar.studies.experiments import (
     SECTORS,
     MovingScorer,
-    PlainScorer,
     SinglePrecisionScorer,
     bare_shape,
     grounded,
@@ -32,8 +30,7 @@ from blender_lidar.studies.experiments import (
     sectors,
     velocity_at,
 )
-from blender_lidar.studies.ladder import at_fidelity
-from blender_lidar.world.shapes import DETAILS, SHAPES, shape
+from blender_lidar.world.shapes import SHAPES, shape
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import MAPPED, traffic_rows, write_scene, write_table
 
@@ -57,41 +54,13 @@ def assert_same(one, other):
     np.testing.assert_allclose(one.occupancy, other.occupancy, rtol=1e-12)
 
 
-# --- the plain scorer -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("detail", DETAILS)
-def test_the_plain_scorer_sees_what_the_products_own_sees(site, frame, detail):
-    observation = replace(at_fidelity(site, Fidelity(detail, 4)).observation, max_range_m=50.0)
-    plain, own = PlainScorer(frame, observation), FrameScorer(frame.vehicles, frame.counted, observation)
-    expected = own.see(POSES, keep_returns=True)
-    assert expected.points.sum() > 100
-    found = plain.see(POSES, keep_returns=True)
-    assert_same(found, expected)
-    order = [np.lexsort((*np.round(points, 6).T, row)) for points, row in (found.returns, expected.returns)]
-    np.testing.assert_array_equal(found.returns[1][order[0]], expected.returns[1][order[1]])
-    np.testing.assert_allclose(found.returns[0][order[0]], expected.returns[0][order[1]], atol=1e-9)
-
-
-def test_scenery_hides_from_the_plain_scorer_too(site, frame):
-    ((_, there),) = next(one for one in ablations(site, 1) if one.what == "median barrier").pairs
-    median = there.changed(site)
-    observation = replace(median.observation, max_range_m=50.0)
-    seen = PlainScorer(frame, observation).see(POSES)
-    assert_same(seen, FrameScorer(frame.vehicles, frame.counted, observation).see(POSES))
-    free = PlainScorer(frame, replace(observation, scenery=None)).see(POSES)
-    assert seen.points.sum() < free.points.sum()
-
-
-def test_an_imperfect_sensor_is_left_to_the_products_own_scorer(site, frame):
-    noisy = replace(site.observation, imperfections=replace(site.observation.imperfections, dropout=0.1))
-    with pytest.raises(InputError, match="imperfect"):
-        PlainScorer(frame, noisy)
+# --- float32 ----------------------------------------------------------------------------------------------------------
 
 
 def test_float32_moves_points_by_micrometres(site, frame):
     observation = replace(site.observation, max_range_m=50.0)
-    seen = [scorer(frame, observation).see(POSES, keep_returns=True) for scorer in (PlainScorer, SinglePrecisionScorer)]
+    scorers = FrameScorer(frame.vehicles, frame.counted, observation), SinglePrecisionScorer(frame, observation)
+    seen = [scorer.see(POSES, keep_returns=True) for scorer in scorers]
     np.testing.assert_array_equal(seen[0].points, seen[1].points)
     away = np.abs(seen[0].returns[0] - seen[1].returns[0]).max()
     assert 1e-9 < away < 2e-5
@@ -120,10 +89,18 @@ def test_the_ground_is_among_what_is_cast_against_and_changes_no_score(site, cas
 
 
 @pytest.mark.parametrize("boxes_move", [True, False])
-def test_vehicles_that_stand_are_seen_as_in_an_instant(site, frame, boxes_move):
-    observation = replace(site.observation, max_range_m=50.0)
+@pytest.mark.parametrize("also", ["", "a barrier", "noise and drop-out"])
+def test_vehicles_that_stand_are_seen_as_in_an_instant(site, frame, boxes_move, also):
+    if also == "a barrier":
+        ((_, there),) = next(one for one in ablations(site, 1) if one.what == "median barrier").pairs
+        site = there.changed(site)
+    imperfections = replace(site.observation.imperfections, dropout=0.1, range_noise_m=0.02)
+    changes = {"imperfections": imperfections} if "noise" in also else {}
+    observation = replace(site.observation, max_range_m=50.0, **changes)
     standing = MovingScorer(frame, observation, np.zeros((len(frame.vehicles), 2)), boxes_move=boxes_move)
-    assert_same(standing.see(POSES), FrameScorer(frame.vehicles, frame.counted, observation).see(POSES))
+    expected = FrameScorer(frame.vehicles, frame.counted, observation).see(POSES)
+    assert expected.points.sum() > 100
+    assert_same(standing.see(POSES), expected)
 
 
 def test_a_sector_sees_vehicles_where_they_are_at_its_time(site, frame):
@@ -131,16 +108,19 @@ def test_a_sector_sees_vehicles_where_they_are_at_its_time(site, frame):
     observation = replace(site.observation, max_range_m=50.0)
     velocity = velocity_at(frame.vehicles, 25.0)
     late_s, sector = sector_times(observation.lattice), sectors(observation.lattice)
-    shots = MovingScorer(frame, observation, velocity)._shots(POSES[0])
     expected = []
     for number in range(SECTORS):
-        there = CountedFrame(moved(frame.vehicles, velocity, late_s[number]), frame.counted)
-        standing = PlainScorer(there, observation)._shots(POSES[0])
-        rays = POSES[0].to_world(observation.lattice.directions.reshape(-1, 3)[sector == number])
-        ours = (np.abs(standing.direction[:, None] - rays[None]).max(axis=2) < 1e-12).any(axis=1)
-        expected.append(standing.distance[ours])
-    assert len(shots.distance) > 200
-    np.testing.assert_allclose(np.sort(shots.distance), np.sort(np.concatenate(expected)), atol=1e-9)
+        there = moved(frame.vehicles, velocity, late_s[number])
+        standing = FrameScorer(there, frame.counted, observation)
+        (met,) = standing._revolutions(POSES[:1])
+        ours = sector[met.beam] == number
+        met = Revolution(*(column[..., ours] for column in met))
+        expected.append(standing.returns_of(POSES[0], met)[0])
+    found = MovingScorer(frame, observation, velocity).see(POSES[:1], keep_returns=True).returns[0]
+    expected = np.concatenate(expected)
+    assert len(found) > 200
+    by_place = [points[np.lexsort(points.round(6).T)] for points in (found, expected)]
+    np.testing.assert_allclose(*by_place, atol=1e-9)
 
 
 def test_sectors_follow_the_columns_time_and_lie_about_the_middle_of_the_turn(site):
@@ -276,8 +256,12 @@ def test_what_the_scene_has_is_left_out_once_and_not_added(key, tmp_path):
     assert [one.stage for _, one in spread.pairs] == [one.stage for _, one in ours[0].pairs]
 
 
-def test_the_experiments_say_why_they_are_not_made_with_an_imperfect_sensor(tmp_path):
+@pytest.mark.parametrize("what", ["float32", "wheels and mirrors", "motion in a turn"])
+def test_the_experiments_of_an_imperfect_sensor_lose_the_same_returns_on_both_sides(what, site, tmp_path):
+    """They were made with a perfect sensor alone, and refused another."""
     noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {"dropout": 0.2}})))
-    (single,) = (one for one in ablations(noisy, 1) if one.what == "float32")
-    assert "imperfect" in next(landscapes(noisy, [Job(single.pairs[0][1], POSES)]))
-    assert not isinstance(next(landscapes(noisy, [Job(AS_IT_IS, POSES)])), str)
+    for change in (one for one in ablations(noisy, 1) if one.what == what):
+        perfect, imperfect = (
+            [next(landscapes(of, [Job(one, POSES)])).objective.sum() for one in change.pairs[0]] for of in (site, noisy)
+        )
+        assert abs(imperfect[1] - perfect[1]) > abs(imperfect[1] - imperfect[0])

@@ -18,8 +18,8 @@ from ..scene.observation import Observation
 from ..sensors.pose import Pose
 from ..signals import stops_recognised
 from ..traffic.vehicles import Vehicles
-from ..world.meshes import GLASS, REFLECTIVITY, ROAD
-from ..world.triangles import vehicle_triangles
+from ..world.meshes import GLASS, REFLECTIVITY
+from ..world.triangles import Triangles, vehicle_triangles
 
 # --- The vehicles of a frame as shapes, ready to be cast against: made once for any sensor and mounting ---
 
@@ -37,8 +37,8 @@ class FrameShapes:
         Level of detail, of `world.shapes.DETAILS`.
     caster : str
         A name of `casting.CASTERS`.
-    ground : ndarray, (t, 3, 3), optional
-        Triangles of the road [m], which face up: cast against too, though none of its returns counts.
+    triangles : Triangles, optional
+        What is cast against; the vehicles at that level of detail if left out.
 
     Attributes
     ----------
@@ -53,18 +53,15 @@ class FrameShapes:
     """
 
     def __init__(
-        self, vehicles: Vehicles, counted: np.ndarray, detail: str, caster: str, ground: np.ndarray | None = None
+        self, vehicles: Vehicles, counted: np.ndarray, detail: str, caster: str, triangles: Triangles | None = None
     ) -> None:
         self.frame, self.detail, self.caster = vehicles.frame, detail, caster
         self.counted = vehicles.select(counted)
-        triangles = vehicle_triangles(vehicles, detail)
-        corners, self.surface = triangles.corners, triangles.surface
-        self.counted_row = np.where(counted, np.cumsum(counted) - 1, -1)[triangles.owner].astype(np.int64)
-        if ground is not None:
-            corners = np.concatenate([corners, ground])
-            self.counted_row = np.pad(self.counted_row, (0, len(ground)), constant_values=-1)
-            self.surface = np.pad(self.surface, (0, len(ground)), constant_values=ROAD)
-        self.tree = caster_class(caster)(corners, closed=True)
+        triangles = triangles or vehicle_triangles(vehicles, detail)
+        self.surface = triangles.surface
+        rows = np.append(np.where(counted, np.cumsum(counted) - 1, -1), -1)  # the last is that of `STATIC`
+        self.counted_row = rows[triangles.owner].astype(np.int64)
+        self.tree = caster_class(caster)(triangles.corners, closed=True)
 
     @cached_property
     def pieces(self) -> Pieces:
@@ -163,7 +160,7 @@ class FrameScorer:
 
     def returns_of(self, pose: Pose, hits: Revolution) -> tuple[np.ndarray, np.ndarray]:
         """Returns of a mounting from counted vehicles, as `vehicle_points`, given what its beams met."""
-        seen, shapes, vehicles = self._observation, self.shapes, self.vehicles
+        seen, shapes = self._observation, self.shapes
         row = _take(shapes.counted_row, hits.triangle)
         distance = self._measurement.measured(hits.beam, hits.distance, *self._surface(hits))
         wanted = np.flatnonzero((row >= 0) & (distance < np.inf))
@@ -172,8 +169,12 @@ class FrameScorer:
             shown = ~seen.scenery.hides(pose.position, directions.T, _take(hits.distance, wanted))
             wanted, directions = wanted[shown], directions[:, shown]
         distance, row = _take(distance, wanted), _take(row, wanted)
-        points = pose.position + (distance * directions).T  # Eqs. 2 and 3, the range scaling the direction alone
-        return to_vehicle_frame(points, vehicles.centre_m, vehicles.heading_rad, row), row  # Eqs. 4 and 5
+        return self._in_vehicle_frames(pose.position, directions, distance, row), row
+
+    def _in_vehicle_frames(self, origin, directions, distance, row) -> np.ndarray:
+        """Returns in the frames of their vehicles, (k, 3) [m], from directions (3, k) and distances (k,)."""
+        points = origin + (distance * directions).T  # Eqs. 2 and 3, the range scaling the direction alone
+        return to_vehicle_frame(points, self.vehicles.centre_m, self.vehicles.heading_rad, row)  # Eqs. 4 and 5
 
     def _revolutions(self, poses):
         """What the beams of each mounting meet, in turn."""

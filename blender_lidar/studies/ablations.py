@@ -20,27 +20,8 @@ from ..sensors.beams import beam_lattice
 from ..world.scenery import barrier, join
 from ..world.shapes import DETAILS
 from .driver import HELD_OUT, Job, Landscape, Stages, Variation, judging_split
-from .effects import (
-    BASELINE,
-    BIAS,
-    COST,
-    ERROR,
-    FEWEST_HALVED,
-    FIRST,
-    OPTIMUM,
-    RANKING,
-    SCORE,
-    Candidates,
-    Draw,
-    Effect,
-    Noise,
-    Reference,
-    choices,
-    effects,
-    halvings,
-    noise_ceiling,
-)
-from .experiments import FREE_FLOW_M_S, bare, check_perfect, moving, single
+from .effects import BASELINE, FIRST, Candidates, Draw, Effect, Reference, choices, effects
+from .experiments import FREE_FLOW_M_S, bare, grounded, moving, single
 from .ladder import variation
 from .variations import with_sensor
 
@@ -76,46 +57,35 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
 
     `draws` : units, or draws of noise, of a sensor that is imperfect at random.
     """
-    detail = site.scenario.world.detail
-    own, levels = variation(Fidelity(detail)), {level: variation(Fidelity(level)) for level in DETAILS}
-    ground = replace(variation(Fidelity(detail, ground=True), ABLATION), what="ground", value="cast too")
-    wheelless = Variation(ABLATION, "wheels and mirrors", "left out", _with_best_detail, scorer=bare)
-    found = [
-        Ablation("ground", "two large triangles cast too", ((own, ground),)),
-        *_barriers(site, own),
-        Ablation("body shape", "body, not box", ((levels["box"], levels["body"]),)),
-        Ablation("finer shape", "detailed, not body", ((levels["body"], levels["detailed"]),)),
-        Ablation("wheels and mirrors", "detailed with, not without them", ((wheelless, levels["detailed"]),)),
-        _azimuth_offsets(site, own),
-        *_imperfections(site, own, draws),
-        Ablation("float32", "ranges and points", ((own, Variation(ABLATION, "float32", "", _perfect, scorer=single)),)),
-    ]
-    motion = (
-        ("recorded speeds", moving),
-        ("recorded speeds, boxes of mid-turn", partial(moving, boxes_move=False)),
-        (f"all at {FREE_FLOW_M_S:g} m/s", partial(moving, fast=True)),
-    )
-    for value, scorer in motion:
-        moved = Variation(ABLATION, "motion", value, _perfect, scorer=scorer)
-        found.append(Ablation("motion in a turn", value, ((own, moved),)))
-    return found
+    own = variation(Fidelity(site.scenario.world.detail))
+    box, body, detailed = (variation(Fidelity(level)) for level in DETAILS)
 
+    def added(what: str, value: str, side: str, **change) -> Ablation:
+        return Ablation(what, value, ((own, Variation(ABLATION, what, side, **change)),))
 
-def _barriers(site: Site, own: Variation) -> list[Ablation]:
     right, left = site.scenario.road.carriageway_y
     x, y = site.region.centre_xy
     beside = y + _MEDIAN_CLEARANCE * (right - y) if y < right else left + _MEDIAN_CLEARANCE * (y - left)
     middle = right + (left - right) / site.scenario.road.lanes * (site.scenario.road.lanes // 2)
-    standing = (
-        ("guard rail", f"between pole and road, y {beside:g} m", "guard_rail", beside),
-        ("median barrier", f"on the middle lane line, y {middle:g} m", "concrete", middle),
+    rail, concrete = (
+        partial(_with_barrier, given=(kind, at, (x - site.reach_m, x + site.reach_m)))
+        for kind, at in (("guard_rail", beside), ("concrete", middle))
     )
-    ends = (x - site.reach_m, x + site.reach_m)
+    at_once, speed = "recorded speeds, boxes of mid-turn", f"all at {FREE_FLOW_M_S:g} m/s"
+    wheelless = Variation(ABLATION, "wheels and mirrors", "left out", scorer=bare)
     return [
-        Ablation(
-            what, text, ((own, Variation(ABLATION, what, "there", partial(_with_barrier, given=(kind, y, ends)))),)
-        )
-        for what, text, kind, y in standing
+        added("ground", "two large triangles cast too", "cast too", scorer=grounded),
+        added("guard rail", f"between pole and road, y {beside:g} m", "there", changed=rail),
+        added("median barrier", f"on the middle lane line, y {middle:g} m", "there", changed=concrete),
+        Ablation("body shape", "body, not box", ((box, body),)),
+        Ablation("finer shape", "detailed, not body", ((body, detailed),)),
+        Ablation("wheels and mirrors", "detailed with, not without them", ((wheelless, detailed),)),
+        _azimuth_offsets(site, own),
+        *_imperfections(site, own, draws),
+        added("float32", "ranges and points", "", scorer=single),
+        added("motion in a turn", "recorded speeds", "recorded speeds", scorer=moving),
+        added("motion in a turn", at_once, at_once, scorer=partial(moving, boxes_move=False)),
+        added("motion in a turn", speed, speed, scorer=partial(moving, fast=True)),
     ]
 
 
@@ -167,17 +137,6 @@ def _with_barrier(site: Site, given: tuple[str, float, tuple[float, float]]) -> 
     return replace(site, observation=replace(observation, scenery=scenery))
 
 
-def _perfect(site: Site) -> Site:
-    """The site as it is; one with an imperfect sensor is refused."""
-    check_perfect(site.observation)
-    return site
-
-
-def _with_best_detail(site: Site) -> Site:
-    """The site with vehicles at the best level of detail; one with an imperfect sensor is refused."""
-    return replace(site, observation=replace(_perfect(site).observation, detail=DETAILS[-1]))
-
-
 def without_offsets(site: Site) -> Site:
     """The site with a sensor all of whose rings look where their column does."""
     model = replace(site.model, azimuth_offset_rad=np.zeros(site.model.rings))
@@ -197,24 +156,11 @@ class Compared(NamedTuple):
     every : Candidates
     reference : Reference
         Of these candidates.
-    floor : Noise or None
-        Of the same; there are no verdicts without one.
-    halves : ndarray of bool, (s, 2, b)
-        Halves of the blocks that choose; with too few blocks all of them choose.
     """
 
     site: Site
     every: Candidates
     reference: Reference
-    floor: Noise | None
-    halves: np.ndarray
-
-
-def compared(site: Site, every: Candidates, reference: Reference) -> Compared:
-    """With its floor and halves."""
-    blocks = int((reference.searched.blocks(reference.searched_block)[1] > 0).sum())
-    halves = halvings(blocks, reference.seed) if blocks >= FEWEST_HALVED else np.ones((1, 2, blocks), dtype=bool)
-    return Compared(site, every, reference, noise_ceiling(reference), halves)
 
 
 def ablation_rows(
@@ -236,52 +182,48 @@ def ablation_rows(
     def job(one: Variation, poses=on.every.poses, **split) -> Job:
         return Job(replace(one, section=f"{what} {one.section}".strip()), poses, **split)
 
-    told = f"{what and ', '}{what}"
-    needed = {one.stage: one for change in changes for pair in change.pairs for one in pair}
-    missing = [one for stage, one in needed.items() if stage not in known]
-    found = stages.landscapes(on.site, list(map(job, missing)), f"ablations scored{told}")
-    scored = {**known, **dict(zip((one.stage for one in missing), found, strict=True))}
-    sides = [[[scored[one.stage] for one in pair] for pair in change.pairs] for change in changes]
-    refused = [next((one for pair in of for one in pair if isinstance(one, str)), None) for of in sides]
-    draws = [[] if why else [draw_of(*pair, on) for pair in of] for why, of in zip(refused, sides, strict=True)]
+    told, halves = f"{what and ', '}{what}", on.reference.halves
+    missing = {one.stage: one for change in changes for pair in change.pairs for one in pair if one.stage not in known}
+    found = stages.landscapes(on.site, [job(one) for one in missing.values()], f"ablations scored{told}")
+    scored = {**known, **dict(zip(missing, found, strict=True))}
+    refused, draws = {}, []
+    for change in changes:
+        sides = [[scored[one.stage] for one in pair] for pair in change.pairs]
+        refused[change] = next((side for pair in sides for side in pair if isinstance(side, str)), None)
+        if refused[change] is None:
+            draws += [(change, pair, draw_of(*both, on)) for pair, both in zip(change.pairs, sides, strict=True)]
     if judging_split(on.site) == HELD_OUT:
-        kept = [[_kept(draw, on.halves) for draw in of] for of in draws]
+        kept = [_ever_chosen(draw, halves) for _, _, draw in draws]
         jobs = [
             job(
-                replace(pair[1], section="judged", what=one.what, value=one.value, draw=pair[0].draw or pair[1].draw),
+                replace(there, section="judged", what=of.what, value=of.value, draw=without.draw or there.draw),
                 tuple(on.every.poses[row] for row in rows),
                 split=HELD_OUT,
             )
-            for one, of in zip(changes, kept, strict=True)
-            for pair, rows in zip(one.pairs, of, strict=bool(of))
+            for (of, (without, there), _), rows in zip(draws, kept, strict=True)
         ]
-        judged = iter(stages.landscapes(on.site, jobs, f"ablations judged{told}"))
-        judges = [[(next(judged), rows) for rows in of] for of in kept]
+        judges = zip(stages.landscapes(on.site, jobs, f"ablations judged{told}"), kept, strict=True)
     else:
-        judges = [[(pair[1], slice(None)) for pair in of] for of in sides]
-    return [
-        ablation_row(change, why, [_with_judges(*one, on) for one in zip(of, seen, strict=bool(of))], on)
-        for change, why, of, seen in zip(changes, refused, draws, judges, strict=True)
-    ]
+        judges = ((scored[there.stage], slice(None)) for _, (_, there), _ in draws)
+    judged = [(of, with_judges(draw, *by, on)) for (of, _, draw), by in zip(draws, judges, strict=True)]
+    return [ablation_row(one, refused[one], [draw for of, draw in judged if of is one], on) for one in changes]
 
 
 def draw_of(without: Landscape, having: Landscape, on: Compared) -> Draw:
     """One draw of a thing from what the baseline and the candidates come to without it and with it; not yet judged."""
     (less, _), (more, vehicles) = (one.blocks(on.reference.searched_block) for one in (without, having))
     filled = vehicles > 0
-    return Draw(less[FIRST:, filled], more[FIRST:, filled], vehicles[filled], None)
+    return Draw(less[FIRST:, filled], more[FIRST:, filled], vehicles[filled], np.empty((len(less), 0)))
 
 
-def _kept(draw: Draw, halves: np.ndarray) -> list[int]:
+def _ever_chosen(draw: Draw, halves: np.ndarray) -> list[int]:
     """Rows of the baseline and of the candidates that either side would ever choose: all that need be judged."""
-    chosen = np.unique(np.concatenate([one.ravel() for one in choices(draw, halves)]))
-    return [BASELINE, *(FIRST + chosen).tolist()]
+    return [BASELINE, *(FIRST + np.unique(choices(draw, halves))).tolist()]
 
 
-def _with_judges(draw: Draw, judged: tuple[Landscape, Sequence[int] | slice], on: Compared) -> Draw:
+def with_judges(draw: Draw, judged: Landscape, rows: Sequence[int] | slice, on: Compared) -> Draw:
     """The draw with what some rows come to where the scene has the thing, on the frames that judge; NaN for others."""
-    landscape, rows = judged
-    objective, vehicles = landscape.blocks(on.reference.judged_block)
+    objective, vehicles = judged.blocks(on.reference.judged_block)
     every = np.full((len(on.every.poses), len(vehicles)), np.nan)
     every[rows] = objective
     return replace(draw, judged=every[:, vehicles > 0])
@@ -290,28 +232,30 @@ def _with_judges(draw: Draw, judged: tuple[Landscape, Sequence[int] | slice], on
 # --- the row of an ablation -------------------------------------------------------------------------------------------
 
 ABOVE, BELOW, UNTOLD = "above", "below", "cannot be told"
-JUDGED = (SCORE, RANKING, OPTIMUM)
-_COLUMNS = {BIAS: "bias", SCORE: "score", ERROR: "error", RANKING: "tau", COST: "regret", OPTIMUM: "apart"}
+JUDGED = {"score": "score", "ranking": "tau", "optimum": "apart"}  # what has a verdict, and which effect it is on
+_EFFECTS = ("bias", "score", "error", "tau", "regret", "apart")
 
 
 def ablation_row(change: Ablation, refused: str | None, draws: Sequence[Draw], on: Compared) -> dict:
     """One ablation as JSON holds it: all but its name is None where there is nothing to compare."""
+    columns = [name + ending for name in _EFFECTS for ending in ("", "_interval_90")]
     row = {"what": change.what, "value": change.value, "note": refused or change.note, "draws": len(change.pairs)}
+    row |= dict.fromkeys((*columns, "error_share", "shift", "floors", "verdicts"))
     if not draws:
-        columns = [name + ending for name in _COLUMNS.values() for ending in ("", "_interval_90")]
-        return row | dict.fromkeys((*columns, "error_share", "shift", "floors", "verdicts"))
-    found, numbers = effects(draws, on.halves), {}
-    for name, column in _COLUMNS.items():
-        value, interval = found[name] or (None, None)
-        numbers[column] = value
-        numbers[f"{column}_interval_90"] = None if interval is None else list(interval)
-    gain, floor = on.reference.gain, on.floor
-    numbers["error_share"] = numbers["error"] / gain if gain > 0.0 else None
+        return row
+    gain, floor = on.reference.gain, on.reference.noise
+    found = effects(draws, on.reference.halves)
+    for name in _EFFECTS:
+        row[name], row[f"{name}_interval_90"] = found[name] or (None, None)
+    row["error_share"] = row["error"] / gain if gain > 0.0 else None
     shift = np.mean([_shift(draw, on) for draw in draws], axis=0)
-    numbers["shift"] = dict(zip(on.every.variables, shift.tolist(), strict=True))
-    floors = None if floor is None else {SCORE: floor.bias, RANKING: floor.tau, OPTIMUM: floor.apart}
-    verdicts = floors and {name: verdict(found[name], floors[name], less=name == RANKING) for name in JUDGED}
-    return row | numbers | {"floors": floors, "verdicts": verdicts}
+    row["shift"] = dict(zip(on.every.variables, shift.tolist(), strict=True))
+    if floor is not None:
+        row["floors"] = {"score": floor.bias, "ranking": floor.tau, "optimum": floor.apart}
+        row["verdicts"] = {
+            name: verdict(found[effect], row["floors"][name], less=effect == "tau") for name, effect in JUDGED.items()
+        }
+    return row
 
 
 def verdict(effect: Effect | None, floor: float | None, *, less: bool = False) -> str:
@@ -329,5 +273,5 @@ def verdict(effect: Effect | None, floor: float | None, *, less: bool = False) -
 
 def _shift(draw: Draw, on: Compared) -> np.ndarray:
     """Where the mounting that is chosen moves to when the thing comes in, (d,): mean over the halves."""
-    without, having = (on.every.points[one[0]].reshape(-1, len(on.every.variables)) for one in choices(draw, on.halves))
-    return (having - without).mean(axis=0)
+    without, having = (on.every.points[one[0]] for one in choices(draw, on.reference.halves))
+    return (having - without).mean(axis=(0, 1))

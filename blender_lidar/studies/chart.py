@@ -20,7 +20,7 @@ from ..metrics.catalogue import metric_named
 from ..scene.provenance import versions
 from ..scene.site import Site
 from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
-from .ablations import OFFSETS, Compared, ablation_rows, ablations, compared
+from .ablations import OFFSETS, Compared, ablation_rows, ablations
 from .compare.paired_findings import RESULT, judging
 from .driver import HELD_OUT, SEARCHED, CounterMaker, Job, Landscape, Stages, StudyFolder, judging_split, split_of
 from .effects import BASELINE, FIRST, Candidates, Reference, accuracy, candidates
@@ -100,23 +100,23 @@ def chart_study(
     timed = _timed(stages, site, list(dict.fromkeys(whole(rung.fidelity) for rung in rungs)), every, effort)
     found = score_ladder(stages, site, every, effort, rungs)
     searched, judged_block = found.ladder[REFERENCE][0], split_of(site, judging)[1]
-    reference = Reference.of(searched, site.plan.search_block, found.judged, judged_block, seed)
-    of_all, gain = compared(site, every, reference), reference.gain
+    reference = Reference(searched, site.plan.search_block, found.judged, judged_block, seed)
+    gain = reference.gain
     rows = rung_rows(rungs, reference, found, timed)
-    mark_within(rows, tolerance, of_all.floor, gain)
+    mark_within(rows, tolerance, reference.noise, gain)
     best = recommended(rows)
     chosen = rungs[rows.index(best)].fidelity
     validated = []
     if judging == HELD_OUT:
-        swapped = Reference.of(found.judged, judged_block, searched, site.plan.search_block, seed + 1)
+        swapped = Reference(found.judged, judged_block, searched, site.plan.search_block, seed + 1)
         where = "other blocks: the held-out ones choose, the searched ones judge"
-        validated.append((where, "other blocks", "on other blocks", of_all._replace(reference=swapped), HELD_OUT))
+        validated.append((where, "other blocks", "on other blocks", Compared(site, every, swapped), HELD_OUT))
     beside = None if other is None else _other_reference(stages, other, effort)
     if beside is not None:
         where = f"{other.model.name}, range gate {other.observation.max_range_m:g} m"
         validated.append((where, "other sensor", f"with {other.model.name}", beside, SEARCHED))
     numbers = reference.best(effort.varied_mountings)
-    on = compared(site, every.select(numbers), reference.select(numbers))
+    on = Compared(site, every.select(numbers), reference.select(numbers))
     rows_scored = [BASELINE, *(FIRST + number for number in numbers)]
     known = {variation(fidelity).stage: phases[0].select(rows_scored) for fidelity, phases in found.ladder.items()}
     metric = metric_named(site.scoring.metric)
@@ -145,14 +145,14 @@ def chart_study(
         "sure": SURE,
         "bound_level": BOUND_LEVEL,
         "reference": rows[0]["name"],
-        "noise": of_all.floor and asdict(of_all.floor),
+        "noise": reference.noise and asdict(reference.noise),
         "rungs": rows,
         "hits": _hits(stages, site, every, effort),
         "recommended": best["name"],
         "sentence": sentence(rows[0], best, tolerance, gain),
         "validated": [_validated(stages, chosen, effort, tolerance, *one) for one in validated],
         "ablation_mountings": min(effort.varied_mountings, effort.mountings),
-        "ablation_floor": on.floor and asdict(on.floor),
+        "ablation_floor": on.reference.noise and asdict(on.reference.noise),
         "ablations": _ablated(stages, on, effort, known, beside),
         "paired": paired,
         "notes": list(site.plan.notes),
@@ -210,7 +210,7 @@ def _other_reference(stages: Stages, other: Site, effort: Effort) -> Compared:
     jobs = [Job(change, every.poses, split) for split in dict.fromkeys((SEARCHED, judging))]
     scored = stages.landscapes(site, jobs, f"reference with {site.model.name}")
     blocks = site.plan.search_block, split_of(site, judging)[1]
-    return compared(site, every, Reference.of(scored[0], blocks[0], scored[-1], blocks[1], site.scenario.search.seed))
+    return Compared(site, every, Reference(scored[0], blocks[0], scored[-1], blocks[1], site.scenario.search.seed))
 
 
 def _validated(

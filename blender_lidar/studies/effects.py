@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from ..errors import InputError
 from ..optimise.search import generator
 from ..scene.scenario import Scenario
 from ..sensors.pose import Pose
-from ..statistics import FEWEST_BLOCKS, linear_interval_90, resampled_weights, student_t
+from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90, resampled_weights, student_t
 from .driver import Landscape
 
 SOBOL_BITS = 30
@@ -84,7 +85,7 @@ def sobol(seed: int, count: int, lower: np.ndarray, upper: np.ndarray) -> np.nda
     return np.clip(lower + (digits + 0.5) / (1 << SOBOL_BITS) * (upper - lower), lower, upper)
 
 
-# --- ranking, calibration, Pareto front -------------------------------------------------------------------------------
+# --- one score beside another: ranking, calibration, Pareto front -----------------------------------------------------
 
 
 def weighted_tau(values: np.ndarray, reference: np.ndarray) -> float:
@@ -98,14 +99,11 @@ def weighted_tau(values: np.ndarray, reference: np.ndarray) -> float:
     float
         From -1 to 1; NaN where one of the two prefers no mounting to another.
     """
+    from scipy.stats import weightedtau
+
     rank = np.empty(len(reference), dtype=int)
     rank[np.lexsort((values, reference))[::-1]] = np.arange(len(reference))
-    hyperbolic = 1.0 / (1.0 + rank)
-    weight = np.add.outer(hyperbolic, hyperbolic)
-    np.fill_diagonal(weight, 0.0)
-    first, second = (np.sign(np.subtract.outer(scores, scores)) for scores in (values, reference))
-    scale = np.sqrt((weight * first**2).sum() * (weight * second**2).sum())
-    return float((weight * first * second).sum() / scale) if scale > 0.0 else float("nan")
+    return float(weightedtau(values, reference, rank=rank).statistic)
 
 
 def calibrated_residuals(values: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -118,21 +116,16 @@ def calibrated_residuals(values: np.ndarray, reference: np.ndarray) -> np.ndarra
     first, second = slice(0, half), slice(half, None)
     residuals = np.empty(len(values))
     for judged, fitted in ((first, second), (second, first)):
-        intercept, slope = _line(values[fitted], reference[fitted])
-        residuals[judged] = reference[judged] - (intercept + slope * values[judged])
+        middle, away = values[fitted].mean(), values[fitted] - values[fitted].mean()
+        slope = away @ reference[fitted] / max(away @ away, np.finfo(float).tiny)
+        residuals[judged] = reference[judged] - reference[fitted].mean() - slope * (values[judged] - middle)
     return residuals
 
 
-def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    away = x - x.mean()
-    spread = float(away @ away)
-    slope = float(away @ y) / spread if spread > 0.0 else 0.0
-    return float(y.mean() - slope * x.mean()), slope
-
-
-def root_mean_square(residuals: np.ndarray) -> float:
-    """Of residuals."""
-    return float(np.sqrt(np.mean(np.square(residuals))))
+def agreement(values: np.ndarray, reference: np.ndarray) -> tuple[float, float, float]:
+    """Mean bias of `values` (k,), root mean square error after calibration, and weighted Kendall's tau."""
+    error = np.sqrt(np.mean(np.square(calibrated_residuals(values, reference))))
+    return float(np.mean(values - reference)), float(error), weighted_tau(values, reference)
 
 
 def pareto_front(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -140,40 +133,10 @@ def pareto_front(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
     Equal rows are all kept.
     """
+    no_worse = (first[:, None] <= first) & (second[:, None] <= second)
+    better = (first[:, None] < first) | (second[:, None] < second)
     order = np.lexsort((second, first))
-    kept, least, last = [], np.inf, None
-    for row in order.tolist():
-        both = (first[row], second[row])
-        if second[row] < least or both == last:
-            kept.append(row)
-            least, last = second[row], both
-    return np.array(kept, dtype=int)
-
-
-# --- halves of the blocks against each other: what other traffic of this kind would say -------------------------------
-
-
-SPLITS = 200
-FEWEST_HALVED = 4  # blocks: two in each half
-
-
-def halvings(blocks: int, seed: int) -> np.ndarray:
-    """Which blocks are in the one half and which in the other, `SPLITS` times at random, (s, 2, blocks) bool."""
-    rng = np.random.default_rng(seed)
-    halves = np.zeros((SPLITS, 2, blocks), dtype=bool)
-    for number in range(SPLITS):
-        order = rng.permutation(blocks)
-        halves[number, 0, order[: blocks // 2]] = True
-        halves[number, 1, order[blocks // 2 :]] = True
-    return halves
-
-
-def chosen_by(halves: np.ndarray, objective: np.ndarray) -> np.ndarray:
-    """The candidate that each half holds for the best, (...), from each candidate's block sums (k, blocks).
-
-    `halves` are (..., blocks); vehicles, which are the same for all candidates, make no difference.
-    """
-    return np.argmax(halves.astype(float) @ objective.T, axis=-1)
+    return order[~(no_worse & better).any(axis=0)[order]]
 
 
 # --- what is chosen on other traffic of this kind, and what it loses on held-out frames -------------------------------
@@ -205,16 +168,15 @@ def searched_weights(block: np.ndarray, seed: int) -> np.ndarray:
     return resampled_weights(len(labels), np.random.default_rng(seed), DRAWS)[:, row]
 
 
-def chosen_shares(landscape: Landscape, weights: np.ndarray, frames: np.ndarray | None = None) -> np.ndarray:
+def chosen_shares(landscape: Landscape, weights: np.ndarray, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
     """How often each candidate is the best, (k,), adding up to 1; `frames` are the rows that are looked at, or all.
 
     Resamples that leave no vehicle on those frames choose nothing and do not count.
     """
-    frames = np.arange(len(landscape.vehicles)) if frames is None else frames
     weights = weights[:, frames]
     weights = weights[weights @ landscape.vehicles[frames] > 0.0]
     if not len(weights):
-        weights = np.ones((1, len(frames)))
+        weights = np.ones((1, weights.shape[1]))
     best = np.argmax(landscape.objective[FIRST:, frames] @ weights.T, axis=0)  # vehicles are the same for all
     return np.bincount(best, minlength=len(landscape.objective) - FIRST) / len(best)
 
@@ -246,13 +208,30 @@ def regret(chosen: np.ndarray, by_reference: np.ndarray, judged: Landscape, bloc
     return Regret(share, linear_interval_90(share, influence), len(influence))
 
 
-# --- the reference, and how near a fidelity comes to it ---------------------------------------------------------------
+# --- the reference, the noise ceiling, and how near a fidelity comes to the reference ---------------------------------
 
 
+SPLITS = 200
+FEWEST_HALVED = 4  # blocks: two in each half
 _ROUNDING = 1e-12  # of the largest score: an error that is no greater is none
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+def halvings(blocks: int, seed: int) -> np.ndarray:
+    """Which blocks are in the one half and which in the other, `SPLITS` times at random, (s, 2, blocks) bool."""
+    rng = np.random.default_rng(seed)
+    place = np.argsort([rng.permutation(blocks) for _ in range(SPLITS)], axis=1)
+    return np.stack([place < blocks // 2, place >= blocks // 2], axis=1)
+
+
+def chosen_by(halves: np.ndarray, objective: np.ndarray) -> np.ndarray:
+    """The candidate that each half holds for the best, (...), from each candidate's block sums (k, blocks).
+
+    `halves` are (..., blocks); vehicles, which are the same for all candidates, make no difference.
+    """
+    return np.argmax(halves.astype(float) @ objective.T, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
 class Reference:
     """What fidelities are compared with.
 
@@ -260,38 +239,46 @@ class Reference:
     ----------
     searched : Landscape
         Of the baseline and the candidates, on the frames that choose.
-    judged : Landscape
-        The same on those that judge.
-    searched_block, judged_block : ndarray of int, (f,)
-        Blocks of both.
-    weights : ndarray, (r, f)
-        From `searched_weights`.
-    chosen : ndarray, (k,)
-        How often each candidate is chosen.
+    searched_block : ndarray of int, (f,)
+        Their blocks.
+    judged, judged_block
+        The same on the frames that judge.
     seed : int
+        Of resamples and halves.
     """
 
     searched: Landscape
-    judged: Landscape
     searched_block: np.ndarray
+    judged: Landscape
     judged_block: np.ndarray
-    weights: np.ndarray
-    chosen: np.ndarray
     seed: int
 
-    @classmethod
-    def of(
-        cls, searched: Landscape, searched_block: np.ndarray, judged: Landscape, judged_block: np.ndarray, seed: int
-    ) -> Reference:
-        """With its own choices."""
-        weights = searched_weights(searched_block, seed)
-        return cls(searched, judged, searched_block, judged_block, weights, chosen_shares(searched, weights), seed)
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """`searched_weights`, (r, f)."""
+        return searched_weights(self.searched_block, self.seed)
+
+    @cached_property
+    def chosen(self) -> np.ndarray:
+        """How often each candidate is chosen, (k,)."""
+        return chosen_shares(self.searched, self.weights)
+
+    @cached_property
+    def halves(self) -> np.ndarray:
+        """Halves of the filled blocks that choose, (s, 2, b) bool; with too few blocks all of them choose."""
+        blocks = int((self.searched.blocks(self.searched_block)[1] > 0).sum())
+        return halvings(blocks, self.seed) if blocks >= FEWEST_HALVED else np.ones((1, 2, blocks), dtype=bool)
+
+    @cached_property
+    def noise(self) -> Noise | None:
+        """The noise ceiling; None for fewer than four blocks with vehicles."""
+        return noise_ceiling(self)
 
     def select(self, numbers: Sequence[int]) -> Reference:
         """Of some of the candidates."""
         rows = [BASELINE, *(FIRST + number for number in numbers)]
         searched, judged = self.searched.select(rows), self.judged.select(rows)
-        return Reference.of(searched, self.searched_block, judged, self.judged_block, self.seed)
+        return Reference(searched, self.searched_block, judged, self.judged_block, self.seed)
 
     def best(self, count: int) -> list[int]:
         """So many of the best candidates, in the order in which they come."""
@@ -324,21 +311,18 @@ class Accuracy(NamedTuple):
     regret: Regret | None
 
 
-def accuracy(reference: Reference, phases: Sequence[Landscape], frames: np.ndarray | None = None) -> Accuracy:
-    """Of a fidelity whose phases come to `phases` on all frames and which looks at the rows `frames` of them."""
-    frames = np.arange(len(reference.searched.vehicles)) if frames is None else frames
+def accuracy(reference: Reference, phases: Sequence[Landscape], frames: np.ndarray | slice = slice(None)) -> Accuracy:
+    """How near a fidelity comes whose phases score `phases` on all frames, and which looks at the rows `frames`."""
     truth = reference.searched.per_vehicle()[FIRST:]
     values = [
         phase.objective[FIRST:, frames].sum(axis=1) / max(int(phase.vehicles[frames].sum()), 1) for phase in phases
     ]
+    bias, errors, tau = np.array([agreement(each, truth) for each in values]).T
+    error = float(np.sqrt(np.mean(errors**2)))
     chosen = np.mean([chosen_shares(phase, reference.weights, frames) for phase in phases], axis=0)
-    error = root_mean_square(np.array([calibrated_residuals(each, truth) for each in values]))
-    return Accuracy(
-        bias=float(np.mean([each - truth for each in values])),
-        error=0.0 if error <= _ROUNDING * float(np.abs(truth).max()) else error,
-        tau=float(np.mean([weighted_tau(each, truth) for each in values])),
-        regret=regret(chosen, reference.chosen, reference.judged, reference.judged_block),
-    )
+    lost = regret(chosen, reference.chosen, reference.judged, reference.judged_block)
+    within_rounding = error <= _ROUNDING * float(np.abs(truth).max())
+    return Accuracy(float(bias.mean()), 0.0 if within_rounding else error, float(tau.mean()), lost)
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,29 +356,21 @@ def noise_ceiling(reference: Reference) -> Noise | None:
     objective, vehicles = objective[FIRST:, vehicles > 0], vehicles[vehicles > 0]
     if len(vehicles) < FEWEST_HALVED:
         return None
-    halves = halvings(len(vehicles), reference.seed)
-    rows = []
-    for pair in halves:
-        one, other = (objective[:, half].sum(axis=1) / vehicles[half].sum() for half in pair)
-        error = root_mean_square(calibrated_residuals(one, other))
-        rows.append((abs(float(np.mean(one - other))), error, weighted_tau(one, other)))
-    bias, error, tau = np.array(rows).T
+    halves = reference.halves
+    scored = [[objective[:, half].sum(axis=1) / vehicles[half].sum() for half in pair] for pair in halves]
+    bias, error, tau = np.array([agreement(*both) for both in scored]).T
     tau = np.nan_to_num(tau)  # where a half prefers no mounting, nothing is ranked alike
-    low, high = np.quantile(error, [0.05, 0.95]).tolist()
-    middle = [float(np.median(column)) for column in (bias, error, tau)]
     worth = reference.judged.objective.sum(axis=1)
-    of_chosen = worth[FIRST + chosen_by(halves, objective)]
-    gain = float(of_chosen.mean() - worth[BASELINE])
-    apart = float(np.abs(of_chosen[:, 0] - of_chosen[:, 1]).mean() / gain) if gain > 0.0 else None
-    return Noise(middle[0], middle[1], (low, high), middle[2], apart)
+    chosen = worth[FIRST + chosen_by(halves, objective)]
+    gain = chosen.mean() - worth[BASELINE]
+    apart = float(np.abs(chosen[:, 0] - chosen[:, 1]).mean() / gain) if gain > 0.0 else None
+    bias, middle, tau = (float(np.median(column)) for column in (np.abs(bias), error, tau))
+    return Noise(bias, middle, interval_90(error), tau, apart)
 
 
 # --- effects of a thing that is modelled: score, ranking and choice without it and with it ----------------------------
 
-
-SCORE, ERROR, RANKING, OPTIMUM, BIAS, COST = "score", "error", "ranking", "optimum", "bias", "cost"
-_OF_JUDGES = (OPTIMUM, COST)
-_UNSIGNED = (SCORE, ERROR, OPTIMUM)
+_UNSIGNED = ("score", "error", "apart")
 
 
 class Effect(NamedTuple):
@@ -414,7 +390,7 @@ class Draw:
         Objective of each candidate in each block that chooses.
     vehicles : ndarray, (b,)
         In those blocks; none is empty.
-    judged : ndarray, (1 + k, j), or None
+    judged : ndarray, (1 + k, j)
         Objective with the thing of the baseline and the candidates in each block that judges; candidates that neither
         side chooses may be NaN.
     """
@@ -422,7 +398,7 @@ class Draw:
     without: np.ndarray
     having: np.ndarray
     vehicles: np.ndarray
-    judged: np.ndarray | None
+    judged: np.ndarray
 
 
 def choices(draw: Draw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -435,63 +411,61 @@ def choices(draw: Draw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def effects(draws: Sequence[Draw], halves: np.ndarray) -> dict[str, Effect | None]:
-    """All effects of a thing, means over its draws; None for those that cannot be known.
+    """All effects of a thing, means over its draws, with jackknife intervals; None for those that cannot be known.
 
     Returns
     -------
     dict
-        ``score``: mean difference over the candidates, per vehicle, without sign, and ``bias`` with it, positive where
-        the thing scores more. ``error``: what calibration leaves of it. ``ranking``: `ranking.weighted_tau` of both.
-        ``optimum``: mean difference, without sign, between what both choose from the same half of the blocks, on the
-        blocks that judge, as a share of the gain there; ``cost`` with its sign: positive is lost without the thing.
+        ``bias``: mean difference over the candidates, per vehicle, positive where the thing scores more, and ``score``
+        without its sign. ``error``: what calibration leaves of it. ``tau``: `weighted_tau` of both. ``regret``: mean
+        difference between what both choose from the same half of the blocks, on the blocks that judge, as a share of
+        the gain there, positive where something is lost without the thing, and ``apart`` without its sign.
     """
     searched = np.array([_left_out_of_searched(draw) for draw in draws])  # (d, 1 + b, 4)
-    found = {name: _effect(name, searched[:, :, column]) for column, name in enumerate((SCORE, ERROR, RANKING, BIAS))}
-    judged = [_judged(draw, halves) for draw in draws]
-    for column, name in enumerate(_OF_JUDGES):
-        known = all(one is not None for one in judged)
-        found[name] = None
-        if known:
-            found[name] = _effect(name, *(np.array(part)[:, :, column] for part in zip(*judged, strict=True)))
+    judged = [np.array(part) for part in zip(*(_left_out_of_judged(draw, halves) for draw in draws), strict=True)]
+    gained = all(np.isfinite(part).all() for part in judged)
+    found = {
+        name: _effect(name, searched[..., column]) for column, name in enumerate(("bias", "score", "error", "tau"))
+    }
+    for column, name in enumerate(("apart", "regret")):
+        found[name] = _effect(name, *(part[..., column] for part in judged)) if gained else None
     return found
 
 
 def _left_out_of_searched(draw: Draw) -> np.ndarray:
-    """Score, error, ranking and bias, of all blocks and without each of them, (1 + b, 4)."""
+    """Bias, score, error and tau, of all blocks and without each of them, (1 + b, 4)."""
     blocks = len(draw.vehicles)
     kept = np.concatenate([np.ones((1, blocks)), 1.0 - np.eye(blocks)])
     vehicles = np.maximum(kept @ draw.vehicles, 1.0)  # none is left where the only block is left out
     rows = []
     for without, having in zip(*((kept @ of.T) / vehicles[:, None] for of in (draw.without, draw.having)), strict=True):
-        bias = float(np.mean(having - without))
-        error = root_mean_square(calibrated_residuals(without, having))
-        rows.append((abs(bias), error, weighted_tau(without, having), bias))
+        bias, error, tau = agreement(without, having)
+        rows.append((-bias, abs(bias), error, tau))
     return np.array(rows)
 
 
-def _judged(draw: Draw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Optimum and cost: without each block that chooses, (1 + b, 2), and without each that judges, (1 + j, 2)."""
-    if draw.judged is None:
-        return None
+def _left_out_of_judged(draw: Draw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Apart and regret: without each block that chooses, (1 + b, 2), and without each that judges, (1 + j, 2)."""
     without, having = choices(draw, halves)
     whole = draw.judged.sum(axis=1)
-    rows = [_apart(*both, whole) for both in zip(without, having, strict=True)]
-    others = [_apart(without[0], having[0], whole - one) for one in draw.judged.T]
-    if any(row is None for row in (*rows, *others)):
-        return None
-    return np.array(rows), np.array([rows[0], *others])
+    of_choosing = np.array([_apart(*both, whole) for both in zip(without, having, strict=True)])
+    left_out = [whole, *(whole - one for one in draw.judged.T)]
+    return of_choosing, np.array([_apart(without[0], having[0], worth) for worth in left_out])
 
 
-def _apart(without: np.ndarray, having: np.ndarray, worth: np.ndarray) -> tuple[float, float] | None:
-    """How far choices are apart and what is lost, as shares of the gain; None where nothing is gained."""
+def _apart(without: np.ndarray, having: np.ndarray, worth: np.ndarray) -> tuple[float, float]:
+    """How far choices are apart and what is lost, as shares of the gain; NaN where nothing is gained."""
     lost = worth[FIRST + having] - worth[FIRST + without]
-    gain = float(worth[FIRST + having].mean() - worth[BASELINE])
-    return (float(np.abs(lost).mean() / gain), float(lost.mean() / gain)) if gain > 0.0 else None
+    gain = worth[FIRST + having].mean() - worth[BASELINE]
+    return (np.abs(lost).mean() / gain, lost.mean() / gain) if gain > 0.0 else (np.nan, np.nan)
 
 
 def _effect(name: str, *left_out: np.ndarray) -> Effect | None:
-    """From the values of each draw on everything and without each block, (d, 1 + b), for each sort of blocks."""
-    least, most = (0.0 if name in _UNSIGNED else -np.inf), (1.0 if name == RANKING else np.inf)
+    """The mean over draws of what everything gives, from values (d, 1 + b) of everything and without each block.
+
+    There is an array for each sort of blocks, and the interval has their jackknife variances and the draws' in it.
+    """
+    least, most = (0.0 if name in _UNSIGNED else -np.inf), (1.0 if name == "tau" else np.inf)
     of_draws = left_out[0][:, 0]
     value, parts = float(of_draws.mean()), []
     if not np.isfinite(value):
