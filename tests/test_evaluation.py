@@ -170,7 +170,7 @@ def leaves_ctrl_c_alone(process):
 def stop_while_working(children):
     """What Ctrl-C does: a terminal sends SIGINT to the parent and to its children."""
     with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
-        evaluator.await_workers()
+        evaluator.workers.await_ready()
         children += multiprocessing.active_children()
         assert all(map(leaves_ctrl_c_alone, children))
         for child in children:
@@ -194,9 +194,9 @@ def test_ctrl_c_while_the_workers_end_waits_until_they_have(monkeypatch):
     before = set(multiprocessing.active_children())
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     evaluator = Evaluator(FRAMES, SEEN, SCORING, workers=3).__enter__()
-    evaluator.await_workers()
+    evaluator.workers.await_ready()
     children = set(multiprocessing.active_children()) - before
-    executor = evaluator._pool._others._executor
+    executor = evaluator.workers._executor
     shutdown = executor.shutdown
 
     def interrupted(**how):
@@ -225,7 +225,7 @@ def totals_until_refused(evaluator):
 def test_a_worker_that_is_killed_is_one_line():
     before = set(multiprocessing.active_children())
     with Evaluator(FRAMES, SEEN, SCORING, workers=3) as evaluator:
-        evaluator.await_workers()
+        evaluator.workers.await_ready()
         children = set(multiprocessing.active_children()) - before
         os.kill(next(iter(children)).pid, signal.SIGKILL)
         with pytest.raises(WorkerError, match="worker process ended abruptly") as failure:
@@ -253,7 +253,7 @@ def test_a_worker_that_dies_while_it_starts_is_an_error_and_no_hang(frames):
     body = f"""
         try:
             with Evaluator(frames_of({frames}), SEEN, SCORING, workers=2) as evaluator:
-                evaluator.await_workers()
+                evaluator.workers.await_ready()
                 print("started")
         except WorkerError as error:
             print("refused:", error)
@@ -290,7 +290,7 @@ def test_nothing_stays_of_what_workers_read_when_they_start_nor_of_workers_that_
     assert not list(tmp_path.iterdir())
     with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
         assert len(list(tmp_path.glob("blender_lidar-*"))) == 1
-        evaluator.await_workers()
+        evaluator.workers.await_ready()
         assert not list(tmp_path.glob("blender_lidar-*"))
         assert evaluator.totals(POSES[:1]).objective.shape == (1, 5)
 
@@ -304,7 +304,7 @@ def test_workers_start_from_a_program_that_has_imported_bpy(tmp_path):
         if __name__ == "__main__":
             before = list(sys.path)
             with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
-                evaluator.await_workers()
+                evaluator.workers.await_ready()
                 print("started", sys.path == before)
         """
     path.write_text("import bpy\n" + program(body))

@@ -26,7 +26,7 @@ from blender_lidar.run.optimise import evaluate_site
 from blender_lidar.scene import site as site_module
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.workers import ProcessPool
+from blender_lidar.scoring.workers import Workers
 from tests.run_attacks import (
     WITHOUT_CHARTS,
     Attacked,
@@ -284,7 +284,7 @@ def test_a_good_place_on_a_full_disk_is_no_wrong_input(number, kind, code):
 def test_a_temporary_folder_that_cannot_be_written_was_called_the_output(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
     with pytest.raises(WorkerError, match=r"the temporary folder .*missing cannot be written.*; make room, set TMPDIR"):
-        ProcessPool(abs, 2)
+        Workers(abs, 3)
 
 
 def test_semaphores_that_cannot_be_made_were_called_the_output(tmp_path, scene):

@@ -125,6 +125,8 @@ class Evaluator:
     vehicles : ndarray of int64, (f,)
         Vehicles that count in each.
     metric : str
+    workers : Workers or ClusterWorkers
+        Who do the work, this process among them or not.
     """
 
     def __init__(
@@ -142,15 +144,15 @@ class Evaluator:
         self._turn = np.arange(len(self.frames) + len(self._held_out)) * _GOLDEN % 1.0  # of each, wherever asked for
         self._work = _Work(self.frames, self._held_out, observation, scoring)
         self._workplace = Workplace(workers, cluster)
-        self._pool: Workers | ClusterWorkers = Workers(self._work)
+        self.workers: Workers | ClusterWorkers = Workers(self._work)
 
     def __enter__(self) -> Evaluator:
-        self._pool = self._workplace.employ(self._work, len(self._turn))
+        self.workers = self._workplace.employ(self._work, len(self._turn))
         return self
 
     def __exit__(self, *exception) -> None:
-        pool, self._pool = self._pool, Workers(self._work)
-        pool.close()
+        ended, self.workers = self.workers, Workers(self._work)
+        ended.close()
 
     @property
     def held_out(self) -> Evaluator:
@@ -184,17 +186,13 @@ class Evaluator:
         scored = list(chain.from_iterable(parts))
         return [scored[place] for place in back]
 
-    def await_workers(self) -> None:
-        """Until all processes have started, which they do in the background; raises `WorkerError` if one cannot."""
-        self._pool.await_ready()
-
     def _carried_out(self, what: str, chosen: np.ndarray, poses: Sequence[Pose], fidelity: Fidelity | None):
         """What each call returns, the frames in as many parts as there are calls; and the order that undoes theirs."""
         order = np.argsort(self._turn[self._first + chosen], kind="stable")
         frames = (self._first + chosen[order]).tolist()
-        ends = accumulate(self._pool.sizes(len(frames), len(poses)), initial=0)
+        ends = accumulate(self.workers.sizes(len(frames), len(poses)), initial=0)
         tasks = [(what, frames[start:stop], tuple(poses), fidelity) for start, stop in pairwise(ends)]
-        return self._pool.map(*zip(*tasks, strict=True)), np.argsort(order)
+        return self.workers.map(*zip(*tasks, strict=True)), np.argsort(order)
 
 
 def _counts(frames: Sequence[CountedFrame]) -> np.ndarray:

@@ -1,13 +1,12 @@
-"""Worker processes: this process and others call one function, which each of them holds (`concurrent.futures`).
+"""Worker processes: this process and others, spawned, call one function (`concurrent.futures`).
 
-The others are spawned, as to fork a process that has loaded Blender is unsafe, and start in the background while this
-one is at work already; a run that is over by then has never waited for them.
-
-Where all results are wanted together, the others take calls from the front and this one takes them from the back,
-until they meet: nobody waits while another is at work, and in like batches each meets the same items, so that what
-is kept for an item is made in one process. Calls are large at both ends and small where they meet: to hand one over
-costs as much as a few casts of a frame, and the last one is what others wait for. Where results are wanted one
-after another, all take the next, so that what is done can be stored at once.
+To fork a process that has loaded Blender is unsafe, and a spawned one takes a second to start: meanwhile this one is at
+work already, and a run that is over by then has never waited. Where all results are wanted together, the others take
+calls from the front and this one takes them from the back, until they meet: nobody waits while another is at work, and
+in like batches each meets the same items, so that what is kept for an item is made in one process. Calls are large at
+both ends and small where they meet: to hand one over costs as much as a few casts of a frame, and the last one is what
+others wait for. Where results are wanted one after another, all take the next, so that what is done can be stored at
+once.
 """
 
 from __future__ import annotations
@@ -38,17 +37,18 @@ _FEWEST_CALLS = 4  # for each process: one that starts late, or is slower, finds
 _LEAST_WORK = 64  # casts of a frame: less is not divided, whatever _FEWEST_CALLS, but for a small call behind it
 _STOP_ON_ITS_WAY_S = 0.5
 _FUNCTION = "function.pickle"  # a file of the folder that the others read when they start
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Workers:
-    """Calls one function in this process and in others, each of which keeps a copy of it.
+    """Calls one function in this process and in others, each of which keeps a copy of it; use `close` at the end.
 
     Parameters
     ----------
     function : callable
         What to call; for others, it and what belongs to it can be pickled.
     processes : int
-        How many, this one among them.
+        How many, this one among them; all of them start, or none.
 
     Raises
     ------
@@ -58,7 +58,15 @@ class Workers:
 
     def __init__(self, function: Callable, processes: int = 1) -> None:
         self._function, self.count = function, processes
-        self._others = ProcessPool(function, processes - 1) if processes > 1 else None
+        self._folder, self._executor, self._children = None, None, set()
+        self._starting: Future | None = None  # done when all others have started
+        if processes > 1:
+            try:
+                self._store()
+                self._start()
+            except BaseException:
+                self.close()
+                raise
 
     def sizes(self, items: int, work: int) -> list[int]:
         """How many of so many items each call is to take, in their order; each item is `work` casts of a frame."""
@@ -71,21 +79,37 @@ class Workers:
 
     def map(self, *arguments: Iterable) -> list:
         """What the function returns for each set of arguments, in their order."""
-        return list(self._results(arguments, from_back=self._others is not None))
+        return list(self._results(arguments, from_back=self.count > 1))
 
     def each(self, *arguments: Iterable) -> Iterator:
         """As `map`, one after another as soon as it is known."""
         return self._results(arguments, from_back=False)
 
+    def submit(self, *arguments) -> Future:
+        """A call of one of the others."""
+        return self._executor.submit(_call, *arguments)
+
     def await_ready(self) -> None:
-        """Until all others have started; raises `WorkerError` if one never will."""
-        if self._others is not None:
-            self._others.await_ready()
+        """Until all others have started, which they do in the background; raises `WorkerError` if one never will."""
+        if self._starting is not None:
+            with _failures_told():
+                self._starting.result()
+            self._starting = None
+            self._folder.cleanup()
 
     def close(self) -> None:
-        """End the others, after the calls that they are busy with."""
-        if self._others is not None:
-            self._others.close()
+        """End the others, after the calls that they are busy with; until then a stop waits.
+
+        Python takes a thread whose `join` Ctrl-C has cut short for ended, leaves, and waits for the processes for ever.
+        """
+        with stops_deferred():
+            if self._starting is not None or self._executor is None:  # they wait for those that never came
+                for child in self._children:
+                    child.kill()
+            if self._executor is not None:
+                self._executor.shutdown(wait=True, cancel_futures=True)
+            if self._folder is not None:
+                self._folder.cleanup()
 
     def _results(self, arguments: tuple[Iterable, ...], *, from_back: bool) -> Iterator:
         """What the calls return, in their order.
@@ -100,10 +124,10 @@ class Workers:
         with _failures_told():
             for number in range(len(calls)):
                 while not (number in done or (number in given and given[number].done())):
-                    if first < end and self._others is not None and self._others.ready:
+                    if first < end and self._others_are_ready():
                         busy = sum(not call.done() for call in given.values())
-                        start, first = first, min(end, first + max(0, self._others.count * _AT_HAND - busy))
-                        given |= {place: self._others.submit(*calls[place]) for place in range(start, first)}
+                        start, first = first, min(end, first + max(0, (self.count - 1) * _AT_HAND - busy))
+                        given |= {place: self.submit(*calls[place]) for place in range(start, first)}
                     if first == end:
                         wait([given[number]])
                     elif from_back:
@@ -113,6 +137,42 @@ class Workers:
                         first += 1
                         done[first - 1] = self._function(*calls[first - 1])
                 yield done.pop(number) if number in done else given.pop(number).result()
+
+    def _others_are_ready(self) -> bool:
+        """Whether there are others and all have started; nothing is given to them before."""
+        if self._starting is not None and self._starting.done():
+            self.await_ready()
+        return self._executor is not None and self._starting is None
+
+    def _store(self) -> None:
+        """Write the function to a file: through the pipe to a process that has died, much data is written for ever.
+
+        Where this process is killed, the others remove it.
+        """
+        try:
+            self._folder = tempfile.TemporaryDirectory(prefix="blender_lidar-")
+            with (Path(self._folder.name) / _FUNCTION).open("wb") as file:
+                pickle.dump(self._function, file, pickle.HIGHEST_PROTOCOL)
+        except OSError as error:
+            raise WorkerError(
+                f"the temporary folder {tempfile.tempdir or ''} cannot be written, which worker processes need: "
+                f"{error.strerror or error}; make room, set TMPDIR to another one, or try --workers 1"
+            ) from error
+
+    def _start(self) -> None:
+        others, before = self.count - 1, set(multiprocessing.active_children())
+        try:
+            with _failures_told(), stops_deferred(), _as_children_take_it_over():
+                context = multiprocessing.get_context("spawn")
+                start = (_start_worker, (Path(self._folder.name), context.Barrier(others)))
+                self._executor = ProcessPoolExecutor(others, context, *start)
+                for _ in range(others):  # a process each: none is idle yet
+                    self._starting = self._executor.submit(os.getpid)
+        except OSError as error:
+            these = f"{others} worker processes" if others > 1 else "a worker process"
+            raise WorkerError(f"{these} cannot be started: {error.strerror}; try --workers 1") from error
+        finally:
+            self._children = set(multiprocessing.active_children()) - before
 
 
 def _tapered(items: int, processes: int, least: int, most: int) -> list[int]:
@@ -129,100 +189,6 @@ def _tapered(items: int, processes: int, least: int, most: int) -> list[int]:
     return sizes
 
 
-class ProcessPool:
-    """Spawned processes that call one function, each of which keeps a copy of it; all of them start, or none.
-
-    Parameters
-    ----------
-    function : callable
-        What to call; it and what belongs to it can be pickled.
-    count : int
-        Processes.
-
-    Raises
-    ------
-    WorkerError
-        When a process cannot be started; if one ends while it starts, from `ready` or `await_ready`.
-    """
-
-    def __init__(self, function: Callable, count: int) -> None:
-        self.count, self._starting = count, []
-        self._folder, self._executor, self._children = None, None, set()
-        try:
-            self._store(function)
-            self._start()
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def ready(self) -> bool:
-        """Whether all processes have started; nothing is given to them before."""
-        if all(one.done() for one in self._starting):
-            self.await_ready()
-        return not self._starting
-
-    def await_ready(self) -> None:
-        """Until all processes have started."""
-        with _failures_told():
-            try:
-                for one in self._starting:
-                    one.result()
-            except BaseException:
-                self.close()
-                raise
-        self._starting = []
-        self._folder.cleanup()
-
-    def submit(self, *arguments) -> Future:
-        """A call under way, once all processes have started."""
-        return self._executor.submit(_call, *arguments)
-
-    def close(self) -> None:
-        """End the processes, after the calls that they are busy with; until then a stop waits.
-
-        Python takes a thread whose `join` Ctrl-C has cut short for ended, leaves, and waits for the processes for ever.
-        """
-        with stops_deferred():
-            if self._starting or self._executor is None:  # they wait for those that never came
-                for child in self._children:
-                    child.kill()
-            if self._executor is not None:
-                self._executor.shutdown(wait=True, cancel_futures=True)
-            if self._folder is not None:
-                self._folder.cleanup()
-
-    def _store(self, function: Callable) -> None:
-        """Write the function to a file: through the pipe to a process that has died, much data is written for ever.
-
-        Where this process is killed, the others remove it.
-        """
-        try:
-            self._folder = tempfile.TemporaryDirectory(prefix="blender_lidar-")
-            with (Path(self._folder.name) / _FUNCTION).open("wb") as file:
-                pickle.dump(function, file, pickle.HIGHEST_PROTOCOL)
-        except OSError as error:
-            raise WorkerError(
-                f"the temporary folder {tempfile.tempdir or ''} cannot be written, which worker processes need: "
-                f"{error.strerror or error}; make room, set TMPDIR to another one, or try --workers 1"
-            ) from error
-
-    def _start(self) -> None:
-        before = set(multiprocessing.active_children())
-        try:
-            with _failures_told(), stops_deferred(), _stops_blocked(), _single_threaded_children(), _own_bpy():
-                context = multiprocessing.get_context("spawn")
-                start = (_start_worker, (Path(self._folder.name), context.Barrier(self.count)))
-                self._executor = ProcessPoolExecutor(self.count, context, *start)
-                for _ in range(self.count):  # a process each: none is idle yet
-                    self._starting.append(self._executor.submit(os.getpid))
-        except OSError as error:
-            these = f"{self.count} worker processes" if self.count > 1 else "a worker process"
-            raise WorkerError(f"{these} cannot be started: {error.strerror}; try --workers 1") from error
-        finally:
-            self._children = set(multiprocessing.active_children()) - before
-
-
 @contextmanager
 def _failures_told() -> Iterator[None]:
     try:
@@ -232,56 +198,34 @@ def _failures_told() -> Iterator[None]:
         raise WorkerError("a worker process ended abruptly, perhaps for want of memory; try --workers 1") from error
 
 
-# --- what processes that are started here take over --------------------------------------------------------
-
-
 @contextmanager
-def _stops_blocked() -> Iterator[None]:
-    """Keep Ctrl-C and the closing of the terminal from processes started here, from their first moment on.
+def _as_children_take_it_over() -> Iterator[None]:
+    """Environment, `sys.path` and blocked signals as processes that are started here are to take them over.
 
-    In this one they are no more than kept from this thread: another one may take them. SIGTERM passes: it is how a pool
-    ends the processes that are left when one has died.
+    One thread each multiplies their small matrices. They find the bpy that was installed: once imported, it puts
+    folders of its own first, where there is another one that works inside Blender alone. Ctrl-C and the closing of the
+    terminal are kept from them from their first moment on, and here from this thread: another one may take them.
+    SIGTERM passes: it is how a pool ends the processes that are left when one has died.
     """
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    threads, path, blender = {name: os.environ.get(name) for name in _ONE_THREAD}, sys.path, sys.modules.get("bpy")
+    posix = hasattr(signal, "pthread_sigmask")
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP}) if posix else None
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     try:
-        resource_tracker.ensure_running()  # later its start would let SIGINT through again
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        if posix:
+            resource_tracker.ensure_running()  # later its start would let SIGINT through again
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        if blender is not None:
+            own = blender.utils.resource_path("LOCAL")
+            sys.path = [folder for folder in path if not Path(folder).is_relative_to(own)]
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _single_threaded_children() -> Iterator[None]:
-    """Let processes started here multiply their small matrices with one thread each."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ[name] for name in names if name in os.environ}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name in names:
+        for name in _ONE_THREAD:
             del os.environ[name]
-        os.environ.update(before)
-
-
-@contextmanager
-def _own_bpy() -> Iterator[None]:
-    """Let processes started here, which take over `sys.path`, find the bpy that was installed.
-
-    Once imported, bpy puts folders of its own first, where there is another bpy that works inside Blender alone.
-    """
-    before, blender = sys.path, sys.modules.get("bpy")
-    if blender is not None:
-        own = blender.utils.resource_path("LOCAL")
-        sys.path = [folder for folder in before if not Path(folder).is_relative_to(own)]
-    try:
-        yield
-    finally:
-        sys.path = before
+        os.environ.update({name: value for name, value in threads.items() if value is not None})
+        sys.path = path
+        if posix:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 # --- in a worker ------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from benchmark_stages import Quartiles, quartiles, swarm_about
 from blender_lidar.errors import InputError
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator
-from blender_lidar.scoring.workers import ProcessPool
+from blender_lidar.scoring.workers import Workers
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import LidarModel, load_model
 from blender_lidar.sensors.pose import Pose
@@ -147,12 +147,12 @@ def _series(over: str, caster: str, values: Sequence[int], found: Sequence[Seque
 
 def in_fresh_process(point: Point) -> Measured:
     """Measure a point where no other one has left anything behind."""
-    pool = ProcessPool(measure, 1)
+    workers = Workers(measure, 2)
     try:
-        pool.await_ready()
-        return pool.submit(point).result()
+        workers.await_ready()
+        return workers.submit(point).result()
     finally:
-        pool.close()
+        workers.close()
 
 
 def measure(point: Point) -> Measured:
@@ -165,7 +165,7 @@ def measure(point: Point) -> Measured:
         Path("/proc/self/clear_refs").write_text("5")  # let the peak begin anew from what is resident now
     started = time.perf_counter()
     with _evaluator(point) as evaluator:
-        evaluator.await_workers()
+        evaluator.workers.await_ready()
         evaluator.totals(swarm[:1])
         ready = time.perf_counter()
         evaluator.totals(swarm)

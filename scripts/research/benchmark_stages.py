@@ -28,7 +28,7 @@ from blender_lidar.scene.scenario import Scenario, load_scenario, pose_at
 from blender_lidar.scene.site import Site, lattice_of, prepare, read_recording
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer
-from blender_lidar.scoring.workers import ProcessPool
+from blender_lidar.scoring.workers import Workers
 from blender_lidar.sensors.beams import BeamLattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.pose import Pose
@@ -294,8 +294,8 @@ class NumPyProcess:
 
     def __init__(self, cases: Sequence[FrameCase], casters: Sequence[str]) -> None:
         self._casters = [name for name in casters if name not in (RASTER, EXACT)]
-        self._pool = ProcessPool(_WithoutNumba(cases, self._casters), 1)
-        self._pool.await_ready()
+        self._workers = Workers(_WithoutNumba(cases, self._casters), 2)
+        self._workers.await_ready()
 
     def entries(self, row: int) -> list[Entry]:
         """The whole and a mounting of a swarm, of the frame in a row of `cases`, with each caster that can do so."""
@@ -307,10 +307,10 @@ class NumPyProcess:
 
     def close(self) -> None:
         """Let it end."""
-        self._pool.close()
+        self._workers.close()
 
     def _ask(self, row: int, name: str, swarm: bool) -> np.ndarray:
-        return self._pool.submit(row, name, swarm).result()
+        return self._workers.submit(row, name, swarm).result()
 
 
 class _WithoutNumba:

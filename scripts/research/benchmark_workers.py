@@ -92,7 +92,7 @@ def hand_out_s(site: Site, place: Workplace) -> float:
 
     def come_and_go() -> None:
         with Evaluator(site.search, site.observation, site.scoring, place.processes, place.cluster) as evaluator:
-            evaluator.await_workers()
+            evaluator.workers.await_ready()
 
     return median(seconds(come_and_go) for _ in range(3))
 
@@ -108,7 +108,7 @@ def batch_times(site: Site, places: dict[str, Workplace], rounds: int, batches: 
         for name, place in places.items():
             given = (site.search, site.observation, site.scoring, place.processes, place.cluster)
             evaluators[name] = stack.enter_context(Evaluator(*given))
-            evaluators[name].await_workers()
+            evaluators[name].workers.await_ready()
         expected = evaluators["this process"].totals(poses).objective.tobytes()
         for evaluator in evaluators.values():
             for _ in range(4):  # until each process has built the trees that it will be asked for

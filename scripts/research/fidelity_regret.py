@@ -112,7 +112,7 @@ def _run(args, sensor, name, seed, waited):
     others = site.holdout[: 2 * workplace_of(site.scenario.model).processes] or site.search[:1]
     with site_evaluator(site, (*site.search, *others)) as evaluator:
         if waited:
-            evaluator.await_workers()
+            evaluator.workers.await_ready()
             _load_compiled(site, evaluator, others)
         started = time.perf_counter() if waited else begun
         x, rungs = _auto(site, evaluator) if name == AUTO else _full(args, site, evaluator, name)
