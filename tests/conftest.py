@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 import pytest
 from hypothesis import settings
@@ -17,6 +18,13 @@ _MOST = 4  # each may hold a Blender, and its tests start processes of their own
 def pytest_xdist_auto_num_workers() -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(cores, _MOST)
+
+
+@pytest.fixture
+def quick(monkeypatch, tmp_path):
+    """No charts, which take longer than the runs; and the working folder, where runs/ would be made, is the test's."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -17,13 +17,10 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from tests.small_scene import MAPPED, cli, without_charts, write_scene
 
+pytestmark = pytest.mark.usefixtures("quick")
+
 BUDGET = {"particles": 4, "iterations": 10, "seed": 1}
 AUTO = {**MAPPED, "search": {**BUDGET, "fidelity": "auto"}}
-
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch):
-    without_charts(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -10,16 +10,12 @@ from pathlib import Path
 import pytest
 
 from tests.refusals import BAD_CELLS, changed, files, refused
-from tests.small_scene import HEADER, traffic_rows, without_charts, write_scene, write_table
+from tests.small_scene import HEADER, traffic_rows, write_scene, write_table
 from tests.waiting import WAIT_S
 
+pytestmark = pytest.mark.usefixtures("quick")
+
 SCENE_VERBS = ("optimise", "evaluate", "scan")
-
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch, tmp_path):
-    without_charts(monkeypatch)
-    monkeypatch.chdir(tmp_path)  # where runs/ would be made
 
 
 def words_for(verb: str, scene: object, out: Path) -> list[object]:

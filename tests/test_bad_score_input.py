@@ -8,10 +8,7 @@ import pytest
 from tests.refusals import BAD_CELLS, changed, refused
 from tests.small_scene import traffic_rows, write_table
 
-
-@pytest.fixture(autouse=True)
-def _here(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("quick")
 
 
 @pytest.fixture

@@ -17,17 +17,13 @@ import pytest
 from blender_lidar import __version__, cli
 from blender_lidar.clouds.files import read_points
 from blender_lidar.commands.progress import Progress
-from tests.small_scene import CASTER, without_charts, without_times, write_scene, write_table
+from tests.small_scene import CASTER, without_times, write_scene, write_table
 from tests.small_scene import cli as run
+
+pytestmark = pytest.mark.usefixtures("quick")
 
 VERBS = ("optimise", "evaluate", "scan", "score", "sensors", "doctor")
 MOUNT = ("--height", 3.3, "--tilt-x", 12.5, "--tilt-y", 2.0, "--yaw", 3.0, "--x", -1.5, "--y", 0.5)
-
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch, tmp_path):
-    without_charts(monkeypatch)
-    monkeypatch.chdir(tmp_path)
 
 
 def process(*words: object, **settings) -> subprocess.CompletedProcess:

@@ -10,15 +10,9 @@ import numpy as np
 import pytest
 
 from tests.report_samples import Page
-from tests.small_scene import cli, without_charts, write_scene
+from tests.small_scene import cli, write_scene
 
-
-@pytest.fixture
-def _quick(monkeypatch, tmp_path):
-    without_charts(monkeypatch)
-    monkeypatch.chdir(tmp_path)
-
-
+pytestmark = pytest.mark.usefixtures("quick")
 NOISE, LOST, UNIT = ("--range-noise", "datasheet"), ("--dropout", 0.25), ("--unit-spread", 0.03)
 GLASS, WEAK = ("--glass-dropout", 0.6), ("--range-at-10-percent", "datasheet")
 WORDS = (*NOISE, *LOST, *GLASS, *WEAK, *UNIT)
@@ -40,7 +34,6 @@ TOLD = PERFECT | {
 }
 
 
-@pytest.mark.usefixtures("_quick")
 def test_a_cloud_tells_its_imperfections_and_the_elevations_of_its_unit(tmp_path, capsys):
     scene = write_scene(tmp_path)
     for name, words in (("plain", ()), ("rough", WORDS)):
@@ -55,7 +48,6 @@ def test_a_cloud_tells_its_imperfections_and_the_elevations_of_its_unit(tmp_path
     assert 0.6 * len(plain["range_m"]) < len(rough["range_m"]) < 0.9 * len(plain["range_m"])
 
 
-@pytest.mark.usefixtures("_quick")
 def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
     scene, results = write_scene(tmp_path), []
     for name, words in (("plain", ()), ("rough", WORDS), ("again", WORDS)):
@@ -76,7 +68,6 @@ def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
     assert results[1]["objective"] == results[2]["objective"] != results[0]["objective"]
 
 
-@pytest.mark.usefixtures("_quick")
 @pytest.mark.parametrize(
     "words",
     [(), NOISE, LOST, GLASS, ("--glass-dropout", 1), ("--range-at-10-percent", 8), UNIT, WORDS],
@@ -98,7 +89,6 @@ def test_a_run_counts_the_points_that_a_scan_writes(tmp_path, capsys, words):
     assert points == {number: int((vehicle_id == number).sum()) for number in points}
 
 
-@pytest.mark.usefixtures("_quick")
 @pytest.mark.parametrize(
     "words",
     [NOISE, LOST, GLASS, ("--glass-dropout", 1), ("--range-at-10-percent", 8), UNIT],
@@ -112,7 +102,6 @@ def test_each_imperfection_by_itself_changes_the_score(tmp_path, capsys, words):
     assert results[0] != results[1]
 
 
-@pytest.mark.usefixtures("_quick")
 @pytest.mark.parametrize(
     ("words", "named"),
     [

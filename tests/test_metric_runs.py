@@ -32,6 +32,8 @@ from blender_lidar.sensors.pose import Pose
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import cli, without_charts, write_scene
 
+pytestmark = pytest.mark.usefixtures("quick")
+
 SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
 POSES = [Pose(height_m=2.0), Pose(1.0, -0.5, 4.1, 0.33), Pose(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4)]
 OTHERS = [name for name in METRICS if name != "pe-vgop"]
@@ -47,11 +49,6 @@ def frames_of(number):
 
 FRAMES = frames_of(2)
 WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and NEEDS_VIEW not in METRICS[name].needs]
-
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch):
-    without_charts(monkeypatch)
 
 
 # --- sums -------------------------------------------------------------------------------------------------------------

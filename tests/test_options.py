@@ -22,13 +22,9 @@ from blender_lidar.commands.options import (
 from blender_lidar.errors import InputError
 from blender_lidar.scene.settings import COORDINATES, MOUNTING
 from blender_lidar.world.shapes import DETAILS
-from tests.small_scene import cli, without_charts, without_times, write_scene
+from tests.small_scene import cli, without_times, write_scene
 
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch, tmp_path):
-    without_charts(monkeypatch)
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("quick")
 
 
 def parsed(scene: Path, *words: object) -> argparse.Namespace:

@@ -21,7 +21,10 @@ from tests.run_attacks import Attacked, check_nobody_is_left, check_same, check_
 from tests.small_scene import MAPPED, cli, without_charts, without_times, write_scene
 from tests.waiting import wait_for
 
-pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+pytestmark = [
+    pytest.mark.usefixtures("quick"),
+    pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL"),
+]
 
 # One file is written, whole, for each of: the scene, the checkpoint after each of 3 iterations, history, two vehicle
 # tables, the installation sheet, the result, the page.
@@ -52,11 +55,6 @@ if __name__ == "__main__":
     from blender_lidar.cli import main
     sys.exit(main(sys.argv[3:]))
 """
-
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch):
-    without_charts(monkeypatch)
 
 
 @pytest.fixture(scope="module")

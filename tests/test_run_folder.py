@@ -22,11 +22,12 @@ from tests.small_scene import (
     MAPPED,
     cli,
     traffic_rows,
-    without_charts,
     without_times,
     write_scene,
     write_table,
 )
+
+pytestmark = pytest.mark.usefixtures("quick")
 
 VEHICLE_COLUMNS = [
     *("frame", "vehicle_id", "class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "heading_deg"),
@@ -39,12 +40,6 @@ RESULT_KEYS = {
     *SCORES,
 }
 CHARTS = ("convergence", "score_map", "by_distance", "blind_zones", "clouds", "occupancy")
-
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch, tmp_path):
-    without_charts(monkeypatch)
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture(scope="module")

@@ -27,20 +27,15 @@ from tests.small_scene import CASTER, MAPPED, cli, without_charts, without_times
 from tests.test_resume import PROGRAM, stored_evaluations
 from tests.waiting import WAIT_S
 
-pytestmark = pytest.mark.skipif(
-    CASTER == "exact",
-    reason="no fast caster is installed: these runs would take ten minutes; test_tolerance.py remains",
-)
+pytestmark = [
+    pytest.mark.usefixtures("quick"),
+    pytest.mark.skipif(CASTER == "exact", reason="no fast caster is installed: these runs would take ten minutes"),
+]
 
 FEW = {"traffic": {"frames": 4}, "search": {"particles": 3, "iterations": 3}}
 TOLERANCE = "tilt_deg=4,height_m=0.3"  # so wide that the two searches part on a handful of vehicles
 WORDS = ("--tolerance", TOLERANCE)
 NAMES = ("baseline", "sharp", "optimised")
-
-
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch):
-    without_charts(monkeypatch)
 
 
 @pytest.fixture(scope="module")
