@@ -10,6 +10,7 @@ import csv
 import errno
 import hashlib
 import io
+import math
 import os
 import re
 import stat
@@ -233,6 +234,14 @@ def to_csv(header: Sequence[str], rows) -> str:
     writer.writerow(header)
     writer.writerows(rows)
     return stream.getvalue()
+
+
+def number(text: str) -> float:
+    """A text of a file as a number; NaN if it is none: ``"1_0"`` and digits of other scripts are to Python alone."""
+    try:
+        return float(text) if text.isascii() and "_" not in text else math.nan
+    except ValueError:
+        return math.nan
 
 
 def _texts(values, decimals):

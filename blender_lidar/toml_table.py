@@ -35,8 +35,9 @@ class Setting:
     Attributes
     ----------
     kind : type
-        Of its value: float, int, bool or str; a tuple of numbers, or a number or such a tuple; a dataclass for a table
-        that it declares, or a tuple of such; a mapping for a table of numbers that are called as is `allowed`.
+        Of its value: float, int, bool, str or list; a tuple of one of them, or a number or a tuple of two; a dataclass
+        for a table that it declares, or a tuple of such; a mapping for a table of numbers that are called as is
+        `allowed`.
     default : object
         Its value where it is left out; without one it may not be.
     low, high, above, below : float
@@ -102,7 +103,10 @@ def _without_none(kind):
 
 # --- Values -----------------------------------------------------------------------------------------------
 
-_KINDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a text in quotes, not empty"}
+_KINDS = {
+    **{float: "a number", int: "a whole number", bool: "true or false"},
+    **{str: "a text in quotes, not empty", list: "a list"},
+}
 
 
 def checked(value: object, declared: Setting, where: str) -> Any:
@@ -128,7 +132,7 @@ def _of_kind(value, kind, declared, where):
     if get_origin(kind) is tuple:
         count = None if ... in parts else len(parts)
         if not is_list or not value or (count and len(value) != count):
-            raise _refused(where, value, f"a list of {count or 'whole'} numbers")
+            raise _refused(where, value, f"a list of {count} numbers" if count else f"a list, each {_KINDS[parts[0]]}")
         return tuple(_of_kind(entry, parts[0], declared, where) for entry in value)
     if declared.word and value == declared.word:
         return value
@@ -138,6 +142,8 @@ def _of_kind(value, kind, declared, where):
 
 
 def _is_a(kind, value):
+    if kind is list:
+        return isinstance(value, list)
     if kind is str:
         return isinstance(value, str) and value and "\0" not in value
     if kind is bool or isinstance(value, bool):  # to Python a bool is an int

@@ -131,7 +131,7 @@ def test_a_pole_in_a_lane_or_in_a_vehicle(tmp_path, capsys, verb):
 BAD_OPTIONS = {
     SCENE_VERBS: [
         ("--sensor RS-17", "--sensor: unknown sensor 'RS-17'; did you mean 'RS-16'?"),
-        ("--sensor none.csv", "--sensor: none.csv: no such sensor file"),
+        ("--sensor none.csv", "--sensor: none.csv: there is no such file"),
         ("--caster optix", "argument --caster: invalid choice: 'optix'"),
         ("--detail fine", "argument --detail: invalid choice: 'fine'"),
         ("--colour red", "unrecognized arguments: --colour red"),

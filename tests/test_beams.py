@@ -21,19 +21,11 @@ def small_model(offsets_rad: list[float], columns: int, fire_s: list[float] | No
     rings = len(offsets_rad)
     return LidarModel(
         name="small",
-        description="",
-        source="",
-        confidence="",
-        aliases=(),
         elevation_rad=np.linspace(-0.4, 0.2, rings),
         azimuth_offset_rad=np.array(offsets_rad),
         fire_time_s=np.full(rings, np.nan) if fire_s is None else np.array(fire_s),
-        rotation_hz=(10.0,),
         default_rotation_hz=10.0,
-        block_time_s=0.1 / columns,
-        range_min_m=0.4,
-        range_max_m=100.0,
-        range_noise_m=0.02,
+        block_time_us=1e5 / columns,
     )
 
 

@@ -19,6 +19,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.sensors.model import load_model, model_names
 from blender_lidar.statistics import RESAMPLES, block_sums, interval_90, student_t_95
 from case_study import (
     AS_THE_SCENE,
@@ -28,6 +29,7 @@ from case_study import (
     SENSORS,
     Effort,
     coordinates,
+    evenly_spaced,
     open_case,
     variants,
     with_even_beams,
@@ -499,6 +501,18 @@ def test_uneven_beams_cause_a_loss_only_if_there_is_one_and_they_are_worse_at_th
     near |= {"change": told(change), "spacing_at_optimum": told(at_optimum), "spacing": told(spacing)}
     near["change_evenly_spaced"] = told(even)
     assert verdict(result, 9) == expected
+
+
+@pytest.mark.parametrize("name", model_names())
+def test_even_beams_have_the_same_number_and_the_same_ends_and_one_step(name):
+    model, even = load_model(name), evenly_spaced(load_model(name))
+    assert even.elevation_rad[[0, -1]].tolist() == model.elevation_rad[[0, -1]].tolist()
+    np.testing.assert_allclose(np.diff(even.elevation_rad), np.ptp(model.elevation_rad) / (model.rings - 1), rtol=1e-9)
+    assert even.azimuth_offset_rad is model.azimuth_offset_rad
+    for key in ("rings", "rotation_hz", "block_time_us", "range_min_m", "range_max_m"):
+        assert getattr(even, key) == getattr(model, key)
+    assert (even.name, even.aliases) == (f"{name} evenly spaced", ())
+    assert "no such sensor" in even.confidence
 
 
 def test_the_case_study_is_made_with_the_papers_metric_alone():

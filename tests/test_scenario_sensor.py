@@ -68,7 +68,7 @@ def test_an_unknown_sensor_is_refused_with_the_nearest_wherever_it_is_named(tmp_
 
 def test_a_beam_table_that_is_not_there_is_refused_by_name_and_key(tmp_path):
     text = refusal(tmp_path, MINIMAL + '[sensor]\nname = "own.csv"\n', error=MissingFileError)
-    assert text == f"[sensor] name: {tmp_path / 'own.csv'}: no such sensor file"
+    assert text == f"[sensor] name: {tmp_path / 'own.csv'}: there is no such file"
 
 
 def test_a_sensor_is_perfect_unless_said(tmp_path):

@@ -1,4 +1,4 @@
-"""Variants of a sensor: a unit, whose beams are off by what was asked for, and its twin of evenly spread beams."""
+"""One unit of a sensor, whose beams are off by what was asked for."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
 from blender_lidar.sensors.beams import beam_lattice
-from blender_lidar.sensors.model import MOST_SPREAD_DEG, evenly_spaced, load_model, model_names, unit_of
+from blender_lidar.sensors.model import MOST_SPREAD_DEG, load_model, model_names, unit_of
 
 WIDE = load_model("RS-16")  # rings 2 degrees apart: small errors leave their order
 LADDER = load_model("RS-80")  # rings 0.1 degree apart
@@ -109,36 +109,3 @@ def test_a_beam_beyond_the_vertical_is_refused_with_the_unit_and_the_ring(unit, 
 @pytest.mark.parametrize("unit", [0, 3, 5, 7])
 def test_a_unit_whose_beams_all_stay_below_the_vertical_is_taken(unit):
     assert abs(unit_of(load_model("RS-BPearl"), 4.0, unit).elevation_rad).max() <= 0.5 * math.pi
-
-
-@pytest.mark.parametrize("name", model_names())
-def test_even_beams_have_the_same_number_and_the_same_ends_and_one_step(name):
-    model, even = load_model(name), evenly_spaced(load_model(name))
-    assert even.rings == model.rings
-    assert even.elevation_rad[[0, -1]].tolist() == model.elevation_rad[[0, -1]].tolist()
-    steps = np.diff(even.elevation_rad)
-    np.testing.assert_allclose(steps, np.ptp(model.elevation_rad) / (model.rings - 1), rtol=1e-9)
-    assert not even.elevation_rad.flags.writeable
-
-
-def test_nothing_but_the_elevations_changes():
-    model, even = load_model("RS-80"), evenly_spaced(load_model("RS-80"))
-    assert even.azimuth_offset_rad is model.azimuth_offset_rad
-    for key in ("rotation_hz", "block_time_s", "range_min_m", "range_max_m"):
-        assert getattr(even, key) == getattr(model, key)
-    old, new = beam_lattice(model), beam_lattice(even)
-    assert new.columns == old.columns
-    np.testing.assert_array_equal(new.slot_azimuth0_rad, old.slot_azimuth0_rad)
-    assert np.ptp(np.diff(model.elevation_rad)) > 0.01  # the real one is uneven
-
-
-def test_an_even_sensor_stays_as_it_is():
-    model = load_model("RS-32")
-    np.testing.assert_allclose(evenly_spaced(model).elevation_rad, model.elevation_rad, atol=1e-12)
-
-
-def test_its_name_says_that_nobody_builds_it():
-    even = evenly_spaced(load_model("RS-80"))
-    assert even.name == "RS-80 evenly spaced"
-    assert "no such sensor" in even.confidence
-    assert even.aliases == ()

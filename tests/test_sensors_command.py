@@ -173,7 +173,7 @@ def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
     ("words", "error", "message"),
     [
         (["RS-17"], InputError, "did you mean 'RS-16'"),
-        (["none.toml"], MissingFileError, "no such sensor file"),
+        (["none.toml"], MissingFileError, "there is no such file"),
         (["--out", "fan.png"], InputError, "--out fan.png: draws one sensor, so it needs a NAME"),
         (["RS-16", "--out", "fan.jpg"], InputError, r"--out fan\.jpg: the fan is drawn as a \.png"),
     ],

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import csv
 import math
-import reprlib
-import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, MissingFileError, unknown_name
-from ..files import read_file
-from ..toml_table import Setting, setting, settings_of
+from ..errors import InputError, shown, unknown_name
+from ..files import number, read_file, reading
+from ..toml_table import Setting, TomlTable, read_toml, setting, settings_of
 from .imperfections import STATED_RANGE_LIMITS_M
 
 SUFFIXES = (".toml", ".csv")
-MAX_FILE_BYTES = 4_000_000
 MAX_RINGS = 4096
-MAX_BEAMS_PER_TURN = 10_000_000  # twenty times a 128-ring sensor at 5 Hz; directions alone would take 240 MB
+_MOST_BEAMS_PER_TURN = 10_000_000  # twenty times a 128-ring sensor at 5 Hz; directions alone would take 240 MB
 
 _BEAM = {
     "ring": Setting(),
@@ -29,35 +25,34 @@ _BEAM = {
     "azimuth_offset_deg": Setting(default=0.0, low=-180.0, high=180.0),
     "fire_offset_us": Setting(default=math.nan, low=0.0, high=1e6),  # NaN where it is not known, in a file too
 }
-BEAM_COLUMNS = tuple(_BEAM)
-REQUIRED_COLUMNS = tuple(column for column, declared in _BEAM.items() if declared.default is ...)
+_LAYOUT = f"[{', '.join(_BEAM)}]"
 
-Row = tuple[str, dict[str, float]]  # where the row stands (file:line or file:beams[i]), {column: value}
+Row = tuple[str, dict[str, object]]
+"""Where a beam stands (``file:line`` or ``file:beams[i]``), and its values by the keys of `_BEAM`."""
 
 
 @dataclass(frozen=True, slots=True)
-class SensorFile:
-    """What a sensor file says, checked, in the file's units.
+class Datasheet:
+    """A sensor's datasheet: what its file says beside the beams, and what is taken where it does not, in its units.
 
     Attributes
     ----------
     name, description, source, confidence : str
-        `name` is the file's stem when the file gives none; the others may be empty.
+        What it is (the file's stem if it gives no name), where the numbers come from, and how far to trust them.
     aliases : tuple of str
         Other names of the same sensor.
     rotation_hz : tuple of float
         Rotation rates the sensor has [Hz].
     default_rotation_hz : float
-        One of them; when not given 10 if the sensor has it, else the first.
+        The one used when none is asked for; when not given 10 if the sensor has it, else the first.
     block_time_us : float
         Time between firing columns [us].
-    range_min_m, range_max_m, range_noise_m : float
-        Range gate and standard deviation of the range noise [m].
+    range_min_m, range_max_m : float
+        Distances that the sensor reports [m].
+    range_noise_m : float
+        Standard deviation of a measured range [m].
     range_at_10_percent_m : float or None
-        Farthest range at which a target of 10 % reflectivity is seen [m]; None when not given.
-    beams : ndarray, (r, 4)
-        Columns as in `BEAM_COLUMNS`, in ring order, which is from the lowest beam up. A column that is not given is 0
-        for the azimuth offset and NaN (unknown) for the fire offset.
+        Farthest range at which it sees a target of 10 % reflectivity [m]; None where no source gives it.
     """
 
     name: str = setting("")
@@ -66,17 +61,24 @@ class SensorFile:
     confidence: str = setting("")
     aliases: tuple[str, ...] = setting(())
     rotation_hz: tuple[float, ...] = setting((10.0,), low=0.01, high=1000.0)
-    default_rotation_hz: float = setting(None, low=0.01, high=1000.0)
+    default_rotation_hz: float = setting(None)
     block_time_us: float = setting(55.55, low=0.01, high=1e6)
     range_min_m: float = setting(0.4, low=0.0, high=1e5)
     range_max_m: float = setting(200.0, high=1e5)
     range_noise_m: float = setting(0.02, low=0.0, high=1e3)
     range_at_10_percent_m: float | None = setting(None, low=STATED_RANGE_LIMITS_M[0], high=STATED_RANGE_LIMITS_M[1])
-    beams: np.ndarray
 
 
-def read_sensor_file(path: Path) -> SensorFile:
-    """Read and check a sensor's TOML, or a CSV of its beams (every other setting then takes its default).
+def read_sensor_file(path: Path) -> tuple[dict[str, Any], np.ndarray]:
+    """Read and check a sensor's TOML, or a CSV of its beams (every setting then takes its default).
+
+    Returns
+    -------
+    settings : dict
+        Values by the names of `Datasheet`.
+    beams : ndarray, (r, 4)
+        Ring, elevation [degrees], azimuth offset [degrees] and fire offset [us; NaN where not known], in ring order,
+        which is from the lowest beam up.
 
     Raises
     ------
@@ -85,202 +87,96 @@ def read_sensor_file(path: Path) -> SensorFile:
     InputError
         Anything else that is wrong with it, as ``file:key`` or ``file:line``.
     """
-    text = _read_text(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: a sensor file ends in {' or '.join(SUFFIXES)}")
-    if suffix == ".csv":
-        return _checked({}, list(_csv_rows(text, path)), path)
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits is a plain ValueError
-        raise InputError(f"{path}: not valid TOML: {error}") from None
-    keys = (*settings_of(SensorFile), "beams")
-    for key in table:
-        if key not in keys:
-            raise unknown_name(key, keys, "key", f"{path}:{key}")
-    return _checked(table, list(_toml_rows(table.get("beams"), path)), path)
+    settings = _checked_settings({"beams": _csv_rows(path)} if suffix == ".csv" else read_toml(path), path)
+    rows = settings.pop("beams")
+    beams = _checked_beams(rows if suffix == ".csv" else _toml_rows(rows, path), path)
+    for rate in settings["rotation_hz"]:
+        columns = round(1e6 / (rate * settings["block_time_us"]))
+        if not 1 <= columns <= _MOST_BEAMS_PER_TURN // len(beams):
+            raise InputError(
+                f"{path}:block_time_us: {settings['block_time_us']:g} us at {rate:g} Hz make {columns} columns of "
+                f"{len(beams)} beams a turn; allowed: 1 column to {_MOST_BEAMS_PER_TURN} beams"
+            )
+    return settings, beams
 
 
-def _read_text(path: Path) -> str:
-    try:
-        raw = read_file(path, MAX_FILE_BYTES + 1)
-        size = len(raw) if len(raw) <= MAX_FILE_BYTES else path.stat().st_size
-    except FileNotFoundError:
-        raise MissingFileError(f"{path}: no such sensor file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: a folder, where a sensor file ({' or '.join(SUFFIXES)}) is needed") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    if size > MAX_FILE_BYTES:
-        raise InputError(f"{path}: {size / 1e6:.1f} MB, where a sensor file has at most {MAX_FILE_BYTES / 1e6:g} MB")
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file in UTF-8 (byte {error.start})") from None
-    if "\0" in text:
-        raise InputError(f"{path}: not a text file (byte {text.index(chr(0))} is zero)")
-    if not text.strip():
-        raise InputError(f"{path}: empty, where a sensor file has at least its beams")
-    return text
-
-
-def _wrong_number(rings: int, path: Path) -> InputError:
-    return InputError(f"{path}:beams: {rings} rings; allowed: 1 to {MAX_RINGS}")
-
-
-def _check_most(rings: int, path: Path) -> None:
-    """Refuse too many rings before any is read: a table of something else may have millions of rows."""
-    if rings > MAX_RINGS:
-        raise _wrong_number(rings, path)
-
-
-def _csv_rows(text: str, path: Path) -> Iterator[Row]:
-    lines = text.splitlines()
-    _check_most(sum(1 for line in lines if line.strip(" \t,")) - 1, path)
-    reader = csv.reader(lines)
-    columns: list[str] = []
-    try:
-        for cells in reader:
-            where = f"{path}:{reader.line_num}"
-            cells = [cell.strip() for cell in cells]
-            if not any(cells):
-                continue
-            if not columns:
-                columns = _checked_header(cells, where)
-                continue
-            if len(cells) != len(columns):
-                raise InputError(f"{where}: {len(cells)} values, where the header has {len(columns)}")
-            yield where, {name: _parsed(cell, f"{where}: {name}") for name, cell in zip(columns, cells, strict=True)}
-    except csv.Error as error:
-        raise InputError(f"{path}:{reader.line_num}: not valid CSV: {error}") from None
-
-
-def _checked_header(columns: list[str], where: str) -> list[str]:
-    for name in columns:
-        if name not in BEAM_COLUMNS:
-            raise unknown_name(name, BEAM_COLUMNS, "column", where)
-        if columns.count(name) > 1:
-            raise InputError(f"{where}: column {name!r} is given twice")
-    for name in REQUIRED_COLUMNS:
-        if name not in columns:
-            raise InputError(f"{where}: column {name!r} is missing; allowed: {', '.join(BEAM_COLUMNS)}")
-    return columns
-
-
-def _parsed(cell: str, where: str) -> float:
-    try:
-        if "_" in cell:  # "1_0" is 10 to Python alone
-            raise ValueError(cell)
-        return float(cell)
-    except ValueError:
-        raise InputError(f"{where}: {reprlib.repr(cell)} is not a number") from None
-
-
-def _toml_rows(beams: object, path: Path) -> Iterator[Row]:
-    layout = f"[{', '.join(BEAM_COLUMNS)}]"
-    if not isinstance(beams, list):
-        given = "missing" if beams is None else reprlib.repr(beams)
-        raise InputError(f"{path}:beams: {given}, where a list of {layout} is needed")
-    _check_most(len(beams), path)
-    for index, row in enumerate(beams):
-        where = f"{path}:beams[{index}]"
-        if not isinstance(row, list) or not len(REQUIRED_COLUMNS) <= len(row) <= len(BEAM_COLUMNS):
-            given = reprlib.repr(row)
-            raise InputError(f"{where}: {given}, where {layout} is needed; the last two may be left out")
-        yield where, {name: _number(value, f"{where}: {name}") for name, value in zip(BEAM_COLUMNS, row, strict=False)}
-
-
-def _checked(table: Mapping[str, Any], rows: Sequence[Row], path: Path) -> SensorFile:
-    """The file's settings, each as declared, and what they must be to one another."""
-    found = {}
-    for key, one in settings_of(SensorFile).items():
-        if key == "range_max_m":
-            one = replace(one, low=math.nextafter(found["range_min_m"], math.inf))
-        given = table.get(key, one.default)
-        found[key] = None if given is None else _value(given, one, f"{path}:{key}")
+def _checked_settings(table: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The file's settings and the rows of its beams, each as declared, and what they must be to one another."""
+    given = {key: value for key, value in table.items() if value not in ("", [])}
+    values = TomlTable(given, str(path), origins={key: f"{path}:{key}" for key in given})
+    found = values.read({**settings_of(Datasheet), "beams": Setting(kind=list, default=())})
+    found = {key: " ".join(value.split()) if isinstance(value, str) else value for key, value in found.items()}
     found["name"] = found["name"] or path.stem
+    low, high = found["range_min_m"], found["range_max_m"]
+    if not low < high:
+        raise InputError(f"{path}:range_max_m: is {high:g}; allowed: more than range_min_m, {low:g}")
     rates, default = found["rotation_hz"], found["default_rotation_hz"]
-    if not rates:
-        raise InputError(f"{path}:rotation_hz: [], where at least one rate is needed")
     if default is None:
         found["default_rotation_hz"] = 10.0 if 10.0 in rates else rates[0]
     elif default not in rates:
         allowed = ", ".join(f"{rate:g}" for rate in rates)
-        raise InputError(f"{path}:default_rotation_hz: {default:g} is not in rotation_hz = {allowed}")
-    beams = _checked_beams(rows, path)
-    _check_turn(rates, found["block_time_us"], len(beams), path)
-    return SensorFile(**found, beams=beams)
+        raise InputError(f"{path}:default_rotation_hz: is {default:g}; allowed: one of rotation_hz, {allowed}")
+    return found
 
 
-def _check_turn(rates: Sequence[float], block_time_us: float, rings: int, path: Path) -> None:
-    for rate in rates:
-        columns = round(1e6 / (rate * block_time_us))
-        if not 1 <= columns <= MAX_BEAMS_PER_TURN // rings:
-            raise InputError(
-                f"{path}:block_time_us: {block_time_us:g} us at {rate:g} Hz make {columns} columns of {rings} beams a "
-                f"turn; allowed: 1 column to {MAX_BEAMS_PER_TURN} beams"
-            )
+def _csv_rows(path: Path) -> list[Row]:
+    with reading(path, "a table of beams"):
+        content = read_file(path)
+    try:
+        reader = csv.reader(content.decode("utf-8-sig").splitlines())
+        rows = [(f"{path}:{reader.line_num}", [cell.strip() for cell in cells]) for cells in reader]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not CSV: {error}") from None
+    rows = [row for row in rows if any(row[1])]
+    where, columns = rows[0] if rows else (str(path), [])
+    for name in columns:
+        if name not in _BEAM:
+            raise unknown_name(name, _BEAM, "column", where)
+        if columns.count(name) > 1:
+            raise InputError(f"{where}: column {name!r} is given twice")
+    for where, cells in rows[1:]:
+        if len(cells) != len(columns):
+            raise InputError(f"{where}: {len(cells)} values, where the header has {len(columns)}")
+    return [(where, dict(zip(columns, map(_parsed, cells), strict=True))) for where, cells in rows[1:]]
 
 
-def _checked_beams(rows: Sequence[Row], path: Path) -> np.ndarray:
+def _parsed(cell: str) -> float | str:
+    """A cell as a number; what is none stays a text, for the check of its column to show."""
+    value = number(cell)
+    return cell if math.isnan(value) else value
+
+
+def _toml_rows(beams: list, path: Path) -> list[Row]:
+    for row in beams:
+        if not isinstance(row, list) or len(row) > len(_BEAM):
+            raise InputError(f"{path}:beams: {shown(row)}, where {_LAYOUT} is needed; the last two may be left out")
+    return [(f"{path}:beams[{at}]", dict(zip(_BEAM, row, strict=False))) for at, row in enumerate(beams)]
+
+
+def _checked_beams(rows: list[Row], path: Path) -> np.ndarray:
     """The beams (r, 4) in ring order, which must be that of their elevations."""
     count = len(rows)
-    if not count:
-        raise _wrong_number(count, path)
-    beams = np.empty((count, len(BEAM_COLUMNS)))
-    places: dict[int, str] = {}
-    for where, row in rows:
-        ring = row["ring"]
-        if not (0 <= ring < count and ring == int(ring)):
+    if not 1 <= count <= MAX_RINGS:
+        raise InputError(f"{path}:beams: {count} rings; allowed: 1 to {MAX_RINGS}")
+    for _, row in rows:
+        if str(row.get("fire_offset_us")).lower() == "nan":
+            del row["fire_offset_us"]
+    found = [(where, [*TomlTable(row, where).read(_BEAM).values()]) for where, row in rows]
+    found.sort(key=lambda beam: beam[1][0])
+    for place, (where, (ring, *_)) in enumerate(found):
+        if ring != place:
             raise InputError(
-                f"{where}: ring is {ring:g}; {count} rings are numbered 0 (lowest) to {count - 1}, none left out"
+                f"{where}: ring is {ring:g}; {count} rings are numbered 0 (lowest) to {count - 1}, each once"
             )
-        if ring in places:
-            raise InputError(f"{where}: ring {ring:g} is given twice, first at {places[ring]}")
-        places[int(ring)] = where
-        beams[int(ring)] = [_within_limits(row.get(key, _BEAM[key].default), key, where) for key in BEAM_COLUMNS]
-    # As many different rings as there are rows, each below their number: none is missing.
+    beams = np.array([beam for _, beam in found])
     falls = np.flatnonzero(np.diff(beams[:, 1]) < 0.0)
     if len(falls):
-        below = int(falls[0])
+        below, (ring, elevation, *_) = beams[falls[0]], beams[falls[0] + 1]
         raise InputError(
-            f"{places[below + 1]}: ring {below + 1} at {beams[below + 1, 1]:g} degrees lies below ring {below} at "
-            f"{beams[below, 1]:g}; rings are numbered from the lowest beam up"
+            f"{found[falls[0] + 1][0]}: ring {ring:g} at {elevation:g} degrees lies below ring {below[0]:g} at "
+            f"{below[1]:g}; rings are numbered from the lowest beam up"
         )
     return beams
-
-
-def _within_limits(value: float, column: str, where: str) -> float:
-    unknown = column == "fire_offset_us" and math.isnan(value)
-    return value if unknown else _limited(value, _BEAM[column], f"{where}: {column}")
-
-
-def _value(value: object, declared: Setting, where: str) -> Any:
-    """A text, a number or a list of either, as its setting declares it."""
-    if get_origin(declared.kind) is tuple:
-        if not isinstance(value, list | tuple):
-            raise InputError(f"{where}: {reprlib.repr(value)} is not a list")
-        one = replace(declared, kind=get_args(declared.kind)[0])
-        return tuple(_value(entry, one, where) for entry in value)
-    if declared.kind is not str:
-        return _limited(_number(value, where), declared, where)
-    if not isinstance(value, str):
-        raise InputError(f"{where}: {reprlib.repr(value)} is not text")
-    return " ".join(value.split())  # one line, however the file wraps it
-
-
-def _number(value: object, where: str) -> float:
-    # To Python a bool is an int.
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{where}: {reprlib.repr(value)} is not a number")
-    try:
-        return float(value)
-    except OverflowError:
-        raise InputError(f"{where}: {reprlib.repr(value)} is too large a number") from None
-
-
-def _limited(value: float, declared: Setting, where: str) -> float:
-    if not declared.low <= value <= declared.high:  # NaN fails too
-        raise InputError(f"{where} is {value:g}; allowed: {declared.low:g} to {declared.high:g}")
-    return value

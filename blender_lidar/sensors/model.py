@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .files import SUFFIXES, SensorFile, read_sensor_file
+from .files import SUFFIXES, Datasheet, read_sensor_file
 
 DATA_FOLDER = Path(__file__).parent / "data"
 MOST_SPREAD_DEG = 5.0  # between units
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LidarModel:
+class LidarModel(Datasheet):
     """One rotating LiDAR. All arrays are (r,) float64, read-only, in ring order: ring 0 is the lowest beam.
 
     The beams start at one point, the optical centre: the few centimetres between it and a real sensor's lens are left
@@ -25,45 +25,24 @@ class LidarModel:
 
     Attributes
     ----------
-    name, description, source, confidence : str
-        What it is, where the numbers come from, and how far to trust them.
-    aliases : tuple of str
-        Other names that `load_model` takes.
     elevation_rad : ndarray, (r,)
         Angle above the sensor's horizontal plane [rad], rising with the ring.
     azimuth_offset_rad : ndarray, (r,)
         Azimuth from that of the firing column [rad], positive clockwise seen from above.
     fire_time_s : ndarray, (r,)
         Firing time after the start of the column [s]; NaN where no source gives it.
-    rotation_hz : tuple of float
-        Rotation rates the sensor has [Hz].
-    default_rotation_hz : float
-        The rate used when none is asked for [Hz].
-    block_time_s : float
-        Time between firing columns [s].
-    range_min_m, range_max_m : float
-        Distances that the sensor reports [m].
-    range_noise_m : float
-        Standard deviation of a measured range [m].
-    range_at_10_percent_m : float or None
-        Farthest range at which it sees a target of 10 % reflectivity [m]; None where no source gives it.
+    name, rotation_hz, range_max_m, ...
+        Those of `Datasheet`, in its units.
     """
 
-    name: str
-    description: str
-    source: str
-    confidence: str
-    aliases: tuple[str, ...]
     elevation_rad: np.ndarray
     azimuth_offset_rad: np.ndarray
     fire_time_s: np.ndarray
-    rotation_hz: tuple[float, ...]
-    default_rotation_hz: float
-    block_time_s: float
-    range_min_m: float
-    range_max_m: float
-    range_noise_m: float
-    range_at_10_percent_m: float | None = None
+
+    @property
+    def block_time_s(self) -> float:
+        """Time between firing columns [s]."""
+        return self.block_time_us * 1e-6
 
     @property
     def rings(self) -> int:
@@ -110,7 +89,7 @@ def load_model(name_or_path: str | Path) -> LidarModel:
     name_or_path : str or Path
         A name from `model_names` or an alias (capitals, hyphens, underscores and spaces do not matter), or the path of
         a TOML file laid out as those in ``sensors/data``, or of a CSV file with columns ``ring, elevation_deg`` and
-        perhaps ``azimuth_offset_deg, fire_offset_us``. What a file leaves out is taken as in `files.SensorFile`:
+        perhaps ``azimuth_offset_deg, fire_offset_us``. What a file leaves out is taken as in `files.Datasheet`:
         10 Hz, 55.55 us, 0.4 to 200 m, noise 0.02 m.
 
     Raises
@@ -128,36 +107,26 @@ def load_model(name_or_path: str | Path) -> LidarModel:
         if path.suffix.lower() not in SUFFIXES and path.name == name_or_path:
             names = [name for model in _shipped() for name in (model.name, *model.aliases)]
             raise InputError(f"{unknown_name(name_or_path, names, 'sensor')}, or the path of a .toml or .csv file")
-    return _model(read_sensor_file(Path(name_or_path)))
+    return _model(Path(name_or_path))
 
 
 @functools.cache
 def _shipped() -> tuple[LidarModel, ...]:
-    return tuple(_model(read_sensor_file(path)) for path in sorted(DATA_FOLDER.glob("*.toml")))
+    return tuple(_model(path) for path in sorted(DATA_FOLDER.glob("*.toml")))
 
 
 def _plain(name: str) -> str:
     return "".join(letter for letter in name.casefold() if letter not in "-_ ")
 
 
-def _model(file: SensorFile) -> LidarModel:
-    _, elevation_deg, azimuth_offset_deg, fire_offset_us = file.beams.T
+def _model(path: Path) -> LidarModel:
+    settings, beams = read_sensor_file(path)
+    _, elevation_deg, azimuth_offset_deg, fire_offset_us = beams.T
     return LidarModel(
-        name=file.name,
-        description=file.description,
-        source=file.source,
-        confidence=file.confidence,
-        aliases=file.aliases,
+        **settings,
         elevation_rad=_frozen(np.radians(elevation_deg)),
         azimuth_offset_rad=_frozen(np.radians(azimuth_offset_deg)),
         fire_time_s=_frozen(fire_offset_us * 1e-6),
-        rotation_hz=file.rotation_hz,
-        default_rotation_hz=file.default_rotation_hz,
-        block_time_s=file.block_time_us * 1e-6,
-        range_min_m=file.range_min_m,
-        range_max_m=file.range_max_m,
-        range_noise_m=file.range_noise_m,
-        range_at_10_percent_m=file.range_at_10_percent_m,
     )
 
 
@@ -211,20 +180,4 @@ def unit_of(model: LidarModel, spread_deg: float, unit: int) -> LidarModel:
         elevation_rad=_frozen(elevation[upwards]),
         azimuth_offset_rad=_frozen(azimuth_offset[upwards]),
         fire_time_s=_frozen(model.fire_time_s[upwards]),
-    )
-
-
-def evenly_spaced(model: LidarModel) -> LidarModel:
-    """The same sensor with its elevations spread evenly between its lowest and its highest beam; nobody builds it.
-
-    Number of rings, field of view, azimuths, firing times and ranges stay.
-    """
-    return replace(
-        model,
-        name=f"{model.name} evenly spaced",
-        description=f"{model.name} with its {model.rings} beams spread evenly over its field of view",
-        source=f"made from the table of {model.name}",
-        confidence="none: there is no such sensor",
-        aliases=(),
-        elevation_rad=_frozen(np.linspace(model.elevation_rad[0], model.elevation_rad[-1], model.rings)),
     )

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import PE_VGOP
 from blender_lidar.optimise import DePso
@@ -20,7 +22,7 @@ from blender_lidar.scene.provenance import file_digest
 from blender_lidar.scene.scenario import Scenario, load_scenario
 from blender_lidar.scene.site import Site, prepare
 from blender_lidar.sensors.beams import beam_lattice
-from blender_lidar.sensors.model import evenly_spaced, load_model
+from blender_lidar.sensors.model import LidarModel, load_model
 
 Mounting = tuple[float, float]  # height [m], tilt across the road [deg]
 Coordinates = dict[str, float]  # all six, as `scenario.pose_at` takes them
@@ -205,6 +207,22 @@ def with_even_beams(site: Site) -> Site:
     model = evenly_spaced(site.model)
     lattice = beam_lattice(model, site.observation.lattice.rotation_hz)
     return replace(site, model=model, observation=replace(site.observation, lattice=lattice))
+
+
+def evenly_spaced(model: LidarModel) -> LidarModel:
+    """The same sensor with its elevations spread evenly between its lowest and its highest beam; nobody builds it.
+
+    Number of rings, field of view, azimuths, firing times and ranges stay.
+    """
+    return replace(
+        model,
+        name=f"{model.name} evenly spaced",
+        description=f"{model.name} with its {model.rings} beams spread evenly over its field of view",
+        source=f"made from the table of {model.name}",
+        confidence="none: there is no such sensor",
+        aliases=(),
+        elevation_rad=np.linspace(model.elevation_rad[0], model.elevation_rad[-1], model.rings),
+    )
 
 
 def _turned(site: Site, share: float) -> Site:
