@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.cli import main
-from blender_lidar.clouds.files import READABLE, check_cloud_name, read_points, write_cloud
+from blender_lidar.clouds.files import READERS, check_cloud_name, read_points, write_cloud
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.files import whole_file, write_bytes, write_text
@@ -31,7 +31,7 @@ HEADER = {
     "frame": 7,
     "note": "größer, \u2265 5 m",
 }
-SUFFIXES = sorted(READABLE)
+SUFFIXES = sorted(READERS)
 
 
 def made(vehicles=20, gate=40.0):

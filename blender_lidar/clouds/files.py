@@ -6,15 +6,14 @@ import io
 import json
 import math
 import warnings
-import zipfile
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import InputError, MissingExtraError, MissingFileError, OutputError
+from ..errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError, OutputError
 from ..files import make_folder, open_file, write_bytes, write_text
 from ..traffic.vehicles import Vehicles
 from .scan import PointCloud, class_names
@@ -24,92 +23,53 @@ from .scan import PointCloud, class_names
 
 def write_npz(path: str | Path, cloud: PointCloud, header: dict) -> None:
     """Write every attribute of a cloud, and `header` as JSON, to an NPZ file; angles become degrees."""
-    columns = {
-        "xyz": cloud.xyz,
-        "range_m": cloud.range_m,
-        "ring": cloud.ring,
-        "azimuth_deg": np.degrees(cloud.azimuth_rad),
-        "time_s": cloud.time_s,
-        "vehicle_id": cloud.vehicle_id,
-        "class": class_names(cloud.class_index),
-        "incidence_deg": np.degrees(cloud.incidence_rad),
-        "intensity": cloud.intensity,
-        "header": np.array(json.dumps(header)),
-    }
+    columns = {name: getattr(cloud, name) for name in ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")}
+    columns |= {f"{name}_deg": np.degrees(getattr(cloud, f"{name}_rad")) for name in ("azimuth", "incidence")}
     packed = io.BytesIO()  # as a ZipFile on a full disk would complain again when it is collected
-    np.savez_compressed(packed, **columns)
+    np.savez_compressed(packed, **columns, **{"class": class_names(cloud.class_index)}, header=json.dumps(header))
     write_bytes(path, packed.getvalue())
 
 
-def read_npz(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """The array `xyz` as floats, and `vehicle_id` as the file has it, None where it has none.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, or has no `xyz` of real numbers.
-    OSError
-        If it cannot be read.
-    """
-    with open_file(path) as stream:
-        try:
-            with zipfile.ZipFile(stream) as archive:
-                files = {name.removesuffix(".npy"): name for name in archive.namelist()}
-                if "xyz" not in files:
-                    raise InputError(f"{path}: has no array 'xyz'; it has {', '.join(files) or 'nothing'}")
-                wanted = (files[name] for name in ("xyz", "vehicle_id") if name in files)  # others may be damaged
-                xyz, *ids = (np.lib.format.read_array(archive.open(name)) for name in wanted)
-        except (InputError, OSError):
-            raise
-        except Exception as error:  # NumPy and zipfile raise many kinds for a damaged file
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputError(f"{path}: is not a readable NPZ file ({reason})") from error
-    if xyz.dtype.kind not in "iufb":
-        raise InputError(f"{path}: xyz is of type {xyz.dtype}; allowed: numbers")
-    with np.errstate(over="ignore", invalid="ignore"):  # what float64 cannot hold is not finite, and left out
-        return xyz.astype(float), ids[0] if ids else None
+def _read_npz(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | None]:
+    """The arrays `xyz` and `vehicle_id`, None where there is none; others may be damaged."""
+    with np.lib.npyio.NpzFile(stream) as archive:
+        if "xyz" not in archive.files:
+            raise InputError(f"{path}: has no array 'xyz'; it has {', '.join(archive.files) or 'nothing'}")
+        return archive["xyz"], archive["vehicle_id"] if "vehicle_id" in archive.files else None
 
 
-# --- What PLY and PCD hold of a cloud --------------------------------------------------------------------
+# --- PLY and PCD: records of one layout, little endian, behind a header ----------------------------------
 
-# Type of each column in NumPy and PLY; in NumPy it is little endian.
-_COLUMNS = {
-    "x": ("<f4", "float"),
-    "y": ("<f4", "float"),
-    "z": ("<f4", "float"),
-    "intensity": ("<f4", "float"),
-    "ring": ("<u2", "ushort"),
-    "time": ("<f8", "double"),
-    "vehicle_id": ("<i4", "int"),
-    "class": ("<i1", "char"),
-}
+_RECORD = np.dtype(
+    [
+        *((name, "<f4") for name in ("x", "y", "z", "intensity")),
+        *[("ring", "<u2"), ("time", "<f8"), ("vehicle_id", "<i4"), ("class", "<i1")],
+    ]
+)
+_PLY_TYPES = {"f4": "float", "u2": "ushort", "f8": "double", "i4": "int", "i1": "char"}
 
 
 def _records(path: str | Path, cloud: PointCloud) -> bytes:
-    """The points of a cloud, one after another with `_COLUMNS` each."""
-    _check_ids_fit(path, cloud.vehicle_id, 31)
-    record = np.zeros(len(cloud), dtype=[(name, kind) for name, (kind, _) in _COLUMNS.items()])
+    """The points of a cloud, one after another."""
+    _check_ids_fit(path, cloud.vehicle_id, 31, f"32 bits of a {Path(path).suffix.lstrip('.').upper()} file")
+    record = np.zeros(len(cloud), dtype=_RECORD)
     record["x"], record["y"], record["z"] = cloud.xyz.T
     record["intensity"], record["ring"], record["time"] = cloud.intensity, cloud.ring, cloud.time_s
     record["vehicle_id"], record["class"] = cloud.vehicle_id, cloud.class_index
     return record.tobytes()
 
 
-def _check_ids_fit(path: str | Path, vehicle_id: np.ndarray, bits: int) -> None:
+def _check_ids_fit(path: str | Path, vehicle_id: np.ndarray, bits: int, where: str) -> None:
     """Refuse to write ids that a file with so many `bits` for a number, its sign apart, would change."""
-    wide = vehicle_id[(vehicle_id >= 2**bits) | (vehicle_id < -(2**bits))]
+    wide = vehicle_id[vehicle_id >= 2**bits]
     if len(wide):
-        kind = Path(path).suffix.lstrip(".").upper()
-        raise OutputError(
-            f"{path}: vehicle_id {wide[0]} does not fit into the {bits + 1} bits of a {kind} file; .npz keeps it"
-        )
-
-
-# --- PLY files, which mesh and cloud viewers open: http://paulbourke.net/dataformats/ply ------------------
+        raise OutputError(f"{path}: vehicle_id {wide[0]} does not fit into the {where}; .npz keeps it")
 
 
 def write_ply(path: str | Path, cloud: PointCloud, header: dict) -> None:
-    """Write a binary file in the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle.
+    """Write a binary PLY file, as mesh and cloud viewers open: http://paulbourke.net/dataformats/ply
+
+    In the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle.
 
     Raises
     ------
@@ -121,35 +81,30 @@ def write_ply(path: str | Path, cloud: PointCloud, header: dict) -> None:
         "format binary_little_endian 1.0",
         f"comment {json.dumps(header)}",
         f"element vertex {len(cloud)}",
-        *(f"property {kind} {name}" for name, (_, kind) in _COLUMNS.items()),
+        *(f"property {_PLY_TYPES[_RECORD[name].str[1:]]} {name}" for name in _RECORD.names),
         "end_header",
     ]
     write_bytes(path, ("\n".join(lines) + "\n").encode("ascii") + _records(path, cloud))
 
 
-# --- PCD 0.7, the files of the Point Cloud Library: https://pointclouds.org/documentation/tutorials/pcd_file_format -
-
-_PCD_KINDS = {"F": "f", "U": "u", "I": "i"}  # and NumPy's
-_PADDING = "_"
-
-
 def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
-    """Write a binary file in the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle.
+    """Write a binary PCD 0.7 file: https://pointclouds.org/documentation/tutorials/pcd_file_format
+
+    In the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle.
 
     Raises
     ------
     OutputError
         If the file cannot be written, or a vehicle's id does not fit into its 32 bits.
     """
-    names = ("timestamp" if name == "time" else name for name in _COLUMNS)
-    kinds = [kind for kind, _ in _COLUMNS.values()]
+    kinds = [_RECORD[name] for name in _RECORD.names]
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
         f"# {json.dumps(header)}",
         "VERSION 0.7",
-        f"FIELDS {' '.join(names)}",
-        f"SIZE {' '.join(kind[2] for kind in kinds)}",
-        f"TYPE {' '.join(kind[1].upper() for kind in kinds)}",
+        f"FIELDS {' '.join(_RECORD.names).replace('time', 'timestamp')}",
+        f"SIZE {' '.join(str(kind.itemsize) for kind in kinds)}",
+        f"TYPE {' '.join(kind.kind.upper() for kind in kinds)}",
         f"COUNT {' '.join('1' for _ in kinds)}",
         f"WIDTH {len(cloud)}",
         "HEIGHT 1",
@@ -160,103 +115,41 @@ def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
     write_bytes(path, ("\n".join(lines) + "\n").encode("utf-8") + _records(path, cloud))
 
 
-def read_pcd(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Points (n, 3) and, where there is such a field, `vehicle_id` (n,) as the file has it: binary or ascii.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, contradicts itself, is compressed or lacks x, y or z.
-    OSError
-        If it cannot be read.
-    """
-    with open_file(path) as stream:
-        header = _read_header(path, stream)
-        body = stream.read()
-    try:
-        columns = _READERS[header.encoding](header, body)
-        with np.errstate(over="ignore", invalid="ignore"):  # such points are left out later
-            xyz = np.stack([np.asarray(columns[axis], dtype=float) for axis in "xyz"], axis=1)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise InputError(f"{path}: damaged PCD file ({error})") from error
-    return xyz, columns["vehicle_id"] if "vehicle_id" in header.names else None
-
-
-@dataclass(frozen=True, slots=True)
-class _Header:
-    names: list[str]
-    formats: list[str]
-    counts: list[int]
-    points: int
-    encoding: str
-
-
-def _read_header(path: Path, stream: BinaryIO) -> _Header:
-    """What the lines up to DATA say; `stream` then stands at the first point."""
-    entries: dict[str, list[str]] = {}
-    while "DATA" not in entries:
+def _read_pcd(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | None]:
+    """Points and, where there is such a field, `vehicle_id`; binary or ascii."""
+    header: dict[str, list[str]] = {}
+    while "DATA" not in header:
         line = stream.readline()
         words = line.decode("ascii", errors="replace").split()
-        if not line or (not entries and words and not words[0].startswith("#") and words[0] != "VERSION"):
-            raise InputError(f"{path}: is not a PCD file: no header with a DATA line")
+        if not line or (not header and words and words[0] != "VERSION" and not words[0].startswith("#")):
+            raise ValueError("it has no header with a DATA line")
         if words and not words[0].startswith("#"):
-            entries[words[0]] = words[1:]
-    encoding = " ".join(entries["DATA"])
-    if encoding not in _READERS:
-        raise InputError(f"{path}: DATA {encoding} cannot be read; allowed: {' or '.join(_READERS)}")
-    missing = [key for key in ("FIELDS", "SIZE", "TYPE", "POINTS") if not entries.get(key)]
-    if missing:
-        raise InputError(f"{path}: damaged PCD file (no {', '.join(missing)} in its header)")
-    try:
-        return _interpreted(entries, encoding)
-    except ValueError as error:
-        raise InputError(f"{path}: damaged PCD file ({error})") from error
-
-
-def _interpreted(entries: dict[str, list[str]], encoding: str) -> _Header:
-    fields, kinds, sizes = entries["FIELDS"], entries["TYPE"], entries["SIZE"]
-    counts = [int(count) for count in entries.get("COUNT", ["1"] * len(fields))]
-    points = int(entries["POINTS"][0])
-    if not len(fields) == len(kinds) == len(sizes) == len(counts):
-        raise ValueError("FIELDS, SIZE, TYPE and COUNT differ in length")
-    if points < 0 or min(counts) < 1:
-        raise ValueError("POINTS is less than 0" if points < 0 else "a COUNT is less than 1")
-    if not set(kinds) <= set(_PCD_KINDS):
-        raise ValueError(f"a TYPE is none of {', '.join(_PCD_KINDS)}")
-    # No field of a file has a space in its name, so padding, of which there may be several, is like no other.
-    names = [f"{_PADDING} {at}" if name == _PADDING else name for at, name in enumerate(fields)]
-    absent = [axis for axis in "xyz" if axis not in names]
-    if absent or len(set(names)) < len(names):
-        raise ValueError(f"no field {', '.join(absent)}" if absent else "two fields have the same name")
-    formats = [f"<{_PCD_KINDS[kind]}{int(size)}" for kind, size in zip(kinds, sizes, strict=True)]
-    return _Header(names, formats, counts, points, encoding)
-
-
-def _read_binary(header: _Header, body: bytes) -> np.ndarray:
-    fields = zip(header.names, header.formats, header.counts, strict=True)
-    layout = np.dtype([(name, kind) if count == 1 else (name, kind, count) for name, kind, count in fields])
-    needed = header.points * layout.itemsize
-    if len(body) < needed:
-        raise ValueError(f"its points take {needed} bytes, but it has {len(body)}")
-    return np.frombuffer(body, dtype=layout, count=header.points)
-
-
-def _read_ascii(header: _Header, body: bytes) -> dict[str, np.ndarray]:
-    rows = [row for row in body.decode("ascii").split("\n") if row.strip()]
-    if len(rows) != header.points:
-        raise ValueError(f"POINTS is {header.points}, but it has {len(rows)} rows")
-    width = sum(header.counts)
-    table = np.loadtxt(rows, ndmin=2, comments=None) if rows else np.empty((0, width))
-    if table.shape[1] != width:
-        raise ValueError(f"its fields take {width} columns, but it has {table.shape[1]}")
-    first = np.cumsum([0, *header.counts])
-    return {
-        name: table[:, start] if count == 1 else table[:, start : start + count]
-        for name, start, count in zip(header.names, first, header.counts, strict=False)
-    }
-
-
-_READERS = {"binary": _read_binary, "ascii": _read_ascii}
+            header[words[0]] = words[1:]
+    encoding = " ".join(header["DATA"])
+    if encoding not in ("binary", "ascii"):
+        raise InputError(f"{path}: DATA {encoding} cannot be read; allowed: binary or ascii")
+    for key in ("FIELDS", "SIZE", "TYPE", "POINTS"):
+        if not header.get(key):
+            raise ValueError(f"its header has no {key}")
+    if not set(header["TYPE"]) <= set("FUI"):
+        raise ValueError("a TYPE is none of F, U, I")
+    fields = []
+    counts = header.get("COUNT", ["1"] * len(header["FIELDS"]))
+    columns = zip(header["FIELDS"], header["TYPE"], header["SIZE"], map(int, counts), strict=True)
+    for number, (name, kind, size, count) in enumerate(columns):
+        name = f"_ {number}" if name == "_" else name  # padding, of which there may be several
+        fields.append((name, f"<{kind.lower()}{int(size)}", () if count == 1 else (count,)))
+    points, body = int(header["POINTS"][0]), stream.read()
+    if encoding == "ascii":
+        fields = [(name, "<f8", shape) for name, _, shape in fields]
+        rows = [row for row in body.decode("ascii").split("\n") if row.strip()]
+        body = np.loadtxt(rows, ndmin=2, comments=None).astype("<f8").tobytes() if rows else b""
+    needed = points * np.dtype(fields).itemsize
+    if not 0 <= needed <= len(body) or (encoding == "ascii" and needed < len(body)):
+        raise ValueError(f"its POINTS are {points}, but its data hold others")
+    read = np.frombuffer(body, np.dtype(fields), points)
+    ids = read["vehicle_id"] if "vehicle_id" in read.dtype.names else None
+    return np.stack([read[axis].astype(float) for axis in "xyz"], axis=1), ids
 
 
 # --- LAS and LAZ files of surveyors, by laspy -------------------------------------------------------------
@@ -282,7 +175,7 @@ def write_las(path: str | Path, cloud: PointCloud, header: dict) -> None:
         import laspy
     except ImportError:
         raise MissingExtraError(f'{path}: needs laspy: pip install "blender_lidar[formats]"') from None
-    _check_ids_fit(path, cloud.vehicle_id, 31)
+    _check_ids_fit(path, cloud.vehicle_id, 31, "32 bits of a LAS file")
     las = laspy.create(point_format=6, file_version="1.4")
     las.header.scales = np.full(3, _RESOLUTION_M)
     las.header.generating_software = "blender_lidar"
@@ -323,16 +216,12 @@ def write_kitti(path: str | Path, cloud: PointCloud, header: dict) -> None:
     OutputError
         If a file cannot be written, or a vehicle's id does not fit into its 16 bits.
     """
-    path = Path(path)
-    of_vehicle = cloud.vehicle_id >= 0
-    instance = np.where(of_vehicle, cloud.vehicle_id, 0)
-    if (instance >= 2**16).any():
-        raise OutputError(
-            f"{path}: vehicle_id {instance.max()} does not fit into the 16 bits of a .label file; .npz keeps it"
-        )
+    _check_ids_fit(path, cloud.vehicle_id, 16, "16 bits of a .label file")
+    path, of_vehicle = Path(path), cloud.vehicle_id >= 0
     rows = np.empty((len(cloud), 4), dtype="<f4")
     rows[:, :3], rows[:, 3] = levelled(cloud.xyz, header["pose"]), cloud.intensity
-    label = np.where(of_vehicle, SEMANTIC_CLASSES[cloud.class_index], ROAD) | instance << 16
+    label = np.where(of_vehicle, SEMANTIC_CLASSES[cloud.class_index], ROAD)
+    label |= np.where(of_vehicle, cloud.vehicle_id, 0) << 16
     write_bytes(path.with_suffix(".label"), label.astype("<u4").tobytes())
     write_bytes(path, rows.tobytes())
 
@@ -413,7 +302,7 @@ WRITERS: dict[str, Callable[[str | Path, PointCloud, dict], None]] = {
     ".las": write_las,
     ".laz": write_las,
 }
-READABLE = (".npz", ".pcd")
+READERS = {".npz": _read_npz, ".pcd": _read_pcd}
 _FARTHEST_M = 1e9  # farther is no place but a mark of no return, and its square may be none either
 
 
@@ -456,14 +345,23 @@ def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     try:
         if path.is_dir():
             raise IsADirectoryError
-        check_cloud_name(path, "cloud", READABLE)
-        points, vehicle_id = read_npz(path) if path.suffix.lower() == ".npz" else read_pcd(path)
+        suffix = check_cloud_name(path, "cloud", READERS).suffix.lower()
+        with open_file(path) as stream, np.errstate(over="ignore", invalid="ignore"):  # such points are left out below
+            points, vehicle_id = READERS[suffix](path, stream)
+            if points.dtype.kind not in "iufb":
+                raise InputError(f"{path}: xyz is of type {points.dtype}; allowed: numbers")
+            points = points.astype(float)
+    except BlenderLidarError:
+        raise
     except FileNotFoundError as error:
         raise MissingFileError(f"{path}: there is no such file") from error
     except IsADirectoryError as error:
-        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(READABLE)}") from error
+        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(READERS)}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except Exception as error:  # NumPy and zipfile raise many kinds for a damaged file
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(f"{path}: is not a readable {suffix[1:].upper()} file ({reason})") from error
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"{path}: xyz has shape {points.shape}; allowed: (n, 3)")
     if vehicle_id is not None and vehicle_id.shape != (len(points),):

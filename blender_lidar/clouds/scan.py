@@ -110,35 +110,43 @@ def scan(
     tree = caster_class(caster)(world.corners, closed=True)
     (hits,) = revolutions(tree, lattice, [pose], reach_m, cut_vehicles(vehicles, detail))
     directions = pose.to_world(lattice.components.reshape(3, -1).T)
-    distance = np.full(len(directions), np.inf)
-    owner = np.full(len(directions), STATIC)
-    surface = np.full(len(directions), ROAD)
-    cosine = np.ones(len(directions))
-    distance[hits.beam], owner[hits.beam] = hits.distance, world.owner[hits.triangle]
-    surface[hits.beam] = world.surface[hits.triangle]
-    cosine[hits.beam] = np.abs(dot(tree.normals(hits.triangle).T, hits.directions))
+    met = [np.full(len(directions), value) for value in (np.inf, STATIC, ROAD, 1.0)]  # by each beam, so far
+    distance, owner, surface, cosine = met
+
+    def meet(beam, *found):
+        for column, values in zip(met, found, strict=True):
+            column[beam] = values
+
+    facing = np.abs(dot(tree.normals(hits.triangle).T, hits.directions))
+    meet(hits.beam, hits.distance, world.owner[hits.triangle], world.surface[hits.triangle], facing)
     if scenery is not None:
-        _add_scenery(scenery, pose.position, directions, reach_m, distance, owner, surface, cosine)
-    if ground:
-        _add_ground(pose.height_m, directions[:, 2], reach_m, distance, owner, surface, cosine)
+        found = scenery.tree.meet(pose.position, directions, reach_m)
+        first = found.distance < distance[found.ray]
+        beam, triangle = found.ray[first], found.triangle[first]
+        facing = np.abs(dot(scenery.tree.normals(triangle).T, directions[beam].T))
+        meet(beam, found.distance[first], STATIC, scenery.scenery.surface[triangle], facing)
+    if ground:  # the plane z = 0: exact, where a mesh would leak
+        down = -directions[:, 2]
+        with np.errstate(divide="ignore", over="ignore"):
+            to_ground = np.where(down > 0.0, pose.height_m / down, np.inf)
+        first = (to_ground < distance) & (to_ground <= reach_m)
+        meet(first, to_ground[first], STATIC, ROAD, down[first])
 
     model = imperfections.measurement(lattice, vehicles.frame, min_range_m, max_range_m)
     every = np.arange(len(distance))
     measured = model.measured(every, distance, surface == GLASS, REFLECTIVITY[surface], cosine)
     kept = np.flatnonzero(measured < np.inf)
     ring, slot = np.divmod(kept, lattice.columns)
-    of_vehicle = owner[kept] >= 0
-    row = np.where(of_vehicle, owner[kept], 0)
     return PointCloud(
         xyz=pose.position + measured[kept, None] * directions[kept],  # Eqs. 2 and 3
         range_m=measured[kept],
         ring=ring.astype(np.uint16),
         azimuth_rad=lattice.azimuth_rad(ring, slot),
         time_s=lattice.time_s(ring, slot),
-        vehicle_id=_of_vehicle(vehicles.vehicle_id, row, of_vehicle, -1),
-        class_index=_of_vehicle(vehicles.class_index, row, of_vehicle, NO_CLASS),
+        vehicle_id=np.append(vehicles.vehicle_id, STATIC)[owner[kept]],  # the last, where it is no vehicle
+        class_index=np.append(vehicles.class_index, np.int8(NO_CLASS))[owner[kept]],
         incidence_rad=np.arccos(np.clip(cosine[kept], 0.0, 1.0)),
-        intensity=_intensity(surface[kept], cosine[kept], distance[kept]),
+        intensity=REFLECTIVITY[surface[kept]] * cosine[kept] * _fall(distance[kept]),
     )
 
 
@@ -147,30 +155,5 @@ def class_names(class_index: np.ndarray) -> np.ndarray:
     return np.array([*CLASSES, ""])[class_index]
 
 
-def _add_scenery(scenery, position, directions, reach_m, distance, owner, surface, cosine):
-    """Let beams that reach something that stands still before a vehicle return from it."""
-    found = scenery.tree.meet(position, directions, reach_m)
-    first = found.distance < distance[found.ray]
-    beam, triangle = found.ray[first], found.triangle[first]
-    distance[beam], owner[beam], surface[beam] = found.distance[first], STATIC, scenery.scenery.surface[triangle]
-    cosine[beam] = np.abs(dot(scenery.tree.normals(triangle).T, directions[beam].T))
-
-
-def _add_ground(height_m, vertical, max_range_m, distance, owner, surface, cosine):
-    """Let beams that reach the plane z = 0 before anything else return from it (exact, where a mesh would leak)."""
-    with np.errstate(divide="ignore", over="ignore"):
-        to_ground = np.where(vertical < 0.0, height_m / -vertical, np.inf)
-    first = (to_ground < distance) & (to_ground <= max_range_m)
-    distance[first], owner[first], surface[first] = to_ground[first], STATIC, ROAD
-    cosine[first] = -vertical[first]
-
-
-def _intensity(surface, cosine, distance):
-    fall = np.minimum(1.0, FULL_INTENSITY_M / np.maximum(distance, 1e-9)) ** 2
-    return REFLECTIVITY[surface] * cosine * fall
-
-
-def _of_vehicle(column, row, of_vehicle, otherwise):
-    if len(column) == 0:
-        return np.full(len(row), otherwise, dtype=column.dtype)
-    return np.where(of_vehicle, column[row], otherwise).astype(column.dtype)
+def _fall(distance):
+    return np.minimum(1.0, FULL_INTENSITY_M / np.maximum(distance, 1e-9)) ** 2
