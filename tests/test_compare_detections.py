@@ -46,7 +46,9 @@ def compared(folder, cars, metrics=METRICS, settings=FEW):
 
 def agreement(findings, detector, of_set, metric):
     return next(
-        row for row in findings.agreements if (row["detector"], row["set"], row["metric"]) == (detector, of_set, metric)
+        row
+        for row in findings.result["correlations"]
+        if (row["detector"], row["set"], row["metric"]) == (detector, of_set, metric)
     )
 
 
@@ -79,7 +81,7 @@ def test_cars_out_of_a_detectors_range_are_left_out_of_it_alone(findings):
 
 def test_a_logarithm_has_the_order_of_its_metric_and_is_no_rival_of_it(findings):
     held = agreement(findings, "good", "all", "log-pe-vgop")["less"]["pe-vgop"]["spearman"]
-    assert held.difference.value == 0.0
+    assert held.value == 0.0
     assert math.isnan(held.p_holm)
 
 
@@ -89,12 +91,12 @@ def test_rivals_are_held_against_the_first_metric_in_the_same_resamples(sample):
     assert set(one["less"]) == {"points", "pe-vgop"}
     held = one["less"]["points"]["spearman"]
     ours, theirs = (agreement(found, "good", "all", name)["spearman"] for name in ("distance", "points"))
-    assert held.difference.value == pytest.approx(ours.value - theirs.value)
-    assert held.difference.high < 0.0  # distance alone tells less than points, of which the detector was made
+    assert held.value == pytest.approx(ours.value - theirs.value)
+    assert held.high < 0.0  # distance alone tells less than points, of which the detector was made
     assert held.p_above > 0.95
     # Pairing: narrower than of two samples that do not know each other.
     apart = math.hypot(ours.high - ours.low, theirs.high - theirs.low)
-    assert held.difference.high - held.difference.low < apart
+    assert held.high - held.low < apart
 
 
 def test_distance_held_fixed_leaves_nothing_of_distance(findings):
@@ -137,30 +139,31 @@ def test_order_of_rows_and_cars_that_are_not_listed_change_nothing_for_the_other
     assert [first[name] for name in COMPARED] == [other[name] for name in COMPARED]
     shuffled.write_text("\n".join(lines[:-1]) + "\n", encoding="utf-8")
     fewer = compared(sample[0], shuffled)
-    assert (len(fewer.judged), fewer.unlisted) == (len(findings.judged) - 1, 1)
+    assert (len(fewer.judged), fewer.result["cars_not_listed"]) == (len(findings.judged) - 1, 1)
 
 
 def test_sets_are_splits_kinds_and_all_and_none_twice():
     about = {
+        "frame": np.arange(4),
         "split": np.array(["train", "val", "val", "val"]),
         "label_kind": np.array(["object label_2 (sha)", "object", "KITTI tracking label", "KITTI tracking label"]),
     }
-    sets = car_sets(about, 4)
+    sets = car_sets(about)
     assert list(sets) == ["val", "train", "all", "object", "tracking", "val object"]
     assert sets["val object"].tolist() == [False, True, False, False]
     assert main_set(sets) == "val"
-    assert list(car_sets({}, 4)) == ["all"]
-    assert main_set(car_sets({"split": np.array(["train"] * 4)}, 4)) == "train"
+    assert list(car_sets({"frame": np.arange(4)})) == ["all"]
+    assert main_set(car_sets({"frame": np.arange(4), "split": np.array(["train"] * 4)})) == "train"
 
 
 def test_a_straight_and_a_logarithmic_fall_are_told_apart(findings):
     """Planted in place of what the sample's detectors did."""
     judged = findings.judged
-    rng = np.random.default_rng(1)
+    rng, everywhere = np.random.default_rng(1), np.ones(len(judged), dtype=bool)
     far, noise = judged["distance_m"], 0.01 * rng.normal(size=len(judged))
     made = {"good_performance": 1.0 - far / 60.0 + noise, "blind_performance": 1.2 - np.log(far) / 4.0 + noise}
-    planted = replace(judged, table=judged.table.assign(**made, blind_in_range=True))
-    rows = shapes(planted, car_sets({}, len(judged)))
+    planted = replace(judged, table={**judged.table, **made, "blind_in_range": everywhere})
+    rows = shapes(planted, {"all": everywhere})
     found = {row["quantity"]: row for row in rows if row["bearing"] == "any"}
     assert found["good_performance"]["linear_less_logarithmic"].low > 0.0
     assert found["blind_performance"]["linear_less_logarithmic"].high < 0.0
@@ -169,8 +172,8 @@ def test_a_straight_and_a_logarithmic_fall_are_told_apart(findings):
 
 def test_a_box_about_the_sensor_itself_does_not_hide_how_the_others_fall(findings):
     judged = findings.judged
-    moved = replace(judged, table=judged.table.assign(distance_m=np.append(0.0, judged["distance_m"][1:])))
-    found = shapes(moved, car_sets({}, len(judged)))
+    moved = replace(judged, table={**judged.table, "distance_m": np.append(0.0, judged["distance_m"][1:])})
+    found = shapes(moved, {"all": np.ones(len(judged), dtype=bool)})
     numbers = [(row["logarithmic_r2"], row["linear_less_logarithmic"].high) for row in found]
     assert np.isfinite(numbers).all()
 
@@ -307,11 +310,10 @@ def test_a_detectors_name_cannot_leave_the_folder_nor_take_anothers_file(finding
     pytest.importorskip("matplotlib", reason="charts need matplotlib")
     names = {"good": "../good/x", "blind": "../good x"}
     columns = {f"{old}_{what}": f"{new}_{what}" for old, new in names.items() for what in ("performance", "in_range")}
-    judged = replace(
-        findings.judged, table=findings.judged.table.rename(columns=columns), detectors=tuple(names.values())
-    )
-    rows = [{**row, "detector": names[row["detector"]]} for row in findings.agreements]
-    odd = replace(findings, judged=judged, agreements=rows)
+    table = {columns.get(name, name): column for name, column in findings.judged.table.items()}
+    judged = replace(findings.judged, table=table, detectors=tuple(names.values()))
+    rows = [{**row, "detector": names[row["detector"]]} for row in findings.result["correlations"]]
+    odd = replace(findings, judged=judged, result={**findings.result, "correlations": rows})
     names = draw_detections(odd, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
     assert names[1:] == ["against_.._good_x.png", "against_.._good_x_2.png"]

@@ -14,7 +14,6 @@ from blender_lidar.casting import is_available
 from blender_lidar.cli import main
 from blender_lidar.metrics.vgop import occupancy, pe_vgop
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
-from blender_lidar.studies.compare.detections import FrameList
 from blender_lidar.studies.compare.labelled import open_labelled
 from blender_lidar.studies.compare.paired import MEASURED, pair_cars, shape_names, variants
 from blender_lidar.studies.compare.paired_findings import aggregate, cheapest_within_noise, median_interval
@@ -43,22 +42,22 @@ def paired(true_bodies):
 
 
 def test_the_level_that_the_sweep_was_made_of_has_no_error_and_the_others_have(paired):
-    error = {way.detail: np.abs(paired.errors(index)) for index, way in enumerate(paired.variants)}
+    error = {way.detail: np.abs(one) for way, one in zip(paired.variants, paired["error_bits"], strict=True)}
     assert len(paired) > 15
     assert error["body"].max() < 0.03
     assert np.median(error["body"]) < 0.002
     assert np.median(error["box"]) > 0.05
     assert np.median(error["detailed"]) > 0.01
-    found = cheapest_within_noise(aggregate(paired, FrameList(None, {}))["all"], LEVELS)
+    found = cheapest_within_noise(aggregate(paired, {})["all"], LEVELS)
     assert found["best"] == found["cheapest"] == {"detail": "body", "losses": "none"}
 
 
 def test_with_the_true_shapes_every_ray_gives_the_same_point(paired):
-    of = paired.of[[way.detail for way in paired.variants].index("body")]
-    real, simulated, both = paired.cars["real_points"].sum(), of["simulated_points"].sum(), of["both_points"].sum()
+    body = [way.detail for way in paired.variants].index("body")
+    real, simulated, both = (paired[f"{of}_points"][body].sum() for of in ("real", "simulated", "both"))
     assert real > 3000
     assert both > 0.995 * max(real, simulated)
-    assert np.nanmax(of["residual_abs_median_m"]) < 1e-4
+    assert np.nanmax(paired["residual_abs_median_m"][body]) < 1e-4
 
 
 def test_the_columns_are_those_of_the_metric(true_bodies, paired):
@@ -71,13 +70,13 @@ def test_the_columns_are_those_of_the_metric(true_bodies, paired):
     local = np.column_stack([cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0], away[:, 2]])
     half = 0.5 * boxes.size_m[row]
     mine = (np.abs(local) <= half + 0.05).all(axis=1) & (local[:, 2] >= 0.15 - half[2])
-    at = np.flatnonzero((paired.cars["frame"] == "000001") & (paired.cars["label_line"] == boxes.label_line[row]))[0]
+    at = np.flatnonzero((paired.table["frame"] == "000001") & (paired.table["label_line"] == boxes.label_line[row]))[0]
     size, first = boxes.size_m[row : row + 1], np.zeros(int(mine.sum()), dtype=int)
-    assert paired.cars["real_points"][at] == mine.sum() > 100
-    assert paired.cars["real_entropy_bits"][at] == pytest.approx(pe_vgop(local[mine], first, size)[0])
-    shares = [paired.cars[f"real_p_{view}"][at] for view in ("top", "side", "front")]
+    assert paired.table["real_points"][at] == mine.sum() > 100
+    assert paired.table["real_entropy_bits"][at] == pytest.approx(pe_vgop(local[mine], first, size)[0])
+    shares = [paired.table[f"real_p_{view}"][at] for view in ("top", "side", "front")]
     np.testing.assert_allclose(shares, occupancy(local[mine], first, size)[0])
-    assert paired.cars["hidden_share"][at] == 0.0
+    assert paired.table["hidden_share"][at] == 0.0
 
 
 def test_losses_are_those_that_scans_know(tmp_path):
@@ -93,7 +92,7 @@ def test_losses_are_those_that_scans_know(tmp_path):
         write_kitti(tmp_path, f"00000{seed}", points, vehicles)
     ways = variants(("body",), replace(MEASURED, range_at_10_percent_m=20.0))
     paired = pair_cars(open_labelled(tmp_path), ways, CASTER, NO_MARGIN)
-    error = {way.losses: np.abs(paired.errors(index)) for index, way in enumerate(ways)}
+    error = {way.losses: np.abs(one) for way, one in zip(ways, paired["error_bits"], strict=True)}
     assert np.median(error["weak"]) < 0.005
     assert all(np.median(error[losses]) > 0.03 for losses in ("none", "glass", "any", "both"))
 
@@ -108,7 +107,7 @@ def one_sweep(folder, vehicles, labels=None):
 def test_shares_that_are_lost_by_chance_are_lost(tmp_path):
     ways = variants(("body",), Imperfections(0.02, 0.3, glass_dropout=1.0, range_at_10_percent_m=1e3))
     paired = pair_cars(one_sweep(tmp_path, street(4)), ways, CASTER, NO_MARGIN)
-    counts = {way.losses: of["simulated_points"].sum() for way, of in zip(ways, paired.of, strict=True)}
+    counts = {way.losses: points.sum() for way, points in zip(ways, paired["simulated_points"], strict=True)}
     assert counts["any"] == pytest.approx(0.7 * counts["none"], rel=0.05)
     assert counts["both"] == pytest.approx(0.7 * counts["glass"], rel=0.05)
     assert counts["glass"] < 0.95 * counts["none"] == 0.95 * counts["weak"]
@@ -131,12 +130,13 @@ def test_what_an_unlabelled_thing_hid_counts_on_neither_side(tmp_path):
     results = {}
     for name, labels in {"told": ["Car", "Car"], "untold": ["Car", "DontCare"]}.items():
         results[name] = pair_cars(one_sweep(tmp_path / name, both, labels), PLAIN[1:2], CASTER, NO_MARGIN)
-        assert results[name].cars["label_line"][0] == 0
+        assert results[name].table["label_line"][0] == 0
     told, untold = results["told"], results["untold"]
-    assert 0.1 < untold.cars["hidden_share"][0] < 0.9
-    assert abs(untold.errors(0)[0]) < 0.02  # the hidden rays are set aside
-    assert untold.errors(0, hidden_kept=True)[0] > 0.1  # and would otherwise be the car's
-    assert abs(told.errors(0, hidden_kept=True)[0]) < 0.05  # what is labelled hides in the simulation too
+    kept = [of.table["simulated_entropy_hidden_kept_bits"] - of.table["real_entropy_bits"] for of in (untold, told)]
+    assert 0.1 < untold.table["hidden_share"][0] < 0.9
+    assert abs(untold.table["error_bits"][0]) < 0.02  # the hidden rays are set aside
+    assert kept[0][0] > 0.1  # and would otherwise be the car's
+    assert abs(kept[1][0]) < 0.05  # what is labelled hides in the simulation too
 
 
 def test_labels_become_the_shapes_that_traffic_has(tmp_path):
@@ -288,9 +288,10 @@ def test_wrong_options_end_in_one_line(true_bodies, tmp_path, capsys, words, tol
 def test_wrong_folders_end_in_one_line_and_leave_nothing(true_bodies, tmp_path, capsys):
     full = tmp_path / "full"
     full.mkdir()
-    (full / "mine.txt").write_text("mine", encoding="utf-8")
-    assert run("--kitti", true_bodies, "--caster", CASTER, "--out", full) != 0
-    assert "is not empty; name a new folder" in capsys.readouterr().err
+    (full / "paired.csv").write_text("mine", encoding="utf-8")
+    assert run("--kitti", true_bodies, "--caster", CASTER, "--out", full) == 2
+    assert "holds paired.csv already; give another folder" in capsys.readouterr().err
+    assert [path.name for path in full.iterdir()] == ["paired.csv"]
     shuffled = tmp_path / "shuffled"
     shuffled.mkdir()
     vehicles = street(1)
@@ -317,7 +318,8 @@ def test_real_sweeps_give_an_hdl_64e_and_the_shapes_beat_the_box():
     np.testing.assert_allclose(paired.sensor["height_m"][:32], 0.12, atol=0.015)
     assert paired.sensor["off_cone_median_m"] < 0.001
     assert paired.sensor["elevation_spread_deg"] < 0.003
-    error = {(way.detail, way.losses): np.median(np.abs(paired.errors(index))) for index, way in enumerate(ways)}
+    errors = zip(ways, paired["error_bits"], strict=True)
+    error = {(way.detail, way.losses): np.median(np.abs(one)) for way, one in errors}
     assert error["detailed", "weak"] < 0.08 < error["box", "none"]
     assert error["detailed", "weak"] < error["detailed", "none"]
     assert ways[0].imperfections == PERFECT

@@ -12,7 +12,7 @@ import pytest
 
 from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError
 from blender_lidar.metrics.assignment import points_in_boxes
-from blender_lidar.studies.compare.detections import read_detections, read_frame_list
+from blender_lidar.studies.compare.detections import read_detections, read_frames, tuned_frames
 from blender_lidar.studies.compare.labelled import open_labelled
 from tests.labelled_samples import KITTI, needs_kitti
 
@@ -190,7 +190,12 @@ def written(folder, *lines, name="cars.csv"):
 def test_every_detector_that_has_a_confidence_is_read(tmp_path):
     found = read_detections(written(tmp_path, HEADER, *ROWS))
     assert found.detectors == ("a", "b")
-    assert found.about == ()
+    assert set(found.table) == {
+        "line",
+        "frame",
+        "label_line",
+        *(f"{of}_{what}" for of in "ab" for what in ("in_range", "performance")),
+    }
     told = {name: column.tolist() for name, column in found.table.items()}
     assert (told["line"], told["frame"], told["label_line"]) == ([2, 3, 4], ["1", "1", "2"], [0, 2, 0])
     assert told["a_performance"] == pytest.approx([0.4, 0.0, 1.0])
@@ -221,8 +226,7 @@ def test_what_is_told_of_frames_comes_from_beside_or_from_where_it_is_named(tmp_
         ([HEADER.replace("a_iou3d", "a_confidence"), *ROWS], "has two columns 'a_confidence'"),
         ([HEADER, ROWS[0].replace("0.5", "1.5")], "cars.csv:2: a_confidence is '1.5'; allowed: 0 to 1"),
         ([HEADER, ROWS[0].replace("0.8", "nan")], "cars.csv:2: a_iou3d is 'nan'; allowed: 0 to 1"),
-        ([HEADER, ROWS[0].replace("0.75", "-1")], "cars.csv:2: b_iou_bev is '-1'; allowed: 0 to 1"),
-        ([HEADER, ROWS[0].replace(",1,4.2", ",0.5,4.2")], "cars.csv:2: b_in_range is 0.5; allowed: 0 or 1"),
+        ([HEADER, ROWS[0].replace(",1,4.2", ",0.5,4.2")], "cars.csv:2: b_in_range is '0.5'; allowed: 0 or 1"),
         ([HEADER, ROWS[0].replace("1,0,", "1,1.0,", 1)], "cars.csv:2: label_line is '1.0'; allowed: a whole number"),
         ([HEADER, ROWS[0].replace("1,0,", "1,-1,", 1)], "cars.csv:2: label_line is '-1'; allowed: a whole number"),
         ([HEADER, ROWS[0].replace("1,0,", " ,0,", 1)], "cars.csv:2: frame is empty"),
@@ -277,14 +281,14 @@ def test_long_names_of_frames_and_detectors_stay_whole(tmp_path):
 
 
 def test_which_frames_were_fitted_to_is_read_from_the_list_whatever_others_are_there(tmp_path):
-    assert read_frame_list(tmp_path).tuned is None
+    assert tuned_frames({}) is None
     rows = [("1", "train", "object"), ("2", "val", "object"), ("3", "val", "tracking"), ("000006", "val", "object")]
     text = "frame,split,label_kind\n" + "\n".join(map(",".join, rows)) + "\n"
     for written in (text, "\ufeff" + text, text + "4,val,object\n"):
         (tmp_path / "frames.csv").write_text(written, encoding="utf-8")
-        assert read_frame_list(tmp_path).tuned == {"1", "000006"}
+        assert tuned_frames(read_frames(tmp_path / "frames.csv")) == ["1", "000006"]
     (tmp_path / "frames.csv").write_text(text.replace("split", "part"), encoding="utf-8")
-    assert read_frame_list(tmp_path).tuned is None
+    assert tuned_frames(read_frames(tmp_path / "frames.csv")) is None
 
 
 @pytest.mark.parametrize(
@@ -299,4 +303,4 @@ def test_which_frames_were_fitted_to_is_read_from_the_list_whatever_others_are_t
 def test_a_list_of_frames_that_cannot_be_used_is_named(tmp_path, text, told):
     (tmp_path / "frames.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=re.escape(told)):
-        read_frame_list(tmp_path)
+        read_frames(tmp_path / "frames.csv")

@@ -13,11 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.report import figure as canvas
 from blender_lidar.report.cloud_figures import plot_clouds, plot_occupancy
-from blender_lidar.report.compare_figures import plot_against, plot_declines
 from blender_lidar.report.run_figures import (
     FEWEST_VEHICLES,
     plot_blind_zones,
@@ -339,10 +337,3 @@ def test_occupancy_fits_a_truck_and_a_motorcycle_on_the_sheet(size, tmp_path, fi
         assert box.x0 >= 0.0
         assert box.x1 <= figure.bbox.x1
         assert box.y0 >= 0.0
-
-
-@pytest.mark.parametrize("draw", [lambda path: plot_declines(path, [], []), lambda path: plot_against(path, [])])
-def test_charts_of_studies_refuse_to_show_nothing(tmp_path, draw):
-    with pytest.raises(InputError, match="at least one is needed"):
-        draw(tmp_path / "c.png")
-    assert not list(tmp_path.iterdir())

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError
-from ..studies.compare.detections import IN_RANGE
-from ..studies.compare.detectors import PERFORMANCE, Decline, Findings, Scatter, decline, scatter
+from ..studies.compare.detections import IN_RANGE, PERFORMANCE
+from ..studies.compare.detectors import Decline, Findings, Scatter, decline, scatter
 from ..studies.compare.paired import LOSSES, PICTURED, PairedCars, PicturedCar
 from ..studies.compare.paired_findings import judging
 from ..studies.compare.resampling import FEWEST_IN_BAND
@@ -57,11 +57,11 @@ def draw_detections(findings: Findings, folder: Path) -> list[str]:
     """
     mine, cars = findings.sets[findings.main], findings.judged
     about = f"{findings.main}: {int(mine.sum())} cars"
-    detectors = []
-    for name in cars.detectors[:2]:
-        performance, in_range = (cars[name + ending] for ending in (PERFORMANCE, IN_RANGE))
-        detectors.append(decline(findings, f"{name}: confidence x IoU", performance, mine & in_range, _BAND_M))
-    metrics = [decline(findings, one.name, one.merit(cars[one.name]), mine, _BAND_M) for one in cars.metrics]
+    detectors = [
+        decline(cars, f"{name}: confidence x IoU", cars[name + PERFORMANCE], mine & cars[name + IN_RANGE], _BAND_M)
+        for name in cars.detectors[:2]
+    ]
+    metrics = [decline(cars, one.name, one.merit(cars[one.name]), mine, _BAND_M) for one in cars.metrics]
     names = []
     if any(metrics):
         names.append("by_distance.png")
@@ -76,7 +76,8 @@ def draw_detections(findings: Findings, folder: Path) -> list[str]:
     for detector in cars.detectors:
         panels = scatter(findings, detector)
         if panels:
-            names.append(_file_name(detector, names))
+            stem = "against_" + re.sub(r"[^A-Za-z0-9._-]+", "_", detector)  # as far as file systems allow
+            names.append(f"{stem}.png" if f"{stem}.png" not in names else f"{stem}_{len(names)}.png")
             plot_against(
                 folder / names[-1],
                 panels,
@@ -84,13 +85,6 @@ def draw_detections(findings: Findings, folder: Path) -> list[str]:
                 subtitle=f"{about}, those in its range; missed cars at 0; Spearman's correlation with 90 % interval",
             )
     return names
-
-
-def _file_name(detector: str, taken: Sequence[str]) -> str:
-    """A file's name with the detector's, as far as file systems allow, that is not taken."""
-    stem = "against_" + re.sub(r"[^A-Za-z0-9._-]+", "_", detector)
-    numbered = [f"{stem}.png", *(f"{stem}_{number}.png" for number in range(2, len(taken) + 2))]
-    return next(name for name in numbered if name not in taken)
 
 
 def plot_declines(
@@ -106,15 +100,12 @@ def plot_declines(
     title, subtitle : str
         Headings.
     """
-    with sheet(path, _height_mm(metrics), title, subtitle) as figure:
-        panels = _panels(figure, len(metrics))
+    with _panels(path, len(metrics), title, subtitle) as (figure, panels):
         for axes, one in zip(panels, metrics, strict=True):
             dots = axes.plot(one.distance_m, one.values, label="the metric, one car", **_DOTS)
-            lines = [
-                _with_interval(axes, detector, look, detector.name)
-                for detector, look in zip(detectors, _DETECTORS, strict=False)
-            ]
-            lines.insert(0, _with_interval(axes, one, _METRIC, "the panel's metric, mean and 90 % interval"))
+            lines = [_with_interval(axes, one, _METRIC, "the panel's metric, mean and 90 % interval")]
+            for detector, look in zip(detectors, _DETECTORS, strict=False):
+                lines.append(_with_interval(axes, detector, look, detector.name))
             axes.set_title(one.name, fontsize=SMALL_PT)
             axes.set_ylim(-0.35, 1.6)
             axes.set_xlim(left=0.0)
@@ -137,9 +128,9 @@ def plot_against(path: str | Path, metrics: Sequence[Scatter], *, title: str = "
     title, subtitle : str
         Headings.
     """
-    with sheet(path, _height_mm(metrics), title, subtitle) as figure:
-        for axes, one in zip(_panels(figure, len(metrics)), metrics, strict=True):
-            look = {**_DOTS, "markersize": 3.0, "color": BASELINE["color"], "alpha": 0.55}
+    look = {**_DOTS, "markersize": 3.0, "color": BASELINE["color"], "alpha": 0.55}
+    with _panels(path, len(metrics), title, subtitle) as (figure, panels):
+        for axes, one in zip(panels, metrics, strict=True):
             dots = axes.plot(one.values, one.performance, label="one car", **look)
             curve = axes.plot(*one.curve, color=OPTIMISED["color"], label="rising curve that fits best", zorder=3)
             axes.text(0.97, 0.96, one.note, transform=axes.transAxes, ha="right", va="top", fontsize=6.5)
@@ -152,24 +143,21 @@ def plot_against(path: str | Path, metrics: Sequence[Scatter], *, title: str = "
         legend_below(figure, [*dots, *curve], columns=2)
 
 
+@contextmanager
+def _panels(path: str | Path, number: int, title: str, subtitle: str) -> Iterator[tuple[Figure, list[Axes]]]:
+    """A sheet with so many axes in rows of four."""
+    rows = -(-number // _COLUMNS)
+    with sheet(path, 32.0 + 40.0 * rows, title, subtitle) as figure:
+        grid = figure.subplots(rows, _COLUMNS, squeeze=False, sharey=True).ravel().tolist()
+        for axes in grid[number:]:
+            axes.remove()
+        yield figure, grid[:number]
+
+
 def _with_interval(axes: Axes, one: Decline, look: dict, label: str) -> object:
     """The means as a line in front of their intervals; returns the legend's entry."""
     axes.fill_between(one.centre_m, one.low, one.high, color=look["color"], alpha=0.18, linewidth=0.0, zorder=2)
     return axes.plot(one.centre_m, one.mean, label=label, linewidth=1.2, zorder=3, **look)[0]
-
-
-def _height_mm(metrics: Sequence) -> float:
-    if not metrics:
-        raise InputError("agreement: no metric given; at least one is needed")
-    return 32.0 + 40.0 * -(-len(metrics) // _COLUMNS)
-
-
-def _panels(figure: Figure, number: int) -> list[Axes]:
-    """So many axes in rows of four; those left over are taken away."""
-    grid = figure.subplots(-(-number // _COLUMNS), _COLUMNS, squeeze=False, sharey=True).ravel().tolist()
-    for axes in grid[number:]:
-        axes.remove()
-    return grid[:number]
 
 
 # --- Simulated beside real scores -------------------------------------------------------------------------------------
@@ -203,13 +191,9 @@ def draw_paired(paired: PairedCars, result: Mapping, folder: Path) -> list[str]:
     """
     of = result["sets"][judging(result["sets"])]
     lost = f"{LOSSES[PICTURED]} lost"
-    with sheet(
-        folder / "error.png",
-        96.0,
-        "Error of simulated PE-VGOP against a real LiDAR's",
-        f"{of['cars']} cars in {of['frames']} real sweeps, ray by ray; bars: 90 % of resampled "
-        f"{of['resampled']['unit']}s",
-    ) as figure:
+    title = "Error of simulated PE-VGOP against a real LiDAR's"
+    about = f"{of['cars']} cars in {of['frames']} real sweeps, ray by ray; bars: 90 % of resampled "
+    with sheet(folder / "error.png", 96.0, title, f"{about}{of['resampled']['unit']}s") as figure:
         whole, bands = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
         _draw_errors(whole, of["variants"])
         handles = _draw_bands(bands, [one for one in of["variants"] if one["losses"] == PICTURED])
@@ -218,12 +202,9 @@ def draw_paired(paired: PairedCars, result: Mapping, folder: Path) -> list[str]:
     with sheet(folder / "scores.png", 80.0, title, f"all {len(paired)} cars; {lost}") as figure:
         _draw_scores(figure, paired)
     _plot_cars(folder / "cars.png", paired.pictured, f"{lost}; from the side and from above, with the label's box")
-    with sheet(
-        folder / "residuals.png",
-        30.0 + 40.0 * len(paired.residuals),
-        "Real less simulated range over the car",
-        "median of the rays that hit in both, all cars laid over one another; nothing lost",
-    ) as figure:
+    title, height = "Real less simulated range over the car", 30.0 + 40.0 * len(paired.residuals)
+    about = "median of the rays that hit in both, all cars laid over one another; nothing lost"
+    with sheet(folder / "residuals.png", height, title, about) as figure:
         _draw_residuals(figure, paired.residuals)
     return ["error.png", "scores.png", "cars.png", "residuals.png"]
 
@@ -248,13 +229,11 @@ def _draw_bands(axes: Axes, variants: Sequence[Mapping]) -> list:
     centre = np.array([0.5 * (band["low_m"] + band["high_m"]) for band in bands])
     drawn = [index for index, band in enumerate(bands) if band["cars"] >= _FEWEST]
     for number, one in enumerate(variants):
-        look, x = _LOOKS[one["detail"]], centre + 0.9 * (number - 0.5 * (len(variants) - 1))
+        look, x = _LOOKS[one["detail"]], centre[drawn] + 0.9 * (number - 0.5 * (len(variants) - 1))
         errors = [one["by_distance"][index]["absolute_error_bits"] for index in drawn]
-        for at, error in zip(x[drawn], errors, strict=True):
-            if error["interval_90"] is not None:
-                axes.plot([at] * 2, error["interval_90"], color=look["color"], linewidth=1.6)
-        medians = [error["median"] for error in errors]
-        handles += axes.plot(x[drawn], medians, markersize=5.0, label=one["detail"], **look)
+        for at, error in zip(x, errors, strict=True):
+            axes.plot([at] * 2, error["interval_90"] or [error["median"]] * 2, color=look["color"], linewidth=1.6)
+        handles += axes.plot(x, [error["median"] for error in errors], markersize=5.0, label=one["detail"], **look)
     texts = [f"{band['low_m']:.0f}-{band['high_m']:.0f} m\n{band['cars']} cars" for band in bands]
     axes.set_xticks(centre, texts, color=INK)
     axes.set_ylim(bottom=0.0)
@@ -266,22 +245,16 @@ def _draw_bands(axes: Axes, variants: Sequence[Mapping]) -> list:
 
 def _draw_scores(figure: Figure, paired: PairedCars) -> None:
     """Every car's simulated PE-VGOP over its real one, a panel for each level of detail."""
-    real = paired.cars["real_entropy_bits"]
-    simulated = {
-        way.detail: of["simulated_entropy_bits"]
-        for way, of in zip(paired.variants, paired.of, strict=True)
-        if way.losses == PICTURED
-    }
-    panels = figure.subplots(1, len(simulated), sharex=True, sharey=True, squeeze=False)[0]
-    top = 1.05 * max(float(np.max(values, initial=0.1)) for values in (real, *simulated.values()))
+    real, simulated = paired["real_entropy_bits"][0], paired["simulated_entropy_bits"]
+    drawn = [row for row, way in enumerate(paired.variants) if way.losses == PICTURED]
+    panels = figure.subplots(1, len(drawn), sharex=True, sharey=True, squeeze=False)[0]
+    top = 1.05 * max(real.max(), simulated[drawn].max(), 0.1)
     look = {"s": 9.0, "linewidths": 0.0, "cmap": colours(HEIGHT_COLOURS), "vmin": 10.0, "vmax": 50.0}
-    for axes, (detail, values) in zip(panels, simulated.items(), strict=True):
+    for axes, row in zip(panels, drawn, strict=True):
         axes.plot([0.0, top], [0.0, top], color=INK, linewidth=0.8)
-        dots = axes.scatter(real, values, c=paired.cars["distance_m"], **look)
-        axes.set_aspect("equal")
-        axes.set_xlim(0.0, top)
-        axes.set_ylim(0.0, top)
-        axes.set_title(f"{detail}: median error {np.median(np.abs(values - real)):.3f}")
+        dots = axes.scatter(real, simulated[row], c=paired["distance_m"][row], **look)
+        axes.set(aspect="equal", xlim=(0.0, top), ylim=(0.0, top))
+        axes.set_title(f"{paired.variants[row].detail}: median error {np.median(np.abs(simulated[row] - real)):.3f}")
         axes.grid(visible=True)
     panels[len(panels) // 2].set_xlabel("Real PE-VGOP [bits]")
     panels[0].set_ylabel("Simulated PE-VGOP [bits]")
@@ -318,15 +291,10 @@ def _plot_cars(path: Path, cars: Sequence[PicturedCar], subtitle: str) -> None:
 
 def _draw_car(axes: Axes, points: np.ndarray, size_m: np.ndarray, up: int) -> None:
     """Points of a car over x and the axis `up`, with its box."""
-    from matplotlib.patches import Rectangle
-
-    length, height = size_m[0], size_m[up]
-    axes.add_patch(
-        Rectangle((-0.5 * length, -0.5 * height), length, height, facecolor="none", edgecolor=INK, linewidth=0.7)
-    )
+    (x, y), (far_x, far_y) = 0.5 * size_m[[0, up]], 0.5 * size_m[[0, up]] + _EDGE_M
+    axes.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=INK, linewidth=0.7)
     axes.plot(points[:, 0], points[:, up], ".", color="#173f70", markersize=1.6, markeredgewidth=0.0)
-    axes.set_xlim(-0.5 * length - _EDGE_M, 0.5 * length + _EDGE_M)
-    axes.set_ylim(-0.5 * height - _EDGE_M, 0.5 * height + _EDGE_M)
+    axes.set(xlim=(-far_x, far_x), ylim=(-far_y, far_y))
 
 
 def _draw_residuals(figure: Figure, residuals: Mapping[str, np.ndarray]) -> None:
@@ -347,20 +315,19 @@ def _draw_residuals(figure: Figure, residuals: Mapping[str, np.ndarray]) -> None
 def _draw_cells(axes: Axes, values: np.ndarray, across: int) -> QuadMesh:
     """Median residual of the cells of one view; `values` are x, y, z in the unit box and the residual [m], (k, 4)."""
     edges, heights = _EDGES[across], _EDGES[2]
-    cells = {}
+    columns, rows = len(edges) - 1, len(heights) - 1
     column, row = (
         np.clip(np.searchsorted(line, values[:, axis], side="right") - 1, 0, len(line) - 2)
         for line, axis in ((edges, across), (heights, 2))
     )
-    median = np.full((len(heights) - 1, len(edges) - 1), np.nan)
-    for cell, residual in zip(zip(row.tolist(), column.tolist(), strict=True), values[:, 3].tolist(), strict=True):
-        cells.setdefault(cell, []).append(residual)
-    for cell, mine in cells.items():
-        if len(mine) >= _FEWEST:
-            median[cell] = np.median(mine)
+    cell, median = row * columns + column, np.full(rows * columns, np.nan)
+    for number in np.flatnonzero(np.bincount(cell, minlength=rows * columns) >= _FEWEST):
+        median[number] = np.median(values[cell == number, 3])
     axes.set_facecolor("#e8e8e8")
     percent = 100.0 * (edges + 0.5), 100.0 * (heights + 0.5)
-    mesh = axes.pcolormesh(*percent, np.ma.masked_invalid(median), cmap="PuOr", vmin=-0.3, vmax=0.3)
+    mesh = axes.pcolormesh(
+        *percent, np.ma.masked_invalid(median.reshape(rows, columns)), cmap="PuOr", vmin=-0.3, vmax=0.3
+    )
     for spine in axes.spines.values():
         spine.set_color(INK)
     return mesh

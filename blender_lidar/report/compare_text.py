@@ -3,61 +3,74 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 from ..statistics import FEWEST_BLOCKS
 from ..studies.compare.cars import PAPERS
 from ..studies.compare.detections import TRAINING
-from ..studies.compare.detectors import ANY, COMPARED, PERFORMANCE, Findings
-from ..studies.compare.findings import PAPER, speed
+from ..studies.compare.detectors import ANY, PAPER, PERFORMANCE, Findings
 from ..studies.compare.labelled import NOT_TOLD
 from ..studies.compare.paired import LOSSES
 from ..studies.compare.paired_findings import ALL, TUNED, VALIDATION, judging
+from .study_files import text_table
+
+_DRIVES = (
+    "Frames of one drive show the same cars again, and no drives, or fewer than three, are told in a column drive of "
+    "frames.csv that could be resampled."
+)
 
 # --- Metrics beside detectors -----------------------------------------------------------------------------------------
 
 _SIGNIFICANT = 0.05
 _NARROW = " that are too narrow (see below)"
+_TABLE = {
+    "Spearman": lambda row: row["spearman"],
+    "given distance, occlusion": lambda row: row["partial_spearman"],
+    "Pearson": lambda row: row["pearson"],
+    "Pearson, 10 m bins": lambda row: row["bins_10m"]["pearson"],
+    "isotonic R2": lambda row: row["isotonic_r2"],
+}
 
 
 def findings_text(findings: Findings) -> str:
     """The whole text."""
-    parts = (_head(findings), *(_of_detector(findings, name) for name in findings.judged.detectors))
-    parts = (*parts, _by_distance(findings), _ground(findings), _speed(findings), _cautions(findings))
+    result = findings.result
+    parts = (_head(result), *(_of_detector(result, name) for name in result["detectors"]))
+    parts = (*parts, _by_distance(result), _ground(result), _speed(result["speed"]), _cautions(findings))
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
 
-def _head(findings: Findings) -> list[str]:
-    judged, frames = findings.judged, findings.frames
-    sets = ", ".join(f"{name} {int(member.sum())}" for name, member in findings.sets.items())
-    lines = [f"{len(judged)} cars in {frames} frame{'s' * (frames != 1)}; sets: {sets}"]
-    if findings.unlisted:
-        lines.append(f"{findings.unlisted} further labelled cars of these frames are not in the detections: left out")
+def _head(result: Mapping) -> list[str]:
+    sets = ", ".join(f"{name} {cars}" for name, cars in result["sets"].items())
+    lines = [f"{result['cars']} cars in {_many(result['frames'], 'frame')}; sets: {sets}"]
+    if result["cars_not_listed"]:
+        lines.append(f"{result['cars_not_listed']} further labelled cars of these frames are not in the detections")
     return lines
 
 
-def _of_detector(findings: Findings, detector: str) -> list[str]:
-    mine = [row for row in findings.agreements if row["detector"] == detector]
-    main = {row["metric"]: row for row in mine if row["set"] == findings.main}
+def _of_detector(result: Mapping, detector: str) -> list[str]:
+    mine = [row for row in result["correlations"] if row["detector"] == detector]
+    main = {row["metric"]: row for row in mine if row["set"] == result["main_set"]}
     if not main:
-        return [f"{detector}: too few cars or frames of {findings.main} in its range for intervals"]
+        return [f"{detector}: too few cars or frames of {result['main_set']} in its range for intervals"]
     first = next(iter(main.values()))
     narrow = _NARROW if first["resampled"]["intervals_too_narrow"] else ""
-    width = max(map(len, main))
-    head = f"{'':{width}}  {'Spearman':22}  {'given distance, occlusion':25}  {'Pearson':22}  "
+    rows = [[name, *(of(row).text() for of in _TABLE.values())] for name, row in main.items()]
     lines = [
-        f"{detector}, {findings.main}: {first['cars']} cars, {first['resampled']['number']} resampled {_units(first)}; "
-        f"with confidence x IoU, 90 % intervals{narrow}",
-        f"{head}{'Pearson, 10 m bins':22}  isotonic R2",
+        f"{detector}, {result['main_set']}: {first['cars']} cars, {_drawn(first)}; with confidence x IoU, 90 % "
+        f"intervals{narrow}",
+        *text_table([["", *_TABLE], *rows]),
     ]
-    for name, row in main.items():
-        rank, given, straight, r2 = (row[key].text() for key in COMPARED)
-        means = row["bins_10m"]["pearson"].text()
-        lines.append(f"{name:{width}}  {rank:22}  {given:25}  {straight:22}  {means:22}  {r2}")
     for name in dict.fromkeys((first["metric"], PAPERS)):
         if name in main:
             lines += [_followed(main[name]), *_rivals(main, name, narrow and f", by intervals{narrow}")]
-    return lines + _elsewhere(mine, first["metric"], findings.main)
+    others = [row for row in mine if row["metric"] == first["metric"] and row["set"] != result["main_set"]]
+    lines += [f"Spearman of {first['metric']} on other sets:"] * bool(others)
+    for row in others:
+        cars = f"{row['cars']} cars, {_drawn(row)}{', learned from' * (row['set'] == TRAINING)}"
+        given = f"given distance and occlusion {row['partial_spearman'].text()}"
+        lines.append(f"  {row['set']} ({cars}): {row['spearman'].text()}, {given}")
+    return lines
 
 
 def _followed(row: Mapping) -> str:
@@ -74,94 +87,65 @@ def _followed(row: Mapping) -> str:
 
 def _rivals(main: Mapping[str, Mapping], name: str, narrow: str) -> list[str]:
     """How the others do beside one metric."""
-    held = {metric: row["less"][name] for metric, row in main.items() if name in row["less"]}
-    ranked = {metric: of["spearman"] for metric, of in held.items() if math.isfinite(of["spearman"].p_above)}
-    if not ranked:
+    apart = {metric: row["less"][name]["spearman"] for metric, row in main.items() if name in row["less"]}
+    apart = {metric: one for metric, one in apart.items() if math.isfinite(one.p_above)}
+    if not apart:
         return []
-    number = len(set(ranked.values()))  # orders of the cars: twins count once
-    many = f"{number} rival{'s' * (number != 1)}"
-    by = {metric: f"{metric} by {of.difference.text(3, '+')}" for metric, of in ranked.items()}
-    kept = [metric for metric, of in ranked.items() if of.p_holm < _SIGNIFICANT]
-    unkept = [metric for metric, of in ranked.items() if of.p_above < _SIGNIFICANT and metric not in kept]
-    worse = [metric for metric, of in ranked.items() if of.difference.high < 0.0]
+    many = _many(len(set(apart.values())), "rival")  # orders of the cars: twins count once
+    better = [metric for metric, one in apart.items() if one.p_holm < _SIGNIFICANT]
+    perhaps = [metric for metric, one in apart.items() if one.p_above < _SIGNIFICANT and metric not in better]
+    worse = [metric for metric, one in apart.items() if one.high < 0.0]
+
+    def said(metrics: Iterable[str]) -> str:
+        return ", ".join(f"{metric} by {apart[metric].text(3, '+')}" for metric in metrics)
+
     lines = [f"None of {many} is significantly better in Spearman than {name} after Holm's correction."]
-    if kept:
-        said = ", ".join(by[metric] for metric in kept)
-        lines = [f"Significantly better in Spearman than {name}, with Holm's correction for {many}{narrow}: {said}."]
-    if unkept:
-        said = ", ".join(f"{by[metric]}, p {ranked[metric].p_above:.3f}" for metric in unkept)
-        lines.append(f"Better only without that correction: {said}.")
+    if better:
+        head = f"Significantly better in Spearman than {name}, with Holm's correction for {many}{narrow}"
+        lines = [f"{head}: {said(better)}."]
+    if perhaps:
+        lines.append(f"Better only without that correction: {said(perhaps)}.")
     if worse:
-        rest = [metric for metric in ranked if metric not in {*worse, *kept, *unkept}]
-        open_yet = ", ".join(f"{metric} {ranked[metric].difference.text(3, '+')}" for metric in rest)
-        beside = f"; cannot be told apart from it: {open_yet}" if rest else ""
-        lines.append(f"Below it, by intervals that leave out 0: {len(worse)} of {len(ranked)}{beside}.")
-    straighter = [metric for metric, of in held.items() if of["pearson"].p_holm < _SIGNIFICANT]
-    if straighter:
-        lines.append(f"More linear in the detector (Pearson, after Holm): {', '.join(straighter)}.")
+        rest = [metric for metric in apart if metric not in {*worse, *better, *perhaps}]
+        beside = f"; cannot be told apart from it: {said(rest)}" if rest else ""
+        lines.append(f"Below it, by intervals that leave out 0: {len(worse)} of {len(apart)}{beside}.")
     return lines
 
 
-def _elsewhere(mine: Sequence[Mapping], name: str, main: str) -> list[str]:
-    """What the other sets say of one metric."""
-    lines = []
-    for row in mine:
-        if row["metric"] == name and row["set"] != main:
-            learned = ", learned from" if row["set"] == TRAINING else ""
-            rivals = [one for one in mine if one["set"] == row["set"] and name in one["less"]]
-            better = [one["metric"] for one in rivals if one["less"][name]["spearman"].p_holm < _SIGNIFICANT]
-            lines.append(
-                f"  {row['set']} ({row['cars']} cars, {row['resampled']['number']} {_units(row)}{learned}): "
-                f"{row['spearman'].text()}, given distance and occlusion {row['partial_spearman'].text()}; "
-                f"better after Holm: {', '.join(better) or 'none'}"
-            )
-    return [f"Spearman of {name} on other sets:", *lines] if lines else []
-
-
-def _by_distance(findings: Findings) -> list[str]:
-    mine = [(row, row["linear_less_logarithmic"]) for row in findings.shapes if row["set"] == findings.main]
-    lines = [f"With distance ({findings.main}; out-of-fold R2 of a straight line less that of a logarithm):"]
-    for text, chosen in (
-        ("falls linearly", lambda lead: lead.low > 0.0),
-        ("falls logarithmically", lambda lead: lead.high < 0.0),
-        ("either fits", lambda lead: lead.low <= 0.0 <= lead.high),
-    ):
-        said = [f"{_quantity(row)} {lead.text(2, '+')}" for row, lead in mine if row["bearing"] == ANY and chosen(lead)]
+def _by_distance(result: Mapping) -> list[str]:
+    mine = [(row, row["linear_less_logarithmic"]) for row in result["by_distance"] if row["set"] == result["main_set"]]
+    lines = [f"With distance ({result['main_set']}; out-of-fold R2 of a straight line less that of a logarithm):"]
+    leads = {
+        "falls linearly": lambda lead: lead.low > 0.0,
+        "falls logarithmically": lambda lead: lead.high < 0.0,
+        "either fits": lambda lead: lead.low <= 0.0 <= lead.high,
+    }
+    for text, holds in leads.items():
+        said = [
+            f"{row['quantity'].replace(PERFORMANCE, ' performance')} {lead.text(2, '+')}"
+            for row, lead in mine
+            if row["bearing"] == ANY and holds(lead)
+        ]
         lines += [f"  {text}: {', '.join(said)}"] * bool(said)
-    by_bearing = [
-        f"{_quantity(row)} {row['bearing']} {lead.text(2, '+')} ({row['cars']} cars)"
-        for row, lead in mine
-        if row["bearing"] != ANY
-        and math.isfinite(lead.value)
-        and (row["quantity"] in (findings.judged.metrics[0].name, PAPERS) or row["quantity"].endswith(PERFORMANCE))
-    ]
-    lines += [f"  by bearing: {', '.join(by_bearing)}"] * bool(by_bearing)
     return lines if mine else []
 
 
-def _quantity(row: Mapping) -> str:
-    return row["quantity"].replace(PERFORMANCE, " performance")
-
-
-def _ground(findings: Findings) -> list[str]:
-    name = findings.judged.metrics[0].name
-    ours = [row for row in findings.without_ground if row["metric"] == name]
+def _ground(result: Mapping) -> list[str]:
+    name, other = result["metrics"][0]["name"], result["other_ground_clearance"]
     said = "; ".join(
         f"{row['detector']} {row['spearman'].text()}, {row['spearman_change'].text(3, '+')}"
-        for row in ours
-        if math.isfinite(row["spearman_change"].value)
+        for row in other["correlations"]
+        if row["metric"] == name and math.isfinite(row["spearman_change"].value)
     )
-    what = f"Without returns under {findings.other_clearance_m:g} m above floors"
-    if findings.other_clearance_m == 0.0:
-        what = "With ground returns kept"
+    least_m = other["ground_clearance_m"]
+    what = f"Without returns under {least_m:g} m above floors" if least_m else "With ground returns kept"
     return [f"{what}, {name} has Spearman: {said}."] if said else []
 
 
-def _speed(findings: Findings) -> list[str]:
-    each = speed(findings)
-    read, assign, score = (each[stage]["ms_per_frame"] for stage in ("read", "assign", "pe_vgop"))
+def _speed(spent: Mapping[str, Mapping[str, float]]) -> list[str]:
+    read, assign, score = (spent[stage]["ms_per_frame"] for stage in ("read", "assign", "pe_vgop"))
     ours, every, paper = (
-        f"{each[name]['ms_per_frame']:.2f} ms a frame, {each[name]['ms_per_car']:.2f} ms a car"
+        f"{spent[name]['ms_per_frame']:.2f} ms a frame, {spent[name]['ms_per_car']:.2f} ms a car"
         for name in ("file_to_pe_vgop", "file_to_all_metrics", "paper")
     )
     return [
@@ -172,35 +156,34 @@ def _speed(findings: Findings) -> list[str]:
 
 
 def _cautions(findings: Findings) -> list[str]:
-    lines = []
-    narrow = dict.fromkeys(row["set"] for row in findings.agreements if row["resampled"]["intervals_too_narrow"])
+    lines, rows, cars = [], findings.result["correlations"], findings.judged.table
+    narrow = dict.fromkeys(row["set"] for row in rows if row["resampled"]["intervals_too_narrow"])
     if narrow:
-        lines.append(
-            f"Too narrow: the intervals of {', '.join(narrow)}. Frames of one drive show the same cars again, and no "
-            "drives, or fewer than three, are told that could be resampled."
-        )
-    elif "drive" not in findings.about:
+        lines.append(f"Too narrow: the intervals of {', '.join(narrow)}. {_DRIVES}")
+    elif "drive" not in cars:
         lines.append("Nothing tells which frames are of one drive; if some are, intervals are too narrow.")
     if TRAINING in findings.sets:
         lines.append(f"Frames of {TRAINING} are those that detectors and priors learned from: no test of them.")
-    if (findings.judged["occlusion"] == NOT_TOLD).all():
+    if (cars["occlusion"] == NOT_TOLD).all():
         lines.append("The labels tell no occlusion: where it is said to be held fixed, distance alone is.")
     if findings.untaught:
         lines.append(f"Left out, as no frame of split {TRAINING} can teach them: {', '.join(findings.untaught)}.")
     return lines
 
 
-def _units(row: Mapping) -> str:
-    unit = row["resampled"]["unit"]
-    return {"frame": "frames", "drive": "drives"}.get(unit, f"blocks of {unit}")
+def _drawn(row: Mapping) -> str:
+    """What was resampled: ``"26 resampled frames"``."""
+    unit, number = row["resampled"]["unit"], row["resampled"]["number"]
+    return f"{number} resampled {unit}s" if unit in ("frame", "drive") else f"{number} resampled blocks of {unit}"
+
+
+def _many(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 # --- Simulated beside real scores -------------------------------------------------------------------------------------
 
-_GROUPS = ("by_distance", "by_bearing")
-_HEAD = (
-    f"{'detail, losses':<26}  median error  90 % interval     bias  with hidden     both  real only  sim. only  |range|"
-)
+_HEAD = ("detail, losses", "median error", "90 % interval", "bias", "with hidden", "both", "real only", "sim. only")
 _LEGEND = (
     "both, real only, sim. only: rays to the cars that return from them in reality, against our shapes, or in both",
     "with hidden: the median error with the rays that something unlabelled stopped before the car",
@@ -210,13 +193,13 @@ _LEGEND = (
 
 def paired_text(result: Mapping) -> str:
     """The findings as tables for a terminal, of the set that judges; `result` as `paired.json` has it."""
-    sets, sensor, losses = result["sets"], result["sensor"], result["losses"]
+    sets, losses = result["sets"], result["losses"]
     name = judging(sets)
     of = sets[name]
     left_out = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
     lines = [
         f"Sweeps     {result['sweeps']} in {result['folder']}, {result['layout']} layout",
-        f"Sensor     {_rings(sensor)}",
+        f"Sensor     {_rings(result['sensor'])}",
         f"Cars       {sets[ALL]['cars']} whole ones at 10 to 50 m; left out: {left_out}",
         f"Casting    {result['caster']}; losses: {100 * losses['glass_dropout']:g} % of the returns from glass, "
         f"{100 * losses['dropout']:g} % of any, noise {losses['range_noise_m']:g} m; weak: 10 % seen to "
@@ -226,26 +209,36 @@ def paired_text(result: Mapping) -> str:
         lines.append(f"Judged on  {of['cars']} cars in {of['frames']} frames that nothing was fitted to")
     elif TUNED in sets:
         lines.append("Judged on  the frames that shapes and losses were fitted to, so that errors are too small")
-    lines += ["", "PE-VGOP of each car, simulated less real [bits], and its rays", _HEAD]
-    lines += [_row(one) for one in of["variants"]]
-    lines += ["", "median error at              10-20 m  20-30 m  30-40 m  40-50 m   end-on  oblique  side-on"]
-    for one in of["variants"]:
-        medians = [group["absolute_error_bits"] for key in _GROUPS for group in one[key]]
-        texts = ["-" if each is None else f"{each['median']:.3f}" for each in medians]
-        lines.append(f"{_said(one):<26}" + "".join(f"{text:>9}" for text in texts))
-    counts = of["variants"][0]
-    lines.append(f"{'cars':<26}" + "".join(f"{group['cars']:>9}" for key in _GROUPS for group in counts[key]))
-    return "\n".join([*lines, "", *_LEGEND, "", *_verdict(result["cheapest_within_noise"], sets, of["resampled"])])
+    errors = text_table([[*_HEAD, "|range|"], *map(_errors, of["variants"])])
+    groups = {_said(one): [*one["by_distance"], *one["by_bearing"]] for one in of["variants"]}
+    first = next(iter(groups.values()))
+    where = [group.get("bearing") or f"{group['low_m']:.0f}-{group['high_m']:.0f} m" for group in first]
+    medians = [[said, *(_median(group["absolute_error_bits"]) for group in of_one)] for said, of_one in groups.items()]
+    counts = ["cars", *(str(group["cars"]) for group in first)]
+    lines += ["", "PE-VGOP of each car, simulated less real [bits], and its rays", *errors]
+    lines += ["", *text_table([["median error at", *where], *medians, counts]), "", *_LEGEND]
+    return "\n".join([*lines, "", *_verdict(result["cheapest_within_noise"], sets, of["resampled"])])
 
 
-def _row(one: Mapping) -> str:
+def _errors(one: Mapping) -> list[str]:
+    """The row of a variant."""
     error, hits, residual = one["absolute_error_bits"], one["hits"], one["residual_abs_median_m"]
-    low, high = error["interval_90"] or (math.nan, math.nan)
-    return (
-        f"{_said(one):<26}  {error['median']:12.3f}  {low:.3f} to {high:.3f}  {one['bias_bits']['median']:+7.3f}"
-        f"  {one['absolute_error_hidden_kept_bits']['median']:11.3f}  {hits['both']:>7,}  {hits['real_only']:>9,}"
-        f"  {hits['simulated_only']:>9,}  {math.nan if residual is None else residual:5.3f} m"
-    )
+    interval = " to ".join(f"{end:.3f}" for end in error["interval_90"] or ()) or "-"
+    counts = [f"{hits[key]:,}" for key in ("both", "real_only", "simulated_only")]
+    kept, bias = one["absolute_error_hidden_kept_bits"], f"{one['bias_bits']['median']:+.3f}"
+    return [
+        _said(one),
+        _median(error),
+        interval,
+        bias,
+        _median(kept),
+        *counts,
+        "-" if residual is None else f"{residual:.3f} m",
+    ]
+
+
+def _median(one: Mapping | None) -> str:
+    return "-" if one is None else f"{one['median']:.3f}"
 
 
 def _verdict(found: Mapping, sets: Mapping, resampled: Mapping) -> list[str]:
@@ -263,17 +256,14 @@ def _verdict(found: Mapping, sets: Mapping, resampled: Mapping) -> list[str]:
         ]
     if TUNED in sets and VALIDATION in sets:
         fit, other = (
-            next(one["absolute_error_bits"]["median"] for one in sets[key]["variants"] if one | best == one)
+            next(_median(one["absolute_error_bits"]) for one in sets[key]["variants"] if one | best == one)
             for key in (TUNED, VALIDATION)
         )
-        lines.append(f"It errs by {fit:.3f} on the frames of the fit and by {other:.3f} on the others.")
+        lines.append(f"It errs by {fit} on the frames of the fit and by {other} on the others.")
     if number >= FEWEST_BLOCKS:
-        lines.append(f"Intervals are of {number} resampled {resampled['unit']}{'s' * (number != 1)}.")
+        lines.append(f"Intervals are of {_many(number, 'resampled ' + resampled['unit'])}.")
         if resampled["too_narrow"]:
-            lines.append(
-                "They are too narrow: frames of one drive show the same cars again, and a column drive of frames.csv "
-                "tells no drives, or fewer than three."
-            )
+            lines.append(f"They are too narrow. {_DRIVES}")
     return lines
 
 

@@ -64,10 +64,11 @@ def train_criterion(kitti, table):
     mine = replace(detections, table={name: column[train] for name, column in detections.table.items()})
     cars, _ = score_cars(clouds, frames, ["Car"], candidates())
     judged = judged_cars(cars, mine, ["Car"])
-    print(f"{len(judged)} cars in {len(frames)} frames of the training split; no other car was read")
+    print(f"{len(judged['frame'])} cars in {len(frames)} frames of the training split; no other car was read")
     total = 0.0
     for detector in mine.detectors:
-        total = total + of_detector(judged[judged[f"{detector}_in_range"]], detector)
+        in_range = judged[f"{detector}_in_range"]
+        total = total + of_detector({name: column[in_range] for name, column in judged.items()}, detector)
     return (total / len(mine.detectors)).reshape(len(JOINED), len(CELLS_M), len(HALF_SHARES), -1)
 
 
@@ -93,13 +94,13 @@ def of_detector(cars, detector):
     resampling = resampling_of(cars, SETTINGS)
     if resampling is None:
         raise InputError(f"{detector}: too few cars or frames of the training split in its range")
-    weights, performance = resampling.weights, cars[f"{detector}_performance"].to_numpy()
-    held = orthogonal([centred_ranks(cars[name].to_numpy(), weights) for name in ("distance_m", "occlusion")], weights)
+    weights, performance = resampling.weights, cars[f"{detector}_performance"]
+    held = orthogonal([centred_ranks(cars[name], weights) for name in ("distance_m", "occlusion")], weights)
     target = centred_ranks(performance, weights)
     left = residual(target, held, weights)
     found = []
     for metric in candidates():
-        scores = cars[metric.name].to_numpy()
+        scores = cars[metric.name]
         ranks = centred_ranks(scores, weights)
         given = correlation(residual(ranks, held, weights), left, weights)
         found.append(correlation(ranks, target, weights) + given + pearson(scores, performance, weights))

@@ -9,9 +9,8 @@ before any other car is scored.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -32,18 +31,12 @@ from ...metrics.occupancy_prior import OccupiedFrames, VehiclePrior, box_visibil
 from ...metrics.vgop import to_vehicle_frame
 from ...metrics.voxel_grid import VoxelGrid
 from .detections import Detections
-from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep
+from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep, joined
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-BEARINGS = {"end-on": (0.0, 20.0), "oblique": (20.0, 70.0), "side-on": (70.0, 90.0)}
-"""Between the line of sight and the car's axis [deg]; the upper end belongs to the next but for the last."""
+BEARINGS = {"end-on": 0.0, "oblique": 20.0, "side-on": 70.0}
+"""From which angle on between the line of sight and the car's axis [deg]."""
 OURS, PAPERS = "view-coverage", "pe-vgop"
-KEYS = ["frame", "label_line"]
 SHARES = ["p_top", "p_side", "p_front"]
-COLUMNS = ["class", "distance_m", "occlusion", "truncation", "length_m", "width_m", "height_m"]
-COLUMNS += ["bearing_deg", "points_in_box", *SHARES]
 VOXEL_M = 0.4  # of the prior of expected visibility
 REACH_M = 80.0  # cars farther away are not looked for
 LOWEST_M, HIGHEST_M = -3.2, 2.0  # of its region, above the sensor: a car's LiDAR sits on its roof
@@ -98,19 +91,16 @@ def chosen_metrics(names: str | None, option: str = "--metrics") -> tuple[Metric
     return tuple(known[name] for name in chosen)
 
 
-class TrainingCars(NamedTuple):
-    """Labelled cars that metrics learn from: their returns, and their boxes sweep by sweep in the sensor's frame."""
-
-    returns: VehicleReturns
-    frames: tuple[FrameBoxes, ...]
-
-
-def taught(metrics: Sequence[Metric], training: TrainingCars | None) -> list[Metric]:
-    """The metrics, those of `LEARNED` with what the training cars taught them; left out where there is no such car."""
-    if training is None:
+def taught(metrics: Sequence[Metric], training: Sequence[VehicleReturns]) -> list[Metric]:
+    """The metrics, those of `LEARNED` with what the cars of training sweeps taught them, or left out without one."""
+    if not sum(map(len, training)):
         return [metric for metric in metrics if metric.name not in LEARNED]
-    prior = VehiclePrior.learn(training.returns)
-    scores = (prior.covered_entropy, prior.s_mig, prior.m_sog, expected_visibility(training.frames))
+    first = np.cumsum([0, *map(len, training[:-1])]).tolist()
+    vehicle = np.concatenate([one.vehicle + row for one, row in zip(training, first, strict=True)])
+    points, size_m = (np.concatenate([getattr(one, name) for one in training]) for name in ("points", "size_m"))
+    prior = VehiclePrior.learn(vehicle_returns(points, vehicle, size_m))
+    visibility = expected_visibility([one.view.boxes for one in training])
+    scores = (prior.covered_entropy, prior.s_mig, prior.m_sog, visibility)
     learned = {name: replace(LEARNED[name], score=score) for name, score in zip(LEARNED, scores, strict=True)}
     return [learned.get(metric.name, metric) for metric in metrics]
 
@@ -160,7 +150,7 @@ def score_cars(
     classes: Sequence[str],
     metrics: Sequence[Metric],
     ground_clearance_m: float = 0.0,
-) -> tuple[pd.DataFrame, dict[str, float]]:
+) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """Read, assign and score every labelled car, one sweep after the other.
 
     Parameters
@@ -177,9 +167,9 @@ def score_cars(
 
     Returns
     -------
-    cars : DataFrame
-        A row for each, in the order of sweeps and labels: the columns of `KEYS` and `COLUMNS`, and each metric's score
-        in its own unit.
+    cars : dict of str to ndarray, (n,)
+        Columns with a row for each car, in the order of sweeps and labels: ``frame, class, truncation``, those of
+        `LabelledBoxes.columns`, ``points_in_box``, those of `SHARES`, and each metric's score in its own unit.
     seconds : dict of str to float
         Processor time of the stages over all sweeps, which other programs do not lengthen: ``read``, ``assign``,
         ``pe_vgop``, which holds what metrics share, and ``other_metrics``.
@@ -189,79 +179,46 @@ def score_cars(
     InputError, MissingFileError
         Of files that cannot be used, or where no sweep has such a label.
     """
-    import pandas as pd
-
     seconds = dict.fromkeys(("read", "assign", "pe_vgop", "other_metrics"), 0.0)
-    parts: list[tuple[LabelledBoxes, VehicleReturns]] = []
-    scores: dict[str, list[np.ndarray]] = {metric.name: [] for metric in metrics}
-    met: set[str] = set()
+    tables, met = [], set()
     for frame in frames:
         clock = [time.process_time()]
         sweep = clouds.read(frame)
-        met.update(sweep.boxes.label.tolist())
         clock.append(time.process_time())
         boxes, row = _assigned(sweep, classes, ground_clearance_m)
         clock.append(time.process_time())
         returns = _returns(sweep.points, boxes, row)
-        for metric in metrics:
-            scores[metric.name].append(metric.values(returns))
-            if metric is metrics[0]:
-                clock.append(time.process_time())
+        scores = {metrics[0].name: metrics[0].values(returns)}
         clock.append(time.process_time())
-        parts.append((boxes, returns))
+        scores |= {metric.name: metric.values(returns) for metric in metrics[1:]}
+        clock.append(time.process_time())
         for stage, spent in zip(seconds, np.diff(clock).tolist(), strict=True):
             seconds[stage] += spent
-    counts = [len(boxes) for boxes, _ in parts]
-    if not sum(counts):
+        met.update(sweep.boxes.label.tolist())
+        told = {"frame": np.full(len(boxes), frame), "class": boxes.label, "truncation": boxes.truncation}
+        shares = dict(zip(SHARES, returns.occupancy.T, strict=True))
+        tables.append({**told, **boxes.columns(), "points_in_box": returns.count, **shares, **scores})
+    cars = joined(tables)
+    if not len(cars["frame"]):
         raise InputError(
             f"--class: {', '.join(classes)}: {clouds.folder} labels none in {len(frames)} sweeps; it labels "
             f"{', '.join(sorted(met)) or 'nothing'}"
         )
-    boxes = LabelledBoxes.joined([boxes for boxes, _ in parts])
-    columns = {
-        "frame": np.repeat(list(frames), counts),
-        "label_line": boxes.label_line,
-        "class": boxes.label,
-        "distance_m": boxes.distance_m,
-        "occlusion": boxes.occlusion,
-        "truncation": boxes.truncation,
-        **dict(zip(("length_m", "width_m", "height_m"), boxes.size_m.T, strict=True)),
-        "bearing_deg": boxes.bearing_deg,
-        "points_in_box": np.concatenate([returns.count for _, returns in parts]),
-        **dict(zip(SHARES, np.concatenate([returns.occupancy for _, returns in parts]).T, strict=True)),
-        **{name: np.concatenate(values) for name, values in scores.items()},
-    }
-    return pd.DataFrame(columns), seconds
+    return cars, seconds
 
 
-def training_cars(
+def training_returns(
     clouds: LabelledClouds, frames: Sequence[str], classes: Sequence[str], ground_clearance_m: float = 0.0
-) -> TrainingCars | None:
-    """The labelled cars of some sweeps, for metrics to learn from; None without such a car.
-
-    Parameters as in `score_cars`.
-    """
-    found = []
-    for frame in frames:
-        sweep = clouds.read(frame)
-        found.append(_returns(sweep.points, *_assigned(sweep, classes, ground_clearance_m)))
-    first = np.cumsum([0, *map(len, found)]).tolist()
-    if not first.pop():
-        return None
-    vehicle = np.concatenate([one.vehicle + row for one, row in zip(found, first, strict=True)])
-    points, size_m, distance_m = (
-        np.concatenate([getattr(one, name) for one in found]) for name in ("points", "size_m", "distance_m")
-    )
-    returns = vehicle_returns(points, vehicle, size_m, distance_m)
-    return TrainingCars(returns, tuple(one.view.boxes for one in found))
+) -> list[VehicleReturns]:
+    """Returns of the labelled cars of each of some sweeps, for metrics to learn from; parameters as in `score_cars`."""
+    sweeps = map(clouds.read, frames)
+    return [_returns(sweep.points, *_assigned(sweep, classes, ground_clearance_m)) for sweep in sweeps]
 
 
 def of_bearing(bearing_deg: np.ndarray) -> dict[str, np.ndarray]:
     """Which cars, (n,) bool, are seen end-on, obliquely and from the side."""
-    last = list(BEARINGS)[-1]
-    return {
-        name: (bearing_deg >= low) & ((bearing_deg < high) | (name == last)) for name, (low, high) in BEARINGS.items()
-    }
+    kind = np.searchsorted(list(BEARINGS.values()), bearing_deg, side="right") - 1
+    return {name: kind == number for number, name in enumerate(BEARINGS)}
 
 
 def _assigned(
@@ -287,21 +244,31 @@ def _returns(points: np.ndarray, boxes: LabelledBoxes, row: np.ndarray) -> Vehic
     return replace(returns, view=View(_AT_THE_ORIGIN, placed))
 
 
-def judged_cars(cars: pd.DataFrame, detections: Detections, classes: Sequence[str]) -> pd.DataFrame:
-    """The cars that the detections list, with what is told of them, in the order of the cars.
+def judged_cars(
+    cars: Mapping[str, np.ndarray], detections: Detections, classes: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """The cars that the detections list, with what is told of them, by column, in the order of the cars.
 
     Raises
     ------
     InputError
         For a detection of no such car.
     """
-    import pandas as pd
+    listed = detections.table
+    row_of = {car: row for row, car in enumerate(_keys(cars))}
+    there = []
+    for line, (frame, label_line) in zip(listed["line"].tolist(), _keys(listed), strict=True):
+        if (frame, label_line) not in row_of:
+            known = ", ".join(map(str, cars["label_line"][cars["frame"] == frame])) or "none"
+            raise InputError(
+                f"{detections.path}:{line}: label_line {label_line} of frame {frame} is no {' or '.join(classes)}; "
+                f"allowed: {known}"
+            )
+        there.append(row_of[frame, label_line])
+    order = np.argsort(there)
+    mine = np.array(there)[order]
+    return {name: of[mine] for name, of in cars.items()} | {name: of[order] for name, of in listed.items()}
 
-    listed, there = pd.DataFrame(detections.table), cars.set_index(KEYS).index
-    for row in listed[~listed.set_index(KEYS).index.isin(there)].itertuples():
-        known = ", ".join(map(str, cars["label_line"][cars["frame"] == row.frame])) or "none"
-        raise InputError(
-            f"{detections.path}:{row.line}: label_line {row.label_line} of frame {row.frame} is no "
-            f"{' or '.join(classes)}; allowed: {known}"
-        )
-    return cars.merge(listed, on=KEYS)
+
+def _keys(table: Mapping[str, np.ndarray]) -> list[tuple[str, int]]:
+    return list(zip(table["frame"].tolist(), table["label_line"].tolist(), strict=True))

@@ -1,7 +1,7 @@
 """CSV tables beside labelled sweeps: what detectors made of each car, and what is told of each frame.
 
 The cars' columns are ``frame, label_line`` and, for every detector, ``NAME_confidence`` and ``NAME_iou3d`` of the
-detection that overlaps the car most, both 0 where it was missed, and perhaps ``NAME_iou_bev`` and ``NAME_in_range``.
+detection that overlaps the car most, both 0 where it was missed, and perhaps ``NAME_in_range``.
 The frames' are ``frame`` and perhaps ``split, label_kind, drive``; these may also stand with the cars.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from io import StringIO
@@ -23,7 +23,7 @@ from .labelled import read_content
 FRAMES_FILE = "frames.csv"
 FRAME_COLUMNS = ("split", "label_kind", "drive")
 TRAINING = "train"
-CONFIDENCE, IOU, IOU_BEV, IN_RANGE = "_confidence", "_iou3d", "_iou_bev", "_in_range"
+CONFIDENCE, IOU, IN_RANGE, PERFORMANCE = "_confidence", "_iou3d", "_in_range", "_performance"
 RULE = (
     "tuned: what shapes and losses were fitted to, KITTI's train split and seven other frames with object labels; "
     "validation: all other frames, which decided between fits but entered none"
@@ -43,7 +43,7 @@ class _Table:
         try:
             reader = csv.reader(StringIO(text, newline=""))
             self.header = [printable(name.strip(), _LONGEST_NAME) for name in next(reader, [])]
-            rows = [(reader.line_num, row) for row in reader if any(text.strip() for text in row)]
+            rows = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
         except csv.Error as error:
             raise InputError(f"{path}: is no table ({error})") from error
         twice = [name for name, count in Counter(self.header).items() if count > 1]
@@ -57,47 +57,54 @@ class _Table:
         self.lines = [line for line, _ in rows]
         self._columns = dict(zip(self.header, zip(*(row for _, row in rows), strict=True), strict=True))
 
-    def texts(self, name: str) -> np.ndarray:
-        """A column of names, none of them empty, (n,)."""
+    def column(self, name: str, value: Callable[[str], object] = str, allowed: str = "") -> np.ndarray:
+        """A column without empty fields, (n,); `value` makes numbers of texts and raises ValueError for others."""
         if name not in self.header:
             near = get_close_matches(name, self.header, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}? " if near else ""
             raise InputError(f"{self.path}: has no column {name!r}; {hint}it has {', '.join(self.header)}")
-        texts = [printable(text.strip(), _LONGEST_NAME) for text in self._columns[name]]
-        for line, text in zip(self.lines, texts, strict=True):
+        found = []
+        for line, field in zip(self.lines, self._columns[name], strict=True):
+            text = printable(field.strip(), _LONGEST_NAME)
             if not text:
                 raise InputError(f"{self.path}:{line}: {name} is empty")
-        return np.array(texts)
-
-    def whole_numbers(self, name: str) -> np.ndarray:
-        """A column of numbers from 0 on that count something, (n,)."""
-        texts = self.texts(name).tolist()
-        for line, text in zip(self.lines, texts, strict=True):
-            if not (text.isascii() and text.isdigit() and len(text) < 10):
-                raise InputError(f"{self.path}:{line}: {name} is {text!r}; allowed: a whole number of 0 or more")
-        return np.array(texts, dtype=np.int64)
+            try:
+                found.append(value(text))
+            except ValueError:
+                raise InputError(f"{self.path}:{line}: {name} is {text!r}; allowed: {allowed}") from None
+        return np.array(found)
 
     def shares(self, name: str) -> np.ndarray:
         """A column of numbers from 0 to 1, (n,)."""
-        found = []
-        for line, text in zip(self.lines, self.texts(name).tolist(), strict=True):
-            try:
-                found.append(np.nan if "_" in text else float(text))  # "0_1" is 1 to Python alone
-            except ValueError:
-                found.append(np.nan)
-            if not 0.0 <= found[-1] <= 1.0:
-                raise InputError(f"{self.path}:{line}: {name} is {text!r}; allowed: 0 to 1")
-        return np.array(found)
+        return self.column(name, _share, "0 to 1")
 
-    def rows_by(self, **columns: np.ndarray) -> dict[tuple, int]:
-        """Row by the values of some columns, of which there is one row alone."""
-        row: dict[tuple, int] = {}
-        for number, key in enumerate(zip(*(values.tolist() for values in columns.values()), strict=True)):
-            if key in row:
+    def check_one_row_each(self, **columns: np.ndarray) -> None:
+        """Refuse a table two rows of which have the same values in some columns."""
+        before: dict[tuple, int] = {}
+        for line, *key in zip(self.lines, *(values.tolist() for values in columns.values()), strict=True):
+            if tuple(key) in before:
                 what = ", ".join(f"{name} {value}" for name, value in zip(columns, key, strict=True))
-                raise InputError(f"{self.path}:{self.lines[number]}: {what} is in line {self.lines[row[key]]} already")
-            row[key] = number
-        return row
+                raise InputError(f"{self.path}:{line}: {what} is in line {before[tuple(key)]} already")
+            before[tuple(key)] = line
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 10):
+        raise ValueError(text)
+    return int(text)
+
+
+def _share(text: str) -> float:
+    share = float(text)
+    if "_" in text or not 0.0 <= share <= 1.0:  # "0_1" is 1 to Python alone
+        raise ValueError(text)
+    return share
+
+
+def _flag(text: str) -> bool:
+    if _share(text) % 1.0:
+        raise ValueError(text)
+    return _share(text) > 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,26 +116,23 @@ class Detections:
     path : Path
     table : dict of str to ndarray, (n,)
         Columns with a row for each car: ``line`` (where in the file it stands), ``frame``, ``label_line``, those of
-        `about`, and for each detector ``NAME_in_range`` (whether the car lies where the detector looks; others are no
-        test of it) and ``NAME_performance``, confidence times IoU, the paper's `Performance`: 0 to 1, 0 where the car
-        was missed.
+        `FRAME_COLUMNS` that are told, and for each detector ``NAME_in_range`` (whether the car lies where the detector
+        looks; others are no test of it) and ``NAME_performance``, confidence times IoU, the paper's `Performance`: 0 to
+        1, 0 where the car was missed.
     detectors : tuple of str
         Their names, in the order of their columns.
-    about : tuple of str
-        Those of `FRAME_COLUMNS` that are told.
     """
 
     path: Path
     table: dict[str, np.ndarray]
     detectors: tuple[str, ...]
-    about: tuple[str, ...]
 
-    def frames(self, split: str | None = None) -> tuple[str, ...]:
+    def frames(self, split: str | None = None) -> list[str]:
         """Names of the sweeps, sorted; of a split those that are told to be of it."""
-        if split is not None and "split" not in self.about:
-            return ()
-        of_all = self.table["frame"]
-        return tuple(np.unique(of_all if split is None else of_all[self.table["split"] == split]).tolist())
+        frame = self.table["frame"]
+        if split is not None:
+            frame = frame[self.table["split"] == split] if "split" in self.table else frame[:0]
+        return np.unique(frame).tolist()
 
 
 def read_detections(path: str | Path, frames_table: str | Path | None = None) -> Detections:
@@ -148,82 +152,58 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
     """
     path = Path(path)
     table = _Table(path)
-    cars = {"frame": table.texts("frame"), "label_line": table.whole_numbers("label_line")}
-    names = [name.removesuffix(CONFIDENCE) for name in table.header if name.endswith(CONFIDENCE) and name != CONFIDENCE]
-    if not names:
+    lines = table.column("label_line", _count, "a whole number of 0 or more")
+    cars = {"frame": table.column("frame"), "label_line": lines}
+    detectors = [name.removesuffix(CONFIDENCE) for name in table.header if name.endswith(CONFIDENCE)]
+    if not detectors:
         raise InputError(f"{path}: no column NAME{CONFIDENCE}; it has {', '.join(table.header)}")
-    table.rows_by(**cars)
-    about = {name: table.texts(name) for name in FRAME_COLUMNS if name in table.header}
+    table.check_one_row_each(**cars)
+    about = {name: table.column(name) for name in FRAME_COLUMNS if name in table.header}
     if frames_table is None and (path.parent / FRAMES_FILE).is_file():
         frames_table = path.parent / FRAMES_FILE
     if frames_table is not None:
-        of_frames = _Table(Path(frames_table))
-        row = of_frames.rows_by(frame=of_frames.texts("frame"))
-        for line, name in zip(table.lines, cars["frame"].tolist(), strict=True):
-            if (name,) not in row:
-                raise InputError(f"{path}:{line}: frame {name} has no row in {frames_table}")
-        rows = [row[name,] for name in cars["frame"].tolist()]
-        about |= {name: of_frames.texts(name)[rows] for name in FRAME_COLUMNS if name in of_frames.header}
+        told = read_frames(Path(frames_table))
+        for line, frame in zip(table.lines, cars["frame"].tolist(), strict=True):
+            if frame not in told:
+                raise InputError(f"{path}:{line}: frame {frame} has no row in {frames_table}")
+        about |= told_of(cars["frame"], told)
     columns = {"line": np.array(table.lines), **cars, **about}
-    for name in names:
-        columns |= {f"{name}_in_range": _in_range(table, name + IN_RANGE)}
-        columns |= {f"{name}_performance": table.shares(name + CONFIDENCE) * table.shares(name + IOU)}
-        if name + IOU_BEV in table.header:
-            table.shares(name + IOU_BEV)  # is not used, but checked
-    return Detections(path, columns, tuple(names), tuple(about))
+    for name in detectors:
+        everywhere = np.ones(len(table.lines), dtype=bool)
+        looks = name + IN_RANGE in table.header
+        columns[name + IN_RANGE] = table.column(name + IN_RANGE, _flag, "0 or 1") if looks else everywhere
+        columns[name + PERFORMANCE] = table.shares(name + CONFIDENCE) * table.shares(name + IOU)
+    return Detections(path, columns, tuple(detectors))
 
 
-def _in_range(table: _Table, name: str) -> np.ndarray:
-    if name not in table.header:
-        return np.ones(len(table.lines), dtype=bool)
-    share = table.shares(name)
-    for row in np.flatnonzero(share % 1.0):
-        raise InputError(f"{table.path}:{table.lines[row]}: {name} is {share[row]:g}; allowed: 0 or 1")
-    return share > 0.0
+# --- What is told of frames -------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameList:
-    """What a folder's ``frames.csv`` tells of its sweeps.
-
-    Attributes
-    ----------
-    tuned : frozenset of str or None
-        Those that shapes and figures were fitted to, by `RULE`; None where no split is told.
-    about : mapping of str to mapping of str to str
-        Of the columns ``label_kind`` and ``drive`` that are there, the text of each sweep.
-    """
-
-    tuned: frozenset[str] | None
-    about: Mapping[str, Mapping[str, str]]
-
-    def of(self, frames: np.ndarray) -> dict[str, np.ndarray]:
-        """What is told of each of the frames (n,), by column; a column that leaves one of them out tells nothing."""
-        names = frames.tolist()
-        return {
-            column: np.array([told[name] for name in names], dtype=str)
-            for column, told in self.about.items()
-            if all(name in told for name in names)
-        }
-
-
-def read_frame_list(folder: Path) -> FrameList:
-    """The list of a folder of sweeps; one that tells nothing where there is none.
+def read_frames(path: Path) -> dict[str, dict[str, str]]:
+    """What a table tells of each frame, by its name: the texts of those of `FRAME_COLUMNS` that are there.
 
     Raises
     ------
-    InputError
-        If that file cannot be used, naming its line or column.
+    InputError, MissingFileError
+        Naming the file, and the line or the column.
     """
-    if not (folder / FRAMES_FILE).is_file():
-        return FrameList(None, {})
-    table = _Table(folder / FRAMES_FILE)
-    frames = table.texts("frame").tolist()
-    about = {
-        name: dict(zip(frames, table.texts(name).tolist(), strict=True))
-        for name in FRAME_COLUMNS
-        if name in table.header
+    table = _Table(path)
+    frames = table.column("frame")
+    table.check_one_row_each(frame=frames)
+    columns = {name: table.column(name).tolist() for name in FRAME_COLUMNS if name in table.header}
+    return {
+        frame: dict(zip(columns, texts, strict=True))
+        for frame, *texts in zip(frames.tolist(), *columns.values(), strict=True)
     }
-    split = about.pop("split", None)
-    train = {frame for frame, part in (split or {}).items() if part == TRAINING}
-    return FrameList(None if split is None else frozenset(train | _TUNED_BESIDE.intersection(frames)), about)
+
+
+def told_of(frames: np.ndarray, told: Mapping[str, Mapping[str, str]]) -> dict[str, np.ndarray]:
+    """What is told of frames (n,), by column, (n,) each; nothing where one of them is left out."""
+    rows = [told.get(frame) for frame in frames.tolist()]
+    return {} if None in rows else {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def tuned_frames(told: Mapping[str, Mapping[str, str]]) -> list[str] | None:
+    """The frames that shapes and figures were fitted to, by `RULE`; None where no split is told."""
+    split = {frame: row["split"] for frame, row in told.items() if "split" in row}
+    return [frame for frame, part in split.items() if part == TRAINING or frame in _TUNED_BESIDE] if split else None

@@ -13,7 +13,7 @@ across, up) and Euler angles of its box in the LiDAR's frame. `scan --format sus
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
@@ -76,14 +76,24 @@ class LabelledBoxes:
         """Which boxes bear one of the labels, (n,) bool; capitals do not matter."""
         return np.isin(np.char.lower(self.label.astype(str)), [name.lower() for name in classes])
 
-    @classmethod
-    def joined(cls, parts: Sequence[LabelledBoxes]) -> LabelledBoxes:
-        """The boxes of one or more sweeps in a row."""
-        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
-
     def select(self, which: np.ndarray) -> LabelledBoxes:
         """The boxes that `which`, a (n,) mask or an index array, picks."""
         return LabelledBoxes(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """What tables of cars tell of each box, by column, (n,) each."""
+        return {
+            "label_line": self.label_line,
+            "distance_m": self.distance_m,
+            "bearing_deg": self.bearing_deg,
+            **dict(zip(("length_m", "width_m", "height_m"), self.size_m.T, strict=True)),
+            "occlusion": self.occlusion,
+        }
+
+
+def joined(tables: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Tables of the same columns, such as those of one sweep each, one below the other."""
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
 class LabelledSweep(NamedTuple):
@@ -140,32 +150,28 @@ class LabelledClouds:
         return LabelledSweep(frame, *layout.read(*paths))
 
 
-def open_labelled(folder: str | Path, option: str = "--kitti") -> LabelledClouds:
+def open_labelled(folder: str | Path) -> LabelledClouds:
     """The labelled sweeps of a folder; nothing is read yet but names.
 
     Raises
     ------
     MissingFileError, InputError
-        If the folder is not there, has neither layout, or no sweep with all its files; `option` is named.
+        If the folder is not there, has neither layout, or no sweep with all its files.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise MissingFileError(f"{option}: {folder}: there is no such folder")
-    for name, layout in LAYOUTS.items():
-        if all((folder / part).is_dir() for part in layout.folders):
-            stems = [
-                {path.name.removesuffix(suffix) for path in (folder / part).iterdir() if path.name.endswith(suffix)}
-                for part, suffix in layout.folders.items()
-            ]
+        raise MissingFileError(f"--kitti: {folder}: there is no such folder")
+    wanted = []
+    for name, (parts, _) in LAYOUTS.items():
+        files = " and ".join(f"{part}/NAME{suffix}" for part, suffix in parts.items())
+        if all((folder / part).is_dir() for part in parts):
+            stems = [{path.stem for path in (folder / part).glob(f"*{suffix}")} for part, suffix in parts.items()]
             whole = set.intersection(*stems)
             if not whole:
-                parts = " and ".join(f"{part}/NAME{suffix}" for part, suffix in layout.folders.items())
-                raise InputError(f"{option}: {folder}: no sweep with all its files; allowed: {parts}")
+                raise InputError(f"--kitti: {folder}: no sweep with all its files; allowed: {files}")
             return LabelledClouds(folder, name, tuple(sorted(whole)), len(set.union(*stems)) - len(whole))
-    wanted = "; or ".join(
-        f"{name}: {', '.join(f'{part}/' for part in layout.folders)}" for name, layout in LAYOUTS.items()
-    )
-    raise InputError(f"{option}: {folder}: has the layout of no known data set; allowed: {wanted}")
+        wanted.append(f"{name}: {files}")
+    raise InputError(f"--kitti: {folder}: has the layout of no known data set; allowed: {'; or '.join(wanted)}")
 
 
 def read_content(path: Path) -> bytes:
@@ -188,43 +194,34 @@ def read_content(path: Path) -> bytes:
 
 
 def _read_kitti(velodyne: Path, label: Path, calibration: Path) -> tuple[np.ndarray, LabelledBoxes]:
-    to_camera = _kitti_calibration(calibration)
-    return _kitti_points(velodyne), _kitti_boxes(label, to_camera)
-
-
-def _kitti_points(path: Path) -> np.ndarray:
-    """The points of a ``velodyne`` file, (n, 3) [m], without those that are not finite."""
-    content = read_content(path)
+    """Points of a sweep that are finite, and its boxes."""
+    boxes, content = _kitti_boxes(label, _kitti_calibration(calibration)), read_content(velodyne)
     if len(content) % 16:
-        raise InputError(f"{path}: {len(content)} bytes; allowed: 16 for each point (x, y, z, reflectance as float32)")
+        raise InputError(f"{velodyne}: {len(content)} bytes; allowed: 16 for each point, four numbers of float32")
     with np.errstate(invalid="ignore"):
         points = np.frombuffer(content, dtype="<f4").reshape(-1, 4)[:, :3].astype(float)
-    return points[np.isfinite(points).all(axis=1)]
+    return points[np.isfinite(points).all(axis=1)], boxes
 
 
 def _kitti_calibration(path: Path) -> np.ndarray:
-    """From the LiDAR's frame into the rectified camera's: a rigid motion as a matrix, (4, 4)."""
-    entries = {}
-    for line in _lines(path):
-        name, _, numbers = line.partition(":")
-        entries[name.strip()] = numbers.split()
-    rectify, to_camera = np.eye(4), np.eye(4)
-    for matrix, name, shape in ((rectify[:3, :3], "R0_rect", (3, 3)), (to_camera[:3], "Tr_velo_to_cam", (3, 4))):
+    """From the LiDAR's frame into the rectified camera's: rotation and, in the last column, shift [m], (3, 4)."""
+    entries = {name.strip(): numbers.split() for name, _, numbers in (line.partition(":") for line in _lines(path))}
+    matrices = []
+    for name, columns in (("R0_rect", 3), ("Tr_velo_to_cam", 4)):
         words = entries.get(name, [])
-        if len(words) != matrix.size:
-            raise InputError(f"{path}: {name} has {len(words)} numbers; allowed: {matrix.size}")
-        matrix[:] = np.reshape(_numbers(f"{path}: {name}", words), shape)
-    motion = rectify @ to_camera
-    if np.abs(motion[:3, :3] @ motion[:3, :3].T - np.eye(3)).max() > 1e-3:
+        if len(words) != 3 * columns:
+            raise InputError(f"{path}: {name} has {len(words)} numbers; allowed: {3 * columns}")
+        matrices.append(np.reshape(_numbers(f"{path}: {name}", words), (3, columns)))
+    motion = matrices[0] @ matrices[1]
+    if np.abs(motion[:, :3] @ motion[:, :3].T - np.eye(3)).max() > 1e-3:
         raise InputError(f"{path}: R0_rect times Tr_velo_to_cam is no rotation")
     return motion
 
 
 def _kitti_boxes(path: Path, to_camera: np.ndarray) -> LabelledBoxes:
-    """The boxes of a ``label_2`` file in the LiDAR's frame; `to_camera` is (4, 4)."""
+    """The boxes of a ``label_2`` file in the LiDAR's frame; `to_camera` as `_kitti_calibration` gives it."""
     rows, labels, lines = [], [], []
-    for number, line in enumerate(_lines(path)):
-        words = line.split()
+    for number, words in enumerate(map(str.split, _lines(path))):
         if not words or words[0] == _NO_BOX:
             continue
         where = f"{path}:{number + 1}"
@@ -239,7 +236,7 @@ def _kitti_boxes(path: Path, to_camera: np.ndarray) -> LabelledBoxes:
     size = table[:, [9, 8, 7]]
     in_camera = table[:, 10:13] - size[:, 2:] * [0.0, 0.5, 0.0]
     turn = table[:, 13]  # about the camera's y axis, which points down; 0 looks along its x axis
-    rotation, shift = to_camera[:3, :3], to_camera[:3, 3]
+    rotation, shift = to_camera[:, :3], to_camera[:, 3]
     ahead = np.column_stack([np.cos(turn), np.zeros_like(turn), -np.sin(turn)]) @ rotation  # the inverse, transposed
     return LabelledBoxes(
         label_line=np.array(lines, dtype=np.int64),
@@ -274,13 +271,11 @@ def _read_sustech(cloud: Path, label: Path) -> tuple[np.ndarray, LabelledBoxes]:
     for number, one in enumerate(objects):
         where = f"{label}: object {number}"
         try:
-            name, psr = one["obj_type"], one["psr"]
+            psr = one["psr"]
             numbers = [psr[part][axis] for part in ("position", "scale") for axis in "xyz"] + [psr["rotation"]["z"]]
+            labels.append(printable(str(one["obj_type"]), 40))
         except (KeyError, TypeError) as error:
             raise InputError(f"{where}: has no obj_type and psr with numbers (position, scale, rotation)") from error
-        if not isinstance(name, str):
-            raise InputError(f"{where}: obj_type is no text")
-        labels.append(printable(name, 40))
         rows.append(_numbers(where, numbers, sides=slice(3, 6)))
     table = np.array(rows, dtype=float).reshape(len(rows), 7)
     return points, LabelledBoxes(

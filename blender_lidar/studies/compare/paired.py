@@ -20,8 +20,8 @@ from ...world.meshes import GLASS, REFLECTIVITY
 from ...world.shapes import shape, shape_of
 from ...world.triangles import Triangles, place
 from .cars import BEARINGS
-from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep
-from .rings import NO_POINT, Firings, Rings, crossing, recover_rings
+from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep, joined
+from .rings import NO_POINT, Firings, Rays, Rings, crossing, recover_rings
 
 NEAREST_M, FARTHEST_M = 10.0, 50.0
 CLEARANCE_M = 0.15
@@ -30,6 +30,8 @@ from 0.2 m below the floors of the labels (they are drawn by hand, and roads slo
 RIM_M = 0.05
 """Returns up to this far outside a box are the car's as well: one cell, as the metric has it."""
 GROWN_M = 0.3  # a ray is a car's if it meets its box grown by this to all sides and up, above the clearance
+_LIFT_M = np.array([0.0, 0.0, 0.5 * (GROWN_M + CLEARANCE_M)])
+_GROWTH_M = np.array([2.0 * GROWN_M, 2.0 * GROWN_M, GROWN_M - CLEARANCE_M])
 SHORT_M = 0.3  # a return so far before the grown box came from something else, which hides the car
 LABEL_MARGIN_M = (0.15, 0.06, 0.01)
 """By how much KITTI's labels are longer, wider and higher than the cars in them [m], fitted to the tuned frames."""
@@ -137,97 +139,27 @@ def scene_triangles(boxes: LabelledBoxes, detail: str, margin_m: np.ndarray) -> 
 # --- One sweep --------------------------------------------------------------------------------------------------------
 
 
-class CarRays(NamedTuple):
-    """The rays towards the chosen boxes of one sweep, box after box; a ray that meets two is there twice.
-
-    Attributes
-    ----------
-    origin, direction, point, range_m
-        As in `rings.Rays`.
-    box : ndarray of int64, (k,)
-        Row of the sweep's box.
-    real : ndarray of bool, (k,)
-        Whether the real return came from the box.
-    hidden : ndarray of bool, (k,)
-        Whether it came from something well before the box: the ray says nothing of the car.
-    """
-
-    origin: np.ndarray
-    direction: np.ndarray
-    point: np.ndarray
-    range_m: np.ndarray
-    box: np.ndarray
-    real: np.ndarray
-    hidden: np.ndarray
-
-
-def car_rays(sweep: LabelledSweep, which: np.ndarray, rings: Rings) -> CarRays:
-    """The rays towards the boxes `which`, (c,) rows, of a sweep; `rings` as `recover_rings` finds them.
-
-    They meet the box grown to all sides and up, without what lies below the clearance.
-    """
-    firings, boxes = Firings(sweep.points, rings), sweep.boxes
-    lift = np.array([0.0, 0.0, 0.5 * (GROWN_M + CLEARANCE_M)])
-    more = np.array([2.0 * GROWN_M, 2.0 * GROWN_M, GROWN_M - CLEARANCE_M])
-    found = []
-    for row in which.tolist():
-        centre, size, heading = boxes.centre_m[row], boxes.size_m[row], float(boxes.heading_rad[row])
-        around, grown = centre + lift, size + more
-        rays = firings.towards(around, grown, heading)
-        entry, _ = crossing(rays, around, grown, heading)
-        real = rays.point != NO_POINT
-        real[real] = on_vehicle(to_vehicle_frame(sweep.points[rays.point[real]], centre, heading), size)
-        hidden = ~real & (rays.range_m < entry - SHORT_M)
-        found.append((*rays, np.full(len(real), row), real, hidden))
-    return CarRays(*map(np.concatenate, zip(*found, strict=True)))
-
-
-def on_vehicle(local: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Which points (k, 3) in a vehicle's frame count as its own [m]; `size` (3,) or (k, 3)."""
-    inside = (np.abs(local) <= 0.5 * size + RIM_M).all(axis=1)
-    return inside & (local[:, 2] >= CLEARANCE_M - 0.5 * np.broadcast_to(size, local.shape)[:, 2])
-
-
 class Simulated(NamedTuple):
-    """What the rays of a sweep meet in a scene of shapes.
+    """What rays meet in a scene of shapes, (k,) each.
 
     Attributes
     ----------
-    distance_m : ndarray, (k,)
+    distance_m : ndarray
         To the first thing [m]; inf where there is none.
-    surface : ndarray of uint8, (k,)
-        What that is made of, an index into `shapes.SURFACES`; meaningless where there is nothing.
-    cosine : ndarray, (k,)
-        Cosine of the incidence on it; 1 where there is nothing.
-    of_car : ndarray of bool, (k,)
+    glass : ndarray of bool
+        Whether that is glass; meaningless, as the reflectivity, where there is nothing.
+    reflectivity : ndarray
+    cosine : ndarray
+        Of the incidence on it; 1 where there is nothing.
+    of_car : ndarray of bool
         Whether that is the car whose ray it is.
     """
 
     distance_m: np.ndarray
-    surface: np.ndarray
+    glass: np.ndarray
+    reflectivity: np.ndarray
     cosine: np.ndarray
     of_car: np.ndarray
-
-
-class Returned(NamedTuple):
-    """What one variant made of a sweep's rays.
-
-    Attributes
-    ----------
-    distance_m : ndarray, (k,)
-        As measured along each ray [m]; inf where nothing returned.
-    hit : ndarray of int64
-        Rays that hit their car, on it and above the clearance.
-    shown : ndarray of int64
-        Those of them that nothing hid in reality.
-    both : ndarray of int64
-        Those of them that hit it in reality too.
-    """
-
-    distance_m: np.ndarray
-    hit: np.ndarray
-    shown: np.ndarray
-    both: np.ndarray
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,93 +174,136 @@ class _RowOfBeams:
 
 
 class PairedSweep:
-    """One sweep's chosen cars, real and simulated, as columns of numbers.
+    """One sweep's chosen cars, real and simulated: the rays towards them, box after box, and columns of numbers.
+
+    The rays meet a car's box grown to all sides and up, without what lies below the clearance; a ray that meets two
+    boxes is there twice.
 
     Parameters
     ----------
     sweep : LabelledSweep
-    rays : CarRays
-        Towards the boxes `rows`.
     rows : ndarray of int64, (c,)
-        The chosen cars.
+        The chosen cars among its boxes.
+    rings : Rings
+        As `recover_rings` finds them.
     number : int
         Of the sweep: what is left to chance belongs to it.
+
+    Attributes
+    ----------
+    rays : Rays, (k,)
+    box : ndarray of int64, (k,)
+        Row of the sweep's box that each ray belongs to.
+    real : ndarray of bool, (k,)
+        Whether the real return came from the box.
+    hidden : ndarray of bool, (k,)
+        Whether it came from something well before the box: the ray says nothing of the car.
     """
 
-    def __init__(self, sweep: LabelledSweep, rays: CarRays, rows: np.ndarray, number: int) -> None:
-        self.sweep, self.rays, self.rows, self._number = sweep, rays, rows, number
-        self.real = np.flatnonzero(rays.real)
+    def __init__(self, sweep: LabelledSweep, rows: np.ndarray, rings: Rings, number: int) -> None:
+        self.sweep, self.rows, self._number = sweep, rows, number
+        firings = Firings(sweep.points, rings)
+        found = [self._towards(firings, row) for row in rows.tolist()]
+        *rays, self.box, self.real, self.hidden = map(np.concatenate, zip(*found, strict=True))
+        self.rays = Rays(*rays)
+
+    def _towards(self, firings: Firings, row: int) -> tuple[np.ndarray, ...]:
+        points, boxes = self.sweep.points, self.sweep.boxes
+        centre, size, heading = boxes.centre_m[row], boxes.size_m[row], float(boxes.heading_rad[row])
+        around, grown = centre + _LIFT_M, size + _GROWTH_M
+        rays = firings.towards(around, grown, heading)
+        entry, _ = crossing(rays, around, grown, heading)
+        real = rays.point != NO_POINT
+        real[real] = on_vehicle(to_vehicle_frame(points[rays.point[real]], centre, heading), size)
+        return *rays, np.full(len(real), row), real, ~real & (rays.range_m < entry - SHORT_M)
 
     def simulate(self, detail: str, caster: str, margin_m: np.ndarray) -> Simulated:
         """Cast the rays against the sweep's scene at a level of detail."""
-        rays, scene = self.rays, scene_triangles(self.sweep.boxes, detail, margin_m)
+        scene = scene_triangles(self.sweep.boxes, detail, margin_m)
         tree = caster_class(caster)(scene.corners, closed=True)
-        hits = tree.cast(rays.origin, rays.direction)
-        met = hits.triangle >= 0
-        surface, cosine = np.zeros(len(met), dtype=np.uint8), np.ones(len(met))
-        of_car = np.zeros(len(met), dtype=bool)
-        surface[met] = scene.surface[hits.triangle[met]]
-        cosine[met] = np.abs(np.einsum("ij,ij->i", tree.normals(hits.triangle[met]), rays.direction[met]))
-        of_car[met] = scene.owner[hits.triangle[met]] == rays.box[met]
-        return Simulated(hits.distance, surface, cosine, of_car)
+        hits = tree.cast(self.rays.origin, self.rays.direction)
+        met = np.flatnonzero(hits.triangle >= 0)
+        triangle, rays = hits.triangle[met], len(self.box)
+        surface, cosine, of_car = np.zeros(rays, dtype=np.uint8), np.ones(rays), np.zeros(rays, dtype=bool)
+        surface[met] = scene.surface[triangle]
+        cosine[met] = np.abs(np.einsum("ij,ij->i", tree.normals(triangle), self.rays.direction[met]))
+        of_car[met] = scene.owner[triangle] == self.box[met]
+        return Simulated(hits.distance, surface == GLASS, REFLECTIVITY[surface], cosine, of_car)
 
-    def returned(self, seen: Simulated, imperfections: Imperfections) -> Returned:
-        """What an imperfect sensor measures, as `scan` has it."""
-        every, surface = np.arange(len(seen.distance_m)), seen.surface
+    def returned(self, seen: Simulated, imperfections: Imperfections) -> tuple[np.ndarray, np.ndarray]:
+        """What an imperfect sensor measures, as `scan` has it.
+
+        Returns
+        -------
+        distance_m : ndarray, (k,)
+            As measured along each ray [m]; inf where nothing returned.
+        hit : ndarray of bool, (k,)
+            Whether the ray hit its car, on it and above the clearance.
+        """
+        every = np.arange(len(self.box))
         model = imperfections.measurement(_RowOfBeams(len(every)), self._number, min_range_m=-np.inf)
-        distance = model.measured(every, seen.distance_m, surface == GLASS, REFLECTIVITY[surface], seen.cosine)
-        hit = np.flatnonzero(seen.of_car & np.isfinite(distance))
-        hit = hit[on_vehicle(self.local(distance, hit), self.sweep.boxes.size_m[self.rays.box[hit]])]
-        shown = hit[~self.rays.hidden[hit]]
-        return Returned(distance, hit, shown, np.intersect1d(shown, self.real, assume_unique=True))
+        distance_m = model.measured(every, seen.distance_m, seen.glass, seen.reflectivity, seen.cosine)
+        hit = seen.of_car & np.isfinite(distance_m)
+        hit[hit] = on_vehicle(self.local(distance_m, hit), self.sweep.boxes.size_m[self.box[hit]])
+        return distance_m, hit
 
     def real_columns(self) -> dict[str, np.ndarray]:
         """What does not depend on the variant, (c,) each."""
-        rays, boxes = self.rays, self.sweep.boxes.select(self.rows)
-        toward = self._count(np.arange(len(rays.box)))
+        toward = self._count(np.ones(len(self.box), dtype=bool))
         return {
-            "frame": np.full(len(boxes), self.sweep.frame),
-            "label_line": boxes.label_line,
-            "distance_m": boxes.distance_m,
-            "bearing_deg": boxes.bearing_deg,
-            **dict(zip(("length_m", "width_m", "height_m"), boxes.size_m.T, strict=True)),
-            "occlusion": boxes.occlusion.astype(int),
+            "frame": np.full(len(self.rows), self.sweep.frame),
+            **self.sweep.boxes.select(self.rows).columns(),
             "rays": toward,
-            "hidden_share": self._count(np.flatnonzero(rays.hidden)) / np.maximum(toward, 1),
-            "unreturned_share": self._count(np.flatnonzero(rays.point == NO_POINT)) / np.maximum(toward, 1),
+            "hidden_share": self._count(self.hidden) / np.maximum(toward, 1),
+            "unreturned_share": self._count(self.rays.point == NO_POINT) / np.maximum(toward, 1),
             "real_points": self._count(self.real),
-            **self._scores("real", rays.range_m, self.real),
+            **self._scores("real", self.rays.range_m, self.real),
         }
 
-    def columns(self, found: Returned) -> dict[str, np.ndarray]:
-        """What a variant comes to, (c,) each; residuals are NaN where no ray hit in both."""
-        off, box = self.residuals(found), self.rays.box[found.both]
-        residuals = [off[box == row] for row in self.rows]
+    def columns(self, distance_m: np.ndarray, hit: np.ndarray) -> dict[str, np.ndarray]:
+        """What comes of what `returned` gives, (c,) each; residuals are NaN where no ray hit in both."""
+        shown = hit & ~self.hidden
+        both = shown & self.real
+        off, box = self.rays.range_m[both] - distance_m[both], self.box[both]
+        medians = np.full((2, len(self.rows)), np.nan)
+        for column, row in enumerate(self.rows):
+            if (box == row).any():
+                medians[:, column] = np.median([off[box == row], np.abs(off[box == row])], axis=1)
         return {
-            "simulated_points": self._count(found.shown),
-            "both_points": self._count(found.both),
-            **self._scores("simulated", found.distance_m, found.shown),
-            "simulated_entropy_hidden_kept_bits": self._scores("", found.distance_m, found.hit)["_entropy_bits"],
-            "residual_median_m": np.array([np.median(one) if len(one) else np.nan for one in residuals]),
-            "residual_abs_median_m": np.array([np.median(np.abs(one)) if len(one) else np.nan for one in residuals]),
+            "simulated_points": self._count(shown),
+            "both_points": self._count(both),
+            **self._scores("simulated", distance_m, shown),
+            "simulated_entropy_hidden_kept_bits": self._scores("", distance_m, hit)["_entropy_bits"],
+            "residual_median_m": medians[0],
+            "residual_abs_median_m": medians[1],
         }
 
-    def local(self, distance_m: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Points at the distances (k,) of all rays, for some `rows` of them, in the frames of their cars [m]."""
-        points = self.rays.origin[rows] + distance_m[rows, None] * self.rays.direction[rows]
-        return to_vehicle_frame(points, self.sweep.boxes.centre_m, self.sweep.boxes.heading_rad, self.rays.box[rows])
+    def residuals(self, distance_m: np.ndarray, hit: np.ndarray) -> np.ndarray:
+        """Of rays that hit in both: simulated point in the car's unit box, real less simulated range [m], (k, 4)."""
+        both = hit & ~self.hidden & self.real
+        placed = self.local(distance_m, both) / self.sweep.boxes.size_m[self.box[both]]
+        return np.column_stack([placed, self.rays.range_m[both] - distance_m[both]])
 
-    def residuals(self, found: Returned) -> np.ndarray:
-        """Real less simulated range of the rays that hit in both [m]."""
-        return self.rays.range_m[found.both] - found.distance_m[found.both]
+    def local(self, distance_m: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Points at the distances (k,) of all rays, for those that a mask picks, in the frames of their cars [m]."""
+        points = self.rays.origin[which] + distance_m[which, None] * self.rays.direction[which]
+        boxes = self.sweep.boxes
+        return to_vehicle_frame(points, boxes.centre_m, boxes.heading_rad, self.box[which])
 
-    def _scores(self, of: str, distance_m: np.ndarray, rows: np.ndarray) -> dict[str, np.ndarray]:
-        share = occupancy(self.local(distance_m, rows), self.rays.box[rows], self.sweep.boxes.size_m)[self.rows]
+    def _scores(self, of: str, distance_m: np.ndarray, which: np.ndarray) -> dict[str, np.ndarray]:
+        boxes = self.sweep.boxes
+        share = occupancy(self.local(distance_m, which), self.box[which], boxes.size_m)[self.rows]
         columns = {f"{of}_p_{view}": column for view, column in zip(VIEWS, share.T, strict=True)}
         return {**columns, f"{of}_entropy_bits": entropy(share).sum(axis=1)}
 
-    def _count(self, rows: np.ndarray) -> np.ndarray:
-        return np.bincount(self.rays.box[rows], minlength=len(self.sweep.boxes))[self.rows]
+    def _count(self, which: np.ndarray) -> np.ndarray:
+        return np.bincount(self.box[which], minlength=len(self.sweep.boxes))[self.rows]
+
+
+def on_vehicle(local: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Which points (k, 3) in a vehicle's frame count as its own [m]; `size` (3,) or (k, 3)."""
+    inside = (np.abs(local) <= 0.5 * size + RIM_M).all(axis=1)
+    return inside & (local[:, 2] >= CLEARANCE_M - 0.5 * size[..., 2])
 
 
 # --- All sweeps -------------------------------------------------------------------------------------------------------
@@ -351,13 +326,12 @@ class PairedCars:
     Attributes
     ----------
     variants : tuple of Variant
-    cars : dict of str to ndarray, (c,)
-        One row for each car: what does not depend on the variant.
-    of : tuple of dict of str to ndarray, (c,)
-        What does, in the order of `variants`.
+    table : dict of str to ndarray, (v * c,)
+        A row for each variant and car, variant after variant: those of `PairedSweep.real_columns`, ``detail, losses``,
+        those of `PairedSweep.columns` and ``error_bits``, simulated less real PE-VGOP. ``paired["error_bits"]`` is
+        (v, c).
     residuals : dict of str to ndarray, (k, 4)
-        By level of detail, of the rays that hit in both: the simulated point in the unit box of its car, and real less
-        simulated range [m].
+        As `PairedSweep.residuals`, by level of detail, of all sweeps.
     sensor : dict
         What was recovered of the sensor, over all sweeps.
     left_out : dict of str to int
@@ -367,20 +341,18 @@ class PairedCars:
     """
 
     variants: tuple[Variant, ...]
-    cars: dict[str, np.ndarray]
-    of: tuple[dict[str, np.ndarray], ...]
+    table: dict[str, np.ndarray]
     residuals: dict[str, np.ndarray]
     sensor: dict
     left_out: dict[str, int]
     pictured: tuple[PicturedCar, ...]
 
     def __len__(self) -> int:
-        return len(self.cars["frame"])
+        return len(self.table["frame"]) // len(self.variants)
 
-    def errors(self, variant: int, hidden_kept: bool = False) -> np.ndarray:
-        """Simulated less real PE-VGOP of each car, (c,) [bits]."""
-        name = "simulated_entropy_hidden_kept_bits" if hidden_kept else "simulated_entropy_bits"
-        return self.of[variant][name] - self.cars["real_entropy_bits"]
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A column, (v, c)."""
+        return self.table[name].reshape(len(self.variants), -1)
 
 
 def pair_cars(
@@ -412,35 +384,35 @@ def pair_cars(
         For a sweep whose rings cannot be recovered, or when there is no car to compare.
     """
     left_out: Counter[str] = Counter()
-    rings, cars, pictured = [], [], {}
-    of: list[list] = [[] for _ in ways]
+    rings, pictured = [], {}
+    tables: list[list] = [[] for _ in ways]
     residuals: dict[str, list] = {way.detail: [] for way in ways}
     for number, frame in enumerate(clouds.frames):
         sweep = clouds.read(frame)
         rows = _chosen(sweep.boxes, classes, left_out)
         if len(rows):
             rings.append(recover_rings(sweep.points, f"{clouds.folder}: {frame}"))
-            paired = PairedSweep(sweep, car_rays(sweep, rows, rings[-1]), rows, number)
-            cars.append(paired.real_columns())
+            paired = PairedSweep(sweep, rows, rings[-1], number)
+            real = paired.real_columns()
             seen = {detail: paired.simulate(detail, caster, np.asarray(margin_m, dtype=float)) for detail in residuals}
             found = [paired.returned(seen[way.detail], way.imperfections) for way in ways]
-            for way, one, table in zip(ways, found, of, strict=True):
-                table.append(paired.columns(one))
+            for way, one, table in zip(ways, found, tables, strict=True):
+                named = {key: np.full(len(rows), getattr(way, key)) for key in ("detail", "losses")}
+                table.append({**real, **named, **paired.columns(*one)})
                 if way.losses == "none":
-                    size_m = sweep.boxes.size_m[paired.rays.box[one.both]]
-                    placed = paired.local(one.distance_m, one.both) / size_m
-                    residuals[way.detail].append(np.column_stack([placed, paired.residuals(one)]))
+                    residuals[way.detail].append(paired.residuals(*one))
             _picture(pictured, paired, ways, found)
         report()
-    if not cars:
+    if not rings:
         raise InputError(
             f"{clouds.folder}: none of its {len(clouds)} sweeps has a whole {' or '.join(classes)} at "
             f"{NEAREST_M:g} to {FARTHEST_M:g} m"
         )
+    table = joined([one for tables_of_one in tables for one in tables_of_one])
+    table["error_bits"] = table["simulated_entropy_bits"] - table["real_entropy_bits"]
     return PairedCars(
         variants=ways,
-        cars=_joined(cars),
-        of=tuple(map(_joined, of)),
+        table=table,
         residuals={detail: np.concatenate(found) for detail, found in residuals.items()},
         sensor=_sensor_facts(rings),
         left_out=dict(left_out),
@@ -450,28 +422,31 @@ def pair_cars(
 
 def _chosen(boxes: LabelledBoxes, classes: Sequence[str], left_out: Counter) -> np.ndarray:
     """Rows of the cars to compare; the others are counted by the reason why not."""
-    cut = boxes.truncation > 0.0  # NaN where the data set does not say
-    near, far = ~cut & (boxes.distance_m < NEAREST_M), ~cut & (boxes.distance_m >= FARTHEST_M)
-    car = boxes.of_class(classes)
-    for reason, which in {"cut off by the picture": cut, "nearer": near, "farther": far}.items():
-        left_out[reason] += int((car & which).sum())
-    return np.flatnonzero(car & ~cut & ~near & ~far)
+    left = boxes.of_class(classes)
+    for reason, why in (
+        ("cut off by the picture", boxes.truncation > 0.0),  # NaN where the data set does not say
+        ("nearer", boxes.distance_m < NEAREST_M),
+        ("farther", boxes.distance_m >= FARTHEST_M),
+    ):
+        left_out[reason] += int((left & why).sum())
+        left &= ~why
+    return np.flatnonzero(left)
 
 
-def _picture(pictured: dict, paired: PairedSweep, ways: tuple[Variant, ...], found: list[Returned]) -> None:
+def _picture(pictured: dict, paired: PairedSweep, ways: tuple[Variant, ...], found: list[tuple]) -> None:
     """Keep the car with the most points of those seen along, and of those seen across their axis."""
-    sweep, rays = paired.sweep, paired.rays
-    for row, bearing in zip(paired.rows.tolist(), sweep.boxes.bearing_deg[paired.rows].tolist(), strict=True):
-        kind = bearing >= BEARINGS["oblique"][0]
-        real = paired.real[rays.box[paired.real] == row]
+    boxes = paired.sweep.boxes
+    for row, bearing in zip(paired.rows.tolist(), boxes.bearing_deg[paired.rows].tolist(), strict=True):
+        kind, mine = bearing >= BEARINGS["oblique"], paired.box == row
+        real = paired.local(paired.rays.range_m, mine & paired.real)
         if kind not in pictured or len(real) > len(pictured[kind].real):
             simulated = {
-                way.detail: paired.local(one.distance_m, one.shown[rays.box[one.shown] == row])
-                for way, one in zip(ways, found, strict=True)
+                way.detail: paired.local(distance_m, mine & hit & ~paired.hidden)
+                for way, (distance_m, hit) in zip(ways, found, strict=True)
                 if way.losses == PICTURED
             }
-            line, size_m = int(sweep.boxes.label_line[row]), sweep.boxes.size_m[row]
-            pictured[kind] = PicturedCar(sweep.frame, line, size_m, paired.local(rays.range_m, real), simulated)
+            line = int(boxes.label_line[row])
+            pictured[kind] = PicturedCar(paired.sweep.frame, line, boxes.size_m[row], real, simulated)
 
 
 def _sensor_facts(rings: list[Rings]) -> dict:
@@ -489,10 +464,5 @@ def _sensor_facts(rings: list[Rings]) -> dict:
     return facts | {
         "elevation_deg": middle.tolist(),
         "elevation_spread_deg": float(np.median(np.abs(elevation - middle))),
-        "height_m": np.median([one.height_m for one in rings], axis=0).tolist(),
-        "lateral_m": np.median([one.lateral_m for one in rings], axis=0).tolist(),
+        **{key: np.median([getattr(one, key) for one in rings], axis=0).tolist() for key in ("height_m", "lateral_m")},
     }
-
-
-def _joined(tables: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}

@@ -7,15 +7,16 @@ resamples: what is common to both does not blur their difference.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import permutations
 
 import numpy as np
 
 from ...metrics.view_grids import VIEWS
 from ...statistics import FEWEST_BLOCKS, RESAMPLES, interval_90, resampled_weights
 from .cars import of_bearing
-from .detections import FrameList
+from .detections import told_of, tuned_frames
 from .paired import PairedCars
-from .resampling import Clusters, clusters
+from .resampling import clusters
 
 RESULT, TABLE = "paired.json", "paired.csv"
 ALL, TUNED, VALIDATION = "all", "tuned", "validation"
@@ -25,13 +26,13 @@ SEED = 1
 # --- Aggregates -------------------------------------------------------------------------------------------------------
 
 
-def sets_of(paired: PairedCars, tuned: frozenset[str] | None) -> dict[str, np.ndarray]:
+def sets_of(paired: PairedCars, told: Mapping[str, Mapping[str, str]]) -> dict[str, np.ndarray]:
     """Which cars are in each set, (c,) bool: all, and those of tuned and of other frames where both are there."""
-    everything = {ALL: np.ones(len(paired), dtype=bool)}
-    if tuned is None:
-        return everything
-    fitted = np.isin(paired.cars["frame"], sorted(tuned))
-    return everything | {name: which for name, which in {TUNED: fitted, VALIDATION: ~fitted}.items() if which.any()}
+    sets, tuned = {ALL: np.ones(len(paired), dtype=bool)}, tuned_frames(told)
+    if tuned is not None:
+        fitted = np.isin(paired["frame"][0], tuned)
+        sets |= {name: which for name, which in {TUNED: fitted, VALIDATION: ~fitted}.items() if which.any()}
+    return sets
 
 
 def judging(names: Sequence[str]) -> str:
@@ -39,82 +40,77 @@ def judging(names: Sequence[str]) -> str:
     return VALIDATION if VALIDATION in names else ALL
 
 
-def aggregate(paired: PairedCars, told: FrameList) -> dict:
-    """All aggregates, set by set, ready for JSON; `told` is what the data set tells of its frames."""
+def aggregate(paired: PairedCars, told: Mapping[str, Mapping[str, str]]) -> dict:
+    """All aggregates, set by set, ready for JSON; `told` is what `read_frames` gives, or nothing."""
     found = {}
-    for name, which in sets_of(paired, told.tuned).items():
-        frame, cars = paired.cars["frame"][which], paired.cars
-        drawn = clusters(frame, told.of(frame))
-        hidden, toward = (cars["hidden_share"] * cars["rays"])[which], cars["rays"][which]
+    for name, which in sets_of(paired, told).items():
+        cars = {key: paired[key][:, which] for key in paired.table}  # (v, c) each
+        frame, toward = cars["frame"][0], cars["rays"][0]
+        drawn = clusters({"frame": frame, **told_of(frame, told)})
+        names = [{"detail": way.detail, "losses": way.losses} for way in paired.variants]
         found[name] = {
             "cars": int(which.sum()),
             "frames": len(set(frame.tolist())),
             "resampled": {"unit": drawn.unit, "number": drawn.number, "too_narrow": drawn.too_narrow},
-            "real_entropy_bits_median": float(np.median(cars["real_entropy_bits"][which])),
-            "hidden_share": float(hidden.sum() / max(int(toward.sum()), 1)),
-            "variants": [_of_variant(paired, index, which, drawn) for index in range(len(paired.variants))],
-            "differences": _differences(paired, which, drawn),
+            "real_entropy_bits_median": float(np.median(cars["real_entropy_bits"][0])),
+            "hidden_share": float((cars["hidden_share"][0] * toward).sum() / max(int(toward.sum()), 1)),
+            "variants": [
+                one | _of_variant({key: of[row] for key, of in cars.items()}, drawn.of_car)
+                for row, one in enumerate(names)
+            ],
+            "differences": _differences(names, np.abs(cars["error_bits"]), drawn.of_car),
         }
     return found
 
 
-def _of_variant(paired: PairedCars, index: int, which: np.ndarray, drawn: Clusters) -> dict:
-    cars = {name: values[which] for name, values in (paired.cars | paired.of[index]).items()}
-    error, cluster = paired.errors(index)[which], drawn.of_car
+def _of_variant(cars: Mapping[str, np.ndarray], cluster: np.ndarray) -> dict:
+    """Aggregates of the cars of one variant, (c,) a column."""
+    error, distance_m = cars["error_bits"], cars["distance_m"]
+    kept = cars["simulated_entropy_hidden_kept_bits"] - cars["real_entropy_bits"]
     real, simulated, both = (int(cars[f"{name}_points"].sum()) for name in ("real", "simulated", "both"))
-    residual, distance_m = cars["residual_abs_median_m"], cars["distance_m"]
-    in_band = {band: (distance_m >= band[0]) & (distance_m < band[1]) for band in BANDS_M}
+    residual = cars["residual_abs_median_m"]
+
+    def group(mine: np.ndarray) -> dict:
+        of, drawn = error[mine], cluster[mine]
+        values = {"absolute_error_bits": np.abs(of), "bias_bits": of}
+        medians = {name: median_interval(one, drawn) if len(one) else None for name, one in values.items()}
+        return {"cars": len(of), **medians}
+
     return {
-        **_name(paired, index),
         "absolute_error_bits": median_interval(np.abs(error), cluster),
         "bias_bits": median_interval(error, cluster),
-        "absolute_error_hidden_kept_bits": median_interval(np.abs(paired.errors(index, True)[which]), cluster),
+        "absolute_error_hidden_kept_bits": median_interval(np.abs(kept), cluster),
         "absolute_error_p": {
             view: float(np.median(np.abs(cars[f"simulated_p_{view}"] - cars[f"real_p_{view}"]))) for view in VIEWS
         },
         "by_distance": [
-            {"low_m": low, "high_m": high, **_group(error, cluster, mine)} for (low, high), mine in in_band.items()
+            {"low_m": low, "high_m": high, **group((distance_m >= low) & (distance_m < high))} for low, high in BANDS_M
         ],
-        "by_bearing": [
-            {"bearing": name, **_group(error, cluster, mine)} for name, mine in of_bearing(cars["bearing_deg"]).items()
-        ],
+        "by_bearing": [{"bearing": name, **group(mine)} for name, mine in of_bearing(cars["bearing_deg"]).items()],
         "hits": {"both": both, "real_only": real - both, "simulated_only": simulated - both},
         "residual_abs_median_m": float(np.nanmedian(residual)) if np.isfinite(residual).any() else None,
     }
 
 
-def _group(error: np.ndarray, cluster: np.ndarray, mine: np.ndarray) -> dict:
-    return {
-        "cars": int(mine.sum()),
-        "absolute_error_bits": median_interval(np.abs(error[mine]), cluster[mine]) if mine.any() else None,
-        "bias_bits": median_interval(error[mine], cluster[mine]) if mine.any() else None,
-    }
-
-
-def _differences(paired: PairedCars, which: np.ndarray, drawn: Clusters) -> list[dict]:
-    """Of every two variants: how much the first one's median absolute error exceeds the second one's.
+def _differences(names: Sequence[Mapping], errors: np.ndarray, cluster: np.ndarray) -> list[dict]:
+    """Of every two variants: how much the first one's median absolute error, of (v, c), exceeds the second one's.
 
     With fewer than three clusters nothing can be said of the noise: None.
     """
-    errors = np.abs([paired.errors(index)[which] for index in range(len(paired.variants))])
-    medians, resampled = np.median(errors, axis=1), _resampled_medians(errors, drawn.of_car)
+    medians, resampled = np.median(errors, axis=1), _resampled_medians(errors, cluster)
     found = []
-    for first, second in np.argwhere(~np.eye(len(errors), dtype=bool)).tolist():
-        interval = None if resampled is None else interval_90(resampled[first] - resampled[second])
+    for first, second in permutations(range(len(names)), 2):
+        interval = None if resampled is None else list(interval_90(resampled[first] - resampled[second]))
         found.append(
             {
-                "first": _name(paired, first),
-                "second": _name(paired, second),
+                "first": names[first],
+                "second": names[second],
                 "difference_bits": float(medians[first] - medians[second]),
-                "interval_90": interval and list(interval),
+                "interval_90": interval,
                 "within_noise": interval and interval[0] <= 0.0 <= interval[1],
             }
         )
     return found
-
-
-def _name(paired: PairedCars, index: int) -> dict[str, str]:
-    return {"detail": paired.variants[index].detail, "losses": paired.variants[index].losses}
 
 
 def median_interval(values: np.ndarray, cluster: np.ndarray) -> dict:
@@ -146,39 +142,30 @@ def cheapest_within_noise(of: Mapping, details: Sequence[str]) -> dict:
     Parameters
     ----------
     of : mapping
-        One set of `aggregate`.
+        One set of `aggregate`, whose variants go from the cheapest level of detail on.
     details : sequence of str
         Levels of detail from the cheapest on.
     """
     first = min(of["variants"], key=lambda one: one["absolute_error_bits"]["median"])
     best = {key: first[key] for key in ("detail", "losses")}
-    rivals = {
-        one["first"]["detail"]: one
-        for one in of["differences"]
-        if one["second"] == best and one["first"]["losses"] == best["losses"] and one["within_noise"]
-    }
-    none = {"first": best, "difference_bits": 0.0, "interval_90": None}
-    rival = next((rivals[one] for one in details[: details.index(best["detail"])] if one in rivals), none)
-    return {
-        "best": best,
-        "cheapest": rival["first"],
-        "difference_bits": rival["difference_bits"],
-        "interval_90": rival["interval_90"],
-    }
+    cheaper = [{**best, "detail": detail} for detail in details[: details.index(best["detail"])]]
+    itself = {"first": best, "difference_bits": 0.0, "interval_90": None}
+    rivals = (one for one in of["differences"] if one["second"] == best and one["first"] in cheaper)
+    rival = next((one for one in rivals if one["within_noise"]), itself)
+    told = {key: rival[key] for key in ("difference_bits", "interval_90")}
+    return {"best": best, "cheapest": rival["first"], **told}
 
 
 # --- Table ------------------------------------------------------------------------------------------------------------
 
 
-def paired_table(paired: PairedCars, told: FrameList) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+def paired_table(
+    paired: PairedCars, told: Mapping[str, Mapping[str, str]]
+) -> tuple[dict[str, np.ndarray], dict[str, int]]:
     """One row for each car and variant, variant after variant; the columns, and the digits of those of floats."""
-    ways, cars = paired.variants, len(paired)
-    name = np.full(cars, ALL, dtype="<U10")
-    for key, which in sets_of(paired, told.tuned).items():
+    name = np.full(len(paired), ALL, dtype="<U10")
+    for key, which in sets_of(paired, told).items():
         name[which] = key
-    table = {key: np.tile(values, len(ways)) for key, values in {"set": name, **paired.cars}.items()}
-    table |= {key: np.repeat([getattr(way, key) for way in ways], cars) for key in ("detail", "losses")}
-    table |= {key: np.concatenate([of[key] for of in paired.of]) for key in paired.of[0]}
-    table["error_bits"] = table["simulated_entropy_bits"] - table["real_entropy_bits"]
-    floats = [key for key, values in table.items() if values.dtype.kind == "f"]
-    return table, {key: 3 if key.endswith(("_m", "_deg")) else 5 for key in floats}
+    floats = [key for key, values in paired.table.items() if values.dtype.kind == "f"]
+    digits = {key: 3 if key.endswith(("_m", "_deg")) else 5 for key in floats}
+    return {"set": np.tile(name, len(paired.variants)), **paired.table}, digits

@@ -48,32 +48,31 @@ class Clusters(NamedTuple):
         return int(self.of_car.max()) + 1
 
 
-def clusters(frame: np.ndarray, about: Mapping[str, np.ndarray], block_frames: int = 1) -> Clusters:
+def clusters(cars: Mapping[str, np.ndarray], block_frames: int = 1) -> Clusters:
     """What is resampled as one in a set of cars: a drive where it is told and there are enough, else a frame.
 
     Parameters
     ----------
-    frame : ndarray of str, (n,)
-    about : mapping of str to ndarray of str, (n,)
-        Perhaps with ``drive`` and ``label_kind``.
+    cars : mapping of str to ndarray of str, (n,)
+        Their ``frame``, and perhaps ``drive`` and ``label_kind``.
     block_frames : int
         So many frames of one drive, or of one kind of labels, in the order of their names, count as one where drives
         are not resampled.
     """
-    if "drive" in about and len(np.unique(about["drive"])) >= FEWEST_BLOCKS:
-        return Clusters("drive", _numbered(about["drive"]), False)
+    if "drive" in cars and len(np.unique(cars["drive"])) >= FEWEST_BLOCKS:
+        return Clusters("drive", _numbered(cars["drive"]), False)
     # Frames of one drive, or of sequences, show the same cars again.
-    within, dependent = np.zeros(len(frame), dtype="<U1"), "drive" in about
-    if "drive" in about:
-        within = about["drive"]
-    elif "label_kind" in about:
-        within = kinds(about["label_kind"])
-        dependent = bool((within == "tracking").any())
-    block = np.empty(len(frame), dtype=np.int64)
+    within, dependent = np.full(len(cars["frame"]), ""), "drive" in cars
+    if "drive" in cars:
+        within = cars["drive"]
+    elif "label_kind" in cars:
+        within = kinds(cars["label_kind"])
+        dependent = "tracking" in within
+    block = np.empty(len(within), dtype=np.int64)
     for name in np.unique(within):
         mine = within == name
-        block[mine] = _numbered(frame[mine]) // block_frames
-    label = np.char.add(np.char.add(within.astype(str), " "), block.astype(str))
+        block[mine] = _numbered(cars["frame"][mine]) // block_frames
+    label = np.char.add(np.char.add(within, " "), block.astype(str))
     return Clusters("frame" if block_frames == 1 else f"{block_frames} frames", _numbered(label), dependent)
 
 
@@ -96,7 +95,8 @@ class Resampling(NamedTuple):
     weights : ndarray, (1 + r, n)
         How often each car is drawn; in the first row each once.
     fold : ndarray of int64, (n,)
-        Fold of each car in a cross-validation, which divides no cluster.
+        Fold of each car in a cross-validation, from 0 on: whole clusters, dealt out at random in even numbers. There
+        are as many folds as clusters where these are fewer than `FOLDS`.
     """
 
     clusters: Clusters
@@ -108,18 +108,8 @@ def cluster_bootstrap(drawn: Clusters, seed: int, resamples: int = RESAMPLES) ->
     """Draw whole clusters with replacement, and deal them out to folds."""
     rng = np.random.default_rng(seed)
     weights = resampled_weights(drawn.number, rng, resamples)[:, drawn.of_car]
-    return Resampling(drawn, np.vstack([np.ones((1, weights.shape[1])), weights]), folds_of(drawn.of_car, rng))
-
-
-def folds_of(cluster: np.ndarray, rng: np.random.Generator, folds: int = FOLDS) -> np.ndarray:
-    """A fold for each observation, (n,), from 0 on: whole clusters, dealt out at random in even numbers.
-
-    There are as many folds as clusters where these are fewer.
-    """
-    number = int(cluster.max()) + 1
-    dealt = np.empty(number, dtype=np.int64)
-    dealt[rng.permutation(number)] = np.arange(number) % folds
-    return dealt[cluster]
+    dealt = np.argsort(rng.permutation(drawn.number)) % FOLDS
+    return Resampling(drawn, np.vstack([np.ones((1, weights.shape[1])), weights]), dealt[drawn.of_car])
 
 
 # --- Bootstrap correlations -------------------------------------------------------------------------------------------
@@ -338,39 +328,30 @@ def cross_validated_r2(
 
 
 class Estimate(NamedTuple):
-    """A value and its 90 % interval; NaN where there is none."""
+    """A value and its 90 % interval; NaN where there is none.
+
+    Attributes
+    ----------
+    value, low, high : float
+    p_above : float or None
+        Of a difference: how probable one as large or larger would be were there none; NaN where nothing can be told, or
+        the two are the same in every resample.
+    p_holm : float or None
+        The same adjusted for the number of metrics that are held against one of them.
+    """
 
     value: float
     low: float = math.nan
     high: float = math.nan
+    p_above: float | None = None
+    p_holm: float | None = None
 
     def text(self, digits: int = 2, sign: str = "") -> str:
         """For people: ``0.81 (0.74 to 0.87)``; with `sign` ``"+"`` all three bear one."""
-        number = f"{sign}.{digits}f"
-        if not math.isfinite(self.value):
-            return "-"
+        value, low, high = (f"{number:{sign}.{digits}f}" for number in self[:3])
         if not math.isfinite(self.low):
-            return f"{self.value:{number}}"
-        return f"{self.value:{number}} ({self.low:{number}} to {self.high:{number}})"
-
-
-class Against(NamedTuple):
-    """A metric less another in one statistic, in the same resamples.
-
-    Attributes
-    ----------
-    difference : Estimate
-        Above 0 where the metric follows the detector more closely.
-    p_above : float
-        How probable a difference as large or larger would be were there none; NaN where nothing can be told, or the
-        two are the same in every resample.
-    p_holm : float
-        The same adjusted for the number of metrics that are held against that other one.
-    """
-
-    difference: Estimate
-    p_above: float
-    p_holm: float = math.nan
+            return value if math.isfinite(self.value) else "-"
+        return f"{value} ({low} to {high})"
 
 
 def _resamples(values: np.ndarray, number: int) -> tuple[float, np.ndarray | None]:
@@ -399,18 +380,18 @@ def of_resamples(values: np.ndarray, number: int) -> Estimate:
     return Estimate(value) if resampled is None else Estimate(value, *interval_90(resampled))
 
 
-def of_difference(first: np.ndarray, second: np.ndarray, number: int) -> Against:
+def of_difference(first: np.ndarray, second: np.ndarray, number: int) -> Estimate:
     """Of the first less the second, both (1 + r,) in the same resamples: Student's t times the resampled deviation."""
     from scipy.special import stdtr
 
     value, resampled = _resamples(first - second, number)
     if resampled is None:
-        return Against(Estimate(value), math.nan)
+        return Estimate(value, p_above=math.nan)
     spread = float(np.std(resampled))
     if spread == 0.0:  # the same in every resample
-        return Against(Estimate(value, value, value), math.nan if value == 0.0 else float(value < 0.0))
+        return Estimate(value, value, value, math.nan if value == 0.0 else float(value < 0.0))
     reach = student_t_95(number - 1) * spread
-    return Against(Estimate(value, value - reach, value + reach), float(stdtr(number - 1, -value / spread)))
+    return Estimate(value, value - reach, value + reach, float(stdtr(number - 1, -value / spread)))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
