@@ -1,7 +1,7 @@
 """Files: written whole or not at all, folders locked, CSV tables, and opening what a user names.
 
 Only regular files are opened: a named pipe would be waited for without end, and a device read without end. Errors of
-opening are plain `OSError`: each reader says in its own words what it needed.
+opening are plain `OSError`; `reading` makes them a user's.
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ import hashlib
 import io
 import math
 import os
-import re
+import secrets
 import stat
-import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -29,7 +28,6 @@ from .errors import BlenderLidarError, InputError, MissingFileError, OutputError
 # --- Files that are written whole or not at all -----------------------------------------------------------
 
 _TEMPORARY = ".blender_lidar-"  # how names of temporary files begin; process id, random characters and suffix follow
-_OURS = re.compile(re.escape(_TEMPORARY) + r"\d+-[a-z0-9_]{8}(\..*)?")
 
 
 @contextmanager
@@ -44,26 +42,22 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         When the file cannot be written, or what is there is no regular file: a folder, a device, a named pipe.
     """
     path = Path(path)
-    temporary = None
+    temporary = path.parent / f"{_TEMPORARY}{os.getpid()}-{secrets.token_hex(4)}{path.suffix}"
     try:
         if path.exists() and not path.is_file():
             raise OSError("is there and is not a regular file")
-        prefix = f"{_TEMPORARY}{os.getpid()}-"
-        handle, name = tempfile.mkstemp(prefix=prefix, suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
+        temporary.touch(exist_ok=False)
         yield temporary
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())  # a name must never point to a file whose content a power cut would lose
-        temporary.chmod(0o666 & ~_umask())
         temporary.replace(path)
     except OutputError:  # says already what and where
         raise
     except OSError as error:
         raise output_error(f"{path}: cannot be written", error) from error
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def sweep(folder: Path) -> None:
@@ -71,9 +65,8 @@ def sweep(folder: Path) -> None:
 
     The caller holds the folder's lock: nobody else is writing there.
     """
-    for leftover in folder.glob(f"{_TEMPORARY}*"):
-        if _OURS.fullmatch(leftover.name):
-            leftover.unlink(missing_ok=True)
+    for leftover in folder.glob(f"{_TEMPORARY}[0-9]*-????????*"):
+        leftover.unlink(missing_ok=True)
 
 
 def check_place(path: str | Path, option: str) -> None:
@@ -97,15 +90,12 @@ def check_folder(path: Path, option: str) -> None:
         Naming the folder, and the file that stands in its way.
     """
     try:
-        if path.is_symlink() and not path.exists():
-            raise OutputError(f"{option}: {path}: the folder cannot be made: a link there leads nowhere")
-        there = next(place for place in (path, *path.absolute().parents) if place.exists())
-    except OutputError:
-        raise
-    except OSError as error:  # a name too long, say
+        there = next(place for place in (path, *path.absolute().parents) if place.exists() or place.is_symlink())
+    except OSError as error:  # the working folder has gone
         raise output_error(f"{option}: {path}: the folder cannot be made", error) from error
     if not there.is_dir():
-        raise OutputError(f"{option}: {path}: the folder cannot be made: {there} is a file")
+        what = "is a file" if there.exists() else "is a link that leads nowhere"
+        raise OutputError(f"{option}: {path}: the folder cannot be made: {there} {what}")
 
 
 def make_folder(path: Path, option: str) -> None:
@@ -134,61 +124,31 @@ def write_bytes(path: str | Path, data: bytes) -> None:
         temporary.write_bytes(data)
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
 # --- A lock on a folder: one process at a time ------------------------------------------------------------
 
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[None]:
-    """Keep other processes out of a folder while the block lasts; a process that is killed lets go by itself.
+    """Make a folder and keep other processes out of it while the block lasts; a process that is killed lets go.
 
     Raises
     ------
     OutputError
-        When another process is at work there, or the folder cannot be written.
+        When another process is at work there, or the folder cannot be made or written.
     """
     path = folder / ".lock"
-    with _locked(path, folder):
+    make_folder(folder, "--out")  # a run that has failed may have removed it after it was made
+    try:
+        stream = path.open("a")
+    except OSError as error:
+        raise output_error(f"--out: {folder}: cannot be written", error) from error
+    with stream:
+        _take(stream, folder)
         try:
             yield
         finally:
             with suppress(OSError):
                 path.unlink()
-
-
-def _locked(path: Path, folder: Path) -> IO[str]:
-    """The lock file, open and locked."""
-    while True:
-        try:
-            stream = _opened(path)
-        except FileNotFoundError as error:
-            if folder.is_dir():
-                raise output_error(f"--out: {folder}: cannot be written", error) from error
-            make_folder(folder, "--out")  # a run that has failed removed it after we had found or made it
-            continue
-        except OSError as error:
-            raise output_error(f"--out: {folder}: cannot be written", error) from error
-        try:
-            _take(stream, folder)
-            if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
-                return stream
-        except BlockingIOError as error:
-            stream.close()
-            raise OutputError(f"--out: {folder}: another run is at work there") from error
-        except FileNotFoundError:
-            pass
-        stream.close()  # a run that has just ended removed the file between our opening and locking it
-
-
-def _opened(path: Path) -> IO[str]:
-    """The file, made if need be and never emptied; a named pipe in its place is not waited for."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_NONBLOCK", 0), 0o666)
-    return os.fdopen(handle, "w")
 
 
 def _take(stream: IO[str], folder: Path) -> None:
@@ -198,8 +158,8 @@ def _take(stream: IO[str], folder: Path) -> None:
         return
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise
+    except BlockingIOError as error:
+        raise OutputError(f"--out: {folder}: another run is at work there") from error
     except OSError as error:  # a file system without them
         text = f"{folder}: another run there would not be noticed, as it cannot be locked: {error.strerror}"
         warnings.warn(text, stacklevel=2)
@@ -254,13 +214,6 @@ def _texts(values, decimals):
 
 # --- Opening a file that a user names: a regular file -----------------------------------------------------
 
-_NO_FILES = {
-    stat.S_IFIFO: "is a named pipe",
-    stat.S_IFCHR: "is a device",
-    stat.S_IFBLK: "is a device",
-    stat.S_IFSOCK: "is a socket",
-}
-
 
 def open_file(path: str | Path) -> BinaryIO:
     """Open a regular file for reading, without waiting for anything.
@@ -270,21 +223,10 @@ def open_file(path: str | Path) -> BinaryIO:
     FileNotFoundError, IsADirectoryError, OSError
         With a `strerror` that says why.
     """
-    try:
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    except ValueError as error:
-        raise OSError(errno.EINVAL, "its name holds a zero character", str(path)) from error
-    try:
-        kind = stat.S_IFMT(os.fstat(handle).st_mode)
-        if kind == stat.S_IFDIR:
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-        if kind != stat.S_IFREG:
-            what = _NO_FILES.get(kind, "is no file")
-            raise OSError(errno.EINVAL, f"{what}; a regular file is needed", str(path))
-        return os.fdopen(handle, "rb")
-    except BaseException:
-        os.close(handle)
-        raise
+    kind = stat.S_IFMT(Path(path).stat().st_mode)
+    if kind not in (stat.S_IFREG, stat.S_IFDIR):  # a folder says so itself
+        raise OSError(errno.EINVAL, "is a named pipe or a device; a regular file is needed", str(path))
+    return Path(path).open("rb")
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _TIDYING_S = 2.0
@@ -45,22 +45,34 @@ def stops_watched() -> Iterator[None]:
 
 
 @contextmanager
-def stops_deferred() -> Iterator[None]:
-    """Let a stop wait until the block ends, lest it leaves something half done."""
-    handlers, held = {number: signal.getsignal(number) for number in STOPS}, []
-    ours = {number: handler for number, handler in handlers.items() if callable(handler)}
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals do not interrupt us
-        return
+def _stops_handled(handler) -> Iterator[None]:
+    """Let `handler` have the stops that some function has now; in the main thread, as they interrupt no other."""
+    main = threading.current_thread() is threading.main_thread()
+    ours = {number: function for number in STOPS if main and callable(function := signal.getsignal(number))}
     for number in ours:
-        signal.signal(number, lambda number, frame: held.append(number))
+        signal.signal(number, handler)
     try:
         yield
     finally:
-        for number, handler in ours.items():
-            signal.signal(number, handler)
+        for number, function in ours.items():
+            signal.signal(number, function)
+
+
+@contextmanager
+def stops_deferred() -> Iterator[None]:
+    """Let a stop wait until the block ends, lest it leaves something half done."""
+    held = []
+    try:
+        with _stops_handled(lambda number, frame: held.append(number)):
+            yield
+    finally:
         if held:
             signal.raise_signal(held[0])
+
+
+def stops_end_at_once() -> AbstractContextManager[None]:
+    """While it lasts, a stop ends the process at once: for code that would swallow it, or be deaf to it, and go on."""
+    return _stops_handled(signal.SIG_DFL)
 
 
 @contextmanager
@@ -75,21 +87,3 @@ def stops_recognised() -> Iterator[None]:
         if isinstance(cause, KeyboardInterrupt):
             raise cause from None
         raise
-
-
-@contextmanager
-def stops_end_at_once() -> Iterator[None]:
-    """While it lasts, a stop ends the process at once: for code that would swallow it, or be deaf to it, and go on."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.getsignal(number) for number in STOPS}
-    for number, handler in before.items():
-        if callable(handler):
-            signal.signal(number, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            if callable(handler):
-                signal.signal(number, handler)

@@ -43,19 +43,11 @@ def interval_90(values: np.ndarray) -> tuple[float, float]:
 def ratio_interval_90(numerator: np.ndarray, denominator: np.ndarray, seed: int) -> tuple[float, float] | None:
     """90 % interval of sum(numerator) / sum(denominator), from the sums of each block (b,).
 
-    Student's t with b - 1 degrees of freedom times the resampled standard deviation: with few blocks, percentiles of
-    resamples cover too little (80 % instead of 90 % with five). Blocks whose denominator is 0 say nothing and are left
-    out; None for fewer than `FEWEST_BLOCKS`.
+    Blocks whose denominator is 0 say nothing and are left out; None for fewer than `FEWEST_BLOCKS`.
     """
     filled = denominator > 0
     numerator, denominator = numerator[filled], denominator[filled]
-    if len(numerator) < FEWEST_BLOCKS:
-        return None
-    weights = resampled_weights(len(numerator), np.random.default_rng(seed))
-    spread = float(np.std((weights @ numerator) / (weights @ denominator)))
-    middle = float(numerator.sum() / denominator.sum())
-    reach = student_t_95(len(numerator) - 1) * spread
-    return middle - reach, middle + reach
+    return statistic_interval_90(lambda counts: counts @ numerator / (counts @ denominator), denominator, seed)
 
 
 def statistic_interval_90(
@@ -63,8 +55,9 @@ def statistic_interval_90(
 ) -> tuple[float, float] | None:
     """90 % interval of a statistic of blocks, of which each has so many vehicles, (b,).
 
-    As `ratio_interval_90`, which it equals for a ratio; `statistic` takes how often each block counts, (r, b), and
-    gives its value for each of the r.
+    Student's t with b - 1 degrees of freedom times the resampled standard deviation: with few blocks, percentiles of
+    resamples cover too little (80 % instead of 90 % with five). `statistic` takes how often each block counts, (r, b),
+    and gives its value for each of the r. None for fewer than `FEWEST_BLOCKS` blocks with vehicles.
     """
     filled = vehicles > 0
     blocks = int(filled.sum())

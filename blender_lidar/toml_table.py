@@ -1,13 +1,15 @@
 """Settings, each declared once, and the TOML files that hold them.
 
-A setting is a field of a dataclass, made by `setting`: its annotation is the type, its name ends with the unit, and its
-`Setting` says default, limits, option and help. The same declaration serves the reading of a file, the defaults, the
-options of the command line, and whatever else shows settings.
+A setting is a field of a dataclass, made by `setting`: its annotation is the type, its name ends with the unit, its
+`Setting` says default, limits and option, and what the docstring of the class says of it is its help. The same
+declaration serves the reading of a file, the defaults, the options of the command line, and whatever else shows
+settings.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import json
 import math
 import re
@@ -59,7 +61,7 @@ class Setting:
     metavar : str
         What stands for the value in the option's help, where what is allowed is not listed there.
     help : str
-        What it is, in one phrase.
+        What it is, in one phrase; unless said what the docstring of the class says of the attribute.
     """
 
     kind: Any = float
@@ -88,12 +90,21 @@ def setting(default: Any = ..., **declared: Any) -> Any:
 @cache
 def settings_of(declared: type) -> dict[str, Setting]:
     """The settings among the fields of a dataclass, by key."""
-    hints = get_type_hints(declared)
+    hints, helps = get_type_hints(declared), _attributes(declared)
     return {
-        field.name: Setting(kind=_without_none(hints[field.name]), **field.metadata["setting"])
+        field.name: Setting(
+            kind=_without_none(hints[field.name]), **{"help": helps.get(field.name, ""), **field.metadata["setting"]}
+        )
         for field in dataclasses.fields(declared)
         if "setting" in field.metadata
     }
+
+
+def _attributes(declared: type) -> dict[str, str]:
+    """What the docstring of a class says of each of its attributes, as a phrase."""
+    entries = re.findall(r"^(\w+) : .*\n((?: {4}.*\n?)+)", inspect.getdoc(declared) or "", re.MULTILINE)
+    texts = {name: " ".join(text.split()).removesuffix(".") for name, text in entries}
+    return {name: text[0].lower() + text[1:] for name, text in texts.items()}
 
 
 def _without_none(kind):

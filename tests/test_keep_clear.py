@@ -13,12 +13,16 @@ from hypothesis import strategies as st
 from blender_lidar.errors import InputError
 from blender_lidar.scene.observation import Region
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.site import boxes_meet_rectangle, check_mount_is_clear
+from blender_lidar.scene.site import check_mount_is_clear, footprints_meet
 from tests.sample_traffic import dense_traffic, one_vehicle
 from tests.small_scene import write_scene
 
 LENGTHS = st.floats(0.2, 8.0)
 PLACES = st.floats(-6.0, 6.0)
+
+
+def boxes_meet_rectangle(vehicles, low, high):
+    return footprints_meet(vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, low, high)
 
 
 def rectangle(low, high):

@@ -30,9 +30,11 @@ _FOR_SEARCHES += ("--cluster", "--seed")
 
 def add_option(parser, declared: Setting, default: object = None, **more: str) -> None:
     """The option of a setting; what is given is read by `option_value`, `more` is argparse's."""
-    listed = None if declared.metavar else tuple(declared.allowed) or None
+    names = tuple(declared.allowed)
+    listed = None if declared.metavar else names or None
     metavar = declared.metavar or (None if listed else declared.option[2:].upper())
-    parser.add_argument(declared.option, choices=listed, metavar=metavar, help=declared.help, default=default, **more)
+    told = f"{declared.help}: {', '.join(names)}" if declared.metavar and names else declared.help
+    parser.add_argument(declared.option, choices=listed, metavar=metavar, help=told, default=default, **more)
 
 
 def option_value(given: object, declared: Setting) -> Any:

@@ -5,14 +5,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..clouds.files import WRITERS, check_cloud_name, write_cloud, write_sustechpoints
-from ..clouds.scan import PointCloud
-from ..clouds.snapshot import MountedSensor, mounted_sensor
+from ..clouds.snapshot import mounted_sensor
 from ..errors import InputError
 from ..files import check_place, make_folder
 from ..report.page import RENDER_VIEWS, read_run, render_file, write_report
@@ -20,15 +18,23 @@ from ..run.folder import VEHICLES, RunFolder
 from ..scene.provenance import check_same_inputs
 from ..scene.scenario import Scenario, load_scenario
 from ..scene.site import check_mount_is_clear, frame_of, read_recording
+from ..toml_table import Setting
 from ..traffic import Recording
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
-from .options import add_moments, mounting_from, parse_frames, scenario_from
+from .options import add_moments, add_option, mounting_from, option_value, parse_frames, scenario_from
 from .progress import Progress
 
 _SUSTECHPOINTS = "sustechpoints"
 _FORMATS = [*(suffix.removeprefix(".") for suffix in WRITERS), _SUSTECHPOINTS]
-_MOST_SAMPLES = 4096
+_SAMPLES = Setting(
+    kind=int,
+    low=1,
+    high=4096,
+    option="--samples",
+    metavar="N",
+    help="light paths per pixel; more is smoother and slower",
+)
 
 
 def add_parser(subparsers) -> None:
@@ -40,17 +46,10 @@ def add_parser(subparsers) -> None:
         ".laz, or KITTI's .bin with its .label. With --frame-ids a folder of clouds, one for each frame.",
     )
     add_moments(parser, many="many frames")
-    parser.add_argument(
-        "--out",
-        required=True,
-        metavar="CLOUD",
-        help="the file to write, whose suffix is the format; the folder to write to with --frame-ids",
-    )
-    parser.add_argument(
-        "--format",
-        choices=_FORMATS,
-        help="format of the files in the folder; npz unless said, sustechpoints adds labels",
-    )
+    out = "the file to write, whose suffix is the format; the folder to write to with --frame-ids"
+    parser.add_argument("--out", required=True, metavar="CLOUD", help=out)
+    of_folder = "format of the files in the folder; npz unless said, sustechpoints adds labels"
+    parser.add_argument("--format", choices=_FORMATS, help=of_folder)
     parser.set_defaults(run=_scan)
     parser = subparsers.add_parser(
         "build",
@@ -71,22 +70,21 @@ def add_parser(subparsers) -> None:
     )
     parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
     parser.add_argument("--frame", type=int, metavar="K", help="frame number; by default the fullest searched one")
-    parser.add_argument("--samples", type=int, metavar="N", help="light paths per pixel; more is smoother and slower")
+    add_option(parser, _SAMPLES)
     parser.set_defaults(run=_render)
 
 
-def _frame_numbers(args: argparse.Namespace) -> tuple[list[int], str]:
-    """The frames that are asked for, and the option that says so."""
-    if args.sequence is None:
-        return [args.frame], "--frame"
-    return parse_frames(args.sequence, "--frame-ids"), "--frame-ids"
+def _numbers(args: argparse.Namespace) -> list[int]:
+    """The frames that are asked for."""
+    return [args.frame] if args.sequence is None else parse_frames(args.sequence, "--frame-ids")
 
 
 def _frames(
-    scenario: Scenario, mount: Mapping[str, float], numbers: list[int], option: str
+    args: argparse.Namespace, scenario: Scenario, mount: Mapping[str, float], numbers: list[int]
 ) -> tuple[Recording, list[Vehicles]]:
     """The recording and its frames of these numbers, in none of which the mount stands in traffic."""
     recording = read_recording(scenario)
+    option = "--frame" if args.sequence is None else "--frame-ids"
     frames = [frame_of(recording, number, option) for number in numbers]
     check_mount_is_clear(scenario, frames, {"--x, --y": mount})
     return recording, frames
@@ -97,68 +95,55 @@ def _frames(
 
 def _scan(args: argparse.Namespace) -> int:
     """Write clouds; returns the exit code."""
-    one = args.sequence is None
-    if one and args.format is not None:
-        raise InputError("--format: goes with --frame-ids; the suffix of --out says what one cloud is written as")
-    numbers, option = _frame_numbers(args)
-    if one:
-        check_place(args.out, "--out")
-    paths = [check_cloud_name(args.out, "--out")] if one else _paths(Path(args.out), numbers, args.format or "npz")
+    one, numbers = args.sequence is None, _numbers(args)
+    paths = [_path(args)] if one else _paths(args, numbers)
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
-    scanner = _Scanner(mounted_sensor(scenario, mount), args.format == _SUSTECHPOINTS)
-    _, frames = _frames(scenario, mount, numbers, option)
+    sensor = mounted_sensor(scenario, mount)
+    _, frames = _frames(args, scenario, mount, numbers)
+    told = f"({sensor.lattice.model.name}, {sensor.caster})"
     if one:
-        cloud = scanner.write(paths[0], frames[0])
+        cloud = sensor.scan(frames[0])
+        write_cloud(paths[0], cloud, sensor.cloud_header(frames[0]))
         of_vehicle = cloud.vehicle_id[cloud.vehicle_id >= 0]
         print(
             f"{paths[0]}: {len(cloud)} points, {len(of_vehicle)} of them on {len(np.unique(of_vehicle))} of "
-            f"{len(frames[0])} vehicles ({scanner.named})"
+            f"{len(frames[0])} vehicles {told}"
         )
         return 0
     make_folder(Path(args.out), "--out")
-    progress, points = Progress(len(frames), "scan"), 0
-    try:
+    points = 0
+    with closing(Progress(len(frames), "scan")) as progress:
         for path, vehicles in zip(paths, frames, strict=True):
-            points += len(scanner.write(path, vehicles))
+            cloud, header = sensor.scan(vehicles), sensor.cloud_header(vehicles)
+            if args.format == _SUSTECHPOINTS:
+                write_sustechpoints(path, cloud, vehicles, header)
+            else:
+                write_cloud(path, cloud, header)
+            points += len(cloud)
             progress.advance(1)
-    finally:
-        progress.close()
-    print(f"{args.out}: {len(frames)} clouds with {points} points ({scanner.named})")
+    print(f"{args.out}: {len(frames)} clouds with {points} points {told}")
     return 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Scanner:
-    """Scans frames with a mounted sensor and writes their clouds."""
-
-    sensor: MountedSensor
-    labelled_folder: bool
-
-    @property
-    def named(self) -> str:
-        """The sensor and the caster, for a message."""
-        return f"{self.sensor.lattice.model.name}, {self.sensor.caster}"
-
-    def write(self, path: Path, vehicles: Vehicles) -> PointCloud:
-        """Scan one frame and write its cloud, which is returned; with `labelled_folder` into SUSTechPOINTS's folder."""
-        cloud, header = self.sensor.scan(vehicles), self.sensor.cloud_header(vehicles)
-        if self.labelled_folder:
-            write_sustechpoints(path, cloud, vehicles, header)
-        else:
-            write_cloud(path, cloud, header)
-        return cloud
+def _path(args: argparse.Namespace) -> Path:
+    """The file of one cloud."""
+    if args.format is not None:
+        raise InputError("--format: goes with --frame-ids; the suffix of --out says what one cloud is written as")
+    check_place(args.out, "--out")
+    return check_cloud_name(args.out, "--out")
 
 
-def _paths(folder: Path, numbers: list[int], cloud_format: str) -> list[Path]:
+def _paths(args: argparse.Namespace, numbers: list[int]) -> list[Path]:
     """A file in the folder for each frame, named by its number; the folder itself where a format orders it."""
+    folder = Path(args.out)
     if len(set(numbers)) < len(numbers):
         raise InputError("--frame-ids: names a frame twice")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out: {folder}: is a file; allowed: a folder for the clouds of --frame-ids")
-    if cloud_format == _SUSTECHPOINTS:
+    if args.format == _SUSTECHPOINTS:
         return [folder] * len(numbers)
-    return [folder / f"{number:06d}.{cloud_format}" for number in numbers]
+    return [folder / f"{number:06d}.{args.format or 'npz'}" for number in numbers]
 
 
 # --- A .blend file ----------------------------------------------------------------------------------------
@@ -169,13 +154,12 @@ def _build(args: argparse.Namespace) -> int:
     if Path(args.out).suffix.lower() != ".blend":
         raise InputError(f"--out: {args.out}: allowed: a file name that ends in .blend")
     check_place(args.out, "--out")
-    numbers, option = _frame_numbers(args)
-    animated = args.sequence is not None
+    animated, numbers = args.sequence is not None, _numbers(args)
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
     scene = blender_room("scene", "build")
     sensor = mounted_sensor(scenario, mount)
-    recording, frames = _frames(scenario, mount, sorted(set(numbers)), option)
+    recording, frames = _frames(args, scenario, mount, sorted(set(numbers)))
     moment = sensor.moment(frames[0], with_cloud=not args.no_cloud)
     scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
     points = "no cloud" if moment.cloud is None else f"{len(moment.cloud)} points"
@@ -192,9 +176,7 @@ def _render(args: argparse.Namespace) -> int:
     folder = RunFolder(args.folder)
     result = read_run(folder).result
     blender = blender_room("scene", "render")
-    samples = blender.SAMPLES if args.samples is None else args.samples
-    if not 1 <= samples <= _MOST_SAMPLES:
-        raise InputError(f"--samples: is {samples}; allowed: 1 to {_MOST_SAMPLES}")
+    samples = blender.SAMPLES if args.samples is None else option_value(args.samples, _SAMPLES)
     scenario = load_scenario(folder.scene)
     check_same_inputs(scenario, result["identity"])
     recording = read_recording(scenario)

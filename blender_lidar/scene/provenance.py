@@ -12,8 +12,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from .. import __version__
-from ..errors import InputError, MissingFileError, shown
-from ..files import open_file, source_digest
+from ..errors import InputError, shown
+from ..files import open_file, reading, source_digest
 from .settings import Scenario
 
 CODE = "blender_lidar"  # of an identity: version, and a digest of the source
@@ -57,15 +57,11 @@ def check_identity(stored: object, identity: Mapping[str, object], what: str) ->
         raise InputError(f"--resume: {what} does not say with which settings it was made")
     for key in sorted({*stored, *identity}):
         before, now = stored.get(key), identity.get(key)
-        if before != now and key == CODE:
-            raise InputError(
-                f"--resume: {what} was made by other code, blender_lidar {shown(before)}, not {shown(now)}; "
-                "go on with that one, or give another --out"
-            )
         if before != now:
+            had = "was made by other code, blender_lidar" if key == CODE else f"had {key} ="
+            instead = "go on with that one" if key == CODE else "give it the same settings"
             raise InputError(
-                f"--resume: {what} had {key} = {shown(before)}, not {shown(now)}; "
-                "give it the same settings, or another --out"
+                f"--resume: {what} {had} {shown(before)}, not {shown(now)}; {instead}, or give another --out"
             )
 
 
@@ -110,24 +106,18 @@ def _named_by_content(path: str) -> str:
     return f"file with SHA-256 {file_digest(path)}"
 
 
-def _stamp(path: str | Path) -> tuple[int, int, int] | None:
-    """What tells that a file is the same as before; None without one."""
-    try:
+def _stamp(path: str) -> tuple[int, int] | None:
+    """What tells that a file is the same as before; None where there is none."""
+    with suppress(OSError):
         status = Path(path).stat()
-    except OSError:
-        return None
-    return status.st_ino, status.st_size, status.st_mtime_ns
+        return status.st_size, status.st_mtime_ns
+    return None
 
 
 def file_digest(path: str | Path) -> str:
     """SHA-256 of a file's content."""
-    try:
-        with open_file(path) as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    with reading(path, "a file"), open_file(path) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def versions(caster: str) -> dict[str, str]:

@@ -27,10 +27,12 @@ DATASHEET = "datasheet"  # in place of a number: the model's own
 DE_PSO = DePsoSettings()
 _LARGEST_ORIGIN_M = 1e9  # of a place in a net; sums and squares stay finite
 _FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
+_REACH = {"low": -_FARTHEST_M, "high": _FARTHEST_M}
 _LONGEST_BARRIER_M = 10_000.0
 _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
 _HEADING = {"low": -360.0, "high": 360.0}
+_STATED_RANGE = dict(zip(("low", "high"), STATED_RANGE_LIMITS_M, strict=True))
 _TILT = {"low": -90.0, "high": 90.0}
 _PLACE = {"low": -1e5, "high": 1e5}
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
@@ -69,32 +71,50 @@ DEPLOYMENT = {
 class TrafficSettings:
     """[traffic]: where the vehicles come from and which instants are looked at.
 
-    `frames` is None where `frame_ids` lists them, or `spacing_s` alone spreads them. `vehicle_types` is the path of the
-    file with the sizes of SUMO's vehicles. `height_m` holds heights by class, of vehicles in recordings that give none.
+    Attributes
+    ----------
+    path : str
+        Trajectory file in place of the scene's.
+    format : str
+        Of that file; auto looks at its beginning.
+    period : str or None
+        Recording period of an NGSIM file: 1, 2 ... or 0400-0415.
+    location : str or None
+        Site of a file that mixes several: i-80.
+    origin_m, heading_deg
+        Where the road frame's origin lies in the file's frame [m], and the direction of its x axis there.
+    time_step_s : float or None
+        Time between frame numbers [s].
+    vehicle_types : str or None
+        Route or additional file of SUMO with the <vType>s.
+    lanes : tuple of int or None
+        Lanes whose vehicles are read; all where None.
+    frames : int or None
+        Number of searched frames, spread evenly.
+    frame_ids : tuple of int or None
+        The searched frames: 100,150 or 100:160:5, its end included.
+    spacing_s : float or None
+        Time between the searched frames [s], instead of their number or besides.
+    holdout : float
+        Share of the blocks of time that is held out.
+    block_s : float or None
+        Length of these blocks [s]; longer than a transit of the site where None.
+    height_m : mapping
+        Heights by class [m], of vehicles in recordings that give none.
     """
 
-    path: str = setting(is_path=True, option="--traffic", help="trajectory file in place of the scene's")
+    path: str = setting(is_path=True, option="--traffic")
     format: str = setting("auto", allowed=FORMATS)
-    period: str | None = setting(
-        None, option="--period", help="recording period of an NGSIM file: 1, 2 ... or 0400-0415"
-    )
-    location: str | None = setting(None, option="--location", help="site of a file that mixes several: i-80")
+    period: str | None = setting(None, option="--period")
+    location: str | None = setting(None, option="--location")
     origin_m: tuple[float, float] | None = setting(None, low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
     heading_deg: float | None = setting(None, **_HEADING)
     time_step_s: float | None = setting(None, above=0.0)
-    vehicle_types: str | None = setting(
-        None, is_path=True, option="--vehicle-types", help="SUMO route or additional file with the <vType>s"
-    )
+    vehicle_types: str | None = setting(None, is_path=True, option="--vehicle-types")
     lanes: tuple[int, ...] | None = setting(None)
-    frames: int | None = setting(
-        None, low=1, option="--frames", rivals=("frame_ids",), help="number of searched frames, spread evenly"
-    )
+    frames: int | None = setting(None, low=1, option="--frames", rivals=("frame_ids",))
     frame_ids: tuple[int, ...] | None = setting(
-        None,
-        option="--frame-ids",
-        rivals=("frames", "spacing_s"),
-        metavar="IDS",
-        help="the searched frames: 100,150 or 100:160:5, its end included",
+        None, option="--frame-ids", rivals=("frames", "spacing_s"), metavar="IDS"
     )
     spacing_s: float | None = setting(None, above=0.0)
     holdout: float = setting(0.4, low=0.0, high=0.9)
@@ -108,46 +128,36 @@ class TrafficSettings:
 class SensorSettings:
     """[sensor]: the model, its rate, the range within which it is asked to see, and how imperfect it is.
 
-    `name` is that of a model, or the path of a user's own beam table. What is None where the scene says nothing is the
-    model's own, or none.
+    What is None where the scene says nothing is the model's own, or none.
+
+    Attributes
+    ----------
+    name : str
+        Sensor model or the path of a beam table; see `blender-lidar sensors`.
+    rotation_hz, range_gate_m : float
+        Turns per second, and the range within which it is asked to see [m].
+    range_noise_m : float
+        Standard deviation of the range noise in metres, or datasheet for the model's own.
+    dropout : float
+        Probability that a return is lost.
+    glass_dropout : float
+        Probability that a return from glass is lost besides; 1: windows return nothing.
+    range_at_10_percent_m : float or None
+        Metres to which a target of 10 percent reflectivity is seen, or datasheet; weaker returns are lost.
+    unit_spread_deg : float
+        Standard deviation between units' beams in degrees.
+    unit, noise_seed : int
+        Which of the units it is, and the seed of its noise.
     """
 
-    name: str = setting(
-        "RS-16", option="--sensor", help="sensor model or the path of a beam table; see `blender-lidar sensors`"
-    )
+    name: str = setting("RS-16", option="--sensor")
     rotation_hz: float = setting(None, above=0.0)
     range_gate_m: float = setting(None, above=0.0)
-    range_noise_m: float = setting(
-        None,
-        low=0.0,
-        high=MOST_RANGE_NOISE_M,
-        word=DATASHEET,
-        option="--range-noise",
-        help="standard deviation of the range noise in metres, or datasheet for the model's own",
-    )
-    dropout: float = setting(None, low=0.0, below=1.0, option="--dropout", help="probability that a return is lost")
-    glass_dropout: float = setting(
-        None,
-        low=0.0,
-        high=1.0,
-        option="--glass-dropout",
-        help="probability that a return from glass is lost besides; 1: windows return nothing",
-    )
-    range_at_10_percent_m: float | None = setting(
-        None,
-        low=STATED_RANGE_LIMITS_M[0],
-        high=STATED_RANGE_LIMITS_M[1],
-        word=DATASHEET,
-        option="--range-at-10-percent",
-        help="metres to which a target of 10 percent reflectivity is seen, or datasheet; weaker returns are lost",
-    )
-    unit_spread_deg: float = setting(
-        None,
-        low=0.0,
-        high=MOST_SPREAD_DEG,
-        option="--unit-spread",
-        help="standard deviation between units' beams in degrees",
-    )
+    range_noise_m: float = setting(None, low=0.0, high=MOST_RANGE_NOISE_M, word=DATASHEET, option="--range-noise")
+    dropout: float = setting(None, low=0.0, below=1.0, option="--dropout")
+    glass_dropout: float = setting(None, low=0.0, high=1.0, option="--glass-dropout")
+    range_at_10_percent_m: float | None = setting(None, **_STATED_RANGE, word=DATASHEET, option="--range-at-10-percent")
+    unit_spread_deg: float = setting(None, low=0.0, high=MOST_SPREAD_DEG, option="--unit-spread")
     unit: int = setting(1, low=0)
     noise_seed: int = setting(1, low=0)
 
@@ -242,61 +252,59 @@ class Tolerance:
 class ObjectiveSettings:
     """[objective]: what is maximised.
 
-    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do, which is what is
-    done unless said for any metric but the paper's; `tolerance` is None where mountings are taken to hang as planned.
+    Attributes
+    ----------
+    metric : str
+        What is maximised.
+    reading : str
+        The paper's equations as corrected, or as printed.
+    cell_m : float
+        Side of an occupancy cell [m].
+    threshold, view
+        Least occupancy that counts as detectable, and of which of the three views.
+    loss : float or None
+        What a vehicle below the threshold adds. None: what the metric gives it, as others do, which is what is done
+        unless said for any metric but the paper's.
+    tolerance : Tolerance or None
+        How far off its plan the mounting may end up, as half-widths: tilt_deg=1,height_m=0.05; also yaw_deg, and
+        aim=mean or aim=low; none: it hangs as planned.
     """
 
-    metric: str = setting(
-        PE_VGOP.name,
-        allowed=METRICS,
-        option="--metric",
-        metavar="METRIC",
-        help=f"what is maximised: {', '.join(METRICS)}",
-    )
-    reading: str = setting(
-        "corrected", allowed=READINGS, option="--reading", help="the paper's equations as corrected, or as printed"
-    )
+    metric: str = setting(PE_VGOP.name, allowed=METRICS, option="--metric", metavar="METRIC")
+    reading: str = setting("corrected", allowed=READINGS, option="--reading")
     cell_m: float = setting(0.05, low=0.005, high=1.0)
     threshold: float = setting(0.005, low=0.0, high=1.0)
     view: str = setting("mean", allowed=VIEWS)
     loss: float | None = setting(None, low=-_MOST_LOSS, high=_MOST_LOSS)
-    tolerance: Tolerance | None = setting(
-        None,
-        option="--tolerance",
-        help="how far off its plan the mounting may end up, as half-widths: tilt_deg=1,height_m=0.05; also yaw_deg, "
-        "and aim=mean or aim=low; none: it hangs as planned",
-    )
+    tolerance: Tolerance | None = setting(None, option="--tolerance")
 
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
     """[search]: how the best mounting is looked for; what is DE-PSO's alone is None with any other method.
 
-    `fidelity` is "full" where every mounting is scored on all searched frames with all beams, "auto" where most are
-    screened on less.
+    Attributes
+    ----------
+    method : str
+        How the best mounting is looked for.
+    fidelity : str
+        Full: every mounting is scored on all frames with all beams; auto: most are screened on less, and what is
+        reported is scored on all of it.
+    seed : int
+        Seed of everything random.
+    particles : int
+        Particles of the swarm, hardened or DE-PSO's.
+    iterations : int
+        Every search gets particles x iterations evaluations.
+    inertia, differential_weight, cognitive, social, differential_threshold : float or None
+        DE-PSO's coefficients, see `optimise.de_pso.DePsoSettings`.
     """
 
-    method: str = setting(
-        Hardened.name, allowed=SEARCHES, option="--search", help="how the best mounting is looked for"
-    )
-    fidelity: str = setting(
-        "full",
-        allowed=("full", "auto"),
-        option="--fidelity",
-        help="full: every mounting is scored on all frames with all beams; auto: most are screened on less, and what "
-        "is reported is scored on all of it",
-    )
-    seed: int = setting(1, low=0, option="--seed", help="seed of everything random")
-    particles: int = setting(
-        DE_PSO.particles, low=3, high=10_000, option="--particles", help="particles of the swarm, hardened or DE-PSO's"
-    )
-    iterations: int = setting(
-        DE_PSO.iterations,
-        low=1,
-        high=1_000_000,
-        option="--iterations",
-        help="every search gets particles x iterations evaluations",
-    )
+    method: str = setting(Hardened.name, allowed=SEARCHES, option="--search")
+    fidelity: str = setting("full", allowed=("full", "auto"), option="--fidelity")
+    seed: int = setting(1, low=0, option="--seed")
+    particles: int = setting(DE_PSO.particles, low=3, high=10_000, option="--particles")
+    iterations: int = setting(DE_PSO.iterations, low=1, high=1_000_000, option="--iterations")
     inertia: float | None = setting(None, **_COEFFICIENT)
     differential_weight: float | None = setting(None, **_COEFFICIENT)
     cognitive: float | None = setting(None, **_COEFFICIENT)
@@ -309,7 +317,7 @@ class BoxSettings:
     """An entry of [[world.boxes]]: something that stands still, in the road frame; `name` is a number unless said."""
 
     name: str | None = setting(None)
-    centre_m: tuple[float, float, float] = setting(low=-_FARTHEST_M, high=_FARTHEST_M)
+    centre_m: tuple[float, float, float] = setting(**_REACH)
     size_m: tuple[float, float, float] = setting(above=0.0, high=_FARTHEST_M)
     heading_deg: float = setting(0.0, **_HEADING)
 
@@ -319,13 +327,12 @@ class BarrierSettings:
     """An entry of [[world.barriers]]: a barrier along the line y = `y_m` between two x."""
 
     kind: str = setting(allowed=BARRIERS)
-    y_m: float = setting(low=-_FARTHEST_M, high=_FARTHEST_M)
+    y_m: float = setting(**_REACH)
     x_m: tuple[float, float] = setting(
         (-200.0, 200.0),
-        low=-_FARTHEST_M,
-        high=_FARTHEST_M,
+        **_REACH,
         fits=lambda x: 0.0 < x[1] - x[0] <= _LONGEST_BARRIER_M,
-        form=f"a pair [from, to], to after from and at most {_LONGEST_BARRIER_M:g} m away",
+        form=f"a pair [from, to], to after from and at most {_LONGEST_BARRIER_M:g} m from it",
     )
 
 
@@ -337,18 +344,25 @@ def _is_blend(path: str) -> bool:
 class WorldSettings:
     """[world]: what there is, and how finely vehicles are modelled.
 
-    `ground` is whether the plane z = 0 returns. `blend` and `mesh` are files of scenery in a frame of their own, in
-    which the road frame's origin lies at `origin_m` and its x axis points along `heading_deg`.
+    Attributes
+    ----------
+    detail : str
+        Level of detail of the vehicles.
+    ground : bool
+        Whether the plane z = 0 returns.
+    blend, mesh : str or None
+        Files of scenery in a frame of their own.
+    origin_m, heading_deg
+        Where the road frame's origin lies in the frame of these files [m], and the direction of its x axis there.
+    boxes, barriers : tuple
+        What else stands still.
     """
 
-    detail: str = setting("body", allowed=DETAILS, option="--detail", help="level of detail of the vehicles")
+    detail: str = setting("body", allowed=DETAILS, option="--detail")
     ground: bool = setting(True)
     blend: str | None = setting(None, is_path=True, fits=_is_blend, form="a .blend file")
     mesh: str | None = setting(
-        None,
-        is_path=True,
-        fits=lambda path: not _is_blend(path),
-        form="a mesh file that Blender reads; .blend files go to blend",
+        None, is_path=True, fits=lambda path: not _is_blend(path), form="a mesh file; .blend files go to blend"
     )
     origin_m: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
     heading_deg: float = setting(0.0, **_HEADING)
@@ -361,21 +375,29 @@ class WorldSettings:
         return bool(self.blend or self.mesh or self.boxes or self.barriers)
 
 
+def _is_address(address: str) -> bool:
+    found = _ADDRESS.fullmatch(address)
+    return bool(found) and 0 < int(found["port"]) < 2**16
+
+
 @dataclass(frozen=True, slots=True)
 class ModelSettings:
-    """[model]: what casts the rays, and in how many processes, or on which dask scheduler's workers."""
+    """[model]: what casts the rays, and in how many processes, or on which dask scheduler's workers.
 
-    caster: str = setting("auto", allowed=("auto", *CASTERS), option="--caster", help="what casts the rays")
-    workers: int = setting(
-        0, low=0, high=256, option="--workers", rivals=("cluster",), help="processes; 0 takes one for each processor"
-    )
+    Attributes
+    ----------
+    caster : str
+        What casts the rays.
+    workers : int
+        Processes; 0 takes one for each processor.
+    cluster : str or None
+        Dask scheduler whose workers are used instead: tcp://host:8786.
+    """
+
+    caster: str = setting("auto", allowed=("auto", *CASTERS), option="--caster")
+    workers: int = setting(0, low=0, high=256, option="--workers", rivals=("cluster",))
     cluster: str | None = setting(
-        None,
-        option="--cluster",
-        rivals=("workers",),
-        fits=lambda address: (found := _ADDRESS.fullmatch(address)) and 0 < int(found["port"]) < 2**16,
-        form="such as tcp://host:8786",
-        help="dask scheduler whose workers are used instead: tcp://host:8786",
+        None, option="--cluster", rivals=("workers",), fits=_is_address, form="such as tcp://host:8786"
     )
 
 

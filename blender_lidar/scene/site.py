@@ -11,14 +11,13 @@ import numpy as np
 from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
-from ..scene.observation import CountedFrame, Observation, Scoring, scene_field
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model, unit_of
 from ..traffic import FramePlan, Recording, Vehicles, plan_frames, read_traffic
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
-from .observation import Region
+from .observation import CountedFrame, Observation, Region, Scoring, scene_field
 from .provenance import run_identity, unchanged_inputs
 from .scenario import Scenario
 from .settings import BarrierSettings, BoxSettings, SensorSettings, WorldSettings
@@ -48,11 +47,17 @@ def read_scenery(scenario: Scenario, reach_m: float) -> Scenery:
 def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
     """What of a file lies within reach; a file of which nothing does is most likely put in the wrong place."""
     read_site = blender_room("site", path).read_site
-    placing = _Placing(world.origin_m, math.radians(world.heading_deg))
-    near = _placed(read_site(path, lambda box: bool(boxes_reach(placing.to_road(box), centre, reach_m))), placing)
-    near = near.within(centre, reach_m)
+    heading = math.radians(world.heading_deg)
+    cos, sin = math.cos(heading), math.sin(heading)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
+
+    def to_road(points: np.ndarray) -> np.ndarray:
+        return (points - np.array(world.origin_m)) @ turn
+
+    near = read_site(path, lambda box: bool(boxes_reach(to_road(box), centre, reach_m)))
+    near = replace(near, corners=to_road(near.corners)).within(centre, reach_m)
     if len(near) == 0:
-        corners = _placed(read_site(path), placing).corners
+        corners = to_road(read_site(path).corners)
         low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         raise InputError(
             f"{path}: nothing of it lies within {reach_m:g} m of the mount at x {centre[0]:g}, y {centre[1]:g} m; "
@@ -60,24 +65,6 @@ def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m:
             "origin_m and heading_deg"
         )
     return near
-
-
-@dataclass(frozen=True, slots=True)
-class _Placing:
-    """Where the road frame lies in the frame of a file: its origin [m] and the direction of its x axis [rad]."""
-
-    origin_m: tuple[float, float, float]
-    heading_rad: float
-
-    def to_road(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 3) of the file in the road frame [m]."""
-        cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
-        return (points - np.array(self.origin_m)) @ turn
-
-
-def _placed(scenery: Scenery, placing: _Placing) -> Scenery:
-    return replace(scenery, corners=placing.to_road(scenery.corners))
 
 
 # --- A pole stands beside the traffic, never in it, and no LiDAR hangs inside a box or a barrier ----------
@@ -106,39 +93,47 @@ def check_mount_is_clear(
         Naming the place, and the lane's edges, the box, or the vehicle and frame.
     """
     if mounts is None:
-        places = {
-            f"{scenario.source}: [deployment] x_m, y_m": _searched(scenario),
-            f"{scenario.source}: [baseline] x_m, y_m": _point(scenario.baseline),
-        }
-    else:
-        places = {option: _point(mount) for option, mount in mounts.items()}
+        searched = {**scenario.deployment.fixed, **scenario.deployment.bounds}
+        of_scene = {"deployment": searched, "baseline": scenario.baseline}
+        mounts = {f"{scenario.source}: [{table}] x_m, y_m": mount for table, mount in of_scene.items()}
     right, left = scenario.road.carriageway_y
-    for where, (low, high) in places.items():
+    solids = [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]
+    frames = list(frames)
+    for where, mount in mounts.items():
+        low, high = np.transpose([np.broadcast_to(mount[key], 2) for key in _PLACE])  # each coordinate's ends
         if low[1] < left and high[1] > right:
             raise InputError(
                 f"{where}: the mount at y {_span(low[1], high[1])} m stands on the carriageway; "
                 f"allowed: at most {right:g} or at least {left:g} m"
             )
-        for solid in [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]:
-            if _holds(solid, low, high):
+        for solid in solids:
+            middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
+            place = np.array([solid.centre_m]), np.array([solid.size_m]), np.radians([solid.heading_deg])
+            if low[2] <= middle + half and high[2] >= middle - half and footprints_meet(*place, low, high).any():
                 raise InputError(
                     f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move the one or the other"
                 )
-    for vehicles in frames:
-        for where, (low, high) in places.items():
-            inside = np.flatnonzero(boxes_meet_rectangle(vehicles, low[:2], high[:2]))
+        for vehicles in frames:
+            place = vehicles.centre_m, vehicles.size_m, vehicles.heading_rad
+            inside = vehicles.vehicle_id[footprints_meet(*place, low, high)]
             if len(inside):
                 raise InputError(
-                    f"{where}: the mount at x {_span(low[0], high[0])} m, y "
-                    f"{_span(low[1], high[1])} m stands inside vehicle {vehicles.vehicle_id[inside[0]]} of frame "
-                    f"{vehicles.frame}; move it, or leave that frame out with [traffic] frame_ids"
+                    f"{where}: the mount at x {_span(low[0], high[0])} m, y {_span(low[1], high[1])} m stands inside "
+                    f"vehicle {inside[0]} of frame {vehicles.frame}; move it, or leave that frame out "
+                    "with [traffic] frame_ids"
                 )
 
 
-def boxes_meet_rectangle(vehicles: Vehicles, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Which footprints overlap the axis-parallel rectangle from `low` to `high` (2,) [m], (n,) bool."""
-    footprints = vehicles.centre_m[:, :2], 0.5 * vehicles.size_m[:, :2], vehicles.heading_rad
-    return rectangles_overlap(*footprints, 0.5 * (low + high), 0.5 * (high - low) + _TOUCHING_M, 0.0)
+def footprints_meet(
+    centre: np.ndarray, size: np.ndarray, heading: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Which boxes' footprints overlap the axis-parallel rectangle from `low` to `high`, (n,) bool.
+
+    `centre` and `size` are (n, 2) or more [m], `heading` is (n,) [rad]; of `low` and `high` x and y count.
+    """
+    low, high = low[:2], high[:2]
+    rectangle = 0.5 * (low + high), 0.5 * (high - low) + _TOUCHING_M, 0.0
+    return rectangles_overlap(centre[:, :2], 0.5 * size[:, :2], heading, *rectangle)
 
 
 def _box_around(barrier: BarrierSettings) -> BoxSettings:
@@ -148,34 +143,13 @@ def _box_around(barrier: BarrierSettings) -> BoxSettings:
     return BoxSettings(name=f"{barrier.kind} at y {barrier.y_m:g} m", centre_m=centre, size_m=size)
 
 
-def _holds(box: BoxSettings, low: np.ndarray, high: np.ndarray) -> bool:
-    """Whether a LiDAR mounted anywhere between two corners (3,) may be inside a box."""
-    middle, half = np.array(box.centre_m), 0.5 * np.array(box.size_m)
-    if high[2] < middle[2] - half[2] or low[2] > middle[2] + half[2]:
-        return False
-    footprint = middle[None, :2], half[None, :2], np.array([math.radians(box.heading_deg)])
-    mounts = 0.5 * (low + high)[:2], 0.5 * (high - low)[:2] + _TOUCHING_M, 0.0
-    return bool(rectangles_overlap(*footprint, *mounts).any())
-
-
-def _searched(scenario):
-    """Between which corners, x, y and height, mountings are searched."""
-    fixed, bounds = scenario.deployment.fixed, scenario.deployment.bounds
-    spans = [(fixed[key], fixed[key]) if key in fixed else bounds[key] for key in _PLACE]
-    return tuple(np.array(corner) for corner in zip(*spans, strict=True))
-
-
-def _point(mount):
-    point = np.array([mount[key] for key in _PLACE])
-    return point, point
-
-
 def _span(low, high):
     return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 # --- The site ---------------------------------------------------------------------------------------------------------
 
+_OF_FORMATS = ("time_step_s", "period", "location", "height_m", "origin_m", "heading_deg", "vehicle_types")
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
 _FEWEST_ON_ROAD = 0.1  # share; at an intersection, or with both directions in one recording, many drive elsewhere
 
@@ -245,27 +219,13 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         When a file cannot be read or changes meanwhile, no vehicle is in the region, or the mount would stand in
         traffic.
     """
+    settings, objective, sensor = scenario.traffic, scenario.objective, scenario.sensor
+    caster = resolve(scenario.model.caster, "caster")
     with unchanged_inputs(scenario):
-        return _prepared(scenario, mount)
-
-
-def _prepared(scenario: Scenario, mount: Mapping[str, float] | None) -> Site:
-    lattice, caster = lattice_of(scenario.sensor), resolve(scenario.model.caster, "caster")
-    model, objective = lattice.model, scenario.objective
-    observation = Observation(
-        lattice=lattice,
-        max_range_m=scenario.sensor.range_gate_m,
-        min_range_m=model.range_min_m,
-        caster=caster,
-        detail=scenario.world.detail,
-        cell_m=objective.cell_m,
-        reading=objective.reading,
-        scenery=standing_scenery(scenario, caster, mount),
-        imperfections=scenario.sensor.imperfections,
-    )
-    recording = read_recording(scenario)
-    region = Region(scenario.deployment.nominal_xy, scenario.sensor.range_gate_m)
-    settings = scenario.traffic
+        lattice, recording = lattice_of(sensor), read_recording(scenario)
+        scenery = standing_scenery(scenario, caster, mount)
+        identity = run_identity(scenario, caster, scenery and scenery.scenery.digest)
+    region = Region(scenario.deployment.nominal_xy, sensor.range_gate_m)
     plan = plan_frames(
         recording,
         region.holds,
@@ -282,23 +242,26 @@ def _prepared(scenario: Scenario, mount: Mapping[str, float] | None) -> Site:
     reach = _reach_m(scenario, mount)
     searched = tuple(_counted(frame, region, reach) for frame in frames[: len(plan.search)])
     held_out = tuple(_counted(frame, region, reach, plan.searched_ids) for frame in frames[len(plan.search) :])
-    if not sum(int(frame.counted.sum()) for frame in searched):
+    if not any(frame.counted.any() for frame in searched):
         x, y = region.centre_xy
         raise InputError(
             f"{recording.source}: no vehicle within {region.radius_m:g} m of the mount at x {x:g} m, y {y:g} m in the "
             f"{len(plan.search)} searched frames; check [traffic] origin_m, [road] and [deployment]"
         )
-    scoring = Scoring(
-        threshold=objective.threshold,
-        view=objective.view,
-        loss=objective.loss,
+    observation = Observation(
+        lattice=lattice,
+        max_range_m=sensor.range_gate_m,
+        min_range_m=lattice.model.range_min_m,
+        caster=caster,
+        detail=scenario.world.detail,
+        cell_m=objective.cell_m,
         reading=objective.reading,
-        metric=objective.metric,
-        field=scene_field(objective.metric, scenario.road, region.centre_xy, region.radius_m, searched),
+        scenery=scenery,
+        imperfections=sensor.imperfections,
     )
-    standing = observation.scenery
-    identity = run_identity(scenario, caster, standing and standing.scenery.digest)
-    return Site(scenario, model, observation, scoring, recording, plan, searched, held_out, identity)
+    field = scene_field(objective.metric, scenario.road, region.centre_xy, region.radius_m, searched)
+    scoring = Scoring(objective.threshold, objective.view, objective.loss, objective.reading, objective.metric, field)
+    return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
 
 
 def lattice_of(sensor: SensorSettings) -> BeamLattice:
@@ -319,18 +282,8 @@ def standing_scenery(scenario: Scenario, caster: str, mount: Mapping[str, float]
 def read_recording(scenario: Scenario) -> Recording:
     """The traffic that a scene names."""
     settings = scenario.traffic
-    recording = read_traffic(
-        settings.path,
-        format=settings.format,
-        time_step_s=settings.time_step_s,
-        road=scenario.road,
-        period=settings.period,
-        location=settings.location,
-        height_m=settings.height_m,
-        origin_m=settings.origin_m,
-        heading_deg=settings.heading_deg,
-        vehicle_types=settings.vehicle_types,
-    )
+    given = {key: getattr(settings, key) for key in _OF_FORMATS}
+    recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
     recording = _with_place_told(recording, scenario)
     if settings.lanes is None:
         return recording
