@@ -9,7 +9,15 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.metrics import scene_metrics as ground_returns
-from blender_lidar.metrics.scene_metrics import DISC_RADIUS_M, field_area, ground_density, nuc
+from blender_lidar.metrics.metric import Field, SceneContext
+from blender_lidar.metrics.scene_metrics import (
+    DISC_RADIUS_M,
+    density_on_ground,
+    field_area,
+    ground_density,
+    nuc,
+    nuc_on_ground,
+)
 
 AREA_M2 = 20.0 * 30.0
 
@@ -93,16 +101,9 @@ def test_the_area_of_a_field_equals_that_of_many_thin_strips():
     assert field_area(20.0, (25.0, 30.0)) == 0.0
 
 
-@pytest.mark.parametrize(
-    ("points", "area", "more", "message"),
-    [
-        (np.zeros((4, 3)), 1.0, {}, r"allowed: \(n, 2\)"),
-        (np.full((4, 2), math.nan), 1.0, {}, "finite"),
-        (np.zeros((4, 2)), 0.0, {}, "area_m2 is 0.0"),
-        (np.zeros((4, 2)), 1.0, {"radius_m": 0.0}, "a positive radius"),
-        (np.zeros((4, 2)), 1.0, {"discs": 0}, "1 or more"),
-    ],
-)
-def test_fields_and_discs_that_are_none_are_refused(points, area, more, message):
-    with pytest.raises(InputError, match=message):
-        nuc(points, area, **more)
+def test_a_region_that_holds_no_carriageway_is_refused():
+    down = np.array([[[0.0, 0.6, -0.8]]])
+    context = SceneContext((), down, 0.4, 50.0, Field((0.0, 0.0), 20.0, (25.0, 30.0)))
+    for value in (density_on_ground, nuc_on_ground):
+        with pytest.raises(InputError, match=r"a region of 20 m about \(0\.0, 0\.0\) holds none of the carriageway"):
+            value(context, np.array([0.0, 0.0, 4.0]), np.eye(3))

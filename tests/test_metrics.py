@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS, metric_named
-from blender_lidar.metrics.metric import VehicleReturns, vehicle_returns
-from blender_lidar.metrics.vehicle_metrics import ap_entropy, expected_precision, voxel_entropy, voxel_occupancy
+from blender_lidar.metrics.metric import vehicle_returns
+from blender_lidar.metrics.vehicle_metrics import expected_precision, voxel_entropy, voxel_occupancy
 from blender_lidar.metrics.vgop import pe_vgop, to_vehicle_frame
 
 OF_RETURNS = [name for name in METRICS if name != "distance" and METRICS[name].learn is None]
@@ -255,22 +255,6 @@ def test_expected_precision_is_clipped_at_both_ends():
     assert found[1] == pytest.approx(0.659)
     assert found[2] == pytest.approx(0.152 * math.log(9) + 0.659)
     assert found[3:].tolist() == [0.999, 0.999]
-    assert expected_precision(np.array([1]), intercept=-0.5).tolist() == [0.001]
-
-
-def test_the_entropy_of_the_position_takes_other_constants():
-    returns = VehicleReturns(np.ones((1, 3)), np.array([50]), np.zeros((1, 3)))
-    precision = 0.156 * math.log(50) + 0.1
-    sigma = 1 / precision - 1
-    assert ap_entropy(returns, 0.156, 0.1)[0] == pytest.approx(2 * math.log(sigma) + 1 + math.log(2 * math.pi))
-
-
-@pytest.mark.parametrize("bad", [{"slope": 0.0}, {"slope": math.nan}, {"intercept": math.inf}, {"margin": 0.6}])
-def test_impossible_constants_are_refused(bad):
-    with pytest.raises(InputError, match="allowed: a slope above 0"):
-        expected_precision(np.array([1]), **bad)
-    with pytest.raises(InputError, match="negative"):
-        expected_precision(np.array([-1]))
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
@@ -283,18 +267,3 @@ def test_names_are_the_catalogues_and_an_unknown_one_is_refused_with_the_nearest
         InputError, match=r"--metric: unknown metric 'voxel-entropy'; did you mean 'voxel-entropy-0.\d'"
     ):
         metric_named("voxel-entropy", "--metric")
-
-
-def test_what_a_metric_lacks_is_named():
-    seen = VehicleReturns(np.ones((1, 3)), np.array([3]), np.zeros((1, 3)))
-    with pytest.raises(InputError, match="metric 'distance' needs the place of the LiDAR"):
-        METRICS["distance"].values(seen)
-    with pytest.raises(InputError, match="'voxel-occupancy' needs the points themselves"):
-        METRICS["voxel-occupancy"].values(seen)
-    assert METRICS["points"].values(seen).tolist() == [3.0]
-
-
-@pytest.mark.parametrize("distance", [[-1.0], [math.nan], [math.inf], [1.0, 2.0], 3.0])
-def test_impossible_distances_are_refused(distance):
-    with pytest.raises(InputError, match="distance_m"):
-        vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.ones((1, 3)), distance)

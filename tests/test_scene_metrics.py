@@ -268,15 +268,6 @@ def test_ground_returns_are_those_of_a_scan_of_the_empty_road(pose):
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 
-def test_a_frame_that_was_not_learnt_from_is_refused_and_so_are_two_of_one_number():
-    scores = VehicleScores(scoring("s-mig"), SEEN, FRAMES[:3])
-    scorer = FrameScorer(FRAMES[4].vehicles, FRAMES[4].counted, SEEN)
-    with pytest.raises(InputError, match="frame 40 is none of those"):
-        scores.of(FRAMES[4], scorer, POSES, mountings_of(POSES))
-    with pytest.raises(InputError, match="same number"):
-        VehicleScores(scoring("s-mig"), SEEN, [FRAMES[0], FRAMES[0]])
-
-
 def test_without_a_scene_there_is_nothing_to_learn_from():
     nothing = VehicleReturns(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.zeros((1, 3)))
     for name in NAMES:

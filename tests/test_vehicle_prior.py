@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.metric import VehicleReturns, vehicle_returns
+from blender_lidar.metrics.metric import vehicle_returns
 from blender_lidar.metrics.occupancy_prior import VehiclePrior
 
 
@@ -115,8 +115,6 @@ def test_a_prior_without_vehicles_points_or_bounds_is_refused():
     returns = sample(1)
     with pytest.raises(InputError, match="no vehicle to learn from"):
         VehiclePrior.learn(vehicle_returns(np.zeros((0, 3)), np.zeros(0, dtype=int), np.zeros((0, 3))))
-    with pytest.raises(InputError, match="needs the points themselves"):
-        VehiclePrior.learn(VehicleReturns(returns.size_m, returns.count, returns.occupancy))
     with pytest.raises(InputError, match="134,217,728 at most"):
         VehiclePrior.learn(returns, 1e-3)
     with pytest.raises(InputError, match="cell_m is 0"):

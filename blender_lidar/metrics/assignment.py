@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from .vgop import to_vehicle_frame
 
 NO_BOX = -1
-_FEW_BOXES = 24  # to sort the points takes as long as to look through them so many times
 SLACK_M = 0.002
 """Clouds of boxes lie on their very faces, where rounding decides; and boxes are given to the millimetre."""
 
@@ -46,7 +43,9 @@ def points_in_boxes(
     nearest = np.full(len(points), np.inf)
     half = 0.5 * size + slack_m
     reach = np.linalg.norm(half[:, :2], axis=1)
-    for box, near in enumerate(_stretches(points[:, 0], centre[:, 0] - reach, centre[:, 0] + reach)):
+    along = np.ascontiguousarray(points[:, 0])
+    for box in range(len(centre)):
+        near = np.flatnonzero(np.abs(along - centre[box, 0]) <= reach[box])
         local = to_vehicle_frame(points[near], centre[box], float(heading[box]))
         inside = (np.abs(local) <= half[box]).all(axis=1)
         if ground_clearance_m > 0.0:
@@ -55,17 +54,3 @@ def points_in_boxes(
         taken = inside & (distance < nearest[near])
         row[near[taken]], nearest[near[taken]] = box, distance[taken]
     return row
-
-
-def _stretches(x: np.ndarray, low: np.ndarray, high: np.ndarray) -> Iterator[np.ndarray]:
-    """Rows of the points between each low and high, which is all that a box has to look at."""
-    if len(low) <= _FEW_BOXES:
-        x = np.ascontiguousarray(x)
-        for least, most in zip(low, high, strict=True):
-            yield np.flatnonzero((x >= least) & (x <= most))
-        return
-    order = np.argsort(x, kind="stable")
-    x = x[order]
-    ends = zip(np.searchsorted(x, low, side="left"), np.searchsorted(x, high, side="right"), strict=True)
-    for first, last in ends:
-        yield order[first:last]

@@ -133,11 +133,6 @@ class SceneContext:
 # --- What a metric is, and what it is given: the returns from vehicles, each in its vehicle's own frame ---
 
 NEEDS_POINTS, NEEDS_DISTANCE, NEEDS_VIEW = "points", "distance_m", "view"
-_MISSING = {
-    NEEDS_POINTS: "the points themselves, not their number alone",
-    NEEDS_DISTANCE: "the place of the LiDAR",
-    NEEDS_VIEW: "the mountings and the frame's boxes",
-}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,20 +195,11 @@ def vehicle_returns(
     Raises
     ------
     InputError
-        When shapes disagree, a row is out of range, a side is not positive, a point is not finite or a distance is
-        negative or not finite.
+        When shapes disagree, a row is out of range, a side is not positive or a point is not finite.
     """
     shares = occupancy(points, vehicle, size_m, cell_m, reading)
     points, vehicle, size_m = (np.asarray(values) for values in (points, vehicle, size_m))
     vehicle = vehicle.astype(np.int64, copy=False)
-    if distance_m is not None:
-        distance_m = np.asarray(distance_m, dtype=float)
-        if distance_m.shape != (len(size_m),):
-            raise InputError(
-                f"distance_m has shape {distance_m.shape}; allowed: ({len(size_m)},), one for each vehicle"
-            )
-        if not ((distance_m >= 0.0) & (distance_m < np.inf)).all():
-            raise InputError("distance_m holds a distance that is negative or not finite")
     count = np.bincount(vehicle, minlength=len(size_m))
     return VehicleReturns(size_m.astype(float, copy=False), count, shares, distance_m, points.astype(float), vehicle)
 
@@ -282,13 +268,9 @@ class Metric:
         Raises
         ------
         InputError
-            When `returns` lacks something that the metric needs, or the metric has to learn first: see `learnt`.
+            When the metric has to learn first: see `learnt`.
         """
-        score = self.learnt(None).score
-        for what in sorted(self.needs):
-            if getattr(returns, what) is None:
-                raise InputError(f"metric {self.name!r} needs {_MISSING[what]}")
-        return score(returns)
+        return self.learnt(None).score(returns)
 
     def merit(self, values: np.ndarray) -> np.ndarray:
         """Values with their sign turned where lower is better, so that of two merits the greater one is the better."""

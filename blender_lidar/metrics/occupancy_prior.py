@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError
 from .metric import VehicleReturns
 from .view_grids import cell_counts
-from .voxel_grid import MOST_VOXELS, VoxelGrid, VoxelWalk, check_boxes
+from .voxel_grid import MOST_VOXELS, VoxelGrid, VoxelWalk
 
 # --- How uncertain the voxels are that beams cross: S-MIG and M-SOG, which learn from traffic where vehicles drive -
 # Both ask no more of a beam than that it crosses a voxel: it goes on through whatever stands there. Neither sees
@@ -19,16 +19,7 @@ from .voxel_grid import MOST_VOXELS, VoxelGrid, VoxelWalk, check_boxes
 
 
 def bernoulli_entropy(p: np.ndarray) -> np.ndarray:
-    """H(p) = -p ln p - (1 - p) ln(1 - p) of probabilities, elementwise [nats]; 0 where p is 0 or 1.
-
-    Raises
-    ------
-    InputError
-        When a probability is not in [0, 1].
-    """
-    p = np.asarray(p, dtype=float)
-    if not ((p >= 0.0) & (p <= 1.0)).all():
-        raise InputError("a probability is outside 0 to 1 or not a number; allowed: 0 to 1")
+    """H(p) = -p ln p - (1 - p) ln(1 - p) of probabilities, elementwise [nats]; 0 where p is 0 or 1."""
     certain = (p == 0.0) | (p == 1.0)
     inner = np.where(certain, 0.5, p)
     return np.where(certain, 0.0, -inner * np.log(inner) - (1.0 - inner) * np.log1p(-inner))
@@ -52,24 +43,15 @@ class OccupiedFrames:
     Raises
     ------
     InputError
-        Without a frame that counts, with a voxel that the grid does not have or that a frame names twice.
+        Without a frame that counts.
     """
 
     def __init__(self, occupied: Sequence[np.ndarray], voxels: int, weights: np.ndarray | None = None) -> None:
         weights = np.ones(len(occupied)) if weights is None else np.asarray(weights, dtype=float)
-        if weights.shape != (len(occupied),) or not (weights >= 0.0).all() or not 0.0 < weights.sum() < np.inf:
-            raise InputError(
-                f"{len(occupied)} frames with weights of shape {weights.shape}; "
-                "allowed: one finite weight for each, 0 or more, not all of them 0"
-            )
+        if not weights.sum() > 0.0:
+            raise InputError(f"of {len(occupied)} frames none counts; allowed: 1 or more with a weight above 0")
         self._frame = np.repeat(np.arange(len(occupied)), [len(one) for one in occupied])
         self._voxel = np.concatenate([np.asarray(one, dtype=np.int64) for one in occupied])
-        if len(self._voxel) and (self._voxel.min() < 0 or self._voxel.max() >= voxels):
-            raise InputError(
-                f"voxels {self._voxel.min()} to {self._voxel.max()} are occupied; allowed: 0 to {voxels - 1}"
-            )
-        if len(np.unique(self._frame * voxels + self._voxel)) < len(self._voxel):
-            raise InputError("a frame names a voxel twice; allowed: each once")
         self.weights = weights
         filled = np.bincount(self._voxel, weights=weights[self._frame], minlength=voxels)
         self.prior = np.minimum(filled / weights.sum(), 1.0)
@@ -143,8 +125,7 @@ class VehiclePrior:
         Raises
         ------
         InputError
-            Without vehicles, without their points, for boxes of more than `MOST_VOXELS` or a voxel that is no
-            positive number of metres.
+            Without vehicles, or for boxes of more than `MOST_VOXELS`.
         """
         if not len(returns):
             raise InputError("no vehicle to learn from; allowed: 1 or more")
@@ -204,8 +185,6 @@ class VehiclePrior:
 
 def _filled(returns, voxel_m):
     """Voxels that hold a return, each once: index from the centre, (3, u), and vehicle, (u,)."""
-    if returns.points is None:
-        raise InputError("a prior of a vehicle's voxels needs the points themselves, not their number alone")
     half_m, half = 0.5 * returns.size_m, _half_counts(returns.size_m, voxel_m)
     row = returns.vehicle
     kept = (np.abs(returns.points) <= half_m[row] + voxel_m).all(axis=1)
@@ -255,17 +234,7 @@ def reach_probability(
         Unit vectors.
     max_range_m, min_range_m : float
         How far they are followed, and from where on [m].
-
-    Raises
-    ------
-    InputError
-        When shapes disagree or a number is out of its bounds.
     """
-    prior = np.asarray(prior, dtype=float)
-    if prior.shape != (len(grid),):
-        raise InputError(f"prior has shape {prior.shape}; allowed: ({len(grid)},), one number for each voxel")
-    if not ((prior >= 0.0) & (prior <= 1.0)).all():
-        raise InputError("prior holds a number outside 0 to 1; allowed: probabilities")
     walk = VoxelWalk(grid, origin_m, directions, max_range_m, min_range_m)
     free = 1.0 - walk.with_rim(prior)
     best = walk.empty(float)
@@ -294,17 +263,9 @@ def box_visibility(
         `reach_probability`, under a prior that other frames taught.
     centre_m, size_m, heading_rad : ndarray, (n, 3), (n, 3), (n,)
         The boxes, in the grid's frame: see `VoxelGrid.in_boxes`.
-
-    Raises
-    ------
-    InputError
-        When shapes disagree, a number is not finite or a side is not positive.
     """
-    centre, size, heading = check_boxes(centre_m, size_m, heading_rad)
-    reached = np.asarray(reached, dtype=float)
-    if reached.shape != (len(grid),):
-        raise InputError(f"reached has shape {reached.shape}; allowed: ({len(grid)},), one number for each voxel")
-    voxels = [grid.in_boxes(*(part[None] for part in box)) for box in zip(centre, size, heading, strict=True)]
+    boxes = zip(centre_m, size_m, heading_rad, strict=True)
+    voxels = [grid.in_boxes(*(part[None] for part in box)) for box in boxes]
     return np.array([reached[inside].mean() if len(inside) else 0.0 for inside in voxels])
 
 

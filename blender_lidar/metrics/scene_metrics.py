@@ -47,13 +47,8 @@ def ground_density(points_m: np.ndarray, area_m2: float) -> float:
         Returns in the field [m].
     area_m2 : float
         Its area A [m²].
-
-    Raises
-    ------
-    InputError
-        When the shape is another, a point is not finite or the area is not positive.
     """
-    return len(_checked(points_m, area_m2)) / area_m2
+    return len(points_m) / area_m2
 
 
 def nuc(
@@ -81,21 +76,13 @@ def nuc(
         D.
     seed : int
         Of the draws. The same numbers in [0, 1) pick the discs of every cloud.
-
-    Raises
-    ------
-    InputError
-        When the shape is another, a point is not finite or a number is not positive.
     """
-    points = _checked(points_m, area_m2)
-    if not 0.0 < radius_m < math.inf or discs < 1:
-        raise InputError(f"{discs} discs of radius {radius_m} m; allowed: 1 or more, a positive radius")
     share = math.pi * radius_m**2 / area_m2
-    if not len(points):
+    if not len(points_m):
         return 0.5 / share  # x lies between 0 and 1 / p
-    drawn = (np.random.default_rng(seed).random(discs) * len(points)).astype(np.int64)
-    within = _neighbours(points, points[drawn], radius_m)
-    return float(np.std(within)) / (len(points) * share)
+    drawn = (np.random.default_rng(seed).random(discs) * len(points_m)).astype(np.int64)
+    within = _neighbours(points_m, points_m[drawn], radius_m)
+    return float(np.std(within)) / (len(points_m) * share)
 
 
 def field_area(radius_m: float, y_m: tuple[float, float]) -> float:
@@ -146,15 +133,6 @@ def _neighbours(points, centres, radius):
         within[start:stop] = near[last] - near[last - pairs]
         start = stop
     return within
-
-
-def _checked(points, area):
-    points = np.asarray(points, dtype=float)
-    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
-        raise InputError(f"points: shape {points.shape}; allowed: (n, 2), finite")
-    if not 0.0 < area < math.inf:
-        raise InputError(f"area_m2 is {area}; allowed: a positive number of square metres")
-    return points
 
 
 # --- Metrics of a whole scene: S-MIG, its positive form, M-SOG, expected visibility, density and evenness on the ground
@@ -220,18 +198,11 @@ class SceneScore:
         Makes of the context what values are made of, once, when first needed.
     values : callable
         Makes of that, an origin (3,) and a rotation (3, 3) the value of every frame, (f,) or one for all.
-
-    Raises
-    ------
-    InputError
-        When two frames have the same number, or one is scored that the context does not have.
     """
 
     def __init__(self, context: SceneContext, prepare: Callable, values: Callable) -> None:
         self._context, self._prepare, self._values = context, prepare, values
         self._row = {boxes.frame: row for row, boxes in enumerate(context.frames)}
-        if len(self._row) < len(context.frames):
-            raise InputError("two frames have the same number; allowed: each once")
         self._kept: dict[bytes, np.ndarray] = {}
 
     def __call__(self, returns: VehicleReturns) -> np.ndarray:
@@ -239,8 +210,6 @@ class SceneScore:
         mountings, boxes = returns.view.mountings, returns.view.boxes
         if not len(returns):
             return np.zeros(0)
-        if boxes.frame not in self._row:
-            raise InputError(f"frame {boxes.frame} is none of those that the metric has learnt from")
         most = max(_MOUNTINGS_KEPT, len(mountings))
         of_frames = [self._of(*mount, most) for mount in zip(mountings.origin_m, mountings.rotation, strict=True)]
         return returns.view.to_rows(np.array([value[self._row[boxes.frame]] for value in of_frames]))
@@ -279,7 +248,10 @@ def _holds(field: Field, points):
 
 
 def _area(field: Field):
-    return field_area(field.radius_m, (field.y_m[0] - field.centre_xy_m[1], field.y_m[1] - field.centre_xy_m[1]))
+    area = field_area(field.radius_m, (field.y_m[0] - field.centre_xy_m[1], field.y_m[1] - field.centre_xy_m[1]))
+    if not area > 0.0:
+        raise InputError(f"a region of {field.radius_m:g} m about {field.centre_xy_m} holds none of the carriageway")
+    return area
 
 
 def covered_entropy(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ class VoxelGrid:
     Raises
     ------
     InputError
-        When a number is not finite, a side or count is not positive, or there are more than `MOST_VOXELS`.
+        When there are more than `MOST_VOXELS`.
     """
 
     low_m: tuple[float, float, float]
@@ -39,23 +39,21 @@ class VoxelGrid:
     voxel_m: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.voxel_m) and self.voxel_m > 0.0):
-            raise InputError(f"voxel_m is {self.voxel_m}; allowed: a positive number of metres")
-        if len(self.low_m) != 3 or not np.isfinite(self.low_m).all():
-            raise InputError(f"low_m is {self.low_m}; allowed: three finite numbers of metres")
-        if len(self.counts) != 3 or any(count < 1 or count != int(count) for count in self.counts):
-            raise InputError(f"counts is {self.counts}; allowed: three whole numbers, 1 or more")
         if float(np.prod(self.counts, dtype=float)) > MOST_VOXELS:
             raise InputError(f"a grid of {self.counts} voxels of {self.voxel_m:g} m; allowed: {MOST_VOXELS:,} at most")
 
     @classmethod
     def covering(cls, low_m: np.ndarray, high_m: np.ndarray, voxel_m: float) -> VoxelGrid:
-        """The fewest whole voxels from `low_m` (3,) on that reach `high_m` (3,) [m]."""
+        """The fewest whole voxels from `low_m` (3,) on that reach `high_m` (3,) [m].
+
+        Raises
+        ------
+        InputError
+            When the region has no volume, or too many voxels.
+        """
         low, high = np.asarray(low_m, dtype=float), np.asarray(high_m, dtype=float)
-        if low.shape != (3,) or high.shape != (3,) or not np.isfinite(high - low).all() or not (high > low).all():
+        if not (np.isfinite(high - low) & (high > low)).all():
             raise InputError(f"a region from {low.tolist()} to {high.tolist()}; allowed: finite, each side above 0")
-        if not (np.isfinite(voxel_m) and voxel_m > 0.0):
-            raise InputError(f"voxel_m is {voxel_m}; allowed: a positive number of metres")
         counts = np.maximum(np.ceil((high - low) / voxel_m - _WHOLE_VOXEL_TOLERANCE), 1.0)
         return cls(tuple(low.tolist()), tuple(int(count) for count in counts), float(voxel_m))
 
@@ -85,14 +83,8 @@ class VoxelGrid:
         -------
         ndarray of int64, (k,)
             Their numbers, ascending.
-
-        Raises
-        ------
-        InputError
-            When shapes disagree, a number is not finite or a side is not positive.
         """
-        centre, size, heading = check_boxes(centre_m, size_m, heading_rad)
-        inside = [self._in_box(*box) for box in zip(centre, size, heading, strict=True)]
+        inside = [self._in_box(*box) for box in zip(centre_m, size_m, heading_rad, strict=True)]
         return np.unique(np.concatenate(inside)) if inside else np.zeros(0, dtype=np.int64)
 
     def _in_box(self, centre, size, heading):
@@ -113,21 +105,6 @@ class VoxelGrid:
         in_plan = (np.abs(cos * x + sin * y) <= half[0]) & (np.abs(cos * y - sin * x) <= half[1])
         column = (i[:, None] * self.counts[1] + j)[in_plan]
         return (column[:, None] * self.counts[2] + k[np.abs(z) <= half[2]]).ravel()
-
-
-def check_boxes(
-    centre_m: np.ndarray, size_m: np.ndarray, heading_rad: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Boxes as float arrays, or `InputError` when shapes disagree, a number is not finite or a side is not positive."""
-    centre, size, heading = (np.asarray(values, dtype=float) for values in (centre_m, size_m, heading_rad))
-    if centre.ndim != 2 or centre.shape[1] != 3 or size.shape != centre.shape or heading.shape != centre.shape[:1]:
-        raise InputError(
-            f"boxes: centres, sizes and headings have shapes {centre.shape}, {size.shape} and {heading.shape}; "
-            "allowed: (n, 3), (n, 3) and (n,)"
-        )
-    if not (all(np.isfinite(values).all() for values in (centre, size, heading)) and (size > 0.0).all()):
-        raise InputError("boxes: a number is not finite or a side not positive; allowed: finite, with positive sides")
-    return centre, size, heading
 
 
 # --- Beams through a grid of voxels, all of them a voxel further at a time --------------------------------
@@ -161,11 +138,6 @@ class VoxelWalk:
     beam : ndarray of int64, (m,)
         Rows of `directions` that cross the region at all, those with the most voxels first.
 
-    Raises
-    ------
-    InputError
-        When shapes disagree, a number is not finite or a range is negative.
-
     A walk is used up by going through its `steps` once.
     """
 
@@ -177,9 +149,8 @@ class VoxelWalk:
         max_range_m: float,
         min_range_m: float = 0.0,
     ) -> None:
-        origin, directions = _checked(origin_m, directions, max_range_m, min_range_m)
         counts = np.array(grid.counts)[:, None]
-        start = ((origin - grid.low_m) / grid.voxel_m)[:, None]  # all in voxels from here on
+        start = ((origin_m - grid.low_m) / grid.voxel_m)[:, None]  # all in voxels from here on
         ahead = np.where(np.abs(directions.T) < _LEVEL, 0.0, directions.T)
         enter, leave = _within(start, ahead, counts, min_range_m / grid.voxel_m, max_range_m / grid.voxel_m)
         beam = np.flatnonzero(enter < leave)
@@ -236,23 +207,12 @@ class VoxelWalk:
 def covered_voxels(
     grid: VoxelGrid, origin_m: np.ndarray, directions: np.ndarray, max_range_m: float, min_range_m: float = 0.0
 ) -> np.ndarray:
-    """Which voxels any beam crosses, (voxels,) bool; parameters and errors as for `VoxelWalk`."""
+    """Which voxels any beam crosses, (voxels,) bool; parameters as for `VoxelWalk`."""
     walk = VoxelWalk(grid, origin_m, directions, max_range_m, min_range_m)
     covered = walk.empty(bool)
     for voxel in walk.steps():
         covered[voxel] = True
     return walk.without_rim(covered)
-
-
-def _checked(origin, directions, max_range, min_range):
-    origin, directions = np.asarray(origin, dtype=float), np.asarray(directions, dtype=float)
-    if origin.shape != (3,) or directions.ndim != 2 or directions.shape[1] != 3:
-        raise InputError(f"origin and directions: shapes {origin.shape} and {directions.shape}; allowed: (3,), (n, 3)")
-    if not (np.isfinite(origin).all() and np.isfinite(directions).all()):
-        raise InputError("origin or directions: a number is not finite; allowed: finite numbers")
-    if not 0.0 <= min_range <= max_range < np.inf:
-        raise InputError(f"beams from {min_range} m to {max_range} m; allowed: 0 <= from <= to, finite")
-    return origin, directions
 
 
 def _within(start, ahead, counts, nearest, farthest):
