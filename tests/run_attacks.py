@@ -28,10 +28,6 @@ if __name__ == "__main__":
 TABLES = ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "installation.txt", "score_map.csv")
 
 
-class Failure(AssertionError):
-    """Something that must hold after an attack did not."""
-
-
 @dataclass
 class Attacked:
     """A command of its own session, with a folder for temporary files of its own.
@@ -115,35 +111,25 @@ def check_nobody_is_left(attacked: Attacked) -> None:
 
 def check_whole(folder: Path) -> None:
     """Every file that can be seen is complete."""
-    for path in sorted(folder.rglob("[!.]*")):
-        if not path.is_file():
-            continue
+    for path in filter(Path.is_file, sorted(folder.rglob("[!.]*"))):
         data = path.read_bytes()
         if path.suffix == ".json":
             json.loads(data)
-        elif path.suffix == ".csv":
-            rows = data.decode().splitlines()
-            if not data.endswith(b"\n") or len({len(row) for row in csv.reader(rows)}) != 1:
-                raise Failure(f"{path} is half written")
-        elif path.suffix == ".png":
-            if not data.endswith(b"IEND\xaeB`\x82"):
-                raise Failure(f"{path} is half written")
-        elif not data.endswith(b"\n"):
-            raise Failure(f"{path} is half written")
+        else:
+            assert data.endswith(b"IEND\xaeB`\x82" if path.suffix == ".png" else b"\n"), f"{path} is half written"
+        if path.suffix == ".csv":
+            assert len({len(row) for row in csv.reader(data.decode().splitlines())}) == 1, f"{path} is half written"
 
 
 def content(folder: Path) -> dict[str, object]:
     """What a run has left but for what differs between runs that ought to agree: times and the number of workers."""
     found: dict[str, object] = {}
     for path in folder.iterdir():
+        found[path.name] = path.read_bytes() if path.name in TABLES else "there"
         if path.name == "result.json":
             found[path.name] = without_times(json.loads(path.read_text()))
         elif path.name == "scene.toml":
             found[path.name] = [line for line in path.read_text().splitlines() if not line.startswith("workers = ")]
-        elif path.name in TABLES:
-            found[path.name] = path.read_bytes()
-        else:
-            found[path.name] = "there"
     return found
 
 
@@ -151,8 +137,7 @@ def check_same(folder: Path, undisturbed: Path) -> None:
     """Two folders of runs hold the same."""
     here, there = content(folder), content(undisturbed)
     for name in sorted({*here, *there}):
-        if here.get(name) != there.get(name):
-            raise Failure(f"{folder / name} is not as in the run that nobody disturbed")
+        assert here.get(name) == there.get(name), f"{folder / name} is not as in the run that nobody disturbed"
 
 
 def check_stopped(attacked: Attacked) -> None:
@@ -160,14 +145,11 @@ def check_stopped(attacked: Attacked) -> None:
     lines = [line for line in attacked.stderr.splitlines() if line.startswith("blender-lidar: ")]
     stops = [line for line in lines if line.startswith("blender-lidar: stopped")]
     for sign in ("Traceback", "Exception ignored", "leaked", "Error"):
-        if sign in attacked.stderr:
-            raise Failure(f"stderr: {attacked.stderr[-1500:]}")
+        assert sign not in attacked.stderr, attacked.stderr[-1500:]
     if attacked.process.returncode < 0 and not attacked.stderr:
         return  # before the command line had begun
-    if attacked.process.returncode != 1 or len(stops) != 1:
-        raise Failure(f"exit code {attacked.process.returncode}, stderr: {attacked.stderr[-1500:]}")
-    if left := list(attacked.temporary.iterdir()):
-        raise Failure(f"left behind: {left}")
+    assert (attacked.process.returncode, len(stops)) == (1, 1), attacked.stderr[-1500:]
+    assert not list(attacked.temporary.iterdir())
 
 
 # --- many hits --------------------------------------------------------------------------------------------------------
@@ -178,50 +160,34 @@ class Hit:
     """One attack on a run."""
 
     signals: tuple[int, ...]
-    after_s: float
     workers: int
     group: bool
-    apart_s: float
-
-    def __str__(self) -> str:
-        names = "+".join(signal.Signals(number).name for number in self.signals)
-        return f"{names} after {self.after_s:.3f} s, {self.workers} workers, {'group' if self.group else 'process'}"
+    apart_s: float = 0.0
 
 
-def strike(hit: Hit, scene: Path, undisturbed: Path, folder: Path) -> None:
-    """Hit a run, check what it has left, and go on with it.
-
-    Raises
-    ------
-    Failure
-        When something did not hold.
-    """
+def strike(hit: Hit, after_s: float, scene: Path, undisturbed: Path, folder: Path) -> None:
+    """Hit a run after so many seconds, check what it has left, and go on with it."""
     out = folder / "run"
     attacked = Attacked(folder, ["optimise", scene, "--out", out, "--workers", hit.workers])
     try:
         wait_for(attacked.begun, "for it to begin")
-        time.sleep(hit.after_s)
+        time.sleep(after_s)
         for number in hit.signals:
             attacked.send(number, group=hit.group)
-            time.sleep(hit.apart_s if len(hit.signals) > 1 else 0.0)
+            time.sleep(hit.apart_s)
         code = attacked.code()
         check_nobody_is_left(attacked)
         if out.exists():
             check_whole(out)
         if signal.SIGKILL not in hit.signals and code != 0:
             check_stopped(attacked)
-            if out.exists() and (hidden := list(out.rglob(".*"))):
-                raise Failure(f"left behind: {hidden}")
-        if hit.group and signal.SIGKILL in hit.signals:
-            pass  # nobody was left who could have removed the temporary folder
-        elif left := list(attacked.temporary.iterdir()):
-            raise Failure(f"left behind: {left}")
+            assert not list(out.rglob(".*"))
+        assert not list(attacked.temporary.iterdir())
     finally:
         attacked.end()
     again = Attacked(folder / "again", ["optimise", scene, "--out", out, "--resume", "--workers", 1])
     try:
-        if again.code() != 0:
-            raise Failure(f"--resume: {again.stderr[-1500:]}")
+        assert again.code() == 0, again.stderr[-1500:]
         check_same(out, undisturbed)
     finally:
         again.end()

@@ -86,6 +86,13 @@ def cli(capsys, *words: object) -> tuple[int, str, str]:
     return code, out, err
 
 
+def done(capsys, *words: object) -> tuple[str, str]:
+    """What a command that succeeds prints: stdout, stderr."""
+    code, out, err = cli(capsys, *words)
+    assert code == 0, err
+    return out, err
+
+
 def without_times(result: dict) -> dict:
     """A result but for what may differ between two runs that ought to agree."""
     return {key: value for key, value in result.items() if key not in ("seconds", "versions")}

@@ -15,7 +15,8 @@ from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import optimise_site
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from tests.small_scene import MAPPED, cli, without_charts, write_scene
+from tests.refusals import refused
+from tests.small_scene import MAPPED, cli, done, without_charts, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -48,8 +49,7 @@ def history_of(folder: Path) -> list[dict[str, str]]:
 
 
 def optimised(capsys, scene, out, *words) -> dict:
-    code, _, err = cli(capsys, "optimise", scene, "--out", out, *words)
-    assert code == 0, err
+    done(capsys, "optimise", scene, "--out", out, *words)
     return result_of(out)
 
 
@@ -58,8 +58,7 @@ def test_the_result_is_what_evaluate_makes_of_the_mounting_to_the_last_digit(tmp
     found = result_of(folder)
     mount = found["deployment"]
     words = ("--height", repr(mount["height_m"]), "--tilt-x", repr(mount["tilt_x_deg"]))
-    code, _, err = cli(capsys, "evaluate", scene, *words, "--out", tmp_path / "evaluated")
-    assert code == 0, err
+    done(capsys, "evaluate", scene, *words, "--out", tmp_path / "evaluated")
     evaluated = result_of(tmp_path / "evaluated")
     for key in ("objective", "objective_per_vehicle", "detectable_share", "holdout", "baseline", "frames", "vehicles"):
         assert found[key] == evaluated[key]
@@ -85,8 +84,7 @@ def test_the_rungs_go_from_cheap_to_everything(finished):
 
 def test_no_map_is_drawn_and_nothing_is_said_of_one(finished, capsys):
     scene, folder = finished
-    code, out, _ = cli(capsys, "optimise", scene, "--out", folder, "--resume")
-    assert code == 0
+    out, _ = done(capsys, "optimise", scene, "--out", folder, "--resume")
     assert result_of(folder)["map"] is None
     assert not (folder / "score_map.csv").exists()
     assert "No point of" not in out
@@ -149,10 +147,8 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, finished, key, ca
     content = json.loads((folder.path / "checkpoint.json").read_text())
     del content["batches"][0][key]
     (folder.path / "checkpoint.json").write_text(json.dumps(content))
-    code, _, err = cli(capsys, "optimise", finished[0], "--out", folder.path, "--resume")
-    assert code == 2
-    assert err.count("\n") == 1
-    assert "batch 1 is damaged: " in err
+    line = refused(capsys, tmp_path, "optimise", finished[0], "--out", folder.path, "--resume")
+    assert "batch 1 is damaged: " in line
 
 
 @pytest.mark.parametrize(

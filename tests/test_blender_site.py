@@ -17,7 +17,8 @@ from blender_lidar.world.blender.objects import new_mesh
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.site import read_site
 from blender_lidar.world.scenery import box
-from tests.small_scene import cli, without_charts, write_scene
+from tests.refusals import refused
+from tests.small_scene import cli, done, without_charts, write_scene
 
 WALL = box("wall", (0.0, 1.0, 2.5), (60.0, 0.2, 5.0))
 TURNED = box("wall", (500_000.0 - 1.0, 70.0, 2.5), (0.2, 60.0, 5.0))  # the wall, in a map's frame: x to the north
@@ -41,8 +42,7 @@ def blend(path, *parts):
 
 def evaluated(capsys, folder, world, *options):
     scene = write_scene(folder, {"world": world})
-    code, _, err = cli(capsys, "evaluate", scene, "--height", 3, "--out", folder / "run", *options)
-    assert code == 0, err
+    done(capsys, "evaluate", scene, "--height", 3, "--out", folder / "run", *options)
     return json.loads((folder / "run" / "result.json").read_text())
 
 
@@ -73,10 +73,9 @@ def test_a_site_is_moved_and_turned_into_the_road_frame(tmp_path, capsys):
 def test_a_site_that_lies_elsewhere_is_refused_with_where_it_lies(tmp_path, capsys):
     blend(tmp_path / "map.blend", TURNED)
     scene = write_scene(tmp_path, {"world": {"blend": str(tmp_path / "map.blend")}})
-    code, _, err = cli(capsys, "evaluate", scene, "--out", tmp_path / "run")
-    assert code == 2
-    assert "nothing of it lies within 20 m of the mount at x 0, y 0 m" in err
-    assert "spans x 499999 to 499999" in err
+    line = refused(capsys, tmp_path, "evaluate", scene, "--out", tmp_path / "run")
+    assert "nothing of it lies within 20 m of the mount at x 0, y 0 m" in line
+    assert "spans x 499999 to 499999" in line
     assert not (tmp_path / "run").exists()
 
 
@@ -126,9 +125,7 @@ def test_without_blender_the_extra_that_brings_it_is_named(tmp_path, capsys, mon
     monkeypatch.setattr(sys.modules["blender_lidar.world"], "blender", None, raising=False)
     monkeypatch.setitem(sys.modules, "bpy", None)
     for words in (("evaluate", scene, "--out", tmp_path / "run"), ("build", scene, "--frame", 1, "--out", "a.blend")):
-        code, _, err = cli(capsys, *words)
-        assert code == 2
-        assert 'pip install "blender_lidar[blender]"' in err
+        assert 'pip install "blender_lidar[blender]"' in refused(capsys, tmp_path, *words)
 
 
 def test_a_run_is_rendered_and_its_page_shows_the_pictures(tmp_path, capsys, monkeypatch):
@@ -137,8 +134,7 @@ def test_a_run_is_rendered_and_its_page_shows_the_pictures(tmp_path, capsys, mon
     folder = tmp_path / "run{x}#1"
     scene = write_scene(tmp_path, {"world": {"boxes": [{"centre_m": [5.0, 1.0, 1.0], "size_m": [1.0, 0.5, 2.0]}]}})
     assert cli(capsys, "evaluate", scene, "--height", 3, "--out", folder)[0] == 0
-    code, out, err = cli(capsys, "render", folder, "--samples", 1)
-    assert code == 0, err
+    out, _ = done(capsys, "render", folder, "--samples", 1)
     pictures = sorted(path.name for path in folder.glob("render_*.png"))
     assert pictures == [f"render_{name}_{view}.png" for name in ("baseline", "optimised") for view in ("above", "pole")]
     assert all(name in out for name in pictures)
@@ -162,7 +158,4 @@ def test_what_cannot_be_built_or_rendered_is_refused_in_one_line(tmp_path, capsy
     write_scene(tmp_path)
     if "run" in words:
         assert cli(capsys, "evaluate", "scene.toml", "--out", "run")[0] == 0
-    code, _, err = cli(capsys, *words)
-    assert code == 2
-    assert problem in err
-    assert err.count("\n") == 1
+    assert problem in refused(capsys, tmp_path, *words)

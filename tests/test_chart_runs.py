@@ -25,7 +25,7 @@ from blender_lidar.studies.driver import Job, frame_scorer, landscapes
 from blender_lidar.studies.effects import candidates
 from blender_lidar.studies.experiments import grounded
 from blender_lidar.studies.ladder import Effort, count_hits, time_fidelities
-from tests.small_scene import CASTER, MAPPED, cli, write_scene
+from tests.small_scene import CASTER, MAPPED, cli, done, write_scene
 
 TINY = Effort(3, 8, 2, 6, 2, 8, phases=2, rounds=2, hit_frames=1, hit_mountings=1, quick=True)
 POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(0.0, 0.0, 4.4, 0.1))
@@ -136,8 +136,7 @@ def test_candidates_lie_between_the_bounds_and_the_seed_moves_them(site):
 
 def test_a_chart_leaves_tables_a_report_and_a_sentence(tiny, tmp_path, capsys):
     scene = write_scene(tmp_path, MAPPED)
-    code, out, err = cli(capsys, "chart", scene, "--quick", "--other-sensor", "VLP-16", "--out", tmp_path / "run")
-    assert code == 0, err
+    out, _ = done(capsys, "chart", scene, "--quick", "--other-sensor", "VLP-16", "--out", tmp_path / "run")
     result = json.loads((tmp_path / "run" / "chart.json").read_text())
     tables = {}
     for name in ("chart", "ablation"):
@@ -176,8 +175,7 @@ def test_a_chart_that_was_stopped_goes_on_to_the_same_result(tiny, tmp_path, cap
     code, _, err = cli(capsys, *words)
     assert (code, err.count("\n")) == (2, 1)
     assert "holds a study already" in err
-    code, out, _ = cli(capsys, *words, "--resume", "--json", "--workers", 2)
-    assert code == 0
+    out, _ = done(capsys, *words, "--resume", "--json", "--workers", 2)
     assert (tmp_path / "run" / "chart.json").read_bytes() == whole
     assert json.loads(out) == json.loads(whole)
 
@@ -185,8 +183,7 @@ def test_a_chart_that_was_stopped_goes_on_to_the_same_result(tiny, tmp_path, cap
 def test_a_scene_that_holds_nothing_out_and_searches_the_height_alone_is_charted(tiny, tmp_path, capsys):
     scene = write_scene(tmp_path, {"traffic": {"holdout": 0.0}, "objective": {"metric": "log-points"}})
     words = ("--quick", "--other-sensor", "none", "--json", "--out", tmp_path / "run")
-    code, out, err = cli(capsys, "chart", scene, *words)
-    assert code == 0, err
+    out, _ = done(capsys, "chart", scene, *words)
     result = json.loads(out)
     assert result["judged_on"] == "searched"
     assert result["validated"] == []
@@ -197,8 +194,7 @@ def test_a_scene_that_holds_nothing_out_and_searches_the_height_alone_is_charted
 def test_an_imperfect_sensor_is_charted_with_what_it_has_left_out_and_with_all_experiments(tiny, tmp_path, capsys):
     scene = write_scene(tmp_path, {**MAPPED, "sensor": {"dropout": 0.1}})
     words = ("--quick", "--other-sensor", "none", "--json", "--out", tmp_path / "run")
-    code, out, err = cli(capsys, "chart", scene, *words)
-    assert code == 0, err
+    out, _ = done(capsys, "chart", scene, *words)
     rows = {row["what"]: row for row in json.loads(out)["ablations"]}
     assert abs(rows["float32"]["bias"]) < 1e-3
     assert rows["drop-out"]["value"] == "0.1, as the scene has it"
@@ -207,8 +203,7 @@ def test_an_imperfect_sensor_is_charted_with_what_it_has_left_out_and_with_all_e
 def test_azimuth_offsets_that_the_scenes_sensor_has_not_are_ablated_on_the_other_one(tiny, tmp_path, capsys):
     scene = write_scene(tmp_path, MAPPED)
     words = ("--quick", "--json", "--out", tmp_path / "run")
-    code, out, err = cli(capsys, "chart", scene, *words, "--other-sensor", "RS-80")
-    assert code == 0, err
+    out, _ = done(capsys, "chart", scene, *words, "--other-sensor", "RS-80")
     (row,) = (row for row in json.loads(out)["ablations"] if row["what"] == "azimuth offsets")
     assert row["value"].endswith("deg; RS-80 and its own floor")
     assert abs(row["bias"]) > 0.0
@@ -216,8 +211,7 @@ def test_azimuth_offsets_that_the_scenes_sensor_has_not_are_ablated_on_the_other
 
 def test_rows_of_random_sensors_say_how_often_they_were_drawn(tiny, tmp_path, capsys):
     words = ("--quick", "--other-sensor", "none", "--out", tmp_path / "run")
-    code, out, err = cli(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
-    assert code == 0, err
+    out, _ = done(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
     result = json.loads((tmp_path / "run" / "chart.json").read_text())
     rows = {row["what"]: row["draws"] for row in result["ablations"]}
     assert rows == {"ground": 1, "body shape": 1, "azimuth offsets": 0, "drop-out": 2, "float32": 1}
@@ -228,8 +222,7 @@ def test_rows_of_random_sensors_say_how_often_they_were_drawn(tiny, tmp_path, ca
 def test_a_default_other_sensor_that_the_scene_does_not_suit_is_told_of_and_left_out(tiny, tmp_path, capsys):
     """The scene's gate is nearer than the RS-80 sees anything."""
     scene = write_scene(tmp_path, {**MAPPED, "sensor": {"RS-80": {"range_gate_m": 0.1}}})
-    code, out, err = cli(capsys, "chart", scene, "--quick", "--json", "--out", tmp_path / "run")
-    assert code == 0, err
+    out, err = done(capsys, "chart", scene, "--quick", "--json", "--out", tmp_path / "run")
     assert "note: not tried with RS-80: " in err
     assert [one["where"][:12] for one in json.loads(out)["validated"]] == ["other blocks"]
 
@@ -247,8 +240,7 @@ def paired_file(path):
 def test_the_errors_of_a_paired_comparison_stand_beside(tiny, tmp_path, capsys):
     paired_file(tmp_path / "paired.json")
     words = ("--quick", "--other-sensor", "none", "--paired", tmp_path, "--out", tmp_path / "run")
-    code, out, err = cli(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
-    assert code == 0, err
+    out, _ = done(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
     assert "Against 12 real cars, median error per car [bits]: body (none) 0.050 (0.040 to 0.060)" in out
 
 

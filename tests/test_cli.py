@@ -18,7 +18,7 @@ from blender_lidar import __version__, cli
 from blender_lidar.clouds.files import read_points
 from blender_lidar.commands import doctor
 from blender_lidar.commands.progress import Progress
-from tests.small_scene import CASTER, without_times, write_scene, write_table
+from tests.small_scene import CASTER, done, without_times, write_scene, write_table
 from tests.small_scene import cli as run
 
 pytestmark = pytest.mark.usefixtures("quick")
@@ -157,8 +157,7 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
 
 
 def test_without_json_what_is_for_people_is_on_stdout_and_progress_on_stderr(tmp_path, capsys):
-    code, out, err = run(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    assert code == 0
+    out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
     titles = [line.split()[0] for line in out.splitlines() if line and not line.startswith(" ")]
     assert titles[:7] == ["Sensor", "Traffic", "Searched", "Held", "Casting", "Searching", "Mounting"]
     assert titles[-1] == "Results"
@@ -194,8 +193,7 @@ def test_a_search_that_finds_nothing_better_than_the_baseline_says_so(tmp_path, 
 
 
 def test_without_matplotlib_a_run_succeeds_and_one_line_says_how_to_get_charts(tmp_path, capsys):
-    code, out, err = run(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    assert code == 0
+    out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
     assert [line for line in err.splitlines() if "matplotlib" in line] == [
         'blender-lidar: note: no charts: charts need matplotlib: pip install "blender_lidar[plots]"'
     ]
@@ -300,8 +298,7 @@ def scored(tmp_path, capsys):
 def test_a_scan_has_the_points_that_evaluate_counts(scored, capsys, suffix):
     scene, table = scored
     for frame, vehicles in table.items():
-        code, out, _ = run(capsys, "scan", scene, "--frame", frame, *MOUNT, "--out", f"cloud.{suffix}")
-        assert code == 0
+        out, _ = done(capsys, "scan", scene, "--frame", frame, *MOUNT, "--out", f"cloud.{suffix}")
         points, vehicle_id = read_points(f"cloud.{suffix}")
         assert out.startswith(f"cloud.{suffix}: {len(points)} points, {(vehicle_id >= 0).sum()} of them on ")
         for number, row in vehicles.items():
@@ -346,8 +343,7 @@ def test_scores_as_json_csv_and_text_are_the_same(tmp_path, capsys):
     boxes = write_table(tmp_path / "boxes.csv", [[0, 7, "car", 0.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0]])
     np.savez("cloud.npz", xyz=np.array([[0.0, 4.0, 0.7], [0.5, 4.0, 0.7], [9.0, 9.0, 9.0]]))
     words = ["score", "--points", "cloud.npz", "--boxes", boxes, "--assign", "box", "--out", "scores.csv"]
-    code, out, _ = run(capsys, *words, "--json")
-    assert code == 0
+    out, _ = done(capsys, *words, "--json")
     scores = json.loads(out)
     (row,) = rows("scores.csv")
     assert scores["points"] == 3
@@ -363,8 +359,7 @@ def test_scores_as_json_csv_and_text_are_the_same(tmp_path, capsys):
 def test_labels_that_fit_no_box_are_pointed_out(tmp_path, capsys):
     boxes = write_table(tmp_path / "boxes.csv", [[0, 7, "car", 0.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0]])
     np.savez("cloud.npz", xyz=np.zeros((2, 3)), vehicle_id=np.array([8, -1]))
-    code, _, err = run(capsys, "score", "--points", "cloud.npz", "--boxes", boxes)
-    assert code == 0
+    _, err = done(capsys, "score", "--points", "cloud.npz", "--boxes", boxes)
     assert err.startswith("blender-lidar: note: cloud.npz: none of its vehicles is among the boxes of frame 0 in ")
 
 

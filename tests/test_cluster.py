@@ -29,7 +29,8 @@ from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.studies.driver import HELD_OUT, Job, landscapes
 from blender_lidar.studies.variations import metric_variations
 from tests.local_cluster import ROOT, LocalCluster
-from tests.small_scene import CASTER, MAPPED, cli, without_charts, without_times, write_scene
+from tests.refusals import refused
+from tests.small_scene import CASTER, MAPPED, done, without_charts, without_times, write_scene
 from tests.test_evaluation import POSES, SCORING, SEEN, frames_of
 from tests.waiting import WAIT_S, wait_for
 
@@ -107,8 +108,7 @@ def test_a_run_comes_to_the_same_to_the_last_digit_here_with_two_processes_and_o
 ):
     without_charts(monkeypatch)
     words = ("--workers", 2) if place == "pair" else ("--cluster", cluster.address)
-    code, out, err = cli(capsys, "optimise", whole[0], "--out", tmp_path / "run", *words)
-    assert code == 0, err
+    out, _ = done(capsys, "optimise", whole[0], "--out", tmp_path / "run", *words)
     assert ("2 workers" if place == "pair" else f"cluster {cluster.address}") in out
     check_same_run(tmp_path / "run", whole[1])
 
@@ -161,8 +161,7 @@ def test_a_run_stopped_on_a_cluster_leaves_nothing_there_and_goes_on_here_to_the
         assert err.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
         assert "Traceback" not in err
     wait_for(lambda: not kept(cluster))
-    code, _, err = cli(capsys, "optimise", whole[0], "--out", out, "--resume", "--workers", 1)
-    assert code == 0, err
+    done(capsys, "optimise", whole[0], "--out", out, "--resume", "--workers", 1)
     check_same_run(out, whole[1])
 
 
@@ -355,8 +354,7 @@ def test_what_a_task_raises_is_raised_here(cluster):
 def test_without_dask_the_extra_is_named(capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     words = ("--out", tmp_path / "run", "--cluster", "tcp://127.0.0.1:8786")
-    code, _, err = cli(capsys, "optimise", write_scene(tmp_path), *words)
-    assert code == 2
-    assert err.splitlines()[-1] == (
+    line = refused(capsys, tmp_path, "optimise", write_scene(tmp_path), *words)
+    assert line.splitlines()[-1] == (
         'blender-lidar: --cluster needs dask.distributed: pip install "blender_lidar[cluster]"'
     )

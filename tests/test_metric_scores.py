@@ -11,7 +11,7 @@ import pytest
 
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.metrics.metric import NEEDS_VIEW
-from tests.small_scene import cli
+from tests.small_scene import cli, done
 
 WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and NEEDS_VIEW not in METRICS[name].needs]
 
@@ -50,8 +50,7 @@ def test_score_adds_the_metrics_that_are_asked_for(cloud, capsys, tmp_path):
 
 
 def test_score_offers_the_metrics_that_it_can_make_and_no_others(capsys):
-    code, out, _ = cli(capsys, "score", "--help")
-    assert code == 0
+    out, _ = done(capsys, "score", "--help")
     offered = "".join(out.split()).split("orall:")[1].split("--lidarX")[0]
     assert offered.split(",") == WITHOUT_MEMORY
 
@@ -67,12 +66,11 @@ def test_score_says_no_more_than_before_unless_asked(cloud, capsys):
 
 
 def test_score_with_all_metrics_leaves_out_what_the_cloud_cannot_give_and_says_so(cloud, capsys):
-    code, out, err = cli(capsys, *cloud, "--metric", "all", "--json")
-    assert code == 0
+    out, err = done(capsys, *cloud, "--metric", "all", "--json")
     assert set(json.loads(out)["metrics"]) == {*WITHOUT_MEMORY} - {"distance"}
     assert err.startswith("blender-lidar: note: left out: ")
     assert "distance" in err
-    code, out, err = cli(capsys, *cloud, "--metric", "all", "--lidar", 1.0, 2.0, "--json")
+    out, _ = done(capsys, *cloud, "--metric", "all", "--lidar", 1.0, 2.0, "--json")
     assert set(json.loads(out)["metrics"]) == {*WITHOUT_MEMORY}
 
 

@@ -22,7 +22,7 @@ from blender_lidar.commands.options import (
 from blender_lidar.errors import InputError
 from blender_lidar.scene.settings import COORDINATES, MOUNTING
 from blender_lidar.world.shapes import DETAILS
-from tests.small_scene import cli, without_times, write_scene
+from tests.small_scene import cli, done, without_times, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -155,8 +155,7 @@ def test_the_default_folder_is_the_first_that_is_free(tmp_path):
 
 
 def run(capsys, scene: Path, out: str, *words: object, verb: str = "optimise") -> dict:
-    code, _, err = cli(capsys, verb, scene, "--out", out, *words)
-    assert code == 0, err
+    done(capsys, verb, scene, "--out", out, *words)
     return json.loads((Path(out) / "result.json").read_text())
 
 

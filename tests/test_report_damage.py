@@ -11,8 +11,9 @@ import pytest
 from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError, OutputError
 from blender_lidar.report.page import report_html, write_report
 from blender_lidar.run.folder import RunFolder
+from tests.refusals import refused
 from tests.report_samples import Page, change, result_of
-from tests.small_scene import cli, without_charts, write_scene
+from tests.small_scene import without_charts, write_scene
 
 
 @pytest.fixture
@@ -157,7 +158,6 @@ def test_a_page_that_no_run_has_written_is_not_replaced(tmp_path, capsys, monkey
     without_charts(monkeypatch)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "report.html").write_text("mine")
-    code, _, err = cli(capsys, "evaluate", write_scene(tmp_path), "--out", tmp_path / "run")
-    assert code == 2
-    assert "holds a file report.html that no run has written" in err
+    line = refused(capsys, tmp_path, "evaluate", write_scene(tmp_path), "--out", tmp_path / "run")
+    assert "holds a file report.html that no run has written" in line
     assert (tmp_path / "run" / "report.html").read_text() == "mine"

@@ -21,7 +21,7 @@ from blender_lidar.report.html import element, sheet_markup
 from blender_lidar.report.page import CHARTS, render_file, report_html, write_report
 from blender_lidar.run.folder import RunFolder
 from tests.report_samples import Page, change, png, result_of
-from tests.small_scene import cli, without_charts, write_scene
+from tests.small_scene import done, without_charts, write_scene
 
 LOADING = {"src", "href", "srcset", "poster", "data", "action", "formaction", "background", "cite", "ping", "manifest"}
 HOSTILE = "</title></style><script>alert(1)</script><img src=x onerror='alert(1)'>&amp;\"'--><!--"
@@ -163,8 +163,7 @@ def test_a_scene_and_traffic_named_like_scripts_are_only_text(tmp_path, capsys, 
     scene = write_scene(tmp_path, {"traffic": {"path": traffic}})
     (tmp_path / "traffic.csv").rename(tmp_path / traffic)
     scene.rename(tmp_path / f"{name}.toml")
-    code, _, err = cli(capsys, "evaluate", tmp_path / f"{name}.toml", "--height", 4, "--out", tmp_path / "run")
-    assert code == 0, err
+    done(capsys, "evaluate", tmp_path / f"{name}.toml", "--height", 4, "--out", tmp_path / "run")
     page = Page((tmp_path / "run" / "report.html").read_text(encoding="utf-8"))
     assert page.text(page.find("h1")[0]) == f"{name} RS-16"
     assert traffic in page.text(page.find("header")[0])

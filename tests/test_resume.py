@@ -17,8 +17,9 @@ from blender_lidar.cli import main
 from blender_lidar.optimise import make_search
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.replay import Replay
+from tests.refusals import refused
 from tests.run_attacks import Attacked, check_nobody_is_left, check_same, check_stopped, check_whole
-from tests.small_scene import MAPPED, cli, without_charts, without_times, write_scene
+from tests.small_scene import MAPPED, cli, done, without_charts, without_times, write_scene
 from tests.waiting import wait_for
 
 pytestmark = [
@@ -121,8 +122,7 @@ def test_a_run_killed_twice_goes_on_to_the_same_result(start, tmp_path, finished
 
 def test_a_run_killed_before_it_wrote_anything_starts_from_its_beginning_and_says_so(tmp_path, finished, capsys):
     scene, undisturbed = finished
-    code, out, _ = cli(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume")
-    assert code == 0
+    out, _ = done(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume")
     assert "nothing is stored there to go on with; the search starts from its beginning." in out
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
@@ -242,8 +242,7 @@ def test_a_finished_run_is_shown_again_and_nothing_of_it_changes(tmp_path, finis
     scene, undisturbed = finished
     shutil.copytree(undisturbed, tmp_path / "run")
     before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
-    code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume", "--json")
-    assert code == 0
+    out, err = done(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume", "--json")
     assert out.encode() == before["result.json"]
     assert "Mounting" in err
     assert {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
@@ -297,9 +296,8 @@ def test_resume_with_other_settings_is_refused_naming_what_differs(request, fini
 def test_resume_with_another_unit_or_noise_seed_is_refused(tmp_path, finished, capsys, key):
     shutil.copytree(finished[0].parent, tmp_path / "other", ignore=shutil.ignore_patterns("run"))
     scene = write_scene(tmp_path / "other", {"sensor": {key: 2}})
-    code, _, err = cli(capsys, "optimise", scene, "--out", finished[1], "--resume")
-    assert code == 2
-    assert f"the run there had [sensor] {key} = 1, not 2; give it the same settings" in err
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", finished[1], "--resume")
+    assert f"the run there had [sensor] {key} = 1, not 2; give it the same settings" in line
 
 
 def test_resume_with_other_traffic_of_the_same_name_is_refused(tmp_path, capsys):
@@ -307,9 +305,8 @@ def test_resume_with_other_traffic_of_the_same_name_is_refused(tmp_path, capsys)
     assert main(["optimise", str(scene), "--out", str(tmp_path / "run")]) == 0
     table = tmp_path / "traffic.csv"
     table.write_text(table.read_text().replace("1.5", "1.6"))
-    code, _, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume")
-    assert code == 2
-    assert "the run there had [traffic] path = 'file with SHA-256 " in err
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume")
+    assert "the run there had [traffic] path = 'file with SHA-256 " in line
 
 
 def test_the_same_traffic_elsewhere_is_the_same_run(start, tmp_path, finished):
@@ -332,9 +329,8 @@ def test_resume_needs_to_know_where(finished, capsys):
 def test_an_evaluation_is_no_search_to_go_on_with(tmp_path, finished, capsys):
     scene, _ = finished
     assert main(["evaluate", str(scene), "--height", "3", "--out", str(tmp_path / "one")]) == 0
-    code, _, err = cli(capsys, "optimise", scene, "--out", tmp_path / "one", "--resume")
-    assert code == 2
-    assert "holds one mounting's evaluation, not a search" in err
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "one", "--resume")
+    assert "holds one mounting's evaluation, not a search" in line
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b'{"identity": {}}', b"\xff", b'{"batches": []}'])
@@ -342,11 +338,9 @@ def test_an_evaluation_is_no_search_to_go_on_with(tmp_path, finished, capsys):
 def test_a_damaged_file_is_refused_by_name(tmp_path, stopped, finished, capsys, name, content):
     shutil.copytree(stopped, tmp_path / "run")
     (tmp_path / "run" / name).write_bytes(content)
-    code, _, err = cli(capsys, "optimise", finished[0], "--out", tmp_path / "run", "--resume")
-    assert code == 2
-    assert str(tmp_path / "run") in err
-    assert len(err.splitlines()) == 1
-    assert "Traceback" not in err
+    line = refused(capsys, tmp_path, "optimise", finished[0], "--out", tmp_path / "run", "--resume")
+    assert str(tmp_path / "run") in line
+    assert "Traceback" not in line
 
 
 def change_checkpoint(folder: Path, change) -> None:

@@ -17,10 +17,12 @@ from blender_lidar.cli import main
 from blender_lidar.errors import InputError, OutputError
 from blender_lidar.report.summary import cautions
 from blender_lidar.run.folder import RunFolder
+from tests.refusals import refused
 from tests.small_scene import (
     CASTER,
     MAPPED,
     cli,
+    done,
     traffic_rows,
     without_times,
     write_scene,
@@ -64,8 +66,7 @@ def result_of(folder: Path) -> dict:
 
 
 def optimise(capsys, scene: Path, out: Path, *words: object) -> dict:
-    code, _, err = cli(capsys, "optimise", scene, "--out", out, *words)
-    assert code == 0, err
+    done(capsys, "optimise", scene, "--out", out, *words)
     return result_of(out)
 
 
@@ -184,10 +185,9 @@ def test_the_regret_on_held_out_frames_is_the_gain_that_the_maps_best_mounting_h
     best = result["map"]["best"]
     mount = ["--height", best["height_m"], "--tilt-x", best["tilt_x_deg"]]
     scene = folder.parent / "scene.toml"
-    code, out, err = cli(
+    out, _ = done(
         capsys, "evaluate", scene, "--detail", "box", *mount, "--out", folder.parent / "best_of_map", "--json"
     )
-    assert code == 0, err
     gain, found = (run["holdout"]["gain_over_baseline"] for run in (json.loads(out), result))
     assert gain > 0
     assert result["map"]["holdout_regret"] == pytest.approx(1.0 - found / gain, abs=1e-9)
@@ -207,8 +207,7 @@ def test_a_regret_on_held_out_frames_is_told_when_it_is_not_small(mapped_run, re
 def test_a_run_that_has_ended_is_shown_again_by_resume_with_its_map(mapped_run, capsys):
     folder, done = mapped_run
     scene = folder.parent / "scene.toml"
-    code, out, err = cli(capsys, "optimise", scene, "--detail", "box", "--out", folder, "--resume")
-    assert code == 0
+    out, err = done(capsys, "optimise", scene, "--detail", "box", "--out", folder, "--resume")
     assert "search:" not in err  # nothing is searched again
     assert out[out.index("Mounting") : out.index("Results in")] in done.stderr
 
@@ -294,8 +293,7 @@ def test_own_sensors_go_into_the_folders_scene_with_their_whole_path(tmp_path, c
 def test_without_out_runs_are_numbered_under_runs(tmp_path, capsys):
     scene = write_scene(tmp_path)
     for name in ("scene_rs-16", "scene_rs-16_2"):
-        code, out, _ = cli(capsys, "optimise", scene)
-        assert code == 0
+        out, _ = done(capsys, "optimise", scene)
         assert f"Results in {Path('runs') / name}: " in out
         assert (tmp_path / "runs" / name / "result.json").exists()
 
@@ -305,9 +303,8 @@ def test_a_folder_that_holds_a_run_is_not_written_again(tmp_path, capsys, verb):
     scene = write_scene(tmp_path)
     optimise(capsys, scene, tmp_path / "run")
     before = {path: path.read_bytes() for path in (tmp_path / "run").iterdir()}
-    code, _, err = cli(capsys, verb, scene, "--out", tmp_path / "run")
-    assert code == 2
-    assert "holds a run already; give another folder, or go on with it: optimise --resume" in err
+    line = refused(capsys, tmp_path, verb, scene, "--out", tmp_path / "run")
+    assert "holds a run already; give another folder, or go on with it: optimise --resume" in line
     assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
 
 
@@ -394,7 +391,5 @@ def test_a_damaged_table_is_refused_by_name(tmp_path, capsys, name, content):
     scene = write_scene(tmp_path)
     optimise(capsys, scene, tmp_path / "run")
     (tmp_path / "run" / name).write_bytes(content)
-    code, _, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume")
-    assert code == 2
-    assert f"{name}: is damaged: " in err
-    assert len(err.splitlines()) == 1
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume")
+    assert f"{name}: is damaged: " in line

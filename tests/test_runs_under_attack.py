@@ -6,7 +6,6 @@ A handful of hits at any moment, and each failure that hundreds of such hits onc
 from __future__ import annotations
 
 import errno
-import json
 import os
 import random
 import signal
@@ -14,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -27,6 +25,7 @@ from blender_lidar.scene import site as site_module
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
+from tests.refusals import refused
 from tests.run_attacks import (
     WITHOUT_CHARTS,
     Attacked,
@@ -37,7 +36,7 @@ from tests.run_attacks import (
     check_whole,
     strike,
 )
-from tests.small_scene import cli, without_charts, write_scene
+from tests.small_scene import cli, done, without_charts, write_scene
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="this system has no /proc")
@@ -94,10 +93,10 @@ def small_disk(folder: Path, kilobytes: int):
 # --- hit at any moment ------------------------------------------------------------------------------------------------
 
 HITS = [
-    Hit((signal.SIGKILL,), 0.0, 1, False, 0.0),
-    Hit((signal.SIGKILL,), 0.0, 2, False, 0.0),
-    Hit((signal.SIGINT, signal.SIGINT), 0.0, 1, True, 0.1),
-    Hit((signal.SIGTERM,), 0.0, 2, True, 0.0),
+    Hit((signal.SIGKILL,), workers=1, group=False),
+    Hit((signal.SIGKILL,), workers=2, group=False),
+    Hit((signal.SIGINT, signal.SIGINT), workers=1, group=True, apart_s=0.1),
+    Hit((signal.SIGTERM,), workers=2, group=True),
 ]
 
 
@@ -105,7 +104,7 @@ HITS = [
 def test_a_run_hit_at_a_random_moment_leaves_nothing_half_done_and_goes_on_to_the_same(tmp_path, finished, hit):
     scene, undisturbed = finished
     moment = random.Random(HITS.index(hit)).uniform(0.0, 1.5 * hit.workers)
-    strike(replace(hit, after_s=moment), scene, undisturbed, tmp_path)
+    strike(hit, moment, scene, undisturbed, tmp_path)
 
 
 # --- stopped ----------------------------------------------------------------------------------------------------------
@@ -127,17 +126,12 @@ def test_sigterm_and_a_closed_terminal_ended_a_run_without_a_word_and_left_semap
     check_nobody_is_left(run)
     check_stopped(run)
     assert run.stderr.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
-    assert not list(out.glob(".*"))
-    json.loads((out / "checkpoint.json").read_text())
+    check_whole(out)
 
 
 def python(program: str) -> subprocess.CompletedProcess:
-    command = [
-        sys.executable,
-        "-c",
-        "import signal, time\nfrom blender_lidar import signals as stop_signals\n" + program,
-    ]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    program = "import signal, time\nfrom blender_lidar import signals as stop_signals\n" + program
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
 
 
 def test_a_run_under_nohup_outlives_its_terminal():
@@ -265,8 +259,7 @@ def test_a_run_whose_disk_is_full_fails_naming_the_file_and_goes_on_when_there_i
         assert not list(out.glob(".*"))
         check_whole(out)
         subprocess.run(["mount", "-o", "remount,size=1m", disk], check=True)
-        code, _, err = cli(capsys, "optimise", scene, "--out", out, "--resume")
-        assert code == 0, err
+        done(capsys, "optimise", scene, "--out", out, "--resume")
         check_same(out, undisturbed)
 
 
@@ -274,11 +267,8 @@ def test_a_run_whose_disk_is_full_fails_naming_the_file_and_goes_on_when_there_i
     ("number", "kind", "code"), [("ENOSPC", WriteError, 1), ("EIO", WriteError, 1), ("EROFS", OutputError, 2)]
 )
 def test_a_good_place_on_a_full_disk_is_no_wrong_input(number, kind, code):
-    error = OSError(getattr(errno, number), "why")
-    told = output_error("a.csv: cannot be written", error)
-    assert type(told) is kind
-    assert told.exit_code == code
-    assert str(told) == "a.csv: cannot be written: why"
+    told = output_error("a.csv: cannot be written", OSError(getattr(errno, number), "why"))
+    assert (type(told), told.exit_code, str(told)) == (kind, code, "a.csv: cannot be written: why")
 
 
 def test_a_temporary_folder_that_cannot_be_written_was_called_the_output(tmp_path, monkeypatch):
@@ -296,9 +286,7 @@ def test_semaphores_that_cannot_be_made_were_called_the_output(tmp_path, scene):
         pytest.skip("there is no unshare")
     if done.returncode != 1:
         pytest.skip(f"/dev/shm cannot be hidden here: {done.stderr.strip()}")
-    assert done.stderr == (
-        "blender-lidar: a worker process cannot be started: Read-only file system; try --workers 1\n"
-    )
+    assert done.stderr == "blender-lidar: a worker process cannot be started: Read-only file system; try --workers 1\n"
     assert not (tmp_path / "run" / "checkpoint.json").exists()
 
 
@@ -351,9 +339,8 @@ def test_render_pictured_other_traffic_than_the_runs(tmp_path, scene, capsys, mo
     assert cli(capsys, "evaluate", scene, "--out", tmp_path / "run")[0] == 0
     table = tmp_path / "traffic.csv"
     table.write_text(table.read_text().replace("1.5", "1.6"))
-    code, _, err = cli(capsys, "render", tmp_path / "run")
-    assert code == 2
-    assert err == f"blender-lidar: {table}: is not as it was when the run read it\n"
+    line = refused(capsys, tmp_path, "render", tmp_path / "run")
+    assert line == f"blender-lidar: {table}: is not as it was when the run read it\n"
     assert not list((tmp_path / "run").glob("render_*"))
 
 

@@ -25,8 +25,9 @@ from blender_lidar.scoring.scores import VehicleScores, mountings_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
+from tests.refusals import refused
 from tests.sample_traffic import dense_traffic
-from tests.small_scene import cli, without_charts, write_scene
+from tests.small_scene import done, without_charts, write_scene
 from tests.test_occupancy_priors import covered_entropy, expected_visibility, m_sog, s_mig
 
 NAMES = [name for name, metric in METRICS.items() if metric.learn is not None]
@@ -286,10 +287,8 @@ def test_frames_in_which_nothing_counts_have_no_values():
 
 def test_traffic_beside_the_carriageway_is_refused_in_one_line(tmp_path, capsys):
     scene = write_scene(tmp_path, {"road": {"setback_m": 12.0}, "deployment": {"y_m": 10.5}, "traffic": {"frames": 3}})
-    code, out, err = cli(capsys, "optimise", scene, "--metric", "s-mig", "--out", tmp_path / "run")
-    assert (code, out) == (2, "")
-    assert "metric 's-mig' looks at the carriageway of [road], y 12 to 19 m" in err
-    assert err.count("\n") == 1
+    line = refused(capsys, tmp_path, "optimise", scene, "--metric", "s-mig", "--out", tmp_path / "run")
+    assert "metric 's-mig' looks at the carriageway of [road], y 12 to 19 m" in line
     assert not (tmp_path / "run" / "result.json").exists()
 
 
@@ -302,8 +301,7 @@ def test_each_metric_drives_a_search_and_is_judged_on_a_prior_of_the_held_out_fr
 ):
     without_charts(monkeypatch)
     scene = write_scene(tmp_path)
-    code, out, err = cli(capsys, "optimise", scene, "--metric", name, "--out", tmp_path / "run", "--json")
-    assert code == 0, err
+    out, _ = done(capsys, "optimise", scene, "--metric", name, "--out", tmp_path / "run", "--json")
     result = json.loads(out)
     assert result["metric"] == name
     scenario = load_scenario(scene, {("objective", "metric"): (name, "--metric")})

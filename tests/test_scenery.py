@@ -27,9 +27,10 @@ from blender_lidar.toml_table import read_toml, to_toml
 from blender_lidar.world.scenery import BARRIERS, barrier, box, join
 from blender_lidar.world.shapes import STRUCTURE
 from blender_lidar.world.triangles import vehicle_triangles
+from tests.refusals import refused
 from tests.report_samples import Page
 from tests.sample_traffic import dense_traffic
-from tests.small_scene import cli, without_charts, without_times, write_scene
+from tests.small_scene import cli, done, without_charts, without_times, write_scene
 
 LATTICE = beam_lattice(load_model("RS-16"), stride=6)
 TRAFFIC = dense_traffic(vehicles=30, length_m=80.0)
@@ -192,17 +193,15 @@ def test_scenery_that_cannot_be_meant_is_refused_with_its_number(tmp_path, world
 
 def test_a_lidar_inside_a_box_is_refused(tmp_path, capsys):
     scene = write_scene(tmp_path, {"world": {"boxes": [{**WALL, "centre_m": [0.0, 0.0, 2.5]}]}})
-    code, _, err = cli(capsys, "evaluate", scene, "--out", tmp_path / "run")
-    assert code == 2
-    assert "the LiDAR hangs inside 'wall' of [world]" in err
+    line = refused(capsys, tmp_path, "evaluate", scene, "--out", tmp_path / "run")
+    assert "the LiDAR hangs inside 'wall' of [world]" in line
     assert cli(capsys, "scan", scene, "--frame", 1, "--height", 9, "--out", tmp_path / "c.npz")[0] == 0
 
 
 def test_a_lidar_inside_a_barrier_is_refused_and_one_above_it_is_not(tmp_path, capsys):
     scene = write_scene(tmp_path, {"world": {"barriers": [{"kind": "concrete", "y_m": 0.0}]}})
-    code, _, err = cli(capsys, "scan", scene, "--frame", 1, "--height", 0.5, "--out", tmp_path / "c.npz")
-    assert code == 2
-    assert "the LiDAR hangs inside 'concrete at y 0 m' of [world]" in err
+    line = refused(capsys, tmp_path, "scan", scene, "--frame", 1, "--height", 0.5, "--out", tmp_path / "c.npz")
+    assert "the LiDAR hangs inside 'concrete at y 0 m' of [world]" in line
     assert cli(capsys, "scan", scene, "--frame", 1, "--height", 2, "--out", tmp_path / "c.npz")[0] == 0
 
 
@@ -212,9 +211,7 @@ def test_a_run_with_other_scenery_is_not_resumed(tmp_path, capsys, monkeypatch):
     scene = write_scene(tmp_path, {"world": {"boxes": [HEDGE]}})
     assert cli(capsys, "optimise", scene, "--out", run)[0] == 0
     write_scene(tmp_path, {"world": {"boxes": [{**HEDGE, "size_m": [60.0, 0.2, 2.1]}]}})
-    code, _, err = cli(capsys, "optimise", scene, "--out", run, "--resume")
-    assert code == 2
-    assert "[world]" in err
+    assert "[world]" in refused(capsys, tmp_path, "optimise", scene, "--out", run, "--resume")
 
 
 def test_behind_a_wall_nothing_is_detectable_and_two_workers_agree_with_one(tmp_path, capsys, monkeypatch):
@@ -251,8 +248,7 @@ def test_behind_a_wall_nothing_is_detectable_and_two_workers_agree_with_one(tmp_
 def test_a_run_tells_how_much_stands_within_its_reach(tmp_path, capsys, monkeypatch, boxes, counts, words):
     without_charts(monkeypatch)
     scene = write_scene(tmp_path, {"world": {"boxes": boxes}} if boxes else None)
-    code, out, err = cli(capsys, "evaluate", scene, "--height", 3, "--out", tmp_path / "run")
-    assert code == 0, err
+    out, _ = done(capsys, "evaluate", scene, "--height", 3, "--out", tmp_path / "run")
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     page = Page((tmp_path / "run" / "report.html").read_text(encoding="utf-8"))
     sheet = (tmp_path / "run" / "installation.txt").read_text(encoding="utf-8")

@@ -22,7 +22,7 @@ from blender_lidar.studies.driver import AS_IT_IS, HELD_OUT, Job, Variation, lan
 from blender_lidar.studies.findings import mountings_about
 from blender_lidar.studies.stability import Effort
 from blender_lidar.studies.variations import TRAFFIC, metric_variations, sensor_variations, traffic_variations
-from tests.small_scene import CASTER, MAPPED, cli, traffic_rows, write_scene, write_table
+from tests.small_scene import CASTER, MAPPED, cli, done, traffic_rows, write_scene, write_table
 
 TINY = Effort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
 
@@ -197,8 +197,7 @@ def test_a_changed_site_is_scored_as_a_scene_that_says_so(site, tmp_path):
 
 def test_a_study_leaves_table_report_and_result_with_a_verdict_on_every_line(one_study, tmp_path, capsys):
     scene = write_scene(tmp_path, MAPPED)
-    code, out, err = cli(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
-    assert code == 0, err
+    out, _ = done(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
     result = json.loads((tmp_path / "run" / "stability.json").read_text())
     with (tmp_path / "run" / "stability.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
@@ -253,8 +252,7 @@ def test_a_mounting_of_ones_own_is_the_one_in_question(tiny, tmp_path, capsys):
 
 def test_a_scene_that_holds_nothing_out_is_judged_on_the_searched_frames_and_says_so(tiny, tmp_path, capsys):
     scene = write_scene(tmp_path, {**MAPPED, "traffic": {"holdout": 0.0}})
-    code, out, err = cli(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
-    assert code == 0, err
+    out, _ = done(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
     assert "same frames, as nothing is held out" in out
     assert "undecided gain on held-out traffic" in out
 
@@ -275,8 +273,7 @@ def test_a_study_of_a_fixed_tilt_and_another_metric_tells_neither_of_the_best_ti
     tiny, tmp_path, capsys
 ):
     scene = write_scene(tmp_path, {"objective": {"metric": "log-points"}})
-    code, out, err = cli(capsys, "stability", scene, "--quick", "--out", tmp_path / "run", "--json")
-    assert code == 0, err
+    out, _ = done(capsys, "stability", scene, "--quick", "--out", tmp_path / "run", "--json")
     told = {finding["what"] for finding in json.loads(out)["findings"]}
     assert "optimum on other traffic of this kind" in told
     assert not told & {"best tilt to 1 deg", "views beyond P = 1/e"}
@@ -284,8 +281,7 @@ def test_a_study_of_a_fixed_tilt_and_another_metric_tells_neither_of_the_best_ti
 
 def test_a_mounting_that_sees_nothing_is_told_of_without_a_traceback(tiny, tmp_path, capsys):
     words = ("--quick", "--height", 30, "--json", "--out", tmp_path / "run")  # beyond the range gate
-    code, out, err = cli(capsys, "stability", write_scene(tmp_path, MAPPED), *words)
-    assert code == 0, err
+    out, _ = done(capsys, "stability", write_scene(tmp_path, MAPPED), *words)
     assert "no view of any vehicle has a return" in {finding["text"] for finding in json.loads(out)["findings"]}
 
 

@@ -64,6 +64,7 @@ BESIDE = {
     "world.boxes": {"centre_m": [0.0, 9.0, 1.0], "size_m": [1.0, 1.0, 1.0]},
     "world.barriers": {"kind": "concrete", "y_m": 1.0},
 }
+OF_THE_TEST = ("sensor.name", "model.caster")
 DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 # A scene with every key that goes with a table of boxes, and what is read back must be what was written.
 EVERY_KEY = {
@@ -248,25 +249,25 @@ def said_to(folder: Path, text: str) -> str:
     return err
 
 
-def accepts(folder: Path, key: str, value: object) -> bool:
+def is_accepted(folder: Path, key: str, value: object) -> bool:
     said = said_to(folder, scene_text(key, value))
     return any(text in said for text in ("none.csv", "site.blend", "site.obj", "install"))
 
 
-def refuses(folder: Path, key: str, value: object, name: str | None = None) -> bool:
+def is_refused(folder: Path, key: str, value: object, name: str | None = None) -> bool:
     said = said_to(folder, scene_text(key, value, name))
     return (name or key.rpartition(".")[2]) in said and "none.csv" not in said
 
 
 def scene_keys(folder: Path, listed: dict) -> dict:
     """Of the keys and values that are listed, those that are accepted, or refused, as the list says."""
-    found = {}
-    for key, values in listed.items():
-        found[key] = {
-            "accepted": [value for value in values["accepted"] if accepts(folder, key, value)],
-            "refused": [value for value in values["refused"] if refuses(folder, key, value)],
+    asked = {"accepted": is_accepted, "refused": is_refused}
+    return {
+        key: {
+            answer: [value for value in values[answer] if holds(folder, key, value)] for answer, holds in asked.items()
         }
-    return found
+        for key, values in listed.items()
+    }
 
 
 # --- runs of every verb -----------------------------------------------------------------------------------------------
@@ -281,11 +282,8 @@ def of_runs(folder: Path) -> dict[str, list[str]]:
         (out / f"render_{name}.png").write_bytes(png(8, 5, 20))
     done("optimise", scene, "--out", out, "--resume")  # it has ended: its page is made again
     found = left_in(out, "optimise")
-    found["scene.toml: defaults"] = [
-        f"{path} = {value}"
-        for path, value in settings_in(out / "scene.toml")
-        if path not in ("sensor.name", "model.caster")
-    ]
+    settings = {path: value for path, value in settings_in(out / "scene.toml") if path not in OF_THE_TEST}
+    found["scene.toml: defaults"] = [f"{path} = {value}" for path, value in settings.items()]
     with pytest.MonkeyPatch.context() as patch:
         without_charts(patch)
         few = ("--particles", 3, "--iterations", 2)
@@ -334,7 +332,7 @@ def of_comparisons(folder: Path) -> dict[str, list[str]]:
     out = folder / "paired"
     done("compare", "--kitti", folder / "sweeps", "--paired", "--caster", CASTER, "--details", "box,body", "--out", out)
     found = left_in(out, "compare --paired")
-    if not (find_spec("pandas") and find_spec("scipy")):
+    if not find_spec("pandas"):
         return found
     cars = sample_cars()
     write_labelled(folder / "labelled", cars)
@@ -352,11 +350,9 @@ def of_clouds(folder: Path) -> dict[str, list[str]]:
         done("scan", *at, "--out", folder / f"cloud.{suffix}")
     found = {"scan: cloud files": sorted(path.name for path in folder.glob("cloud.*"))}
     with np.load(folder / "cloud.npz") as cloud:
-        found["scan: cloud.npz arrays"] = [
-            f"{name} {cloud[name].dtype.kind}{cloud[name].dtype.itemsize if cloud[name].dtype.kind in 'fiu' else ''} "
-            f"{cloud[name].ndim}-d"
-            for name in cloud.files
-        ]
+        kinds = [(name, cloud[name].dtype, cloud[name].ndim) for name in cloud.files]
+        sizes = [f"{name} {of.kind}{of.itemsize if of.kind in 'fiu' else ''} {axes}-d" for name, of, axes in kinds]
+        found["scan: cloud.npz arrays"] = sizes
         found["scan: cloud.npz header"] = sorted(keys(json.loads(str(cloud["header"]))))
     pcd, ply = (folder / f"cloud.{kind}" for kind in ("pcd", "ply"))
     lines = pcd.read_bytes().split(b"DATA")[0].decode().splitlines()
@@ -448,15 +444,13 @@ def missing(section: str, wanted: list, present: list) -> list[str]:
 def can_be_there(section: str, entry: str) -> bool:
     """Whether the extra that an entry of the list needs is installed."""
     needs = {
-        "las": r"\blas|\blaz",
+        "laspy": r"\blas|\blaz",
         "bpy": "build: |: bpy$",
         "matplotlib": r"\.png|img: Chart|h2: (How sure|What the beams)",
+        "pandas": ": pandas$|compare --detections",  # its version is told
+        "embreex": ": embreex$",
     }
-    needs |= {name: f": {name}$|compare --detections" for name in ("pandas", "scipy")}  # their versions are told
-    needs["embreex"] = ": embreex$"
-    names = {"las": "laspy"}
-    text = f"{section}: {entry}"
-    return all(find_spec(names.get(name, name)) for name, pattern in needs.items() if re.search(pattern, text))
+    return all(find_spec(name) for name, pattern in needs.items() if re.search(pattern, f"{section}: {entry}"))
 
 
 def test_every_verb_and_option_is_there(listed):
@@ -479,7 +473,7 @@ def test_an_unknown_scene_key_is_refused_by_name(listed, folder):
     for key, values in listed["scene keys"].items():
         tables.setdefault(key.rpartition(".")[0], (key, values["accepted"][0]))
     for key, value in tables.values():
-        assert refuses(folder, key, value, name=f"{key.rpartition('.')[2]}x"), key
+        assert is_refused(folder, key, value, name=f"{key.rpartition('.')[2]}x"), key
     assert "nonsense" in said_to(folder, '[traffic]\npath = "none.csv"\n[nonsense]\n')
 
 
@@ -522,22 +516,7 @@ def write_list(folder: Path) -> None:
             runs[section] = [entry for entry in entries if entry not in usual]
         if not runs[section]:
             del runs[section]
-    LIST.write_text(as_json(content) + "\n", encoding="utf-8")
-
-
-def as_json(content: object, indent: str = "") -> str:
-    """JSON whose lists, and what scene keys take, are filled up to the width of a page."""
-    if isinstance(content, dict) and "accepted" not in content:
-        entries = [f"{indent} {json.dumps(key)}: {as_json(value, indent + ' ')}" for key, value in content.items()]
-        return "{\n" + ",\n".join(entries) + f"\n{indent}}}"
-    if isinstance(content, dict):
-        return json.dumps(content)
-    lines = [""]
-    for text in (json.dumps(entry, ensure_ascii=False) for entry in content):
-        if len(lines[-1]) + len(text) > 110:
-            lines.append("")
-        lines[-1] += f"{text}, "
-    return "[" + f"\n{indent} ".join(line.rstrip() for line in lines).rstrip(",") + "]"
+    LIST.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

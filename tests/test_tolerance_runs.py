@@ -22,8 +22,9 @@ from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.installation import costliest_text, kept_text, tolerance_text
 from blender_lidar.scoring.evaluation import Workplace
 from blender_lidar.scoring.frame_scorer import FrameScorer
+from tests.refusals import refused
 from tests.report_samples import Page, change, result_of
-from tests.small_scene import CASTER, MAPPED, cli, without_charts, without_times, write_scene
+from tests.small_scene import CASTER, MAPPED, cli, done, without_charts, without_times, write_scene
 from tests.test_resume import PROGRAM, stored_evaluations
 from tests.waiting import WAIT_S
 
@@ -114,10 +115,7 @@ def test_scores_over_the_tolerance_are_those_that_evaluate_finds(runs, tmp_path,
     result = stored(runs / "robust")
     for name, mount in (("optimised", result["deployment"]), ("sharp", result["tolerance"]["sharp"]["deployment"])):
         words = ["--height", repr(mount["height_m"]), "--tilt-x", repr(mount["tilt_x_deg"])]
-        code, out, err = cli(
-            capsys, "evaluate", runs / "scene.toml", *WORDS, *words, "--out", tmp_path / name, "--json"
-        )
-        assert code == 0, err
+        out, _ = done(capsys, "evaluate", runs / "scene.toml", *WORDS, *words, "--out", tmp_path / name, "--json")
         found, expected = json.loads(out)["tolerance"]["robust"], result["tolerance"]["robust"]
         assert found["baseline"] == expected["baseline"]
         told = {**expected[name], "holdout": dict(expected[name]["holdout"])}
@@ -194,8 +192,7 @@ def kept_on_held_out(result: dict) -> list[str]:
 
 def test_the_table_shows_both_optima_and_what_they_keep(runs, tmp_path, capsys):
     shutil.copytree(runs / "robust", tmp_path / "run")
-    code, out, err = cli(capsys, "optimise", runs / "scene.toml", *WORDS, "--out", tmp_path / "run", "--resume")
-    assert code == 0, err
+    out, _ = done(capsys, "optimise", runs / "scene.toml", *WORDS, "--out", tmp_path / "run", "--resume")
     assert "Tolerance  +/-0.3 m of height, +/-4 deg of either tilt: mean; searched after" in out
     lines = out.splitlines()
     heading = next(line for line in lines if line.startswith("Mounting"))
@@ -340,10 +337,8 @@ def test_an_option_reads_as_the_scenes_table():
 )
 @pytest.mark.parametrize("verb", ["optimise", "evaluate"])
 def test_a_wrong_tolerance_is_one_line_that_names_the_key(tmp_path, capsys, verb, given, told):
-    code, out, err = cli(capsys, verb, write_scene(tmp_path), "--tolerance", given, "--out", tmp_path / "run")
-    assert (code, out) == (2, "")
-    assert err.startswith(f"blender-lidar: {told}")
-    assert len(err.splitlines()) == 1
+    line = refused(capsys, tmp_path, verb, write_scene(tmp_path), "--tolerance", given, "--out", tmp_path / "run")
+    assert line.startswith(f"blender-lidar: {told}")
     assert not (tmp_path / "run").exists()
 
 

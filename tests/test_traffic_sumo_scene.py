@@ -9,7 +9,8 @@ import pytest
 
 from blender_lidar.scene.scenario import load_scenario
 from tests import sumo_samples as samples
-from tests.small_scene import cli, without_charts, write_scene
+from tests.refusals import refused
+from tests.small_scene import cli, done, without_charts, write_scene
 
 LANES = {"road_0": -3.75, "road_1": -7.25}  # y of the lanes of a road along the net's -x, from the right
 TYPES = '<routes><vType id="car" length="4.4" height="1.5"/><vType id="lorry" vClass="truck" length="11"/></routes>'
@@ -35,8 +36,7 @@ def scene(tmp_path, monkeypatch):
 
 
 def test_optimise_and_evaluate_take_sumos_traffic(scene, tmp_path, capsys):
-    code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run")
-    assert code == 0, err
+    out, _ = done(capsys, "optimise", scene, "--out", tmp_path / "run")
     assert "run.fcd.xml: 60 frames" in out
     assert "vehicles are numbered from 0 by first appearance: v." in out
     table = (tmp_path / "run" / "vehicles.csv").read_text(encoding="utf-8").splitlines()
@@ -45,8 +45,7 @@ def test_optimise_and_evaluate_take_sumos_traffic(scene, tmp_path, capsys):
     assert {(box["class"], float(box["length_m"])) for box in boxes} == {("car", 4.4), ("truck", 11.0)}
     assert {round(float(box["y_m"]), 2) for box in boxes} == {3.75, 7.25}
     assert {abs(float(box["heading_deg"])) for box in boxes} == {0.0}
-    code, out, err = cli(capsys, "evaluate", scene, "--height", 4, "--tilt-x", 15, "--json")
-    assert code == 0, err
+    out, _ = done(capsys, "evaluate", scene, "--height", 4, "--tilt-x", 15, "--json")
     assert json.loads(out)["vehicles"] == json.loads((tmp_path / "run" / "result.json").read_text())["vehicles"]
 
 
@@ -57,9 +56,8 @@ def test_the_scene_as_used_finds_its_files_again(scene, tmp_path, capsys):
     shutil.copytree(tmp_path / "run", tmp_path / "copy")
     assert cli(capsys, "optimise", scene, "--out", tmp_path / "copy", "--resume")[0] == 0
     (tmp_path / "types.rou.xml").write_text(TYPES.replace("4.4", "4.5"), encoding="utf-8")
-    code, _, err = cli(capsys, "optimise", scene, "--out", tmp_path / "copy", "--resume")
-    assert code == 2
-    assert "[traffic] vehicle_types" in err
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "copy", "--resume")
+    assert "[traffic] vehicle_types" in line
 
 
 def test_vehicle_types_start_from_the_scenes_folder_and_the_options_from_the_working_one(scene, tmp_path):
@@ -70,10 +68,8 @@ def test_vehicle_types_start_from_the_scenes_folder_and_the_options_from_the_wor
 
 def test_traffic_far_from_the_mount_is_refused_with_the_keys_to_look_at(scene, tmp_path, capsys):
     far = write_scene(tmp_path, {"traffic": {"path": "run.fcd.xml", "origin_m": [5000.0, 0.0]}})
-    code, _, err = cli(capsys, "optimise", far, "--out", tmp_path / "far")
-    assert code == 2
-    assert "check [traffic] origin_m, [road] and [deployment]" in err
-    assert err.count("\n") == 1
+    line = refused(capsys, tmp_path, "optimise", far, "--out", tmp_path / "far")
+    assert "check [traffic] origin_m, [road] and [deployment]" in line
 
 
 def test_a_road_frame_that_misses_the_carriageway_is_told(scene, tmp_path, capsys):
