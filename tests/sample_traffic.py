@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.traffic.vehicles import CLASSES, Vehicles
 
 SIZES = np.array([[4.4, 1.85, 1.5], [5.2, 2.0, 1.9], [12.7, 2.5, 3.8], [12.0, 2.5, 3.2], [2.1, 0.8, 1.4]])
@@ -32,6 +33,12 @@ def dense_traffic(seed: int = 1, vehicles: int = 130, length_m: float = 500.0, f
         heading_rad=rng.normal(0.0, 0.02, vehicles),
         lane=(6 - lane).astype(np.int16),
     )
+
+
+def counted_frames(number: int, seed: int = 0) -> list[CountedFrame]:
+    """Frames of 20 vehicles, of which those within 30 m of the origin count."""
+    every = [dense_traffic(seed + frame, vehicles=20, length_m=80.0, frame=frame) for frame in range(number)]
+    return [CountedFrame(one, np.hypot(*one.centre_m[:, :2].T) < 30.0) for one in every]
 
 
 def one_vehicle(name: str, centre=(0.0, 10.0), heading: float = 0.0, size=None) -> Vehicles:

@@ -202,8 +202,7 @@ def test_made_up_vehicles_stand_apart_within_reach_the_first_of_more_being_those
 
 def test_growth_goes_from_one_to_all_and_changes_one_thing_at_a_time():
     every = steps(most_workers=6)
-    assert every["frames"] == [1, 2, 4, 8, 16, 32, 64, 128, 256]
-    assert every["workers"] == [1, 2, 4, 6]
+    assert (every["frames"], every["workers"]) == ([1, 2, 4, 8, 16, 32, 64, 128, 256], [1, 2, 4, 6])
     for over, values in every.items():
         points = points_of(over, values, "exact", "box", "RS-16")
         assert [getattr(point, over) for point in points] == values

@@ -25,7 +25,8 @@ from blender_lidar.studies.driver import Job, frame_scorer, landscapes
 from blender_lidar.studies.effects import candidates
 from blender_lidar.studies.experiments import grounded
 from blender_lidar.studies.ladder import Effort, count_hits, time_fidelities
-from tests.small_scene import CASTER, MAPPED, cli, done, write_scene
+from tests.refusals import refused
+from tests.small_scene import CASTER, MAPPED, cli, done, without_charts, write_scene
 
 TINY = Effort(3, 8, 2, 6, 2, 8, phases=2, rounds=2, hit_frames=1, hit_mountings=1, quick=True)
 POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(0.0, 0.0, 4.4, 0.1))
@@ -45,10 +46,8 @@ def tiny(monkeypatch):
     monkeypatch.setattr(ladder, "CASTERS", (CASTER, "exact"))  # another one takes seconds to load
     monkeypatch.setattr(ladder, "STRIDES", (1, 4))
     kept = ("ground", "body shape", "azimuth offsets", "drop-out", "float32")
-    monkeypatch.setattr(
-        study, "ablations", lambda site, draws: [one for one in ablations(site, draws) if one.what in kept]
-    )
-    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+    monkeypatch.setattr(study, "ablations", lambda *given: [one for one in ablations(*given) if one.what in kept])
+    without_charts(monkeypatch)
 
 
 # --- the ladder -------------------------------------------------------------------------------------------------------
@@ -77,8 +76,7 @@ def test_phases_are_spread_over_a_stride():
 
 
 def test_shares_that_leave_as_many_frames_as_another_are_no_rungs():
-    assert ladder.frame_counts(30) == [None, 15, 8, 4]
-    assert ladder.frame_counts(2) == [None, 1]
+    assert (ladder.frame_counts(30), ladder.frame_counts(2)) == ([None, 15, 8, 4], [None, 1])
     assert ladder.frame_counts(1) == [None]
 
 
@@ -104,13 +102,8 @@ def test_casters_come_to_the_same_scores_and_to_the_hits_of_the_oracle(site):
 def test_rays_that_differ_from_the_oracles_are_counted():
     oracle = np.array([1.0, 2.0, np.inf, 4.0, 5.0]), np.array([0, 1, -1, 2, 3])
     found = np.array([1.0, np.inf, 3.0, 4.5, 5.25]), np.array([0, -1, 2, 1, 3])
-    assert ladder.differing_hits(oracle, found) == {
-        "rays": 5,
-        "hits": 4,
-        "hit_or_miss": 2,
-        "vehicle": 1,
-        "largest_range_m": 0.25,
-    }
+    counts = {"rays": 5, "hits": 4, "hit_or_miss": 2, "vehicle": 1}
+    assert ladder.differing_hits(oracle, found) == counts | {"largest_range_m": 0.25}
 
 
 def test_every_fidelity_is_timed_in_every_round_on_every_frame(site):
@@ -123,8 +116,7 @@ def test_every_fidelity_is_timed_in_every_round_on_every_frame(site):
 
 def test_candidates_lie_between_the_bounds_and_the_seed_moves_them(site):
     first = candidates(site.scenario, 32)
-    assert first.variables == ("height_m", "tilt_x_deg")
-    assert len(first.poses) == 33
+    assert (first.variables, len(first.poses)) == (("height_m", "tilt_x_deg"), 33)
     assert first.poses[0] == site.scenario.baseline_pose
     assert ((first.points >= [2.0, 0.0]) & (first.points <= [4.5, 25.0])).all()
     other = replace(site.scenario, search=replace(site.scenario.search, seed=7))
@@ -172,9 +164,7 @@ def test_a_chart_that_was_stopped_goes_on_to_the_same_result(tiny, tmp_path, cap
         if stage.stem != "times":
             stage.unlink()
     (tmp_path / "run" / "chart.json").unlink()
-    code, _, err = cli(capsys, *words)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "holds a study already" in err
+    assert "holds a study already" in refused(capsys, tmp_path, *words)
     out, _ = done(capsys, *words, "--resume", "--json", "--workers", 2)
     assert (tmp_path / "run" / "chart.json").read_bytes() == whole
     assert json.loads(out) == json.loads(whole)
@@ -185,8 +175,7 @@ def test_a_scene_that_holds_nothing_out_and_searches_the_height_alone_is_charted
     words = ("--quick", "--other-sensor", "none", "--json", "--out", tmp_path / "run")
     out, _ = done(capsys, "chart", scene, *words)
     result = json.loads(out)
-    assert result["judged_on"] == "searched"
-    assert result["validated"] == []
+    assert (result["judged_on"], result["validated"]) == ("searched", [])
     assert result["metric"] == "log-points"
     assert all(list(row["shift"]) == ["height_m"] for row in result["ablations"] if row["shift"])
 
@@ -260,38 +249,28 @@ def test_a_tolerance_is_a_share(text, share):
 
 @pytest.mark.parametrize("text", ["", "0", "0%", "-1%", "101%", "nan", "tilt_deg=1", "inf"])
 def test_another_tolerance_is_refused_in_one_line(text, tmp_path, capsys):
-    code, _, err = cli(capsys, "chart", write_scene(tmp_path, MAPPED), f"--tolerance={text}", "--out", tmp_path / "run")
-    assert (code, err.count("\n")) == (2, 1)
-    assert "--tolerance" in err
-    assert "a share above 0 up to 1" in err
-    assert not (tmp_path / "run").exists()
+    line = refused(capsys, tmp_path, "chart", write_scene(tmp_path, MAPPED), f"--tolerance={text}", "--out", tmp_path)
+    assert "--tolerance" in line
+    assert "a share above 0 up to 1" in line
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--other-sensor RS-1000", "RS-1000"),
+        ("--other-sensor RS-16", "--other-sensor: is 'RS-16', the scene's own"),
+        ("--other-sensor RS-LiDAR-16", "--other-sensor: is 'RS-LiDAR-16', the scene's own"),
+        ("--sensor VLP-16 --other-sensor VLP-16", "--other-sensor: is 'VLP-16', the scene's own"),
+    ],
+)
+def test_another_sensor_is_neither_unknown_nor_the_scenes_own(tmp_path, capsys, words, told):
+    scene = write_scene(tmp_path, MAPPED)
+    assert told in refused(capsys, tmp_path, "chart", scene, *words.split(), "--out", tmp_path / "run")
 
 
 def test_a_scene_that_searches_nothing_is_refused(tmp_path, capsys):
     scene = write_scene(tmp_path, {"deployment": {"height_m": 4.0}})
-    code, _, err = cli(capsys, "chart", scene, "--out", tmp_path / "run")
-    assert (code, err.count("\n")) == (2, 1)
-    assert "fixes every coordinate" in err
-
-
-def test_another_sensor_that_is_asked_for_and_unknown_is_refused(tmp_path, capsys):
-    words = ("--other-sensor", "RS-1000", "--out", tmp_path / "run")
-    code, _, err = cli(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "RS-1000" in err
-
-
-def test_the_scenes_own_sensor_is_no_other_one(tmp_path, capsys):
-    scene = write_scene(tmp_path, MAPPED)
-    for words in (
-        ("--other-sensor", "RS-16"),
-        ("--other-sensor", "RS-LiDAR-16"),
-        ("--sensor", "VLP-16", "--other-sensor", "VLP-16"),
-    ):
-        code, _, err = cli(capsys, "chart", scene, *words, "--out", tmp_path / "run")
-        assert (code, err.count("\n")) == (2, 1)
-        assert f"--other-sensor: is '{words[-1]}', the scene's own" in err
-        assert not (tmp_path / "run").exists()
+    assert "fixes every coordinate" in refused(capsys, tmp_path, "chart", scene, "--out", tmp_path / "run")
 
 
 def test_the_other_sensor_is_part_of_what_a_resumed_chart_must_share(site):

@@ -368,8 +368,7 @@ def test_the_clouds_header_tells_how_it_was_made(tmp_path, capsys):
     with np.load("cloud.npz") as content:
         header = json.loads(str(content["header"]))
     assert (header["sensor"], header["frame"], header["caster"]) == ("RS-16", 30, CASTER)
-    assert header["pose"]["tilt_x_deg"] == 12.5
-    assert len(header["ring_elevation_deg"]) == 16
+    assert (header["pose"]["tilt_x_deg"], len(header["ring_elevation_deg"])) == (12.5, 16)
 
 
 def test_the_scene_of_an_evaluation_is_a_scene(tmp_path, capsys):

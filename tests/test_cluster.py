@@ -30,13 +30,14 @@ from blender_lidar.studies.driver import HELD_OUT, Job, landscapes
 from blender_lidar.studies.variations import metric_variations
 from tests.local_cluster import ROOT, LocalCluster
 from tests.refusals import refused
+from tests.sample_traffic import counted_frames
 from tests.small_scene import CASTER, MAPPED, done, without_charts, without_times, write_scene
-from tests.test_evaluation import POSES, SCORING, SEEN, frames_of
+from tests.test_evaluation import POSES, SCORING, SEEN
 from tests.waiting import WAIT_S, wait_for
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed, of the extra cluster, is not installed")
 
-FRAMES = frames_of(40)
+FRAMES = counted_frames(40)
 SEEN_HERE = replace(SEEN, caster=CASTER)
 PATIENCE_S = 60.0  # with a scheduler on a machine that is busy with other tests
 FILES = ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "score_map.csv", "installation.txt")

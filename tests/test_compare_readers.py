@@ -41,8 +41,7 @@ def test_a_kitti_label_becomes_a_box_in_the_lidars_frame(kitti):
     assert (clouds.layout, clouds.frames, clouds.unpaired) == ("KITTI", ("000007",), 1)
     sweep = clouds.read("000007")
     boxes = sweep.boxes
-    assert boxes.label_line.tolist() == [1]
-    assert boxes.label.tolist() == ["Car"]
+    assert (boxes.label_line.tolist(), boxes.label.tolist()) == ([1], ["Car"])
     np.testing.assert_allclose(boxes.size_m, [[4.4, 1.8, 1.5]])
     np.testing.assert_allclose(boxes.centre_m, [[12.0, 2.0, -1.7 + 0.75]])
     np.testing.assert_allclose(boxes.heading_rad, [0.0], atol=1e-12)  # along the LiDAR's x
@@ -61,8 +60,7 @@ def test_a_turn_to_the_right_in_the_picture_is_clockwise_from_above(kitti):
 def test_a_label_file_without_boxes_gives_none(kitti):
     (kitti / "label_2" / "000007.txt").write_text(DONT_CARE, encoding="utf-8")
     boxes = open_labelled(kitti).read("000007").boxes
-    assert len(boxes) == 0
-    assert boxes.centre_m.shape == (0, 3)
+    assert (len(boxes), boxes.centre_m.shape) == (0, (0, 3))
 
 
 @pytest.mark.parametrize(
@@ -122,10 +120,8 @@ def test_sustechpoints_labels_are_read(tmp_path, wrapped):
     sweep = clouds.read("1")
     assert (clouds.layout, sweep.boxes.label.tolist()) == ("SUSTechPOINTS", ["Car"])
     assert sweep.boxes.centre_m.tolist() == [[1, 2, 3]]
-    assert sweep.boxes.size_m.tolist() == [[4, 2, 1.5]]
-    assert sweep.boxes.heading_rad.tolist() == [0.5]
-    assert sweep.points.tolist() == [[1, 2, 3]]
-    assert sweep.boxes.occlusion.tolist() == [-1]
+    assert (sweep.boxes.size_m.tolist(), sweep.boxes.heading_rad.tolist()) == ([[4, 2, 1.5]], [0.5])
+    assert (sweep.points.tolist(), sweep.boxes.occlusion.tolist()) == ([[1, 2, 3]], [-1])
 
 
 @pytest.mark.parametrize(
@@ -190,12 +186,8 @@ def written(folder, *lines, name="cars.csv"):
 def test_every_detector_that_has_a_confidence_is_read(tmp_path):
     found = read_detections(written(tmp_path, HEADER, *ROWS))
     assert found.detectors == ("a", "b")
-    assert set(found.table) == {
-        "line",
-        "frame",
-        "label_line",
-        *(f"{of}_{what}" for of in "ab" for what in ("in_range", "performance")),
-    }
+    own = {f"{of}_{what}" for of in "ab" for what in ("in_range", "performance")}
+    assert set(found.table) == {"line", "frame", "label_line"} | own
     told = {name: column.tolist() for name, column in found.table.items()}
     assert (told["line"], told["frame"], told["label_line"]) == ([2, 3, 4], ["1", "1", "2"], [0, 2, 0])
     assert told["a_performance"] == pytest.approx([0.4, 0.0, 1.0])
@@ -208,8 +200,7 @@ def test_what_is_told_of_frames_comes_from_beside_or_from_where_it_is_named(tmp_
     assert read_detections(cars).table["split"].tolist() == ["val", "val"]
     written(tmp_path, "frame,split,drive", "2,train,x", "1,val,y", "3,val,y", name="frames.csv")
     about = read_detections(cars).table
-    assert about["split"].tolist() == ["val", "train"]
-    assert about["drive"].tolist() == ["y", "x"]
+    assert (about["split"].tolist(), about["drive"].tolist()) == (["val", "train"], ["y", "x"])
     other = written(tmp_path, "frame,label_kind", "1,object", "2,tracking", name="other.csv")
     about = read_detections(cars, other).table
     assert about["label_kind"].tolist() == ["object", "tracking"]

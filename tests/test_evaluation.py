@@ -30,23 +30,15 @@ from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from tests.sample_traffic import dense_traffic
-from tests.waiting import WAIT_S
+from tests.sample_traffic import counted_frames
+from tests.waiting import WAIT_S, wait_for
 
 SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
 SCORING = Scoring(0.005, "mean", -1.0, "corrected")
 POSES = [Pose(height_m=2.0), Pose(height_m=4.1, tilt_x=0.33), Pose(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4)]
 
 
-def frames_of(number, seed=0):
-    made = []
-    for frame in range(number):
-        vehicles = dense_traffic(seed=seed + frame, vehicles=20, length_m=80.0, frame=frame)
-        made.append(CountedFrame(vehicles, np.hypot(*vehicles.centre_m[:, :2].T) < 30.0))
-    return made
-
-
-FRAMES = frames_of(5)
+FRAMES = counted_frames(5)
 ROOT = str(Path(__file__).parents[1])
 
 
@@ -125,12 +117,9 @@ def test_totals_are_the_sums_of_equations_10_and_11_over_each_frame(alone):
 def test_shares_per_vehicle_can_be_had_for_some_of_the_frames(alone):
     some = np.array([0, 3])
     vehicles = alone.vehicles[0] + alone.vehicles[3]
-    np.testing.assert_allclose(
-        alone.per_vehicle(some), (alone.objective[:, 0] + alone.objective[:, 3]) / vehicles, rtol=1e-12
-    )
-    np.testing.assert_allclose(
-        alone.detectable_share(some), (alone.detectable[:, 0] + alone.detectable[:, 3]) / vehicles, rtol=1e-12
-    )
+    objective, found = (of[:, 0] + of[:, 3] for of in (alone.objective, alone.detectable))
+    np.testing.assert_allclose(alone.per_vehicle(some), objective / vehicles, rtol=1e-12)
+    np.testing.assert_allclose(alone.detectable_share(some), found / vehicles, rtol=1e-12)
     assert (alone.detectable_share() <= 1.0).all()
     np.testing.assert_allclose(alone.per_vehicle(), alone.objective.sum(axis=1) / alone.vehicles.sum(), rtol=1e-12)
 
@@ -239,7 +228,7 @@ def program(body):
     head = """
         from blender_lidar.errors import WorkerError
         from blender_lidar.scoring.evaluation import Evaluator
-        from tests.test_evaluation import FRAMES, SCORING, SEEN, frames_of
+        from tests.test_evaluation import FRAMES, SCORING, SEEN, counted_frames
         """
     return textwrap.dedent(head) + textwrap.dedent(body)
 
@@ -252,7 +241,7 @@ def test_a_worker_that_dies_while_it_starts_is_an_error_and_no_hang(frames):
     """
     body = f"""
         try:
-            with Evaluator(frames_of({frames}), SEEN, SCORING, workers=2) as evaluator:
+            with Evaluator(counted_frames({frames}), SEEN, SCORING, workers=2) as evaluator:
                 evaluator.workers.await_ready()
                 print("started")
         except WorkerError as error:
@@ -316,17 +305,14 @@ def test_workers_start_from_a_program_that_has_imported_bpy(tmp_path):
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc to look at other processes")
 def test_workers_end_when_their_parent_is_killed(tmp_path):
     path = tmp_path / "run.py"
-    path.write_text(
-        program(
-            """
-            import multiprocessing, time
-            if __name__ == "__main__":
-                with Evaluator(FRAMES, SEEN, SCORING, workers=3):
-                    print(*(child.pid for child in multiprocessing.active_children()), flush=True)
-                    time.sleep(600)
-            """
-        )
-    )
+    body = """
+        import multiprocessing, time
+        if __name__ == "__main__":
+            with Evaluator(FRAMES, SEEN, SCORING, workers=3):
+                print(*(child.pid for child in multiprocessing.active_children()), flush=True)
+                time.sleep(600)
+        """
+    path.write_text(program(body))
     run = subprocess.Popen(
         [sys.executable, path], cwd=ROOT, env=os.environ | {"PYTHONPATH": ROOT}, stdout=subprocess.PIPE, text=True
     )
@@ -335,11 +321,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
         run.kill()
     try:
         assert len(workers) == 2
-        for _ in range(2000):
-            if not any(map(is_running, workers)):
-                break
-            time.sleep(0.01)
-        assert not any(map(is_running, workers))
+        wait_for(lambda: not any(map(is_running, workers)), "for the workers to end")
     finally:
         for worker in filter(is_running, workers):
             os.kill(worker, signal.SIGKILL)
@@ -415,15 +397,13 @@ def test_distances_and_lanes_sort_every_vehicle_into_one_group():
 
 
 def verdict(holdout, block):
-    site = SimpleNamespace(
-        plan=SimpleNamespace(holdout_block=np.array(block, dtype=np.int64)),
-    )
+    site = SimpleNamespace(plan=SimpleNamespace(holdout_block=np.array(block, dtype=np.int64)))
     with Evaluator(FRAMES, SEEN, SCORING, held_out=holdout) as evaluator:
         return judge(site, {"optimised": POSES[1], "baseline": POSES[0]}, evaluator, seed=1)
 
 
 def test_the_verdict_is_the_gain_over_the_baseline_on_held_out_frames(alone):
-    held_out = frames_of(6, seed=50)
+    held_out = counted_frames(6, seed=50)
     found = verdict(held_out, [0, 0, 1, 1, 2, 2])
     assert found["optimised"]["objective"] == pytest.approx(alone.objective[1].sum())
     assert found["baseline"]["objective_per_vehicle"] == pytest.approx(alone.per_vehicle()[0])
@@ -442,4 +422,4 @@ def test_a_verdict_without_held_out_vehicles_or_with_few_blocks_says_so():
     nobody = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
     assert verdict([], [])["optimised"]["holdout"] is None
     assert verdict([nobody], [0])["optimised"]["holdout"] is None
-    assert verdict(frames_of(2, seed=50), [0, 1])["optimised"]["holdout"]["interval_90"] is None
+    assert verdict(counted_frames(2, seed=50), [0, 1])["optimised"]["holdout"]["interval_90"] is None

@@ -177,8 +177,7 @@ def test_mountings_together_and_one_by_one_see_the_same():
     poses = [Pose(0.0, 0.0, rng.uniform(2, 4.5), rng.uniform(0, 0.4)) for _ in range(12)]
     scorer = FrameScorer(vehicles, everyone(vehicles), seen)
     together = scorer.see(poses)
-    assert together.points.shape == (12, 40)
-    assert together.occupancy.shape == (12, 40, 3)
+    assert (together.points.shape, together.occupancy.shape) == ((12, 40), (12, 40, 3))
     for number, pose in enumerate(poses):
         alone = FrameScorer(vehicles, everyone(vehicles), seen).see([pose])
         np.testing.assert_array_equal(together.points[number], alone.points[0])
@@ -201,8 +200,7 @@ def test_a_frame_in_which_nothing_counts_has_no_points(vehicles):
     scorer = FrameScorer(frame, np.zeros(vehicles, dtype=bool), observation())
     seen = scorer.see([POSE, POSE])
     assert len(scorer) == 0
-    assert seen.points.shape == (2, 0)
-    assert seen.occupancy.shape == (2, 0, 3)
+    assert (seen.points.shape, seen.occupancy.shape) == ((2, 0), (2, 0, 3))
     assert len(scorer.vehicle_points(POSE)[0]) == 0
 
 

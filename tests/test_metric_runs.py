@@ -20,7 +20,7 @@ from blender_lidar.report.summary import answer, group_scores
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.installation import objective_text
 from blender_lidar.run.verdict import METRIC_VALUE, distance_bands, vehicle_table
-from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
@@ -29,7 +29,7 @@ from blender_lidar.scoring.scores import mountings_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import counted_frames
 from tests.small_scene import cli, done, without_charts, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick")
@@ -39,15 +39,7 @@ POSES = [Pose(height_m=2.0), Pose(1.0, -0.5, 4.1, 0.33), Pose(height_m=3.0, tilt
 OTHERS = [name for name in METRICS if name != "pe-vgop"]
 
 
-def frames_of(number):
-    made = []
-    for frame in range(number):
-        vehicles = dense_traffic(seed=frame, vehicles=20, length_m=80.0, frame=frame)
-        made.append(CountedFrame(vehicles, np.hypot(*vehicles.centre_m[:, :2].T) < 30.0))
-    return made
-
-
-FRAMES = frames_of(2)
+FRAMES = counted_frames(2)
 WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and NEEDS_VIEW not in METRICS[name].needs]
 
 
@@ -97,8 +89,7 @@ def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for(
 
 def test_nothing_in_view_leaves_no_returns():
     nobody = FrameScorer(FRAMES[0].vehicles, np.zeros(20, dtype=bool), SEEN).see(POSES, keep_returns=True)
-    assert nobody.returns[0].shape == (0, 3)
-    assert nobody.returns[1].shape == (0,)
+    assert (nobody.returns[0].shape, nobody.returns[1].shape) == ((0, 3), (0,))
 
 
 def test_the_vehicle_table_has_a_column_for_another_metric_and_none_for_pe_vgop():
@@ -226,8 +217,7 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
     def loss(**objective):
         return load_scenario(write_scene(tmp_path, {"objective": objective})).objective.loss
 
-    assert loss() == -1.0
-    assert loss(metric="pe-vgop") == -1.0
+    assert (loss(), loss(metric="pe-vgop")) == (-1.0, -1.0)
     assert loss(metric="points") is None
     assert loss(metric="points", loss=-2.5) == -2.5
 

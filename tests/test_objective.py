@@ -54,8 +54,7 @@ def test_a_higher_threshold_never_makes_more_vehicles_detectable(occupancy):
 
 def test_any_leading_shape_is_kept():
     occupancy = np.full((4, 2, 3), 0.01)
-    assert detectable(occupancy).shape == (4, 2)
-    assert detectable(occupancy[0, 0]).shape == ()
+    assert (detectable(occupancy).shape, detectable(occupancy[0, 0]).shape) == ((4, 2), ())
     assert vehicle_score(np.ones((4, 2)), np.ones((4, 2), bool)).shape == (4, 2)
 
 

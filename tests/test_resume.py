@@ -19,7 +19,7 @@ from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.replay import Replay
 from tests.refusals import refused
 from tests.run_attacks import Attacked, check_nobody_is_left, check_same, check_stopped, check_whole
-from tests.small_scene import MAPPED, cli, done, without_charts, without_times, write_scene
+from tests.small_scene import MAPPED, done, without_charts, without_times, write_scene
 from tests.waiting import wait_for
 
 pytestmark = [
@@ -127,22 +127,19 @@ def test_a_run_killed_before_it_wrote_anything_starts_from_its_beginning_and_say
     check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
 
-@pytest.mark.parametrize("method", ["grid", "random"])
-def test_the_rivals_go_on_as_well(start, tmp_path, method):
-    words = ["--search", method, "--particles", "10", "--iterations", "6"]  # three batches of 20
-    scene = write_scene(tmp_path)
+@pytest.mark.parametrize(
+    ("words", "write", "stored"),
+    [
+        ("--search grid --particles 10 --iterations 6", 4, 40),  # three batches of 20
+        ("--search random --particles 10 --iterations 6", 4, 40),
+        ("--search de-pso --reading paper", 8, 6),  # asks for one candidate at a time: in the middle of an iteration
+    ],
+)
+def test_the_rivals_go_on_as_well(start, tmp_path, words, write, stored):
+    words, scene = words.split(), write_scene(tmp_path)
     assert main(["optimise", str(scene), "--out", str(tmp_path / "whole"), *words]) == 0
-    start(scene, tmp_path / "run", *words, dies_at=4).code()
-    assert stored_evaluations(tmp_path / "run") == 40
-    check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole", *words)
-
-
-def test_the_literal_reading_goes_on_in_the_middle_of_an_iteration(start, tmp_path):
-    words = ["--search", "de-pso", "--reading", "paper"]  # asks for one candidate at a time
-    scene = write_scene(tmp_path)
-    assert main(["optimise", str(scene), "--out", str(tmp_path / "whole"), *words]) == 0
-    start(scene, tmp_path / "run", *words, dies_at=8).code()
-    assert stored_evaluations(tmp_path / "run") == 6
+    start(scene, tmp_path / "run", *words, dies_at=write).code()
+    assert stored_evaluations(tmp_path / "run") == stored
     check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole", *words)
 
 
@@ -285,10 +282,8 @@ def test_resume_with_other_settings_is_refused_naming_what_differs(request, fini
     scene = finished[0]
     folder = request.getfixturevalue("stopped") if which == "stopped" else finished[1]
     before = {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
-    code, _, err = cli(capsys, "optimise", scene, "--out", folder, "--resume", *words)
-    assert code == 2
-    assert err.startswith(f"blender-lidar: --resume: {folder}: the run there had {named}; give it the same settings")
-    assert len(err.splitlines()) == 1
+    line = refused(capsys, folder, "optimise", scene, "--out", folder, "--resume", *words)
+    assert line.startswith(f"blender-lidar: --resume: {folder}: the run there had {named}; give it the same settings")
     assert {path.name: path.read_bytes() for path in folder.glob("[!.]*")} == before
 
 
@@ -320,10 +315,9 @@ def test_the_same_traffic_elsewhere_is_the_same_run(start, tmp_path, finished):
     assert resumed == expected
 
 
-def test_resume_needs_to_know_where(finished, capsys):
-    code, _, err = cli(capsys, "optimise", finished[0], "--resume")
-    assert code == 2
-    assert err == "blender-lidar: --resume: needs --out DIR, the folder of the run that was stopped\n"
+def test_resume_needs_to_know_where(finished, tmp_path, capsys):
+    line = refused(capsys, tmp_path, "optimise", finished[0], "--resume")
+    assert line == "blender-lidar: --resume: needs --out DIR, the folder of the run that was stopped"
 
 
 def test_an_evaluation_is_no_search_to_go_on_with(tmp_path, finished, capsys):
@@ -340,7 +334,6 @@ def test_a_damaged_file_is_refused_by_name(tmp_path, stopped, finished, capsys, 
     (tmp_path / "run" / name).write_bytes(content)
     line = refused(capsys, tmp_path, "optimise", finished[0], "--out", tmp_path / "run", "--resume")
     assert str(tmp_path / "run") in line
-    assert "Traceback" not in line
 
 
 def change_checkpoint(folder: Path, change) -> None:
@@ -364,10 +357,8 @@ def change_checkpoint(folder: Path, change) -> None:
 )
 def test_a_batch_that_cannot_be_replayed_is_refused_by_its_number(stopped, finished, capsys, change):
     change_checkpoint(stopped, change)
-    code, _, err = cli(capsys, "optimise", finished[0], "--out", stopped, "--resume")
-    assert code == 2
-    assert err.startswith(f"blender-lidar: {stopped / 'checkpoint.json'}: batch 2 is damaged: ")
-    assert len(err.splitlines()) == 1
+    line = refused(capsys, stopped, "optimise", finished[0], "--out", stopped, "--resume")
+    assert line.startswith(f"blender-lidar: {stopped / 'checkpoint.json'}: batch 2 is damaged: ")
 
 
 @pytest.mark.parametrize("place", ["x", "told"])
@@ -381,10 +372,8 @@ def test_a_search_that_asks_for_anything_else_by_one_bit_is_not_gone_on_with(sto
             batches[0]["told"] = batches[0]["told"][::-1]
 
     change_checkpoint(stopped, change)
-    code, _, err = cli(capsys, "optimise", finished[0], "--out", stopped, "--resume")
-    assert code == 2
-    assert "asks for other mountings in batch 2 than the run there did" in err
-    assert len(err.splitlines()) == 1
+    line = refused(capsys, stopped, "optimise", finished[0], "--out", stopped, "--resume")
+    assert "asks for other mountings in batch 2 than the run there did" in line
 
 
 @pytest.mark.parametrize("which", ["stopped", "finished"])
@@ -392,11 +381,9 @@ def test_a_run_made_by_other_code_is_not_gone_on_with(request, finished, capsys,
     """It was noticed by the version alone, which does not change from one commit to the next."""
     folder = request.getfixturevalue("stopped") if which == "stopped" else finished[1]
     monkeypatch.setattr("blender_lidar.scene.provenance.source_digest", lambda: "0123456789ab")
-    code, _, err = cli(capsys, "optimise", finished[0], "--out", folder, "--resume")
-    assert code == 2
-    assert f"{folder}: the run there was made by other code, blender_lidar '{__version__} (" in err
-    assert f"not '{__version__} (0123456789ab)'" in err
-    assert len(err.splitlines()) == 1
+    line = refused(capsys, folder, "optimise", finished[0], "--out", folder, "--resume")
+    assert f"{folder}: the run there was made by other code, blender_lidar '{__version__} (" in line
+    assert f"not '{__version__} (0123456789ab)'" in line
 
 
 def test_two_thousand_evaluations_are_stored_in_no_time(tmp_path):

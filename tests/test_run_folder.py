@@ -21,7 +21,6 @@ from tests.refusals import refused
 from tests.small_scene import (
     CASTER,
     MAPPED,
-    cli,
     done,
     traffic_rows,
     without_times,
@@ -50,10 +49,9 @@ def mapped_run(tmp_path_factory):
     pytest.importorskip("matplotlib")
     folder = tmp_path_factory.mktemp("mapped")
     words = ["optimise", str(write_scene(folder, MAPPED)), "--detail", "box", "--out", str(folder / "run"), "--json"]
-    program = "import sys; from blender_lidar.cli import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return folder / "run", done
+    run = subprocess.run([sys.executable, "-m", "blender_lidar", *words], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return folder / "run", run
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -76,15 +74,8 @@ def optimise(capsys, scene: Path, out: Path, *words: object) -> dict:
 def test_the_folder_holds_what_was_promised_and_nothing_else(mapped_run):
     folder, _ = mapped_run
     tables = {"vehicles.csv", "vehicles_baseline.csv", "history.csv", "score_map.csv"}
-    expected = {
-        "result.json",
-        "scene.toml",
-        "installation.txt",
-        "report.html",
-        *tables,
-        *(f"{name}.png" for name in CHARTS),
-    }
-    assert {path.name for path in folder.iterdir()} == expected
+    expected = {"result.json", "scene.toml", "installation.txt", "report.html", *(f"{name}.png" for name in CHARTS)}
+    assert {path.name for path in folder.iterdir()} == expected | tables
     assert all(path.stat().st_size for path in folder.iterdir())
 
 
@@ -156,18 +147,16 @@ def test_the_history_names_every_evaluation_and_its_best_is_the_result(mapped_ru
     assert [int(row["evaluation"]) for row in table] == list(range(1, result["evaluations"] + 1))
     objective = np.array([float(row["objective"]) for row in table])
     assert [float(row["best"]) for row in table] == np.maximum.accumulate(objective).tolist()
-    best = table[int(objective.argmax())]
-    assert float(best["objective"]) == pytest.approx(result["objective"])
-    assert {key: float(best[key]) for key in ("height_m", "tilt_x_deg")} == {
-        key: result["deployment"][key] for key in ("height_m", "tilt_x_deg")
-    }
+    best = {key: float(value) for key, value in table[int(objective.argmax())].items()}
+    assert best["objective"] == pytest.approx(result["objective"])
+    assert all(best[key] == result["deployment"][key] for key in ("height_m", "tilt_x_deg"))
 
 
 def test_json_on_stdout_is_the_result_file_to_the_byte_and_everything_else_is_on_stderr(mapped_run):
-    folder, done = mapped_run
-    assert done.stdout == (folder / "result.json").read_text()
-    assert "Sensor     RS-16" in done.stderr
-    assert f"Results in {folder}" in done.stderr
+    folder, run = mapped_run
+    assert run.stdout == (folder / "result.json").read_text()
+    assert "Sensor     RS-16" in run.stderr
+    assert f"Results in {folder}" in run.stderr
 
 
 def test_the_score_map_is_read_back_as_it_was_written(mapped_run):
@@ -205,11 +194,11 @@ def test_a_regret_on_held_out_frames_is_told_when_it_is_not_small(mapped_run, re
 
 
 def test_a_run_that_has_ended_is_shown_again_by_resume_with_its_map(mapped_run, capsys):
-    folder, done = mapped_run
+    folder, first = mapped_run
     scene = folder.parent / "scene.toml"
     out, err = done(capsys, "optimise", scene, "--detail", "box", "--out", folder, "--resume")
     assert "search:" not in err  # nothing is searched again
-    assert out[out.index("Mounting") : out.index("Results in")] in done.stderr
+    assert out[out.index("Mounting") : out.index("Results in")] in first.stderr
 
 
 def test_the_result_is_json_even_where_most_held_out_blocks_are_empty(tmp_path, capsys):
@@ -220,10 +209,7 @@ def test_the_result_is_json_even_where_most_held_out_blocks_are_empty(tmp_path, 
     write_table(tmp_path / "traffic.csv", [far(row) for row in traffic_rows()])
     optimise(capsys, write_scene(tmp_path), tmp_path / "run")
 
-    def refuse(constant):
-        raise AssertionError(f"{constant} is no JSON")
-
-    result = json.loads((tmp_path / "run" / "result.json").read_text(), parse_constant=refuse)
+    result = json.loads((tmp_path / "run" / "result.json").read_text(), parse_constant=pytest.fail)
     assert result["holdout"]["vehicles"] > 0
 
 
@@ -267,14 +253,8 @@ def test_the_scene_in_the_folder_spells_out_what_the_scene_left_out(tmp_path, ca
     written = tomllib.loads(text)
     assert text.startswith("# The scene as blender_lidar ")
     assert written["traffic"]["path"] == str((tmp_path / "traffic.csv").resolve())
-    assert written["objective"] == {
-        "metric": "pe-vgop",
-        "reading": "corrected",
-        "cell_m": 0.05,
-        "threshold": 0.005,
-        "view": "mean",
-        "loss": -1.0,
-    }
+    words = {"metric": "pe-vgop", "reading": "corrected", "view": "mean"}
+    assert written["objective"] == words | {"cell_m": 0.05, "threshold": 0.005, "loss": -1.0}
 
 
 def test_own_sensors_go_into_the_folders_scene_with_their_whole_path(tmp_path, capsys, monkeypatch):
@@ -325,10 +305,10 @@ def test_a_file_of_the_users_own_is_never_written_over(tmp_path, name):
 
 def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, capsys):
     pytest.importorskip("fcntl")
+    scene = write_scene(tmp_path)
     with RunFolder(tmp_path / "run").locked():
-        code, _, err = cli(capsys, "optimise", write_scene(tmp_path), "--out", tmp_path / "run")
-    assert code == 2
-    assert err == f"blender-lidar: --out: {tmp_path / 'run'}: another run is at work there\n"
+        line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run")
+    assert line == f"blender-lidar: --out: {tmp_path / 'run'}: another run is at work there"
     assert not list((tmp_path / "run").iterdir())
     assert main(["optimise", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run")]) == 0
 
@@ -360,13 +340,8 @@ def test_a_folder_that_was_there_before_stays_even_if_empty(tmp_path):
 def test_what_a_killed_run_had_not_finished_writing_is_swept_away_and_no_file_of_anybody_else(tmp_path):
     """Whatever was hidden and looked like `.*-????????.*` or `.*.png.*.part` went too."""
     ours = [".blender_lidar-123-abcd_123.json", ".blender_lidar-7-abcdefgh", ".blender_lidar-7-abcdefgh.png"]
-    theirs = [
-        ".hidden.json",
-        "mine-abcd1234.json",
-        ".vehicles-12345678.csv",
-        ".photo.png.123.part",
-        ".blender_lidar-mine",
-    ]
+    theirs = [".hidden.json", "mine-abcd1234.json", ".vehicles-12345678.csv", ".photo.png.123.part"]
+    theirs += [".blender_lidar-mine"]
     for name in [*ours, *theirs, ".lock"]:
         (tmp_path / name).write_text("half")
     with RunFolder(tmp_path).locked():

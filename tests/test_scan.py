@@ -208,8 +208,7 @@ def test_without_ground_only_vehicles_return():
 
 def test_a_frame_without_anything_in_range_is_an_empty_cloud_with_the_right_columns():
     cloud, filled = cloud_of(dense_traffic(vehicles=0), max_range_m=1.0), cloud_of()
-    assert len(cloud) == 0
-    assert cloud.xyz.shape == (0, 3)
+    assert (len(cloud), cloud.xyz.shape) == (0, (0, 3))
     for name in type(cloud).__slots__:
         assert getattr(cloud, name).dtype == getattr(filled, name).dtype, name
         assert len(getattr(filled, name)) == len(filled), name

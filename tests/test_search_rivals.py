@@ -42,8 +42,7 @@ def test_the_grid_finds_what_brute_force_finds(objective):
 
 def test_the_grid_includes_both_bounds_exactly():
     points = points_of(run(GridSearch([0.1, -0.3], [0.7, 0.9], points=(3, 4)), lambda x: x[:, 0]).history)
-    assert points.min(axis=0).tolist() == [0.1, -0.3]
-    assert points.max(axis=0).tolist() == [0.7, 0.9]
+    assert (points.min(axis=0).tolist(), points.max(axis=0).tolist()) == ([0.1, -0.3], [0.7, 0.9])
 
 
 @given(st.integers(1, 6), st.integers(64, 5000))
@@ -58,8 +57,7 @@ def test_a_grid_is_as_fine_as_its_budget_allows_and_no_finer(variables, evaluati
 
 
 def test_the_papers_budget_makes_a_finer_grid_than_its_own_resolution():
-    assert grid_points(676, 2) == (26, 26)
-    assert grid_points(2000, 2) == (45, 44)
+    assert (grid_points(676, 2), grid_points(2000, 2)) == ((26, 26), (45, 44))
 
 
 def test_the_random_search_returns_the_best_of_its_points():

@@ -266,8 +266,7 @@ def test_regret_on_the_scene_is_a_share_of_what_the_best_found_on_the_same_frame
     (part,) = parts_of(tasks)
     assert part.regret[OURS][:, -1] == pytest.approx([0.5, 0.005])
     assert part.solved(OURS).tolist() == [False, True]
-    assert part.regret["random"][:, -1].tolist() == [0.0, 0.0]
-    assert part.regret["grid"].min() == 1.0
+    assert (part.regret["random"][:, -1].tolist(), part.regret["grid"].min()) == ([0.0, 0.0], 1.0)
     for run in tasks[1][1]:
         run["baseline"] = 100.0
     with pytest.raises(InputError, match="scene_2-D_1: no solver found better than the scene's baseline"):

@@ -153,8 +153,7 @@ def test_a_frame_without_vehicles_has_no_triangles():
 
 
 def test_trucks_of_nine_metres_and_more_are_articulated():
-    assert shape_of("truck", 8.99) == "truck"
-    assert shape_of("truck", 9.0) == "long_truck"
+    assert (shape_of("truck", 8.99), shape_of("truck", 9.0)) == ("truck", "long_truck")
     assert shape_of("car", 12.0) == "car"
 
 

@@ -171,6 +171,5 @@ def test_a_profile_has_its_tolerance_shaded_and_the_whole_gain_as_a_line(drawn, 
     tilt, yaw = drawn[0].axes
     np.testing.assert_allclose(tilt.lines[0].get_ydata(), 100.0 - 2.0 * np.abs(offsets))
     (shade,) = tilt.patches
-    assert shade.get_x() == -1.0
-    assert shade.get_width() == 2.0
+    assert (shade.get_x(), shade.get_width()) == (-1.0, 2.0)
     assert not yaw.patches

@@ -24,7 +24,7 @@ from blender_lidar.scoring.evaluation import Workplace
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from tests.refusals import refused
 from tests.report_samples import Page, change, result_of
-from tests.small_scene import CASTER, MAPPED, cli, done, without_charts, without_times, write_scene
+from tests.small_scene import CASTER, MAPPED, done, without_charts, without_times, write_scene
 from tests.test_resume import PROGRAM, stored_evaluations
 from tests.waiting import WAIT_S
 
@@ -339,7 +339,6 @@ def test_an_option_reads_as_the_scenes_table():
 def test_a_wrong_tolerance_is_one_line_that_names_the_key(tmp_path, capsys, verb, given, told):
     line = refused(capsys, tmp_path, verb, write_scene(tmp_path), "--tolerance", given, "--out", tmp_path / "run")
     assert line.startswith(f"blender-lidar: {told}")
-    assert not (tmp_path / "run").exists()
 
 
 def test_an_option_can_take_a_scenes_tolerance_away(tmp_path):
@@ -381,11 +380,7 @@ def killed(scene: Path, out: Path, write: int) -> Path:
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 @pytest.mark.parametrize(
     ("write", "begun"),
-    [
-        (BEFORE_THE_ROBUST_SEARCH, 9),
-        (IN_ITS_MIDDLE, 9 + 6),
-        (AT_THE_SECOND_HISTORY, 9 + 9),
-    ],
+    [(BEFORE_THE_ROBUST_SEARCH, 9), (IN_ITS_MIDDLE, 9 + 6), (AT_THE_SECOND_HISTORY, 9 + 9)],
 )
 def test_a_run_killed_in_either_search_goes_on_to_the_same_result(tmp_path, undisturbed, write, begun):
     scene, expected = undisturbed
@@ -404,8 +399,6 @@ def test_a_run_with_another_tolerance_or_none_is_not_gone_on_with(undisturbed, c
         ((), "not None; give it the same settings"),
         (("--tolerance", "tilt_deg=4,height_m=0.2"), "[objective] tolerance = {'aim': 'mean', 'height_m': 0.3, "),
     ):
-        code, _, err = cli(capsys, "optimise", scene, *words, "--out", folder, "--resume")
-        assert code == 2
-        assert "the run there had [objective] tolerance = " in err
-        assert named in err
-        assert len(err.splitlines()) == 1
+        line = refused(capsys, folder, "optimise", scene, *words, "--out", folder, "--resume")
+        assert "the run there had [objective] tolerance = " in line
+        assert named in line

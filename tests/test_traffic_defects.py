@@ -37,8 +37,7 @@ def three_periods():
 def test_periods_are_never_merged_and_the_first_is_used_unless_chosen(tmp_path, three_periods):
     recording = read(tmp_path, three_periods)
     assert recording.report.periods == ("0400-0415", "0500-0515", "0515-0530")
-    assert recording.report.period == "0400-0415"
-    assert len(np.unique(recording.vehicle_id)) == 7
+    assert (recording.report.period, len(np.unique(recording.vehicle_id))) == ("0400-0415", 7)
     assert any("3 periods found" in line for line in recording.report.lines())
     assert recording.report.repeated == recording.report.duplicates == 0
 
@@ -105,8 +104,7 @@ def test_of_several_locations_one_must_be_chosen(mixed_sites):
     with pytest.raises(InputError, match=r"portal.csv: holds 2 locations; choose one of: i-80, us-101"):
         read_traffic(mixed_sites)
     recording = read_traffic(mixed_sites, location="US-101")
-    assert len(np.unique(recording.vehicle_id)) == 4
-    assert recording.report.location == "us-101"
+    assert (len(np.unique(recording.vehicle_id)), recording.report.location) == (4, "us-101")
     assert recording.report.rows_read == 7 * 120
     assert "location us-101" in recording.report.lines()[0]
 

@@ -260,14 +260,12 @@ def test_a_single_frame_can_be_planned():
     one = stream([5.0])
     plan = plan_frames(one, counted, count=3)
     assert_plan_is_sound(plan, one)
-    assert plan.search.tolist() == [50]
-    assert len(plan.notes) == 2
+    assert (plan.search.tolist(), len(plan.notes)) == ([50], 2)
 
 
 def test_a_region_without_vehicles_gives_a_plan_without_ids(recording):
     plan = plan_frames(recording, lambda vehicles: np.zeros(len(vehicles), dtype=bool), count=5)
-    assert plan.searched_ids.size == 0
-    assert plan.block_s == 5.0
+    assert (plan.searched_ids.size, plan.block_s) == (0, 5.0)
 
 
 @pytest.mark.parametrize(

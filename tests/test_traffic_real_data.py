@@ -93,8 +93,7 @@ def test_the_dense_scene_has_its_density_and_classes(recordings):
 def test_the_sparse_scene_is_whole(recordings):
     recording = recordings(LANES_1_TO_3)
     assert recording.report.rows_read == recording.report.rows_used == 110_905
-    assert len(np.unique(recording.vehicle_id)) == 222
-    assert recording.report.period == "0400-0415"
+    assert (len(np.unique(recording.vehicle_id)), recording.report.period) == (222, "0400-0415")
 
 
 def test_an_export_of_the_portal_is_read_as_it_comes(recordings):

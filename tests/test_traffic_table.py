@@ -29,8 +29,7 @@ def write(tmp_path, header=HEADER, rows=ROWS, name="boxes.csv"):
 
 def test_boxes_are_read_as_they_are_written(tmp_path):
     recording = read_table(write(tmp_path))
-    assert recording.frames.tolist() == [10, 20]
-    assert recording.counts.tolist() == [2, 1]
+    assert (recording.frames.tolist(), recording.counts.tolist()) == ([10, 20], [2, 1])
     vehicles = recording.vehicles(10)
     assert vehicles.class_name.tolist() == ["car", "truck"]
     np.testing.assert_array_equal(vehicles.centre_m, [[5.0, 6.0, 0.75], [-20.0, 10.0, 1.9]])

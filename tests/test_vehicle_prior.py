@@ -79,8 +79,7 @@ def test_scores_of_other_vehicles_are_sums_over_the_voxels_they_return_from():
 
 def test_a_vehicle_without_returns_gets_the_best_published_score():
     prior, others = VehiclePrior.learn(sample(1)), sample(2, vehicles=12)
-    assert others.count[-1] == 0
-    assert prior.covered_entropy(others)[-1] == 0.0
+    assert (others.count[-1], prior.covered_entropy(others)[-1]) == (0, 0.0)
     for published in (prior.s_mig(others), prior.m_sog(others)):
         assert published[-1] == 0.0 > published[:-1].max()
         assert not np.signbit(published[-1])
@@ -107,8 +106,7 @@ def test_voxels_of_boxes_of_all_sizes_are_counted_from_their_middle():
     assert prior.p.shape == (60, 14, 20)
     assert prior.p[30, 7, 10] == pytest.approx(2 / 3)
     assert prior.p.sum() == pytest.approx(2 / 3)
-    assert prior.vehicles[30, 7, 10] == 3
-    assert prior.vehicles[0, 0, 0] == 1
+    assert (prior.vehicles[30, 7, 10], prior.vehicles[0, 0, 0]) == (3, 1)
 
 
 def test_a_prior_without_vehicles_points_or_bounds_is_refused():

@@ -153,8 +153,7 @@ def test_a_box_turned_by_a_quarter_fills_as_many_voxels_as_one_with_its_sides_sw
 
 def test_a_grid_covers_its_region_with_whole_voxels():
     grid = VoxelGrid.covering((-50.0, 2.0, 0.0), (50.0, 23.96, 3.8), 0.4)
-    assert grid.counts == (250, 55, 10)
-    assert len(grid) == 250 * 55 * 10
+    assert (grid.counts, len(grid)) == ((250, 55, 10), 250 * 55 * 10)
     np.testing.assert_allclose(grid.high_m, [50.0, 24.0, 4.0])
     np.testing.assert_allclose(grid.centres(np.array([0, len(grid) - 1])), [[-49.8, 2.2, 0.2], [49.8, 23.8, 3.8]])
     assert VoxelGrid.covering((0.0, 0.0, 0.0), (4.4, 0.1, 0.4), 0.4).counts == (11, 1, 1)
