@@ -11,12 +11,15 @@ def files(folder: Path) -> set[Path]:
     return set(folder.rglob("*"))
 
 
-def refused(capsys, folder: Path, *words: object) -> str:
-    """The one line that a command is refused with; checks that it is one, and that nothing was left."""
+def refused(capsys, folder: Path, *words: object, begun: bool = False) -> str:
+    """The one line that a command is refused with; checks that it is one, and that nothing was left.
+
+    One that has `begun` may have told what it is about to do.
+    """
     before = files(folder)
     code, out, err = cli(capsys, *words)
     assert code == 2, err
-    assert out == ""
+    assert begun or out == ""
     assert "Traceback" not in err
     lines = err.splitlines()
     assert len(lines) == 1, err

@@ -147,7 +147,7 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, finished, key, ca
     content = json.loads((folder.path / "checkpoint.json").read_text())
     del content["batches"][0][key]
     (folder.path / "checkpoint.json").write_text(json.dumps(content))
-    line = refused(capsys, tmp_path, "optimise", finished[0], "--out", folder.path, "--resume")
+    line = refused(capsys, tmp_path, "optimise", finished[0], "--out", folder.path, "--resume", begun=True)
     assert "batch 1 is damaged: " in line
 
 

@@ -272,8 +272,8 @@ def killed(finished, tmp_path_factory):
 
 @pytest.fixture
 def stopped(killed, tmp_path):
-    """A copy of it, to be changed."""
-    return shutil.copytree(killed, tmp_path / "stopped")
+    """A copy of it, but for what it had not finished writing, to be changed."""
+    return shutil.copytree(killed, tmp_path / "stopped", ignore=shutil.ignore_patterns(".*"))
 
 
 @pytest.mark.parametrize("which", ["stopped", "finished"])
@@ -282,7 +282,7 @@ def test_resume_with_other_settings_is_refused_naming_what_differs(request, fini
     scene = finished[0]
     folder = request.getfixturevalue("stopped") if which == "stopped" else finished[1]
     before = {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
-    line = refused(capsys, folder, "optimise", scene, "--out", folder, "--resume", *words)
+    line = refused(capsys, folder, "optimise", scene, "--out", folder, "--resume", *words, begun=True)
     assert line.startswith(f"blender-lidar: --resume: {folder}: the run there had {named}; give it the same settings")
     assert {path.name: path.read_bytes() for path in folder.glob("[!.]*")} == before
 
@@ -291,7 +291,7 @@ def test_resume_with_other_settings_is_refused_naming_what_differs(request, fini
 def test_resume_with_another_unit_or_noise_seed_is_refused(tmp_path, finished, capsys, key):
     shutil.copytree(finished[0].parent, tmp_path / "other", ignore=shutil.ignore_patterns("run"))
     scene = write_scene(tmp_path / "other", {"sensor": {key: 2}})
-    line = refused(capsys, tmp_path, "optimise", scene, "--out", finished[1], "--resume")
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", finished[1], "--resume", begun=True)
     assert f"the run there had [sensor] {key} = 1, not 2; give it the same settings" in line
 
 
@@ -300,7 +300,7 @@ def test_resume_with_other_traffic_of_the_same_name_is_refused(tmp_path, capsys)
     assert main(["optimise", str(scene), "--out", str(tmp_path / "run")]) == 0
     table = tmp_path / "traffic.csv"
     table.write_text(table.read_text().replace("1.5", "1.6"))
-    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume")
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume", begun=True)
     assert "the run there had [traffic] path = 'file with SHA-256 " in line
 
 
@@ -316,14 +316,14 @@ def test_the_same_traffic_elsewhere_is_the_same_run(start, tmp_path, finished):
 
 
 def test_resume_needs_to_know_where(finished, tmp_path, capsys):
-    line = refused(capsys, tmp_path, "optimise", finished[0], "--resume")
+    line = refused(capsys, tmp_path, "optimise", finished[0], "--resume", begun=True)
     assert line == "blender-lidar: --resume: needs --out DIR, the folder of the run that was stopped"
 
 
 def test_an_evaluation_is_no_search_to_go_on_with(tmp_path, finished, capsys):
     scene, _ = finished
     assert main(["evaluate", str(scene), "--height", "3", "--out", str(tmp_path / "one")]) == 0
-    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "one", "--resume")
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "one", "--resume", begun=True)
     assert "holds one mounting's evaluation, not a search" in line
 
 
@@ -332,7 +332,7 @@ def test_an_evaluation_is_no_search_to_go_on_with(tmp_path, finished, capsys):
 def test_a_damaged_file_is_refused_by_name(tmp_path, stopped, finished, capsys, name, content):
     shutil.copytree(stopped, tmp_path / "run")
     (tmp_path / "run" / name).write_bytes(content)
-    line = refused(capsys, tmp_path, "optimise", finished[0], "--out", tmp_path / "run", "--resume")
+    line = refused(capsys, tmp_path, "optimise", finished[0], "--out", tmp_path / "run", "--resume", begun=True)
     assert str(tmp_path / "run") in line
 
 
@@ -357,7 +357,7 @@ def change_checkpoint(folder: Path, change) -> None:
 )
 def test_a_batch_that_cannot_be_replayed_is_refused_by_its_number(stopped, finished, capsys, change):
     change_checkpoint(stopped, change)
-    line = refused(capsys, stopped, "optimise", finished[0], "--out", stopped, "--resume")
+    line = refused(capsys, stopped, "optimise", finished[0], "--out", stopped, "--resume", begun=True)
     assert line.startswith(f"blender-lidar: {stopped / 'checkpoint.json'}: batch 2 is damaged: ")
 
 
@@ -372,7 +372,7 @@ def test_a_search_that_asks_for_anything_else_by_one_bit_is_not_gone_on_with(sto
             batches[0]["told"] = batches[0]["told"][::-1]
 
     change_checkpoint(stopped, change)
-    line = refused(capsys, stopped, "optimise", finished[0], "--out", stopped, "--resume")
+    line = refused(capsys, stopped, "optimise", finished[0], "--out", stopped, "--resume", begun=True)
     assert "asks for other mountings in batch 2 than the run there did" in line
 
 
@@ -381,7 +381,7 @@ def test_a_run_made_by_other_code_is_not_gone_on_with(request, finished, capsys,
     """It was noticed by the version alone, which does not change from one commit to the next."""
     folder = request.getfixturevalue("stopped") if which == "stopped" else finished[1]
     monkeypatch.setattr("blender_lidar.scene.provenance.source_digest", lambda: "0123456789ab")
-    line = refused(capsys, folder, "optimise", finished[0], "--out", folder, "--resume")
+    line = refused(capsys, folder, "optimise", finished[0], "--out", folder, "--resume", begun=True)
     assert f"{folder}: the run there was made by other code, blender_lidar '{__version__} (" in line
     assert f"not '{__version__} (0123456789ab)'" in line
 

@@ -366,5 +366,5 @@ def test_a_damaged_table_is_refused_by_name(tmp_path, capsys, name, content):
     scene = write_scene(tmp_path)
     optimise(capsys, scene, tmp_path / "run")
     (tmp_path / "run" / name).write_bytes(content)
-    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume")
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume", begun=True)
     assert f"{name}: is damaged: " in line

@@ -211,7 +211,7 @@ def test_a_run_with_other_scenery_is_not_resumed(tmp_path, capsys, monkeypatch):
     scene = write_scene(tmp_path, {"world": {"boxes": [HEDGE]}})
     assert cli(capsys, "optimise", scene, "--out", run)[0] == 0
     write_scene(tmp_path, {"world": {"boxes": [{**HEDGE, "size_m": [60.0, 0.2, 2.1]}]}})
-    assert "[world]" in refused(capsys, tmp_path, "optimise", scene, "--out", run, "--resume")
+    assert "[world]" in refused(capsys, tmp_path, "optimise", scene, "--out", run, "--resume", begun=True)
 
 
 def test_behind_a_wall_nothing_is_detectable_and_two_workers_agree_with_one(tmp_path, capsys, monkeypatch):

@@ -399,6 +399,6 @@ def test_a_run_with_another_tolerance_or_none_is_not_gone_on_with(undisturbed, c
         ((), "not None; give it the same settings"),
         (("--tolerance", "tilt_deg=4,height_m=0.2"), "[objective] tolerance = {'aim': 'mean', 'height_m': 0.3, "),
     ):
-        line = refused(capsys, folder, "optimise", scene, *words, "--out", folder, "--resume")
+        line = refused(capsys, folder, "optimise", scene, *words, "--out", folder, "--resume", begun=True)
         assert "the run there had [objective] tolerance = " in line
         assert named in line

@@ -56,7 +56,7 @@ def test_the_scene_as_used_finds_its_files_again(scene, tmp_path, capsys):
     shutil.copytree(tmp_path / "run", tmp_path / "copy")
     assert cli(capsys, "optimise", scene, "--out", tmp_path / "copy", "--resume")[0] == 0
     (tmp_path / "types.rou.xml").write_text(TYPES.replace("4.4", "4.5"), encoding="utf-8")
-    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "copy", "--resume")
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "copy", "--resume", begun=True)
     assert "[traffic] vehicle_types" in line
 
 
