@@ -59,13 +59,6 @@ def test_occupancy_equals_the_slow_loop_on_clustered_points():
     )
 
 
-def test_vehicles_are_scored_the_same_in_groups_as_at_once(monkeypatch):
-    points, vehicle, size = cloud(np.random.default_rng(5), 30, 5000)
-    at_once = vgop.occupancy(points, vehicle, size)
-    monkeypatch.setattr(vgop, "_MAX_CELLS", 50_000)
-    np.testing.assert_array_equal(vgop.occupancy(points, vehicle, size), at_once)
-
-
 def test_points_are_scored_the_same_in_chunks_as_at_once(monkeypatch):
     points, vehicle, size = cloud(np.random.default_rng(6), 30, 5000)
     at_once = vgop.occupancy(points, vehicle, size)

@@ -14,9 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
-from .view_grids import DEFAULT_CELL_M, VIEW_AXES, VIEWS, ViewGrids, cell_counts, check_reading
-
-_MAX_CELLS = 1 << 26  # a byte each: what the grids of many vehicles may take at a time
+from .view_grids import DEFAULT_CELL_M, VIEW_AXES, VIEWS, ViewGrids, cell_counts
 
 
 def to_vehicle_frame(
@@ -40,11 +38,8 @@ def to_vehicle_frame(
     ndarray, (k, 3)
         Points in the vehicle frame [m].
     """
-    points, centre, heading = (
-        _triples(points, "points"),
-        np.asarray(centre, dtype=float),
-        np.asarray(heading, dtype=float),
-    )
+    points = _triples(points, "points")
+    centre, heading = np.asarray(centre, dtype=float), np.asarray(heading, dtype=float)
     if vehicle is not None:
         centre = _triples(centre, "centre")
         if heading.shape != centre.shape[:1]:
@@ -106,8 +101,7 @@ def occupancy(
     vehicle = _rows(vehicle, len(points), len(size))
     if not np.isfinite(points).all():
         raise InputError("points holds a coordinate that is not finite")
-    check_reading(reading)
-    return _in_groups(points, vehicle, size, cell_m, reading)
+    return ViewGrids(size, cell_m, reading).occupancy(points, vehicle)
 
 
 def entropy(p: np.ndarray) -> np.ndarray:
@@ -155,22 +149,6 @@ def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAUL
         views[name] = np.zeros((cells[row], cells[column]), dtype=bool)
         views[name][index[row], index[column]] = True
     return views
-
-
-def _in_groups(points, vehicle, size, cell_m, reading):
-    """`ViewGrids.occupancy` of so many vehicles that their grids are made group by group."""
-    cells = cell_counts(size, cell_m)
-    ends = np.cumsum(sum(cells[:, row] * cells[:, column] for row, column in VIEW_AXES))
-    p = np.zeros((len(size), 3))
-    first = 0
-    while first < len(ends):
-        before = ends[first - 1] if first else 0
-        last = max(int(np.searchsorted(ends, before + _MAX_CELLS, side="right")), first + 1)
-        mine = slice(None) if last - first == len(ends) else (vehicle >= first) & (vehicle < last)
-        grids = ViewGrids(size[first:last], cell_m, reading)
-        p[first:last] = grids.occupancy(points[mine], vehicle[mine] - first)
-        first = last
-    return p
 
 
 def _triples(values, name):

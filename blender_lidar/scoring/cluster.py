@@ -62,9 +62,14 @@ class ClusterWorkers:
     """
 
     def __init__(self, function: Callable, address: str) -> None:
-        self._distributed = _library()
+        try:
+            with stops_deferred():  # an import that is interrupted may fail in any way
+                import distributed
+        except ImportError as error:
+            raise MissingExtraError('--cluster needs dask.distributed: pip install "blender_lidar[cluster]"') from error
+        self._distributed = distributed
         self.address, self._client, self._sent, self._kept = address, None, None, {}
-        self._content = _packed(_hold, uuid.uuid4().hex, pickle.dumps(function, pickle.HIGHEST_PROTOCOL))
+        self._content = pickle.dumps(_Held(uuid.uuid4().hex, function), pickle.HIGHEST_PROTOCOL)
         self._levels = {name: logging.getLogger(name).level for name in _LOGGERS}
         for name in _LOGGERS:  # its failures are ours to tell, in one line
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -106,7 +111,7 @@ class ClusterWorkers:
                 with suppress(TimeoutError, CancelledError):
                     first.exception(timeout=_LOOK_ROUND_S)
                 if first.status == "error":
-                    raise self._told(first.exception())
+                    self._fail(first.exception())
                 done = [call.future for call in takewhile(lambda call: call.future.status == "finished", calls)]
                 try:
                     with self._scheduler_needed():
@@ -162,17 +167,14 @@ class ClusterWorkers:
             calls[number] = call
         return cancelled
 
-    def _told(self, error: BaseException) -> BaseException:
-        """What to raise for what a call has raised."""
+    def _fail(self, error: BaseException) -> None:
+        """Raise what a call has raised, told in a line where the worker is to blame."""
         if isinstance(error, ImportError):
-            text = f"a worker cannot do its task: {error}"
-        elif isinstance(error, self._distributed.KilledWorker):
+            raise WorkerError(f"{self.address}: a worker cannot do its task: {error}") from error
+        if isinstance(error, self._distributed.KilledWorker):
             text = "workers died one after another over the same mountings, perhaps for want of memory"
-        else:
-            return error
-        told = WorkerError(f"{self.address}: {text}")
-        told.__cause__ = error
-        return told
+            raise WorkerError(f"{self.address}: {text}") from error
+        raise error
 
     # --- the cluster --------------------------------------------------------------------------------------------------
 
@@ -220,7 +222,7 @@ class ClusterWorkers:
         new = [worker for worker in present if worker not in self._kept]
         if new:
             with self._scheduler_needed():
-                there = self._client.run(pickle.loads, _packed(_description), workers=new, on_error="return")
+                there = self._client.run(pickle.loads, pickle.dumps(_Described()), workers=new, on_error="return")
             _check_alike(there, self.address)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Sending large graph")
@@ -256,15 +258,6 @@ def _preferably(worker: str) -> dict[str, object]:
     return {"workers": [worker], "allow_other_workers": True, "pure": False}
 
 
-def _library():
-    try:
-        with stops_deferred():  # an import that is interrupted may fail in any way
-            import distributed
-    except ImportError as error:
-        raise MissingExtraError('--cluster needs dask.distributed: pip install "blender_lidar[cluster]"') from error
-    return distributed
-
-
 def _check_alike(descriptions: dict[str, object], address: str) -> None:
     """Refuse workers with another blender_lidar, whose answers may differ; tell of other libraries that do."""
     ours, unlike = _description(), set()
@@ -280,13 +273,9 @@ def _check_alike(descriptions: dict[str, object], address: str) -> None:
                 f"{address}: its worker {worker} has another blender_lidar, {theirs['blender_lidar']}, than here, "
                 f"{ours['blender_lidar']}; install the same there and start the worker again"
             )
-        unlike |= {
-            f"{name} {theirs[name] or 'none'} there, {ours[name] or 'none'} here"
-            for name in ours
-            if theirs[name] != ours[name]
-        }
+        unlike |= theirs.items() - ours.items()
     if unlike:
-        told = ", ".join(sorted(unlike))
+        told = ", ".join(f"{name} {there} there, {ours[name]} here" for name, there in sorted(unlike))
         warnings.warn(f"{address}: versions differ, and so may the last digits: {told}", stacklevel=4)
 
 
@@ -301,38 +290,29 @@ def _description() -> dict[str, str]:
         try:
             found[library] = version(library)
         except PackageNotFoundError:
-            found[library] = ""
+            found[library] = "none"
     return found
 
 
-class _Unpickled:
-    """What becomes, where it is unpickled, the result of a call."""
-
-    def __init__(self, function: Callable, arguments: tuple) -> None:
-        self._parts = function, arguments
+class _Described:
+    """What becomes, where it is unpickled, the description of that process."""
 
     def __reduce__(self):
-        return self._parts
-
-
-def _packed(function: Callable, *arguments) -> bytes:
-    """A call for `pickle.loads` to carry out."""
-    return pickle.dumps(_Unpickled(function, arguments), pickle.HIGHEST_PROTOCOL)
+        return _description, ()
 
 
 class _Held:
-    """A function that this process keeps; one thread at a time calls it."""
+    """A function that a process keeps, once for each token; one thread at a time calls it."""
 
-    def __init__(self, token: str, content: bytes) -> None:
-        self._token, self._size = token, len(content)
-        self._function, self._lock = pickle.loads(content), threading.Lock()
+    def __init__(self, token: str, function: Callable, size: int = 0) -> None:
+        self._token, self._function, self._size, self._lock = token, function, size, threading.Lock()
 
     def __call__(self, task: bytes) -> object:
         with self._lock:
             return self._function(*pickle.loads(task))
 
     def __reduce__(self):
-        """Dask may move what a worker keeps, to disk or to another one."""
+        """As which it is sent, and dask may move what a worker keeps, to disk or to another one."""
         return _hold, (self._token, pickle.dumps(self._function, pickle.HIGHEST_PROTOCOL))
 
     def __sizeof__(self) -> int:
@@ -344,5 +324,4 @@ _held: weakref.WeakValueDictionary[str, _Held] = weakref.WeakValueDictionary()  
 
 
 def _hold(token: str, content: bytes) -> _Held:
-    """The function of that token, of which a process keeps no more than one."""
-    return _held.setdefault(token, _held.get(token) or _Held(token, content))
+    return _held.get(token) or _held.setdefault(token, _Held(token, pickle.loads(content), len(content)))
