@@ -114,10 +114,8 @@ def _without_none(kind):
 
 # --- Values -----------------------------------------------------------------------------------------------
 
-_KINDS = {
-    **{float: "a number", int: "a whole number", bool: "true or false"},
-    **{str: "a text in quotes, not empty", list: "a list"},
-}
+_KINDS = {float: "a number", int: "a whole number", bool: "true or false", str: "a text in quotes, not empty"}
+_KINDS[list] = "a list"
 
 
 def checked(value: object, declared: Setting, where: str) -> Any:
@@ -275,8 +273,8 @@ class TomlTable:
         if dataclasses.is_dataclass(entry):
             if not isinstance(value, list | tuple):
                 raise _refused(self.where(key), value, "a list of tables")
-            places = (f"{self.where(key)} {number}" for number in range(1, len(value) + 1))
-            tables = (TomlTable(one, place, folder=self.folder) for one, place in zip(value, places, strict=True))
+            places = enumerate(value, start=1)
+            tables = (TomlTable(one, f"{self.where(key)} {at}", folder=self.folder) for at, one in places)
             return tuple(table.read_as(entry) for table in tables)
         found = checked(value, declared, self.where(key))
         return self.path(key, found) if declared.is_path else found

@@ -79,7 +79,7 @@ def test_score_with_all_metrics_leaves_out_what_the_cloud_cannot_give_and_says_s
     [
         (["--metric", "log-point"], "--metric: unknown metric 'log-point'; did you mean 'log-points'?"),
         (["--metric", "distance"], "--metric: distance needs to know where the LiDAR is; give --lidar X Y"),
-        (["--metric", "distance", "--lidar", "nan", "0"], "--lidar: is nan 0.0; allowed: two numbers"),
+        (["--metric", "distance", "--lidar", "nan", "0"], "--lidar: is nan; allowed: a number"),
         (["--metric", "s-mig"], "metric 's-mig' learns from a scene's traffic"),
     ],
 )

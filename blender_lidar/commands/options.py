@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from ..errors import InputError
 from ..scene.scenario import DECLARED, Scenario, load_scenario
@@ -28,22 +30,36 @@ _FOR_SEARCHES += ("--cluster", "--seed")
 # --- Options that are declared as settings are ------------------------------------------------------------
 
 
-def add_option(parser, declared: Setting, default: object = None, **more: str) -> None:
-    """The option of a setting; what is given is read by `option_value`, `more` is argparse's."""
-    names = tuple(declared.allowed)
-    listed = None if declared.metavar else names or None
-    metavar = declared.metavar or (None if listed else declared.option[2:].upper())
-    told = f"{declared.help}: {', '.join(names)}" if declared.metavar and names else declared.help
-    parser.add_argument(declared.option, choices=listed, metavar=metavar, help=told, default=default, **more)
+def add_option(parser, declared: Setting, default: object = None) -> None:
+    """The option of a setting, which `given_options` reads; it must be given where `default` is ``...``."""
+    names, parts = tuple(declared.allowed), get_args(declared.kind)
+    how = {"default": None if default is ... else default, "help": declared.help}
+    if declared.kind is bool:
+        how["action"] = "store_true"
+    elif names and not declared.metavar:
+        how["choices"] = names
+    else:
+        how["metavar"] = declared.metavar or declared.option[2:].upper()
+        how["help"] += f": {', '.join(names)}" if names else ""
+    if parts and declared.option not in _READ_AS:
+        how |= {"action": "append"} if ... in parts else {"nargs": len(parts)}
+    parser.add_argument(declared.option, required=default is ..., **how)
 
 
-def option_value(given: object, declared: Setting) -> Any:
-    """What an option is given, checked as its setting declares it."""
-    return checked(_number_or_text(given, declared.kind), declared, declared.option)
+def given_options(args: argparse.Namespace, settings: Mapping[str, Setting]) -> dict[str, Any]:
+    """The values of the options that are given, by the keys of their settings, checked as these declare."""
+    found = {}
+    for key, declared in settings.items():
+        given = getattr(args, declared.option[2:].replace("-", "_"))
+        if given is not None:
+            found[key] = checked(_numbers_read(given, declared.kind), declared, declared.option)
+    return found
 
 
-def _number_or_text(given, kind=float):
-    """A text as the number that it is, if numbers are asked for; the checks see to texts that are none."""
+def _numbers_read(given, kind):
+    """Texts as the numbers that they are, where numbers are asked for; the checks see to those that are none."""
+    if isinstance(given, list):
+        return [_numbers_read(one, get_args(kind)[0]) for one in given]
     try:
         return kind(given) if kind in (int, float) else given
     except ValueError:
@@ -74,7 +90,7 @@ def add_pose(parser: argparse.ArgumentParser) -> None:
     """The six coordinates of one mounting."""
     group = parser.add_argument_group("mounting", "metres and degrees; what is left out is the scene's baseline")
     for key, declared in MOUNTING.items():
-        add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), dest=f"pose_{key}")
+        add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()))
 
 
 def scenario_from(args: argparse.Namespace) -> Scenario:
@@ -83,16 +99,14 @@ def scenario_from(args: argparse.Namespace) -> Scenario:
     for option, (table, key, declared) in _SETTINGS.items():
         given = getattr(args, option[2:].replace("-", "_"), None)
         if given is not None and option not in args.left_out:
-            read = _READ_AS.get(option, lambda text, _, kind=declared.kind: _number_or_text(text, kind))
-            overrides[table, key] = (read(given, option), option)
+            read = _READ_AS.get(option)
+            overrides[table, key] = (read(given, option) if read else _numbers_read(given, declared.kind), option)
     return load_scenario(args.scene, overrides)
 
 
 def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, float]:
     """The mounting that the options name, in metres and degrees."""
-    given = {key: getattr(args, f"pose_{key}") for key in MOUNTING}
-    named = {key: option_value(text, MOUNTING[key]) for key, text in given.items() if text is not None}
-    return {**scenario.baseline, **named}
+    return {**scenario.baseline, **given_options(args, MOUNTING)}
 
 
 # --- Options that are written in another way than a scene's settings --------------------------------------
@@ -125,7 +139,7 @@ def parse_tolerance(text: str, option: str) -> dict[str, float | str] | None:
         if not equals or not value or key in table:
             fault = "is there twice" if key in table else "is no key=value"
             raise InputError(f"{option}: {part!r} {fault}; allowed: such as tilt_deg=1,height_m=0.05, or none")
-        table[key] = _number_or_text(value)
+        table[key] = _numbers_read(value, float)
     return table
 
 
@@ -151,5 +165,5 @@ def default_folder(scenario: Scenario, *more: str) -> Path:
 def new_folder(name: str) -> Path:
     """A folder under runs/ that is not there yet: of that name, in small letters, with a number where it is taken."""
     stem = name.lower()
-    candidates = (Path("runs") / (stem if number == 1 else f"{stem}_{number}") for number in range(1, 1_000_000))
+    candidates = (Path("runs") / (stem if number == 1 else f"{stem}_{number}") for number in itertools.count(1))
     return next(path for path in candidates if not path.exists())

@@ -22,7 +22,7 @@ from ..toml_table import Setting
 from ..traffic import Recording
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
-from .options import add_moments, add_option, mounting_from, option_value, parse_frames, scenario_from
+from .options import add_moments, add_option, given_options, mounting_from, parse_frames, scenario_from
 from .progress import Progress
 
 _SUSTECHPOINTS = "sustechpoints"
@@ -176,7 +176,7 @@ def _render(args: argparse.Namespace) -> int:
     folder = RunFolder(args.folder)
     result = read_run(folder).result
     blender = blender_room("scene", "render")
-    samples = blender.SAMPLES if args.samples is None else option_value(args.samples, _SAMPLES)
+    samples = blender.SAMPLES if args.samples is None else given_options(args, {"samples": _SAMPLES})["samples"]
     scenario = load_scenario(folder.scene)
     check_same_inputs(scenario, result["identity"])
     recording = read_recording(scenario)

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,27 +18,64 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
 from ..metrics.vgop import DEFAULT_CELL_M, entropy, to_vehicle_frame
 from ..optimise import VIEWS, detectable
-from ..toml_table import Setting
+from ..toml_table import setting, settings_of
 from ..traffic import read_table
 from ..traffic.vehicles import Vehicles
-from .options import add_option, option_value
+from .options import add_option, given_options
 
 _ALL = "all"
 _ALWAYS = {"pe-vgop": "entropy_bits", "points": "points"}  # columns of metrics that the table has anyway
 _SHARES = ("p_top", "p_side", "p_front")
 _HEADING = "vehicle  class       points   p_top  p_side p_front  entropy  detectable"
 _ROW = "{vehicle_id:<8} {class:<10} {points:>7} {p_top:7.4f} {p_side:7.4f} {p_front:7.4f} {entropy_bits:8.4f}"
-_CLEARANCE = Setting(
-    default=0.1,
-    low=0.0,
-    option="--ground-clearance",
-    metavar="M",
-    help="with --assign box, points this little above a box's floor are ground (default 0.1)",
-)
-_CELL = Setting(default=DEFAULT_CELL_M, low=0.001, option="--cell", metavar="M", help="side of a cell (default 0.05)")
-_THRESHOLD = Setting(
-    default=0.005, low=0.0, option="--threshold", help="least occupancy that counts as detectable (default 0.005)"
-)
+_OF_CLOUD = {name: metric for name, metric in METRICS.items() if metric.learn is None}
+_METRIC = f"another metric beside PE-VGOP, again for more, or all: {', '.join(_OF_CLOUD)}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Options:
+    """What is scored, and how.
+
+    Attributes
+    ----------
+    points : str
+        The cloud: .npz with xyz, or .pcd.
+    boxes : str
+        The boxes, in the columns of vehicles.csv and the frame of the cloud.
+    frame : int or None
+        Frame of the boxes, where they come from several.
+    assign : str
+        A point belongs to the vehicle that its vehicle_id names, or to the box it lies in.
+    clearance_m : float
+        With --assign box, points this little above a box's floor are ground (default 0.1).
+    cell_m : float
+        Side of a cell (default 0.05).
+    threshold : float
+        Least occupancy that counts as detectable (default 0.005).
+    view : str
+        Which of the three occupancies the threshold asks for.
+    metrics : tuple of str or None
+        Another metric beside PE-VGOP, again for more, or all.
+    lidar_xy : (float, float) or None
+        Where the LiDAR is, in the frame of the cloud [m]: for the metric distance.
+    out : str or None
+        Write one row for each vehicle.
+    json : bool
+        Print the scores as JSON, and nothing else, on stdout.
+    """
+
+    points: str = setting(option="--points", metavar="CLOUD")
+    boxes: str = setting(option="--boxes", metavar="BOXES.csv")
+    frame: int | None = setting(None, option="--frame", metavar="K")
+    assign: str = setting("id", allowed=("id", "box"), option="--assign")
+    clearance_m: float = setting(0.1, low=0.0, option="--ground-clearance", metavar="M")
+    cell_m: float = setting(DEFAULT_CELL_M, low=0.001, option="--cell", metavar="M")
+    threshold: float = setting(0.005, low=0.0, option="--threshold")
+    view: str = setting("mean", allowed=VIEWS, option="--view")
+    metrics: tuple[str, ...] | None = setting(None, option="--metric", metavar="NAME", help=_METRIC)
+    lidar_xy: tuple[float, float] | None = setting(None, option="--lidar", metavar=("X", "Y"))
+    out: str | None = setting(None, option="--out", metavar="CSV")
+    json: bool = setting(False, option="--json")
 
 
 def add_parser(subparsers) -> None:
@@ -47,37 +85,22 @@ def add_parser(subparsers) -> None:
         help="score the vehicles of a labelled cloud",
         description="Score a point cloud by boxes that are known: PE-VGOP of each vehicle, and other metrics if asked.",
     )
-    add = parser.add_argument
-    add("--points", required=True, metavar="CLOUD", help="the cloud: .npz with xyz, or .pcd")
-    boxes = "the boxes, in the columns of vehicles.csv and the frame of the cloud"
-    add("--boxes", required=True, metavar="BOXES.csv", help=boxes)
-    add("--frame", type=int, metavar="K", help="frame of the boxes, where they come from several")
-    assign = "a point belongs to the vehicle that its vehicle_id names, or to the box it lies in"
-    add("--assign", choices=("id", "box"), default="id", help=assign)
-    for number in (_CLEARANCE, _CELL, _THRESHOLD):
-        add_option(parser, number, number.default)
-    add("--view", choices=VIEWS, default="mean", help="which of the three occupancies the threshold asks for")
-    of_cloud = ", ".join(name for name, metric in METRICS.items() if metric.learn is None)
-    metric = f"another metric beside PE-VGOP, again for more, or all: {of_cloud}"
-    add("--metric", action="append", default=[], metavar="NAME", help=metric)
-    lidar = "where the LiDAR is, in the frame of the cloud [m]: for the metric distance"
-    add("--lidar", nargs=2, type=float, metavar=("X", "Y"), help=lidar)
-    add("--out", metavar="CSV", help="write one row for each vehicle")
-    add("--json", action="store_true", help="print the scores as JSON, and nothing else, on stdout")
+    for declared in settings_of(_Options).values():
+        add_option(parser, declared, declared.default)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    clearance = option_value(args.ground_clearance, _CLEARANCE)
-    cell_m, threshold = option_value(args.cell, _CELL), option_value(args.threshold, _THRESHOLD)
-    metrics = _metrics(args)
-    points, vehicle_id = read_points(args.points)
-    vehicles = _boxes(args)
-    row = _assigned(args, points, vehicle_id, vehicles, clearance)
+    asked = _Options(**given_options(args, settings_of(_Options)))
+    metrics = _metrics(asked)
+    points, vehicle_id = read_points(asked.points)
+    vehicles = _boxes(asked)
+    row = _assigned(asked, points, vehicle_id, vehicles)
     mine = row != NO_BOX
     local = to_vehicle_frame(points[mine], vehicles.centre_m, vehicles.heading_rad, row[mine])
-    returns = vehicle_returns(local, row[mine], vehicles.size_m, _distance(args, vehicles), cell_m)
+    away = None if asked.lidar_xy is None else np.hypot(*(vehicles.centre_m[:, :2] - asked.lidar_xy).T)
+    returns = vehicle_returns(local, row[mine], vehicles.size_m, away, asked.cell_m)
     shares = returns.occupancy
     table = {
         "frame": np.full(len(vehicles), vehicles.frame),
@@ -86,22 +109,22 @@ def run(args: argparse.Namespace) -> int:
         "points": returns.count,
         **dict(zip(_SHARES, shares.T, strict=True)),
         "entropy_bits": entropy(shares).sum(axis=1),
-        "detectable": detectable(shares, threshold, args.view),
+        "detectable": detectable(shares, asked.threshold, asked.view),
         **{_column(metric): metric.values(returns) for metric in metrics if metric.name not in _ALWAYS},
     }
-    if args.out:
-        write_columns(args.out, table, dict.fromkeys((*_SHARES, "entropy_bits"), 6))
-    (_print_json if args.json else _print)(table, len(points), metrics)
+    if asked.out:
+        write_columns(asked.out, table, dict.fromkeys((*_SHARES, "entropy_bits"), 6))
+    (_print_json if asked.json else _print)(table, len(points), metrics)
     return 0
 
 
-def _metrics(args) -> list[Metric]:
+def _metrics(asked: _Options) -> list[Metric]:
     """The metrics that were asked for beside PE-VGOP, each once."""
     found: dict[str, Metric] = {}
-    known = {NEEDS_POINTS} if args.lidar is None else {NEEDS_POINTS, NEEDS_DISTANCE}
-    for name in args.metric:
+    known = {NEEDS_POINTS} if asked.lidar_xy is None else {NEEDS_POINTS, NEEDS_DISTANCE}
+    for name in asked.metrics or ():
         if name == _ALL:
-            can_be = {key: metric for key, metric in METRICS.items() if metric.learn is None and metric.needs <= known}
+            can_be = {key: metric for key, metric in _OF_CLOUD.items() if metric.needs <= known}
             found |= can_be
             if left_out := METRICS.keys() - can_be.keys():
                 print(f"blender-lidar: note: left out: {', '.join(sorted(left_out))}", file=sys.stderr)
@@ -117,36 +140,27 @@ def _column(metric: Metric) -> str:
     return _ALWAYS.get(metric.name, metric.name.replace("-", "_"))
 
 
-def _distance(args, vehicles):
-    """Horizontal distance of each vehicle from the LiDAR [m]; None where its place is not given."""
-    if args.lidar is None:
-        return None
-    if not np.isfinite(args.lidar).all():
-        raise InputError(f"--lidar: is {args.lidar[0]} {args.lidar[1]}; allowed: two numbers of metres")
-    return np.hypot(*(vehicles.centre_m[:, :2] - args.lidar).T)
-
-
-def _boxes(args) -> Vehicles:
-    recording = read_table(args.boxes)
+def _boxes(asked: _Options) -> Vehicles:
+    recording = read_table(asked.boxes)
     frames = recording.frames
-    if args.frame is None and len(frames) > 1:
+    if asked.frame is None and len(frames) > 1:
         raise InputError(
-            f"{args.boxes}: holds {len(frames)} frames, {frames[0]} to {frames[-1]}; name one with --frame"
+            f"{asked.boxes}: holds {len(frames)} frames, {frames[0]} to {frames[-1]}; name one with --frame"
         )
-    return recording.vehicles(int(frames[0]) if args.frame is None else args.frame)
+    return recording.vehicles(int(frames[0]) if asked.frame is None else asked.frame)
 
 
-def _assigned(args, points, vehicle_id, vehicles, clearance):
+def _assigned(asked: _Options, points, vehicle_id, vehicles) -> np.ndarray:
     """Row of the box of each point."""
-    if args.assign == "box":
-        return points_in_boxes(points, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, clearance)
+    if asked.assign == "box":
+        return points_in_boxes(points, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, asked.clearance_m)
     if vehicle_id is None:
-        raise InputError(f"--points: {args.points}: does not say which vehicle a point belongs to; use --assign box")
+        raise InputError(f"--points: {asked.points}: does not say which vehicle a point belongs to; use --assign box")
     order = np.argsort(vehicles.vehicle_id)
     at = np.clip(np.searchsorted(vehicles.vehicle_id, vehicle_id, sorter=order), 0, len(order) - 1)
     row = np.where(vehicles.vehicle_id[order[at]] == vehicle_id, order[at], NO_BOX)
     if (row == NO_BOX).all() and (vehicle_id >= 0).any():
-        text = f"{args.points}: none of its vehicles is among the boxes of frame {vehicles.frame} in {args.boxes}"
+        text = f"{asked.points}: none of its vehicles is among the boxes of frame {vehicles.frame} in {asked.boxes}"
         warnings.warn(text, stacklevel=2)
     return row
 

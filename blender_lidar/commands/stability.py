@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 
 from ..report import stability as report
-from ..scene.scenario import COORDINATES
+from ..scene.settings import MOUNTING
 from ..scene.site import prepare
 from ..studies.driver import StudyFolder
 from ..studies.findings import check_searched
 from ..studies.stability import FULL, QUICK, study_identity, study_stability
 from .optimise import check_resume
-from .options import add_pose, add_scene, mounting_from, scenario_from
+from .options import add_pose, add_scene, given_options, mounting_from, scenario_from
 from .progress import Progress
 from .studies import add_study_options, carry_out, effort_of
 
@@ -36,8 +36,7 @@ def run(args: argparse.Namespace) -> int:
     check_resume(args)
     scenario = scenario_from(args)
     check_searched(scenario)
-    given = any(getattr(args, f"pose_{key}") is not None for key in COORDINATES)
-    mounting = mounting_from(args, scenario) if given else None
+    mounting = mounting_from(args, scenario) if given_options(args, MOUNTING) else None
     effort, site = effort_of(args, FULL, QUICK), prepare(scenario, mounting)
 
     def study(folder: StudyFolder) -> dict:

@@ -145,11 +145,10 @@ def _sensor(table: TomlTable) -> SensorSettings:
     of_models = {key: table.table(key) for key, value in table.values.items() if isinstance(value, Mapping)}
     general = {key: value for key, value in table.values.items() if key not in of_models}
     table = TomlTable(general, table.name, table.origins, table.folder)
-    name = _sensor_name(table, "name", table.read(declared)["name"])
-    model = _model_named(name, table.where("name"))
+    name, model = _model_named(table, "name", table.read(declared)["name"])
     for key, own in of_models.items():
         own.read({key: one for key, one in declared.items() if key not in _OF_ANY_MODEL})
-        if _model_named(_sensor_name(own, "", key), table.where(key)).name == model.name:
+        if _model_named(table, key, key)[1].name == model.name:
             kept = {key: value for key, value in own.values.items() if key not in table.origins}
             origins = {key: own.where(key) for key in kept} | table.origins
             table = TomlTable({**general, **kept}, table.name, origins, table.folder)
@@ -178,16 +177,13 @@ def _sensor(table: TomlTable) -> SensorSettings:
     return SensorSettings(**found | {"name": name if is_sensor_file(name) else model.name})
 
 
-def _sensor_name(table: TomlTable, key: str, name: str) -> str:
-    """A sensor's name as it is, the path of a beam table from where it starts."""
-    return table.path(key, name) if is_sensor_file(name) else name
-
-
-def _model_named(name: str, where: str) -> LidarModel:
+def _model_named(table: TomlTable, key: str, name: str) -> tuple[str, LidarModel]:
+    """The model that `key` names, by its name or the path of a beam table, and that name or path."""
+    name = table.path(key, name) if is_sensor_file(name) else name
     try:
-        return load_model(name)
+        return name, load_model(name)
     except (MissingFileError, InputError) as error:
-        raise type(error)(f"{where}: {error}") from error
+        raise type(error)(f"{table.where(key)}: {error}") from error
 
 
 def _objective(table: TomlTable) -> ObjectiveSettings:

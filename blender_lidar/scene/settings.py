@@ -18,7 +18,7 @@ from ..sensors.files import SUFFIXES
 from ..sensors.imperfections import MOST_RANGE_NOISE_M, STATED_RANGE_LIMITS_M, Imperfections
 from ..sensors.model import MOST_SPREAD_DEG
 from ..sensors.pose import Pose
-from ..toml_table import Setting, setting
+from ..toml_table import setting, settings_of
 from ..traffic import FORMATS, RoadFrame
 from ..world.scenery import BARRIERS
 from ..world.shapes import DETAILS
@@ -33,23 +33,38 @@ _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
 _HEADING = {"low": -360.0, "high": 360.0}
 _STATED_RANGE = dict(zip(("low", "high"), STATED_RANGE_LIMITS_M, strict=True))
-_TILT = {"low": -90.0, "high": 90.0}
-_PLACE = {"low": -1e5, "high": 1e5}
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
-MOUNTING = {
-    "x_m": Setting(default=0.0, option="--x", help="along the road, in the direction of travel", **_PLACE),
-    "y_m": Setting(default=0.0, option="--y", help="across the road, to the left", **_PLACE),
-    "height_m": Setting(default=2.0, low=0.1, high=100.0, option="--height", help="above the road"),
-    "tilt_x_deg": Setting(
-        default=0.0, option="--tilt-x", help="across the road, positive looks down towards +y", **_TILT
-    ),
-    "tilt_y_deg": Setting(
-        default=0.0, option="--tilt-y", help="along the road, positive raises the side ahead", **_TILT
-    ),
-    "yaw_deg": Setting(default=0.0, option="--yaw", help="counter-clockwise seen from above", **_HEADING),
-}
-"""[baseline], and a mounting given by options: the height is that of the paper's section V.A."""
+
+@dataclass(frozen=True, slots=True)
+class MountingSettings:
+    """[baseline], and a mounting given by options: the height is that of the paper's section V.A.
+
+    Attributes
+    ----------
+    x_m : float
+        Along the road, in the direction of travel.
+    y_m : float
+        Across the road, to the left.
+    height_m : float
+        Above the road.
+    tilt_x_deg : float
+        Across the road, positive looks down towards +y.
+    tilt_y_deg : float
+        Along the road, positive raises the side ahead.
+    yaw_deg : float
+        Counter-clockwise seen from above.
+    """
+
+    x_m: float = setting(0.0, low=-1e5, high=1e5, option="--x")
+    y_m: float = setting(0.0, low=-1e5, high=1e5, option="--y")
+    height_m: float = setting(2.0, low=0.1, high=100.0, option="--height")
+    tilt_x_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-x")
+    tilt_y_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-y")
+    yaw_deg: float = setting(0.0, option="--yaw", **_HEADING)
+
+
+MOUNTING = settings_of(MountingSettings)
 COORDINATES = tuple(MOUNTING)
 COORDINATE_LIMITS = {key: (declared.low, declared.high) for key, declared in MOUNTING.items()}
 SEARCHED = {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
@@ -435,11 +450,5 @@ def is_sensor_file(name: str) -> bool:
 
 def pose_at(coordinates: Mapping[str, float]) -> Pose:
     """The mounting at the six coordinates of `COORDINATES`, degrees becoming radians."""
-    return Pose(
-        x_m=coordinates["x_m"],
-        y_m=coordinates["y_m"],
-        height_m=coordinates["height_m"],
-        tilt_x=math.radians(coordinates["tilt_x_deg"]),
-        tilt_y=math.radians(coordinates["tilt_y_deg"]),
-        yaw=math.radians(coordinates["yaw_deg"]),
-    )
+    x_m, y_m, height_m, *angles = (coordinates[key] for key in COORDINATES)
+    return Pose(x_m, y_m, height_m, *map(math.radians, angles))
