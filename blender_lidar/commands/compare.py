@@ -34,8 +34,12 @@ from .options import label_classes, new_folder
 from .progress import Progress
 
 SCHEMA = 1
-_MOST_BLOCK_FRAMES = 100_000
-_MOST_MARGIN_M = 1.0
+_ASKED = {
+    "ground_clearance": Setting(low=0.0),
+    "block_frames": Setting(kind=int, low=1, high=100_000),
+    "seed": Setting(kind=int, low=0),
+}
+_MARGIN = Setting(kind=tuple[float, float, float], low=0.0, high=1.0)
 _LOSSES = ("range_noise_m", "dropout", "glass_dropout", "range_at_10_percent_m")
 _RESULT, _CARS, _CORRELATION = "compare.json", "cars.csv", "correlation.csv"
 Made = tuple[dict, dict[str, Callable[[Path], None]], Callable[[Path], list[str]], str]
@@ -117,12 +121,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _beside_detectors(args: argparse.Namespace) -> Made:
     """Metrics beside detectors."""
-    if not 1 <= args.block_frames <= _MOST_BLOCK_FRAMES:
-        raise InputError(f"--block-frames: is {args.block_frames}; allowed: 1 to {_MOST_BLOCK_FRAMES}")
-    if args.seed < 0:
-        raise InputError(f"--seed: is {args.seed}; allowed: 0 or more")
-    clearance_m = checked(args.ground_clearance, Setting(low=0.0), "--ground-clearance")
-    settings = Settings(label_classes(args), clearance_m, args.block_frames, args.seed)
+    asked = [checked(getattr(args, key), limits, f"--{key.replace('_', '-')}") for key, limits in _ASKED.items()]
+    settings = Settings(label_classes(args), *asked)
     metrics = chosen_metrics(args.metrics)
     if find_spec("scipy") is None:
         raise MissingExtraError("compare --detections needs scipy (pip install scipy)")
@@ -150,9 +150,7 @@ def _paired(args: argparse.Namespace) -> Made:
         if name not in DETAILS:
             raise unknown_name(name, DETAILS, "level of detail", "--details")
     details = [name for name in DETAILS if name in chosen]  # from the cheapest on
-    for value in args.label_margin:
-        if not 0.0 <= value <= _MOST_MARGIN_M:
-            raise InputError(f"--label-margin: is {value}; allowed: 0 to {_MOST_MARGIN_M:g}")
+    margin_m = checked(args.label_margin, _MARGIN, "--label-margin")
     lossy, classes, caster = _losses(args.losses), label_classes(args), resolve(args.caster, "--caster")
     clouds = open_labelled(args.kitti)
     listed = clouds.folder / FRAMES_FILE
@@ -160,7 +158,7 @@ def _paired(args: argparse.Namespace) -> Made:
     progress = Progress(len(clouds), "sweeps")
     try:
         ways = variants(details, lossy)
-        paired = pair_cars(clouds, ways, caster, args.label_margin, classes, lambda: progress.advance(1))
+        paired = pair_cars(clouds, ways, caster, margin_m, classes, lambda: progress.advance(1))
     finally:
         progress.close()
     sets = aggregate(paired, told)
@@ -173,7 +171,7 @@ def _paired(args: argparse.Namespace) -> Made:
         "caster": caster,
         "details": details,
         "losses": {name: getattr(lossy, name) for name in _LOSSES},
-        "label_margin_m": list(args.label_margin),
+        "label_margin_m": list(margin_m),
         "clearance_m": CLEARANCE_M,
         "hidden_if_nearer_than_box_by_m": GROWN_M + SHORT_M,
         "tuning": None if tuned_frames(told) is None else RULE,

@@ -22,11 +22,8 @@ from .figure import (
     INK,
     OPTIMISED,
     SMALL_PT,
-    WIDTH_MM,
     colours,
-    header_mm,
     legend_below,
-    place,
     sheet,
 )
 
@@ -162,7 +159,7 @@ def _with_interval(axes: Axes, one: Decline, look: dict, label: str) -> object:
 
 # --- Simulated beside real scores -------------------------------------------------------------------------------------
 
-_LEFT_MM, _GAP_MM, _TITLE_MM, _BELOW_MM = 14.0, 4.0, 10.0, 11.0
+_CAR_MM = 50.0  # of height for one car from two sides
 _EDGE_M = 0.3  # about a car
 _EDGES = (np.linspace(-0.5, 0.5, 26), np.linspace(-0.5, 0.5, 17), np.linspace(-0.5, 0.5, 17))  # x, y, z
 _FEWEST = 5  # cars of a band, or rays in a cell, that is drawn
@@ -262,31 +259,21 @@ def _draw_scores(figure: Figure, paired: PairedCars) -> None:
 
 
 def _plot_cars(path: Path, cars: Sequence[PicturedCar], subtitle: str) -> None:
-    """Draw cars to scale from the side and from above: what they gave in reality, and what our shapes give."""
-    title = "The same rays in reality and against shapes"
-    columns = 1 + max((len(one.simulated) for one in cars), default=0)
-    width = (WIDTH_MM - _LEFT_MM - _GAP_MM * columns) / columns
-    # Heights of the panels from the side and from above [mm].
-    blocks = [width / (one.size_m[0] + 2.0 * _EDGE_M) * (one.size_m[[2, 1]] + 2.0 * _EDGE_M) for one in cars]
-    at = header_mm(title, subtitle)
-    height = at + sum(_TITLE_MM + side + top + _GAP_MM + _BELOW_MM for side, top in blocks)
-    with sheet(path, height, title, subtitle, to_scale=True) as figure:
-        for one, (side, top) in zip(cars, blocks, strict=True):
-            name = f"Frame {one.frame}, label {one.label_line}"
-            figure.text(0.012, 1.0 - (at + 3.0) / height, name, fontsize=8.5, fontweight="bold")
-            at += _TITLE_MM
+    """Draw cars to one scale from the side and from above: what they gave in reality, and what our shapes give."""
+    columns = 1 + max(len(one.simulated) for one in cars)
+    height = 20.0 + _CAR_MM * len(cars)
+    with sheet(path, height, "The same rays in reality and against shapes", subtitle) as figure:
+        panels = figure.subplots(2 * len(cars), columns, squeeze=False, sharex=True, sharey="row")
+        for one, views in zip(cars, panels.reshape(len(cars), 2, columns), strict=True):
             for column, (kind, points) in enumerate({"real": one.real, **one.simulated}.items()):
-                left = _LEFT_MM + column * (width + _GAP_MM)
-                panels = place(figure, left, at, width, side), place(figure, left, at + side + _GAP_MM, width, top)
-                for axes, up, label in zip(panels, (2, 1), ("z [m]", "y [m]"), strict=True):
+                for axes, up in zip(views[:, column], (2, 1), strict=True):
                     _draw_car(axes, points, one.size_m, up)
-                    axes.tick_params(labelleft=column == 0)
-                    if column == 0:
-                        axes.set_ylabel(label)
-                panels[0].set_title(f"{kind}: {len(points):,} points")
-                panels[0].tick_params(labelbottom=False)
-                panels[1].set_xlabel("x [m], forward")
-            at += side + _GAP_MM + top + _BELOW_MM
+                views[0, column].set_title(f"{kind}: {len(points):,} points")
+            views[0, 0].set_title(f"Frame {one.frame}, label {one.label_line}\nreal: {len(one.real):,} points")
+            views[0, 0].set_ylabel("z [m]")
+            views[1, 0].set_ylabel("y [m]")
+        for axes in panels[-1]:
+            axes.set_xlabel("x [m], forward")
 
 
 def _draw_car(axes: Axes, points: np.ndarray, size_m: np.ndarray, up: int) -> None:
@@ -294,7 +281,7 @@ def _draw_car(axes: Axes, points: np.ndarray, size_m: np.ndarray, up: int) -> No
     (x, y), (far_x, far_y) = 0.5 * size_m[[0, up]], 0.5 * size_m[[0, up]] + _EDGE_M
     axes.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=INK, linewidth=0.7)
     axes.plot(points[:, 0], points[:, up], ".", color="#173f70", markersize=1.6, markeredgewidth=0.0)
-    axes.set(xlim=(-far_x, far_x), ylim=(-far_y, far_y))
+    axes.set(aspect="equal", xlim=(-far_x, far_x), ylim=(-far_y, far_y))
 
 
 def _draw_residuals(figure: Figure, residuals: Mapping[str, np.ndarray]) -> None:

@@ -7,18 +7,14 @@ The frames' are ``frame`` and perhaps ``split, label_kind, drive``; these may al
 
 from __future__ import annotations
 
-import csv
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import InputError, printable
-from .labelled import read_content
+from ...traffic.source import column_places, csv_columns, fields_of, first_line, numbers
 
 FRAMES_FILE = "frames.csv"
 FRAME_COLUMNS = ("split", "label_kind", "drive")
@@ -35,76 +31,55 @@ _LONGEST_NAME = 255  # that of files, which frames are named after
 
 
 class _Table:
-    """A CSV file as texts, column by column, with the line of each row; what it refuses names the file and the line."""
+    """Columns of a CSV file as texts, none of them empty; what it refuses names the file and the line.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        text = read_content(path).decode("utf-8-sig", errors="replace")
-        try:
-            reader = csv.reader(StringIO(text, newline=""))
-            self.header = [printable(name.strip(), _LONGEST_NAME) for name in next(reader, [])]
-            rows = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
-        except csv.Error as error:
-            raise InputError(f"{path}: is no table ({error})") from error
-        twice = [name for name, count in Counter(self.header).items() if count > 1]
-        if twice:
-            raise InputError(f"{path}: has two columns {twice[0]!r}")
-        if not rows:
+    Parameters
+    ----------
+    path : Path
+    columns : callable
+        Which columns are needed and which are read if they are there, by the names in the header.
+    """
+
+    def __init__(self, path: Path, columns: Callable[[list[str]], tuple[Iterable[str], Iterable[str]]]) -> None:
+        first, header = first_line(path, "a header")
+        names = [printable(name.strip(), _LONGEST_NAME) for name in fields_of(header)]
+        needed, optional = columns(names)
+        hint = f"; it has {', '.join(names)}"
+        places = column_places(names, {name: name for name in needed}, optional, str(path), hint)
+        self.path, self.lines, self.texts = path, [], {name: [] for name in places}
+        for lines, fields in csv_columns(path, first, len(names)):
+            self.lines += lines
+            for name, place in places.items():
+                self.texts[name] += [printable(text.strip(), _LONGEST_NAME) for text in fields[place]]
+        if not self.lines:
             raise InputError(f"{path}: has no row below its header")
-        for line, row in rows:
-            if len(row) != len(self.header):
-                raise InputError(f"{path}:{line}: {len(row)} fields; the header has {len(self.header)}")
-        self.lines = [line for line, _ in rows]
-        self._columns = dict(zip(self.header, zip(*(row for _, row in rows), strict=True), strict=True))
+        for name, texts in self.texts.items():
+            if "" in texts:
+                raise InputError(f"{path}:{self.lines[texts.index('')]}: {name} is empty")
 
-    def column(self, name: str, value: Callable[[str], object] = str, allowed: str = "") -> np.ndarray:
-        """A column without empty fields, (n,); `value` makes numbers of texts and raises ValueError for others."""
-        if name not in self.header:
-            near = get_close_matches(name, self.header, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise InputError(f"{self.path}: has no column {name!r}; {hint}it has {', '.join(self.header)}")
-        found = []
-        for line, field in zip(self.lines, self._columns[name], strict=True):
-            text = printable(field.strip(), _LONGEST_NAME)
-            if not text:
-                raise InputError(f"{self.path}:{line}: {name} is empty")
-            try:
-                found.append(value(text))
-            except ValueError:
-                raise InputError(f"{self.path}:{line}: {name} is {text!r}; allowed: {allowed}") from None
-        return np.array(found)
+    def shares(self, name: str, allowed: str = "0 to 1", most: float = 1.0, *, whole: bool = False) -> np.ndarray:
+        """A column of numbers from 0 to 1, or to another limit, (n,)."""
+        values = numbers(self.texts[name])
+        fits = (values >= 0.0) & (values <= most) & ((values == np.floor(values)) | (not whole))
+        for row in np.flatnonzero(~fits):
+            raise InputError(f"{self.path}:{self.lines[row]}: {name} is {self.texts[name][row]!r}; allowed: {allowed}")
+        return values
 
-    def shares(self, name: str) -> np.ndarray:
-        """A column of numbers from 0 to 1, (n,)."""
-        return self.column(name, _share, "0 to 1")
+    def whole_numbers(self, name: str) -> np.ndarray:
+        """A column of numbers from 0 on that count something, (n,)."""
+        return self.shares(name, "a whole number of 0 or more", 1e9, whole=True).astype(np.int64)
+
+    def flags(self, name: str) -> np.ndarray:
+        """A column of 0 and 1, (n,) bool."""
+        return self.shares(name, "0 or 1", whole=True) > 0.0
 
     def check_one_row_each(self, **columns: np.ndarray) -> None:
         """Refuse a table two rows of which have the same values in some columns."""
         before: dict[tuple, int] = {}
         for line, *key in zip(self.lines, *(values.tolist() for values in columns.values()), strict=True):
-            if tuple(key) in before:
+            if before.setdefault(tuple(key), line) != line:
                 what = ", ".join(f"{name} {value}" for name, value in zip(columns, key, strict=True))
                 raise InputError(f"{self.path}:{line}: {what} is in line {before[tuple(key)]} already")
-            before[tuple(key)] = line
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) < 10):
-        raise ValueError(text)
-    return int(text)
-
-
-def _share(text: str) -> float:
-    share = float(text)
-    if "_" in text or not 0.0 <= share <= 1.0:  # "0_1" is 1 to Python alone
-        raise ValueError(text)
-    return share
-
-
-def _flag(text: str) -> bool:
-    if _share(text) % 1.0:
-        raise ValueError(text)
-    return _share(text) > 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,29 +126,35 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
         Naming the file, and the line or the column.
     """
     path = Path(path)
-    table = _Table(path)
-    lines = table.column("label_line", _count, "a whole number of 0 or more")
-    cars = {"frame": table.column("frame"), "label_line": lines}
-    detectors = [name.removesuffix(CONFIDENCE) for name in table.header if name.endswith(CONFIDENCE)]
-    if not detectors:
-        raise InputError(f"{path}: no column NAME{CONFIDENCE}; it has {', '.join(table.header)}")
-    table.check_one_row_each(**cars)
-    about = {name: table.column(name) for name in FRAME_COLUMNS if name in table.header}
+    table = _Table(path, _columns_of_cars)
+    frames, entry = np.array(table.texts["frame"]), table.whole_numbers("label_line")
+    table.check_one_row_each(frame=frames, label_line=entry)
+    about = {name: np.array(table.texts[name]) for name in FRAME_COLUMNS if name in table.texts}
     if frames_table is None and (path.parent / FRAMES_FILE).is_file():
         frames_table = path.parent / FRAMES_FILE
     if frames_table is not None:
         told = read_frames(Path(frames_table))
-        for line, frame in zip(table.lines, cars["frame"].tolist(), strict=True):
+        for line, frame in zip(table.lines, table.texts["frame"], strict=True):
             if frame not in told:
                 raise InputError(f"{path}:{line}: frame {frame} has no row in {frames_table}")
-        about |= told_of(cars["frame"], told)
-    columns = {"line": np.array(table.lines), **cars, **about}
+        about |= told_of(frames, told)
+    columns = {"line": np.array(table.lines), "frame": frames, "label_line": entry, **about}
+    detectors = _detectors(table.texts)
     for name in detectors:
-        everywhere = np.ones(len(table.lines), dtype=bool)
-        looks = name + IN_RANGE in table.header
-        columns[name + IN_RANGE] = table.column(name + IN_RANGE, _flag, "0 or 1") if looks else everywhere
+        told = name + IN_RANGE in table.texts
+        columns[name + IN_RANGE] = table.flags(name + IN_RANGE) if told else np.ones(len(frames), dtype=bool)
         columns[name + PERFORMANCE] = table.shares(name + CONFIDENCE) * table.shares(name + IOU)
-    return Detections(path, columns, tuple(detectors))
+    return Detections(path, columns, detectors)
+
+
+def _detectors(names: Iterable[str]) -> tuple[str, ...]:
+    return tuple(name.removesuffix(CONFIDENCE) for name in names if name.endswith(CONFIDENCE))
+
+
+def _columns_of_cars(header: list[str]) -> tuple[list[str], list[str]]:
+    detectors = _detectors(header) or ("NAME",)
+    needed = ["frame", "label_line", *(name + what for name in detectors for what in (CONFIDENCE, IOU))]
+    return needed, [*FRAME_COLUMNS, *(name + IN_RANGE for name in detectors)]
 
 
 # --- What is told of frames -------------------------------------------------------------------------------------------
@@ -187,14 +168,10 @@ def read_frames(path: Path) -> dict[str, dict[str, str]]:
     InputError, MissingFileError
         Naming the file, and the line or the column.
     """
-    table = _Table(path)
-    frames = table.column("frame")
-    table.check_one_row_each(frame=frames)
-    columns = {name: table.column(name).tolist() for name in FRAME_COLUMNS if name in table.header}
-    return {
-        frame: dict(zip(columns, texts, strict=True))
-        for frame, *texts in zip(frames.tolist(), *columns.values(), strict=True)
-    }
+    table = _Table(path, lambda header: (["frame"], FRAME_COLUMNS))
+    table.check_one_row_each(frame=np.array(table.texts["frame"]))
+    rows = (dict(zip(table.texts, texts, strict=True)) for texts in zip(*table.texts.values(), strict=True))
+    return {row.pop("frame"): row for row in rows}
 
 
 def told_of(frames: np.ndarray, told: Mapping[str, Mapping[str, str]]) -> dict[str, np.ndarray]:

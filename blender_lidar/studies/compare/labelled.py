@@ -22,7 +22,7 @@ import numpy as np
 
 from ...clouds.files import read_points
 from ...errors import InputError, MissingFileError, printable
-from ...files import read_file
+from ...traffic.source import open_bytes
 
 NOT_TOLD = -1
 _NO_BOX = "DontCare"  # KITTI: a region of the picture, without a place in space
@@ -174,20 +174,9 @@ def open_labelled(folder: str | Path) -> LabelledClouds:
     raise InputError(f"--kitti: {folder}: has the layout of no known data set; allowed: {'; or '.join(wanted)}")
 
 
-def read_content(path: Path) -> bytes:
-    """The bytes of a file.
-
-    Raises
-    ------
-    InputError, MissingFileError
-        Naming it.
-    """
-    try:
-        return read_file(path)
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+def _content(path: Path) -> bytes:
+    with open_bytes(path, unpack=False) as stream:
+        return stream.read()
 
 
 # --- KITTI ------------------------------------------------------------------------------------------------------------
@@ -195,7 +184,7 @@ def read_content(path: Path) -> bytes:
 
 def _read_kitti(velodyne: Path, label: Path, calibration: Path) -> tuple[np.ndarray, LabelledBoxes]:
     """Points of a sweep that are finite, and its boxes."""
-    boxes, content = _kitti_boxes(label, _kitti_calibration(calibration)), read_content(velodyne)
+    boxes, content = _kitti_boxes(label, _kitti_calibration(calibration)), _content(velodyne)
     if len(content) % 16:
         raise InputError(f"{velodyne}: {len(content)} bytes; allowed: 16 for each point, four numbers of float32")
     with np.errstate(invalid="ignore"):
@@ -250,7 +239,7 @@ def _kitti_boxes(path: Path, to_camera: np.ndarray) -> LabelledBoxes:
 
 
 def _lines(path: Path) -> list[str]:
-    return read_content(path).decode("utf-8", errors="replace").splitlines()
+    return _content(path).decode("utf-8", errors="replace").splitlines()
 
 
 # --- SUSTechPOINTS ----------------------------------------------------------------------------------------------------
@@ -260,7 +249,7 @@ def _read_sustech(cloud: Path, label: Path) -> tuple[np.ndarray, LabelledBoxes]:
     """Points and boxes of a scene; of a box's angles only the one about the vertical axis is used."""
     points, _ = read_points(cloud)
     try:
-        objects = json.loads(read_content(label))
+        objects = json.loads(_content(label))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{label}: is no JSON file ({error})") from error
     if isinstance(objects, dict):  # later versions of the tool wrap the list
