@@ -24,11 +24,11 @@ from blender_lidar.studies.chart import read_paired
 from blender_lidar.studies.driver import Job, frame_scorer, landscapes
 from blender_lidar.studies.effects import candidates
 from blender_lidar.studies.experiments import grounded
-from blender_lidar.studies.ladder import Effort, count_hits, time_fidelities
+from blender_lidar.studies.ladder import ChartEffort, count_hits, time_fidelities
 from tests.refusals import refused
 from tests.small_scene import CASTER, MAPPED, cli, done, without_charts, write_scene
 
-TINY = Effort(3, 8, 2, 6, 2, 8, phases=2, rounds=2, hit_frames=1, hit_mountings=1, quick=True)
+TINY = ChartEffort(3, 8, 2, 6, 2, 8, phases=2, rounds=2, hit_frames=1, hit_mountings=1, quick=True)
 POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(0.0, 0.0, 4.4, 0.1))
 
 

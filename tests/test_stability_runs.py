@@ -12,7 +12,7 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.report.stability import HEADINGS, report_text
+from blender_lidar.report.stability import HEADINGS, REPORT
 from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
@@ -20,11 +20,11 @@ from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.studies import stability as study
 from blender_lidar.studies.driver import AS_IT_IS, HELD_OUT, Job, Variation, landscapes
 from blender_lidar.studies.findings import mountings_about
-from blender_lidar.studies.stability import Effort
+from blender_lidar.studies.stability import StabilityEffort
 from blender_lidar.studies.variations import TRAFFIC, metric_variations, sensor_variations, traffic_variations
 from tests.small_scene import CASTER, MAPPED, cli, done, traffic_rows, write_scene, write_table
 
-TINY = Effort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
+TINY = StabilityEffort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def mountings(site):
 
 
 def every_variation(site):
-    return [*traffic_variations(site, 2), *metric_variations(site), *sensor_variations(site, 2)]
+    return [*traffic_variations(2), *metric_variations(site), *sensor_variations(site, 2)]
 
 
 # --- changes ----------------------------------------------------------------------------------------------------------
@@ -100,7 +100,7 @@ def test_changes_of_the_sensor_leave_traffic_and_score_alone_and_the_others_leav
         changed = variation.changed(site)
         assert changed.scoring == site.scoring
         assert changed.search is site.search
-    for variation in (*metric_variations(site), *traffic_variations(site, 1)):
+    for variation in (*metric_variations(site), *traffic_variations(1)):
         assert variation.changed(site).observation.lattice is site.observation.lattice
 
 
@@ -110,7 +110,7 @@ def test_changed_traffic_never_counts_a_searched_vehicle_or_its_copy_among_the_h
     write_table(tmp_path / "traffic.csv", traffic_rows(vehicles=120))
     site = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "traffic": settings})))
     step = int(site.recording.vehicle_id.max()) + 1
-    for variation in traffic_variations(site, 2):
+    for variation in traffic_variations(2):
         changed = variation.changed(site)
         searched, judged = (
             np.concatenate([frame.vehicles.vehicle_id[frame.counted] % step for frame in frames])
@@ -123,7 +123,7 @@ def test_lorries_have_the_share_that_was_asked_for(site):
     """Of all vehicles that the recording knows, each counted once."""
     every = replace(site, plan=replace(site.plan, search=site.recording.frames))
     vehicles = len(np.unique(site.recording.vehicle_id))
-    for variation in traffic_variations(site, 2):
+    for variation in traffic_variations(2):
         if variation.what == "lorries":
             kinds: dict[int, str] = {}
             for frame in variation.changed(every).search:
@@ -247,14 +247,14 @@ def test_a_mounting_of_ones_own_is_the_one_in_question(tiny, tmp_path, capsys):
     assert code == 0
     assert result["mounting_given"]
     assert (result["mounting"]["height_m"], result["mounting"]["tilt_x_deg"]) == (3.1, 7.0)
-    assert "as given: 3.10 m, 7.0 deg across the road, yaw 30.0 deg; " in report_text(result)
+    assert "as given: 3.10 m, 7.0 deg across the road, yaw 30.0 deg; " in REPORT.text(result)
 
 
 def test_a_scene_that_holds_nothing_out_is_judged_on_the_searched_frames_and_says_so(tiny, tmp_path, capsys):
     scene = write_scene(tmp_path, {**MAPPED, "traffic": {"holdout": 0.0}})
     out, _ = done(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
     assert "same frames, as nothing is held out" in out
-    assert "undecided gain on held-out traffic" in out
+    assert "undecided  gain on held-out traffic" in out
 
 
 def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(site):

@@ -82,21 +82,11 @@ def test_a_damaged_identity_is_refused_by_name(tmp_path, text):
         StudyFolder(tmp_path, SETTINGS).check(resume=True)
 
 
-@pytest.mark.parametrize("text", ["{", "{}", "[]", "null", '{"sha256": "", "value": {}}'])
+@pytest.mark.parametrize("text", ["{", "{}", "[]", "null", '{"valu": {}}'])
 def test_a_damaged_stage_is_refused_by_name(tmp_path, text):
     with StudyFolder(tmp_path, SETTINGS).locked() as folder:
         (tmp_path / STAGES / "one.json").write_text(text)
         with pytest.raises(InputError, match=r"one\.json: is damaged: .*; remove it"):
-            folder.stage("one", lambda: 1)
-
-
-def test_a_stage_in_which_one_digit_has_changed_is_refused(tmp_path):
-    with StudyFolder(tmp_path, SETTINGS).locked() as folder:
-        folder.stage("one", lambda: {"gain": [0.25, 1 / 3, float("nan")], 2: "ü"})
-        folder.stage("one", lambda: None)
-        path = tmp_path / STAGES / "one.json"
-        path.write_text(path.read_text().replace("0.25", "0.26"))
-        with pytest.raises(InputError, match=r"one\.json: is damaged: its content has changed"):
             folder.stage("one", lambda: 1)
 
 

@@ -103,7 +103,13 @@ def test_nothing_to_draw_is_refused(tmp_path):
 
 # --- stability --------------------------------------------------------------------------------------------------------
 
-RESULT = {"mounting": {"tilt_x_deg": 23.0}, "tolerance": {"tilt_deg": 1.0, "yaw_deg": 0.0}, "profiles": {}}
+RESULT = {
+    "sensor": "",
+    "scene": "",
+    "mounting": {"height_m": 4.0, "tilt_x_deg": 23.0},
+    "tolerance": {"tilt_deg": 1.0, "yaw_deg": 0.0},
+    "profiles": {},
+}
 
 
 def change(section, what, value, verdict, loss, interval, tilts):
@@ -125,7 +131,7 @@ def lines_at(axes, row):
 
 
 def test_every_change_has_a_row_with_its_loss_its_interval_and_its_optima(drawn, tmp_path):
-    assert stability.draw_changes(tmp_path / "changes.png", {**RESULT, "findings": [OPTIMUM, *CHANGES]}, "")
+    assert stability.draw_changes(tmp_path / "changes.png", {**RESULT, "findings": [OPTIMUM, *CHANGES]})
     lost, moved = drawn[0].axes
     labels = [label.get_text() for label in lost.get_yticklabels()]
     assert labels == [f"{one['what']}: {one['value']}" for one in CHANGES]
@@ -143,8 +149,8 @@ def test_every_change_has_a_row_with_its_loss_its_interval_and_its_optima(drawn,
 
 
 def test_without_an_interval_and_without_changes(tmp_path):
-    assert stability.draw_changes(tmp_path / "one.png", {**RESULT, "findings": CHANGES[:1]}, "")
-    assert not stability.draw_changes(tmp_path / "none.png", {**RESULT, "findings": [OPTIMUM]}, "")
+    assert stability.draw_changes(tmp_path / "one.png", {**RESULT, "findings": CHANGES[:1]})
+    assert not stability.draw_changes(tmp_path / "none.png", {**RESULT, "findings": [OPTIMUM]})
     assert not (tmp_path / "none.png").exists()
 
 
@@ -152,8 +158,8 @@ def test_without_an_interval_and_without_changes(tmp_path):
 def test_the_curve_ends_at_what_is_at_hand_and_goes_on_by_its_power_to_what_is_needed(drawn, tmp_path, needed):
     found = {"vehicles": [100.0, 300.0, 1000.0], "reach_deg": [5.0, 3.0, 2.0], "power": 0.5, "needed": needed}
     result = {**RESULT, "findings": [OPTIMUM | {"numbers": found}]}
-    assert stability.draw_sample_size(tmp_path / "size.png", result, "")
-    assert not stability.draw_sample_size(tmp_path / "none.png", {**RESULT, "findings": CHANGES}, "")
+    assert stability.draw_sample_size(tmp_path / "size.png", result)
+    assert not stability.draw_sample_size(tmp_path / "none.png", {**RESULT, "findings": CHANGES})
     (axes,) = drawn[0].axes
     measured, ahead = axes.lines[:2]
     assert measured.get_xdata()[-1] == ahead.get_xdata()[0] == 1000.0
@@ -166,8 +172,8 @@ def test_a_profile_has_its_tolerance_shaded_and_the_whole_gain_as_a_line(drawn, 
     offsets = np.linspace(-5.0, 5.0, 11)
     kept = {"tilt_x_deg": 1.0 - np.abs(offsets) / 50.0, "yaw_deg": np.ones(11)}
     profiles = {key: {"offset": offsets.tolist(), "kept": shares.tolist()} for key, shares in kept.items()}
-    assert stability.draw_profiles(tmp_path / "off.png", {**RESULT, "profiles": profiles}, "")
-    assert not stability.draw_profiles(tmp_path / "none.png", RESULT, "")
+    assert stability.draw_profiles(tmp_path / "off.png", {**RESULT, "profiles": profiles})
+    assert not stability.draw_profiles(tmp_path / "none.png", RESULT)
     tilt, yaw = drawn[0].axes
     np.testing.assert_allclose(tilt.lines[0].get_ydata(), 100.0 - 2.0 * np.abs(offsets))
     (shade,) = tilt.patches

@@ -7,7 +7,7 @@ import math
 import sys
 
 from ..errors import InputError
-from ..report import chart as report
+from ..report.chart import REPORT
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..sensors.model import load_model
@@ -17,7 +17,6 @@ from ..studies.effects import candidates
 from ..studies.ladder import FULL, QUICK
 from .optimise import check_resume
 from .options import add_scene, scenario_from
-from .progress import Progress
 from .studies import add_study_options, carry_out, effort_of
 
 OTHER_SENSORS = ("RS-80", "RS-32")  # the first that is not the scene's own
@@ -65,9 +64,9 @@ def run(args: argparse.Namespace) -> int:
     effort, site, other = effort_of(args, FULL, QUICK), prepare(scenario), _other_site(args, scenario)
 
     def study(folder: StudyFolder) -> dict:
-        return chart_study(site, effort, tolerance, folder, Progress, other, paired)
+        return chart_study(site, effort, tolerance, folder, other, paired)
 
-    return carry_out(args, "chart", site, chart_identity(site, effort, other), report, study)
+    return carry_out(args, "chart", site, chart_identity(site, effort, other), REPORT, study)
 
 
 def parse_share(text: str, option: str) -> float:

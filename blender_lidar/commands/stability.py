@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from ..report import stability as report
+from ..report.stability import REPORT
 from ..scene.settings import MOUNTING
 from ..scene.site import prepare
 from ..studies.driver import StudyFolder
@@ -12,7 +12,6 @@ from ..studies.findings import check_searched
 from ..studies.stability import FULL, QUICK, study_identity, study_stability
 from .optimise import check_resume
 from .options import add_pose, add_scene, given_options, mounting_from, scenario_from
-from .progress import Progress
 from .studies import add_study_options, carry_out, effort_of
 
 
@@ -40,6 +39,6 @@ def run(args: argparse.Namespace) -> int:
     effort, site = effort_of(args, FULL, QUICK), prepare(scenario, mounting)
 
     def study(folder: StudyFolder) -> dict:
-        return study_stability(site, effort, folder, Progress, mounting)
+        return study_stability(site, effort, folder, mounting)
 
-    return carry_out(args, "stability", site, study_identity(site, effort, mounting), report, study)
+    return carry_out(args, "stability", site, study_identity(site, effort, mounting), REPORT, study)

@@ -7,13 +7,14 @@ import json
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import ModuleType
 
+from ..report.study import StudyReport
 from ..scene.site import Site
 from ..signals import stops_recognised
 from ..studies.driver import StudyFolder
 from .optimise import add_output, say
 from .options import default_folder
+from .progress import Progress
 from .report import describe_site
 
 
@@ -36,15 +37,14 @@ def carry_out(
     verb: str,
     site: Site,
     identity: Mapping[str, object],
-    report: ModuleType,
+    report: StudyReport,
     study: Callable[[StudyFolder], dict],
 ) -> int:
     """Make a study in its folder, write what it leaves and tell of it; returns the exit code.
 
-    `report` knows the study's `FILES`, `write_results` and `report_text`; without --out the folder is named after the
-    scene and the verb.
+    Without --out the folder is named after the scene and the verb.
     """
-    folder = StudyFolder(args.out or default_folder(site.scenario, verb), identity, report.FILES)
+    folder = StudyFolder(args.out or default_folder(site.scenario, verb), identity, report.files, Progress)
     with folder.locked(resume=args.resume):
         say(args, describe_site(site) + "\n")
         try:
@@ -53,8 +53,8 @@ def carry_out(
         except KeyboardInterrupt:
             print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
             return 1
-        written = report.write_results(folder, result)
-    say(args, f"{report.report_text(result)}\n\nResults in {folder.path}: {', '.join(written)}")
+        written = report.write(folder, result)
+    say(args, f"{report.text(result)}\n\nResults in {folder.path}: {', '.join(written)}")
     if args.json:
         print(json.dumps(result, indent=2))
     return 0

@@ -1,42 +1,17 @@
-"""The stability of a scene's answer as pictures, text and files: a section for each thing varied, a line a finding."""
+"""The report of `stability`: a section for each sort of thing that is varied, a line a finding, and pictures."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..studies.driver import StudyFolder
 from ..studies.findings import ASKED_DEG, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, RULE, UNDECIDED, VERDICTS, worst
 from ..studies.variations import METRIC, MOUNTING, SEARCH, SECTIONS, SENSOR, TRAFFIC
 from .figure import BASELINE, FAINT, INK, OPTIMISED, SMALL_PT, legend_below, sheet
-from .study_files import WIDTH, markdown_table, wrapped, write_study
-
-CHANGES, OFF_PLAN, SAMPLE_SIZE = "changes.png", "off_plan.png", "sample_size.png"
-RESULT, REPORT, TABLE = "stability.json", "report.md", "stability.csv"
-FILES = (RESULT, REPORT, TABLE, CHANGES, OFF_PLAN, SAMPLE_SIZE)
-
-
-def write_results(folder: StudyFolder, result: Mapping) -> list[str]:
-    """Write table, pictures, report and result; returns the names of the files."""
-    keys = ("section", "what", "value", "verdict", "text")
-    rows = [{key: one[key] for key in keys} | {"loss": one["numbers"].get("loss", "")} for one in result["findings"]]
-
-    def draw() -> list[str]:
-        return draw_charts(result, folder.file)
-
-    return write_study(folder, result, (REPORT, RESULT), {TABLE: rows}, draw, report_markdown, "no pictures")
-
-
-def draw_charts(result: Mapping, path: Callable[[str], Path]) -> list[str]:
-    """Draw what there is to draw, each into the file that `path` gives for its name; returns the names."""
-    mount = result["mounting"]
-    about = f"{result['sensor']} at {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg; {result['scene']}"
-    pictures = {CHANGES: draw_changes, OFF_PLAN: draw_profiles, SAMPLE_SIZE: draw_sample_size}
-    return [name for name, draw in pictures.items() if draw(path(name), result, about)]
+from .study import Section, StudyReport
 
 
 def _numbers_with(result: Mapping, key: str) -> Mapping:
@@ -46,6 +21,11 @@ def _numbers_with(result: Mapping, key: str) -> Mapping:
 
 def _name(finding: Mapping, between: str = ", ") -> str:
     return between.join(filter(None, (finding["what"], finding["value"])))
+
+
+def _about(result: Mapping) -> str:
+    mount = result["mounting"]
+    return f"{result['sensor']} at {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg; {result['scene']}"
 
 
 # --- the pictures; each tells whether there is anything to draw -------------------------------------------------------
@@ -68,7 +48,7 @@ _OFF_PLAN = {  # of a coordinate: its name on an axis, and which tolerance is it
 }
 
 
-def draw_changes(path: str | Path, result: Mapping, about: str) -> bool:
+def draw_changes(path: str | Path, result: Mapping) -> bool:
     """A row for each change: what the mounting loses, and where the optimum would be under each draw of it.
 
     A loss beyond the rim is drawn on it; shaded is where other traffic puts the optimum of the scene as it is.
@@ -81,20 +61,26 @@ def draw_changes(path: str | Path, result: Mapping, about: str) -> bool:
     interval = _numbers_with(result, "tilt_interval_90_deg").get("tilt_interval_90_deg")
     limits = [100.0 * MOST_STABLE_LOSS, 100.0 * MOST_FRAGILE_LOSS]
     title = "What the mounting loses when one thing changes"
-    with sheet(path, _HEADING_MM + _ROW_MM * len(changes), title, about) as figure:
+    with sheet(path, _HEADING_MM + _ROW_MM * len(changes), title, _about(result)) as figure:
         from matplotlib.lines import Line2D
 
         lost, moved = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1.0))
         for row, one in enumerate(changes):
-            look = VERDICT_LOOKS[one["verdict"]]
-            loss, tilts = 100.0 * one["numbers"]["loss"], one["numbers"]["best_tilt_deg"]
-            ends = 100.0 * np.array(one["numbers"]["interval_90"] or [one["numbers"]["loss"]] * 2)
+            look, found = VERDICT_LOOKS[one["verdict"]], one["numbers"]
+            loss, tilts = 100.0 * found["loss"], found["best_tilt_deg"]
+            ends = 100.0 * np.array(found["interval_90"] or [found["loss"]] * 2)
             rim = float(np.clip(loss, -_MOST_PERCENT, _MOST_PERCENT))
             for axes, middle, span in ((lost, rim, ends), (moved, float(np.mean(tilts)), (min(tilts), max(tilts)))):
                 axes.plot(span, [row, row], color=look["color"], linewidth=1.2, zorder=2)
                 axes.plot(middle, row, linestyle="none", markersize=4.0, clip_on=False, zorder=3, **look)
-        for limit in limits:
-            lost.axvline(limit, color=INK, linewidth=0.8, linestyle="--")
+            if row and one["section"] != changes[row - 1]["section"]:
+                lost.axhline(row - 0.5, color=INK, linewidth=0.6, xmin=-0.7, clip_on=False)
+        limit = {"color": INK, "linewidth": 0.8, "linestyle": "--"}
+        for axes, at in ((lost, limits), (moved, [result["mounting"]["tilt_x_deg"]])):
+            for x in at:
+                axes.axvline(x, **limit)
+            axes.grid(visible=True, axis="x")
+            axes.grid(visible=True, axis="y", linewidth=0.3)
         lost.set_xscale("symlog", linthresh=_LINEAR_PERCENT)
         lost.set_xlim(-0.3 * _MOST_PERCENT, _MOST_PERCENT)
         lost.axvline(0.0, color=INK, linewidth=0.8)
@@ -102,34 +88,25 @@ def draw_changes(path: str | Path, result: Mapping, about: str) -> bool:
         lost.set_xticks(ticks, [f"{tick:g}" if tick < _MOST_PERCENT else f"{tick:g}+" for tick in ticks])
         lost.minorticks_off()
         lost.set_xlabel("Loss of the mounting [% of the gain]")
-        if interval is not None:
-            moved.axvspan(*interval, color=FAINT, alpha=0.45, linewidth=0.0)
-        moved.axvline(result["mounting"]["tilt_x_deg"], color=INK, linewidth=0.8, linestyle="--")
         moved.set_xlabel("Best tilt under the change [deg]")
         lost.set_yticks(range(len(changes)), [_name(one, ": ") for one in changes], fontsize=SMALL_PT)
         lost.tick_params(axis="y", length=0.0)
         lost.set_ylim(len(changes) - 0.4, -0.6)
-        for row in range(1, len(changes)):
-            if changes[row]["section"] != changes[row - 1]["section"]:
-                lost.axhline(row - 0.5, color=INK, linewidth=0.6, xmin=-0.7, clip_on=False)
-        for axes in (lost, moved):
-            axes.grid(visible=True, axis="x")
-            axes.grid(visible=True, axis="y", linewidth=0.3)
-        handles = [
-            Line2D([], [], linestyle="none", markersize=4.0, label=name, **look) for name, look in VERDICT_LOOKS.items()
-        ]
-        handles.append(Line2D([], [], color=INK, linewidth=0.8, linestyle="--", label="limits; the mounting"))
+        mark = {"linestyle": "none", "markersize": 4.0}
+        handles = [Line2D([], [], label=name, **mark, **look) for name, look in VERDICT_LOOKS.items()]
+        handles.append(Line2D([], [], label="limits; the mounting", **limit))
         if interval is not None:
+            moved.axvspan(*interval, color=FAINT, alpha=0.45, linewidth=0.0)
             handles.append(Line2D([], [], color=FAINT, linewidth=6.0, label="90 % of optima on other traffic"))
         legend_below(figure, handles, columns=len(handles))
     return True
 
 
-def draw_profiles(path: str | Path, result: Mapping, about: str) -> bool:
+def draw_profiles(path: str | Path, result: Mapping) -> bool:
     """Share of the gain that is kept with one coordinate at a time off its plan; shaded is what an installer keeps."""
     if not result["profiles"]:
         return False
-    with sheet(path, 66.0, "The mounting off its plan", about) as figure:
+    with sheet(path, 66.0, "The mounting off its plan", _about(result)) as figure:
         every = np.atleast_1d(figure.subplots(1, len(result["profiles"]), sharey=True))
         for axes, (key, of) in zip(every, result["profiles"].items(), strict=True):
             name, tolerance = _OFF_PLAN[key]
@@ -144,13 +121,13 @@ def draw_profiles(path: str | Path, result: Mapping, about: str) -> bool:
     return True
 
 
-def draw_sample_size(path: str | Path, result: Mapping, about: str) -> bool:
+def draw_sample_size(path: str | Path, result: Mapping) -> bool:
     """Half of the best tilt's 90 % interval over the number of vehicle observations, and how many are needed."""
     found = _numbers_with(result, "reach_deg")
     if not found:
         return False
     vehicles, reach, power, needed = (found[key] for key in ("vehicles", "reach_deg", "power", "needed"))
-    with sheet(path, 78.0, "How many vehicles make the best tilt certain", about) as figure:
+    with sheet(path, 78.0, "How many vehicles make the best tilt certain", _about(result)) as figure:
         axes = figure.subplots()
         handles = axes.plot(vehicles, reach, markersize=4.0, label="samples of the traffic at hand", **_LINE)
         ahead = np.geomspace(vehicles[-1], max(needed, vehicles[-1]) * 1.5, 50)
@@ -181,50 +158,44 @@ HEADINGS = {
     SENSOR: "Sensor",
     SEARCH: "Search",
 }
+_COLUMNS = ("verdict", "change", "found")
+_JUDGED = {
+    "held out": "held-out frames, with 90 % intervals",
+    "searched": "same frames, as nothing is held out, and so without intervals",
+}
+_OTHERS = {"x_m": "x {:.2f} m", "y_m": "y {:.2f} m", "tilt_y_deg": "{:.1f} deg along it", "yaw_deg": "yaw {:.1f} deg"}
 
 
-_COLUMNS = ("what", "to what", "verdict", "found")
+def _sections(result: Mapping, whole: bool) -> list[Section]:
+    """What `study_stability` came to, the same on a page as on a terminal."""
+    sections = [Section("", (), _head(result))]
+    for section, findings in _by_section(result).items():
+        rows = [(one["verdict"], _name(one), one["text"]) for one in findings]
+        sections.append(Section(HEADINGS[section], [_COLUMNS, *rows], ()))
+    return sections
 
 
-def report_text(result: Mapping) -> str:
-    """What `study_stability` came to, for a terminal."""
-    parts = [*wrapped(_head(result)), ""]
-    for section in SECTIONS:
-        findings = _of(result, section)
-        if findings:
-            parts += [HEADINGS[section], *_lines(findings), ""]
-    return "\n".join([*parts, *_verdicts(result)])
-
-
-def report_markdown(result: Mapping, pictures: Sequence[str]) -> str:
-    """The same as a page of Markdown, with the pictures."""
-    parts = ["# How stable is this answer?", "", *(f"- {line}" for line in _head(result)), ""]
-    parts += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})" for name in pictures]
-    for section in SECTIONS:
-        findings = _of(result, section)
-        if findings:
-            rows = [[one[key] for key in ("what", "value", "verdict", "text")] for one in findings]
-            parts += ["", f"## {HEADINGS[section]}", "", *markdown_table([_COLUMNS, *rows])]
-    return "\n".join([*parts, "", *(f"- {line}" for line in _verdicts(result)), ""])
-
-
-def _of(result: Mapping, section: str) -> list[Mapping]:
-    return [finding for finding in result["findings"] if finding["section"] == section]
+def _by_section(result: Mapping) -> dict[str, list[Mapping]]:
+    """The findings of each section that has any."""
+    of = {section: [one for one in result["findings"] if one["section"] == section] for section in SECTIONS}
+    return {section: findings for section, findings in of.items() if findings}
 
 
 def _head(result: Mapping) -> list[str]:
     metric, mount = metric_named(result["metric"]), result["mounting"]
-    search = f"found by {result['search']}, seed {result['seed']}, to hang as planned"
-    origin = "as given" if result["mounting_given"] else search
-    if not result["mounting_given"] and result["answered_frames"] < result["frames"]:
+    origin = f"found by {result['search']}, seed {result['seed']}, to hang as planned"
+    if result["answered_frames"] < result["frames"]:
         origin += f", on {result['answered_frames']} of them"
+    if result["mounting_given"]:
+        origin = "as given"
+    # The other coordinates, where they are not the baseline's; candidates share them with the mounting.
+    apart = [text.format(mount[key]) for key, text in _OTHERS.items() if mount[key] != result["baseline"][key]]
+    place = ", ".join([f"{mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg across the road", *apart])
     best, base = metric.number(result["objective_per_vehicle"]), metric.number(result["baseline_per_vehicle"])
     return [
         f"{result['sensor']}, {result['frames']} frames, {result['vehicles']:,} vehicle observations, "
         f"{result['caster']}, detail {result['detail']}",
-        f"Mounting in question, {origin}: {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg across the road"
-        f"{_others(mount, result['baseline'])}; "
-        f"{metric.in_unit('objective')} per vehicle {best}, baseline {base}",
+        f"Mounting in question, {origin}: {place}; {metric.in_unit('objective')} per vehicle {best}, baseline {base}",
         f"Each change has its own best height and tilt, the other coordinates staying, on {result['varied_frames']} of "
         f"the searched frames; losses to it are on the {result['judged_frames']} {_JUDGED[result['judged_on']]}, and "
         "are to be read against the line 'as the scene has it'; inside or outside: of where other traffic of this kind "
@@ -233,35 +204,28 @@ def _head(result: Mapping) -> list[str]:
     ]
 
 
-def _others(mount: Mapping, baseline: Mapping) -> str:
-    """The other coordinates, where they are not the baseline's; candidates share them with the mounting."""
-    names = {"x_m": "x {:.2f} m", "y_m": "y {:.2f} m", "tilt_y_deg": "{:.1f} deg along it", "yaw_deg": "yaw {:.1f} deg"}
-    return "".join(f", {text.format(mount[key])}" for key, text in names.items() if mount[key] != baseline[key])
-
-
-_JUDGED = {
-    "held out": "held-out frames, with 90 % intervals",
-    "searched": "same frames, as nothing is held out, and so without intervals",
-}
-
-
-def _lines(findings: Sequence[Mapping]) -> list[str]:
-    width = max(len(_name(one)) for one in findings) + 2
+def _answer(result: Mapping) -> list[str]:
+    """The gravest verdict of each section, and how often there is each."""
     lines = []
-    for one in findings:
-        start = f"  {one['verdict']:<10}{_name(one):<{width}}"
-        wrapped = textwrap.wrap(one["text"], WIDTH - 12 - width) or [""]
-        lines += [start + wrapped[0], *(" " * (12 + width) + more for more in wrapped[1:])]
+    for section, findings in _by_section(result).items():
+        verdicts = [one["verdict"] for one in findings]
+        counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in VERDICTS if verdict in verdicts)
+        gravest = worst(verdicts)
+        overall = gravest if gravest == UNDECIDED else f"at worst {gravest}"
+        lines.append(f"{HEADINGS[section]}: {overall} ({counts})")
     return lines
 
 
-def _verdicts(result: Mapping) -> list[str]:
-    lines = []
-    for section in SECTIONS:
-        verdicts = [one["verdict"] for one in _of(result, section)]
-        if verdicts:
-            counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in VERDICTS if verdict in verdicts)
-            gravest = worst(verdicts)
-            overall = gravest if gravest == UNDECIDED else f"at worst {gravest}"
-            lines.append(f"{HEADINGS[section]}: {overall} ({counts})")
-    return lines
+def _rows(result: Mapping) -> list[dict]:
+    keys = ("section", "what", "value", "verdict", "text")
+    return [{key: one[key] for key in keys} | {"loss": one["numbers"].get("loss", "")} for one in result["findings"]]
+
+
+REPORT = StudyReport(
+    title="How stable is this answer?",
+    result="stability.json",
+    tables={"stability.csv": _rows},
+    pictures={"changes.png": draw_changes, "off_plan.png": draw_profiles, "sample_size.png": draw_sample_size},
+    sections=_sections,
+    answer=_answer,
+)

@@ -19,7 +19,7 @@ from ..scoring.fidelity import Fidelity
 from ..sensors.beams import beam_lattice
 from ..world.scenery import barrier, join
 from ..world.shapes import DETAILS
-from .driver import HELD_OUT, Job, Landscape, Stages, Variation, judging_split
+from .driver import HELD_OUT, Job, Landscape, StudyFolder, Variation, judging_split
 from .effects import BASELINE, FIRST, Candidates, Draw, Effect, Reference, choices, effects
 from .experiments import FREE_FLOW_M_S, bare, grounded, moving, single
 from .ladder import variation
@@ -164,13 +164,13 @@ class Compared(NamedTuple):
 
 
 def ablation_rows(
-    stages: Stages, on: Compared, changes: Sequence[Ablation], known: Mapping[str, Landscape], what: str = ""
+    folder: StudyFolder, on: Compared, changes: Sequence[Ablation], known: Mapping[str, Landscape], what: str = ""
 ) -> list[dict]:
     """A row for every ablation; what either side would choose is judged where the scene has the thing.
 
     Parameters
     ----------
-    stages : Stages
+    folder : StudyFolder
     on : Compared
     changes : sequence of Ablation
     known : mapping of str to Landscape
@@ -184,7 +184,7 @@ def ablation_rows(
 
     told, halves = f"{what and ', '}{what}", on.reference.halves
     missing = {one.stage: one for change in changes for pair in change.pairs for one in pair if one.stage not in known}
-    found = stages.landscapes(on.site, [job(one) for one in missing.values()], f"ablations scored{told}")
+    found = folder.landscapes(on.site, [job(one) for one in missing.values()], f"ablations scored{told}")
     scored = {**known, **dict(zip(missing, found, strict=True))}
     refused, draws = {}, []
     for change in changes:
@@ -202,7 +202,7 @@ def ablation_rows(
             )
             for (of, (without, there), _), rows in zip(draws, kept, strict=True)
         ]
-        judges = zip(stages.landscapes(on.site, jobs, f"ablations judged{told}"), kept, strict=True)
+        judges = zip(folder.landscapes(on.site, jobs, f"ablations judged{told}"), kept, strict=True)
     else:
         judges = ((scored[there.stage], slice(None)) for _, (_, there), _ in draws)
     judged = [(of, with_judges(draw, *by, on)) for (of, _, draw), by in zip(draws, judges, strict=True)]

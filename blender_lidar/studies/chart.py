@@ -16,22 +16,21 @@ import numpy as np
 from ..casting import CASTERS, is_available
 from ..errors import InputError
 from ..files import read_text
-from ..metrics.catalogue import metric_named
-from ..scene.provenance import versions
 from ..scene.site import Site
 from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
 from .ablations import OFFSETS, Compared, ablation_rows, ablations
 from .compare.paired_findings import RESULT, judging
-from .driver import HELD_OUT, SEARCHED, CounterMaker, Job, Landscape, Stages, StudyFolder, judging_split, split_of
-from .effects import BASELINE, FIRST, Candidates, Reference, accuracy, candidates
+from .driver import HELD_OUT, SEARCHED, Job, Landscape, StudyFolder, judging_split, split_of, study_head
+from .effects import BASELINE, FIRST, Candidates, Reference, candidates
 from .ladder import (
     BOUND_LEVEL,
     ORACLE,
     REFERENCE,
     SURE,
     TOGETHER,
-    Effort,
+    ChartEffort,
     Times,
+    accuracy_row,
     count_hits,
     ladder,
     looked_at,
@@ -50,7 +49,7 @@ from .ladder import (
 SCHEMA = 2  # of the stages and of the result
 
 
-def chart_identity(site: Site, effort: Effort, other: Site | None) -> dict[str, object]:
+def chart_identity(site: Site, effort: ChartEffort, other: Site | None) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"chart {name}": value for name, value in asdict(effort).items()}
     casters = [site.observation.caster, *other_casters(site)]
@@ -60,10 +59,9 @@ def chart_identity(site: Site, effort: Effort, other: Site | None) -> dict[str, 
 
 def chart_study(
     site: Site,
-    effort: Effort,
+    effort: ChartEffort,
     tolerance: float,
     folder: StudyFolder,
-    counter: CounterMaker,
     other: Site | None = None,
     paired: Mapping | None = None,
 ) -> dict:
@@ -73,13 +71,11 @@ def chart_study(
     ----------
     site : Site
         The scene, made ready.
-    effort : Effort
+    effort : ChartEffort
     tolerance : float
         Share of the gain that a fidelity may lose.
     folder : StudyFolder
         Locked by the caller.
-    counter : callable
-        Told of progress.
     other : Site, optional
         The same scene with another sensor, to hold the recommendation against.
     paired : mapping, optional
@@ -91,55 +87,39 @@ def chart_study(
         As JSON holds it; the same whether a run was interrupted or not.
     """
     site = with_fewer_frames(site, effort.frames)
-    stages, every, seed = (
-        Stages(folder, counter),
-        candidates(site.scenario, effort.mountings),
-        site.scenario.search.seed,
-    )
-    rungs, judging = ladder(site), judging_split(site)
-    timed = _timed(stages, site, list(dict.fromkeys(whole(rung.fidelity) for rung in rungs)), every, effort)
-    found = score_ladder(stages, site, every, effort, rungs)
-    searched, judged_block = found.ladder[REFERENCE][0], split_of(site, judging)[1]
-    reference = Reference(searched, site.plan.search_block, found.judged, judged_block, seed)
-    gain = reference.gain
-    rows = rung_rows(rungs, reference, found, timed)
+    every, rungs, judging = candidates(site.scenario, effort.mountings), ladder(site), judging_split(site)
+    timed = _timed(folder, site, list(dict.fromkeys(whole(rung.fidelity) for rung in rungs)), every, effort)
+    scored, judged = score_ladder(folder, site, every, effort, rungs)
+    on = _compared(site, every, scored[REFERENCE], judged)
+    reference, gain = on.reference, on.reference.gain
+    rows = rung_rows(rungs, reference, scored, timed, effort.phases)
     mark_within(rows, tolerance, reference.noise, gain)
     best = recommended(rows)
-    chosen = rungs[rows.index(best)].fidelity
+    numbers = reference.best(effort.varied_mountings)
+    few = Compared(site, every.select(numbers), reference.select(numbers))
+    few_rows = [BASELINE, *(FIRST + number for number in numbers)]
+    plain = [one for one, found in scored.items() if len(found.objective) == len(every.poses)]
+    known = {variation(one).stage: scored[one].select(few_rows) for one in plain}
+    beside = None if other is None else _other_sensor(folder, with_fewer_frames(other, effort.frames), effort)
     validated = []
     if judging == HELD_OUT:
-        swapped = Reference(found.judged, judged_block, searched, site.plan.search_block, seed + 1)
+        swapped = _compared(site, every, scored[REFERENCE], judged, swapped=True)
         where = "other blocks: the held-out ones choose, the searched ones judge"
-        validated.append((where, "other blocks", "on other blocks", Compared(site, every, swapped), HELD_OUT))
-    beside = None if other is None else _other_reference(stages, other, effort)
+        validated.append((where, "other blocks", swapped, HELD_OUT))
     if beside is not None:
-        where = f"{other.model.name}, range gate {other.observation.max_range_m:g} m"
-        validated.append((where, "other sensor", f"with {other.model.name}", beside, SEARCHED))
-    numbers = reference.best(effort.varied_mountings)
-    on = Compared(site, every.select(numbers), reference.select(numbers))
-    rows_scored = [BASELINE, *(FIRST + number for number in numbers)]
-    known = {variation(fidelity).stage: phases[0].select(rows_scored) for fidelity, phases in found.ladder.items()}
-    metric = metric_named(site.scoring.metric)
+        where = f"{beside.site.model.name}, range gate {beside.site.observation.max_range_m:g} m"
+        validated.append((where, "other sensor", beside, SEARCHED))
     return {
-        "schema": SCHEMA,
-        "scene": Path(site.scenario.source).name,
-        "sensor": site.model.name,
+        **study_head(site, SCHEMA, effort),
         "range_gate_m": site.observation.max_range_m,
-        "caster": site.observation.caster,
         "casters_not_installed": [name for name in CASTERS if not is_available(name)],
-        "detail": site.observation.detail,
-        "metric": metric.name,
-        "metric_unit": metric.unit,
-        "seed": seed,
-        "frames": len(site.search),
-        "blocks": len(np.unique(site.plan.search_block)),
-        "vehicles": int(searched.vehicles.sum()),
+        "blocks": len(np.unique(reference.searched_block)),
+        "vehicles": int(reference.searched.vehicles.sum()),
         "judged_on": judging,
-        "judged_frames": len(judged_block),
-        "judged_blocks": len(np.unique(judged_block)),
+        "judged_frames": len(reference.judged_block),
+        "judged_blocks": len(np.unique(reference.judged_block)),
         "mountings": effort.mountings,
-        "effort": asdict(effort),
-        "baseline_per_vehicle": float(searched.per_vehicle()[BASELINE]),
+        "baseline_per_vehicle": float(reference.searched.per_vehicle()[BASELINE]),
         "gain_per_vehicle": gain,
         "tolerance": tolerance,
         "sure": SURE,
@@ -147,52 +127,63 @@ def chart_study(
         "reference": rows[0]["name"],
         "noise": reference.noise and asdict(reference.noise),
         "rungs": rows,
-        "hits": _hits(stages, site, every, effort),
+        "hits": _hits(folder, site, every, effort),
         "recommended": best["name"],
         "sentence": sentence(rows[0], best, tolerance, gain),
-        "validated": [_validated(stages, chosen, effort, tolerance, *one) for one in validated],
+        "validated": [
+            _validated(folder, rungs[rows.index(best)].fidelity, effort, tolerance, *where) for where in validated
+        ],
         "ablation_mountings": min(effort.varied_mountings, effort.mountings),
-        "ablation_floor": on.reference.noise and asdict(on.reference.noise),
-        "ablations": _ablated(stages, on, effort, known, beside),
+        "ablation_floor": few.reference.noise and asdict(few.reference.noise),
+        "ablations": _ablated(folder, few, effort, known, beside),
         "paired": paired,
-        "notes": list(site.plan.notes),
-        "versions": versions(site.observation.caster),
     }
 
 
-def _timed(stages: Stages, site: Site, fidelities: Sequence[Fidelity], every: Candidates, effort: Effort) -> Times:
+def _compared(
+    site: Site, every: Candidates, searched: Landscape, judged: Landscape, *, swapped: bool = False
+) -> Compared:
+    """The reference by what it scores on the frames that choose and that judge; or with these `swapped`."""
+    splits = [(searched, site.plan.search_block), (judged, split_of(site, judging_split(site))[1])]
+    chose, judges = reversed(splits) if swapped else splits
+    return Compared(site, every, Reference(*chose, *judges, site.scenario.search.seed + swapped))
+
+
+def _timed(
+    folder: StudyFolder, site: Site, fidelities: Sequence[Fidelity], every: Candidates, effort: ChartEffort
+) -> Times:
     """Each fidelity on all frames."""
 
     def measure() -> list:
         poses = every.poses[FIRST : FIRST + effort.rounds + TOGETHER]
-        with stages.counting(len(site.search), "frames timed") as advance:
-            timed = time_fidelities(site, fidelities, poses, effort.rounds, advance)
+        with folder.counting(len(site.search), "frames timed") as shown:
+            timed = time_fidelities(site, fidelities, poses, effort.rounds, shown.advance)
         return [[part.tolist() for part in timed[fidelity]] for fidelity in fidelities]
 
-    stored = stages.stage("times", measure)
+    stored = folder.stage("times", measure)
     return {fidelity: tuple(map(np.array, both)) for fidelity, both in zip(fidelities, stored, strict=True)}
 
 
-def _hits(stages: Stages, site: Site, every: Candidates, effort: Effort) -> list[dict]:
+def _hits(folder: StudyFolder, site: Site, every: Candidates, effort: ChartEffort) -> list[dict]:
     """The casters beside the oracle."""
     frames = [site.search[row] for row in evenly_spread(len(site.search), min(effort.hit_frames, len(site.search)))]
     poses = every.poses[FIRST : FIRST + effort.hit_mountings]
     casters = [name for name in (site.observation.caster, *other_casters(site)) if name != ORACLE]
-    return stages.stage("hits", lambda: count_hits(site, frames, poses, casters))
+    return folder.stage("hits", lambda: count_hits(site, frames, poses, casters))
 
 
 def _ablated(
-    stages: Stages, on: Compared, effort: Effort, known: Mapping[str, Landscape], beside: Compared | None
+    folder: StudyFolder, on: Compared, effort: ChartEffort, known: Mapping[str, Landscape], beside: Compared | None
 ) -> list[dict]:
     """A row for every ablation, on the best mountings by the reference.
 
     Of azimuth offsets, where the scene's sensor has none and the other one does, on that.
     """
-    rows = ablation_rows(stages, on, ablations(on.site, effort.draws), known)
+    rows = ablation_rows(folder, on, ablations(on.site, effort.draws), known)
     if beside is not None and not on.site.model.azimuth_offset_rad.any() and beside.site.model.azimuth_offset_rad.any():
         (change,) = (one for one in ablations(beside.site, effort.draws) if one.what == OFFSETS)
         change = replace(change, value=f"{change.value}; {beside.site.model.name} and its own floor")
-        (row,) = ablation_rows(stages, beside, [change], {}, "other sensor")
+        (row,) = ablation_rows(folder, beside, [change], {}, "other sensor")
         rows = [row if one["what"] == OFFSETS else one for one in rows]
     return rows
 
@@ -202,25 +193,21 @@ def _ablated(
 HOLDS, LIKELY, FAILS, UNTOLD = "holds", "likely", "fails", "cannot be told"
 
 
-def _other_reference(stages: Stages, other: Site, effort: Effort) -> Compared:
+def _other_sensor(folder: StudyFolder, site: Site, effort: ChartEffort) -> Compared:
     """The reference of the same scene with another sensor."""
-    site = with_fewer_frames(other, effort.frames)
-    every, judging = candidates(site.scenario, effort.other_mountings), judging_split(site)
-    change = variation(REFERENCE, "other sensor reference")
-    jobs = [Job(change, every.poses, split) for split in dict.fromkeys((SEARCHED, judging))]
-    scored = stages.landscapes(site, jobs, f"reference with {site.model.name}")
-    blocks = site.plan.search_block, split_of(site, judging)[1]
-    return Compared(site, every, Reference(scored[0], blocks[0], scored[-1], blocks[1], site.scenario.search.seed))
+    every, change = candidates(site.scenario, effort.other_mountings), variation(REFERENCE, "other sensor reference")
+    jobs = [Job(change, every.poses, split) for split in dict.fromkeys((SEARCHED, judging_split(site)))]
+    scored = folder.landscapes(site, jobs, f"reference with {site.model.name}")
+    return _compared(site, every, scored[0], scored[-1])
 
 
 def _validated(
-    stages: Stages,
+    folder: StudyFolder,
     chosen: Fidelity,
-    effort: Effort,
+    effort: ChartEffort,
     tolerance: float,
     where: str,
     section: str,
-    told: str,
     on: Compared,
     split: str,
 ) -> dict:
@@ -228,19 +215,12 @@ def _validated(
 
     It looks at as large a share of the frames of that `split` as it does of the searched ones.
     """
-    jobs = [Job(variation(phase, section), on.every.poses, split) for phase in phased(whole(chosen), effort.phases)]
-    phases = stages.landscapes(on.site, jobs, f"recommendation {told}")
+    jobs = [Job(variation(phase, section), on.every.poses, split) for phase in phased(chosen, effort.phases)]
+    phases = folder.landscapes(on.site, jobs, f"recommendation, {section}")
     frames = looked_at(chosen, len(on.site.search), len(split_of(on.site, split)[0]))
-    found, gain = accuracy(on.reference, phases, frames), on.reference.gain
-    share, interval, _ = found.regret or (None, None, None)
-    return {
-        "where": where,
-        "verdict": verdict(share, interval, tolerance),
-        "regret": share,
-        "regret_interval_90": None if interval is None else list(interval),
-        "error_share": found.error / gain if gain > 0.0 else None,
-        "tau": found.tau if np.isfinite(found.tau) else None,
-    }
+    found = accuracy_row(on.reference, phases, frames)
+    kept = {key: found[key] for key in ("regret", "regret_interval_90", "error_share", "tau")}
+    return {"where": where, "verdict": verdict(found["regret"], found["regret_interval_90"], tolerance), **kept}
 
 
 def verdict(share: float | None, interval: tuple[float, float] | None, tolerance: float) -> str:

@@ -1,41 +1,67 @@
 """Change one thing about a scene and score its mountings again: one driver for all studies.
 
 A `Variation` changes a site; a `Job` asks what mountings come to on its frames, which is a `Landscape`. `landscapes`
-scores jobs frame by frame over several processes, of one machine or many; `Stages` stores each landscape in the
-study's folder as soon as it is known, so that a study that was killed goes on where it stopped.
+scores jobs frame by frame over several processes, of one machine or many; a `StudyFolder` stores each landscape as soon
+as it is known, so that a study that was killed goes on where it stopped.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from ..errors import InputError
 from ..files import check_folder, folder_lock, make_folder, read_text, sweep, write_text
+from ..metrics.catalogue import metric_named
 from ..metrics.vgop import occupancy
-from ..scene.observation import CountedFrame
-from ..scene.provenance import check_identity
+from ..scene.observation import CountedFrame, Observation
+from ..scene.provenance import check_identity, versions
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
 from ..scoring.frame_scorer import FrameScorer, Seen
 from ..scoring.scores import VehicleScores, mountings_of
 from ..sensors.pose import Pose
 from ..statistics import block_sums
-from ..traffic.vehicles import Vehicles
+
+# --- what all results say ---------------------------------------------------------------------------------------------
+
+
+def percent(share: float | None, interval: Sequence[float] | None = None) -> str:
+    """A share in per cent, and its interval where there is one; nothing for None, and no sign for what rounds to 0."""
+    texts = [f"{round(100.0 * one, 1) + 0.0:.1f}" for one in (share, *(interval or ())) if one is not None]
+    return "" if share is None else f"{texts[0]} %" + (f" ({' to '.join(texts[1:])})" if interval else "")
+
+
+def study_head(site: Site, schema: int, effort) -> dict[str, object]:
+    """What the results of all studies say of a site, as JSON holds it; `effort` says how much of everything is done."""
+    metric = metric_named(site.scoring.metric)
+    return {
+        "schema": schema,
+        "scene": Path(site.scenario.source).name,
+        "sensor": site.model.name,
+        "caster": site.observation.caster,
+        "detail": site.observation.detail,
+        "metric": metric.name,
+        "metric_unit": metric.unit,
+        "seed": site.scenario.search.seed,
+        "frames": len(site.search),
+        "effort": asdict(effort),
+        "notes": list(site.plan.notes),
+        "versions": versions(site.observation.caster),
+    }
+
 
 # --- the folder: each stage is stored whole when it ends --------------------------------------------------------------
 
 IDENTITY = "study.json"
 STAGES = "stages"
-_DIGEST, _VALUE = "sha256", "value"  # of a stored stage
+_VALUE = "value"  # of a stored stage
 
 
 class StudyFolder:
@@ -49,12 +75,20 @@ class StudyFolder:
         What must be the same for two runs to come to the same: settings, content of files, versions. As JSON holds it.
     results : iterable of str
         Names of the files that the study will write, besides its stages.
+    counter : callable, optional
+        Makes what shows progress from a total and what is counted: it has `advance` and `close`.
     """
 
-    def __init__(self, path: str | Path, identity: Mapping[str, object], results: Iterable[str] = ()) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        identity: Mapping[str, object],
+        results: Iterable[str] = (),
+        counter: Callable | None = None,
+    ) -> None:
         self.path = Path(path)
         self._identity = json.loads(json.dumps(identity))
-        self._results = tuple(results)
+        self._results, self._counter = tuple(results), counter
 
     def file(self, name: str) -> Path:
         """Path of a file of the study."""
@@ -72,15 +106,18 @@ class StudyFolder:
             study has written.
         """
         check_folder(self.path, "--out")
-        if self.file(IDENTITY).exists():
-            self._check_identity(resume)
+        if not self.file(IDENTITY).exists():
+            stages = self.file(STAGES)
+            made = [STAGES] if stages.is_file() or any(stages.glob("*")) else []  # `locked` makes an empty one
+            for name in (*made, *(name for name in self._results if self.file(name).exists())):
+                raise InputError(f"--out: {self.path}: holds {name}, which no study has written; give another folder")
             return
-        present = [name for name in self._results if self.file(name).exists()]
-        stages = self.file(STAGES)
-        if stages.is_file() or any(stages.glob("*")):  # an empty folder is what `locked` makes
-            present.insert(0, STAGES)
-        if present:
-            raise InputError(f"--out: {self.path}: holds {present[0]}, which no study has written; give another folder")
+        stored = _read_json(self.file(IDENTITY), "is no file of a study")
+        if not resume:
+            raise InputError(
+                f"--out: {self.path}: holds a study already; give another folder, or go on with it: --resume"
+            )
+        check_identity(stored, self._identity, f"{self.path}: the study there")
 
     @contextmanager
     def locked(self, *, resume: bool = False) -> Iterator[StudyFolder]:
@@ -115,9 +152,8 @@ class StudyFolder:
         return self.stored(name)
 
     def store(self, name: str, value: object) -> None:
-        """Store a stage, whole or not at all, with the digest of its text."""
-        text = json.dumps(value)
-        write_text(self._stage(name), f'{{"{_DIGEST}": "{_digest(text)}", "{_VALUE}": {text}}}\n')
+        """Store a stage, whole or not at all."""
+        write_text(self._stage(name), json.dumps({_VALUE: value}) + "\n")
 
     def stored(self, name: str) -> object:
         """A stage from its file: the same to the last digit whether it was stored just now or by an earlier run.
@@ -127,55 +163,47 @@ class StudyFolder:
         InputError
             When the stored file is not as a run has left it.
         """
-        path = self._stage(name)
-        try:
-            stored = json.loads(read_text(path))
-            if not isinstance(stored, dict) or set(stored) != {_DIGEST, _VALUE}:
-                raise ValueError("it holds no stage")
-            if stored[_DIGEST] != _digest(json.dumps(stored[_VALUE])):
-                raise ValueError("its content has changed")
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{path}: is damaged: {error}; remove it to have it made again") from error
+        stored = _read_json(self._stage(name), "is damaged: it holds no stage; remove it to have it made again", _VALUE)
         return stored[_VALUE]
+
+    def counting(self, total: int, what: str):
+        """A context in which steps are counted up to a total, by `advance`."""
+        return closing(self._counter(total, what))
+
+    def landscapes(self, site: Site, jobs: Sequence[Job], what: str) -> list[Landscape | str]:
+        """`landscapes` of jobs, each stored as soon as it is known."""
+        missing = [job for job in jobs if not self.holds(job.stage)]
+        if missing:
+            frames = sum(len(split_of(site, job.split)[0]) for job in missing)
+            with (
+                self.counting(frames, what) as shown,
+                closing(landscapes(site, missing, shown.advance)) as found,  # a stop ends its processes
+            ):
+                for job, one in zip(missing, found, strict=True):
+                    told = one if isinstance(one, str) else [one.objective.tolist(), one.vehicles.tolist()]
+                    self.store(job.stage, told)
+        every = (self.stored(job.stage) for job in jobs)
+        return [one if isinstance(one, str) else Landscape(*map(np.array, one)) for one in every]
 
     def _stage(self, name: str) -> Path:
         return self.file(STAGES) / f"{name}.json"
 
-    def _check_identity(self, resume: bool) -> None:
-        path = self.file(IDENTITY)
-        try:
-            stored = json.loads(read_text(path))
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{path}: cannot be read: {error}") from error
-        if not isinstance(stored, dict):
-            raise InputError(f"{path}: is no file of a study")
-        if not resume:
-            raise InputError(
-                f"--out: {self.path}: holds a study already; give another folder, or go on with it: --resume"
-            )
-        check_identity(stored, self._identity, f"{self.path}: the study there")
 
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+def _read_json(path: Path, otherwise: str, *keys: str) -> dict:
+    """The table in a file, with these keys alone if there are any."""
+    try:
+        content = json.loads(read_text(path))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is damaged: {error}; remove it to have it made again") from error
+    if not isinstance(content, dict) or (keys and set(content) != set(keys)):
+        raise InputError(f"{path}: {otherwise}")
+    return content
 
 
 # --- what is changed, and what is scored ------------------------------------------------------------------------------
 
 
-class Scorer(Protocol):
-    """What sees one frame from mountings: `FrameScorer`, or what an experiment puts in its place."""
-
-    vehicles: Vehicles
-
-    def __len__(self) -> int:
-        """Vehicles that count."""
-
-    def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
-        """As `FrameScorer.see`."""
-
-
-def frame_scorer(site: Site, frame: CountedFrame) -> Scorer:
+def frame_scorer(site: Site, frame: CountedFrame) -> FrameScorer:
     """The product's own way to see a frame."""
     return FrameScorer(frame.vehicles, frame.counted, site.observation)
 
@@ -211,7 +239,7 @@ class Variation:
     value: str
     changed: Callable[[Site], Site] = unchanged
     draw: int = 0
-    scorer: Callable[[Site, CountedFrame], Scorer] = frame_scorer
+    scorer: Callable[[Site, CountedFrame], FrameScorer] = frame_scorer
     cast_anew: bool = True
 
     @property
@@ -330,43 +358,33 @@ class _FrameOfCast:
         self._number, self._changed = -1, []
 
     def score(self, number: int, frame: int) -> list[tuple[np.ndarray, int] | str]:
-        """Of each job the objective of its mountings, (m,), and the counted vehicles; or why there is no such site."""
+        """Of each job the objective of its mountings, (m,), and the counted vehicles; or why there is no such site.
+
+        What is cast is the site as it is where several jobs share that, else the only job's site.
+        """
         jobs = self._casts[number]
         if number != self._number:
             self._number, self._changed = number, [self._change(job) for job in jobs]
-        if len(jobs) > 1:
-            return self._together(jobs, frame)
-        ((job,), (changed,)) = jobs, self._changed
-        if isinstance(changed, str):
-            return [changed]
-        site, scores = changed
-        chosen = split_of(site, job.split)[0][frame]
-        scorer = job.variation.scorer(site, chosen)
-        return [(_objective(scores, chosen, scorer, job.poses), int(chosen.counted.sum()))]
-
-    def _together(self, jobs: tuple[Job, ...], frame: int) -> list[tuple[np.ndarray, int] | str]:
-        """The same of jobs whose returns are those of the site as it is: cast once, scored for each of them."""
-        chosen = split_of(self._site, jobs[0].split)[0][frame]
-        scorer, own = frame_scorer(self._site, chosen), self._site.observation
+        shared = len(jobs) > 1
+        if not shared and isinstance(self._changed[0], str):
+            return self._changed
+        site = self._site if shared else self._changed[0][0]
+        chosen = split_of(site, jobs[0].split)[0][frame]
+        scorer = jobs[0].variation.scorer(site, chosen)
+        wanted, found = [set(job.poses) for job in jobs], [dict[Pose, float]() for _ in jobs]
         every = list(dict.fromkeys(pose for job in jobs for pose in job.poses))
-        wanted, objective = [set(job.poses) for job in jobs], [dict[Pose, float]() for _ in jobs]
-        for poses in _batches(every):
-            seen = {(own.cell_m, own.reading): scorer.see(poses, keep_returns=True)}
-            for own_poses, of, changed in zip(wanted, objective, self._changed, strict=True):
-                asked = [row for row, pose in enumerate(poses) if pose in own_poses]
-                if isinstance(changed, str) or not asked:
-                    continue
-                site, scores = changed
-                cells = site.observation.cell_m, site.observation.reading
-                if cells not in seen:
-                    seen[cells] = _on_cells(seen[own.cell_m, own.reading], scorer.vehicles, *cells)
-                again, some = _SeenAgain(scorer.vehicles, seen[cells], asked), [poses[row] for row in asked]
-                of.update(zip(some, _objective(scores, chosen, again, some), strict=True))
+        for first in range(0, len(every), _MOUNTINGS_AT_A_TIME):
+            poses = every[first : first + _MOUNTINGS_AT_A_TIME]
+            cast = _Cast(scorer, site.observation, poses) if shared else None
+            for own, changed, of in zip(wanted, self._changed, found, strict=True):
+                some = [pose for pose in poses if pose in own]
+                if some and not isinstance(changed, str):
+                    seen = scorer if cast is None else cast.on_cells_of(changed[0].observation)
+                    scored = changed[1].of(chosen, seen, some, mountings_of(some))
+                    of.update(zip(some, scored.objective.sum(axis=1).tolist(), strict=True))
         return [
-            changed
-            if isinstance(changed, str)
-            else (np.array([of[pose] for pose in job.poses]), int(chosen.counted.sum()))
-            for job, changed, of in zip(jobs, self._changed, objective, strict=True)
+            changed if isinstance(changed, str) else (np.array([of[pose] for pose in job.poses]), len(scorer))
+            for job, changed, of in zip(jobs, self._changed, found, strict=True)
         ]
 
     def _change(self, job: Job) -> tuple[Site, VehicleScores] | str:
@@ -377,88 +395,31 @@ class _FrameOfCast:
         return site, VehicleScores(site.scoring, site.observation, split_of(site, job.split)[0])
 
 
-def _batches(poses: Sequence[Pose]) -> Iterator[Sequence[Pose]]:
-    return (poses[first : first + _MOUNTINGS_AT_A_TIME] for first in range(0, len(poses), _MOUNTINGS_AT_A_TIME))
+class _Cast:
+    """What has been seen from some mountings, to be scored again and again: some of them, on cells of another side."""
 
+    def __init__(self, scorer: FrameScorer, observation: Observation, poses: Sequence[Pose]) -> None:
+        self.vehicles, self._rows = scorer.vehicles, {pose: row for row, pose in enumerate(poses)}
+        self._own = self._cells = observation.cell_m, observation.reading
+        self._seen = {self._own: scorer.see(poses, keep_returns=True)}
 
-def _objective(scores: VehicleScores, frame: CountedFrame, scorer: Scorer, poses: Sequence[Pose]) -> np.ndarray:
-    """Objective of each mounting on a frame, (m,)."""
-    parts = [scores.of(frame, scorer, some, mountings_of(some)).objective.sum(axis=1) for some in _batches(poses)]
-    return np.concatenate(parts)
-
-
-@dataclass(frozen=True, slots=True)
-class _SeenAgain:
-    """A scorer of what has been seen already from some mountings, by their rows."""
-
-    vehicles: Vehicles
-    seen: Seen
-    rows: Sequence[int]
-
-    def __len__(self) -> int:
-        return len(self.vehicles)
+    def on_cells_of(self, observation: Observation) -> _Cast:
+        """The same, its occupancies from now on those on the cells of that observation."""
+        self._cells = observation.cell_m, observation.reading
+        if self._cells not in self._seen:
+            seen = self._seen[self._own]
+            sizes = np.tile(self.vehicles.size_m, (len(seen.points), 1))
+            shares = occupancy(*seen.returns, sizes, *self._cells).reshape(seen.occupancy.shape)
+            self._seen[self._cells] = seen._replace(occupancy=shares)
+        return self
 
     def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
-        """As `FrameScorer.see`, of all these rows, whatever the mountings."""
-        points, shares, returns = self.seen
-        if keep_returns and len(self.rows) < len(points):
+        """As `FrameScorer.see`, of mountings that have been seen, in the order in which they were."""
+        points, shares, returns = self._seen[self._cells]
+        rows = [self._rows[pose] for pose in poses]
+        if len(rows) < len(points):
             local, owner = returns
-            mount, vehicle = np.divmod(owner, len(self))
-            kept = np.isin(mount, self.rows)
-            returns = local[kept], np.searchsorted(self.rows, mount[kept]) * len(self) + vehicle[kept]
-        return Seen(points[self.rows], shares[self.rows], returns if keep_returns else None)
-
-
-def _on_cells(seen: Seen, vehicles: Vehicles, cell_m: float, reading: str) -> Seen:
-    """The same returns on cells of another side."""
-    sizes = np.tile(vehicles.size_m, (len(seen.points), 1))
-    return seen._replace(occupancy=occupancy(*seen.returns, sizes, cell_m, reading).reshape(seen.occupancy.shape))
-
-
-# --- landscapes as stages of a study ----------------------------------------------------------------------------------
-
-
-class Counter(Protocol):
-    """Shows how far a part of the study has come."""
-
-    def advance(self, steps: int) -> None:
-        """Count `steps` more."""
-
-    def close(self) -> None:
-        """The part has ended."""
-
-
-CounterMaker = Callable[[int, str], Counter]
-"""Makes a counter up to a total, for what is counted."""
-
-
-class Stages:
-    """A study's folder, locked by the caller, and how its progress is told."""
-
-    def __init__(self, folder: StudyFolder, counter: CounterMaker) -> None:
-        self.folder, self._counter = folder, counter
-        self.stage = folder.stage
-
-    def landscapes(self, site: Site, jobs: Sequence[Job], what: str) -> list[Landscape | str]:
-        """What the mountings of each job come to, stored as soon as it is known."""
-        missing = [job for job in jobs if not self.folder.holds(job.stage)]
-        if missing:
-            frames = sum(len(split_of(site, job.split)[0]) for job in missing)
-            with (
-                self.counting(frames, what) as advance,
-                closing(landscapes(site, missing, advance)) as found,  # a stop ends its processes
-            ):
-                for job, one in zip(missing, found, strict=True):
-                    told = one if isinstance(one, str) else [one.objective.tolist(), one.vehicles.tolist()]
-                    self.folder.store(job.stage, told)
-        every = (self.folder.stored(job.stage) for job in jobs)
-        return [one if isinstance(one, str) else Landscape(np.array(one[0]), np.array(one[1])) for one in every]
-
-    @contextmanager
-    def counting(self, total: int, what: str) -> Iterator[Callable[[int], None]]:
-        """A counter that is closed when the block ends."""
-        shown = self._counter(total, what)
-        try:
-            yield shown.advance
-        finally:
-            shown.close()
+            mount, vehicle = np.divmod(owner, len(self.vehicles))
+            kept = np.isin(mount, rows)
+            returns = local[kept], np.searchsorted(rows, mount[kept]) * len(self.vehicles) + vehicle[kept]
+        return Seen(points[rows], shares[rows], returns if keep_returns else None)

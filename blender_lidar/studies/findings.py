@@ -17,8 +17,8 @@ from ..metrics.metric import Metric
 from ..run.verdict import AXES
 from ..scene.scenario import Scenario, pose_at
 from ..sensors.pose import Pose
-from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90
-from .driver import Landscape
+from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90, ratio_interval_90
+from .driver import Landscape, percent
 from .variations import TRAFFIC
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
@@ -81,19 +81,10 @@ def worst(verdicts: Sequence[str]) -> str:
     return max(decided, key=VERDICTS.index) if decided else UNDECIDED
 
 
-def percent(share: float) -> str:
-    """A share as text; what rounds to nothing has no sign."""
-    return f"{round(100.0 * share, 1) + 0.0:.1f} %"
-
-
 def lost(share: float, interval: Sequence[float] | None = None) -> str:
     """What a mounting loses, or by what it is better, as text; with its 90 % interval where there is one."""
     sign, words = (1.0, "loses") if share > -0.0005 else (-1.0, "is better by")
-    text = f"{words} {percent(sign * share)}"
-    if interval is None:
-        return text
-    low, high = sorted(round(100.0 * sign * end, 1) + 0.0 for end in interval)
-    return f"{text} ({low:.1f} to {high:.1f})"
+    return f"{words} {percent(sign * share, interval and sorted(sign * end for end in interval))}"
 
 
 # --- the mountings that are compared: the one in question, the baseline, and a grid of others -------------------------
@@ -179,23 +170,18 @@ def values_under(weights: np.ndarray, objective: np.ndarray, vehicles: np.ndarra
     return (objective @ weights.T) / (weights @ vehicles)
 
 
-def losses_to_best(values: np.ndarray) -> np.ndarray:
-    """Share of the gain that the mounting in question leaves to the best of all, for each column of `values` (m, r).
+def losses_to(best: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Share of the gain that the mounting in question leaves to the `best` (r,), for each column of `values` (m, r).
 
-    NaN where no mounting is better than the baseline. The mounting may itself be the best: candidates are a grid.
+    Below 0 where it is the better one; NaN where the best is no better than the baseline.
     """
-    best = np.maximum(values[CANDIDATES:].max(axis=0), values[REFERENCE])
-    return _share(best - values[REFERENCE], best - values[BASELINE])
+    gain = best - values[BASELINE]
+    return np.divide(best - values[REFERENCE], gain, out=np.full(len(gain), np.nan), where=gain > 0.0)
 
 
-def losses_to(values: np.ndarray, candidate: int = 0) -> np.ndarray:
-    """The same beside one candidate, chosen elsewhere: below 0 where the mounting in question is the better one."""
-    rival = values[CANDIDATES + candidate]
-    return _share(rival - values[REFERENCE], rival - values[BASELINE])
-
-
-def _share(lost: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    return np.divide(lost, gain, out=np.full(len(gain), np.nan), where=gain > 0.0)
+def losses_to_best(values: np.ndarray) -> np.ndarray:
+    """The same beside the best of all: the mounting may itself be that, as candidates are a grid."""
+    return losses_to(np.maximum(values[CANDIDATES:].max(axis=0), values[REFERENCE]), values)
 
 
 # --- the sample of traffic: is the gain real, where does the optimum stray, how much more would be needed -------------
@@ -256,13 +242,24 @@ def sample_size(objective: np.ndarray, vehicles: np.ndarray, tilt_deg: np.ndarra
     objective, vehicles, blocks = objective[:, filled], vehicles[filled], int(filled.sum())
     if blocks < 2 * FEWEST_BLOCKS:
         return None
-    rng = np.random.default_rng(seed)
+    rng, finest = np.random.default_rng(seed), 0.5 * float(np.diff(np.unique(tilt_deg)).max(initial=0.0))
     sizes = np.unique(np.geomspace(FEWEST_BLOCKS, blocks // 2, _SIZES).round().astype(int))
-    counts = [float(size / (1.0 - size / blocks) * vehicles.mean()) for size in sizes]
-    finest = 0.5 * float(np.diff(np.unique(tilt_deg)).max(initial=0.0))
-    reach = [max(finest, _reach_deg(objective, vehicles, tilt_deg, rng, size)) for size in sizes]
-    power = _power(counts, reach, finest)
-    return SampleSize(tuple(counts), tuple(reach), power, _needed(counts, reach, power))
+    counts, reach = sizes / (1.0 - sizes / blocks) * vehicles.mean(), np.empty(len(sizes))
+    for row, size in enumerate(sizes):
+        weights = samples_without_replacement(blocks, size, rng)
+        best = np.argmax(values_under(weights, objective, vehicles)[CANDIDATES:], axis=0)
+        low, high = interval_90(tilt_deg[best])
+        reach[row] = max(finest, 0.5 * (high - low))
+    power, strays = _FASTEST, reach > finest  # by more than the grid tells
+    if strays.sum() >= 2:
+        slope = np.polyfit(np.log(counts[strays]), np.log(reach[strays]), 1)[0]
+        power = float(np.clip(-slope, _SLOWEST, _FASTEST))  # kept to what theory allows
+    too_wide = np.flatnonzero(reach > ASKED_DEG)
+    if reach[-1] > ASKED_DEG:
+        needed = counts[-1] * (reach[-1] / ASKED_DEG) ** (1.0 / power)
+    else:  # from where on it stays narrow enough
+        needed = counts[too_wide[-1] + 1 if len(too_wide) else 0]
+    return SampleSize(tuple(counts.tolist()), tuple(reach.tolist()), power, float(needed))
 
 
 def samples_without_replacement(blocks: int, size: int, rng: np.random.Generator) -> np.ndarray:
@@ -271,33 +268,6 @@ def samples_without_replacement(blocks: int, size: int, rng: np.random.Generator
     weights = np.zeros((_RESAMPLES, blocks))
     np.put_along_axis(weights, order[:, :size], 1.0, axis=1)
     return weights
-
-
-def _reach_deg(objective, vehicles, tilt_deg, rng, size) -> float:
-    weights = samples_without_replacement(len(vehicles), size, rng)
-    best = np.argmax(values_under(weights, objective, vehicles)[CANDIDATES:], axis=0)
-    low, high = interval_90(tilt_deg[best])
-    return 0.5 * (high - low)
-
-
-def _needed(counts, reach, power) -> float:
-    """Where the interval falls to what is asked and stays there, or will by its power."""
-    if reach[-1] > ASKED_DEG:
-        return float(counts[-1] * (reach[-1] / ASKED_DEG) ** (1.0 / power))
-    too_wide = np.flatnonzero(np.array(reach) > ASKED_DEG)
-    return counts[too_wide[-1] + 1] if len(too_wide) else counts[0]
-
-
-def _power(counts, reach, finest) -> float:
-    """The slope through the sizes at which the optimum strays by more than the grid tells, kept to what theory allows.
-
-    `finest` is the reach that the grid tells [deg].
-    """
-    strays = np.array(reach) > finest
-    if strays.sum() < 2:
-        return _FASTEST
-    slope = np.polyfit(np.log(np.array(counts)[strays]), np.log(np.array(reach)[strays]), 1)[0]
-    return float(np.clip(-slope, _SLOWEST, _FASTEST))
 
 
 _MOST_FRAGILE_DEG = 5.0
@@ -319,16 +289,23 @@ class Intervals(NamedTuple):
         return all(low - 0.5 * step - 1e-6 <= value <= high + 0.5 * step + 1e-6 for (low, high), value, step in pairs)
 
 
-def gain_finding(verdict: Mapping, metric: Metric) -> Finding:
-    """Whether traffic that had no say in the choice gains, from what `run.verdict.judge` gave of the mounting."""
-    what = "gain on held-out traffic"
-    held_out = verdict["holdout"]
-    if held_out is None or held_out["interval_90"] is None:
+def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric: Metric) -> Finding:
+    """Whether the mounting gains on traffic that had no say in its choice: on held-out frames, None without any.
+
+    `block` (f,) labels them; `seed` is that of resampled blocks.
+    """
+    what, interval = "gain on held-out traffic", None
+    if judged is not None:
+        (reference, baseline), vehicles = judged.select([REFERENCE, BASELINE]).blocks(block)
+        interval = ratio_interval_90(reference - baseline, vehicles, seed)
+    if interval is None:
         return Finding(TRAFFIC, what, "", UNDECIDED, "too little traffic is held out for an interval")
-    gain, (low, high) = held_out["gain_over_baseline"], held_out["interval_90"]
+    values, (low, high) = judged.per_vehicle(), interval
+    gain = float(values[REFERENCE] - values[BASELINE])
     decided = FAILS if low <= 0.0 else STABLE if low >= _SURE_SHARE * gain else FRAGILE
     text = f"{metric.amount(gain)} per vehicle, 90 % interval {metric.number(low)} to {metric.number(high)}"
-    numbers = {key: held_out[key] for key in ("gain_over_baseline", "interval_90", "vehicles", "blocks")}
+    numbers = {"gain_over_baseline": gain, "interval_90": [low, high]}
+    numbers |= {"vehicles": int(judged.vehicles.sum()), "blocks": len(np.unique(block))}
     return Finding(TRAFFIC, what, "", decided, text, numbers)
 
 
@@ -439,7 +416,8 @@ def finding_of(
         "inside": None if intervals is None else [intervals.hold(*place, mountings.steps) for place in places],
         "vehicles_per_frame": float(np.mean([draw.judged.vehicles.mean() for draw in draws])),
     }
-    losses = [float(losses_to(draw.judged.per_vehicle()[:, None])[0]) for draw in draws]
+    values = np.array([draw.judged.per_vehicle() for draw in draws]).T
+    losses = losses_to(values[CANDIDATES], values).tolist()
     if np.isnan(losses).any():
         text = "what is best on the searched frames gains nothing on those that judge"
         return Finding(*change, UNDECIDED, text, numbers)

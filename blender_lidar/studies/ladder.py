@@ -22,8 +22,8 @@ from ..sensors.beams import beam_lattice
 from ..sensors.pose import Pose
 from ..world.shapes import DETAILS
 from ..world.triangles import vehicle_triangles
-from .driver import HELD_OUT, Job, Landscape, Stages, Variation, frame_scorer, judging_split
-from .effects import Accuracy, Candidates, Noise, Reference, accuracy, pareto_front
+from .driver import HELD_OUT, Job, Landscape, StudyFolder, Variation, frame_scorer, judging_split
+from .effects import Candidates, Noise, Reference, accuracy, pareto_front
 from .experiments import grounded
 
 BEST_DETAIL = DETAILS[-1]
@@ -35,7 +35,7 @@ LADDER = "ladder"
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class ChartEffort:
     """How much of everything is done.
 
     Attributes
@@ -75,8 +75,8 @@ class Effort:
     quick: bool
 
 
-FULL = Effort(None, 128, 8, 64, 6, 64, phases=2, rounds=5, hit_frames=3, hit_mountings=3, quick=False)
-QUICK = Effort(10, 64, 4, 64, 2, 64, phases=2, rounds=5, hit_frames=1, hit_mountings=2, quick=True)
+FULL = ChartEffort(None, 128, 8, 64, 6, 64, phases=2, rounds=5, hit_frames=3, hit_mountings=3, quick=False)
+QUICK = ChartEffort(10, 64, 4, 64, 2, 64, phases=2, rounds=5, hit_frames=1, hit_mountings=2, quick=True)
 
 
 # --- the rungs --------------------------------------------------------------------------------------------------------
@@ -127,9 +127,9 @@ def frame_counts(frames: int) -> list[int | None]:
 
 
 def phased(fidelity: Fidelity, most: int) -> list[Fidelity]:
-    """The fidelity at all phases of its stride, or at so many of them, spread evenly."""
+    """The fidelity on all frames, at all phases of its stride or at so many of them, spread evenly."""
     kept = min(fidelity.stride, most)
-    return [replace(fidelity, phase=fidelity.stride * number // kept) for number in range(kept)]
+    return [replace(whole(fidelity), phase=fidelity.stride * number // kept) for number in range(kept)]
 
 
 def whole(fidelity: Fidelity) -> Fidelity:
@@ -206,18 +206,18 @@ def count_hits(site: Site, frames: Sequence[CountedFrame], poses: Sequence[Pose]
     lattice = beam_lattice(site.model, site.observation.lattice.rotation_hz, stride=_STRIDE)
     counts = []
     for detail in DETAILS:
-        met: dict[str, list] = {name: [] for name in (ORACLE, *casters)}
-        for frame in frames:
-            triangles = vehicle_triangles(frame.vehicles, detail)
-            for name in met:
+        hits = {name: [] for name in (ORACLE, *casters)}
+        for triangles in (vehicle_triangles(frame.vehicles, detail) for frame in frames):
+            for name, met in hits.items():
                 tree = caster_class(name)(triangles.corners, closed=True)
                 for pose in poses:
                     rays = pose.to_world(lattice.directions.reshape(-1, 3))
                     found = tree.cast(pose.position, rays, site.observation.max_range_m)
                     owner = np.where(found.triangle >= 0, triangles.owner[found.triangle], -1)
-                    met[name].append((found.distance, owner))
-        hits = {name: [np.concatenate(column) for column in zip(*of, strict=True)] for name, of in met.items()}
-        counts += [{"caster": name, "detail": detail, **differing_hits(hits[ORACLE], hits[name])} for name in casters]
+                    met.append((found.distance, owner))
+        oracle, *others = (list(map(np.concatenate, zip(*met, strict=True))) for met in hits.values())
+        pairs = zip(casters, others, strict=True)
+        counts += [{"caster": name, "detail": detail, **differing_hits(oracle, found)} for name, found in pairs]
     return counts
 
 
@@ -246,41 +246,23 @@ def differing_hits(oracle: Sequence[np.ndarray], found: Sequence[np.ndarray]) ->
 # --- scores -----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scored:
-    """Landscapes, by what they are of.
+def score_ladder(
+    folder: StudyFolder, site: Site, every: Candidates, effort: ChartEffort, rungs: Sequence[Rung]
+) -> tuple[dict[Fidelity, Landscape], Landscape]:
+    """Landscapes of all fidelities and phases on all frames, and that of the reference on the frames that judge.
 
-    Attributes
-    ----------
-    judged : Landscape
-        The reference on the frames that judge.
-    ladder : dict of Fidelity to landscapes
-        Each detail and stride on all frames, a landscape for each phase.
-    checked : dict of Fidelity to Landscape
-        Rungs with a twin, on the first few mountings.
+    Rungs with a twin are scored on the first few mountings.
     """
-
-    judged: Landscape
-    ladder: dict[Fidelity, list[Landscape]]
-    checked: dict[Fidelity, Landscape]
-
-
-def score_ladder(stages: Stages, site: Site, every: Candidates, effort: Effort, rungs: Sequence[Rung]) -> Scored:
-    """Score what the folder does not hold: every rung, and the reference where it judges."""
-    of_rungs = {whole(rung.fidelity) for rung in rungs if rung.twin is None}
-    plain = sorted(of_rungs, key=lambda one: (-DETAILS.index(one.detail), one.stride))
-    phases = [phase for fidelity in plain for phase in phased(fidelity, effort.phases)]
-    twins = [rung.fidelity for rung in rungs if rung.twin is not None]
-    few, judging = every.poses[: 1 + effort.few_mountings], judging_split(site)
-    jobs = [Job(variation(fidelity), every.poses) for fidelity in phases]
-    jobs += [Job(variation(fidelity), few) for fidelity in twins]
-    jobs += [Job(variation(REFERENCE), every.poses, HELD_OUT)] if judging == HELD_OUT else []
-    found = iter(stages.landscapes(site, jobs, "mountings scored"))
-    by_fidelity: dict[Fidelity, list[Landscape]] = {}
-    for fidelity in phases:
-        by_fidelity.setdefault(replace(fidelity, phase=0), []).append(next(found))
-    checked = {fidelity: next(found) for fidelity in twins}
-    return Scored(next(found, by_fidelity[REFERENCE][0]), by_fidelity, checked)
+    plain = dict.fromkeys(
+        phase for rung in rungs if rung.twin is None for phase in phased(rung.fidelity, effort.phases)
+    )
+    twins, few = [rung.fidelity for rung in rungs if rung.twin is not None], every.poses[: 1 + effort.few_mountings]
+    jobs = [Job(variation(one), every.poses) for one in plain] + [Job(variation(one), few) for one in twins]
+    if judging_split(site) == HELD_OUT:
+        jobs.append(Job(variation(REFERENCE), every.poses, HELD_OUT))
+    found = folder.landscapes(site, jobs, "mountings scored")
+    scored = dict(zip((*plain, *twins), found, strict=False))
+    return scored, found[-1] if judging_split(site) == HELD_OUT else scored[REFERENCE]
 
 
 # --- which are near enough: asked in an order that their losses have no say in, so that luck passes none --------------
@@ -321,7 +303,9 @@ def mark_within(rows: Sequence[dict], tolerance: float, noise: Noise | None, gai
             row["within"] = bool(row["same_as_twin"]) and within[row["twin"]]
 
 
-def rung_rows(rungs: Iterable[Rung], reference: Reference, found: Scored, timed: Times) -> list[dict]:
+def rung_rows(
+    rungs: Iterable[Rung], reference: Reference, scored: Mapping[Fidelity, Landscape], timed: Times, phases: int
+) -> list[dict]:
     """A row for each rung, the reference first: its time and its accuracy, as JSON holds it.
 
     A rung that ought to come to the same as its twin, and does not, has None for its accuracy.
@@ -329,14 +313,13 @@ def rung_rows(rungs: Iterable[Rung], reference: Reference, found: Scored, timed:
     of_reference = np.median(_seconds(REFERENCE, timed))
     rows = []
     for rung in rungs:
-        fidelity, same, known = rung.fidelity, None, None
+        fidelity, of, same = rung.fidelity, rung.twin or rung.fidelity, None
         if rung.twin is not None:
-            few, many = found.checked[fidelity].objective, found.ladder[rung.twin][0].objective
+            few, many = scored[fidelity].objective, scored[rung.twin].objective
             same = bool(np.allclose(few, many[: len(few)], rtol=SAME, atol=SAME))
-        if same is not False:
-            of = rung.twin or fidelity
-            known = accuracy(reference, found.ladder[whole(of)], looked_at(of, len(reference.searched.vehicles)))
         first, median, third = 1e3 * np.quantile(_seconds(fidelity, timed), [0.25, 0.5, 0.75])
+        found = [scored[phase] for phase in phased(of, phases)]
+        known = accuracy_row(reference, found, looked_at(of, len(reference.searched.vehicles)))
         rows.append(
             {
                 "name": fidelity.name,
@@ -351,8 +334,8 @@ def rung_rows(rungs: Iterable[Rung], reference: Reference, found: Scored, timed:
                 "same_as_twin": same,
                 "milliseconds": {"first_quartile": first, "median": median, "third_quartile": third},
                 "build_milliseconds_per_frame": float(1e3 * np.median(timed[whole(fidelity)][1])),
-                "speedup": float(1e3 * of_reference / median),
-                **_accuracy_fields(known, reference.gain),
+                "speedup": float(of_reference * 1e3 / median),
+                **(dict.fromkeys(known) if same is False else known),
             }
         )
     known = [row for row in rows if row["error"] is not None]
@@ -360,6 +343,21 @@ def rung_rows(rungs: Iterable[Rung], reference: Reference, found: Scored, timed:
     for row in rows:
         row["pareto"] = any(row is known[number] for number in front)
     return rows
+
+
+def accuracy_row(reference: Reference, phases: Sequence[Landscape], frames: np.ndarray) -> dict[str, object]:
+    """The `accuracy` of a fidelity as JSON holds it."""
+    found, gain = accuracy(reference, phases, frames), reference.gain
+    lost = found.regret
+    return {
+        "bias": found.bias,
+        "error": found.error,
+        "error_share": found.error / gain if gain > 0.0 else None,
+        "tau": None if np.isnan(found.tau) else found.tau,
+        "regret": lost and lost.share,
+        "regret_interval_90": lost and lost.interval_90,
+        "regret_bound": lost and lost.bound(BOUND_LEVEL),
+    }
 
 
 def looked_at(fidelity: Fidelity, searched: int, frames: int | None = None) -> np.ndarray:
@@ -377,22 +375,6 @@ def _seconds(fidelity: Fidelity, timed: Times) -> np.ndarray:
 
 def _costs(row: Mapping) -> tuple[float, float]:
     return row["milliseconds"]["median"], row["error"]
-
-
-def _accuracy_fields(found: Accuracy | None, gain: float) -> dict:
-    if found is None:
-        keys = ("bias", "error", "error_share", "tau", "regret", "regret_interval_90", "regret_bound")
-        return dict.fromkeys(keys)
-    lost = found.regret
-    return {
-        "bias": found.bias,
-        "error": found.error,
-        "error_share": found.error / gain if gain > 0.0 else None,
-        "tau": None if np.isnan(found.tau) else found.tau,
-        "regret": None if lost is None else lost.share,
-        "regret_interval_90": None if lost is None or lost.interval_90 is None else list(lost.interval_90),
-        "regret_bound": None if lost is None else lost.bound(BOUND_LEVEL),
-    }
 
 
 def recommended(rows: Sequence[dict]) -> dict:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from ..metrics.catalogue import PE_VGOP, metric_named
 from ..run.installation import tolerance_text
 from ..run.optimise import fresh_search
 from ..run.tolerance import installed, losses_over_tolerance, objective_over
-from ..run.verdict import AXES, judge, vehicle_table
-from ..scene.provenance import versions
+from ..run.verdict import AXES, vehicle_table
 from ..scene.scenario import pose_at
 from ..scene.settings import COORDINATES, Tolerance
 from ..scene.site import Site
@@ -29,14 +27,14 @@ from .driver import (
     AS_IT_IS,
     HELD_OUT,
     SEARCHED,
-    CounterMaker,
     Job,
     Landscape,
-    Stages,
     StudyFolder,
     Variation,
     judging_split,
+    percent,
     split_of,
+    study_head,
 )
 from .findings import (
     ASKED_DEG,
@@ -57,7 +55,6 @@ from .findings import (
     lost,
     mountings_about,
     optimum_finding,
-    percent,
     sample_size,
     sample_size_finding,
 )
@@ -81,7 +78,7 @@ _PEAK = 1.0 / math.e  # of -P log2 P
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class StabilityEffort:
     """How much of everything is done.
 
     Attributes
@@ -115,11 +112,11 @@ class Effort:
     quick: bool
 
 
-FULL = Effort(None, 15, heights=6, tilts=26, fine_tilts=51, seeds=11, budget=1.0, draws=8, quick=False)
-QUICK = Effort(8, 8, heights=4, tilts=26, fine_tilts=51, seeds=3, budget=0.3, draws=2, quick=True)
+FULL = StabilityEffort(None, 15, heights=6, tilts=26, fine_tilts=51, seeds=11, budget=1.0, draws=8, quick=False)
+QUICK = StabilityEffort(8, 8, heights=4, tilts=26, fine_tilts=51, seeds=3, budget=0.3, draws=2, quick=True)
 
 
-def study_identity(site: Site, effort: Effort, mounting: Mapping[str, float] | None) -> dict[str, object]:
+def study_identity(site: Site, effort: StabilityEffort, mounting: Mapping[str, float] | None) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"study {name}": value for name, value in asdict(effort).items()}
     limits = {"study losses": [MOST_STABLE_LOSS, MOST_FRAGILE_LOSS], "study schema": SCHEMA}
@@ -127,7 +124,7 @@ def study_identity(site: Site, effort: Effort, mounting: Mapping[str, float] | N
 
 
 def study_stability(
-    site: Site, effort: Effort, folder: StudyFolder, counter: CounterMaker, mounting: Mapping[str, float] | None = None
+    site: Site, effort: StabilityEffort, folder: StudyFolder, mounting: Mapping[str, float] | None = None
 ) -> dict:
     """Carry out every stage that the folder does not hold, and put the results together.
 
@@ -135,11 +132,9 @@ def study_stability(
     ----------
     site : Site
         The scene, made ready.
-    effort : Effort
+    effort : StabilityEffort
     folder : StudyFolder
         Locked by the caller.
-    counter : callable
-        Told of progress.
     mounting : mapping of str to float, optional
         The mounting in question, in metres and degrees; what the scene's search finds with its own seed if left out.
 
@@ -148,70 +143,55 @@ def study_stability(
     dict
         As JSON holds it; the same whether a run was interrupted or not.
     """
-    scene, whole = site.scenario, with_fewer_frames(site, effort.frames)
+    scene, judging, seed = site.scenario, judging_split(site), site.scenario.search.seed
+    whole = with_fewer_frames(site, effort.frames)
     few = with_fewer_frames(whole, effort.varied_frames)
-    seed, metric, judging = scene.search.seed, metric_named(site.scoring.metric), judging_split(site)
-    stages = Stages(folder, counter)
-    answers = _answers(stages, whole, effort)
+    judges, judged_block = split_of(site if judging == HELD_OUT else few, judging)
+    answers = _answers(folder, whole, effort)
     reference = dict(answers[0]["mounting"] if mounting is None else mounting)
+    tolerance = scene.objective.tolerance or USUAL
 
     lowest, highest = scene.deployment.bounds.get(TILT, (0.0, 0.0))
     fine_tilts = max(effort.fine_tilts, math.ceil((highest - lowest) / ASKED_DEG) + 1)
     fine = mountings_about(scene, reference, effort.heights, fine_tilts)
-    sampled = [Job(AS_IT_IS, fine.poses, split) for split in dict.fromkeys((SEARCHED, judging))]
-    as_it_is = stages.landscapes(site, sampled, "the scene as it is")
+    splits = tuple(dict.fromkeys((SEARCHED, judging)))
+    as_it_is = folder.landscapes(site, [Job(AS_IT_IS, fine.poses, split) for split in splits], "the scene as it is")
+    held_out = as_it_is[1] if judging == HELD_OUT else None
     optimum, intervals = optimum_finding(as_it_is[0], fine, site.plan.search_block, seed)
-    verdict = stages.stage("held_out", lambda: _judged(site, reference, seed))
-    findings = [gain_finding(verdict["reference"], metric), optimum]
+    findings = [gain_finding(held_out, site.plan.holdout_block, seed, metric_named(site.scoring.metric)), optimum]
     if TILT in scene.deployment.bounds:  # else there is no best tilt to be certain of
-        of_blocks = [one.blocks(split_of(site, job.split)[1]) for job, one in zip(sampled, as_it_is, strict=True)]
+        of_blocks = [one.blocks(split_of(site, split)[1]) for split, one in zip(splits, as_it_is, strict=True)]
         every = (np.concatenate(parts, axis=-1) for parts in zip(*of_blocks, strict=True))
         findings.append(sample_size_finding(sample_size(*every, fine.tilt_deg, seed)))
-    if metric.name == PE_VGOP.name:  # other metrics have no such peak
-        findings.append(saturation_finding(stages.stage("views", lambda: _views_beyond_the_peak(site, reference))))
-    judged_answers = stages.stage("answers", lambda: _judged_answers(site, judging, answers))
+    if site.scoring.metric == PE_VGOP.name:  # other metrics have no such peak
+        findings.append(saturation_finding(folder.stage("views", lambda: _views_beyond_the_peak(site, reference))))
 
-    coarse, tolerance = (
-        mountings_about(scene, reference, effort.heights, effort.tilts),
-        scene.objective.tolerance or USUAL,
-    )
-    judges, judged_block = split_of(site if judging == HELD_OUT else few, judging)
-    hung = stages.stage(
-        "installation", lambda: _installation(stages, site, few, coarse, tolerance, judges, judged_block)
-    )
+    coarse = mountings_about(scene, reference, effort.heights, effort.tilts)
+    hung = folder.stage("installation", lambda: _installation(folder, few, judging, coarse, tolerance))
+    findings += installation_findings(hung["off_plan"], hung["robust"], tolerance)
     varied = [
         replace(AS_IT_IS, section=TRAFFIC),
         *metric_variations(few),  # which share its cast
-        *traffic_variations(few, effort.draws),
+        *traffic_variations(effort.draws),
         *sensor_variations(few, effort.draws),
     ]
-    block = judged_block if judging == HELD_OUT else None
-    findings += installation_findings(hung["off_plan"], hung["robust"], tolerance)
-    for change, draws in _draws(stages, few, varied, coarse, judging).items():
-        findings.append(finding_of(change, draws, coarse, intervals, block))
+    for change, draws in _draws(folder, few, varied, coarse, judging).items():
+        findings.append(finding_of(change, draws, coarse, intervals, judged_block if judging == HELD_OUT else None))
     looked_at = np.isin(site.plan.search, whole.plan.search)
-    values = Landscape(as_it_is[0].objective[:, looked_at], as_it_is[0].vehicles[looked_at]).per_vehicle()
-    findings += search_findings(answers, float(values[CANDIDATES:].max()), float(values[BASELINE]), judged_answers)
+    searched = Landscape(as_it_is[0].objective[:, looked_at], as_it_is[0].vehicles[looked_at]).per_vehicle()
+    best, baseline = float(searched[CANDIDATES:].max()), float(searched[BASELINE])
+    findings += search_findings(answers, best, baseline, _judged_answers(folder, site, judging, answers))
     findings.sort(key=lambda finding: SECTIONS.index(finding.section))  # which keeps their order within a section
     values = as_it_is[0].per_vehicle()
     return {
-        "schema": SCHEMA,
-        "scene": Path(scene.source).name,
-        "sensor": site.model.name,
-        "caster": site.observation.caster,
-        "detail": site.observation.detail,
-        "metric": metric.name,
-        "metric_unit": metric.unit,
+        **study_head(site, SCHEMA, effort),
         "reading": scene.objective.reading,
         "search": scene.search.method,
-        "seed": seed,
-        "frames": len(site.search),
         "answered_frames": len(whole.search),
         "varied_frames": len(few.search),
         "judged_on": judging,
         "judged_frames": len(judges),
         "vehicles": int(as_it_is[0].vehicles.sum()),
-        "effort": asdict(effort),
         "mounting": reference,
         "baseline": dict(scene.baseline),
         "mounting_given": mounting is not None,
@@ -221,91 +201,96 @@ def study_stability(
         "profiles": hung["profiles"],
         "seeds": answers,
         "findings": [asdict(finding) for finding in findings],
-        "notes": list(site.plan.notes),
-        "versions": versions(site.observation.caster),
     }
 
 
-def _answers(stages: Stages, site: Site, effort: Effort) -> list[dict]:
+def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[dict]:
     """What the search finds with the scene's seed and with the ones that follow it: mounting, value, evaluations."""
     scene = site.scenario
     iterations = max(1, round(effort.budget * scene.search.iterations))
-    seeds = range(scene.search.seed, scene.search.seed + effort.seeds)
+    stages = {seed: f"seed_{seed}" for seed in range(scene.search.seed, scene.search.seed + effort.seeds)}
     searches = {
         seed: fresh_search(replace(scene, search=replace(scene.search, seed=seed, iterations=iterations)))
-        for seed in seeds
-        if not stages.folder.holds(f"seed_{seed}")
+        for seed, stage in stages.items()
+        if not folder.holds(stage)
     }
     if searches:
         total = sum(search.budget for search in searches.values())
         with (
-            stages.counting(total, f"{len(searches)} searches") as advance,
+            folder.counting(total, f"{len(searches)} searches") as shown,
             site_evaluator(site, site.search) as evaluator,
         ):
             for seed, search in searches.items():
                 while not search.done:
                     asked = search.ask()
                     search.tell(evaluator.totals([scene.deployment.pose(x) for x in asked]).per_vehicle())
-                    advance(len(asked))
+                    shown.advance(len(asked))
                 answer = {
                     "seed": seed,
                     "mounting": scene.deployment.coordinates(search.best_x),
                     "per_vehicle": search.best_value,
                     "evaluations": search.evaluations,
                 }
-                stages.folder.store(f"seed_{seed}", answer)
-    return [stages.folder.stored(f"seed_{seed}") for seed in seeds]
+                folder.store(stages[seed], answer)
+    return [folder.stored(stage) for stage in stages.values()]
+
+
+def _judged_answers(folder: StudyFolder, site: Site, judging: str, answers: Sequence[Mapping]) -> list[float]:
+    """What the baseline and the answers of all seeds come to, per vehicle, on the frames that judge."""
+    poses = (site.scenario.baseline_pose, *(pose_at(answer["mounting"]) for answer in answers))
+    (judged,) = folder.landscapes(site, [Job(replace(AS_IT_IS, section="answers"), poses, judging)], "answers judged")
+    return judged.per_vehicle().tolist()
 
 
 def _draws(
-    stages: Stages, site: Site, variations: Sequence[Variation], mountings: Mountings, judging: str
+    folder: StudyFolder, site: Site, variations: Sequence[Variation], mountings: Mountings, judging: str
 ) -> dict[tuple[str, str, str], list[Draw | str]]:
     """The best mounting of each variation, chosen on the searched frames and judged beside the one in question.
 
     By section, what and value, as several draws of one change share them; a text where the site allows no such change.
     """
-    searched = stages.landscapes(site, [Job(one, mountings.poses) for one in variations], "the scene varied")
-    rows = [
-        None if isinstance(found, str) else [REFERENCE, BASELINE, CANDIDATES + best_candidate(found)]
-        for found in searched
-    ]
+    searched = folder.landscapes(site, [Job(one, mountings.poses) for one in variations], "the scene varied")
+    known = [(one, found) for one, found in zip(variations, searched, strict=True) if not isinstance(found, str)]
+    rows = [[REFERENCE, BASELINE, CANDIDATES + best_candidate(found)] for _, found in known]
     if judging == HELD_OUT:
-        known = [(one, of) for one, of in zip(variations, rows, strict=True) if of is not None]
-        jobs = [Job(one, tuple(mountings.poses[row] for row in of), HELD_OUT) for one, of in known]
-        judged = iter(stages.landscapes(site, jobs, "variations judged"))
+        every = mountings.poses
+        jobs = [Job(one, tuple(every[row] for row in of), HELD_OUT) for (one, _), of in zip(known, rows, strict=True)]
+        judged = folder.landscapes(site, jobs, "variations judged")
     else:
-        judged = (found.select(of) for found, of in zip(searched, rows, strict=True) if of is not None)
+        judged = [found.select(of) for (_, found), of in zip(known, rows, strict=True)]
+    told = {
+        one: seen if isinstance(seen, str) else Draw(of[-1] - CANDIDATES, chooses(found), seen)
+        for (one, found), of, seen in zip(known, rows, judged, strict=True)
+    }
     draws: dict[tuple[str, str, str], list[Draw | str]] = {}
-    for one, found, of in zip(variations, searched, rows, strict=True):
-        seen = found if of is None else next(judged)
-        draw = seen if isinstance(seen, str) else Draw(of[CANDIDATES] - CANDIDATES, chooses(found), seen)
-        draws.setdefault((one.section, one.what, one.value), []).append(draw)
+    for one, found in zip(variations, searched, strict=True):
+        draws.setdefault((one.section, one.what, one.value), []).append(told.get(one, found))
     return draws
 
 
 def _installation(
-    stages: Stages, site: Site, few: Site, mountings: Mountings, tolerance: Tolerance, judges, block: np.ndarray
-) -> dict:
+    folder: StudyFolder, site: Site, judging: str, mountings: Mountings, tolerance: Tolerance
+) -> dict[str, dict]:
     """The mounting off its plan, on the frames that judge; the robust optimum is looked for as each variation's is."""
-    with stages.counting(3, "installed only nearly so") as advance:
-        with site_evaluator(few, few.search) as evaluator:  # best where it hangs only nearly as planned
-            robust = mountings.grid[int(np.argmax(objective_over(evaluator, mountings.grid, tolerance)))]
-        advance(1)
-        with site_evaluator(site, judges) as evaluator:
-            planned, baseline = evaluator.totals(list(mountings.poses[:CANDIDATES])).per_vehicle()
-            found = {"profiles": _profiles(evaluator, mountings.reference, planned, baseline)}
-            advance(1)
-            losses = losses_over_tolerance(evaluator, mountings.reference, tolerance, block)
-            found["off_plan"] = {
-                "gain": losses.planned_per_vehicle - float(baseline),
-                "kept": losses.kept(float(baseline)),
-                "limits": {key: list(lost) for key, lost in losses.limit_losses.items()},
-            }
-            over = objective_over(evaluator, [mountings.reference, robust], tolerance) / evaluator.vehicles.sum()
-            sharp, best = (over - baseline).tolist()
-            found["robust"] = {"mounting": robust, "sharp_gain": sharp, "robust_gain": best}
-            advance(1)
-    return found
+    plan, block = mountings.reference, split_of(site, judging)[1]
+    with (
+        folder.counting(3, "installed only nearly so") as shown,
+        site_evaluator(site, site.search, site.holdout) as evaluator,
+    ):
+        # Best where it hangs only nearly as planned:
+        robust = mountings.grid[int(np.argmax(objective_over(evaluator, mountings.grid, tolerance)))]
+        shown.advance(1)
+        judge = evaluator.held_out if judging == HELD_OUT else evaluator
+        planned, baseline = judge.totals(list(mountings.poses[:CANDIDATES])).per_vehicle().tolist()
+        profiles = _profiles(judge, plan, planned, baseline)
+        shown.advance(1)
+        losses = losses_over_tolerance(judge, plan, tolerance, block)
+        over = objective_over(judge, [plan, robust], tolerance) / judge.vehicles.sum()
+        nominal, best = (over - baseline).tolist()
+        shown.advance(1)
+    off_plan = {"gain": planned - baseline, "kept": losses.kept(baseline), "limits": losses.limit_losses}
+    beside = {"mounting": robust, "sharp_gain": nominal, "robust_gain": best}
+    return {"profiles": profiles, "off_plan": off_plan, "robust": beside}
 
 
 def _profiles(evaluator: Evaluator, plan: Mapping[str, float], planned: float, baseline: float) -> dict[str, dict]:
@@ -316,30 +301,15 @@ def _profiles(evaluator: Evaluator, plan: Mapping[str, float], planned: float, b
     found = {}
     for key, reach in PROFILES.items() if planned > baseline else ():
         offsets = np.linspace(-reach, reach, 2 * _STEPS + 1)
-        errors = np.zeros((len(offsets), len(COORDINATES)))
-        errors[:, COORDINATES.index(key)] = offsets
-        values = evaluator.totals(installed(plan, errors)).per_vehicle()
+        values = evaluator.totals(installed(plan, np.outer(offsets, np.array(COORDINATES) == key))).per_vehicle()
         found[key] = {"offset": offsets.tolist(), "kept": ((values - baseline) / (planned - baseline)).tolist()}
     return found
 
 
-def _judged(site: Site, reference: Mapping[str, float], seed: int) -> dict:
-    mountings = {"reference": pose_at(reference), "baseline": site.scenario.baseline_pose}
-    with site_evaluator(site, site.search, site.holdout) as evaluator:
-        return judge(site, mountings, evaluator, seed)
-
-
-def _judged_answers(site: Site, judging: str, answers: Sequence[Mapping]) -> dict:
-    """What the baseline and the answers of all seeds come to on the frames that judge."""
-    poses = [site.scenario.baseline_pose, *(pose_at(answer["mounting"]) for answer in answers)]
-    with site_evaluator(site, split_of(site, judging)[0]) as evaluator:
-        values = evaluator.totals(poses).per_vehicle().tolist()
-    return {"baseline": values[0], "answers": values[1:]}
-
-
 def _views_beyond_the_peak(site: Site, mounting: Mapping[str, float]) -> dict:
     """Share of the views with any return whose occupancy exceeds 1/e, of all and of those nearer than 10 m."""
-    table = vehicle_table(pose_at(mounting), search=Evaluator(site.search, site.observation, site.scoring))
+    with site_evaluator(site, site.search) as evaluator:
+        table = vehicle_table(pose_at(mounting), search=evaluator)
     views = np.stack([table[view] for view in ("p_top", "p_side", "p_front")], axis=1)
     every, near = (seen[seen > 0] for seen in (views, views[table["distance_m"] < 10.0]))
     shares = [float((seen > _PEAK).mean()) if len(seen) else None for seen in (every, near)]
@@ -364,11 +334,14 @@ def saturation_finding(found: Mapping) -> Finding:
 
 # --- an installer's errors --------------------------------------------------------------------------------------------
 
-_NAMES = {
-    "height_m": ("height", "m", "height_m"),
-    "tilt_x_deg": ("tilt across the road", "deg", "tilt_deg"),
-    "tilt_y_deg": ("tilt along the road", "deg", "tilt_deg"),
-    "yaw_deg": ("yaw", "deg", "yaw_deg"),
+_ACROSS = " across the road"
+_NAMES = {  # name, unit, digits
+    "height_m": ("height", "m", 2),
+    "tilt_x_deg": (f"tilt{_ACROSS}", "deg", 1),
+    "x_m": ("x", "m", 2),
+    "y_m": ("y", "m", 2),
+    "tilt_y_deg": ("tilt along the road", "deg", 1),
+    "yaw_deg": ("yaw", "deg", 1),
 }
 
 
@@ -378,10 +351,10 @@ def installation_findings(found: Mapping, robust: Mapping, tolerance: Tolerance)
         return [Finding(MOUNTING, "installation", "", UNDECIDED, "the mounting gains nothing over the baseline")]
     lines = []
     for key, limits in found["limits"].items():
-        name, unit, width = _NAMES[key]
+        name, unit, _ = _NAMES[key]
         minus, plus = (loss / found["gain"] for loss in limits)
         text = f"{lost(minus)} where it is less, {lost(plus)} where it is more"
-        value = f"+/-{getattr(tolerance, width):g} {unit}"
+        value = f"+/-{tolerance.half_widths[key]:g} {unit}"
         lines.append(Finding(MOUNTING, name, value, by_loss(max(minus, plus)), text, {"limits": [minus, plus]}))
     loss = 1.0 - found["kept"]
     aim = "on average" if tolerance.aim == "mean" else "in nine of ten installations"
@@ -406,18 +379,8 @@ def _robust(found: Mapping) -> Finding:
 
 # --- the search: do other seeds find the same, and as good? -----------------------------------------------------------
 
-_TEXTS = {  # name, unit, digits; those that all answers share are told of the first two alone
-    "height_m": ("height", "m", 2),
-    "tilt_x_deg": ("tilt", "deg", 1),
-    "x_m": ("x", "m", 2),
-    "y_m": ("y", "m", 2),
-    "tilt_y_deg": ("tilt along the road", "deg", 1),
-    "yaw_deg": ("yaw", "deg", 1),
-}
-_ALWAYS_TOLD = ("height_m", "tilt_x_deg")
 
-
-def search_findings(answers: Sequence[dict], best: float, baseline: float, judged: Mapping) -> list[Finding]:
+def search_findings(answers: Sequence[dict], best: float, baseline: float, judged: Sequence[float]) -> list[Finding]:
     """What the answers of several seeds leave to the best known mounting, and how far apart they lie.
 
     Parameters
@@ -426,8 +389,8 @@ def search_findings(answers: Sequence[dict], best: float, baseline: float, judge
         Of each seed: ``mounting``, its value ``per_vehicle``, and ``evaluations``.
     best, baseline : float
         Objective per vehicle of the best grid point and of the baseline, on the frames of the search.
-    judged : mapping
-        Objective per vehicle of the ``"baseline"`` and of the ``"answers"``, on the frames that judge.
+    judged : sequence of float
+        Objective per vehicle of the baseline and of each answer, on the frames that judge.
     """
     value = f"{len(answers)} seeds of {answers[0]['evaluations']:,} evaluations"
     values = np.array([answer["per_vehicle"] for answer in answers])
@@ -440,17 +403,15 @@ def search_findings(answers: Sequence[dict], best: float, baseline: float, judge
     return [regret, _spread(answers, value, judged)]
 
 
-def _spread(answers: Sequence[dict], value: str, judged: Mapping) -> Finding:
+def _spread(answers: Sequence[dict], value: str, judged: Sequence[float]) -> Finding:
     """How far apart answers lie, judged by what the least of them loses to the best on other traffic."""
     places, texts = {}, []
-    for key, (name, unit, digits) in _TEXTS.items():
+    for key, (name, unit, digits) in _NAMES.items():
         found = [answer["mounting"][key] for answer in answers]
-        if key not in _ALWAYS_TOLD and len(set(found)) == 1:
-            continue
-        places[key] = found
-        low, high = (f"{end:.{digits}f}" for end in (min(found), max(found)))
-        texts.append(f"{name} {low} to {high} {unit}")
-    gains = np.array(judged["answers"]) - judged["baseline"]
+        if key in AXES or len(set(found)) > 1:  # of the others nothing is told that all answers share
+            places[key] = found
+            texts.append(f"{name.removesuffix(_ACROSS)} {min(found):.{digits}f} to {max(found):.{digits}f} {unit}")
+    gains = np.array(judged[1:]) - judged[0]
     loss = float(1.0 - gains.min() / gains.max()) if gains.max() > 0.0 else None
     if loss is not None:
         texts.append(f"on the frames that judge the least of them gains {percent(loss)} less than the best")

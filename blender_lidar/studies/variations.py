@@ -37,7 +37,7 @@ Gaps = Callable[[np.ndarray], np.ndarray]
 """New bumper gaps from old ones [m]; negative where vehicles overlap."""
 
 
-def traffic_variations(site: Site, draws: int) -> list[Variation]:
+def traffic_variations(draws: int) -> list[Variation]:
     """The recording's traffic thinned, jammed, and with other shares of lorries; what is drawn `draws` times over."""
     numbers = range(1, draws + 1)
     found = [

@@ -1,0 +1,121 @@
+"""The report of a study, `chart` or `stability`: its sections as text and as Markdown, its tables and its pictures."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from ..errors import MissingExtraError
+from ..files import to_csv, write_text
+from ..studies.driver import StudyFolder
+
+PAGE = "report.md"
+WIDTH = 120  # of texts for a terminal
+_NARROWEST = 40  # of a table's last column, which is wrapped
+
+
+class Section(NamedTuple):
+    """A part of a report: its heading, a table, its header first, and lines below; what is empty is left out."""
+
+    heading: str
+    table: Sequence[Sequence[str]]
+    lines: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class StudyReport:
+    """How a study tells what it came to; all callables are given its result.
+
+    Attributes
+    ----------
+    title : str
+    result : str
+        Name of the file that holds the result itself, as JSON.
+    tables : mapping of str to callable
+        Rows of each CSV file, by its name; a column may be missing in some of them.
+    pictures : mapping of str to callable
+        Draws a picture at the path that it is given first, by its name; False where there is nothing to draw.
+    sections : callable
+        The sections; told whether they are for a page, and so all of it, or for a terminal.
+    answer : callable
+        Lines with what it comes to: the first ones of a page, and the last ones on a terminal.
+    """
+
+    title: str
+    result: str
+    tables: Mapping[str, Callable[[Mapping], Sequence[Mapping]]]
+    pictures: Mapping[str, Callable[[Path, Mapping], bool]]
+    sections: Callable[[Mapping, bool], Sequence[Section]]
+    answer: Callable[[Mapping], Sequence[str]]
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of all files that a study may leave."""
+        return PAGE, self.result, *self.tables, *self.pictures
+
+    def write(self, folder: StudyFolder, result: Mapping) -> list[str]:
+        """Write tables, pictures, the report and, last of all, the whole result; returns the names of the files.
+
+        Without matplotlib there are no pictures, and the last name says so.
+        """
+        for name, rows_of in self.tables.items():
+            rows = rows_of(result)
+            columns = list(dict.fromkeys(key for row in rows for key in row))
+            write_text(folder.file(name), to_csv(columns, [[row.get(key, "") for key in columns] for row in rows]))
+        drawn, note = [], []
+        try:
+            drawn = [name for name, draw in self.pictures.items() if draw(folder.file(name), result)]
+        except MissingExtraError as error:
+            note = [f"no pictures: {error}"]
+        write_text(folder.file(PAGE), self.markdown(result, drawn))
+        write_text(folder.file(self.result), json.dumps(result, indent=2) + "\n")
+        return [PAGE, self.result, *self.tables, *drawn, *note]
+
+    def text(self, result: Mapping) -> str:
+        """The report for a terminal, the answer last."""
+        parts = []
+        for heading, table, lines in (*self.sections(result, False), Section("", (), self.answer(result))):
+            told = [*filter(None, [heading]), *text_table(table), *filter(None, [lines and "\n".join(wrapped(lines))])]
+            parts.append("\n".join(told))
+        return "\n\n".join(parts)
+
+    def markdown(self, result: Mapping, pictures: Sequence[str]) -> str:
+        """The report as a page of Markdown, the answer first."""
+        parts = [f"# {self.title}", "", *(f"- **{line}**" for line in self.answer(result)), ""]
+        for heading, table, lines in self.sections(result, True):
+            parts += [f"## {heading}", ""] if heading else []
+            parts += [*markdown_table(table), ""] if table else []
+            parts += [*(f"- {line}" for line in lines), ""] if lines else []
+            if not heading:
+                parts += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})" for name in pictures] + [""]
+        return "\n".join(parts)
+
+
+# --- lines and tables -------------------------------------------------------------------------------------------------
+
+
+def wrapped(lines: Iterable[str]) -> list[str]:
+    """Lines no wider than a terminal."""
+    return [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
+
+
+def text_table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows, the header first, in columns; the last column is wrapped to the width of a terminal."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
+    indent = sum(widths) + 2 * len(widths)
+    lines = []
+    for *cells, last in rows:
+        start = "".join(f"{cell:<{width}}  " for cell, width in zip(cells, widths, strict=True))
+        found = textwrap.wrap(last, max(WIDTH - indent, _NARROWEST)) or [""]
+        lines += [(start + found[0]).rstrip(), *(" " * indent + more for more in found[1:])]
+    return lines
+
+
+def markdown_table(rows: Iterable[Sequence[str]]) -> list[str]:
+    """Rows, the header first, as a table of Markdown."""
+    header, *rest = rows
+    return [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rest)]
