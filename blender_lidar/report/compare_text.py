@@ -12,7 +12,7 @@ from ..studies.compare.detectors import ANY, PAPER, PERFORMANCE, Findings
 from ..studies.compare.labelled import NOT_TOLD
 from ..studies.compare.paired import LOSSES
 from ..studies.compare.paired_findings import ALL, TUNED, VALIDATION, judging
-from .study_files import text_table
+from .study import text_table
 
 _DRIVES = (
     "Frames of one drive show the same cars again, and no drives, or fewer than three, are told in a column drive of "
