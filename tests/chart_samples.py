@@ -12,7 +12,7 @@ import numpy as np
 from blender_lidar.report.cloud_figures import Sight, plot_clouds, plot_occupancy
 from blender_lidar.report.compare_figures import plot_against, plot_declines
 from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
-from blender_lidar.run.optimise import Outcome
+from blender_lidar.run.folder import Outcome
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.settings import COORDINATES
 from blender_lidar.studies.compare.detectors import Decline, Scatter
@@ -70,9 +70,7 @@ def score_map() -> ScoreMap:
 
 
 def outcome(*, metric: str = "pe-vgop", **changes: object) -> Outcome:
-    """What a search came to, as far as charts show it; `changes` replace what the result says."""
-    best = np.maximum.accumulate(np.random.default_rng(5).random(50))
-    history = np.column_stack([np.arange(1.0, 51.0), best - 0.1, best])
+    """What a run came to, as far as charts show it; `changes` replace what the result says."""
     result = {
         "sensor": "RS-16",
         "metric": metric,
@@ -85,7 +83,13 @@ def outcome(*, metric: str = "pe-vgop", **changes: object) -> Outcome:
         **scores(0.8, 4.0, 20.0),
         "baseline": scores(0.2, 2.0, 0.0),
     }
-    return Outcome(result | changes, table(2), table(1), score_map(), history)
+    return Outcome(None, result | changes, table(2), table(1))
+
+
+def history() -> np.ndarray:
+    """What a search tried: numbers, objectives and the best so far."""
+    best = np.maximum.accumulate(np.random.default_rng(5).random(50))
+    return np.column_stack([np.arange(1.0, 51.0), best - 0.1, best])
 
 
 def with_tables(before: dict, after: dict | None = None, **changes: object) -> Outcome:
@@ -145,13 +149,13 @@ def against(name: str, unit: str) -> Scatter:
 
 def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
     """Every chart with small arguments of its own."""
-    run = {"outcome": outcome()}
+    run = {"run": outcome()}
     declines = [decline(name, seed) for seed, name in enumerate("abcde")]
     detectors = [decline("one: confidence x IoU", 8), decline("other: confidence x IoU", 9)]
     units = {"a": "", "b": "bits", "c": "points/m²", "d": "m"}
     return {
-        "convergence": (plot_convergence, run),
-        "score_map": (plot_score_map, run),
+        "convergence": (plot_convergence, {**run, "history": history()}),
+        "score_map": (plot_score_map, {**run, "score_map": score_map()}),
         "by_distance": (plot_by_distance, run),
         "blind_zones": (plot_blind_zones, {**run, "road": ROAD}),
         "clouds": (plot_clouds, {"vehicles": vehicles(4), "sights": sights(np.arange(12) % 3 > 0), **HEADINGS}),

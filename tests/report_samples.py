@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from blender_lidar.cli import main
+from blender_lidar.report.page import report_html
 from blender_lidar.run.folder import RunFolder
 from tests.small_scene import HEADER, MAPPED, traffic_rows, without_charts, write_scene, write_table
 
@@ -104,6 +105,11 @@ def make_runs(folder: Path) -> Path:
         assert main(["evaluate", scene, *mount, "--out", str(folder / "given")]) == 0
         assert main(["optimise", str(write_scene(folder, all_of_it)), "--out", str(folder / "whole")]) == 0
     return folder
+
+
+def page_of(folder: RunFolder) -> str:
+    """The page of a run, made from its folder."""
+    return report_html(folder.read_outcome())
 
 
 def result_of(folder: RunFolder) -> dict:

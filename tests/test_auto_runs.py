@@ -121,14 +121,14 @@ def test_a_run_that_is_stopped_after_any_batch_goes_on_to_the_same(tmp_path, fin
     with folder.locked():
         while True:
             try:
-                outcome = optimise_site(site, folder, Stopping(after=2), resume=bool(stops))
+                result = optimise_site(site, folder, Stopping(after=2), resume=bool(stops))
                 break
             except Stop:
                 stops += 1
     assert stops >= 6  # after the screening's batches, a rung and those of the climbs
     assert result_of(folder.path) == result_of(finished[1])
     assert history_of(folder.path) == history_of(finished[1])
-    assert len(outcome.history) == outcome.result["evaluations"]
+    assert len(folder.read_history()) == result["evaluations"]
 
 
 def test_another_fidelity_is_another_run(finished, capsys):

@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from blender_lidar.run.installation import installation_text
+from blender_lidar.report.installation import installation_text
 from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.site import prepare
 from tests.small_scene import write_scene
@@ -27,6 +27,7 @@ def sheet(tmp_path):
             site,
             {
                 "sensor": "RS-16",
+                "search": "hardened",
                 "metric": "pe-vgop",
                 "deployment": MOUNT | mount,
                 **SCORES,
@@ -83,7 +84,7 @@ def test_what_to_expect_comes_from_frames_that_did_not_choose_the_mounting(sheet
     assert "held-out traffic" in text
     assert "70.0 % (baseline 25.0 %)" in text
     assert "0.500 to 1.250 bits per vehicle" in text
-    assert "the traffic that chose the mounting" in sheet()
+    assert "the traffic that chose it" in sheet()
 
 
 @pytest.mark.parametrize(

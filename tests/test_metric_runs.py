@@ -15,10 +15,8 @@ from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.metrics.metric import NEEDS_VIEW, Field, Metric, vehicle_returns
-from blender_lidar.report.page import report_html
-from blender_lidar.report.summary import answer, group_scores
+from blender_lidar.report.summary import answer, group_table, objective_text
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.run.installation import objective_text
 from blender_lidar.run.verdict import METRIC_VALUE, distance_bands, vehicle_table
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
@@ -29,6 +27,7 @@ from blender_lidar.scoring.scores import mountings_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
+from tests.report_samples import page_of
 from tests.sample_traffic import counted_frames
 from tests.small_scene import cli, done, without_charts, write_scene
 
@@ -144,7 +143,7 @@ def test_a_run_says_what_it_maximised(runs, name):
 def test_what_is_told_of_a_run_has_the_metrics_unit_and_no_other(runs, name):
     metric, folder = METRICS[name], runs / name
     page, sheet = (folder.joinpath(file).read_text(encoding="utf-8") for file in ("report.html", "installation.txt"))
-    assert report_html(RunFolder(folder)) == page
+    assert page_of(RunFolder(folder)) == page
     assert metric.in_unit("objective per vehicle") in page
     assert metric.tells in page
     assert metric.amount(result_of(folder)["holdout"]["objective_per_vehicle"]) in sheet
@@ -186,8 +185,8 @@ def test_groups_of_vehicles_are_scored_by_the_metric(runs):
 
 def test_groups_of_vehicles_have_no_share_of_what_a_scene_is_worth(runs):
     folder = RunFolder(runs / "s-mig")
-    tables = [folder.read_vehicles(name) for name in ("vehicles_baseline.csv", "vehicles.csv")]
-    for _, cells, _ in group_scores(distance_bands, result_of(folder.path), *tables).rows:
+    ((_, rows),) = group_table("distance", distance_bands, folder.read_outcome()).sections
+    for _, *cells, _ in rows:
         assert [cell == "-" for cell in cells] == 2 * [True, True, False, False]
 
 
@@ -209,8 +208,8 @@ def test_a_table_without_the_metric_is_damaged(runs, tmp_path):
     with folder.file("vehicles.csv").open(newline="") as stream:
         rows = list(csv.reader(stream))
     folder.file("vehicles.csv").write_text("".join(",".join(row[:-1]) + "\n" for row in rows))
-    with pytest.raises(InputError, match=r"vehicles.csv: is damaged: has no column 'metric_value'"):
-        report_html(folder)
+    with pytest.raises(InputError, match=r"vehicles.csv: is damaged, or not of this version: has no 'metric_value'"):
+        page_of(folder)
 
 
 def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_scene_sets_it(tmp_path):

@@ -28,6 +28,7 @@ from tests.chart_samples import (
     ROAD,
     chart_arguments,
     grey_pixels,
+    history,
     lightness,
     mount,
     occupancy,
@@ -122,8 +123,8 @@ def test_headings_legend_and_panels_do_not_cover_each_other(name, drawn):
 
 
 def test_convergence_leaves_out_candidates_without_a_value(tmp_path, figures):
-    history = np.array([[1.0, np.nan, np.nan], [2.0, -np.inf, np.nan], [3.0, 0.6, 0.6]])
-    plot_convergence(tmp_path / "c.png", replace(outcome(vehicles=2, baseline=scores(0.1, 2, 0)), history=history))
+    tried = np.array([[1.0, np.nan, np.nan], [2.0, -np.inf, np.nan], [3.0, 0.6, 0.6]])
+    plot_convergence(tmp_path / "c.png", outcome(vehicles=2, baseline=scores(0.1, 2, 0)), tried)
     dots = next(line for line in figures[0].axes[0].lines if line.get_label() == "one candidate")
     np.testing.assert_array_equal(dots.get_xdata(), [3.0])
     np.testing.assert_array_equal(dots.get_ydata(), [0.3])
@@ -141,8 +142,8 @@ def over_tolerance(**changes):
 
 
 def test_charts_over_a_tolerance_tell_the_sharp_mounting_from_the_robust_one(tmp_path, figures):
-    plot_convergence(tmp_path / "c.png", over_tolerance())
-    plot_score_map(tmp_path / "m.png", over_tolerance())
+    plot_convergence(tmp_path / "c.png", over_tolerance(), history())
+    plot_score_map(tmp_path / "m.png", over_tolerance(), score_map())
     convergence, landscape = map(words, figures)
     assert "Search over the tolerance: de-pso, seed 1, corrected reading" in convergence
     assert "baseline mounting (0.050 bits)" in convergence
@@ -162,13 +163,13 @@ def test_the_score_map_outlines_the_mountings_near_the_best(tmp_path, figures, m
         return contour(*args, **keywords)
 
     monkeypatch.setattr(Axes, "contour", note)
-    plot_score_map(tmp_path / "m.png", outcome())
+    plot_score_map(tmp_path / "m.png", outcome(), score_map())
     assert levels[-1] == [pytest.approx(0.8 - 0.01 * (0.8 - 0.2))]
     assert "within 1 % of the gain" in words(figures[0])
 
 
 def test_the_score_map_marks_a_mounting_off_the_map_at_its_edge(tmp_path, figures):
-    plot_score_map(tmp_path / "m.png", outcome(baseline=scores(0.2, 1.5, -5.0)))
+    plot_score_map(tmp_path / "m.png", outcome(baseline=scores(0.2, 1.5, -5.0)), score_map())
     marker = next(line for line in figures[0].axes[0].lines if "baseline" in line.get_label())
     assert (marker.get_xdata()[0], marker.get_ydata()[0]) == (0.0, 2.0)
     assert "baseline: 1.50 m, -5.0°, off the map" in words(figures[0])
@@ -179,9 +180,8 @@ def test_the_score_map_marks_a_mounting_off_the_map_at_its_edge(tmp_path, figure
     ("values", "best", "text"), [(np.full((6, 6), 0.2), 0.2, "the whole map"), (None, 2.0, "smaller than a cell")]
 )
 def test_the_score_map_copes_with_flat_and_steep_maps(values, best, text, tmp_path, figures):
-    run = outcome(objective_per_vehicle=best)
     landscape = score_map() if values is None else replace(score_map(), per_vehicle=values)
-    plot_score_map(tmp_path / "m.png", replace(run, score_map=landscape))
+    plot_score_map(tmp_path / "m.png", outcome(objective_per_vehicle=best), landscape)
     assert text in words(figures[0])
 
 
@@ -216,8 +216,8 @@ def test_one_band_and_unknown_entropies_are_drawn(number, tmp_path, figures):
 def test_charts_of_scores_say_the_metric_and_its_unit_and_have_room_for_it(name, tmp_path, figures):
     metric = METRICS[name]
     run = with_tables(table(1) | {"metric_value": metric.merit(np.full(200, 2.0))}, metric=name)
-    for plot in (plot_by_distance, plot_convergence, plot_score_map):
-        plot(tmp_path / "c.png", run)
+    for plot, more in ((plot_by_distance, ()), (plot_convergence, (history(),)), (plot_score_map, (score_map(),))):
+        plot(tmp_path / "c.png", run, *more)
     by_distance, convergence, landscape = figures
     score = by_distance.axes[1]
     assert metric.label in score.get_ylabel()
@@ -229,7 +229,7 @@ def test_charts_of_scores_say_the_metric_and_its_unit_and_have_room_for_it(name,
     boxes = [axes.yaxis.label.get_window_extent() for axes in by_distance.axes]
     assert not any(box.overlaps(other) for number, box in enumerate(boxes) for other in boxes[number + 1 :])
     assert max(box.y1 for box in boxes) <= by_distance.bbox.y1
-    assert f"at the end {metric.amount(run.history[-1, -1])})" in words(convergence)
+    assert f"at the end {metric.amount(history()[-1, -1])})" in words(convergence)
     assert convergence.axes[0].get_ylabel() == metric.in_unit("Objective per vehicle")
     assert metric.in_unit("Objective per vehicle") in {axes.get_ylabel() for axes in landscape.axes}
 

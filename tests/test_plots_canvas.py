@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from blender_lidar.errors import MissingExtraError, OutputError
 from blender_lidar.report import figure as canvas
 from blender_lidar.report.cloud_figures import footprints
-from blender_lidar.report.run_figures import band_means, cell_shares, covering_edges, plot_by_distance, plot_convergence
-from tests.chart_samples import chart_arguments, lightness, outcome, table, vehicles, with_tables
+from blender_lidar.report.run_figures import cell_means, covering_edges, plot_by_distance, plot_convergence
+from tests.chart_samples import chart_arguments, history, lightness, outcome, table, vehicles, with_tables
 
 
 def test_without_matplotlib_the_extra_to_install_is_named(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r'pip install "blender_lidar\[plots\]"'):
-        plot_convergence(tmp_path / "chart.png", outcome())
+        plot_convergence(tmp_path / "chart.png", outcome(), history())
     assert not list(tmp_path.iterdir())
 
 
@@ -31,7 +31,7 @@ def test_what_stands_in_the_way_stays_and_no_partial_file_is_left(name, tmp_path
     pytest.importorskip("matplotlib", reason="charts need matplotlib")
     (tmp_path / "chart.png" / "inside").mkdir(parents=True)
     with pytest.raises(OutputError, match=r"chart\.png: cannot be written") as caught:
-        plot_convergence(tmp_path / name, outcome())
+        plot_convergence(tmp_path / name, outcome(), history())
     assert "\n" not in str(caught.value)
     assert [path.name for path in tmp_path.rglob("*")] == ["chart.png", "inside"]
 
@@ -42,7 +42,7 @@ def test_a_read_only_folder_is_refused(tmp_path):
     tmp_path.chmod(0o500)
     try:
         with pytest.raises(OutputError, match="cannot be written"):
-            plot_convergence(tmp_path / "chart.png", outcome())
+            plot_convergence(tmp_path / "chart.png", outcome(), history())
         assert not list(tmp_path.iterdir())
     finally:
         tmp_path.chmod(0o700)
@@ -65,8 +65,8 @@ def test_drawing_leaves_settings_backend_and_pyplot_alone(tmp_path):
         "matplotlib.rcParams['font.size'] = 31.0\n"
         "before = dict(matplotlib.rcParams.items())\n"
         "from blender_lidar.report.run_figures import plot_convergence\n"
-        "from tests.chart_samples import outcome\n"
-        f"plot_convergence({str(tmp_path / 'chart.png')!r}, outcome())\n"
+        "from tests.chart_samples import history, outcome\n"
+        f"plot_convergence({str(tmp_path / 'chart.png')!r}, outcome(), history())\n"
         "assert dict(matplotlib.rcParams.items()) == before\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"
     )
@@ -76,9 +76,9 @@ def test_drawing_leaves_settings_backend_and_pyplot_alone(tmp_path):
 
 def test_the_users_own_settings_do_not_change_a_chart(tmp_path):
     matplotlib = pytest.importorskip("matplotlib", reason="charts need matplotlib")
-    plot_convergence(tmp_path / "plain.png", outcome())
+    plot_convergence(tmp_path / "plain.png", outcome(), history())
     with matplotlib.rc_context({"axes.facecolor": "black", "font.size": 20.0}):
-        plot_convergence(tmp_path / "own.png", outcome())
+        plot_convergence(tmp_path / "own.png", outcome(), history())
     assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "own.png").read_bytes()
 
 
@@ -116,7 +116,7 @@ def test_baseline_and_optimised_differ_in_grey_and_in_shape():
 @given(rows=st.lists(st.tuples(st.integers(0, 5), st.just(math.nan) | st.floats(0.0, 1.6)), max_size=60))
 def test_means_by_band_equal_a_loop_over_the_vehicles(rows):
     band, values = np.array(rows, dtype=float).reshape(-1, 2).T
-    means = band_means(band.astype(int), values, 6)
+    means = cell_means(values, [band], [np.arange(7.0)])
     for number in range(6):
         known = [value for mine, value in rows if mine == number and not math.isnan(value)]
         mean = math.fsum(known) / len(known) if known else math.nan
@@ -150,11 +150,11 @@ def test_covering_edges_hold_the_range_and_no_whole_cell_more(low, length, step,
 
 
 @given(seed=st.integers(0, 2**32 - 1), number=st.integers(0, 80))
-def test_cell_shares_equal_a_loop_over_the_cells(seed, number):
+def test_shares_of_cells_equal_a_loop_over_the_cells(seed, number):
     rng = np.random.default_rng(seed)
     x, y, counted = rng.uniform(-12.0, 12.0, number), rng.uniform(-2.0, 12.0, number), rng.random(number) < 0.5
     x_edges, y_edges = np.arange(-10.0, 11.0, 5.0), np.arange(0.0, 10.1, 3.0)
-    share = cell_shares(x, y, counted, x_edges, y_edges)
+    share = cell_means(counted, (y, x), (y_edges, x_edges))
     assert share.shape == (len(y_edges) - 1, len(x_edges) - 1)
     for row in range(share.shape[0]):
         for column in range(share.shape[1]):

@@ -9,10 +9,10 @@ import shutil
 import pytest
 
 from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError, OutputError
-from blender_lidar.report.page import report_html, write_report
+from blender_lidar.report.page import write_report
 from blender_lidar.run.folder import RunFolder
 from tests.refusals import refused
-from tests.report_samples import Page, change, result_of
+from tests.report_samples import Page, change, page_of, result_of
 from tests.small_scene import without_charts, write_scene
 
 
@@ -31,7 +31,7 @@ def one_line(error: BlenderLidarError) -> str:
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
     for place in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(MissingFileError, match="is not the folder of a run") as caught:
-            write_report(RunFolder(place))
+            write_report(RunFolder(place).read_outcome())
         assert str(place) in one_line(caught.value)
     assert not list(tmp_path.iterdir())
 
@@ -39,14 +39,14 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path):
 def test_a_run_that_was_stopped_is_refused_and_says_how_to_go_on(folder):
     folder.file("result.json").rename(folder.file("checkpoint.json"))
     with pytest.raises(MissingFileError, match="has not ended; go on with it: optimise --resume"):
-        report_html(folder)
+        page_of(folder)
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"null", b"\xff\xfe", b'{"schema": 99}', b"{}", b"[" * 100_000])
 def test_a_damaged_result_is_refused_by_name(folder, content):
     folder.file("result.json").write_bytes(content)
     with pytest.raises(InputError, match=r"result\.json: ") as caught:
-        report_html(folder)
+        page_of(folder)
     one_line(caught.value)
 
 
@@ -61,7 +61,7 @@ def leaves(value, keys=()):
 def page_or_refusal(folder: RunFolder) -> str | None:
     """What a refusal says; None where a page is made."""
     try:
-        Page(report_html(folder))
+        Page(page_of(folder))
     except InputError as error:
         return one_line(error)
     return None
@@ -108,7 +108,7 @@ def test_a_damaged_file_is_refused_by_name(folder, name, old, new):
     assert damaged != text
     folder.file(name).write_text(damaged)
     with pytest.raises(InputError, match=re.escape(name)) as caught:
-        report_html(folder)
+        page_of(folder)
     one_line(caught.value)
 
 
@@ -116,14 +116,14 @@ def test_a_damaged_file_is_refused_by_name(folder, name, old, new):
 def test_a_file_that_is_missing_is_named(folder, name):
     folder.file(name).unlink()
     with pytest.raises(BlenderLidarError, match=re.escape(name)):
-        report_html(folder)
+        page_of(folder)
 
 
 def test_a_result_of_before_it_told_its_scene_imperfections_and_scenery_has_a_page(folder):
     result = result_of(folder)
     del result["scene"], result["imperfections"], result["scenery"]
     change(folder, result)
-    page = Page(report_html(folder))
+    page = Page(page_of(folder))
     assert page.text(page.find("h1")[0]) == "run RS-16"  # called after its folder
     assert "Simulated with" not in page.text(page.find("main")[0])
 
@@ -142,7 +142,7 @@ def test_a_result_of_before_it_told_its_scene_imperfections_and_scenery_has_a_pa
 def test_a_key_that_is_damaged_is_refused_in_one_line(folder, key, value):
     change(folder, result_of(folder) | {key: value})
     with pytest.raises(InputError, match=r"result\.json: ") as caught:
-        report_html(folder)
+        page_of(folder)
     one_line(caught.value)
 
 
@@ -150,7 +150,7 @@ def test_a_page_that_cannot_be_written_is_one_line(folder):
     folder.file("report.html").unlink()
     folder.file("report.html").mkdir()
     with pytest.raises(OutputError, match=r"report\.html: cannot be written") as caught:
-        write_report(folder)
+        write_report(folder.read_outcome())
     one_line(caught.value)
 
 

@@ -7,10 +7,9 @@ import shutil
 
 import pytest
 
-from blender_lidar.report.page import report_html
 from blender_lidar.report.summary import answer, key_figures
 from blender_lidar.run.folder import RunFolder
-from tests.report_samples import Page, change, result_of
+from tests.report_samples import Page, change, page_of, result_of
 
 
 @pytest.fixture
@@ -50,8 +49,8 @@ def test_the_scores_are_those_of_the_result(stored_runs, page):
     rows = table_rows(page, "Baseline and optimised")
     base, held, base_held = result["baseline"], result["holdout"], result["baseline"]["holdout"]
     expected = {
-        "Mounting: height [m]": [base["deployment"]["height_m"], result["deployment"]["height_m"]],
-        "Mounting: tilt across the road [deg]": [mount["deployment"]["tilt_x_deg"] for mount in (base, result)],
+        ": height [m]": [base["deployment"]["height_m"], result["deployment"]["height_m"]],
+        ": tilt across the road [deg]": [mount["deployment"]["tilt_x_deg"] for mount in (base, result)],
         "Searched frames: objective [bits]": [base["objective"], result["objective"]],
         "Searched frames: objective per vehicle [bits]": [scores["objective_per_vehicle"] for scores in (base, result)],
         "Searched frames: detectable share [%]": [100 * scores["detectable_share"] for scores in (base, result)],
@@ -148,7 +147,7 @@ def test_cautions_repairs_sheet_scene_and_versions_are_there(folder):
     result["notes"] = ["a note on frames"]
     result["deployment"]["height_m"] = 4.5
     change(folder, result)
-    page = Page(report_html(folder))
+    page = Page(page_of(folder))
     items = [page.text(number) for number in page.find("li")]
     assert "The best height lies on a bound of [deployment]; beyond may be better." in items
     assert "a note on frames" in items

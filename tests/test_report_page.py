@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 import blender_lidar
 from blender_lidar.errors import InputError
 from blender_lidar.report.html import element, sheet_markup
-from blender_lidar.report.page import CHARTS, render_file, report_html, write_report
+from blender_lidar.report.page import CHARTS, render_file, write_report
 from blender_lidar.run.folder import RunFolder
-from tests.report_samples import Page, change, png, result_of
+from tests.report_samples import Page, change, page_of, png, result_of
 from tests.small_scene import done, without_charts, write_scene
 
 LOADING = {"src", "href", "srcset", "poster", "data", "action", "formaction", "background", "cite", "ping", "manifest"}
@@ -77,10 +77,10 @@ def test_every_header_cell_says_what_it_heads_and_rows_are_of_one_length(stored_
 
 def test_the_same_folder_gives_the_same_bytes(folder):
     draw(folder, CHART_FILES)
-    write_report(folder)
+    write_report(folder.read_outcome())
     first = folder.file("report.html").read_bytes()
-    assert write_report(folder) == folder.file("report.html")
-    assert folder.file("report.html").read_bytes() == first == report_html(folder).encode()
+    assert write_report(folder.read_outcome()) == folder.file("report.html")
+    assert folder.file("report.html").read_bytes() == first == page_of(folder).encode()
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ def test_the_same_folder_gives_the_same_bytes(folder):
 def test_pictures_are_the_folders_own_bytes_and_nothing_is_loaded_from_elsewhere(folder):
     names = [*RENDER_FILES, *CHART_FILES]
     draw(folder, names)
-    text = report_html(folder)
+    text = page_of(folder)
     page = Page(text)
     images = [present for tag, present in page.elements if tag == "img"]
     start = "data:image/png;base64,"
@@ -117,7 +117,7 @@ def check_loads_nothing(page: Page) -> None:
 
 def test_renders_stand_in_pairs_above_the_tables(folder):
     draw(folder, RENDER_FILES)
-    page = Page(report_html(folder))
+    page = Page(page_of(folder))
     order = [tag for tag in page.tags() if tag in ("figure", "img", "table")]
     assert order[:7] == ["figure", "img", "img", "figure", "img", "img", "table"]
     sides = [
@@ -128,14 +128,14 @@ def test_renders_stand_in_pairs_above_the_tables(folder):
 
 def test_a_render_without_its_counterpart_is_shown_alone(folder):
     draw(folder, RENDER_FILES[1:2])
-    page = Page(report_html(folder))
+    page = Page(page_of(folder))
     assert page.tags().count("img") == page.tags().count("figure") == 1
 
 
 @pytest.mark.parametrize("names", [[], CHART_FILES[:2], CHART_FILES])
 def test_the_page_is_made_with_the_charts_that_are_there_and_says_where_there_are_none(folder, names):
     draw(folder, names)
-    text = report_html(folder)
+    text = page_of(folder)
     assert Page(text).tags().count("figure") == len(names)
     assert ("There are no charts" in text) == (not names)
 
@@ -149,7 +149,7 @@ def test_a_picture_that_is_not_whole_is_refused_by_name_and_the_page_stays_as_it
     before = folder.file("report.html").read_bytes()
     folder.file("clouds.png").write_bytes(content)
     with pytest.raises(InputError, match=r"clouds\.png: is no PNG picture, or not a whole one$"):
-        write_report(folder)
+        write_report(folder.read_outcome())
     assert folder.file("report.html").read_bytes() == before
 
 
@@ -180,12 +180,12 @@ def test_no_text_of_the_folder_adds_an_element(folder):
 
     result = result_of(folder) | {"notes": ["a note"]}
     change(folder, result)
-    harmless = Page(report_html(folder))
+    harmless = Page(page_of(folder))
     change(folder, hostile(result))
     scene, sheet = (folder.file(name).read_text() for name in ("scene.toml", "installation.txt"))
     folder.file("scene.toml").write_text(f"{scene}# {HOSTILE}\n")
     folder.file("installation.txt").write_text(re.sub(r"(?m)(?<=\S)$", f" {HOSTILE}", sheet))
-    page = Page(report_html(folder))
+    page = Page(page_of(folder))
     assert page.tags() == harmless.tags()
     assert not page.comments
     assert page.text(page.find("main")[0]).count(HOSTILE) >= 10

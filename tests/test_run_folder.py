@@ -15,6 +15,7 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError, OutputError
+from blender_lidar.files import write_text
 from blender_lidar.report.summary import cautions
 from blender_lidar.run.folder import RunFolder
 from tests.refusals import refused
@@ -315,7 +316,7 @@ def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, capsys):
 
 def _write_two(folder, *names):
     for name in names:
-        folder.write_text(name, "here")
+        write_text(folder.file(name), "here")
 
 
 def test_a_lock_is_let_go_of_by_an_error_and_an_empty_new_folder_with_it(tmp_path):
@@ -367,4 +368,4 @@ def test_a_damaged_table_is_refused_by_name(tmp_path, capsys, name, content):
     optimise(capsys, scene, tmp_path / "run")
     (tmp_path / "run" / name).write_bytes(content)
     line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume", begun=True)
-    assert f"{name}: is damaged: " in line
+    assert f"{name}: is damaged, or not of this version: " in line

@@ -315,8 +315,8 @@ def test_with_stderr_closed_messages_went_among_the_json(attack, tmp_path, scene
 def test_an_evaluation_was_lost_when_its_traffic_had_vanished_meanwhile(tmp_path, scene):
     site = prepare(load_scenario(scene))
     (tmp_path / "traffic.csv").unlink()
-    outcome = evaluate_site(site, RunFolder(tmp_path), site.scenario.baseline)
-    assert outcome.result["identity"]["[traffic] path"].startswith("file with SHA-256 ")
+    result = evaluate_site(site, RunFolder(tmp_path), site.scenario.baseline)
+    assert result["identity"]["[traffic] path"].startswith("file with SHA-256 ")
 
 
 def test_traffic_that_changed_while_it_was_read_was_identified_by_what_had_not_been_read(scene, monkeypatch):

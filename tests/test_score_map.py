@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_lidar.run.verdict import FINE_POINTS, POINTS, ScoreMap, map_scores, near_best_threshold
+from blender_lidar.run.verdict import POINTS, ScoreMap, map_scores, near_best_threshold
 from blender_lidar.scene.scenario import Deployment, pose_at
 from blender_lidar.scoring.evaluation import Totals
 from blender_lidar.statistics import FEWEST_BLOCKS, interval_90, resampled_weights
@@ -120,7 +120,7 @@ def test_a_landscape_that_is_certain_has_an_interval_without_width():
 def test_the_interval_holds_the_optimum_and_widens_with_the_spread_of_the_blocks():
     widths = []
     for spread in (0.2, 0.5):
-        score_map = mapped(Hill(tops_about(3.2, 12.0, spread, 12)), grid=FINE_POINTS)
+        score_map = mapped(Hill(tops_about(3.2, 12.0, spread, 12)), grid=(26, 26))
         height, tilt, _ = score_map.best
         intervals = score_map.optimum_intervals_90(1)
         for axis, best in (("height_m", height), ("tilt_x_deg", tilt)):
@@ -152,7 +152,7 @@ def test_too_few_blocks_give_no_interval(blocks):
 
 
 def test_a_block_without_vehicles_does_not_move_the_optimum():
-    score_map = mapped(Hill([(3.5, 15.0)] * 5, [100, 100, 100, 0, 0]), grid=FINE_POINTS)
+    score_map = mapped(Hill([(3.5, 15.0)] * 5, [100, 100, 100, 0, 0]), grid=(26, 26))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         intervals = score_map.optimum_intervals_90(1)

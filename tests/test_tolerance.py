@@ -223,37 +223,37 @@ def test_each_error_has_the_score_that_its_mounting_has_alone(site, losses):
         for row in (0, 17, 120):
             hung = {key: plan[key] + error for key, error in zip(COORDINATES, errors[row], strict=True)}
             alone = evaluator.totals([pose_at(hung)])
-            np.testing.assert_array_equal(alone.objective[0], losses.installed.objective[row])
-            assert losses.installed.per_vehicle()[row] == alone.per_vehicle()[0]
+            np.testing.assert_array_equal(alone.objective[0], losses.installed.totals.objective[row])
+            assert losses.installed.totals.per_vehicle()[row] == alone.per_vehicle()[0]
         planned = evaluator.totals([pose_at(plan)]).per_vehicle()[0]
-        assert losses.planned_per_vehicle == planned
+        assert losses.planned.per_vehicle == planned
         assert set(losses.limit_losses) == {"height_m", "tilt_x_deg", "tilt_y_deg"}
         for key, ends in losses.limit_losses.items():
             for sign, loss in zip((-1.0, 1.0), ends, strict=True):
                 off = evaluator.totals([pose_at(plan | {key: plan[key] + sign * TOLERANCE.half_widths[key]})])
                 assert loss == pytest.approx(planned - off.per_vehicle()[0], abs=1e-12)
         objective = objective_over(evaluator, [plan], TOLERANCE, JUDGED_BASE)[0]
-    assert objective / losses.planned.vehicles.sum() == pytest.approx(losses.aimed_per_vehicle, rel=1e-12)
-    assert losses.installed.per_vehicle().std() > 0.0
+    assert objective / losses.planned.totals.vehicles.sum() == pytest.approx(losses.installed.per_vehicle, rel=1e-12)
+    assert losses.installed.totals.per_vehicle().std() > 0.0
 
 
 def test_counting_each_block_once_changes_nothing(site, losses):
     once = np.ones((1, len(np.unique(site.plan.search_block))))
-    assert losses.aimed_under(once)[0] == pytest.approx(losses.aimed_per_vehicle)
-    assert losses.planned_under(once)[0] == pytest.approx(losses.planned_per_vehicle)
+    assert losses.installed.per_vehicle_under(once)[0] == pytest.approx(losses.installed.per_vehicle)
+    assert losses.planned.per_vehicle_under(once)[0] == pytest.approx(losses.planned.per_vehicle)
 
 
 def test_the_interval_of_a_mean_is_that_of_the_mean_mounting(losses):
-    mean = block_sums(losses.installed.objective, losses.block).mean(axis=0)
-    found = statistic_interval_90(losses.aimed_under, losses.block_vehicles, 3)
-    assert found == pytest.approx(ratio_interval_90(mean, losses.block_vehicles, 3))
+    mean = block_sums(losses.installed.totals.objective, losses.installed.block).mean(axis=0)
+    found = statistic_interval_90(losses.installed.per_vehicle_under, losses.installed.block_vehicles, 3)
+    assert found == pytest.approx(ratio_interval_90(mean, losses.installed.block_vehicles, 3))
 
 
 def test_what_is_kept_is_a_share_of_the_gain_and_needs_one(losses):
-    base = losses.planned_per_vehicle - 0.5
-    assert losses.kept(base) == pytest.approx(1.0 + (losses.aimed_per_vehicle - losses.planned_per_vehicle) / 0.5)
-    assert losses.kept(losses.planned_per_vehicle) is None
-    assert losses.kept(losses.planned_per_vehicle + 0.1) is None
+    base = losses.planned.per_vehicle - 0.5
+    assert losses.kept(base) == pytest.approx(1.0 + (losses.installed.per_vehicle - losses.planned.per_vehicle) / 0.5)
+    assert losses.kept(losses.planned.per_vehicle) is None
+    assert losses.kept(losses.planned.per_vehicle + 0.1) is None
 
 
 # --- the interval of any statistic ------------------------------------------------------------------------------------

@@ -16,14 +16,13 @@ import pytest
 from blender_lidar.cli import main
 from blender_lidar.commands.options import parse_tolerance
 from blender_lidar.errors import InputError
-from blender_lidar.report.page import report_html
-from blender_lidar.report.summary import answer, cautions, comparison_sections
+from blender_lidar.report.summary import answer, cautions, comparison_table, costliest_text, kept_text
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.run.installation import costliest_text, kept_text, tolerance_text
+from blender_lidar.run.tolerance import tolerance_text
 from blender_lidar.scoring.evaluation import Workplace
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from tests.refusals import refused
-from tests.report_samples import Page, change, result_of
+from tests.report_samples import Page, change, page_of, result_of
 from tests.small_scene import CASTER, MAPPED, done, without_charts, without_times, write_scene
 from tests.test_resume import PROGRAM, stored_evaluations
 from tests.waiting import WAIT_S
@@ -207,7 +206,7 @@ def test_the_table_shows_both_optima_and_what_they_keep(runs, tmp_path, capsys):
 
 def test_gains_beside_a_baseline_that_hangs_off_did_not_say_that_they_are_over_it_as_planned(runs):
     result = stored(runs / "robust")
-    names = [row[0] for row in comparison_sections(result)[-1][1]]
+    names = [row[0] for row in comparison_table(result).sections[-1][1]]
     assert "gain over the baseline as planned [bits]" in names
     assert not any(name.startswith("gain per vehicle") for name in names)
     held = result["tolerance"]["robust"]["optimised"]["holdout"]
@@ -277,11 +276,11 @@ def test_what_robustness_costs_and_brings_is_told_with_its_intervals(runs):
 def test_a_result_of_before_there_were_tolerances_has_its_page(runs, tmp_path):
     shutil.copytree(runs / "plain", tmp_path / "run")
     old = RunFolder(tmp_path / "run")
-    before = report_html(old)
+    before = page_of(old)
     result = result_of(old)
     del result["tolerance"]
     change(old, result)
-    assert report_html(old) == before
+    assert page_of(old) == before
 
 
 @pytest.mark.parametrize(
@@ -303,7 +302,7 @@ def test_a_damaged_block_is_refused_by_name(folder, keys, value):
     table[keys[-1]] = value
     change(folder, result)
     with pytest.raises(InputError, match=r"result\.json: ") as caught:
-        report_html(folder)
+        page_of(folder)
     assert len(str(caught.value).splitlines()) == 1
 
 

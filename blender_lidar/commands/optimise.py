@@ -7,10 +7,12 @@ import json
 import sys
 
 from ..errors import InputError, MissingExtraError
+from ..files import write_text
 from ..metrics.catalogue import metric_named
+from ..report.installation import installation_text
 from ..report.page import write_report
-from ..run.folder import VEHICLES, VEHICLES_BASELINE, RunFolder
-from ..run.optimise import Outcome, evaluate_site, optimise_site
+from ..run.folder import CHECKPOINT, INSTALLATION, RunFolder
+from ..run.optimise import evaluate_site, optimise_site
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
@@ -42,19 +44,20 @@ def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
     return folder
 
 
-def report(args: argparse.Namespace, site: Site, outcome: Outcome, folder: RunFolder) -> int:
-    """Draw the charts, gather all in one page and print what was found."""
-    charts = []
+def report(args: argparse.Namespace, site: Site, folder: RunFolder) -> int:
+    """Of a run that has ended write the installation sheet, charts and the page, and print what was found."""
+    run, charts = folder.read_outcome(), []
+    write_text(folder.file(INSTALLATION), installation_text(site, run.result))
     try:
         from ..report.run_figures import draw_charts
 
-        charts = draw_charts(site, outcome, folder)
+        charts = draw_charts(site, run)
     except MissingExtraError as error:
         print(f"blender-lidar: note: no charts: {error}", file=sys.stderr)
-    write_report(folder)
-    say(args, comparison(outcome) + "\n\n" + files(folder, charts))
+    write_report(run)
+    say(args, comparison(run) + "\n\n" + files(folder, charts))
     if args.json:
-        print(json.dumps(outcome.result, indent=2))
+        print(json.dumps(run.result, indent=2))
     return 0
 
 
@@ -103,31 +106,21 @@ def _optimise(args: argparse.Namespace) -> int:
         folder.check(resume=args.resume)  # again: another run may have come first
         say(args, describe_site(site) + "\n")
         done = folder.read_result(site.identity) if args.resume else None
-        if done is not None:
-            return report(args, site, _stored_outcome(folder, done), folder)
-        if args.resume and not folder.holds_run():
+        if done is not None and done.get("search") is None:
+            raise InputError(
+                f"--resume: {folder.path}: holds one mounting's evaluation, not a search; give another --out"
+            )
+        if args.resume and done is None and not folder.file(CHECKPOINT).exists():
             say(args, f"{folder.path}: nothing is stored there to go on with; the search starts from its beginning.\n")
         try:
-            variables, metric = scenario.deployment.variables, metric_named(scenario.objective.metric)
-            with stops_recognised(), RunProgress(variables, metric) as listener:
-                outcome = optimise_site(site, folder, listener, resume=args.resume)
-            return report(args, site, outcome, folder)
+            if done is None:
+                variables, metric = scenario.deployment.variables, metric_named(scenario.objective.metric)
+                with stops_recognised(), RunProgress(variables, metric) as listener:
+                    optimise_site(site, folder, listener, resume=args.resume)
+            return report(args, site, folder)
         except KeyboardInterrupt:
             print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
             return 1
-
-
-def _stored_outcome(folder: RunFolder, result: dict) -> Outcome:
-    """What a run that has ended came to, from its folder."""
-    if result.get("search") is None:
-        raise InputError(f"--resume: {folder.path}: holds one mounting's evaluation, not a search; give another --out")
-    return Outcome(
-        result=result,
-        optimised=folder.read_vehicles(VEHICLES),
-        baseline=folder.read_vehicles(VEHICLES_BASELINE),
-        score_map=folder.read_score_map(),
-        history=folder.read_history(),
-    )
 
 
 def _evaluate(args: argparse.Namespace) -> int:
@@ -139,4 +132,5 @@ def _evaluate(args: argparse.Namespace) -> int:
     with folder.locked():
         folder.check()  # again: another run may have come first
         say(args, describe_site(site, searched=False) + "\n")
-        return report(args, site, evaluate_site(site, folder, mount), folder)
+        evaluate_site(site, folder, mount)
+        return report(args, site, folder)

@@ -5,25 +5,26 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import zip_longest
 
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import DePso
-from ..report.summary import cautions, compared_names, comparison_sections, group_scores
-from ..run.folder import RunFolder
-from ..run.installation import (
+from ..report.summary import (
     COORDINATE_NAMES,
+    Table,
     aim_text,
+    cautions,
+    comparison_table,
+    group_tables,
     imperfections_text,
     objective_text,
-    scenery_counts,
     scenery_text,
-    tolerance_text,
 )
-from ..run.optimise import AUTO, Outcome
-from ..run.tolerance import SEARCHED_BASE
-from ..run.verdict import distance_bands, lanes
+from ..run.folder import Outcome, RunFolder
+from ..run.optimise import AUTO, scenery_counts
+from ..run.tolerance import SEARCHED_BASE, tolerance_text
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
 
@@ -37,8 +38,8 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
     sensor = f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz"
     lines = [
         ("Sensor", f"{sensor}, range gate {observation.max_range_m:g} m"),
-        *_given("", imperfections_text(scenario.sensor.imperfections_as_table())),
-        *_given("Scenery", scenery_text(scenery_counts(observation.scenery))),
+        ("", imperfections_text(scenario.sensor.imperfections_as_table())),
+        ("Scenery", scenery_text(scenery_counts(site))),
         (
             "Traffic",
             f"{scenario.traffic.path}: {len(site.recording.frames)} frames, "
@@ -49,40 +50,39 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
             "Searched" if searched else "Scored",
             f"{_frames(site.search, plan.search_block)} of {plan.block_s:g} s; a vehicle counts in every frame",
         ),
-        ("Held out", _held_out(site)),
-        *_given("Tolerance", _tolerance_text(scenario, searched)),
-        *(("", note) for note in plan.notes),
         (
-            "Casting",
-            f"{observation.caster}, detail {observation.detail}, {workplace_of(scenario.model)}",
+            "Held out",
+            f"{_frames(site.holdout, plan.holdout_block)}; none of them is in a searched frame"
+            if len(site.holdout)
+            else "nothing",
         ),
+        ("Tolerance", _tolerance_text(scenario, searched)),
+        *(("", note) for note in plan.notes),
+        ("Casting", f"{observation.caster}, detail {observation.detail}, {workplace_of(scenario.model)}"),
+        ("Searching", _search_text(scenario) if searched else ""),
     ]
-    if searched:
-        lines.append(("Searching", _search_text(scenario)))
-    return "\n".join(f"{name:<10} {text}" for name, text in lines)
+    return "\n".join(f"{name:<10} {text}" for name, text in lines if text)
 
 
-def _given(name, text):
-    """A line of the heading, if there is something to say."""
-    return [(name, text)] if text else []
-
-
-def comparison(outcome: Outcome) -> str:
+def comparison(run: Outcome) -> str:
     """The mounting and the baseline side by side: scores, then detectable shares by distance and by lane."""
-    result = outcome.result
-    rows = [("Mounting", *compared_names(result))]
-    for heading, lines in comparison_sections(result):
-        if heading != rows[0][0]:
-            rows.append((heading,))
-        rows += [(f"  {what}", *numbers) for what, *numbers in lines]
-    tables = [_table(rows), _table(_group_rows("distance", distance_bands, outcome))]
-    if outcome.baseline["lane"].any():
-        tables.append(_table(_group_rows("lane", lanes, outcome)))
+    result = run.result
+    tables = [table_text(table) for table in (comparison_table(result), *group_tables(run))]
     notes = cautions(result)
     if result["reading"] == "corrected" or metric_named(result["metric"]) is not PE_VGOP:
         notes.insert(0, f"Objective: {objective_text(result)}.")
     told = "\n".join(textwrap.fill(note, _NOTE_WIDTH) for note in notes)
     return "\n\n".join([*tables, told]).rstrip()
+
+
+def table_text(table: Table) -> str:
+    """A table in columns: the first flush left, numbers flush right."""
+    rows = [[cell for text, columns in line for cell in (text, *[""] * (columns - 1))] for line in table.head]
+    for heading, lines in table.sections:
+        rows += [[heading]] * bool(heading) + [[f"  {what}", *cells] for what, *cells in lines]
+    widths = [max(map(len, column)) for column in zip_longest(*rows, fillvalue="")]
+    padded = ([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows)
+    return "\n".join("  ".join(cells).rstrip() for cells in padded)
 
 
 def files(folder: RunFolder, charts: Sequence[str]) -> str:
@@ -91,40 +91,10 @@ def files(folder: RunFolder, charts: Sequence[str]) -> str:
     return f"Results in {folder.path}: report.html, result.json, vehicles.csv, installation.txt{drawn}"
 
 
-def _group_rows(title, groups, outcome):
-    """Scores by distance or by lane under three lines of headings."""
-    scores = group_scores(groups, outcome.result, outcome.baseline, outcome.optimised)
-    return [
-        ("", *(cell for split in scores.splits for cell in (split, "", "", "")), ""),
-        ("", *(cell for _ in scores.splits for cell in (scores.measure, "", "detectable %", "")), ""),
-        (f"by {title}", *(name for _ in scores.splits for _ in range(2) for name in ("before", "after")), "vehicles"),
-        *((f"  {name}", *cells, str(vehicles)) for name, cells, vehicles in scores.rows),
-    ]
-
-
-def _table(rows):
-    """Rows in columns: the first flush left, numbers flush right."""
-    widths = [max(len(row[column]) for row in rows if len(row) > column) for column in range(max(map(len, rows)))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if column == 0 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=False))
-        ).rstrip()
-        for row in rows
-    )
-
-
 def _frames(frames, block):
     """How many frames and vehicles, and in how many blocks of time."""
     number, counted = len(np.unique(block)), sum(int(frame.counted.sum()) for frame in frames)
     return f"{len(frames)} frames, {counted} vehicles within the gate, in {number} block{'s' * (number != 1)}"
-
-
-def _held_out(site):
-    """The held-out frames, or that there are none."""
-    if not len(site.holdout):
-        return "nothing"
-    return f"{_frames(site.holdout, site.plan.holdout_block)}; none of them is in a searched frame"
 
 
 def _tolerance_text(scenario, searched):

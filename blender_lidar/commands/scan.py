@@ -13,8 +13,8 @@ from ..clouds.files import WRITERS, check_cloud_name, write_cloud, write_sustech
 from ..clouds.snapshot import mounted_sensor
 from ..errors import InputError
 from ..files import check_place, make_folder
-from ..report.page import RENDER_VIEWS, read_run, render_file, write_report
-from ..run.folder import VEHICLES, RunFolder
+from ..report.page import RENDER_VIEWS, render_file, write_report
+from ..run.folder import SCENE, Outcome, RunFolder
 from ..scene.provenance import check_same_inputs
 from ..scene.scenario import Scenario, load_scenario
 from ..scene.site import check_mount_is_clear, frame_of, read_recording
@@ -174,15 +174,15 @@ def _build(args: argparse.Namespace) -> int:
 def _render(args: argparse.Namespace) -> int:
     """Render a run's mountings; returns the exit code."""
     folder = RunFolder(args.folder)
-    result = read_run(folder).result
+    run = folder.read_outcome()
     blender = blender_room("scene", "render")
     samples = blender.SAMPLES if args.samples is None else given_options(args, {"samples": _SAMPLES})["samples"]
-    scenario = load_scenario(folder.scene)
-    check_same_inputs(scenario, result["identity"])
+    scenario = load_scenario(folder.file(SCENE))
+    check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)
-    number = _fullest_frame(folder) if args.frame is None else args.frame
+    number = _fullest_frame(run) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
-    mounts = {"baseline": result["baseline"]["deployment"], "optimised": result["deployment"]}
+    mounts = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}
     written = []
     with folder.locked(), closing(Progress(len(mounts) * len(RENDER_VIEWS), "render")) as progress:
         for name, mount in mounts.items():
@@ -192,13 +192,12 @@ def _render(args: argparse.Namespace) -> int:
                 written.append(folder.file(render_file(name, view)))
                 blender.render_picture(written[-1], scene, blender.CAMERAS[view], size=blender.SIZE, samples=samples)
                 progress.advance(1)
-        written.append(write_report(folder))
+        written.append(write_report(run))
     print(f"frame {number}: " + ", ".join(map(str, written)))
     return 0
 
 
-def _fullest_frame(folder: RunFolder) -> int:
+def _fullest_frame(run: Outcome) -> int:
     """The searched frame with the most counted vehicles."""
-    table = folder.read_vehicles(VEHICLES)
-    frames, counts = np.unique(table["frame"][table["split"] == "search"], return_counts=True)
+    frames, counts = np.unique(run.optimised["frame"][run.optimised["split"] == "search"], return_counts=True)
     return int(frames[counts.argmax()])

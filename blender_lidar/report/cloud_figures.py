@@ -12,7 +12,7 @@ import numpy as np
 
 from ..clouds.scan import PointCloud, scan
 from ..metrics.vgop import VIEWS, entropy, occupancy_views
-from ..run.optimise import Outcome
+from ..run.folder import Outcome
 from ..scene.scenario import pose_at
 from ..scene.site import Site
 from ..scoring.frame_scorer import FrameScorer
@@ -71,18 +71,13 @@ class Sight:
     cloud: PointCloud
     detectable: np.ndarray
 
-    @property
-    def sensor_xy(self) -> np.ndarray:
-        """Where the LiDAR stands, (2,) [m, road frame]."""
-        return np.array([self.mount["x_m"], self.mount["y_m"]])
 
-
-def draw_clouds(path: str | Path, site: Site, outcome: Outcome) -> None:
+def draw_clouds(path: str | Path, site: Site, run: Outcome) -> None:
     """Draw the searched frame with the most vehicles in view, as both mountings of a run see it."""
     frame = max(site.search, key=lambda candidate: int(candidate.counted.sum()))
     vehicles, observation = frame.vehicles.select(frame.counted), site.observation
     sights = []
-    for table, (name, mount) in zip((outcome.baseline, outcome.optimised), sides(outcome.result), strict=True):
+    for table, (name, mount) in zip((run.baseline, run.optimised), sides(run.result), strict=True):
         cloud = scan(
             frame.vehicles,
             observation.lattice,
@@ -97,7 +92,7 @@ def draw_clouds(path: str | Path, site: Site, outcome: Outcome) -> None:
         )
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
         sights.append(Sight(name, mount, cloud, table["detectable"][of_frame]))
-    title = f"{outcome.result['sensor']}: one revolution from above, frame {vehicles.frame}"
+    title = f"{run.result['sensor']}: one revolution from above, frame {vehicles.frame}"
     plot_clouds(path, vehicles, sights, title)
 
 
@@ -116,7 +111,8 @@ def plot_clouds(
         If the file cannot be written.
     """
     corners = footprints(vehicles)
-    x_edges, (low, high) = _stretches(np.concatenate([corners.reshape(-1, 2), [sight.sensor_xy for sight in sights]]))
+    poles = [[sight.mount["x_m"], sight.mount["y_m"]] for sight in sights]
+    x_edges, (low, high) = _stretches(np.concatenate([corners.reshape(-1, 2), poles]))
     rows = len(x_edges) - 1
     panel_mm = _PANEL_MM * (high - low) / (x_edges[1] - x_edges[0])
     mounting_mm = _HEADING_MM + rows * (panel_mm + _TICKS_MM)
@@ -169,7 +165,7 @@ def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathColl
     """The cloud, the boxes and the LiDAR; returns the graded points and the legend's entries."""
     dots = _draw_points(axes, sight.cloud)
     outlines = _draw_boxes(axes, corners, sight.detectable)
-    marker = mark_sensor(axes, sight.sensor_xy)
+    marker = mark_sensor(axes, sight.mount)
     axes.set_ylabel("y [m]")
     axes.yaxis.get_major_locator().set_params(integer=True)
     return dots, [marker, *outlines]
@@ -207,23 +203,23 @@ _LEAST_OUTLINED_MM = 0.5  # smaller cells would drown in their outlines
 _SIDES_OF_VIEW = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # of the box, to the right and upwards
 
 
-def draw_occupancy(path: str | Path, site: Site, outcome: Outcome) -> None:
+def draw_occupancy(path: str | Path, site: Site, run: Outcome) -> None:
     """Draw the occupancy grids of a vehicle that gains a typical amount under both mountings of a run."""
-    searched = outcome.optimised["split"] == "search"
-    before, after = (table["entropy_bits"][searched] for table in (outcome.baseline, outcome.optimised))
+    searched = run.optimised["split"] == "search"
+    before, after = (table["entropy_bits"][searched] for table in (run.baseline, run.optimised))
     visible = np.flatnonzero((after > 0) & (before > 0))
     if len(visible) == 0:
         visible = np.arange(len(after))
     gain = (after - before)[visible]
     row = visible[np.argsort(gain, kind="stable")[int(0.75 * (len(gain) - 1))]]
-    number, vehicle_id = (int(outcome.optimised[key][searched][row]) for key in ("frame", "vehicle_id"))
+    number, vehicle_id = (int(run.optimised[key][searched][row]) for key in ("frame", "vehicle_id"))
     frame = next(candidate for candidate in site.search if candidate.vehicles.frame == number)
     counted = frame.vehicles.select(frame.counted)
     index = int(np.flatnonzero(counted.vehicle_id == vehicle_id)[0])
     scorer = FrameScorer(frame.vehicles, frame.counted, site.observation)
     size_m, cell_m = counted.size_m[index], site.observation.cell_m
     grids = []
-    for _, mount in sides(outcome.result):
+    for _, mount in sides(run.result):
         points, owner = scorer.vehicle_points(pose_at(mount))
         grids.append(occupancy_views(points[owner == index], size_m, cell_m))
     plot_occupancy(
@@ -231,9 +227,9 @@ def draw_occupancy(path: str | Path, site: Site, outcome: Outcome) -> None:
         grids,
         size_m,
         cell_m,
-        [f"{name}: {mounting_text(mount)}" for name, mount in sides(outcome.result)],
+        [f"{name}: {mounting_text(mount)}" for name, mount in sides(run.result)],
         f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
-        f"{outcome.result['sensor']}, {outcome.optimised['distance_m'][searched][row]:.0f} m away; "
+        f"{run.result['sensor']}, {run.optimised['distance_m'][searched][row]:.0f} m away; "
         "three quarters of the vehicles that both mountings see gain less PE-VGOP",
     )
 

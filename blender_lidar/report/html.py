@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..files import read_file
+from ..run.folder import refused_by_name
 
 _VOID = {"meta", "img", "col"}  # have no closing tag
 # What HTML does not allow even as a reference: control characters, halves of surrogate pairs, non-characters.
@@ -86,10 +87,8 @@ def image(path: Path, alt: str) -> Markup:
     InputError
         When the file cannot be read or is no whole PNG.
     """
-    try:
+    with refused_by_name(path):
         data = read_file(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     if not data.startswith(_SIGNATURE) or data[_FIRST] != b"IHDR" or data[_LAST] != b"IEND":
         raise InputError(f"{path}: is no PNG picture, or not a whole one")
     width, height = (int.from_bytes(data[part], "big") for part in (_WIDTH, _HEIGHT))
@@ -103,27 +102,24 @@ def sheet_markup(text: str) -> list[Markup]:
     Lines ``- text`` become items of a list and lines ``Label    text`` terms and descriptions; an indented line goes on
     with the one above it, and any other is a heading. No word is left out, whatever the text.
     """
-    blocks: list[tuple[str, list[list[str]]]] = []  # kind, entries; an entry's words, the label first where it has one
+    blocks: list[tuple[str, list[list[str]]]] = [("", [])]  # kind, entries; an entry's words, its label before them
     for line in text.splitlines():
         words, labelled = line.strip(), _LABELLED.fullmatch(line)
         if not words:
-            blocks.append(("", []))  # what follows begins anew
+            kind, entry = "", []  # what follows begins anew
         elif line.startswith("- "):
-            _append(blocks, "item", [line[2:].strip()])
+            kind, entry = "item", [line[2:].strip()]
         elif labelled and not line.startswith(" "):
-            _append(blocks, "term", [*labelled.groups()])
-        elif line.startswith(" ") and blocks and blocks[-1][0] in _SET:
+            kind, entry = "term", [*labelled.groups()]
+        elif line.startswith(" ") and blocks[-1][0]:
             blocks[-1][1][-1][-1] += f" {words}"
+            continue
         else:
-            _append(blocks, "heading", [words])
-    return [_SET[kind](entries) for kind, entries in blocks if entries]
-
-
-def _append(blocks, kind, entry):
-    """Add an entry to the last block if it is of its kind, else to a new one."""
-    if not blocks or blocks[-1][0] != kind:
-        blocks.append((kind, []))
-    blocks[-1][1].append(entry)
+            kind, entry = "heading", [words]
+        if blocks[-1][0] != kind:
+            blocks.append((kind, []))
+        blocks[-1][1].append(entry)
+    return [_SET[kind](entries) for kind, entries in blocks if kind]
 
 
 _SET = {

@@ -1,4 +1,7 @@
-"""What a run found, as rows and sentences: the command line prints them, the page sets them."""
+"""What a run found, as sentences and tables: for the command line, the page and the installation sheet.
+
+`result` is everywhere the content of result.json.
+"""
 
 from __future__ import annotations
 
@@ -8,217 +11,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..metrics.catalogue import METRICS, metric_named
+from ..metrics.catalogue import METRICS, PE_VGOP, metric_named
 from ..metrics.metric import Metric
 from ..optimise import vehicle_score
-from ..run.installation import COORDINATE_NAMES, aim_text, kept_text, optimum_text, tolerance_notes, tolerance_text
-from ..run.verdict import metric_values
+from ..run.folder import Outcome
+from ..run.tolerance import tolerance_text
+from ..run.verdict import distance_bands, lanes, metric_values
 
-# --- What a run comes to, in one sentence -----------------------------------------------------------------
-
+COORDINATE_NAMES = {
+    "height_m": ("height", "m"),
+    "tilt_x_deg": ("tilt across the road", "deg"),
+    "tilt_y_deg": ("tilt along the road", "deg"),
+    "yaw_deg": ("yaw", "deg"),
+    "x_m": ("x along the road", "m"),
+    "y_m": ("y across the road", "m"),
+}
 _LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 _UNITS = "|".join(sorted({re.escape(metric.unit) for metric in METRICS.values() if metric.unit}, reverse=True))
 _SPACE_BEFORE_UNIT = re.compile(rf"(?<=\d) (?=%|(?:m|{_UNITS})(?!\w))")
 
-
-def answer(result: Mapping) -> str:
-    """The mounting and what it is worth against the baseline, with the interval where there is one."""
-    forgives = "" if result.get("tolerance") is None else kept_text(result)
-    told = f"{_what_to_do(result)}: {_worth(result)}." + (f" {forgives[0].upper()}{forgives[1:]}." if forgives else "")
-    return _SPACE_BEFORE_UNIT.sub(_NO_BREAK, told)
-
-
-def key_figures(result: Mapping) -> list[tuple[str, str]]:
-    """The few figures that matter, each with what it is."""
-    mount, (found, base, on), metric = result["deployment"], _judges(result), metric_named(result["metric"])
-    figures = [
-        ("height above the road", f"{mount['height_m']:.2f} m"),
-        ("tilt across the road", minus(f"{mount['tilt_x_deg']:.1f}°")),
-        (f"detectable on {on}", f"{100 * base['detectable_share']:.1f} \N{RIGHTWARDS ARROW} {_percent(found)}"),
-    ]
-    gain = "gain per vehicle"
-    if found.get("interval_90"):
-        low, high = found["interval_90"]
-        gain += f" (90 %: {minus(f'{metric.number(low)} to {metric.number(high)}')})"
-    figures.append((gain, minus(metric.amount(_gain(found, base), sign="+"))))
-    return [(_SPACE_BEFORE_UNIT.sub(_NO_BREAK, what), figure) for what, figure in figures]
-
-
-def minus(text: str) -> str:
-    """A number's text with a minus that is as wide as a plus."""
-    return text.replace("-", "\N{MINUS SIGN}")
-
-
-def _what_to_do(result):
-    """The sentence's beginning: hang it there, or that nothing tried is better than the baseline."""
-    sensor, place = result["sensor"], _place(result["deployment"])
-    if not was_searched(result):
-        return f"The {sensor} {place}"
-    if not better_than_baseline(result):
-        return f"No mounting that was tried is better than the baseline; the best of them has the {sensor} {place}"
-    return f"Hang the {sensor} {place}"
-
-
-def _place(mount):
-    """Where a mounting hangs and how it leans, in words; coordinates that are nought are left out."""
-    tilts = {"tilt_x_deg": "across it", "tilt_y_deg": "along it"}
-    leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= _LEVEL_DEG]
-    parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
-    if abs(mount["yaw_deg"]) >= _LEVEL_DEG:
-        parts.append(f"turned {mount['yaw_deg']:.1f}°")
-    if mount["x_m"] or mount["y_m"]:
-        parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
-    return minus(", ".join(parts))
-
-
-def _worth(result):
-    """What the mounting is worth against the baseline where both are judged, on held-out frames if there are any."""
-    found, base, on = _judges(result)
-    gain, metric = _gain(found, base), metric_named(result["metric"])
-    return (
-        f"on {on} {_percent(found)} of the vehicles are detectable instead of {_percent(base)} under the baseline, and "
-        f"{_gained(metric, gain)}{_interval(result, metric, gain)}"
-    )
-
-
-def _gained(metric, gain):
-    """What the mounting is worth to a vehicle."""
-    amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.amount(abs(gain))}"
-    # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better, and what
-    # a scene gains is not a vehicle's.
-    of_vehicles = metric.higher_is_better and not metric.of_scene
-    return f"a vehicle {amount}" if of_vehicles else f"the objective {amount} per vehicle"
-
-
-def _interval(result, metric, gain):
-    """The 90 % interval of the gain and what doubt it leaves, or why there is none."""
-    if result["holdout"] is None:
-        return "; nothing was held out, so that there is no interval"
-    if result["holdout"]["interval_90"] is None:
-        return "; there are too few blocks of time for an interval"
-    low, high = result["holdout"]["interval_90"]
-    doubt = "" if low > 0.0 or high < 0.0 else f", so that there may be no {'gain' if gain >= 0.0 else 'loss'} at all"
-    return f" (90 % interval of the gain {minus(f'{metric.number(low)} to {metric.number(high)}')}{doubt})"
-
-
-def _judges(result):
-    """Scores of the mounting and of the baseline where they are judged, and what traffic that is."""
-    if result["holdout"] is not None:
-        return result["holdout"], result["baseline"]["holdout"], "held-out traffic"
-    return result, result["baseline"], "the traffic that chose it" if was_searched(result) else "the scored traffic"
-
-
-def _gain(found, base):
-    """Objective per vehicle over that of the baseline, in the metric's unit."""
-    return found["objective_per_vehicle"] - base["objective_per_vehicle"]
-
-
-def _percent(scores):
-    """The detectable share in per cent."""
-    return f"{100 * scores['detectable_share']:.1f} %"
-
-
-# --- The mountings of a run side by side, as rows: the command line prints them, the page sets them -------
-
-_ALWAYS_SHOWN = ("height_m", "tilt_x_deg")
-
-
-Section = tuple[str, list[tuple[str, ...]]]
-"""A heading, and rows: what, then a text for each of `compared_names`, "" where it has none."""
-
-
-def compared_names(result: Mapping) -> tuple[str, ...]:
-    """What the mountings of a run are called: the baseline, the sharp one where there is one, the run's own."""
-    return ("baseline", *(("sharp",) if sharp_of(result) else ()), mounting_name(result))
-
-
-def comparison_sections(result: Mapping) -> list[Section]:
-    """The mountings of a run side by side; `result` is the content of result.json."""
-    sharp, block = sharp_of(result), result.get("tolerance")
-    compared = [result["baseline"], *([sharp] if sharp else []), result]
-    mounts = [scores["deployment"] for scores in compared]
-    mounting = [
-        (f"{name} [{unit}]", *(f"{mount[key]:.2f}" for mount in mounts))
-        for key, (name, unit) in COORDINATE_NAMES.items()
-        if key in _ALWAYS_SHOWN or any(mount[key] for mount in mounts)
-    ]
-    sections = [("Mounting", mounting), *_score_sections(result, compared)]
-    if block is not None:
-        compared = [block["robust"][name] for name in ("baseline", "sharp", "optimised") if name in block["robust"]]
-        over = f", {tolerance_text(block['settings'])}: {aim_text(block['settings'])}"
-        sections += _score_sections(result, compared, over, "gain over the baseline as planned")
-    return sections
-
-
-def _score_sections(
-    result: Mapping, compared: Sequence[Mapping], over: str = "", gain: str = "gain per vehicle"
-) -> list[Section]:
-    """Scores on the searched frames and on the held-out ones; `over` names a tolerance that they are over."""
-    metric = metric_named(result["metric"])
-    kept = [_kept_row(compared)] if over else []
-    total = (
-        [] if over else [(metric.in_unit("objective"), *(metric.number(each["objective"], -2) for each in compared))]
-    )
-    chosen_on = "Searched" if was_searched(result) else "Scored"
-    sections = [(f"{chosen_on} frames{over}", [*total, *_score_rows(metric, compared), *kept])]
-    if result["holdout"]:
-        held = [scores["holdout"] for scores in compared]
-        gains = (metric.number(scores["gain_over_baseline"], 1, "+") for scores in held[1:])
-        rows = [*_score_rows(metric, held), (metric.in_unit(gain), "", *gains)]
-        if held[-1]["interval_90"]:
-            spans = (_span(metric, scores["interval_90"]) for scores in held[1:])
-            rows.append((f"90 % interval, {result['holdout']['blocks']} blocks", "", *spans))
-        sections.append((f"Held-out frames{over}", [*rows, *([_kept_row(held)] if over else [])]))
-    return sections
-
-
-def _kept_row(compared: Sequence[Mapping]) -> tuple[str, ...]:
-    """What an error of installation leaves of each gain over the baseline, which has none itself."""
-    shares = (scores["gain_kept"] for scores in compared[1:])
-    return ("gain kept [%]", "", *("-" if share is None else f"{100 * share:.1f}" for share in shares))
-
-
-def _score_rows(metric: Metric, compared: Sequence[Mapping]) -> list[tuple[str, ...]]:
-    """Objective per vehicle and detectable share of each mounting."""
-    values = (metric.number(scores["objective_per_vehicle"], 1) for scores in compared)
-    shares = (f"{100 * scores['detectable_share']:.1f}" for scores in compared)
-    return [(metric.in_unit("objective per vehicle"), *values), ("detectable share [%]", *shares)]
-
-
-def _span(metric: Metric, pair) -> str:
-    """The two ends of an interval, with their signs."""
-    return " to ".join(metric.number(end, 1, "+") for end in pair)
-
-
-# --- Key figures, scores of groups and cautions -----------------------------------------------------------------------
-
-_SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
-_ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
-_SPLITS = ("search", "holdout")
-
-Table = Mapping[str, np.ndarray]
-
-
-@dataclass(frozen=True, slots=True)
-class GroupScores:
-    """Scores of groups of vehicles, before and after.
-
-    Attributes
-    ----------
-    measure : str
-        What the objective is told in: the metric's unit, or that it is the objective where that has none.
-    splits : list of str
-        ``"searched"`` or ``"scored"``, and ``"held out"`` where anything was.
-    rows : list of (str, list of str, int)
-        A group's name; for each split the objective per vehicle before and after, then detectable per cent before and
-        after, ``"-"`` where it has no vehicle or the objective is the whole scene's; how many vehicles it has in all
-        splits.
-    """
-
-    measure: str
-    splits: list[str]
-    rows: list[tuple[str, list[str], int]]
+# --- What a run is about: its mountings, what judges them, and what the scores hold under -----------------------------
 
 
 def was_searched(result: Mapping) -> bool:
@@ -226,16 +39,16 @@ def was_searched(result: Mapping) -> bool:
     return result["search"] is not None
 
 
+def sharp_of(result: Mapping) -> Mapping | None:
+    """The best mounting that hangs as planned and its scores, where a search over a tolerance found the run's."""
+    return (result.get("tolerance") or {}).get("sharp")  # results of earlier versions have no such block
+
+
 def mounting_name(result: Mapping) -> str:
     """What the run's mounting is called beside the baseline, and beside the sharp one where it had a tolerance."""
     if not was_searched(result):
         return "given"
     return "optimised" if sharp_of(result) is None else "robust"
-
-
-def sharp_of(result: Mapping) -> Mapping | None:
-    """The best mounting that hangs as planned and its scores, where a search over a tolerance found the run's."""
-    return (result.get("tolerance") or {}).get("sharp")  # results of earlier versions have no such block
 
 
 def sides(result: Mapping) -> list[tuple[str, Mapping[str, float]]]:
@@ -246,55 +59,299 @@ def sides(result: Mapping) -> list[tuple[str, Mapping[str, float]]]:
 def mounting_text(mount: Mapping[str, float]) -> str:
     """A mounting in a few words."""
     parts = [f"height {mount['height_m']:.2f} m", f"tilt {mount['tilt_x_deg']:.1f}°"]
-    if mount["tilt_y_deg"]:
-        parts.append(f"along the road {mount['tilt_y_deg']:.1f}°")
-    if mount["yaw_deg"]:
-        parts.append(f"yaw {mount['yaw_deg']:.1f}°")
-    return ", ".join(parts)
+    more = {"along the road": mount["tilt_y_deg"], "yaw": mount["yaw_deg"]}
+    return ", ".join([*parts, *(f"{name} {angle:.1f}°" for name, angle in more.items() if angle)])
 
 
-def group_scores(
-    groups: Callable[[Table], list[tuple[str, np.ndarray]]], result: Mapping, baseline: Table, found: Table
-) -> GroupScores:
-    """Objective per vehicle and detectable share of each group, searched and held out, before and after.
+def judged(result: Mapping) -> tuple[Mapping, Mapping, str]:
+    """Scores of the mounting and of the baseline where they are judged, and what traffic that is."""
+    if result["holdout"] is not None:
+        return result["holdout"], result["baseline"]["holdout"], "held-out traffic"
+    return result, result["baseline"], "the traffic that chose it" if was_searched(result) else "the scored traffic"
+
+
+def frames_word(result: Mapping) -> str:
+    """What the frames are called that are not held out."""
+    return "searched" if was_searched(result) else "scored"
+
+
+def conditions(result: Mapping) -> list[str]:
+    """What the scores hold under besides the mounting: an imperfect sensor, scenery; earlier versions may not say."""
+    imperfect = imperfections_text(result["imperfections"]) if "imperfections" in result else ""
+    told = {
+        "simulated with an imperfect sensor": imperfect,
+        "simulated with scenery": scenery_text(result.get("scenery")),
+    }
+    return [f"{what}: {text}" for what, text in told.items() if text]
+
+
+def imperfections_text(imperfections: Mapping[str, float | None]) -> str:
+    """What is imperfect about a sensor, in a few words; empty where nothing is.
+
+    `imperfections` is what `SensorSettings.imperfections_as_table` gives and result.json keeps.
+    """
+    noise, dropout = imperfections["range_noise_m"], imperfections["dropout"]
+    glass = imperfections.get("glass_dropout", 0.0)  # results of earlier versions do not say
+    told = {
+        "range noise {range_noise_m:g} m": noise,
+        f"drop-out {100 * dropout:g} %": dropout,
+        f"drop-out on glass {100 * glass:g} %": glass,
+        "noise seed {noise_seed}": noise or dropout or 0.0 < glass < 1.0,
+        "a 10 % target seen to {range_at_10_percent_m:g} m": imperfections.get("range_at_10_percent_m") is not None,
+        "unit {unit} of units that differ by {unit_spread_deg:g} deg": imperfections["unit_spread_deg"],
+    }
+    return ", ".join(text.format(**imperfections) for text, there in told.items() if there)
+
+
+def scenery_text(counts: Mapping[str, int] | None) -> str:
+    """How much scenery stood there, in a few words; empty where the scene has none."""
+    if counts is None:
+        return ""
+    told = (f"{counts[what + 's']:,} {what}{'s' * (counts[what + 's'] != 1)}" for what in ("object", "triangle"))
+    return f"{', '.join(told)} within reach"
+
+
+def objective_text(result: Mapping) -> str:
+    """What the objective of a run adds up."""
+    metric, loss = metric_named(result["metric"]), result["identity"]["[objective] loss"]
+    merit = f"{'' if metric.higher_is_better else 'minus '}the {metric.label}"
+    if loss is not None and result["reading"] != "corrected":
+        instead = "" if metric is PE_VGOP else f", with {merit} in place of the entropy"
+        return f"Eq. 10 of the paper as printed{instead}"
+    if loss is None and metric.of_scene:
+        return f"{merit}, of the scene of each frame, once for every vehicle in it"
+    if loss is None:
+        return f"{merit} of every vehicle, detectable or not"
+    unit = metric.unit.removesuffix("s") if abs(loss) == 1 else metric.unit
+    return f"{merit} of every detectable vehicle, less {f'{abs(loss):g} {unit}'.rstrip()} for every other one"
+
+
+# --- How a number, a gain, an interval are told -----------------------------------------------------------------------
+
+
+def minus(text: str) -> str:
+    """A number's text with a minus that is as wide as a plus."""
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def as_sentence(text: str) -> str:
+    """A text that begins with a capital letter and ends with a full stop."""
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def span(metric: Metric, ends: Sequence[float], more: int = 0, sign: str = "-") -> str:
+    """The two ends of an interval; `more` and `sign` as for `Metric.number`."""
+    return " to ".join(metric.number(end, more, sign) for end in ends)
+
+
+def _percent(scores):
+    """The detectable share in per cent."""
+    return f"{100 * scores['detectable_share']:.1f} %"
+
+
+def _gain(found, base):
+    """Objective per vehicle over that of the baseline, in the metric's unit."""
+    return found["objective_per_vehicle"] - base["objective_per_vehicle"]
+
+
+# --- What a run comes to, in one sentence and in key figures ----------------------------------------------------------
+
+
+def answer(result: Mapping) -> str:
+    """The mounting and what it is worth against the baseline, with the interval where there is one."""
+    kept = kept_text(result)
+    told = f"{_what_to_do(result)}: {_worth(result)}." + (f" {as_sentence(kept)}" if kept else "")
+    return _SPACE_BEFORE_UNIT.sub(_NO_BREAK, told)
+
+
+def key_figures(result: Mapping) -> list[tuple[str, str]]:
+    """The few figures that matter, each with what it is."""
+    mount, (found, base, on), metric = result["deployment"], judged(result), metric_named(result["metric"])
+    gain = "gain per vehicle"
+    if found.get("interval_90"):
+        gain += f" (90 %: {minus(span(metric, found['interval_90']))})"
+    figures = {
+        "height above the road": f"{mount['height_m']:.2f} m",
+        "tilt across the road": minus(f"{mount['tilt_x_deg']:.1f}°"),
+        f"detectable on {on}": f"{100 * base['detectable_share']:.1f} \N{RIGHTWARDS ARROW} {_percent(found)}",
+        gain: minus(metric.amount(_gain(found, base), sign="+")),
+    }
+    return [(_SPACE_BEFORE_UNIT.sub(_NO_BREAK, what), figure) for what, figure in figures.items()]
+
+
+def _what_to_do(result):
+    """The sentence's beginning: hang it there, or that nothing tried is better than the baseline."""
+    sensor, mount = result["sensor"], result["deployment"]
+    tilts = {"tilt_x_deg": "across it", "tilt_y_deg": "along it"}
+    leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= _LEVEL_DEG]
+    parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
+    if abs(mount["yaw_deg"]) >= _LEVEL_DEG:
+        parts.append(f"turned {mount['yaw_deg']:.1f}°")
+    if mount["x_m"] or mount["y_m"]:
+        parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
+    place = minus(", ".join(parts))
+    if not was_searched(result):
+        return f"The {sensor} {place}"
+    if not better_than_baseline(result):
+        return f"No mounting that was tried is better than the baseline; the best of them has the {sensor} {place}"
+    return f"Hang the {sensor} {place}"
+
+
+def _worth(result):
+    """What the mounting is worth against the baseline where both are judged, on held-out frames if there are any."""
+    found, base, on = judged(result)
+    gain, metric = _gain(found, base), metric_named(result["metric"])
+    amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.amount(abs(gain))}"
+    # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better, and what
+    # a scene gains is not a vehicle's.
+    of_vehicles = metric.higher_is_better and not metric.of_scene
+    gained = f"a vehicle {amount}" if of_vehicles else f"the objective {amount} per vehicle"
+    return (
+        f"on {on} {_percent(found)} of the vehicles are detectable instead of {_percent(base)} under the baseline, and "
+        f"{gained}{_interval(result, metric, gain)}"
+    )
+
+
+def _interval(result, metric, gain):
+    """The 90 % interval of the gain and what doubt it leaves, or why there is none."""
+    if result["holdout"] is None:
+        return "; nothing was held out, so that there is no interval"
+    if result["holdout"]["interval_90"] is None:
+        return "; there are too few blocks of time for an interval"
+    low, high = result["holdout"]["interval_90"]
+    doubt = "" if low > 0.0 or high < 0.0 else f", so that there may be no {'gain' if gain >= 0.0 else 'loss'} at all"
+    return f" (90 % interval of the gain {minus(span(metric, (low, high)))}{doubt})"
+
+
+# --- Tables: the mountings of a run side by side, and scores of groups of vehicles ------------------------------------
+
+_ALWAYS_SHOWN = ("height_m", "tilt_x_deg")
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Numbers as texts, in columns under a head.
+
+    Attributes
+    ----------
+    title : str
+    head : list of lists of (str, int)
+        Lines of headings, each with the number of columns that it stands over.
+    sections : list of (str, list of tuples of str)
+        A heading, "" for none, and rows: what, then a text for each column, "" where it has none.
+    """
+
+    title: str
+    head: list[list[tuple[str, int]]]
+    sections: list[tuple[str, list[tuple[str, ...]]]]
+
+
+def comparison_table(result: Mapping) -> Table:
+    """The mountings of a run side by side: the baseline, the sharp one where there is one, the run's own."""
+    compared = {"baseline": result["baseline"], "sharp": sharp_of(result), mounting_name(result): result}
+    compared = {name: scores for name, scores in compared.items() if scores is not None}
+    mounts = [scores["deployment"] for scores in compared.values()]
+    mounting = [
+        (f"{name} [{unit}]", *(f"{mount[key]:.2f}" for mount in mounts))
+        for key, (name, unit) in COORDINATE_NAMES.items()
+        if key in _ALWAYS_SHOWN or any(mount[key] for mount in mounts)
+    ]
+    sections = [("", mounting), *_score_sections(result, list(compared.values()))]
+    if (block := result.get("tolerance")) is not None:
+        robust = [block["robust"][name] for name in ("baseline", "sharp", "optimised") if name in block["robust"]]
+        over = f", {tolerance_text(block['settings'])}: {aim_text(block['settings'])}"
+        sections += _score_sections(result, robust, over)
+    *others, last = compared
+    head = [("Mounting", 1), *((name, 1) for name in compared)]
+    return Table(f"{', '.join(others).capitalize()} and {last} mounting", [head], sections)
+
+
+def _score_sections(result, compared, over=""):
+    """Scores on the searched frames and on the held-out ones; `over` names a tolerance that they are over."""
+    sections = [(f"{frames_word(result).capitalize()} frames{over}", _score_rows(result, compared, over))]
+    if result["holdout"]:
+        held = [scores["holdout"] for scores in compared]
+        sections.append((f"Held-out frames{over}", _score_rows(result, held, over)))
+    return sections
+
+
+def _score_rows(result, compared, over):
+    """Scores of each mounting, as far as there are any; the first is the baseline, which gains nothing over itself."""
+    metric, others = metric_named(result["metric"]), compared[1:]
+    rows = []
+    if "objective" in compared[0] and not over:
+        rows.append((metric.in_unit("objective"), *(metric.number(each["objective"], -2) for each in compared)))
+    values = (metric.number(each["objective_per_vehicle"], 1) for each in compared)
+    rows.append((metric.in_unit("objective per vehicle"), *values))
+    rows.append(("detectable share [%]", *(f"{100 * each['detectable_share']:.1f}" for each in compared)))
+    if "gain_over_baseline" in compared[0]:
+        gain = metric.in_unit("gain over the baseline as planned" if over else "gain per vehicle")
+        rows.append((gain, "", *(metric.number(each["gain_over_baseline"], 1, "+") for each in others)))
+    if compared[-1].get("interval_90"):
+        spans = (span(metric, each["interval_90"], 1, "+") for each in others)
+        rows.append((f"90 % interval, {result['holdout']['blocks']} blocks", "", *spans))
+    if over:
+        kept = (each["gain_kept"] for each in others)
+        rows.append(("gain kept [%]", "", *("-" if share is None else f"{100 * share:.1f}" for share in kept)))
+    return rows
+
+
+def group_tables(run: Outcome) -> list[Table]:
+    """Objective per vehicle and detectable share by distance and, where lanes are known, by lane: see `group_table`."""
+    groups = {"distance": distance_bands} | ({"lane": lanes} if run.baseline["lane"].any() else {})
+    return [group_table(name, function, run) for name, function in groups.items()]
+
+
+def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarray]]], run: Outcome) -> Table:
+    """Objective per vehicle and detectable share of each group of vehicles, searched and held out, before and after.
+
+    Before is the baseline, after the run's mounting; "-" stands where a group has no vehicle or the objective is the
+    whole scene's.
 
     Parameters
     ----------
+    name : str
+        What vehicles are grouped by.
     groups : function
         Names groups of the rows of a vehicle table: `run.verdict.distance_bands` or `lanes`.
-    baseline, found : vehicle tables
-        The same vehicles in the same order, under the baseline and under the run's mounting.
     """
-    tables = (baseline, found)
+    result, tables = run.result, (run.baseline, run.optimised)
     metric, loss = metric_named(result["metric"]), result["identity"]["[objective] loss"]
     scores = [
         vehicle_score(metric.merit(metric_values(table)), table["detectable"], loss, result["reading"])
         for table in tables
     ]
-    splits = [split for split in _SPLITS if (found["split"] == split).any()]
+    names = {"search": frames_word(result), "holdout": "held out"}
+    splits = [split for split in names if (run.baseline["split"] == split).any()]
     rows = []
-    for name, chosen in groups(baseline):
+    for group, chosen in groups(run.baseline):
         cells = []
         for split in splits:
-            mine = [chosen & (table["split"] == split) for table in tables]
-            cells += [
-                metric.number(score[rows_of].mean()) if rows_of.any() and not metric.of_scene else "-"
-                for score, rows_of in zip(scores, mine, strict=True)
-            ]
-            cells += [
-                f"{100 * table['detectable'][rows_of].mean():.1f}" if rows_of.any() else "-"
-                for table, rows_of in zip(tables, mine, strict=True)
-            ]
-        rows.append((name, cells, int(chosen.sum())))
-    names = {"search": "searched" if was_searched(result) else "scored", "holdout": "held out"}
-    return GroupScores(metric.unit or "objective", [names[split] for split in splits], rows)
+            of = chosen & (run.baseline["split"] == split)
+            scored = of.any() and not metric.of_scene
+            cells += [metric.number(score[of].mean()) if scored else "-" for score in scores]
+            cells += [f"{100 * table['detectable'][of].mean():.1f}" if of.any() else "-" for table in tables]
+        rows.append((group, *cells, f"{chosen.sum():,}"))
+    measures = [(metric.unit or "objective", 2), ("detectable %", 2)]
+    head = [
+        [("", 1), *((names[split], 4) for split in splits), ("", 1)],
+        [("", 1), *measures * len(splits), ("", 1)],
+        [(f"by {name}", 1), *[("before", 1), ("after", 1)] * 2 * len(splits), ("vehicles", 1)],
+    ]
+    return Table(f"By {name}", head, [("", rows)])
+
+
+# --- How far to trust the answer --------------------------------------------------------------------------------------
+
+_SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
+_ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
+_WIDTHS = {"height_m": "height_m", "tilt_x_deg": "tilt_deg", "tilt_y_deg": "tilt_deg", "yaw_deg": "yaw_deg"}
 
 
 def cautions(result: Mapping) -> list[str]:
-    """What the search and the map say about how far to trust the optimum, as sentences."""
-    found = []
-    if result.get("tolerance") is not None:
-        found += tolerance_notes(result)
+    """What tolerance, search and map say about how far to trust the optimum, as sentences."""
+    notes = (kept_text(result), costliest_text(result), _against_sharp(result))
+    found = [as_sentence(note) for note in notes if note]
     if not was_searched(result):
         return found
     if not better_than_baseline(result):
@@ -304,7 +361,12 @@ def cautions(result: Mapping) -> list[str]:
         if isinstance(bounds, list) and not _well_within(result["deployment"][key], *bounds):
             found.append(f"The best {name} lies on a bound of [deployment]; beyond may be better.")
     if result.get("rungs"):
-        found.append(_rungs_note(result))
+        tried = sum(rung["candidates"] for rung in result["rungs"])
+        found.append(
+            f"Of {tried:,} mountings {result['evaluations']:,} were scored with all frames and beams, the others with "
+            "fewer (fidelity auto); no grid was, so that what the search has missed is not known: --fidelity full "
+            "draws it."
+        )
     if result["map"]:
         found += _map_notes(result["map"], "mounting found" if sharp_of(result) is None else "sharp mounting")
     return found
@@ -321,13 +383,62 @@ def _well_within(value: float, low: float, high: float) -> bool:
     return low + slack < value < high - slack
 
 
-def _rungs_note(result):
-    """What a search from cheap to dear has scored, and what it therefore cannot tell."""
-    tried = sum(rung["candidates"] for rung in result["rungs"])
+def aim_text(settings: Mapping) -> str:
+    """What counts of the objective over the errors of a tolerance."""
+    return "mean" if settings["aim"] == "mean" else "what nine of ten installations reach"
+
+
+def kept_text(result: Mapping) -> str:
+    """How much of its gain the mounting keeps within the run's tolerance; empty without a tolerance or a gain."""
+    scores, where = _judged_over_tolerance(result)
+    if scores is None or scores["gain_kept"] is None:
+        return ""
+    settings = result["tolerance"]["settings"]
     return (
-        f"Of {tried:,} mountings {result['evaluations']:,} were scored with all frames and beams, the others with "
-        "fewer (fidelity auto); no grid was, so that what the search has missed is not known: --fidelity full draws it."
+        f"within {tolerance_text(settings)} the mounting keeps {100 * scores['gain_kept']:.0f} % of its gain "
+        f"({aim_text(settings)}, {where})"
     )
+
+
+def costliest_text(result: Mapping) -> str:
+    """Which single error at its limit costs most; empty without a tolerance, or where none costs anything."""
+    scores, where = _judged_over_tolerance(result)
+    limits = {} if scores is None else scores["loss_at_limits"]
+    ends = ((loss, key, sign) for key in limits for loss, sign in zip(limits[key], "-+", strict=True))
+    loss, key, sign = max(ends, default=(0.0, "", ""))
+    if loss <= 0.0:
+        return ""
+    (name, unit), width = COORDINATE_NAMES[key], result["tolerance"]["settings"][_WIDTHS[key]]
+    lost = metric_named(result["metric"]).amount(loss)
+    return f"of the single errors {name} {sign}{width:g} {unit} costs most: {lost} per vehicle ({where})"
+
+
+def _against_sharp(result):
+    """What robustness costs where all hangs as planned, and what it gains where it does not; "" without both."""
+    metric, sharp = metric_named(result["metric"]), sharp_of(result)
+    if sharp is None:
+        return ""
+    if sharp["deployment"] == result["deployment"]:
+        return "the search over the tolerance found no better mounting than the sharp one"
+    beside = (result["tolerance"]["robust"]["optimised"]["holdout"] or {}).get("over_sharp", {})
+    parts = []
+    for name, difference in beside.items():
+        told = metric.amount(difference["objective_per_vehicle"], sign="+")
+        if difference["interval_90"]:
+            told += f" (90 %: {span(metric, difference['interval_90'], 0, '+')})"
+        parts.append(f"{'as planned' if name == 'as_planned' else 'over the tolerance'} {told}")
+    start = "beside the sharp mounting the robust one has, per vehicle on held-out frames, "
+    return start + " and ".join(parts) if parts else ""
+
+
+def _judged_over_tolerance(result):
+    """Scores of the mounting over the tolerance where it is judged, None without one, and which frames that is."""
+    if result.get("tolerance") is None:
+        return None, ""
+    scores = result["tolerance"]["robust"]["optimised"]
+    if scores["holdout"] is not None:
+        return scores["holdout"], "held-out frames"
+    return scores, f"{frames_word(result)} frames"
 
 
 def _map_notes(score_map, mounting):
@@ -351,10 +462,22 @@ def _map_notes(score_map, mounting):
         found.append(f"On the held-out frames the {mounting} {lacks}.")
     if score_map["share_within_1_percent"] is not None:
         share = 100 * score_map["share_within_1_percent"]
-        how_many = (
-            f"{share:.1f} % of those heights and tilts come" if share else "None of those heights and tilts comes"
+        how_many = f"{share:.1f} % of those heights and tilts come"
+        found.append(
+            f"{how_many if share else 'None of those heights and tilts comes'} within 1 % of the gain of the best one."
         )
-        found.append(f"{how_many} within 1 % of the gain of the best one.")
-    if sentence := optimum_text(score_map):
-        found.append(f"{sentence[0].upper()}{sentence[1:]}.")
+    if text := optimum_text(score_map):
+        found.append(as_sentence(text))
     return found
+
+
+def optimum_text(score_map: Mapping) -> str:
+    """Between what heights and tilts the optimum lies with other traffic; empty where no interval is known."""
+    intervals = score_map.get("optimum_interval_90")
+    if not intervals:
+        return ""
+    height, tilt = intervals["height_m"], intervals["tilt_x_deg"]
+    return (
+        f"other traffic of this kind would put the best height between {height[0]:.1f} and {height[1]:.1f} m and "
+        f"the best tilt between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time)"
+    )

@@ -9,28 +9,21 @@ import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 
 import numpy as np
 
 from .. import __version__
-from ..errors import InputError, MissingFileError
-from ..files import (
-    check_folder,
-    folder_lock,
-    make_folder,
-    open_file,
-    read_text,
-    sweep,
-    to_csv,
-    write_columns,
-    write_text,
-)
+from ..errors import BlenderLidarError, InputError, MissingFileError
+from ..files import check_folder, folder_lock, make_folder, open_file, read_text, sweep, write_columns, write_text
+from ..metrics.catalogue import METRICS, PE_VGOP
+from ..optimise import READINGS
 from ..scene.provenance import check_identity
-from ..scene.settings import Scenario
+from ..scene.settings import COORDINATES, Scenario
 from ..toml_table import to_toml
-from .verdict import COLUMNS, METRIC_VALUE, ScoreMap
+from .verdict import ScoreMap, columns_for
 
 SCHEMA = 1
 RESULT, CHECKPOINT, SCENE = "result.json", "checkpoint.json", "scene.toml"
@@ -41,14 +34,34 @@ _FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, HISTORY_NOMINAL)
 _FILES += (VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION, REPORT)
 _SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a run has written
 
-_TEXTS, _WHOLE = ("class", "split"), ("frame", "vehicle_id", "points", "lane")  # columns of a vehicle table
-_LARGEST_WHOLE = 2**53  # which a float holds exactly
 _BLOCK_OBJECTIVE, _BLOCK_VEHICLES = "objective_block_", "vehicles_block_"  # columns of the score map
+_KINDS = {  # of columns; the others hold floats
+    **dict.fromkeys(("class", "split"), str),
+    **dict.fromkeys(("frame", "vehicle_id", "points", "detectable", "lane"), np.int64),
+}
 _DECIMALS = {
-    **dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "distance_m"), 3),
-    "heading_deg": 3,
+    **dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "distance_m", "heading_deg"), 3),
     **dict.fromkeys(("p_top", "p_side", "p_front", "entropy_bits"), 6),
 }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What a run that has ended came to, as its folder holds it.
+
+    Attributes
+    ----------
+    folder : RunFolder
+    result : dict
+        The content of result.json.
+    optimised, baseline : dict of str to ndarray
+        Vehicle tables of both mountings, searched and held-out frames: the same vehicles in the same order.
+    """
+
+    folder: RunFolder
+    result: dict
+    optimised: dict[str, np.ndarray]
+    baseline: dict[str, np.ndarray]
 
 
 class RunFolder:
@@ -113,10 +126,6 @@ class RunFolder:
         """Path of a file of the run."""
         return self.path / name
 
-    def holds_run(self) -> bool:
-        """Whether a run was begun or has ended here."""
-        return self.file(RESULT).exists() or self.file(CHECKPOINT).exists()
-
     def write_scene(self, scenario: Scenario) -> None:
         """Write the scene as used, every default spelt out."""
         tables = scenario.as_tables()
@@ -139,40 +148,46 @@ class RunFolder:
         InputError
             When the file is damaged, or the run had other settings.
         """
-        content = self._read_json(CHECKPOINT)
-        if content is None:
-            return []
-        if not isinstance(content.get("batches"), list):
-            raise InputError(f"{self.file(CHECKPOINT)}: is not the checkpoint of a run")
-        check_identity(content.get("identity"), identity, f"{self.path}: the run there")
-        return content["batches"]
+        content = self._read_json(CHECKPOINT, identity)
+        with refused_by_name(self.file(CHECKPOINT)):
+            return [] if content is None else list(content["batches"])
 
-    def read_result(self, identity: Mapping) -> dict | None:
-        """The result of a run that has ended, None where none has; settings are checked as for a checkpoint."""
-        content = self._read_json(RESULT)
-        if content is not None:
-            check_identity(content.get("identity"), identity, f"{self.path}: the run there")
-        return content
+    def read_result(self, identity: Mapping | None = None) -> dict | None:
+        """The result of a run that has ended, None where none has; settings are checked as for a checkpoint, if given.
 
-    def ended_result(self) -> dict:
-        """The result of the run that has ended here, whatever its settings.
+        Raises
+        ------
+        InputError
+            When the file is damaged, or the run had other settings.
+        """
+        return self._read_json(RESULT, identity)
+
+    def read_outcome(self) -> Outcome:
+        """What the run that has ended here came to.
 
         Raises
         ------
         MissingFileError, InputError
-            When no run has ended here, or the file is damaged.
+            When no run has ended here, or a file is missing or damaged; the text names it.
         """
-        content = self._read_json(RESULT)
-        if content is not None:
-            return content
-        if self.file(CHECKPOINT).exists():
+        result, where = self.read_result(), self.file(RESULT)
+        if result is None and self.file(CHECKPOINT).exists():
             raise MissingFileError(f"{self.path}: the run there has not ended; go on with it: optimise --resume")
-        raise MissingFileError(f"{self.path}: is not the folder of a run: there is no {RESULT}")
-
-    @property
-    def scene(self) -> Path:
-        """The scene as the run used it."""
-        return self.file(SCENE)
+        if result is None:
+            raise MissingFileError(f"{self.path}: is not the folder of a run: there is no {RESULT}")
+        if result.get("schema") != SCHEMA:
+            raise InputError(f"{where}: schema is not {SCHEMA}, the one that this version writes")
+        with refused_by_name(where):
+            for key, known in (("metric", METRICS), ("reading", READINGS)):
+                if result[key] not in known:
+                    raise InputError(f"{where}: {key}: is {result[key]!r}; allowed: {', '.join(known)}")
+            for mount in (result["deployment"], result["baseline"]["deployment"]):
+                if not all(np.isfinite(float(mount[key])) for key in COORDINATES):
+                    raise InputError(f"{where}: deployment: is no mounting")
+        optimised, baseline = (self.read_vehicles(name, result["metric"]) for name in (VEHICLES, VEHICLES_BASELINE))
+        if any(not np.array_equal(optimised[key], baseline[key]) for key in ("frame", "vehicle_id", "split")):
+            raise InputError(f"{self.file(VEHICLES_BASELINE)}: lists other vehicles than {VEHICLES}")
+        return Outcome(self, result, optimised, baseline)
 
     def finish(self, result: Mapping) -> None:
         """Write the result, which ends the run, and drop the checkpoint."""
@@ -184,13 +199,13 @@ class RunFolder:
 
         `name` is `HISTORY`, or `HISTORY_NOMINAL` for the search of mountings as planned beside one over a tolerance.
         """
-        rows = ([*map(int, row[:3]), *map(repr, row[3:])] for row in history.tolist())
-        header = ["evaluation", "iteration", "particle", *variables, "objective", "best"]
-        write_text(self.file(name), to_csv(header, rows))
+        numbers = ("evaluation", "iteration", "particle")
+        columns = dict(zip((*numbers, *variables, "objective", "best"), history.T, strict=True))
+        write_columns(self.file(name), columns | {key: columns[key].astype(int) for key in numbers})
 
     def write_vehicles(self, name: str, table: Mapping[str, np.ndarray]) -> None:
         """Write a vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
-        write_columns(self.file(name), {key: table[key] for key in _columns_in(table)}, _DECIMALS)
+        write_columns(self.file(name), table, _DECIMALS)
 
     def write_score_map(self, score_map: ScoreMap) -> None:
         """Write the objective over height and tilt, one row for each grid point."""
@@ -211,26 +226,23 @@ class RunFolder:
 
     def read_history(self) -> np.ndarray:
         """The rows of history.csv, (evaluations, columns)."""
-        with _reading(self.file(HISTORY)) as columns:
+        with _columns_of(self.file(HISTORY)) as columns:
             return np.column_stack([*columns.values()])
 
-    def read_vehicles(self, name: str) -> dict[str, np.ndarray]:
-        """A vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
-        with _reading(self.file(name)) as columns:
-            table = {key: columns[key] for key in _columns_in(columns)}
+    def read_vehicles(self, name: str, metric: str = PE_VGOP.name) -> dict[str, np.ndarray]:
+        """The vehicle table of a run with a metric; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
+        with _columns_of(self.file(name)) as columns:
+            table = {key: columns[key] for key in columns_for(metric)}
             for key, values in table.items():
-                if key not in _TEXTS and not np.isfinite(values).all():
+                if _KINDS.get(key) is not str and not np.isfinite(values).all():
                     raise ValueError(f"column {key} holds what is no finite number")
-                if key in _WHOLE and not ((np.abs(values) <= _LARGEST_WHOLE) & (np.rint(values) == values)).all():
-                    raise ValueError(f"column {key} holds what is no whole number")
-            whole = {key: table[key].astype(np.int64) for key in _WHOLE}
-            return table | whole | {"detectable": table["detectable"] > 0}
+            return table | {"detectable": table["detectable"] > 0}
 
     def read_score_map(self) -> ScoreMap | None:
         """The objective over height and tilt, None where the run has none."""
         if not self.file(SCORE_MAP).exists():
             return None
-        with _reading(self.file(SCORE_MAP)) as columns:
+        with _columns_of(self.file(SCORE_MAP)) as columns:
             height, tilt = (np.unique(columns[key]) for key in ("height_m", "tilt_x_deg"))
             shape = (len(height), len(tilt))
             objective = [values for name, values in columns.items() if name.startswith(_BLOCK_OBJECTIVE)]
@@ -244,9 +256,10 @@ class RunFolder:
                 block_vehicles=np.array(vehicles),
             )
 
-    def write_text(self, name: str, text: str) -> None:
-        """Write a text file of the run."""
-        write_text(self.file(name), text)
+    def read_text(self, name: str) -> str:
+        """The content of a text file of the run."""
+        with refused_by_name(self.file(name)):
+            return read_text(self.file(name))
 
     def _is_ours(self):
         """Whether a run has written its scene here, which is the first thing that a run writes."""
@@ -256,33 +269,40 @@ class RunFolder:
         except (OSError, ValueError):
             return False
 
-    def _read_json(self, name):
-        path = self.file(name)
-        if not path.exists():
+    def _read_json(self, name, identity):
+        """The content of a file, None where it is not there; that of a run with another identity is refused."""
+        if not self.file(name).exists():
             return None
-        try:
-            content = json.loads(read_text(path))
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"{path}: cannot be read: {error}") from error
-        if not isinstance(content, dict):
-            raise InputError(f"{path}: is no file of a run")
+        with refused_by_name(self.file(name)):
+            content = json.loads(self.read_text(name))
+            if not isinstance(content, dict):
+                raise TypeError(f"is no table but a {type(content).__name__}")
+        if identity is not None:
+            check_identity(content.get("identity"), identity, f"{self.path}: the run there")
         return content
 
 
-def _columns_in(table: Mapping) -> tuple[str, ...]:
-    """The columns of a vehicle table: the chosen metric has one of its own unless it is PE-VGOP."""
-    return (*COLUMNS, METRIC_VALUE) if METRIC_VALUE in table else COLUMNS
+@contextmanager
+def refused_by_name(path: Path) -> Iterator[None]:
+    """While a file of a run is read and its content used: what is missing or damaged becomes one line with its name."""
+    try:
+        yield
+    except BlenderLidarError:
+        raise
+    except FileNotFoundError as error:
+        raise MissingFileError(f"{path}: there is no such file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, csv.Error) as error:
+        what = f"has no {error}" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+        raise InputError(f"{path}: is damaged, or not of this version: {what}") from error
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[dict[str, np.ndarray]]:
-    """The columns of a table that a run wrote, numbers as floats; a missing or damaged one is refused by name."""
-    try:
+def _columns_of(path: Path) -> Iterator[dict[str, np.ndarray]]:
+    """The columns of a table that a run wrote."""
+    with refused_by_name(path):
         with TextIOWrapper(open_file(path), encoding="utf-8", newline="") as stream:
             header, *rows = csv.reader(stream)
         columns = dict(zip(header, zip(*rows, strict=True), strict=True))
-        yield {name: np.array(texts, dtype=str if name in _TEXTS else float) for name, texts in columns.items()}
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: there is no such file") from error
-    except (OSError, ValueError, LookupError, csv.Error) as error:
-        raise InputError(f"{path}: is damaged: {error}") from error
+        yield {name: np.array(texts, dtype=_KINDS.get(name, float)) for name, texts in columns.items()}

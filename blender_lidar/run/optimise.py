@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
@@ -17,40 +17,25 @@ from ..scene.scenario import Scenario, pose_at
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
-from .folder import HISTORY, HISTORY_NOMINAL, INSTALLATION, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
-from .installation import installation_text, scenery_counts
+from .folder import HISTORY, HISTORY_NOMINAL, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
 from .replay import Listener, Replay
-from .tolerance import NOMINAL, ROBUST, best_over_tolerance, judge_over_tolerance, objective_over, tolerance_result
-from .verdict import ScoreMap, judge, map_scores, map_verdict, vehicle_table
+from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
+from .verdict import (
+    BASELINE,
+    NOMINAL,
+    ROBUST,
+    ScoreMap,
+    judge,
+    judge_over_tolerance,
+    map_scores,
+    map_verdict,
+    vehicle_table,
+)
 
 AUTO = "auto"  # the [search] fidelity of a search over several fidelities
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
-    """What a run came to.
-
-    Attributes
-    ----------
-    result : dict
-        The content of result.json.
-    optimised, baseline : dict of str to ndarray
-        Vehicle tables of both mountings, searched and held-out frames.
-    score_map : ScoreMap or None
-        The landscape over height and tilt, where both were searched.
-    history : ndarray or None
-        Every evaluation of the search that found the mounting, where there was one; those at the reference where it
-        went from cheap to dear.
-    """
-
-    result: dict
-    optimised: dict[str, np.ndarray]
-    baseline: dict[str, np.ndarray]
-    score_map: ScoreMap | None
-    history: np.ndarray | None
-
-
-def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: bool = False) -> Outcome:
+def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: bool = False) -> dict:
     """Search the best mounting, storing the search as it goes, and write the results.
 
     Parameters
@@ -64,6 +49,11 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     resume : bool
         Go on from what the folder holds. The result is the same as that of a run that was never stopped.
 
+    Returns
+    -------
+    dict
+        The content of result.json.
+
     Raises
     ------
     InputError
@@ -71,52 +61,28 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     """
     started = time.perf_counter()
     scenario, deployment = site.scenario, site.scenario.deployment
-    tolerance, seed = scenario.objective.tolerance, scenario.search.seed
+    tolerance, score_map = scenario.objective.tolerance, None
     replay = Replay(folder, site.identity, resume=resume)
     folder.write_scene(scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
         searches = _searched(site, evaluator, replay, listener)
         found = {name: deployment.coordinates(search.best_x) for name, search in searches.items()}
-        nominal, score_map = found[NOMINAL], None
         if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
-            score_map = map_scores(evaluator, deployment, nominal, site.plan.search_block, listener.mapping)
-        mountings = {"optimised": nominal, "baseline": scenario.baseline}
+            score_map = map_scores(evaluator, deployment, found[NOMINAL], site.plan.search_block, listener.mapping)
+        mountings = {"optimised": found[NOMINAL], BASELINE: scenario.baseline}
         if tolerance is not None:
-            mountings["optimised"] = best_over_tolerance(evaluator, [found[ROBUST], nominal], tolerance)
-            mountings[NOMINAL] = nominal
-        on_map = {} if score_map is None else {"best_of_map": score_map.best_coordinates(nominal)}
-        over_tolerance, verdict, tables = _judged(site, evaluator, mountings, on_map)
-    evaluations = {name: len(search.history) for name, search in searches.items()}
-    mapped = "optimised" if tolerance is None else NOMINAL
-    searched = {
-        "search": scenario.search.method,
-        "seed": seed,
-        "evaluations": sum(evaluations.values()),
-        "fidelity": scenario.search.fidelity,
-        "rungs": rung_costs(searches[NOMINAL]) if scenario.search.fidelity == AUTO else None,
-        "map": None if score_map is None else map_verdict(score_map, verdict, mapped, seed),
-    }
-    told = tolerance_result(tolerance, over_tolerance, nominal, verdict, evaluations)
-    result = _result(site, mountings["optimised"], verdict, searched, told, time.perf_counter() - started)
-    histories = {HISTORY: searches[NOMINAL].history}
-    if tolerance is not None:
-        histories = {HISTORY: searches[ROBUST].history, HISTORY_NOMINAL: searches[NOMINAL].history}
-    return _finish(site, folder, Outcome(result, *tables, score_map, histories[HISTORY]), histories)
+            mountings["optimised"] = best_over_tolerance(evaluator, [found[ROBUST], found[NOMINAL]], tolerance)
+            mountings[NOMINAL] = found[NOMINAL]
+        return _conclude(site, folder, evaluator, started, mountings, searches, score_map)
 
 
-def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float]) -> Outcome:
-    """Score one mounting, its six `coordinates` in metres and degrees, and write the results."""
+def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float]) -> dict:
+    """Score one mounting, its six `coordinates` in metres and degrees; write and return the result."""
     started = time.perf_counter()
-    scenario = site.scenario
-    folder.write_scene(scenario)
+    folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        mountings = {"optimised": coordinates, "baseline": scenario.baseline}
-        over_tolerance, verdict, tables = _judged(site, evaluator, mountings, {})
-    searched = {"search": None, "seed": scenario.search.seed, "evaluations": 1, "fidelity": "full"}
-    searched |= {"rungs": None, "map": None}
-    tolerance = tolerance_result(scenario.objective.tolerance, over_tolerance)
-    result = _result(site, coordinates, verdict, searched, tolerance, time.perf_counter() - started)
-    return _finish(site, folder, Outcome(result, *tables, None, None), {})
+        mountings = {"optimised": coordinates, BASELINE: site.scenario.baseline}
+        return _conclude(site, folder, evaluator, started, mountings, {}, None)
 
 
 def fresh_search(scenario: Scenario, evaluations: int | None = None) -> Search:
@@ -165,80 +131,105 @@ def rung_costs(search: MultiFidelitySearch) -> list[dict[str, object]]:
     ]
 
 
+def scenery_counts(site: Site) -> dict[str, int] | None:
+    """Objects and triangles of the scenery within reach; None where the scene has none."""
+    standing = site.observation.scenery
+    if standing is None:
+        return None
+    return {"objects": len(np.unique(standing.scenery.owner)), "triangles": len(standing.scenery)}
+
+
 def _searched(
     site: Site, evaluator: Evaluator, replay: Replay, listener: Listener
 ) -> dict[str, Search | MultiFidelitySearch]:
     """The searches of a run, brought to their ends: of mountings as planned, and over the scene's tolerance."""
     scenario, deployment, tolerance = site.scenario, site.scenario.deployment, site.scenario.objective.tolerance
 
-    def as_planned(x: np.ndarray) -> np.ndarray:
-        return evaluator.totals([deployment.pose(row) for row in x]).objective.sum(axis=1)
+    def as_planned(asked: np.ndarray | Asked) -> np.ndarray:
+        if isinstance(asked, Asked):
+            return asked_objective(site, evaluator, asked)
+        return evaluator.totals([deployment.pose(row) for row in asked]).objective.sum(axis=1)
 
     def over_tolerance(x: np.ndarray) -> np.ndarray:
         return objective_over(evaluator, [deployment.coordinates(row) for row in x], tolerance)
 
-    if scenario.search.fidelity == AUTO:
-        search = fresh_auto_search(site)
-        replay.carry_out(search, lambda asked: asked_objective(site, evaluator, asked), listener)
-        return {NOMINAL: search}
     searches = {}
     for name, score in {NOMINAL: as_planned, ROBUST: over_tolerance}.items():
         if name == NOMINAL or tolerance is not None:
-            searches[name] = fresh_search(scenario)
+            searches[name] = fresh_auto_search(site) if scenario.search.fidelity == AUTO else fresh_search(scenario)
             replay.carry_out(searches[name], score, listener)
     return searches
 
 
-def _judged(site: Site, evaluator: Evaluator, mountings: Mapping[str, Mapping[str, float]], on_map: Mapping):
-    """Scores over the tolerance, the verdict (of the map's best mounting too) and both mountings' vehicle tables."""
-    seed = site.scenario.search.seed
-    poses = {name: pose_at(coordinates) for name, coordinates in {**mountings, **on_map}.items()}
-    splits = {"search": evaluator, "holdout": evaluator.held_out}
-    tables = [vehicle_table(poses[name], **splits) for name in ("optimised", "baseline")]
-    return judge_over_tolerance(site, mountings, evaluator, seed), judge(site, poses, evaluator, seed), tables
-
-
-def _result(site: Site, best, verdict, searched, tolerance, seconds) -> dict:
-    scenario, metric = site.scenario, metric_named(site.scoring.metric)
-    return {
+def _conclude(
+    site: Site,
+    folder: RunFolder,
+    evaluator: Evaluator,
+    started: float,
+    mountings: Mapping[str, Mapping[str, float]],
+    searches: Mapping[str, Search | MultiFidelitySearch],
+    score_map: ScoreMap | None,
+) -> dict:
+    """Judge the mountings and write all that a run leaves, last of all its result, which is returned."""
+    scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
+    for name, search in zip((HISTORY, HISTORY_NOMINAL), reversed(searches.values()), strict=False):
+        folder.write_history(name, search.history, scenario.deployment.variables)
+    poses = {name: pose_at(coordinates) for name, coordinates in mountings.items()}
+    planned = NOMINAL if NOMINAL in mountings else "optimised"
+    if score_map is not None:
+        folder.write_score_map(score_map)
+        poses["best_of_map"] = pose_at(score_map.best_coordinates(mountings[planned]))
+    for file, name in {VEHICLES: "optimised", VEHICLES_BASELINE: BASELINE}.items():
+        folder.write_vehicles(file, vehicle_table(poses[name], search=evaluator, holdout=evaluator.held_out))
+    verdict = judge(site, poses, evaluator, seed)
+    evaluations = {name: len(search.history) for name, search in searches.items()}
+    tolerance = scenario.objective.tolerance
+    over_tolerance = (
+        None
+        if tolerance is None
+        else {
+            "settings": asdict(tolerance),
+            "searched_errors": SEARCHED_BASE[tolerance.aim] ** 2 if searches else None,
+            "judged_errors": JUDGED_BASE**2,
+            "evaluations": evaluations or None,
+            "robust": judge_over_tolerance(site, mountings, evaluator, seed),
+            "sharp": {"deployment": dict(mountings[NOMINAL]), **verdict[NOMINAL]} if searches else None,
+        }
+    )
+    rungs = [rung_costs(search) for search in searches.values() if isinstance(search, MultiFidelitySearch)]
+    result = {
         "schema": SCHEMA,
         "scene": Path(scenario.source).name,
         "sensor": site.model.name,
         "range_gate_m": scenario.sensor.range_gate_m,
         "imperfections": scenario.sensor.imperfections_as_table(),
-        "scenery": scenery_counts(site.observation.scenery),
+        "scenery": scenery_counts(site),
         "caster": site.observation.caster,
         "detail": site.observation.detail,
         "metric": metric.name,
         "metric_unit": metric.unit,
         "metric_higher_is_better": metric.higher_is_better,
         "reading": scenario.objective.reading,
-        **searched,
+        "search": scenario.search.method if searches else None,
+        "seed": seed,
+        "evaluations": sum(evaluations.values()) or 1,
+        "fidelity": scenario.search.fidelity if searches else "full",
+        "rungs": rungs[0] if rungs else None,
+        "map": None if score_map is None else map_verdict(score_map, verdict, planned, seed),
         "frames": len(site.search),
         "frame_ids": [int(frame) for frame in site.plan.search],
         "holdout_frame_ids": [int(frame) for frame in site.plan.holdout],
         "block_s": site.plan.block_s,
-        "vehicles": sum(int(frame.counted.sum()) for frame in site.search),
-        "deployment": dict(best),
+        "vehicles": int(evaluator.vehicles.sum()),
+        "deployment": dict(mountings["optimised"]),
         **verdict["optimised"],
-        "baseline": {"deployment": dict(scenario.baseline), **verdict["baseline"]},
-        "tolerance": tolerance,
+        "baseline": {"deployment": dict(scenario.baseline), **verdict[BASELINE]},
+        "tolerance": over_tolerance,
         "notes": list(site.plan.notes),
         "traffic_report": site.recording.report.as_dict(),
         "identity": site.identity,
-        "seconds": round(seconds, 3),
+        "seconds": round(time.perf_counter() - started, 3),
         "versions": versions(site.observation.caster),
     }
-
-
-def _finish(site: Site, folder: RunFolder, outcome: Outcome, histories: Mapping[str, np.ndarray]) -> Outcome:
-    """Write all that a run leaves."""
-    for name, history in histories.items():
-        folder.write_history(name, history, site.scenario.deployment.variables)
-    if outcome.score_map is not None:
-        folder.write_score_map(outcome.score_map)
-    folder.write_vehicles(VEHICLES, outcome.optimised)
-    folder.write_vehicles(VEHICLES_BASELINE, outcome.baseline)
-    folder.write_text(INSTALLATION, installation_text(site, outcome.result))
-    folder.finish(outcome.result)
-    return outcome
+    folder.finish(result)
+    return result

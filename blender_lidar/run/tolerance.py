@@ -7,13 +7,12 @@ every mounting, so that a search meets no noise: few points while it searches, m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..scene.scenario import COORDINATE_LIMITS, pose_at
 from ..scene.settings import COORDINATES, Tolerance
-from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, Totals
 from ..sensors.pose import Pose
 from ..statistics import block_sums, statistic_interval_90
@@ -79,10 +78,7 @@ def aimed(values: np.ndarray, aim: str) -> np.ndarray:
 
 
 def objective_over(
-    evaluator: Evaluator,
-    plans: Sequence[Mapping[str, float]],
-    tolerance: Tolerance,
-    base: int | None = None,
+    evaluator: Evaluator, plans: Sequence[Mapping[str, float]], tolerance: Tolerance, base: int | None = None
 ) -> np.ndarray:
     """The objective of each plan over the tolerance, (s,), in the metric's unit: what a robust search maximises.
 
@@ -107,62 +103,88 @@ def best_over_tolerance(
     return plans[int(np.argmax(objective_over(evaluator, plans, tolerance, JUDGED_BASE)))]
 
 
+def tolerance_text(settings: Mapping) -> str:
+    """How far off its plan a mounting may end up; `settings` is what result.json has of a `Tolerance`."""
+    widths = (("height_m", "m of height"), ("tilt_deg", "deg of either tilt"), ("yaw_deg", "deg of yaw"))
+    return ", ".join(f"+/-{settings[key]:g} {what}" for key, what in widths if settings[key])
+
+
+# --- A mounting judged, as planned or over a tolerance ----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """Scores of a mounting on some frames: as it is planned (m is 1), or under m errors that stand for all.
+
+    Attributes
+    ----------
+    totals : Totals, (m, f)
+    block : ndarray of int, (f,)
+        Block of time of each frame.
+    aim : str
+        What counts of the m: see `aimed`.
+    """
+
+    totals: Totals
+    block: np.ndarray
+    aim: str = "mean"
+
+    @property
+    def per_vehicle(self) -> float:
+        """Objective per vehicle, in the metric's unit."""
+        return float(aimed(self.totals.per_vehicle(), self.aim))
+
+    @property
+    def block_vehicles(self) -> np.ndarray:
+        """Vehicles of each block of time, (b,)."""
+        return block_sums(self.totals.vehicles, self.block)
+
+    def per_vehicle_under(self, weights: np.ndarray) -> np.ndarray:
+        """`per_vehicle` with each block of time counted `weights` (r, b) times, (r,)."""
+        objective = weights @ block_sums(self.totals.objective, self.block).T
+        return aimed(objective / (weights @ self.block_vehicles)[:, None], self.aim)
+
+    def scores(self) -> dict[str, float]:
+        """Objective per vehicle and share of vehicles at or above the threshold, as result.json has them."""
+        share = float(aimed(self.totals.detectable_share(), self.aim))
+        return {"objective_per_vehicle": self.per_vehicle, "detectable_share": share}
+
+    def gain_over(self, other: Judged, seed: int) -> tuple[float, list[float] | None]:
+        """Objective per vehicle over that of another mounting on the same frames, and its 90 % interval."""
+        interval = statistic_interval_90(
+            lambda weights: self.per_vehicle_under(weights) - other.per_vehicle_under(weights),
+            self.block_vehicles,
+            seed,
+        )
+        return self.per_vehicle - other.per_vehicle, None if interval is None else list(interval)
+
+
+def judged_rows(totals: Totals, rows: slice, block: Sequence[int], aim: str = "mean") -> Judged:
+    """Some rows of totals as the scores of one mounting."""
+    return Judged(Totals(totals.objective[rows], totals.detectable[rows], totals.vehicles), np.asarray(block), aim)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ToleranceLosses:
     """What becomes of a mounting's objective over a tolerance, on the frames of one evaluator.
 
     Attributes
     ----------
-    aim : str
-        Of the tolerance: the mean over the errors, or the low quantile.
-    planned, installed : Totals
-        Of the mounting as planned, one row; and under each of the m errors, which stand for the same share of all.
+    planned, installed : Judged
+        The mounting as planned; and under errors that stand for the same share of all each.
     limit_losses : dict of str to list of float
         Objective per vehicle that is lost where one coordinate alone is off, by minus and by plus its half-width; for
         each coordinate that is not exact.
-    block : ndarray of int, (f,)
-        Block of time of each frame.
     """
 
-    aim: str
-    planned: Totals
-    installed: Totals
+    planned: Judged
+    installed: Judged
     limit_losses: dict[str, list[float]]
-    block: np.ndarray
-
-    @property
-    def planned_per_vehicle(self) -> float:
-        """Objective per vehicle of the mounting as planned, in the metric's unit."""
-        return float(self.planned.per_vehicle()[0])
-
-    @property
-    def aimed_per_vehicle(self) -> float:
-        """Objective per vehicle over the tolerance: what is aimed at."""
-        return float(aimed(self.installed.per_vehicle(), self.aim))
-
-    @property
-    def aimed_share(self) -> float:
-        """Share of vehicles at or above the threshold over the tolerance: what is aimed at."""
-        return float(aimed(self.installed.detectable_share(), self.aim))
-
-    @property
-    def block_vehicles(self) -> np.ndarray:
-        """Vehicles of each block of time, (b,)."""
-        return block_sums(self.planned.vehicles, self.block)
-
-    def aimed_under(self, weights: np.ndarray) -> np.ndarray:
-        """`aimed_per_vehicle` with each block of time counted `weights` (r, b) times, (r,)."""
-        objective = block_sums(self.installed.objective, self.block)
-        return aimed(weights @ objective.T / (weights @ self.block_vehicles)[:, None], self.aim)
-
-    def planned_under(self, weights: np.ndarray) -> np.ndarray:
-        """`planned_per_vehicle` with each block of time counted `weights` (r, b) times, (r,)."""
-        return weights @ block_sums(self.planned.objective[0], self.block) / (weights @ self.block_vehicles)
 
     def kept(self, baseline_per_vehicle: float) -> float | None:
         """Share of its gain over the baseline that the mounting keeps over the tolerance; None without a gain."""
-        gain = self.planned_per_vehicle - baseline_per_vehicle
-        return (self.aimed_per_vehicle - baseline_per_vehicle) / gain if gain > 0.0 else None
+        gain = self.planned.per_vehicle - baseline_per_vehicle
+        return (self.installed.per_vehicle - baseline_per_vehicle) / gain if gain > 0.0 else None
 
 
 def losses_over_tolerance(
@@ -188,137 +210,10 @@ def losses_over_tolerance(
         for sign in (-1.0, 1.0)
     ]
     totals = evaluator.totals(installed(plan, np.concatenate([np.zeros((1, len(COORDINATES))), errors, limits])))
-    planned, hung, limited = (
-        Totals(totals.objective[rows], totals.detectable[rows], totals.vehicles)
-        for rows in (slice(0, 1), slice(1, 1 + len(errors)), slice(1 + len(errors), None))
+    planned = judged_rows(totals, slice(0, 1), block)
+    lost = planned.per_vehicle - totals.per_vehicle()[1 + len(errors) :]
+    return ToleranceLosses(
+        planned,
+        judged_rows(totals, slice(1, 1 + len(errors)), block, tolerance.aim),
+        dict(zip(widths, lost.reshape(-1, 2).tolist(), strict=True)),
     )
-    lost = (planned.per_vehicle() - limited.per_vehicle()).reshape(-1, 2).tolist()
-    return ToleranceLosses(tolerance.aim, planned, hung, dict(zip(widths, lost, strict=True)), np.asarray(block))
-
-
-# --- Mountings over a tolerance: what each keeps of its gain over the baseline where it hangs a little off -
-
-BASELINE = "baseline"
-NOMINAL, ROBUST = "sharp", "robust"  # mountings and their searches, as planned and over a tolerance, in result.json
-
-
-def judge_over_tolerance(
-    site: Site, mountings: Mapping[str, Mapping[str, float]], evaluator: Evaluator, seed: int
-) -> dict[str, dict]:
-    """Scores of mountings over the scene's tolerance, on the searched and on the held-out frames.
-
-    Parameters
-    ----------
-    mountings : mapping of str to coordinates
-        The mountings by name [m, degrees]; one is the ``"baseline"``. Gains are measured against it as planned.
-    evaluator : Evaluator
-        Scores the searched frames, and the held-out ones apart.
-    seed : int
-        For the resampling of blocks.
-
-    Returns
-    -------
-    dict
-        For each name ``objective`` and ``objective_per_vehicle`` over the tolerance in the metric's unit,
-        ``detectable_share``, ``gain_kept``: the share of the gain as planned that is kept, None without one,
-        ``loss_at_limits`` for each coordinate that is not exact, and ``holdout`` with the same per vehicle,
-        ``gain_over_baseline`` and its ``interval_90``; and, where a mounting is called ``"sharp"``, for the one called
-        ``"optimised"`` also ``over_sharp`` in ``holdout``: by how much it is better, as planned and over the
-        tolerance. ``holdout`` is None where nothing was held out. Empty where the scene has no tolerance.
-    """
-    tolerance = site.scenario.objective.tolerance
-    if tolerance is None:
-        return {}
-    searched, held_out = (
-        {name: losses_over_tolerance(scorer, plan, tolerance, block) for name, plan in mountings.items()}
-        if scorer.vehicles.sum()
-        else {}
-        for scorer, block in ((evaluator, site.plan.search_block), (evaluator.held_out, site.plan.holdout_block))
-    )
-    return {
-        name: {
-            "objective": losses.aimed_per_vehicle * int(losses.planned.vehicles.sum()),
-            **_per_vehicle(losses, searched[BASELINE]),
-            "holdout": _held_out(name, held_out, seed) if held_out else None,
-        }
-        for name, losses in searched.items()
-    }
-
-
-def tolerance_result(
-    tolerance: Tolerance | None,
-    over_tolerance: Mapping[str, dict],
-    nominal: Mapping[str, float] | None = None,
-    verdict: Mapping[str, dict] | None = None,
-    evaluations: Mapping[str, int] | None = None,
-) -> dict | None:
-    """The block ``tolerance`` of result.json; None without a tolerance.
-
-    Parameters
-    ----------
-    over_tolerance : mapping
-        What `judge_over_tolerance` says.
-    nominal : mapping of str to float, optional
-        The best mounting as planned [m, degrees], where there was a search.
-    verdict : mapping, optional
-        What `judge` says, of ``"sharp"`` too.
-    evaluations : mapping of str to int, optional
-        How many mountings the search of mountings as planned tried, and the one over the tolerance, by name.
-    """
-    if tolerance is None:
-        return None
-    return {
-        "settings": asdict(tolerance),
-        "searched_errors": evaluations and SEARCHED_BASE[tolerance.aim] ** 2,
-        "judged_errors": JUDGED_BASE**2,
-        "evaluations": evaluations and dict(evaluations),
-        "robust": dict(over_tolerance),
-        "sharp": None if nominal is None else {"deployment": dict(nominal), **verdict[NOMINAL]},
-    }
-
-
-def _per_vehicle(losses: ToleranceLosses, baseline: ToleranceLosses) -> dict:
-    return {
-        "objective_per_vehicle": losses.aimed_per_vehicle,
-        "detectable_share": losses.aimed_share,
-        "gain_kept": losses.kept(baseline.planned_per_vehicle),
-        "loss_at_limits": losses.limit_losses,
-    }
-
-
-def _held_out(name: str, held_out: Mapping[str, ToleranceLosses], seed: int) -> dict:
-    losses, baseline = held_out[name], held_out[BASELINE]
-    interval = statistic_interval_90(
-        lambda weights: losses.aimed_under(weights) - baseline.planned_under(weights), losses.block_vehicles, seed
-    )
-    scores = {
-        **_per_vehicle(losses, baseline),
-        "gain_over_baseline": losses.aimed_per_vehicle - baseline.planned_per_vehicle,
-        "interval_90": None if interval is None else list(interval),
-    }
-    if name == "optimised" and NOMINAL in held_out:
-        scores["over_sharp"] = _over(losses, held_out[NOMINAL], seed)
-    return scores
-
-
-def _over(robust: ToleranceLosses, nominal: ToleranceLosses, seed: int) -> dict:
-    """By how much the one is better than the other per vehicle, each with its 90 % interval."""
-
-    def interval(under: str) -> list[float] | None:
-        found = statistic_interval_90(
-            lambda weights: getattr(robust, under)(weights) - getattr(nominal, under)(weights),
-            robust.block_vehicles,
-            seed,
-        )
-        return None if found is None else list(found)
-
-    return {
-        "as_planned": {
-            "objective_per_vehicle": robust.planned_per_vehicle - nominal.planned_per_vehicle,
-            "interval_90": interval("planned_under"),
-        },
-        "over_tolerance": {
-            "objective_per_vehicle": robust.aimed_per_vehicle - nominal.aimed_per_vehicle,
-            "interval_90": interval("aimed_under"),
-        },
-    }

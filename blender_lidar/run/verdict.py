@@ -1,4 +1,4 @@
-"""The verdict on mountings: beside the baseline on searched and held-out frames, over a score map, vehicle by vehicle.
+"""The verdict on mountings: beside the baseline, as planned and over a tolerance; over a score map; by vehicle.
 
 The score map is the objective over height and tilt: a picture of the whole landscape, and how certain its top is. A
 vehicle table has one row for each counted vehicle and frame: what a mounting sees of it.
@@ -18,15 +18,18 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, Totals
 from ..scoring.scores import Scored
 from ..sensors.pose import Pose
-from ..statistics import FEWEST_BLOCKS, block_sums, interval_90, ratio_interval_90, resampled_weights
+from ..statistics import FEWEST_BLOCKS, block_sums, interval_90, resampled_weights
 from ..traffic.vehicles import Vehicles
+from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
 
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
+BASELINE = "baseline"
+NOMINAL, ROBUST = "sharp", "robust"  # mountings and their searches, as planned and over a tolerance, in result.json
 
-# --- Beside the baseline: on the frames that chose a mounting, and on frames that did not -----------------
+# --- Beside the baseline: on the frames that chose a mounting, and on frames that did not -----------------------------
 
 
-def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed: int) -> dict:
+def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed: int) -> dict[str, dict]:
     """Scores of mountings on the searched and on the held-out frames.
 
     Parameters
@@ -45,45 +48,88 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
         ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` and its ``interval_90``. ``holdout`` is
         None where nothing was held out; ``interval_90`` where there are too few blocks.
     """
-    poses, base = list(mountings.values()), list(mountings).index("baseline")
-    searched = evaluator.totals(poses)
-    held_out = evaluator.held_out.totals(poses) if evaluator.held_out.vehicles.sum() else None
-    return {
-        name: {
-            "objective": float(searched.objective[row].sum()),
-            **_per_vehicle(searched, row),
-            "holdout": None if held_out is None else _held_out(held_out, row, base, site.plan.holdout_block, seed),
+
+    def planned(scorer: Evaluator, block: Sequence[int]) -> dict[str, Judged]:
+        totals = scorer.totals(list(mountings.values()))
+        return {name: judged_rows(totals, slice(row, row + 1), block) for row, name in enumerate(mountings)}
+
+    searched, held_out = _on_both_splits(site, evaluator, planned)
+    verdict = {}
+    for name, found in searched.items():
+        verdict[name] = {"objective": float(found.totals.objective.sum()), **found.scores(), "holdout": None}
+        if held_out:
+            gain, interval = held_out[name].gain_over(held_out[BASELINE], seed)
+            vehicles, block = held_out[name].totals.vehicles, held_out[name].block
+            verdict[name]["holdout"] = {
+                **held_out[name].scores(),
+                "gain_over_baseline": gain,
+                "interval_90": interval,
+                "vehicles": int(vehicles.sum()),
+                "frames": len(vehicles),
+                "blocks": len(np.unique(block)),
+            }
+    return verdict
+
+
+def judge_over_tolerance(
+    site: Site, mountings: Mapping[str, Mapping[str, float]], evaluator: Evaluator, seed: int
+) -> dict[str, dict]:
+    """Scores of mountings over the scene's tolerance, on the searched and on the held-out frames.
+
+    Parameters
+    ----------
+    mountings : mapping of str to coordinates
+        The mountings by name [m, degrees]; one is the ``"baseline"``. Gains are measured against it as planned.
+    evaluator, seed
+        As for `judge`.
+
+    Returns
+    -------
+    dict
+        For each name what `judge` says, but over the tolerance; and ``gain_kept``, the share of the gain as planned
+        that is kept, None without one, and ``loss_at_limits`` for each coordinate that is not exact. Where a mounting
+        is called ``"sharp"``, for the one called ``"optimised"`` also ``over_sharp`` in ``holdout``: by how much it is
+        better, as planned and over the tolerance.
+    """
+    tolerance = site.scenario.objective.tolerance
+
+    def losses(scorer: Evaluator, block: Sequence[int]) -> dict[str, ToleranceLosses]:
+        return {name: losses_over_tolerance(scorer, plan, tolerance, block) for name, plan in mountings.items()}
+
+    def scores(split: Mapping[str, ToleranceLosses], name: str) -> dict:
+        kept = split[name].kept(split[BASELINE].planned.per_vehicle)
+        return {**split[name].installed.scores(), "gain_kept": kept, "loss_at_limits": split[name].limit_losses}
+
+    def beside(one: Judged, other: Judged, called: str = "objective_per_vehicle") -> dict:
+        return dict(zip((called, "interval_90"), one.gain_over(other, seed), strict=True))
+
+    searched, held_out = _on_both_splits(site, evaluator, losses)
+    verdict = {}
+    for name, found in searched.items():
+        objective = found.installed.per_vehicle * int(evaluator.vehicles.sum())
+        verdict[name] = {"objective": objective, **scores(searched, name), "holdout": None}
+        if held_out:
+            gain = beside(held_out[name].installed, held_out[BASELINE].planned, "gain_over_baseline")
+            verdict[name]["holdout"] = {**scores(held_out, name), **gain}
+    if held_out and NOMINAL in mountings:
+        robust, nominal = held_out["optimised"], held_out[NOMINAL]
+        verdict["optimised"]["holdout"]["over_sharp"] = {
+            "as_planned": beside(robust.planned, nominal.planned),
+            "over_tolerance": beside(robust.installed, nominal.installed),
         }
-        for row, name in enumerate(mountings)
-    }
+    return verdict
 
 
-def _per_vehicle(totals: Totals, row: int) -> dict:
-    return {
-        "objective_per_vehicle": float(totals.per_vehicle()[row]),
-        "detectable_share": float(totals.detectable_share()[row]),
-    }
-
-
-def _held_out(totals: Totals, row: int, base: int, block: Sequence[int], seed: int) -> dict:
-    gain = totals.objective[row] - totals.objective[base]
-    interval = ratio_interval_90(block_sums(gain, block), block_sums(totals.vehicles, block), seed)
-    return {
-        **_per_vehicle(totals, row),
-        "gain_over_baseline": float(gain.sum() / totals.vehicles.sum()),
-        "interval_90": None if interval is None else list(interval),
-        "vehicles": int(totals.vehicles.sum()),
-        "frames": len(totals.vehicles),
-        "blocks": len(np.unique(block)),
-    }
+def _on_both_splits(site: Site, evaluator: Evaluator, judged: Callable[[Evaluator, Sequence[int]], dict]) -> list[dict]:
+    """What becomes of the searched and of the held-out frames, by name; nothing where no vehicle was held out."""
+    splits = (evaluator, site.plan.search_block), (evaluator.held_out, site.plan.holdout_block)
+    return [judged(scorer, block) if scorer.vehicles.sum() else {} for scorer, block in splits]
 
 
 # --- The objective over height and tilt: a picture of the whole landscape, and how certain its top is -----
 
 AXES = ("height_m", "tilt_x_deg")
 POINTS = (11, 26)  # a quarter metre by 1 degree over the paper's ranges: enough to see the landscape
-FINE_POINTS = (26, 26)  # 0.1 m by 1 degree: the resolution in which the paper reports
-_CHUNK = 26
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,17 +213,12 @@ def map_scores(
     if not all(axis in deployment.bounds for axis in AXES):
         return None
     height, tilt = (np.linspace(*deployment.bounds[axis], points) for axis, points in zip(AXES, grid, strict=True))
-    poses = [pose_at({**optimum, AXES[0]: float(h), AXES[1]: float(t)}) for h in height for t in tilt]
     parts = []
-    for start in range(0, len(poses), _CHUNK):
-        chunk = poses[start : start + _CHUNK]
-        parts.append(evaluator.totals(chunk))
-        progress(len(chunk))
-    totals = Totals(
-        np.concatenate([part.objective for part in parts]),
-        np.concatenate([part.detectable for part in parts]),
-        evaluator.vehicles,
-    )
+    for h in height.tolist():
+        parts.append(evaluator.totals([pose_at({**optimum, AXES[0]: h, AXES[1]: t}) for t in tilt.tolist()]))
+        progress(len(tilt))
+    objective, detectable, _ = zip(*parts, strict=True)
+    totals = Totals(np.concatenate(objective), np.concatenate(detectable), evaluator.vehicles)
     block_vehicles = block_sums(evaluator.vehicles, block)
     filled = block_vehicles > 0  # an empty block prefers no mounting
     return ScoreMap(

@@ -14,9 +14,8 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
-from ..run.installation import tolerance_text
 from ..run.optimise import fresh_search
-from ..run.tolerance import installed, losses_over_tolerance, objective_over
+from ..run.tolerance import installed, losses_over_tolerance, objective_over, tolerance_text
 from ..run.verdict import AXES, vehicle_table
 from ..scene.scenario import pose_at
 from ..scene.settings import COORDINATES, Tolerance

@@ -25,7 +25,6 @@ from blender_lidar.errors import InputError
 from blender_lidar.files import write_text
 from blender_lidar.optimise import SEARCHES, GridSearch, run
 from blender_lidar.run.optimise import asked_objective, fresh_auto_search, fresh_search, rung_costs
-from blender_lidar.run.verdict import FINE_POINTS
 from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator, workplace_of
@@ -145,7 +144,7 @@ def _full(args, site, evaluator, name):
         return evaluator.totals([deployment.pose(row) for row in x], range(frames)).objective.sum(axis=1)
 
     if name == GRID:
-        search = GridSearch(np.array(deployment.lower), np.array(deployment.upper), points=FINE_POINTS)
+        search = GridSearch(np.array(deployment.lower), np.array(deployment.upper), points=(26, 26))
     else:
         method = load_scenario(args.scene, {("search", "method"): (name, "--searches")}).search
         method = replace(method, seed=site.scenario.search.seed)

@@ -18,7 +18,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import metric_named
 from blender_lidar.optimise import READINGS, SEARCHES, run
 from blender_lidar.run.optimise import fresh_search
-from blender_lidar.run.verdict import FINE_POINTS, map_scores
+from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
@@ -44,7 +44,7 @@ def _study(args):
     site = prepare(load_scenario(args.scene, overrides))
     with site_evaluator(site, site.search) as evaluator:
         scenario = site.scenario
-        found = map_scores(evaluator, scenario.deployment, scenario.baseline, site.plan.search_block, grid=FINE_POINTS)
+        found = map_scores(evaluator, scenario.deployment, scenario.baseline, site.plan.search_block, grid=(26, 26))
         if found is None:
             raise InputError(f"{args.scene}: [deployment] height_m and tilt_x_deg must both be pairs")
         baseline = evaluator.totals([scenario.baseline_pose]).per_vehicle()[0]

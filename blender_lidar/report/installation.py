@@ -1,0 +1,119 @@
+"""The installation sheet, what the person on the ladder needs: where the LiDAR goes, how it leans, what to check."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..metrics.catalogue import PE_VGOP, metric_named
+from ..run.tolerance import tolerance_text
+from ..scene.scenario import pose_at
+from ..scene.site import Site
+from .summary import conditions, costliest_text, judged, kept_text, objective_text, optimum_text, sharp_of, span
+
+_UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
+
+
+def installation_text(site: Site, result: Mapping) -> str:
+    """Instructions for one mounting, as plain text; `result` is the content of result.json."""
+    mount = result["deployment"]
+    pose = pose_at(mount)
+    right, ahead, up = pose.to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
+    falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
+    standing = site.observation.scenery
+    modelled = standing is not None and len(standing.scenery) > 0
+    lines = [
+        f"Installation of one {result['sensor']} LiDAR",
+        "",
+        f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor",
+        f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
+        f"             {_beside(site, mount['y_m'])}",
+        f"Lean         {_lean(up)}",
+        f"             (before yaw: {mount['tilt_x_deg']:.1f} deg across, {mount['tilt_y_deg']:.1f} deg along it)",
+        f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the zero azimuth of the",
+        "             sensor faces across the road, +y: to the left of the direction of travel",
+        "",
+        "Check on site",
+        f"- Inclinometer on the sensor's base: a fall of {falls[0]} towards zero azimuth and of",
+        f"  {falls[1]} a quarter turn clockwise from it (a negative fall is a rise).",
+        f"- {_lowest_beam(site, pose)}",
+        f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz.",
+        "- Look for poles, signs, trees and barriers between the sensor and the lanes that the scene does not have."
+        if modelled
+        else "- Poles, signs, trees and barriers between the sensor and the lanes are not in the model: look for them.",
+        "- blind_zones.png shows where vehicles stay below the threshold.",
+        "",
+        *_expected(result),
+        *_errors(result),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _beside(site, y_m):
+    """How far beside the carriageway the pole stands, and on which side."""
+    right, left = site.scenario.road.carriageway_y
+    if y_m <= right:
+        return f"{right - y_m:.2f} m to the right of the carriageway's right edge, seen in the direction of travel"
+    return f"{y_m - left:.2f} m to the left of the carriageway's left edge, seen in the direction of travel"
+
+
+def _lean(axis):
+    """How far and which way the sensor's upright axis (3,) leans: beams on that side look down."""
+    angle = math.degrees(math.acos(min(axis[2], 1.0)))
+    if angle < _UPRIGHT_DEG:
+        return "none: the sensor stands upright"
+    bearing = math.degrees(math.atan2(axis[1], axis[0]))
+    names = {0: "ahead, in the direction of travel", 90: "+y, left of the direction of travel"}
+    names |= {180: "back, against the direction of travel", -90: "-y, right of the direction of travel"}
+    nearest = min(names, key=lambda name: abs(math.remainder(bearing - name, 360.0)))
+    off = math.remainder(bearing - nearest, 360.0)
+    turned = "" if abs(off) < 0.5 else f", {abs(off):.0f} deg {'counter-' if off > 0 else ''}clockwise of it"
+    return f"{angle:.1f} deg forward and down towards {names[nearest]}{turned}"
+
+
+def _lowest_beam(site, pose):
+    """Where the lowest ring meets the ground in the direction of zero azimuth."""
+    lowest = float(site.model.elevation_rad[0])
+    ray = pose.to_world(np.array([[0.0, math.cos(lowest), math.sin(lowest)]]))[0]
+    if ray[2] >= 0:
+        return "At zero azimuth the lowest ring does not meet the ground."
+    reach = -pose.height_m * math.hypot(ray[0], ray[1]) / ray[2]
+    return f"At zero azimuth the lowest ring meets the ground {reach:.1f} m from the pole: put a target there."
+
+
+def _expected(result):
+    """What to expect, on the frames that did not choose the mounting where there are any."""
+    (found, base, on), metric = judged(result), metric_named(result["metric"])
+    lines = [
+        f"Expected, on {on}",
+        f"- vehicles at or above the threshold: {100 * found['detectable_share']:.1f} % "
+        f"(baseline {100 * base['detectable_share']:.1f} %)",
+        *([] if metric is PE_VGOP else [f"- the objective is {objective_text(result)}"]),
+        f"- objective per vehicle: {metric.amount(found['objective_per_vehicle'])} "
+        f"(baseline {metric.number(base['objective_per_vehicle'])})",
+    ]
+    if found.get("interval_90"):
+        gain = f"{span(metric, found['interval_90'])} {metric.unit}".rstrip()
+        lines.append(f"- gain over the baseline: {gain} per vehicle (90 % interval)")
+    if optimum := optimum_text(result["map"] or {}):
+        lines.append("- " + optimum.replace(" and the best", " and\n  the best"))
+    return [*lines, *(f"- as {condition}" for condition in conditions(result))]
+
+
+def _errors(result):
+    """What the installer's errors cost, and which mounting would be best without any."""
+    if result.get("tolerance") is None:
+        return []
+    lines = ["", f"If it hangs only nearly so: {tolerance_text(result['tolerance']['settings'])}"]
+    lines += [f"- {line}" for line in (kept_text(result), costliest_text(result)) if line]
+    sharp = sharp_of(result)
+    if sharp is not None and sharp["deployment"] != result["deployment"]:
+        mount = sharp["deployment"]
+        lines += [
+            f"- without any error the best mounting would be another: height {mount['height_m']:.2f} m,",
+            f"  tilt {mount['tilt_x_deg']:.1f} deg across the road, {mount['tilt_y_deg']:.1f} deg along it, "
+            f"yaw {mount['yaw_deg']:.1f} deg; this one forgives more",
+        ]
+    return lines
