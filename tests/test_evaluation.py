@@ -397,7 +397,8 @@ def test_distances_and_lanes_sort_every_vehicle_into_one_group():
 
 
 def verdict(holdout, block):
-    site = SimpleNamespace(plan=SimpleNamespace(holdout_block=np.array(block, dtype=np.int64)))
+    plan = SimpleNamespace(search_block=range(len(FRAMES)), holdout_block=np.array(block, dtype=np.int64))
+    site = SimpleNamespace(plan=plan)
     with Evaluator(FRAMES, SEEN, SCORING, held_out=holdout) as evaluator:
         return judge(site, {"optimised": POSES[1], "baseline": POSES[0]}, evaluator, seed=1)
 

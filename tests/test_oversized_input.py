@@ -154,7 +154,7 @@ READERS = {
     "cloud.npz": read_points,
     "cloud.pcd": read_points,
     "cars.csv": read_detections,
-    "result.json": lambda path: RunFolder(path.parent).read_result(),
+    "result.json": lambda path: RunFolder(path.parent).read_outcome(),
     "vehicles.csv": lambda path: RunFolder(path.parent).read_vehicles(path.name),
 }
 

@@ -143,20 +143,20 @@ def _draw_side(axes: Axes, model: LidarModel) -> None:
         axes.plot(landing, 0.0, "|", color=INK, markersize=7.0, clip_on=False)
     axes.axhline(0.0, color=INK, linewidth=1.0)
     axes.plot(0.0, MOUNT_HEIGHT_M, "^", color="white", markeredgecolor="black", markersize=8.0, clip_on=False, zorder=5)
-    axes.set(xlim=(0.0, REACH_M), ylim=(-0.25, _TOP_M))
-    axes.set_xlabel("Distance from the mount [m]")
-    axes.set_ylabel("Height above the road [m]")
-    axes.set_title(
-        f"Level at {MOUNT_HEIGHT_M:g} m, heights stretched: {lands.sum()} of {model.rings} rings (dark) meet the road "
-        f"within {REACH_M:g} m"
+    axes.set(
+        xlim=(0.0, REACH_M),
+        ylim=(-0.25, _TOP_M),
+        xlabel="Distance from the mount [m]",
+        ylabel="Height above the road [m]",
+        title=f"Level at {MOUNT_HEIGHT_M:g} m, heights stretched: {lands.sum()} of {model.rings} rings (dark) meet the "
+        f"road within {REACH_M:g} m",
     )
 
 
 def _draw_gaps(axes: Axes, model: LidarModel) -> None:
     """The step from each ring to the next over elevation."""
-    axes.set_title("Gaps between neighbouring rings")
-    axes.set_xlabel("Step to the next ring [degrees]")
-    axes.set_ylabel("Elevation [degrees]")
+    labels = {"xlabel": "Step to the next ring [degrees]", "ylabel": "Elevation [degrees]"}
+    axes.set(title="Gaps between neighbouring rings", **labels)
     if model.rings == 1:
         say_empty(axes, "only one ring")
         return
@@ -172,8 +172,6 @@ def _draw_column(axes: Axes, model: LidarModel) -> None:
     offset = np.degrees(model.azimuth_offset_rad)
     axes.plot(offset, np.degrees(model.elevation_rad), "o", color=INK, markersize=2.5)
     widest = max(1.0, 1.1 * math.ceil(np.abs(offset).max()))
-    axes.set_xlim(-widest, widest)
-    axes.set_title("One firing column, seen from the sensor")
-    axes.set_xlabel("Azimuth offset, clockwise positive [degrees]")
-    axes.set_ylabel("Elevation [degrees]")
+    labels = {"xlabel": "Azimuth offset, clockwise positive [degrees]", "ylabel": "Elevation [degrees]"}
+    axes.set(title="One firing column, seen from the sensor", xlim=(-widest, widest), **labels)
     axes.grid(visible=True)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..clouds.scan import PointCloud, scan
+from ..clouds.scan import PointCloud
+from ..clouds.snapshot import MountedSensor
 from ..metrics.vgop import VIEWS, entropy, occupancy_views
 from ..run.folder import Outcome
 from ..scene.scenario import pose_at
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.collections import PathCollection
-    from matplotlib.patches import Patch
 
 # --- Point clouds of one frame from above -----------------------------------------------------------------------------
 
@@ -78,20 +78,9 @@ def draw_clouds(path: str | Path, site: Site, run: Outcome) -> None:
     vehicles, observation = frame.vehicles.select(frame.counted), site.observation
     sights = []
     for table, (name, mount) in zip((run.baseline, run.optimised), sides(run.result), strict=True):
-        cloud = scan(
-            frame.vehicles,
-            observation.lattice,
-            pose_at(mount),
-            caster=observation.caster,
-            detail=observation.detail,
-            min_range_m=observation.min_range_m,
-            max_range_m=observation.max_range_m,
-            ground=site.scenario.world.ground,
-            scenery=observation.scenery,
-            imperfections=observation.imperfections,
-        )
+        sensor = MountedSensor(site.scenario, mount, observation.lattice, observation.caster, observation.scenery)
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
-        sights.append(Sight(name, mount, cloud, table["detectable"][of_frame]))
+        sights.append(Sight(name, mount, sensor.scan(frame.vehicles), table["detectable"][of_frame]))
     title = f"{run.result['sensor']}: one revolution from above, frame {vehicles.frame}"
     plot_clouds(path, vehicles, sights, title)
 
@@ -123,10 +112,12 @@ def plot_clouds(
             for row in range(rows):
                 axes = place(figure, _LEFT_MM, top + _HEADING_MM + row * (panel_mm + _TICKS_MM), _PANEL_MM, panel_mm)
                 dots, entries = _draw_panel(axes, sight, corners)
-                axes.set_xlim(x_edges[row : row + 2])
-                axes.set_ylim(low, high)
+                axes.set(xlim=x_edges[row : row + 2], ylim=(low, high), ylabel="y [m]")
+                axes.yaxis.get_major_locator().set_params(integer=True)
                 if row == 0:
-                    axes.set_title(f"{sight.name}: {mounting_text(sight.mount)}\n{_seen(sight)}")
+                    points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
+                    seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
+                    axes.set_title(f"{sight.name}: {mounting_text(sight.mount)}\n{seen}, {points:,} points on vehicles")
             top += mounting_mm
         axes.set_xlabel(TRAVEL_LABEL)
         bar = place(figure, 0.25 * WIDTH_MM, bottom + 7.0, 0.5 * WIDTH_MM, 2.5)
@@ -154,42 +145,27 @@ def _stretches(window: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
     return np.linspace(low[0] - 0.5 * missing, high[0] + 0.5 * missing, pieces + 1), (low[1], high[1])
 
 
-def _seen(sight: Sight) -> str:
-    """What a mounting sees of the frame, in words."""
-    points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
-    seen = sight.detectable
-    return f"{np.count_nonzero(seen)} of {len(seen)} vehicles detectable, {points:,} points on vehicles"
-
-
 def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathCollection, list[Artist]]:
-    """The cloud, the boxes and the LiDAR; returns the graded points and the legend's entries."""
-    dots = _draw_points(axes, sight.cloud)
-    outlines = _draw_boxes(axes, corners, sight.detectable)
-    marker = mark_sensor(axes, sight.mount)
-    axes.set_ylabel("y [m]")
-    axes.yaxis.get_major_locator().set_params(integer=True)
-    return dots, [marker, *outlines]
+    """The cloud, boxes and LiDAR; returns the points on vehicles, darker the higher, and the legend's entries.
 
-
-def _draw_points(axes: Axes, cloud: PointCloud) -> PathCollection:
-    """Ground faint, points on vehicles the darker the higher they lie."""
-    x, y, _ = cloud.xyz[cloud.vehicle_id < 0].T
-    axes.plot(x, y, ".", color=FAINT, markersize=1.0, markeredgewidth=0.0, zorder=1)
-    x, y, z = cloud.xyz[cloud.vehicle_id >= 0].T
-    scale = {"cmap": colours(HEIGHT_COLOURS), "vmin": 0.0, "vmax": _HIGHEST_M}
-    return axes.scatter(x, y, c=z, s=1.5, linewidths=0.0, zorder=3, **scale)
-
-
-def _draw_boxes(axes: Axes, corners: np.ndarray, detectable: np.ndarray) -> list[Patch]:
-    """Outlines from above, solid if detectable, else dashed and grey inside; returns the legend's entries."""
+    Boxes are solid if detectable, else dashed and grey inside.
+    """
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
+    on_vehicle = sight.cloud.vehicle_id >= 0
+    x, y, _ = sight.cloud.xyz[~on_vehicle].T
+    axes.plot(x, y, ".", color=FAINT, markersize=1.0, markeredgewidth=0.0, zorder=1)
+    x, y, z = sight.cloud.xyz[on_vehicle].T
+    scale = {"cmap": colours(HEIGHT_COLOURS), "vmin": 0.0, "vmax": _HIGHEST_M}
+    dots = axes.scatter(x, y, c=z, s=1.5, linewidths=0.0, zorder=3, **scale)
     solid = {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7}
     dashed = {**solid, "facecolor": "#e2e2e2", "linestyle": (0, (2.5, 1.5))}
-    for chosen, look in ((detectable, solid), (~detectable, dashed)):
+    for chosen, look in ((sight.detectable, solid), (~sight.detectable, dashed)):
         axes.add_collection(PolyCollection(corners[chosen], zorder=2, **look))
-    return [Patch(label="vehicle, detectable", **solid), Patch(label="vehicle, not detectable", **dashed)]
+    marker = mark_sensor(axes, sight.mount)
+    patches = [Patch(label="vehicle, detectable", **solid), Patch(label="vehicle, not detectable", **dashed)]
+    return dots, [marker, *patches]
 
 
 # --- One vehicle's three occupancy grids ------------------------------------------------------------------------------
@@ -205,14 +181,13 @@ _SIDES_OF_VIEW = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # of the box,
 
 def draw_occupancy(path: str | Path, site: Site, run: Outcome) -> None:
     """Draw the occupancy grids of a vehicle that gains a typical amount under both mountings of a run."""
-    searched = run.optimised["split"] == "search"
-    before, after = (table["entropy_bits"][searched] for table in (run.baseline, run.optimised))
-    visible = np.flatnonzero((after > 0) & (before > 0))
-    if len(visible) == 0:
-        visible = np.arange(len(after))
-    gain = (after - before)[visible]
-    row = visible[np.argsort(gain, kind="stable")[int(0.75 * (len(gain) - 1))]]
-    number, vehicle_id = (int(run.optimised[key][searched][row]) for key in ("frame", "vehicle_id"))
+    searched, table = run.optimised["split"] == "search", run.optimised
+    before, after = run.baseline["entropy_bits"], table["entropy_bits"]
+    rows = np.flatnonzero(searched & (after > 0) & (before > 0))
+    if len(rows) == 0:
+        rows = np.flatnonzero(searched)
+    row = rows[np.argsort((after - before)[rows], kind="stable")[int(0.75 * (len(rows) - 1))]]
+    number, vehicle_id = int(table["frame"][row]), int(table["vehicle_id"][row])
     frame = next(candidate for candidate in site.search if candidate.vehicles.frame == number)
     counted = frame.vehicles.select(frame.counted)
     index = int(np.flatnonzero(counted.vehicle_id == vehicle_id)[0])
@@ -229,7 +204,7 @@ def draw_occupancy(path: str | Path, site: Site, run: Outcome) -> None:
         cell_m,
         [f"{name}: {mounting_text(mount)}" for name, mount in sides(run.result)],
         f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
-        f"{run.result['sensor']}, {run.optimised['distance_m'][searched][row]:.0f} m away; "
+        f"{run.result['sensor']}, {table['distance_m'][row]:.0f} m away; "
         "three quarters of the vehicles that both mountings see gain less PE-VGOP",
     )
 
@@ -261,6 +236,8 @@ def plot_occupancy(
     title, subtitle : str
         Of the sheet.
     """
+    from matplotlib.patches import Rectangle
+
     length, width, height = size_m
     scale = min(_LONGEST_MM / length, _LARGEST_SCALE)
     drawing_mm = scale * (width + 2.0 * height) + 4.0 * _GAP_MM
@@ -269,8 +246,7 @@ def plot_occupancy(
         for side, (views, heading) in enumerate(zip(grids, headings, strict=True)):
             axes = place(figure, 0.5 * WIDTH_MM * side + _PAD_MM, top, _LONGEST_MM, drawing_mm)
             axes.set_axis_off()
-            axes.set_xlim(0.0, _LONGEST_MM / scale)
-            axes.set_ylim(-drawing_mm / scale, 0.0)
+            axes.set(xlim=(0.0, _LONGEST_MM / scale), ylim=(-drawing_mm / scale, 0.0))
             floor = total = 0.0
             for view in VIEWS:
                 across, up = (size_m[axis] for axis in _SIDES_OF_VIEW[view])
@@ -278,10 +254,14 @@ def plot_occupancy(
                 p = float(np.mean(views[view]))  # Eq. 7
                 total += entropy(p)
                 _draw_grid(axes, views[view], floor, cell_m, outlined=scale * cell_m >= _LEAST_OUTLINED_MM)
-                _draw_rim(axes, floor, across, up)
+                rim = {"fill": False, "edgecolor": "black", "linewidth": 1.0, "clip_on": False}
+                axes.add_patch(Rectangle((0.0, floor), across, up, **rim))
                 caption = f"{view} view, {across:.2f} m by {up:.2f} m: P = {p:.4f}, adds {entropy(p):z.3f} bits"
                 axes.text(0.0, floor + up + 1.0 / scale, caption, va="bottom", fontsize=SMALL_PT)
-            _draw_scale_bar(axes, floor - _GAP_MM / scale, cell_m, scale)
+            bar = floor - _GAP_MM / scale
+            axes.plot([0.0, 1.0], [bar, bar], "|-", color="black", linewidth=1.0, markersize=6.0, clip_on=False)
+            told = f"1 m; a cell is {cell_m:g} m by {cell_m:g} m"
+            axes.text(1.0 + 2.0 / scale, bar, told, va="center", fontsize=SMALL_PT)
             axes.set_title(f"{heading}\nPE-VGOP {total:z.3f} bits")
 
 
@@ -294,17 +274,3 @@ def _draw_grid(axes: Axes, grid: np.ndarray, floor: float, cell_m: float, *, out
     shades = ListedColormap(["white", OPTIMISED["color"]])
     values = grid.T.astype(float)
     axes.pcolormesh(right, floor + upwards, values, cmap=shades, vmin=0.0, vmax=1.0, clip_on=False, **lines)
-
-
-def _draw_rim(axes: Axes, floor: float, across: float, up: float) -> None:
-    """The outline of the box."""
-    from matplotlib.patches import Rectangle
-
-    axes.add_patch(Rectangle((0.0, floor), across, up, fill=False, edgecolor="black", linewidth=1.0, clip_on=False))
-
-
-def _draw_scale_bar(axes: Axes, height: float, cell_m: float, scale: float) -> None:
-    """One metre, and what a cell measures."""
-    axes.plot([0.0, 1.0], [height, height], "|-", color="black", linewidth=1.0, markersize=6.0, clip_on=False)
-    text = f"1 m; a cell is {cell_m:g} m by {cell_m:g} m"
-    axes.text(1.0 + 2.0 / scale, height, text, va="center", fontsize=SMALL_PT)

@@ -249,16 +249,10 @@ def name_points(
 def _free_spot(point, half, size, covered, inside, scale) -> tuple[np.ndarray, int]:
     """Middle of a name's box beside a point, the nearest that is free, and on which ring about the point it lies."""
     middles, sizes = (np.array(column) for column in zip(*covered, strict=True))
-    best = None
-    for ring, radius in enumerate(_RINGS):
-        for direction in _DIRECTIONS:
-            way = np.array([np.cos(direction), np.sin(direction)])
-            spot = point + way * (half * np.array([abs(way[0]) ** 0.5, abs(way[1]) ** 0.5]) + size + radius * scale)
-            overlap = np.clip(half + sizes - np.abs(middles - spot), 0.0, None).prod(axis=1).sum()
-            outside = (spot - half < [inside.x0, inside.y0]).any() or (spot + half > [inside.x1, inside.y1]).any()
-            cost = overlap + 1e6 * outside
-            if best is None or cost < best[0]:
-                best = (cost, spot, ring)
-            if best[0] == 0.0:
-                return best[1], best[2]
-    return best[1], best[2]
+    way = np.column_stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
+    reach = half * np.abs(way) ** 0.5 + size + np.array(_RINGS)[:, None, None] * scale
+    spots = (point + way * reach).reshape(-1, 2)  # ring by ring, nearest first
+    overlap = np.clip(half + sizes - np.abs(middles - spots[:, None]), 0.0, None).prod(axis=-1).sum(axis=-1)
+    outside = ((spots - half < inside.min) | (spots + half > inside.max)).any(axis=-1)
+    best = int(np.argmin(overlap + 1e6 * outside))
+    return spots[best], best // len(_DIRECTIONS)
