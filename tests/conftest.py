@@ -33,3 +33,13 @@ def stored_runs(tmp_path_factory):
     from tests.report_samples import make_runs
 
     return make_runs(tmp_path_factory.mktemp("runs"))
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory):
+    """The small scene whose heights and tilts are searched, made ready."""
+    from blender_lidar.scene.scenario import load_scenario
+    from blender_lidar.scene.site import prepare
+    from tests.small_scene import MAPPED, write_scene
+
+    return prepare(load_scenario(write_scene(tmp_path_factory.mktemp("site"), MAPPED)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from blender_lidar.scene.observation import CountedFrame
@@ -39,6 +41,12 @@ def counted_frames(number: int, seed: int = 0) -> list[CountedFrame]:
     """Frames of 20 vehicles, of which those within 30 m of the origin count."""
     every = [dense_traffic(seed + frame, vehicles=20, length_m=80.0, frame=frame) for frame in range(number)]
     return [CountedFrame(one, np.hypot(*one.centre_m[:, :2].T) < 30.0) for one in every]
+
+
+def joined(*frames: Vehicles) -> Vehicles:
+    """The vehicles of several frames in one, which is the first otherwise."""
+    names = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
+    return replace(frames[0], **{name: np.concatenate([getattr(frame, name) for frame in frames]) for name in names})
 
 
 def one_vehicle(name: str, centre=(0.0, 10.0), heading: float = 0.0, size=None) -> Vehicles:

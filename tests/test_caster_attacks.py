@@ -41,7 +41,7 @@ from blender_lidar.sensors.pose import Pose, rotation_matrix
 from blender_lidar.world.scenery import box, join
 from caster_attacks import TOLERANCE_M, AttackCount, count_attack, differences, main, verdict
 from tests.rational_oracle import first_distances
-from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.sample_traffic import dense_traffic, joined, one_vehicle
 
 MISSING = {name: pytest.mark.skipif(not is_available(name), reason=f"{name} is not installed") for name in CASTERS}
 FAST = [pytest.param(name, marks=MISSING[name]) for name in ("raster", "bvh", "embree")]
@@ -498,11 +498,7 @@ def test_a_road_frame_far_from_its_origin_is_scanned_and_scored_as_one_at_it(cas
 @pytest.mark.parametrize("away", [1e6, 1e12])
 def test_one_vehicle_whose_place_is_a_mistake_empties_no_scan(caster, away):
     """With x_m = 1e12 in one row of a table a scan lost two points of three on all other vehicles, without a word."""
-    names = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
-    lost = one_vehicle("car", centre=(away, 8.0))
-    both = dataclasses.replace(
-        TRAFFIC, **{name: np.concatenate([getattr(TRAFFIC, name), getattr(lost, name)]) for name in names}
-    )
+    both = joined(TRAFFIC, one_vehicle("car", centre=(away, 8.0)))
     alone, found = (
         scan(vehicles, LATTICE, Pose(height_m=4.1, tilt_x=0.3), caster=caster, max_range_m=60.0)
         for vehicles in (TRAFFIC, both)

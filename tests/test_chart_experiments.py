@@ -38,11 +38,6 @@ POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(1.0, -0.5, 4.4, 0.1, 0.05, 0.2))
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    return prepare(load_scenario(write_scene(tmp_path_factory.mktemp("scene"), MAPPED)))
-
-
-@pytest.fixture(scope="module")
 def frame():
     """Lorries hide cars; every third vehicle does not count."""
     vehicles = dense_traffic(seed=3, vehicles=8, length_m=30.0)

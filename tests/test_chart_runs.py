@@ -13,8 +13,6 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.commands.chart import parse_share
 from blender_lidar.errors import InputError
-from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.fidelity import Fidelity
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies import chart as study
@@ -30,11 +28,6 @@ from tests.small_scene import CASTER, MAPPED, cli, done, without_charts, write_s
 
 TINY = ChartEffort(3, 8, 2, 6, 2, 8, phases=2, rounds=2, hit_frames=1, hit_mountings=1, quick=True)
 POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(0.0, 0.0, 4.4, 0.1))
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    return prepare(load_scenario(write_scene(tmp_path_factory.mktemp("scene"), MAPPED)))
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from blender_lidar.studies.compare.detectors import COMPARED, Settings, car_sets
 from blender_lidar.studies.compare.labelled import open_labelled
 from tests.chart_samples import words as words_of
 from tests.labelled_samples import KITTI, needs_kitti, sample_cars, write_detections, write_kitti, write_sustech
+from tests.refusals import refused
 
 FEW = Settings(resamples=300)
 METRICS = "pe-vgop,log-pe-vgop,points,distance"
@@ -404,11 +405,8 @@ def test_a_table_that_does_not_belong_to_the_sweeps_is_refused_in_one_line(sampl
     assert text.count(change[0]) == 1
     (tmp_path / "cars.csv").write_text(text.replace(*change), encoding="utf-8")
     out = tmp_path / "out"
-    assert run((sample[0], tmp_path / "cars.csv"), out) == 2
-    err = capsys.readouterr().err
-    assert told in err
-    assert err.count("\n") == 1
-    assert not out.exists()
+    words = ("--kitti", sample[0], "--detections", tmp_path / "cars.csv", "--out", out)
+    assert told in refused(capsys, tmp_path, "compare", *words)
 
 
 @pytest.mark.parametrize(
@@ -422,8 +420,8 @@ def test_a_table_that_does_not_belong_to_the_sweeps_is_refused_in_one_line(sampl
     ],
 )
 def test_an_option_that_cannot_be_used_is_refused_before_anything_is_read(sample, tmp_path, capsys, words, told):
-    assert run((tmp_path / "nowhere", sample[1]), tmp_path / "out", *words) == 2
-    assert told in capsys.readouterr().err
+    given = ("--kitti", tmp_path / "nowhere", "--detections", sample[1], "--out", tmp_path / "out", *words)
+    assert told in refused(capsys, tmp_path, "compare", *given)
 
 
 def test_few_cars_give_no_intervals_but_results(tmp_path, capsys):

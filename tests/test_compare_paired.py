@@ -19,6 +19,8 @@ from blender_lidar.studies.compare.paired import MEASURED, pair_cars, shape_name
 from blender_lidar.studies.compare.paired_findings import aggregate, cheapest_within_noise, median_interval
 from tests.labelled_samples import KITTI, needs_kitti
 from tests.real_sweeps import cloud_of, in_kitti_frame, street, write_kitti
+from tests.refusals import refused
+from tests.sample_traffic import joined
 
 CASTER = "embree" if is_available("embree") else "exact"
 NO_MARGIN = (0.0, 0.0, 0.0)
@@ -117,16 +119,8 @@ def test_what_an_unlabelled_thing_hid_counts_on_neither_side(tmp_path):
     """A second car stands before half of the first, and is labelled in one of two otherwise equal folders."""
     vehicles = street(5, cars=1)
     target = replace(vehicles, centre_m=np.array([[0.0, 25.0, 0.75]]), heading_rad=np.array([0.0]))
-    before = np.array([[1.3, 15.0, 0.75]])
-    both = replace(
-        target,
-        vehicle_id=np.arange(2),
-        class_index=np.zeros(2, dtype=np.int8),
-        centre_m=np.concatenate([target.centre_m, before]),
-        size_m=np.repeat(target.size_m, 2, axis=0),
-        heading_rad=np.array([0.0, 1.2]),
-        lane=np.ones(2, dtype=np.int16),
-    )
+    before = replace(target, centre_m=np.array([[1.3, 15.0, 0.75]]), heading_rad=np.array([1.2]))
+    both = replace(joined(target, before), vehicle_id=np.arange(2))
     results = {}
     for name, labels in {"told": ["Car", "Car"], "untold": ["Car", "DontCare"]}.items():
         results[name] = pair_cars(one_sweep(tmp_path / name, both, labels), PLAIN[1:2], CASTER, NO_MARGIN)
@@ -173,11 +167,8 @@ def test_a_drive_that_is_told_is_resampled_as_one(true_bodies, tmp_path, capsys)
     (folder / "frames.csv").write_text("frame,label_kind\n" + told(lambda n: "tracking"), encoding="utf-8")
     assert run(*words, "--out", tmp_path / "a") == 0
     first = capsys.readouterr()
-    assert json.loads(first.out)["sets"]["all"]["resampled"] == {
-        "unit": "frame",
-        "number": len(frames),
-        "too_narrow": True,
-    }
+    drawn = json.loads(first.out)["sets"]["all"]["resampled"]
+    assert drawn == {"unit": "frame", "number": len(frames), "too_narrow": True}
     assert "They are too narrow" in first.err
     (folder / "frames.csv").write_text("frame,drive\n" + told(lambda n: n % 3), encoding="utf-8")
     assert run(*words, "--out", tmp_path / "b") == 0
@@ -239,8 +230,6 @@ def test_what_counts_as_a_car_may_be_named(tmp_path, capsys):
     assert counts[0] > 0
     assert counts[1] > 0
     assert counts[2] == counts[0] + counts[1]
-    assert run(*words, "--class", " ", "--out", tmp_path / "none") == 2
-    assert "--class: is empty" in capsys.readouterr().err
 
 
 def test_a_single_sweep_is_compared_without_intervals(tmp_path, capsys):
@@ -254,9 +243,8 @@ def test_a_single_sweep_is_compared_without_intervals(tmp_path, capsys):
     assert all(one["within_noise"] is None and one["interval_90"] is None for one in of["differences"])
 
 
-def test_without_a_kind_of_comparison_the_verb_asks_for_one(true_bodies, capsys):
-    assert main(["compare", "--kitti", str(true_bodies)]) == 2
-    assert "--paired" in capsys.readouterr().err
+def test_without_a_kind_of_comparison_the_verb_asks_for_one(true_bodies, tmp_path, capsys):
+    assert "--paired" in refused(capsys, tmp_path, "compare", "--kitti", true_bodies)
 
 
 def test_the_verb_draws_its_pictures(true_bodies, tmp_path):
@@ -270,6 +258,7 @@ def test_the_verb_draws_its_pictures(true_bodies, tmp_path):
     ("words", "told"),
     [
         (("--details", "body,fine"), "--details: "),
+        (("--class", " "), "--class: is empty"),
         (("--losses", "glass_dropout=2"), "--losses: glass_dropout is 2.0; allowed: 0 to 1"),
         (("--losses", "glass=0.5"), "--losses: "),
         (("--losses", "dropout=much"), "--losses: 'dropout=much'; allowed: NAME=VALUE"),
@@ -278,11 +267,8 @@ def test_the_verb_draws_its_pictures(true_bodies, tmp_path):
     ],
 )
 def test_wrong_options_end_in_one_line(true_bodies, tmp_path, capsys, words, told):
-    assert run("--kitti", true_bodies, "--out", tmp_path / "out", *words) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    assert told in lines[0]
-    assert not (tmp_path / "out").exists()
+    given = ("compare", "--paired", "--kitti", true_bodies, "--out", tmp_path / "out", *words)
+    assert told in refused(capsys, tmp_path, *given)
 
 
 def test_wrong_folders_end_in_one_line_and_leave_nothing(true_bodies, tmp_path, capsys):

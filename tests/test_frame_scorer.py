@@ -23,17 +23,20 @@ from blender_lidar.metrics.vgop import entropy, occupancy, pe_vgop, to_vehicle_f
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.beams import beam_lattice
-from blender_lidar.sensors.imperfections import Imperfections
-from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.vehicles import Vehicles
 from blender_lidar.world.scenery import barrier, box, join, structure
-from blender_lidar.world.shapes import DETAILS
+from blender_lidar.world.shapes import DETAILS, GLASS
 from blender_lidar.world.triangles import vehicle_triangles
-from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.sample_traffic import dense_traffic, joined, one_vehicle
 
 LATTICES = {name: beam_lattice(load_model(name), stride=20) for name in ("RS-16", "RS-LiDAR-32", "RS-BPearl")}
+LATTICES["a unit of RS-80"] = beam_lattice(unit_of(load_model("RS-80"), 0.1, 3), stride=50)
 POSE = Pose(height_m=4.1, tilt_x=math.radians(19.0))
+ROUGH = Imperfections(0.05, 0.2, glass_dropout=0.4, seed=5)
+NOISE_M, SHARE = st.sampled_from([0.0, 0.02, 0.3, 3.0]), st.sampled_from([0.0, 0.1, 0.7])
+GLASS_SHARE = st.sampled_from([0.0, 0.5, 1.0])
 
 
 def observation(
@@ -55,31 +58,32 @@ def everyone(vehicles):
     return np.ones(len(vehicles), dtype=bool)
 
 
-def joined(*frames: Vehicles) -> Vehicles:
-    names = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
-    return Vehicles(0, 0.0, *(np.concatenate([getattr(frame, name) for frame in frames]) for name in names))
-
-
 def slow_pipeline(vehicles, counted, seen, pose):
-    """Points and occupancies of the counted vehicles: every beam cast, every point looked at by itself."""
-    triangles = vehicle_triangles(vehicles, seen.detail)
-    rays = pose.to_world(seen.lattice.directions.reshape(-1, 3))
-    hits = caster_class("exact")(triangles.corners).cast(pose.position, rays, seen.max_range_m)
+    """Points and occupancies of the counted vehicles: all beams cast, every draw and point looked at by itself."""
+    lattice, effects, triangles = seen.lattice, seen.imperfections, vehicle_triangles(vehicles, seen.detail)
+    rays = pose.to_world(lattice.directions.reshape(-1, 3))
+    hits = caster_class("exact")(triangles.corners).cast(pose.position, rays)
+    draws = effects.measurement(lattice, vehicles.frame)
     points = [0] * len(vehicles)
     cells: list[tuple[set, set, set]] = [(set(), set(), set()) for _ in range(len(vehicles))]
-    for ray, distance, triangle in zip(rays, hits.distance, hits.triangle, strict=True):
-        if triangle < 0 or distance < seen.min_range_m:
+    for beam in np.flatnonzero(hits.triangle >= 0):
+        owner = int(triangles.owner[hits.triangle[beam]])
+        distance = hits.distance[beam] + (float(draws.noise_m[beam]) if len(draws.noise_m) else 0.0)
+        glass = effects.glass_dropout if triangles.surface[hits.triangle[beam]] == GLASS else 0.0
+        loss = 1.0 - (1.0 - effects.dropout) * (1.0 - glass)
+        lost = loss == 1.0 or (len(draws.chance) and draws.chance[beam] < np.float32(loss))
+        if lost or not seen.min_range_m <= distance <= seen.max_range_m:
             continue
-        owner = int(triangles.owner[triangle])
         points[owner] += 1
-        away = pose.position + distance * ray - vehicles.centre_m[owner]
+        away = pose.position + distance * rays[beam] - vehicles.centre_m[owner]
         heading, size = vehicles.heading_rad[owner], vehicles.size_m[owner]
         forward = away[0] * math.cos(heading) + away[1] * math.sin(heading)
         left = -away[0] * math.sin(heading) + away[1] * math.cos(heading)
-        cell = [
-            min(max(math.floor((along + 0.5 * side) / seen.cell_m), 0), math.ceil(side / seen.cell_m - 1e-9) - 1)
-            for along, side in zip((forward, left, away[2]), size, strict=True)
-        ]
+        place = [(along + 0.5 * side) / seen.cell_m for along, side in zip((forward, left, away[2]), size, strict=True)]
+        count = [math.ceil(side / seen.cell_m - 1e-9) for side in size]
+        if any(at < -1.0 or at >= number + 1.0 for at, number in zip(place, count, strict=True)):
+            continue  # noise has carried it away from its vehicle
+        cell = [min(max(math.floor(at), 0), number - 1) for at, number in zip(place, count, strict=True)]
         for view, (a, b) in zip(cells[owner], ((0, 1), (0, 2), (1, 2)), strict=True):
             view.add((cell[a], cell[b]))
     whole = [[math.ceil(side / seen.cell_m - 1e-9) for side in size] for size in vehicles.size_m]
@@ -98,12 +102,14 @@ def slow_pipeline(vehicles, counted, seen, pose):
     height=st.floats(0.5, 6.0),
     angles=st.tuples(st.floats(-0.7, 0.7), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0)),
     near=st.sampled_from([0.0, 5.0]),
+    effects=st.just(PERFECT)
+    | st.builds(Imperfections, NOISE_M, SHARE, glass_dropout=GLASS_SHARE, seed=st.integers(0, 9)),
 )
-def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, detail, height, angles, near):
+def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, detail, height, angles, near, effects):
     rng = np.random.default_rng(seed)
-    vehicles = dense_traffic(seed=seed, vehicles=8, length_m=30.0)
+    vehicles = dense_traffic(seed=seed, vehicles=8, length_m=30.0, frame=seed % 100)
     counted = rng.random(8) < 0.7
-    seen = observation(LATTICES[sensor], gate=20.0, near=near, detail=detail)
+    seen = observation(LATTICES[sensor], gate=20.0, near=near, detail=detail, imperfections=effects)
     pose = Pose(0.0, 0.0, height, *angles)
     found = FrameScorer(vehicles, counted, seen).see([pose])
     points, shares = slow_pipeline(vehicles, counted, seen, pose)
@@ -133,8 +139,9 @@ def test_a_vehicle_that_does_not_count_still_hides_another():
     np.testing.assert_array_equal(FrameScorer(both, everyone(both), seen).see([pose]).points[0, 0], behind[0])
 
 
-def test_what_counts_changes_nothing_for_the_others():
-    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation()
+@pytest.mark.parametrize("effects", [PERFECT, ROUGH], ids=["perfect", "rough"])
+def test_what_counts_changes_nothing_for_the_others(effects):
+    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation(imperfections=effects)
     whole = FrameScorer(vehicles, everyone(vehicles), seen).see([POSE])
     counted = np.random.default_rng(1).random(40) < 0.4
     part = FrameScorer(vehicles, counted, seen)
@@ -171,12 +178,15 @@ def test_returns_from_beyond_the_gate_are_lost():
     assert 0 < counts[1] < counts[2]
 
 
-def test_mountings_together_and_one_by_one_see_the_same():
-    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation(LATTICES["RS-LiDAR-32"])
+@pytest.mark.parametrize("effects", [PERFECT, ROUGH], ids=["perfect", "rough"])
+def test_mountings_together_and_one_by_one_and_in_any_order_see_the_same(effects):
+    vehicles = dense_traffic(vehicles=40, length_m=100.0)
+    seen = observation(LATTICES["RS-LiDAR-32"], imperfections=effects)
     rng = np.random.default_rng(3)
     poses = [Pose(0.0, 0.0, rng.uniform(2, 4.5), rng.uniform(0, 0.4)) for _ in range(12)]
     scorer = FrameScorer(vehicles, everyone(vehicles), seen)
     together = scorer.see(poses)
+    np.testing.assert_array_equal(scorer.see(poses[::-1]).occupancy[::-1], together.occupancy)
     assert (together.points.shape, together.occupancy.shape) == ((12, 40), (12, 40, 3))
     for number, pose in enumerate(poses):
         alone = FrameScorer(vehicles, everyone(vehicles), seen).see([pose])
@@ -334,7 +344,7 @@ def test_beams_that_meet_but_the_margin_of_a_triangle_are_decided_in_float64(cas
 
 
 @pytest.mark.parametrize("scenery", [False, True], ids=["open", "hidden"])
-@pytest.mark.parametrize("effects", ["perfect", "all"])
+@pytest.mark.parametrize("effects", ["perfect", "noise", "all"])
 @pytest.mark.parametrize("detail", DETAILS)
 def test_a_scan_that_is_scored_has_the_scorers_occupancy_to_the_last_bit(caster, detail, effects, scenery, tmp_path):
     """In memory and from a file; a car's detailed roof once fell into another cell, where a face lies between two."""

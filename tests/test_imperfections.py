@@ -7,23 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.vgop import entropy, occupancy, to_vehicle_frame
-from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator
-from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.world.shapes import GLASS
-from blender_lidar.world.triangles import vehicle_triangles
-from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.sample_traffic import counted_frames, dense_traffic, one_vehicle
 
 FINE = {name: beam_lattice(load_model(name)) for name in ("RS-16", "RS-LiDAR-32")}
 COARSE = {
@@ -213,138 +206,9 @@ def test_no_return_of_great_noise_lies_behind_the_sensor():
 # --- scores -----------------------------------------------------------------------------------------------------------
 
 
-def observation(lattice, imperfections, caster="exact", gate=50.0):
-    return Observation(lattice, gate, 0.4, caster, "body", 0.05, imperfections=imperfections)
-
-
-def everyone(vehicles):
-    return np.ones(len(vehicles), dtype=bool)
-
-
-def slow_pipeline(vehicles, seen, pose):
-    """Points and occupancies: every beam cast without bound, its draws and its point looked at by themselves."""
-    lattice, triangles = seen.lattice, vehicle_triangles(vehicles, seen.detail)
-    rays = pose.to_world(lattice.directions.reshape(-1, 3))
-    hits = caster_class("exact")(triangles.corners).cast(pose.position, rays)
-    draws = seen.imperfections.measurement(lattice, vehicles.frame)
-    points = np.zeros(len(vehicles), dtype=int)
-    cells = [(set(), set(), set()) for _ in range(len(vehicles))]
-    for beam in np.flatnonzero(hits.triangle >= 0):
-        owner = int(triangles.owner[hits.triangle[beam]])
-        distance = hits.distance[beam] + (float(draws.noise_m[beam]) if len(draws.noise_m) else 0.0)
-        glass = seen.imperfections.glass_dropout if triangles.surface[hits.triangle[beam]] == GLASS else 0.0
-        loss = 1.0 - (1.0 - seen.imperfections.dropout) * (1.0 - glass)
-        lost = loss == 1.0 or (len(draws.chance) and draws.chance[beam] < np.float32(loss))
-        if lost or not seen.min_range_m <= distance <= seen.max_range_m:
-            continue
-        points[owner] += 1
-        away = pose.position + distance * rays[beam] - vehicles.centre_m[owner]
-        heading, size = vehicles.heading_rad[owner], vehicles.size_m[owner]
-        local = (
-            away[0] * math.cos(heading) + away[1] * math.sin(heading),
-            away[1] * math.cos(heading) - away[0] * math.sin(heading),
-            away[2],
-        )
-        place = [(along + 0.5 * side) / seen.cell_m for along, side in zip(local, size, strict=True)]
-        count = [math.ceil(side / seen.cell_m - 1e-9) for side in size]
-        if any(at < -1.0 or at >= number + 1.0 for at, number in zip(place, count, strict=True)):
-            continue
-        cell = [min(max(math.floor(at), 0), number - 1) for at, number in zip(place, count, strict=True)]
-        for view, (a, b) in zip(cells[owner], ((0, 1), (0, 2), (1, 2)), strict=True):
-            view.add((cell[a], cell[b]))
-    whole = [[math.ceil(side / seen.cell_m - 1e-9) for side in size] for size in vehicles.size_m]
-    shares = [
-        [len(view) / (n[a] * n[b]) for view, (a, b) in zip(views, ((0, 1), (0, 2), (1, 2)), strict=True)]
-        for views, n in zip(cells, whole, strict=True)
-    ]
-    return points, np.array(shares)
-
-
-@settings(max_examples=40)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    sensor=st.sampled_from(sorted(COARSE)),
-    height=st.floats(0.5, 6.0),
-    angles=st.tuples(st.floats(-0.7, 0.7), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0)),
-    sigma=st.sampled_from([0.0, 0.02, 0.3, 3.0]),
-    dropout=st.sampled_from([0.0, 0.1, 0.7]),
-    glass_dropout=st.sampled_from([0.0, 0.5, 1.0]),
-)
-def test_points_and_occupancies_equal_those_of_the_slow_pipeline(
-    seed, sensor, height, angles, sigma, dropout, glass_dropout
-):
-    vehicles = dense_traffic(seed=seed, vehicles=8, length_m=30.0, frame=seed % 100)
-    seen = observation(COARSE[sensor], Imperfections(sigma, dropout, glass_dropout=glass_dropout, seed=seed), gate=20.0)
-    pose = Pose(0.0, 0.0, height, *angles)
-    found = FrameScorer(vehicles, everyone(vehicles), seen).see([pose])
-    points, shares = slow_pipeline(vehicles, seen, pose)
-    np.testing.assert_array_equal(found.points[0], points)
-    np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
-
-
-@pytest.mark.parametrize("sigma", [0.02, 0.3])
-@pytest.mark.parametrize("pose", MOUNTINGS, ids=["tilted", "turned"])
-@pytest.mark.parametrize("sensor", sorted(FINE))
-def test_a_scan_and_its_score_equal_what_the_frame_scorer_sees(sensor, pose, sigma):
-    imperfections = Imperfections(sigma, 0.1, seed=3)
-    cloud = cloud_of(imperfections, FINE[sensor], pose=pose, max_range_m=50.0)
-    seen = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(FINE[sensor], imperfections)).see([pose])
-    mine = cloud.vehicle_id >= 0
-    row = np.searchsorted(TRAFFIC.vehicle_id, cloud.vehicle_id[mine])
-    np.testing.assert_array_equal(seen.points[0], np.bincount(row, minlength=len(TRAFFIC)))
-    local = to_vehicle_frame(cloud.xyz[mine], TRAFFIC.centre_m, TRAFFIC.heading_rad, row)
-    expected = occupancy(local, row, TRAFFIC.size_m)
-    off = (abs(local) > 0.5 * TRAFFIC.size_m[row] + 0.05).any(axis=1)
-    assert off.mean() > (0.1 if sigma > 0.1 else 0.0005)  # dropped from the grids
-    assert (abs(local) < 0.5 * TRAFFIC.size_m[row] - 0.001).all(axis=1).mean() > 0.1  # inside the vehicle
-    np.testing.assert_allclose(seen.occupancy[0], expected, rtol=1e-12)
-    np.testing.assert_allclose(entropy(seen.occupancy[0]).sum(), entropy(expected).sum(), rtol=1e-12)
-
-
-def test_mountings_together_and_one_by_one_and_in_any_order_see_the_same():
-    scorer = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(COARSE["RS-LiDAR-32"], ROUGH))
-    rng = np.random.default_rng(3)
-    poses = [Pose(0.0, 0.0, rng.uniform(2, 4.5), rng.uniform(0, 0.4)) for _ in range(12)]
-    together, backwards = scorer.see(poses), scorer.see(poses[::-1])
-    np.testing.assert_array_equal(backwards.occupancy[::-1], together.occupancy)
-    for number, pose in enumerate(poses):
-        alone = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(COARSE["RS-LiDAR-32"], ROUGH)).see([pose])
-        np.testing.assert_array_equal(together.points[number], alone.points[0])
-        np.testing.assert_array_equal(together.occupancy[number], alone.occupancy[0])
-
-
-def test_what_counts_changes_nothing_for_the_others():
-    seen = observation(COARSE["RS-16"], ROUGH)
-    counted = np.random.default_rng(1).random(len(TRAFFIC)) < 0.4
-    whole = FrameScorer(TRAFFIC, everyone(TRAFFIC), seen).see(MOUNTINGS)
-    part = FrameScorer(TRAFFIC, counted, seen).see(MOUNTINGS)
-    np.testing.assert_array_equal(part.points, whole.points[:, counted])
-    np.testing.assert_array_equal(part.occupancy, whole.occupancy[:, counted])
-
-
-@pytest.mark.parametrize("caster", [name for name in CASTERS if name != "exact"])
-def test_every_caster_finds_the_same(caster):
-    if not is_available(caster):
-        pytest.skip(f"the library of {caster} is not installed")
-    found, expected = (
-        FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(FINE["RS-16"], ROUGH, name)).see(MOUNTINGS)
-        for name in (caster, "exact")
-    )
-    np.testing.assert_array_equal(found.points, expected.points)
-    np.testing.assert_array_equal(found.occupancy, expected.occupancy)
-    fast, exact = cloud_of(ROUGH, caster=caster), cloud_of(ROUGH)
-    np.testing.assert_array_equal(fast.ring, exact.ring)
-    np.testing.assert_array_equal(fast.vehicle_id, exact.vehicle_id)
-    np.testing.assert_allclose(fast.xyz, exact.xyz, atol=1e-9)
-
-
 def test_one_worker_and_two_give_the_same_bits():
-    frames = [
-        CountedFrame(vehicles, everyone(vehicles))
-        for vehicles in (dense_traffic(seed=n, vehicles=15, length_m=60.0, frame=10 * n) for n in range(4))
-    ]
-    scoring, seen = Scoring(0.005, "mean", -1.0, "corrected"), observation(COARSE["RS-16"], ROUGH)
-    found = []
+    seen = Observation(COARSE["RS-16"], 50.0, 0.4, "exact", "body", 0.05, imperfections=ROUGH)
+    found, frames, scoring = [], counted_frames(4), Scoring(0.005, "mean", -1.0, "corrected")
     for workers in (1, 2):
         with Evaluator(frames, seen, scoring, workers) as evaluator:
             found.append(evaluator.totals(MOUNTINGS).objective)

@@ -26,7 +26,7 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from tests.refusals import refused
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import dense_traffic, joined
 from tests.small_scene import done, without_charts, write_scene
 from tests.test_occupancy_priors import covered_entropy, expected_visibility, m_sog, s_mig
 
@@ -190,11 +190,6 @@ def lorries(number, y):
         size_m=np.full((len(x), 3), [11.8, 2.4, 3.8]),
         heading_rad=np.zeros(len(x)),
     )
-
-
-def joined(one, other):
-    names = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
-    return replace(one, **{name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names})
 
 
 def test_no_vehicle_stops_a_beam_of_s_mig_but_traffic_dims_expected_visibility():

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import math
 import pickle
+import re
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +49,7 @@ SCENERY = join(
 HERE = [name for name in CASTERS if is_available(name)]
 WALL = {"centre_m": [0.0, 1.0, 2.5], "size_m": [60.0, 0.2, 5.0], "name": "wall"}
 
+RAIL = {"kind": "guard_rail", "y_m": 1}
 HEDGE = {"centre_m": [0.0, 1.0, 1.0], "size_m": [60.0, 0.2, 2.0]}
 FAR = {"centre_m": [500.0, 1.0, 1.0], "size_m": [1.0, 1.0, 1.0]}
 
@@ -122,10 +125,7 @@ def test_the_score_counts_what_a_scan_counts_behind_scenery(caster):
         cloud = scan(TRAFFIC, LATTICE, pose, caster=caster, max_range_m=REACH_M, scenery=scenery)
         counts = [(cloud.vehicle_id == vehicle).sum() for vehicle in TRAFFIC.vehicle_id]
         np.testing.assert_array_equal(scored.points[row], counts)
-    bare = FrameScorer(
-        TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), Observation(LATTICE, REACH_M, 0.0, caster, "body", 0.05)
-    )
-    free = bare.see(poses).points
+    free = FrameScorer(TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), replace(seen, scenery=None)).see(poses).points
     assert (scored.points <= free).all()
     assert scored.points.sum() < free.sum()
 
@@ -175,14 +175,8 @@ def test_a_scene_file_says_what_stands_there_and_is_written_as_it_was_read(tmp_p
         ({"boxes": [3]}, "[world] boxes 1: is 3; allowed: a table"),
         ({"barriers": [{"kind": "hedge", "y_m": 1}]}, "[world] barriers 1 kind: unknown kind 'hedge'"),
         ({"barriers": [{"kind": "concrete"}]}, "[world] barriers 1 y_m: is missing"),
-        (
-            {"barriers": [{"kind": "concrete", "y_m": 1, "x_m": 3}]},
-            "[world] barriers 1 x_m: is 3; allowed: a list",
-        ),
-        (
-            {"barriers": [{"kind": "concrete", "y_m": 1, "x_m": [0, 1e5]}]},
-            "allowed: a pair [from, to], to after from",
-        ),
+        ({"barriers": [{**RAIL, "x_m": 3}]}, "[world] barriers 1 x_m: is 3; allowed: a list"),
+        ({"barriers": [{**RAIL, "x_m": [0, 1e5]}]}, "allowed: a pair [from, to], to after from"),
     ],
 )
 def test_scenery_that_cannot_be_meant_is_refused_with_its_number(tmp_path, world, problem):
@@ -191,18 +185,22 @@ def test_scenery_that_cannot_be_meant_is_refused_with_its_number(tmp_path, world
     assert problem in str(error.value)
 
 
-def test_a_lidar_inside_a_box_is_refused(tmp_path, capsys):
-    scene = write_scene(tmp_path, {"world": {"boxes": [{**WALL, "centre_m": [0.0, 0.0, 2.5]}]}})
-    line = refused(capsys, tmp_path, "evaluate", scene, "--out", tmp_path / "run")
-    assert "the LiDAR hangs inside 'wall' of [world]" in line
-    assert cli(capsys, "scan", scene, "--frame", 1, "--height", 9, "--out", tmp_path / "c.npz")[0] == 0
-
-
-def test_a_lidar_inside_a_barrier_is_refused_and_one_above_it_is_not(tmp_path, capsys):
-    scene = write_scene(tmp_path, {"world": {"barriers": [{"kind": "concrete", "y_m": 0.0}]}})
-    line = refused(capsys, tmp_path, "scan", scene, "--frame", 1, "--height", 0.5, "--out", tmp_path / "c.npz")
-    assert "the LiDAR hangs inside 'concrete at y 0 m' of [world]" in line
-    assert cli(capsys, "scan", scene, "--frame", 1, "--height", 2, "--out", tmp_path / "c.npz")[0] == 0
+@pytest.mark.parametrize(
+    ("world", "name", "within", "above"),
+    [
+        ({"boxes": [{**WALL, "centre_m": [0.0, 0.0, 2.5]}]}, "wall", 2, 9),
+        ({"barriers": [{"kind": "concrete", "y_m": 0.0}]}, "concrete at y 0 m", 0.5, 2),
+    ],
+)
+def test_a_lidar_inside_what_stands_there_is_refused_and_one_above_it_is_not(
+    tmp_path, capsys, world, name, within, above
+):
+    scene, out = write_scene(tmp_path, {"world": world}), ("--out", tmp_path / "c.npz")
+    scanned = ("scan", scene, "--frame", 1, *out)
+    for words in (scanned, ("evaluate", scene, *out)):
+        line = refused(capsys, tmp_path, *words, "--height", within)
+        assert f"the LiDAR hangs inside '{name}' of [world]" in line
+    done(capsys, *scanned, "--height", above)
 
 
 def test_a_run_with_other_scenery_is_not_resumed(tmp_path, capsys, monkeypatch):
@@ -253,14 +251,11 @@ def test_a_run_tells_how_much_stands_within_its_reach(tmp_path, capsys, monkeypa
     page = Page((tmp_path / "run" / "report.html").read_text(encoding="utf-8"))
     sheet = (tmp_path / "run" / "installation.txt").read_text(encoding="utf-8")
     assert result["scenery"] == counts
-    assert [line for line in out.splitlines() if line.startswith("Scenery")] == (
-        [f"Scenery    {words}"] if words else []
-    )
+    assert re.findall("^Scenery .*", out, re.MULTILINE) == ([f"Scenery    {words}"] if words else [])
     assert (f"Simulated with scenery: {words}" in page.text(page.find("header")[0])) == bool(words)
     assert (f"- as simulated with scenery: {words}" in sheet) == bool(words)
-    assert ("barriers between the sensor and the lanes are not in the model" in sheet) == (
-        not (counts or {}).get("objects")
-    )
+    nothing = not (counts or {}).get("objects")
+    assert ("barriers between the sensor and the lanes are not in the model" in sheet) == nothing
 
 
 def test_without_ground_a_scan_keeps_vehicles_and_scenery_alone(tmp_path, capsys):
