@@ -102,10 +102,8 @@ def test_a_score_that_is_the_same_everywhere_is_calibrated_to_the_mean_of_the_ot
 @given(seed=seeds)
 def test_orders_that_agree_regret_nothing(seed):
     reference = reference_of(seed)
-    stretched = Landscape(
-        3.0 * reference.searched.objective + 0.2 * reference.searched.vehicles, reference.searched.vehicles
-    )
-    found = accuracy(reference, [stretched])
+    searched = reference.searched
+    found = accuracy(reference, [Landscape(3.0 * searched.objective + 0.2 * searched.vehicles, searched.vehicles)])
     assert (found.regret.share, found.regret.interval_90) == (0.0, (0.0, 0.0))
     assert found.tau == pytest.approx(1.0)
     assert found.error == pytest.approx(0.0, abs=1e-9)
@@ -156,9 +154,8 @@ def test_choices_are_shares_and_those_of_two_blocks_come_from_the_frames_as_they
     assert chosen.sum() == pytest.approx(1.0)
     assert (chosen > 0.0).sum() > 1
     few, block = traffic(4, blocks=2, noise=2.0)
-    np.testing.assert_array_equal(
-        chosen_shares(few, searched_weights(block, 1)), np.eye(16)[np.argmax(few.per_vehicle()[1:])]
-    )
+    expected = np.eye(16)[np.argmax(few.per_vehicle()[1:])]
+    np.testing.assert_array_equal(chosen_shares(few, searched_weights(block, 1)), expected)
 
 
 def test_frames_that_are_not_looked_at_choose_nothing():
@@ -170,18 +167,15 @@ def test_frames_that_are_not_looked_at_choose_nothing():
     changed = Landscape(other, searched.vehicles)
     weights = searched_weights(block, 1)
     np.testing.assert_array_equal(chosen_shares(changed, weights, frames), chosen_shares(searched, weights, frames))
-    np.testing.assert_array_equal(
-        chosen_shares(alone, np.ones((1, 3))), chosen_shares(searched, np.ones((1, len(block))), frames)
-    )
+    expected = chosen_shares(searched, np.ones((1, len(block))), frames)
+    np.testing.assert_array_equal(chosen_shares(alone, np.ones((1, 3))), expected)
 
 
 def test_phases_are_averaged():
     reference = reference_of(7, noise=0.3)
     rng = np.random.default_rng(1)
-    objective = reference.searched.objective
-    phases = [
-        Landscape(objective + rng.normal(scale=3.0, size=objective.shape), reference.searched.vehicles) for _ in "ab"
-    ]
+    objective, vehicles = reference.searched.objective, reference.searched.vehicles
+    phases = [Landscape(objective + rng.normal(scale=3.0, size=objective.shape), vehicles) for _ in "ab"]
     alone, both = [accuracy(reference, [phase]) for phase in phases], accuracy(reference, phases)
     assert both.bias == pytest.approx(np.mean([one.bias for one in alone]))
     assert both.error == pytest.approx(np.sqrt(np.mean([one.error**2 for one in alone])))
@@ -262,22 +256,9 @@ NOISE = Noise(bias=0.1, error=0.05, error_90=(0.04, 0.06), tau=0.9, apart=0.01) 
 
 
 def row(name: str, median: float, bound: float | None, error: float = 0.001, **changes) -> dict:
-    return {
-        "name": name,
-        "text": name,
-        "detail": "body",
-        "twin": None,
-        "same_as_twin": None,
-        "stride": 1,
-        "frames": round(10 * median),
-        "culled": True,
-        "ground": False,
-        "milliseconds": {"median": median},
-        "speedup": 80.0 / median,
-        "regret_bound": bound,
-        "error_share": error,
-        **changes,
-    }
+    usual = {"detail": "body", "twin": None, "same_as_twin": None, "stride": 1, "culled": True, "ground": False}
+    timed = {"frames": round(10 * median), "milliseconds": {"median": median}, "speedup": 80.0 / median}
+    return {"name": name, "text": name, **usual, **timed, "regret_bound": bound, "error_share": error, **changes}
 
 
 def reference() -> dict:

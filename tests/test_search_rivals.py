@@ -40,11 +40,6 @@ def test_the_grid_finds_what_brute_force_finds(objective):
     assert np.array_equal(result.x, points_of(result.history)[np.argmax(values)])
 
 
-def test_the_grid_includes_both_bounds_exactly():
-    points = points_of(run(GridSearch([0.1, -0.3], [0.7, 0.9], points=(3, 4)), lambda x: x[:, 0]).history)
-    assert (points.min(axis=0).tolist(), points.max(axis=0).tolist()) == ([0.1, -0.3], [0.7, 0.9])
-
-
 @given(st.integers(1, 6), st.integers(64, 5000))
 def test_a_grid_is_as_fine_as_its_budget_allows_and_no_finer(variables, evaluations):
     points = grid_points(evaluations, variables)
@@ -66,6 +61,7 @@ def test_the_random_search_returns_the_best_of_its_points():
     assert result.evaluations == 333
     assert result.value == values.max()
     assert np.array_equal(result.x, points_of(result.history)[np.argmax(values)])
+    assert np.array_equal(points_of(result.history), uniform(generator(3), 333, np.array(LOWER), np.array(UPPER)))
 
 
 def test_random_points_fill_the_box_evenly():
@@ -105,9 +101,8 @@ def test_a_search_made_anew_and_told_the_same_asks_for_the_same_however_often_it
 @pytest.mark.parametrize("name", SEARCHES)
 def test_no_search_exceeds_its_budget(name):
     result = maximise(sphere, LOWER, UPPER, seed=0, evaluations=135, search=name)
-    assert (
-        result.evaluations == len(result.history) == {"hardened": 135, "de-pso": 120, "grid": 132, "random": 135}[name]
-    )
+    spent = {"hardened": 135, "de-pso": 120, "grid": 132, "random": 135}[name]
+    assert result.evaluations == len(result.history) == spent
     assert small(name).budget <= 130
 
 
@@ -151,11 +146,7 @@ def test_unusable_budgets_are_refused(name, options, message):
 
 @pytest.mark.parametrize(
     ("points", "message"),
-    [
-        ((26,), "one whole number for each of the 2 variables"),
-        ((26, 1), "grid points: 1; allowed: 2 or more"),
-        ((26, 2.5), "grid points: 2.5; allowed: a whole number"),
-    ],
+    [((26,), "one whole number for each of"), ((26, 1), "1; allowed: 2 or"), ((26, 2.5), "2.5; allowed: a whole")],
 )
 def test_unusable_grids_are_refused(points, message):
     with pytest.raises(InputError, match=message):
@@ -170,13 +161,11 @@ def test_a_budget_larger_than_memory_costs_nothing_before_it_is_spent():
         assert search.ask().shape == (20, 1)
 
 
-def test_candidates_made_when_they_are_asked_for_are_those_of_a_list_made_at_once():
-    points, size = (7, 5), 47
-    grid = run(GridSearch(LOWER, UPPER, points=points), sphere)
-    axes = [np.linspace(*axis) for axis in zip(LOWER, UPPER, points, strict=True)]
+def test_points_of_a_grid_made_when_they_are_asked_for_are_those_of_a_list_made_at_once_both_bounds_included():
+    lower, upper, points = [0.1, -0.3], [0.7, 0.9], (7, 5)
+    grid = run(GridSearch(lower, upper, points=points), sphere)
+    axes = [np.linspace(*axis) for axis in zip(lower, upper, points, strict=True)]
     assert np.array_equal(points_of(grid.history), np.array(list(itertools.product(*axes))))
-    found = run(RandomSearch(LOWER, UPPER, seed=3, evaluations=size), sphere)
-    assert np.array_equal(points_of(found.history), uniform(generator(3), size, np.array(LOWER), np.array(UPPER)))
 
 
 @pytest.mark.parametrize("variables", range(1, 7))
