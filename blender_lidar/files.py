@@ -114,8 +114,7 @@ def make_folder(path: Path, option: str) -> None:
 
 def write_text(path: str | Path, text: str) -> None:
     """Write `text` as UTF-8 to `path`, whole or not at all; half a character, as file names may hold, becomes a ?."""
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", errors="replace")
+    write_bytes(path, text.encode("utf-8", errors="replace"))
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:

@@ -121,10 +121,8 @@ def parse_frames(text: str, option: str) -> list[int]:
             raise InputError(f"{option}: {part!r}; allowed: frame numbers such as 100,150 or 100:160:5")
         first, last, step = int(found[1]), int(found[2] or found[1]), int(found[3] or 1)
         if step < 1 or last < first or len(frames) + (last - first) // step >= _MOST_FRAMES:
-            raise InputError(
-                f"{option}: {part!r}; allowed: a range from:to:step with to not below from, step 1 or more, and not "
-                f"more than {_MOST_FRAMES:,} frames in all"
-            )
+            allowed = f"a range from:to:step that rises, and not more than {_MOST_FRAMES:,} frames"
+            raise InputError(f"{option}: {part!r}; allowed: {allowed}")
         frames += range(first, last + 1, step)
     return frames
 

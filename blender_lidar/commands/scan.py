@@ -96,7 +96,7 @@ def _frames(
 def _scan(args: argparse.Namespace) -> int:
     """Write clouds; returns the exit code."""
     one, numbers = args.sequence is None, _numbers(args)
-    paths = [_path(args)] if one else _paths(args, numbers)
+    paths = _paths(args, numbers)
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
     sensor = mounted_sensor(scenario, mount)
@@ -126,17 +126,14 @@ def _scan(args: argparse.Namespace) -> int:
     return 0
 
 
-def _path(args: argparse.Namespace) -> Path:
-    """The file of one cloud."""
-    if args.format is not None:
-        raise InputError("--format: goes with --frame-ids; the suffix of --out says what one cloud is written as")
-    check_place(args.out, "--out")
-    return check_cloud_name(args.out, "--out")
-
-
 def _paths(args: argparse.Namespace, numbers: list[int]) -> list[Path]:
-    """A file in the folder for each frame, named by its number; the folder itself where a format orders it."""
+    """Where the clouds go: one file, or one in the folder for each frame, or the folder where a format orders it."""
     folder = Path(args.out)
+    if args.sequence is None:
+        if args.format is not None:
+            raise InputError("--format: goes with --frame-ids; the suffix of --out says what one cloud is written as")
+        check_place(args.out, "--out")
+        return [check_cloud_name(args.out, "--out")]
     if len(set(numbers)) < len(numbers):
         raise InputError("--frame-ids: names a frame twice")
     if folder.exists() and not folder.is_dir():

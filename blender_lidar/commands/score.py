@@ -144,9 +144,7 @@ def _boxes(asked: _Options) -> Vehicles:
     recording = read_table(asked.boxes)
     frames = recording.frames
     if asked.frame is None and len(frames) > 1:
-        raise InputError(
-            f"{asked.boxes}: holds {len(frames)} frames, {frames[0]} to {frames[-1]}; name one with --frame"
-        )
+        raise InputError(f"{asked.boxes}: holds frames {frames[0]} to {frames[-1]}; name one with --frame")
     return recording.vehicles(int(frames[0]) if asked.frame is None else asked.frame)
 
 

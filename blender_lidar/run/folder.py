@@ -129,11 +129,8 @@ class RunFolder:
     def write_scene(self, scenario: Scenario) -> None:
         """Write the scene as used, every default spelt out."""
         tables = scenario.as_tables()
-        files = [("traffic", "path"), ("traffic", "vehicle_types"), ("world", "blend"), ("world", "mesh")]
-        files += [("sensor", "name")] * scenario.sensor.is_file
-        for table, key in files:
-            if tables[table][key] is not None:
-                tables[table][key] = str(Path(tables[table][key]).resolve())
+        for (table, key), path in scenario.files.items():
+            tables[table][key] = str(Path(path).resolve())
         write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n" + to_toml(tables))
 
     def write_checkpoint(self, identity: Mapping, batches: Sequence[Mapping]) -> None:

@@ -29,7 +29,7 @@ def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = N
     for (table, key), path in _input_files(scenario).items():
         tables[table][key] = _named_by_content(path)
     if scenery_digest is not None:
-        files = [key for key in ("blend", "mesh") if tables["world"][key] is not None]
+        files = [key for table, key in scenario.files if table == "world"]
         tables["world"] |= dict.fromkeys(files, "file that is read")  # it may draw on further files
         tables["world"]["scenery"] = f"triangles with SHA-256 {scenery_digest}"
     flat = {f"[{table}] {key}": value for table, content in tables.items() for key, value in content.items()}
@@ -59,10 +59,8 @@ def check_identity(stored: object, identity: Mapping[str, object], what: str) ->
         before, now = stored.get(key), identity.get(key)
         if before != now:
             had = "was made by other code, blender_lidar" if key == CODE else f"had {key} ="
-            instead = "go on with that one" if key == CODE else "give it the same settings"
-            raise InputError(
-                f"--resume: {what} {had} {shown(before)}, not {shown(now)}; {instead}, or give another --out"
-            )
+            instead = "go on with that one, or give" if key == CODE else "give it the same settings, or"
+            raise InputError(f"--resume: {what} {had} {shown(before)}, not {shown(now)}; {instead} another --out")
 
 
 def check_same_inputs(scenario: Scenario, identity: Mapping[str, object]) -> None:
@@ -96,10 +94,7 @@ def unchanged_inputs(scenario: Scenario) -> Iterator[None]:
 
 def _input_files(scenario: Scenario) -> dict[tuple[str, str], str]:
     """The files that a scene names, but for scenery, by table and key."""
-    files = {("traffic", "path"): scenario.traffic.path, ("traffic", "vehicle_types"): scenario.traffic.vehicle_types}
-    if scenario.sensor.is_file:
-        files["sensor", "name"] = scenario.sensor.name
-    return {place: path for place, path in files.items() if path is not None}
+    return {place: path for place, path in scenario.files.items() if place[0] != "world"}
 
 
 def _named_by_content(path: str) -> str:

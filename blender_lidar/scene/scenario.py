@@ -7,8 +7,9 @@ before they are checked, so both pass the same checks.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from pathlib import Path
+from typing import get_type_hints
 
 from ..errors import InputError, MissingFileError, unknown_name
 from ..metrics.catalogue import PE_VGOP
@@ -39,17 +40,8 @@ from .settings import (
 
 __all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_scenario", "pose_at"]
 
-DECLARED = {
-    "traffic": settings_of(TrafficSettings),
-    "road": settings_of(RoadFrame),
-    "world": settings_of(WorldSettings),
-    "sensor": settings_of(SensorSettings),
-    "deployment": DEPLOYMENT,
-    "baseline": MOUNTING,
-    "objective": settings_of(ObjectiveSettings),
-    "search": settings_of(SearchSettings),
-    "model": settings_of(ModelSettings),
-}
+DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}
+DECLARED |= {"deployment": DEPLOYMENT, "baseline": MOUNTING}
 """The settings of each table of a scene file."""
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
@@ -126,10 +118,8 @@ def _traffic(table: TomlTable) -> TrafficSettings:
     traffic = table.read_as(TrafficSettings)
     spread = next((key for key in ("frames", "spacing_s") if getattr(traffic, key) is not None), None)
     if traffic.frame_ids is not None and spread is not None:
-        raise InputError(
-            f"{table.where('frame_ids')}: lists the frames that {table.where(spread)} spreads evenly; allowed: one of "
-            "both"
-        )
+        both = table.where("frame_ids"), table.where(spread)
+        raise InputError("{}: lists the frames that {} spreads evenly; allowed: one of both".format(*both))
     return traffic if traffic.frame_ids or spread else replace(traffic, frames=DEFAULT_COUNT)
 
 
@@ -159,14 +149,10 @@ def _sensor(table: TomlTable) -> SensorSettings:
             if found[key] is None:
                 raise InputError(f"{table.where(key)}: no source gives that of {model.name}; allowed: a number")
             checked(found[key], declared[key], f"{table.where(key)}: {model.name}")
-    for key in ("range_noise_m", "dropout", "glass_dropout", "unit_spread_deg"):
-        found[key] = found[key] or 0.0
     found["range_gate_m"] = gate = found["range_gate_m"] or model.range_max_m
     if not model.range_min_m < gate <= model.range_max_m:
-        raise InputError(
-            f"{table.where('range_gate_m')}: is {gate}; allowed for {model.name}: more than {model.range_min_m:g}, "
-            f"at most {model.range_max_m:g}"
-        )
+        allowed = f"more than {model.range_min_m:g}, at most {model.range_max_m:g}"
+        raise InputError(f"{table.where('range_gate_m')}: is {gate}; allowed for {model.name}: {allowed}")
     key = "rotation_hz"
     try:
         found[key] = model.rotation_rate(found[key])

@@ -33,6 +33,7 @@ _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
 _HEADING = {"low": -360.0, "high": 360.0}
 _STATED_RANGE = dict(zip(("low", "high"), STATED_RANGE_LIMITS_M, strict=True))
+_FILES = (("traffic", "path"), ("traffic", "vehicle_types"), ("world", "blend"), ("world", "mesh"))
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
 
@@ -168,11 +169,11 @@ class SensorSettings:
     name: str = setting("RS-16", option="--sensor")
     rotation_hz: float = setting(None, above=0.0)
     range_gate_m: float = setting(None, above=0.0)
-    range_noise_m: float = setting(None, low=0.0, high=MOST_RANGE_NOISE_M, word=DATASHEET, option="--range-noise")
-    dropout: float = setting(None, low=0.0, below=1.0, option="--dropout")
-    glass_dropout: float = setting(None, low=0.0, high=1.0, option="--glass-dropout")
+    range_noise_m: float = setting(0.0, low=0.0, high=MOST_RANGE_NOISE_M, word=DATASHEET, option="--range-noise")
+    dropout: float = setting(0.0, low=0.0, below=1.0, option="--dropout")
+    glass_dropout: float = setting(0.0, low=0.0, high=1.0, option="--glass-dropout")
     range_at_10_percent_m: float | None = setting(None, **_STATED_RANGE, word=DATASHEET, option="--range-at-10-percent")
-    unit_spread_deg: float = setting(None, low=0.0, high=MOST_SPREAD_DEG, option="--unit-spread")
+    unit_spread_deg: float = setting(0.0, low=0.0, high=MOST_SPREAD_DEG, option="--unit-spread")
     unit: int = setting(1, low=0)
     noise_seed: int = setting(1, low=0)
 
@@ -434,6 +435,14 @@ class Scenario:
     @property
     def baseline_pose(self) -> Pose:
         return pose_at(self.baseline)
+
+    @property
+    def files(self) -> dict[tuple[str, str], str]:
+        """The files that it names, by table and key."""
+        named = {(table, key): getattr(getattr(self, table), key) for table, key in _FILES}
+        if self.sensor.is_file:
+            named["sensor", "name"] = self.sensor.name
+        return {place: path for place, path in named.items() if path is not None}
 
     def as_tables(self) -> dict[str, dict]:
         """The scene as used, in the layout of a scene file: reading it again gives this scene."""

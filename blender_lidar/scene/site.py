@@ -101,26 +101,22 @@ def check_mount_is_clear(
     frames = list(frames)
     for where, mount in mounts.items():
         low, high = np.transpose([np.broadcast_to(mount[key], 2) for key in _PLACE])  # each coordinate's ends
+        along, across = (f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in zip(low[:2], high[:2], strict=True))
         if low[1] < left and high[1] > right:
-            raise InputError(
-                f"{where}: the mount at y {_span(low[1], high[1])} m stands on the carriageway; "
-                f"allowed: at most {right:g} or at least {left:g} m"
-            )
+            allowed = f"at most {right:g} or at least {left:g} m"
+            raise InputError(f"{where}: the mount at y {across} m stands on the carriageway; allowed: {allowed}")
         for solid in solids:
             middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
             place = np.array([solid.centre_m]), np.array([solid.size_m]), np.radians([solid.heading_deg])
             if low[2] <= middle + half and high[2] >= middle - half and footprints_meet(*place, low, high).any():
-                raise InputError(
-                    f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move the one or the other"
-                )
+                raise InputError(f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move one of them")
         for vehicles in frames:
             place = vehicles.centre_m, vehicles.size_m, vehicles.heading_rad
             inside = vehicles.vehicle_id[footprints_meet(*place, low, high)]
             if len(inside):
                 raise InputError(
-                    f"{where}: the mount at x {_span(low[0], high[0])} m, y {_span(low[1], high[1])} m stands inside "
-                    f"vehicle {inside[0]} of frame {vehicles.frame}; move it, or leave that frame out "
-                    "with [traffic] frame_ids"
+                    f"{where}: the mount at x {along} m, y {across} m stands inside vehicle {inside[0]} of frame "
+                    f"{vehicles.frame}; move it, or leave that frame out with [traffic] frame_ids"
                 )
 
 
@@ -141,10 +137,6 @@ def _box_around(barrier: BarrierSettings) -> BoxSettings:
     centre = (0.5 * (first + last), barrier.y_m, 0.5 * height)
     size = (last - first, 2 * HALF_WIDTH_M, height)
     return BoxSettings(name=f"{barrier.kind} at y {barrier.y_m:g} m", centre_m=centre, size_m=size)
-
-
-def _span(low, high):
-    return f"{low:g}" if low == high else f"{low:g} to {high:g}"
 
 
 # --- The site ---------------------------------------------------------------------------------------------------------
@@ -290,9 +282,7 @@ def read_recording(scenario: Scenario) -> Recording:
     in_lanes = np.isin(recording.lane, settings.lanes)
     if not in_lanes.any():
         present = ", ".join(map(str, np.unique(recording.lane)))
-        raise InputError(
-            f"{recording.source}: no vehicle in [traffic] lanes {list(settings.lanes)}; its lanes are {present}"
-        )
+        raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
     return recording.where(in_lanes)
 
 
