@@ -6,6 +6,7 @@ import numpy as np
 
 from blender_lidar.casting import caster_class
 from blender_lidar.clouds.scan import scan
+from blender_lidar.clouds.snapshot import vertices_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -25,9 +26,11 @@ def moment(vehicles=TRAFFIC, detail="body", pose=POSE, cloud=True, scenery=SCENE
     """A moment, with random bits in place of a score."""
     from blender_lidar.world.blender.scene import Moment
 
-    seen = scan(vehicles, LATTICE, pose, caster="bvh", detail=detail, max_range_m=REACH_M) if cloud else None
-    bits = None if seen is None else np.random.default_rng(1).random(len(seen))
-    return Moment(ROAD, vehicles, detail, LATTICE, pose, REACH_M, seen, bits, scenery)
+    points = None
+    if cloud:
+        seen = scan(vehicles, LATTICE, pose, caster="bvh", detail=detail, max_range_m=REACH_M)
+        points = vertices_of(seen, np.random.default_rng(1).random(len(seen)))
+    return Moment(ROAD, vehicles, detail, LATTICE, pose, REACH_M, points, scenery)
 
 
 def hits(corners, owner, pose=POSE, reach=REACH_M):

@@ -53,10 +53,6 @@ _UPWARDS = ("scoring", "clouds", "run", "studies", "report", "commands")
 for _here in _UPWARDS:
     ROOMS[_here] = set(ROOMS) - FLOOR
 DOOR = {"commands", "cli", "addon", "__main__", "__init__"}
-# Arrows of today that are to go.
-STILL = {
-    ("world/blender", "clouds"),
-}
 
 
 @cache
@@ -116,8 +112,7 @@ def test_a_room_imports_only_rooms_that_it_may(path):
     if here in DOOR:
         return
     taken = rooms_imported(path) - FLOOR - {"__init__"}
-    allowed = ROOMS[here] | {there for this, there in STILL if this == here}
-    assert taken <= allowed, f"{named(path)} imports {sorted(taken - allowed)}"
+    assert taken <= ROOMS[here], f"{named(path)} imports {sorted(taken - ROOMS[here])}"
 
 
 def test_every_room_is_known():
@@ -128,8 +123,6 @@ def test_rooms_do_not_import_each_other_in_a_circle():
     taken = {here: set() for here in map(room, SOURCES)}
     for path in SOURCES:
         taken[room(path)] |= rooms_imported(path)
-    for here, there in STILL:
-        taken[here].remove(there)
     while free := [here for here, others in taken.items() if not others & taken.keys()]:
         for here in free:
             del taken[here]

@@ -112,21 +112,15 @@ def test_a_vertex_carries_what_its_return_carries(scene):
     shown = moment()
     build_scene(scene, shown)
     mesh = next(item for item in scene.objects if role(item) == "cloud").data
-    expected = {
-        "range": shown.cloud.range_m,
-        "ring": shown.cloud.ring,
-        "intensity": shown.cloud.intensity,
-        "vehicle": shown.cloud.vehicle_id,
-        "entropy": shown.entropy_bits,
-        "time": shown.cloud.time_s,
-    }
-    for name, values in expected.items():
-        stored = np.empty(len(values))
+    names = {"xyz", "range", "ring", "intensity", "vehicle", "entropy", "time"}
+    assert shown.points.keys() == names
+    for name in names - {"xyz"}:
+        stored = np.empty(len(shown.points[name]))
         mesh.attributes[name].data.foreach_get("value", stored)
-        np.testing.assert_allclose(stored, values, rtol=1e-6, err_msg=name)
-    where = np.empty(3 * len(shown.cloud))
+        np.testing.assert_allclose(stored, shown.points[name], rtol=1e-6, err_msg=name)
+    where = np.empty(3 * len(mesh.vertices))
     mesh.vertices.foreach_get("co", where)
-    np.testing.assert_allclose(where.reshape(-1, 3), shown.cloud.xyz, atol=1e-5)
+    np.testing.assert_allclose(where.reshape(-1, 3), shown.points["xyz"], atol=1e-5)
 
 
 def test_what_is_only_drawn_is_not_met(scene):

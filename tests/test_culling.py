@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.casting import caster_class, culling, is_available
-from blender_lidar.casting.culling import cut_vehicles, reachable_beams
+from blender_lidar.casting import CASTERS, caster_class, culling, is_available
+from blender_lidar.casting.culling import cut_vehicles, ray_directions, reachable_beams, revolutions
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -27,7 +27,7 @@ lattice_of = functools.cache(lambda sensor, stride: beam_lattice(load_model(sens
 def kept_beams(vehicles, lattice, pose, gate=50.0, detail="body"):
     """Mask over all beams of the lattice: those that are left after culling."""
     kept = np.zeros(lattice.rings * lattice.columns, dtype=bool)
-    kept[next(reachable_beams(lattice, cut_vehicles(vehicles, detail), [pose], gate))] = True
+    kept[reachable_beams(lattice, cut_vehicles(vehicles, detail), pose, gate)] = True
     return kept
 
 
@@ -158,19 +158,22 @@ def test_of_the_beams_that_are_left_most_meet_a_vehicle():
     assert meets.sum() > 0.5 * kept.sum()
 
 
-def test_mountings_together_and_one_by_one_leave_the_same_beams():
+@pytest.mark.parametrize("caster", [name for name in CASTERS if is_available(name)])
+def test_mountings_cast_together_and_one_by_one_meet_the_same(caster):
     traffic, lattice = dense_traffic(vehicles=60, length_m=200.0), lattice_of("RS-LiDAR-32", 20)
     rng = np.random.default_rng(0)
     poses = [Pose(*rng.uniform([-5, -3, 1], [5, 0, 5]), *rng.uniform(-0.5, 0.5, 3)) for _ in range(40)]
     poses[7] = Pose(x_m=10_000.0)  # from where nothing is in range
-    pieces = cut_vehicles(traffic, "body")
-    together = list(reachable_beams(lattice, pieces, poses, 60.0))
+    pieces, tree = cut_vehicles(traffic, "body"), caster_class(caster)(vehicle_triangles(traffic).corners, closed=True)
+    together = list(revolutions(tree, lattice, poses, 60.0, pieces))
     assert len(together) == len(poses)
-    for beams, pose in zip(together, poses, strict=True):
-        np.testing.assert_array_equal(beams, next(reachable_beams(lattice, pieces, [pose], 60.0)))
-        np.testing.assert_array_equal(beams, np.unique(beams))
-    assert len(together[7]) == 0
-    assert list(reachable_beams(lattice, pieces, [], 60.0)) == []
+    for found, pose in zip(together, poses, strict=True):
+        (alone,) = revolutions(tree, lattice, [pose], 60.0, pieces)
+        for column, other in zip(found, alone, strict=True):
+            np.testing.assert_array_equal(column, other)
+        np.testing.assert_array_equal(found.beam, np.unique(found.beam))
+    assert len(together[7].beam) == 0
+    assert list(revolutions(tree, lattice, [], 60.0, pieces)) == []
 
 
 def test_without_vehicles_or_out_of_range_no_beam_is_left():
@@ -212,12 +215,12 @@ def test_compiled_culling_keeps_the_beams_that_numpys_keeps(sensor, place, monke
 
     rng = np.random.default_rng(5)
     traffic, lattice = dense_traffic(seed=3, vehicles=40, length_m=200.0), lattice_of(sensor, 3)
-    pieces = culling.cut_vehicles(traffic, "body")
+    pieces = cut_vehicles(traffic, "body")
     poses = [Pose(*map(float, mount(place, traffic, rng)), *rng.uniform(-0.6, 0.6, 3)) for _ in range(4)]
-    fast = list(culling.reachable_beams(lattice, pieces, poses, 60.0))
-    monkeypatch.setattr(culling, "_compiled", lambda: None)
-    for ours, pose, slow in zip(fast, poses, culling.reachable_beams(lattice, pieces, poses, 60.0), strict=True):
-        np.testing.assert_array_equal(ours, slow)
+    fast = [reachable_beams(lattice, pieces, pose, 60.0) for pose in poses]
+    monkeypatch.setattr(culling, "_fastest", lambda: (culling._angular_bounds, culling._beams_inside))
+    for ours, pose in zip(fast, poses, strict=True):
+        np.testing.assert_array_equal(ours, reachable_beams(lattice, pieces, pose, 60.0))
         rotated = np.empty((len(ours), 3))
         directions_of(lattice.components.reshape(3, -1), ours, pose.rotation, rotated)
-        np.testing.assert_array_equal(culling.ray_directions(lattice, ours, pose), rotated.T)
+        np.testing.assert_array_equal(ray_directions(lattice, ours, pose), rotated.T)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -101,7 +101,8 @@ class TrianglePlanes:
         steepest = np.maximum(*(dot(slope, slope) for slope in slopes[1:]))
         self._functions[12] = _ROUNDING * coordinate * side * steepest
 
-    def as_rows(self) -> np.ndarray:
+    @cached_property
+    def rows(self) -> np.ndarray:
         """Slope and offset of each triangle's three functions and the rounding of its weights, (m, 13).
 
         The last one is what rounding of the corners and of the slopes may add to a weight at the triangle.
@@ -145,16 +146,6 @@ class TrianglePlanes:
             missing -= dot(slopes, origins)
         growth = dot(slopes, directions)
         return missing, growth
-
-
-@cache
-def fastest_planes() -> type[TrianglePlanes]:
-    """The compiled twin where Numba is installed."""
-    if not numba_works():
-        return TrianglePlanes
-    from .kernels import CompiledPlanes
-
-    return CompiledPlanes
 
 
 # --- Casters ----------------------------------------------------------------------------------------------------------
@@ -227,6 +218,13 @@ class Caster(ABC):
         for what `tree` says of it: leaks are told by the insides that they lead to. Faster for rays from outside, slow
         for others.
 
+    Attributes
+    ----------
+    origin : ndarray, (3,)
+        What coordinates are counted from within [m].
+    rows : ndarray of int, (m,)
+        Row, among the triangles that were given, of each that has area; the others are left out.
+
     Raises
     ------
     InputError
@@ -246,17 +244,17 @@ class Caster(ABC):
             row = int(np.argmin(coordinate <= MOST_M))
             raise InputError(f"triangle {row} {_unusable(corners[row])}")
         # About the middle one of the corners, so that a vehicle at a place that is a mistake moves no other.
-        self._origin = np.median(places.transpose(1, 0, 2).reshape(3, -1), axis=1) if len(corners) else np.zeros(3)
-        places = places - self._origin[:, None]
+        self.origin = np.median(places.transpose(1, 0, 2).reshape(3, -1), axis=1) if len(corners) else np.zeros(3)
+        places = places - self.origin[:, None]
         normal = cross(places[1] - places[0], places[2] - places[0])
         area = length(normal)  # twice: base times height
         base = length((places - np.roll(places, 1, axis=0)).transpose(1, 0, 2)).max(axis=0, initial=0.0)
         self._given = len(corners)
-        self._solid = np.flatnonzero(area > _LEAST_HEIGHT * base * (base + coordinate))
-        self._normal = np.ascontiguousarray((normal[:, self._solid] / area[self._solid]).T)
-        self._corners = (corners - self._origin)[self._solid]
-        self._planes = fastest_planes()(self._corners, self._normal)
-        if len(self._solid):
+        self.rows = np.flatnonzero(area > _LEAST_HEIGHT * base * (base + coordinate))
+        self._normal = np.ascontiguousarray((normal[:, self.rows] / area[self.rows]).T)
+        self._corners = (corners - self.origin)[self.rows]
+        self._planes = TrianglePlanes(self._corners, self._normal)
+        if len(self.rows):
             self._prepare()
 
     def _prepare(self) -> None:  # noqa: B027 (not all have anything to do)
@@ -278,27 +276,24 @@ class Caster(ABC):
         """The compiled tree in float64 of the triangles with area, at least one."""
         from .kernels import RayTree
 
-        return RayTree(self._corners, self._planes.as_rows(), self._exact)
+        return RayTree(self._corners, self._planes.rows, self._exact)
 
     @property
     def _sure(self):
         """What meets rays in float64: the compiled tree, or without Numba the search."""
         return self.ray_tree if numba_works() else self._exact
 
+    def _decide(self, search, origins, directions, max_range, doubtful, triangle, distance):
+        """Let a search in float64 say, in place, what the doubtful of some rays meet; inf where nothing."""
+        if len(doubtful):
+            found = search.meet(origins_of(origins, doubtful), directions[doubtful], max_range)
+            distance[doubtful] = np.inf
+            distance[doubtful[found.ray]], triangle[doubtful[found.ray]] = found.distance, found.triangle
+
     @property
     def planes(self) -> np.ndarray:
-        """As `TrianglePlanes.as_rows` gives them, (m, 13): counted from `origin`, in the order of `rows`."""
-        return self._planes.as_rows()
-
-    @property
-    def origin(self) -> np.ndarray:
-        """What compiled code counts coordinates from, (3,) [m]."""
-        return self._origin
-
-    @property
-    def rows(self) -> np.ndarray:
-        """Row, among the triangles that were given, of each that compiled code knows, (m,): those with area."""
-        return self._solid
+        """`TrianglePlanes.rows`, (m, 13): counted from `origin`, in the order of `rows`."""
+        return self._planes.rows
 
     def cast(self, origins: np.ndarray, directions: np.ndarray, max_range: float = np.inf) -> Hits:
         """What each ray meets first, no farther than `max_range`.
@@ -329,17 +324,17 @@ class Caster(ABC):
 
         Fastest for arrays that hold coordinate after coordinate in memory, as `Pose.to_world` returns them.
         """
-        if len(self._solid) == 0 or len(directions) == 0:
+        if len(self.rows) == 0 or len(directions) == 0:
             return Returns(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))
         max_range = min(max_range, FARTHEST)
-        found = self._meet(origins - self._origin, directions, max_range)
-        if len(self._solid) == self._given:
+        found = self._meet(origins - self.origin, directions, max_range)
+        if len(self.rows) == self._given:
             return found
-        return found._replace(triangle=self._solid[found.triangle])
+        return found._replace(triangle=self.rows[found.triangle])
 
     def normals(self, triangle: np.ndarray) -> np.ndarray:
         """Outward unit normals (n, 3) of triangles that were met, by their row in the constructor's `corners`."""
-        return self._normal[np.searchsorted(self._solid, triangle)]
+        return self._normal[np.searchsorted(self.rows, triangle)]
 
 
 def origins_of(origins: np.ndarray, rays: np.ndarray) -> np.ndarray:

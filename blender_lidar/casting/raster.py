@@ -16,7 +16,7 @@ from ..compiled import compiled
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from .protocol import FARTHEST, Caster, Revolution
-from .rasterise import RUN, DepthBuffer, Table, depth_buffer, lattice_table, rasterise, take_returns
+from .rasterise import RUN, DepthBuffer, Table, depth_buffer, lattice_table, rasterise, undecided_beams
 
 _spare: dict[int, DepthBuffer] = {}  # by number of beams
 
@@ -34,25 +34,26 @@ class RasterCaster(Caster):
 
     def revolution(self, lattice: BeamLattice, pose: Pose, max_range: float) -> Revolution:
         """What the beams of one revolution meet first, no farther than `max_range` [m]."""
-        if len(self._solid) == 0:
+        if len(self.rows) == 0:
             return Revolution(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), np.empty((3, 0)))
         max_range = min(max_range, FARTHEST)
-        origin, rotation, components = pose.position - self.origin, pose.rotation, lattice.components.reshape(3, -1)
+        origin, components = pose.position - self.origin, lattice.components.reshape(3, -1)
         with self.rasterising(lattice) as (mesh, planes, closed, table, buffer, number):
             near_surface = rasterise(
-                mesh, planes, table, components, origin, rotation, max_range, closed, number, buffer
+                mesh, planes, table, components, origin, pose.rotation, max_range, closed, number, buffer
             )
-            *found, undecided = take_returns(buffer, planes, components, origin, rotation, max_range)
-        if near_surface:  # nothing is certain
-            found, undecided = [column[..., :0] for column in found], np.arange(components.shape[1])
-        if len(undecided):
-            directions = pose.to_world(components[:, undecided].T).T
-            met = self._exact.meet(origin, directions.T, max_range)
-            more = undecided[met.ray], met.triangle, met.distance, directions[:, met.ray]
-            order = np.argsort(np.concatenate([found[0], more[0]]))
-            found = [np.concatenate(both, axis=-1)[..., order] for both in zip(found, more, strict=True)]
-        beam, triangle, distance, directions = found
-        return Revolution(beam, self._solid[triangle], distance, directions)
+            undecided = undecided_beams(buffer, max_range)
+            touched = buffer.touched[: buffer.number[0]]
+            buffer.nearest[touched] = np.inf
+            if near_surface:  # nothing is certain
+                undecided = np.arange(components.shape[1])
+            beam = np.union1d(touched, undecided).astype(np.int64)
+            triangle = buffer.triangle[beam]
+        directions = pose.to_world(components[:, beam].T)
+        distance = self._planes.meet(origin, directions.T, triangle).distance
+        self._decide(self._exact, origin, directions, max_range, np.searchsorted(beam, undecided), triangle, distance)
+        met = distance <= max_range
+        return Revolution(beam[met], self.rows[triangle[met]], distance[met], directions.T[:, met])
 
     @contextmanager
     def rasterising(
@@ -70,7 +71,7 @@ class RasterCaster(Caster):
             buffer = depth_buffer(beams, vertices)
         first = int(buffer.number[2])
         buffer.number[2] += revolutions
-        whole = len(self._solid) == self._given  # else solids may lack a side
+        whole = len(self.rows) == self._given  # else solids may lack a side
         yield self._mesh, self.planes, self._closed and whole, lattice_table(lattice), buffer, first
         _spare[beams] = buffer
 
@@ -95,7 +96,7 @@ class Mesh(NamedTuple):
     middle, radius : ndarray, (r, 3) and (r,)
         Sphere about each run of `RUN` triangles [m].
     low, high : ndarray, (s, 3)
-        Boxes about what hangs together by its vertices [m]: a solid lies within one of them.
+        Boxes about runs that share no vertex with each other [m]: a solid lies within one of them.
     """
 
     vertices: np.ndarray
@@ -109,14 +110,18 @@ class Mesh(NamedTuple):
 def mesh_of(corners: np.ndarray) -> Mesh:
     """Triangles `corners` (m, 3, 3) [m], at least one, with the vertices that they share."""
     flat = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0  # -0 becomes 0: they are the same place
-    row, first = _same_places(flat.view(np.uint64), _table_size(len(flat)))
+    row, first = _same_places(flat.view(np.uint64), 1 << int(2 * len(flat) - 1).bit_length())
     vertices, faces = flat[first], row.reshape(-1, 3)
-    middle, radius = _spheres(corners)
-    return Mesh(vertices, faces, middle, radius + _RADIUS_ROUNDING * np.abs(vertices).max(), *_solids(vertices, faces))
-
-
-def _table_size(places: int) -> int:
-    return 1 << int(2 * places - 1).bit_length()
+    least, most = corners.min(axis=1), corners.max(axis=1)
+    runs = np.arange(0, len(faces), RUN)
+    middle = 0.5 * (np.minimum.reduceat(least, runs) + np.maximum.reduceat(most, runs))
+    away = np.square(corners - np.repeat(middle, RUN, axis=0)[: len(faces), None]).sum(axis=2).max(axis=1)
+    radius = np.sqrt(np.maximum.reduceat(away, runs)) + _RADIUS_ROUNDING * np.abs(vertices).max()
+    # Neighbours in the list hang together as long as a later one has a vertex of an earlier one.
+    oldest = first[faces].min(axis=1) // 3
+    starts = np.flatnonzero(np.minimum.accumulate(oldest[::-1])[::-1] == np.arange(len(faces)))
+    low, high = np.minimum.reduceat(least, starts), np.maximum.reduceat(most, starts)
+    return Mesh(vertices, faces, middle, radius, low, high)
 
 
 @compiled
@@ -141,45 +146,3 @@ def _same_places(bits, size):
                 break
             slot = (slot + 1) & (size - 1)
     return row, first[:found].copy()
-
-
-def _spheres(corners):
-    """Spheres about runs of triangles: middle (r, 3) of their boxes, and radius (r,)."""
-    starts = np.arange(0, len(corners), RUN)
-    low, high = np.minimum.reduceat(corners.min(axis=1), starts), np.maximum.reduceat(corners.max(axis=1), starts)
-    middle = 0.5 * (low + high)
-    away = corners - np.repeat(middle, np.diff(starts, append=len(corners)), axis=0)[:, None]
-    return middle, np.sqrt(np.maximum.reduceat(np.square(away).sum(axis=2).max(axis=1), starts))
-
-
-@compiled
-def _solids(vertices, faces):
-    """Boxes about what hangs together: low (s, 3) and high (s, 3)."""
-    parent = np.arange(len(vertices))
-    for t in range(len(faces)):
-        a = _root(parent, faces[t, 0])
-        for k in range(1, 3):
-            b = _root(parent, faces[t, k])
-            parent[b] = a
-    number, found = np.full(len(vertices), -1), 0
-    low, high = np.empty_like(vertices), np.empty_like(vertices)
-    for v in range(len(vertices)):
-        top = _root(parent, v)
-        if number[top] < 0:
-            number[top], low[found], high[found] = found, vertices[v], vertices[v]
-            found += 1
-        box = number[top]
-        for axis in range(3):
-            low[box, axis], high[box, axis] = (
-                min(low[box, axis], vertices[v, axis]),
-                max(high[box, axis], vertices[v, axis]),
-            )
-    return low[:found].copy(), high[:found].copy()
-
-
-@compiled
-def _root(parent, v):
-    while parent[v] != v:
-        parent[v] = parent[parent[v]]
-        v = parent[v]
-    return v

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..compiled import compiled, inlined
 from ..sensors.beams import BeamLattice
-from .kernels import EDGE, NEARER, ROUNDING, TOUCH, is_behind, is_within, measured, signed_distance, size_of, to_world
+from .kernels import EDGE, NEARER, TOUCH, is_behind, is_within, signed_distance, size_of, to_world, weight_rounding
 
 RUN = 16  # triangles with a sphere about them: neighbours in the list tend to be neighbours in space
 
@@ -198,7 +198,7 @@ def rasterise(mesh, planes, table, components, origin, rotation, reach, closed, 
     ----------
     mesh : Mesh
     planes : ndarray, (m, 13)
-        Of each triangle, as `TrianglePlanes.as_rows` gives them.
+        Of each triangle, as in `TrianglePlanes.rows`.
     table : Table
     components : ndarray, (3, b)
         The lattice's beams.
@@ -217,7 +217,7 @@ def rasterise(mesh, planes, table, components, origin, rotation, reach, closed, 
     Returns
     -------
     bool
-        Whether the sensor is_within a triangle; nothing is then certain.
+        Whether the sensor is within a triangle; nothing is then certain.
     """
     near_surface = False
     vertices, faces, middle, radius = mesh.vertices, mesh.faces, mesh.middle, mesh.radius
@@ -300,7 +300,7 @@ def _weights(planes, t, origin, rotation):
     normal, which is their sum. Returned with what rounding may add to them, and the distance from the plane [m].
     """
     missing = signed_distance(planes, t, 0, origin)
-    sign, doubt, far = (1.0 if missing > 0.0 else -1.0), 0.0, size_of(planes, t, 0, origin)
+    sign = 1.0 if missing > 0.0 else -1.0
     fx, fy, fz = _turned(planes, t, 0, rotation)
     fx, fy, fz = sign * fx, sign * fy, sign * fz
     bx, by, bz = _turned(planes, t, 1, rotation)
@@ -309,10 +309,7 @@ def _weights(planes, t, origin, rotation):
     cx, cy, cz = _turned(planes, t, 2, rotation)
     short = signed_distance(planes, t, 2, origin)
     cx, cy, cz = away * cx - short * fx, away * cy - short * fy, away * cz - short * fz
-    for function in (1, 2):
-        k = 4 * function
-        slope = abs(planes[t, k]) + abs(planes[t, k + 1]) + abs(planes[t, k + 2])
-        doubt = max(doubt, ROUNDING * (far * slope + size_of(planes, t, function, origin)))
+    doubt = weight_rounding(planes, t, size_of(planes, t, 0, origin), origin)
     return (fx - bx - cx, fy - by - cy, fz - bz - cz, bx, by, bz, cx, cy, cz), doubt, away
 
 
@@ -359,51 +356,6 @@ def _meeting(in_ring, sine, cosine, doubt, edge, away):
     if (a < doubt) | (b < doubt) | (c < doubt):
         return away / facing if facing > 4.0 * doubt else 0.0, True
     return away / facing, False
-
-
-@compiled
-def take_returns(buffer, planes, components, origin, rotation, reach):
-    """What the beams of a revolution that has been rasterised met, and an empty buffer.
-
-    Parameters
-    ----------
-    buffer : DepthBuffer
-    planes : ndarray, (m, 13)
-    components : ndarray, (3, b)
-        The lattice's beams.
-    origin, rotation : ndarray
-        As for `rasterise`.
-    reach : float
-        Hits that are farther away are left out [m].
-
-    Returns
-    -------
-    beam, triangle : ndarray of int64, (k,)
-        Rising beams, and the triangle that each met first.
-    distance : ndarray, (k,)
-        Distance along each [m]; measured as `TrianglePlanes` does.
-    directions : ndarray, (3, k)
-        Unit vectors in the frame of the triangles.
-    undecided : ndarray of int64, (d,)
-        Beams of which rounding decides what they meet, if anything.
-    """
-    most = buffer.number[0]
-    beams, triangles = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-    distances, directions, found = np.empty(most), np.empty((3, most)), 0
-    nearest, undecided = buffer.nearest, undecided_beams(buffer, reach)
-    for beam in undecided:
-        nearest[beam] = np.inf
-    for beam in np.sort(buffer.touched[:most]):
-        if nearest[beam] == np.inf:  # undecided
-            continue
-        nearest[beam], t = np.inf, buffer.triangle[beam]
-        x, y, z = to_world(components[0, beam], components[1, beam], components[2, beam], rotation)
-        distance = measured(planes, t, origin, x, y, z)
-        if distance <= reach:
-            beams[found], triangles[found], distances[found] = beam, t, distance
-            directions[0, found], directions[1, found], directions[2, found] = x, y, z
-            found += 1
-    return beams[:found], triangles[:found], distances[:found], directions[:, :found].copy(), np.sort(undecided)
 
 
 @compiled

@@ -57,7 +57,7 @@ class NearSurfaces:
     gap : ndarray, (m,)
         How near a start has to be to touch each of them [m].
     low, high : ndarray, (3,)
-        Corners of the region [m].
+        Corners of the region that rays start in [m].
     """
 
     def __init__(
@@ -65,30 +65,21 @@ class NearSurfaces:
     ) -> None:
         lower, upper = corners.min(axis=1) - gap[:, None], corners.max(axis=1) + gap[:, None]
         near = np.flatnonzero(((lower <= high) & (upper >= low)).all(axis=1))
-        self._lower, self._upper, self._gap = lower[near], upper[near], gap[near]
-        self._bounds = (
-            self._lower.min(axis=0, initial=np.inf).tolist(),
-            self._upper.max(axis=0, initial=-np.inf).tolist(),
-        )
-        self._normal, self._offset = normal[near], np.einsum("ti,ti->t", normal[near], corners[near, 0])
-
-    def any(self, low: np.ndarray, high: np.ndarray) -> bool:
-        """Whether any start between two corners (3,) [m], which may be one and the same array, may touch one."""
-        ends = zip(low.tolist(), high.tolist(), *self._bounds, strict=True)
-        if any(b < lower or a > upper for a, b, lower, upper in ends):  # as at most roadsides, and soon told
-            return False
-        near = ((self._lower <= high) & (self._upper >= low)).all(axis=1)
-        return bool(near.any()) and (low is not high or bool(self._of(low[None])[0]))
+        self._lower, self._upper, self._gap, self._normal = lower[near], upper[near], gap[near], normal[near]
+        self._low, self._high = self._lower.min(axis=0, initial=np.inf), self._upper.max(axis=0, initial=-np.inf)
+        self._offset = np.einsum("ti,ti->t", self._normal, corners[near, 0])
 
     def of(self, origins: np.ndarray) -> np.ndarray:
         """Which starts (n, 3) [m] touch one, (n,) bool."""
-        step = max(_AT_A_TIME // max(len(self._gap), 1), 1)
-        parts = [self._of(origins[start : start + step]) for start in range(0, len(origins), step)]
-        return np.concatenate([np.zeros(0, dtype=bool), *parts])
-
-    def _of(self, origins):
-        boxed = ((self._lower <= origins[:, None]) & (self._upper >= origins[:, None])).all(axis=2)
-        return (boxed & (np.abs(origins @ self._normal.T - self._offset) <= self._gap)).any(axis=1)
+        touching = ((origins >= self._low) & (origins <= self._high)).all(axis=1)
+        near = np.flatnonzero(touching)
+        if len(near) == 0:  # as at most roadsides
+            return touching
+        for some in np.array_split(near, 1 + len(near) * len(self._gap) // _AT_A_TIME):
+            start = origins[some]
+            boxed = ((self._lower <= start[:, None]) & (self._upper >= start[:, None])).all(axis=2)
+            touching[some] = (boxed & (np.abs(start @ self._normal.T - self._offset) <= self._gap)).any(axis=1)
+        return touching
 
 
 class TreeCaster(Caster):
@@ -104,8 +95,7 @@ class TreeCaster(Caster):
 
     def _prepare(self):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
-        # Where rays may start; the tree is made at the first cast.
-        self._middle, self._reach, self._far, self._near_surfaces = None, 0.0, 0.0, None
+        self._low = self._high = None  # of where rays may start; the tree is made at the first cast
 
     def first(self, origin: np.ndarray, directions: np.ndarray, max_range: float) -> np.ndarray | None:
         """What the tree alone says: row of the triangle that each ray meets first, or `MISS`; of closed meshes.
@@ -128,7 +118,7 @@ class TreeCaster(Caster):
             Rows as in `planes`; None where the rays start at a surface, and all is for `decide`.
         """
         self._make_ready(origin, origin)
-        if self._near_surfaces.any(origin, origin):
+        if self._near_surfaces.of(origin[None])[0]:
             return None
         return self._first(origin - self._middle, directions, _beyond(max_range))
 
@@ -137,83 +127,60 @@ class TreeCaster(Caster):
         return self._sure.meet(origin, directions, max_range)
 
     def _meet(self, origins, directions, max_range):
-        low, high = (origins, origins) if origins.ndim == 1 else (origins.min(axis=0), origins.max(axis=0))
-        self._make_ready(low, high)
-        if not self._near_surfaces.any(low, high):
+        starts = np.atleast_2d(origins)
+        self._make_ready(starts.min(axis=0), starts.max(axis=0))
+        near = self._near_surfaces.of(starts)
+        if not near.any():
             return self._meet_by_tree(origins, directions, max_range)
-        if origins.ndim == 1:
+        if near.all():
             return self._sure.meet(origins, directions, max_range)
-        is_within = self._near_surfaces.of(origins)
         parts = []
-        for rays, meet in ((~is_within, self._meet_by_tree), (is_within, self._sure.meet)):
-            rays = np.flatnonzero(rays)
-            if len(rays):
-                found = meet(origins[rays], directions[rays], max_range)
-                parts.append(found._replace(ray=rays[found.ray]))
+        for rays, meet in ((np.flatnonzero(~near), self._meet_by_tree), (np.flatnonzero(near), self._sure.meet)):
+            found = meet(origins[rays], directions[rays], max_range)
+            parts.append(found._replace(ray=rays[found.ray]))
         both = Returns(*map(np.concatenate, zip(*parts, strict=True)))
         order = np.argsort(both.ray)
         return Returns(*(column[order] for column in both))
 
     def _meet_by_tree(self, origins, directions, max_range):
         """As `_meet`, where no ray starts at a surface."""
-        away = origins - self._middle
-        triangle = self._first(away, directions, _beyond(max_range))
+        triangle = self._first(origins - self._middle, directions, _beyond(max_range))
         ray = np.flatnonzero(triangle != MISS)
-        triangle = _take(triangle, ray).astype(np.int64, copy=False)
-        if not self._closed:
-            fence = triangle >= len(self._corners)
-            triangle %= len(self._corners)  # each fence is the triangle's that it stands on
-        there = self._planes.meet(origins_of(origins, ray).T, _take(directions.T, ray, axis=1), triangle)
-        distance, doubtful = there.distance, ~there.inside
-        if self._closed:
-            doubtful |= there.facing > -EDGE_ON
-        else:
-            doubtful |= fence
-            doubtful |= np.abs(there.facing) < EDGE_ON
-        self._decide(origins, directions, max_range, np.flatnonzero(doubtful), ray, triangle, distance)
+        fence, triangle = np.divmod(_take(triangle, ray).astype(np.int64), len(self._corners))  # which stands on it
+        origins, directions = origins_of(origins, ray), _take(directions.T, ray, axis=1).T
+        distance, facing, inside = self._planes.meet(origins.T, directions.T, triangle)
+        doubtful = ~inside | ((facing > -EDGE_ON) if self._closed else (fence > 0) | (np.abs(facing) < EDGE_ON))
+        self._decide(self._sure, origins, directions, max_range, np.flatnonzero(doubtful), triangle, distance)
         met = distance <= max_range
-        if met.all():
-            return Returns(ray, triangle, distance)
         return Returns(ray[met], triangle[met], distance[met])
 
-    def _decide(self, origins, directions, max_range, doubtful, ray, triangle, distance):
-        """Let the float64 caster say, in place, what the doubtful of the rays meet; inf where nothing."""
-        if len(doubtful) == 0:
-            return
-        rays = ray[doubtful]
-        found = self._sure.meet(origins_of(origins, rays), directions[rays], max_range)
-        distance[doubtful] = np.inf
-        distance[doubtful[found.ray]], triangle[doubtful[found.ray]] = found.distance, found.triangle
-
-    def _serves(self, low, high):
-        """Whether the tree was made for rays that start between two corners, and not for far wider ones."""
-        if self._middle is None or max((high - self._middle).max(), (self._middle - low).max()) > self._reach:
-            return False
-        widest = max(2.0 * (_REGION + _ROAM) * self._far, _MUCH_WIDER * (0.5 * (high - low).max() + _ROAM * self._far))
-        return self._reach <= widest
-
     def _make_ready(self, low, high):
-        """Have a tree for rays that start between two corners."""
-        if not self._serves(low, high):
-            self._make_tree(low, high)
+        """Have a tree for rays that start between two corners, and not one that was made for far wider ones."""
+        if self._low is not None and (low >= self._low).all() and (high <= self._high).all():
+            roam = _ROAM * self._far
+            widest = max(2.0 * (_REGION * self._far + roam), _MUCH_WIDER * (0.5 * (high - low).max() + roam))
+            if self._reach <= widest:
+                return
+        self._make_tree(low, high)
 
     def _make_tree(self, low, high):
         """Make the tree for rays that start between two corners, and where they have started before if that is near."""
-        if self._middle is not None:
-            both = np.minimum(low, self._middle - self._reach), np.maximum(high, self._middle + self._reach)
+        if self._low is not None:
+            both = np.minimum(low, self._low), np.maximum(high, self._high)
             if 0.5 * (both[1] - both[0]).max() <= _REGION * self._far:
                 low, high = both
         self._middle = 0.5 * (low + high)
         away = np.abs(self._corners - self._middle).max(axis=(1, 2))
         self._far = float(min(away.max(), _FAR * np.median(away)))
         self._reach = float(0.5 * (high - low).max() + _ROAM * self._far)
+        self._low, self._high = self._middle - self._reach, self._middle + self._reach
         margin = self._margin * (away + self._reach)
         larger = grown(self._corners, self._normal, margin)
         if not self._closed:
             larger = np.concatenate([larger, *fences(larger, self._normal, margin)])
         self._build(larger - self._middle)
-        served = self._middle - self._reach, self._middle + self._reach
-        self._near_surfaces = NearSurfaces(self._corners, self._normal, _MARGIN_OPEN * (away + self._reach), *served)
+        gap = _MARGIN_OPEN * (away + self._reach)
+        self._near_surfaces = NearSurfaces(self._corners, self._normal, gap, self._low, self._high)
 
 
 def _beyond(max_range):

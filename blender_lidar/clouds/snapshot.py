@@ -83,7 +83,10 @@ class MountedSensor:
     def moment(self, vehicles: Vehicles, *, with_cloud: bool = True) -> Moment:
         """A frame and what the sensor sees of it, for `world.blender.scene`."""
         moment_class = blender_room("scene", "a scene to be shown").Moment
-        cloud = self.scan(vehicles) if with_cloud else None
+        points = None
+        if with_cloud:
+            cloud = self.scan(vehicles)
+            points = vertices_of(cloud, entropy_of_points(cloud, vehicles, self.scenario.objective))
         return moment_class(
             road=self.scenario.road,
             vehicles=vehicles,
@@ -91,8 +94,7 @@ class MountedSensor:
             lattice=self.lattice,
             pose=pose_at(self.mount),
             range_gate_m=self.scenario.sensor.range_gate_m,
-            cloud=cloud,
-            entropy_bits=None if cloud is None else entropy_of_points(cloud, vehicles, self.scenario.objective),
+            points=points,
             scenery=None if self.scenery is None else self.scenery.scenery,
         )
 
@@ -103,6 +105,19 @@ def mounted_sensor(scenario: Scenario, mount: Mapping[str, float]) -> MountedSen
     return MountedSensor(
         scenario, mount, lattice_of(scenario.sensor), caster, standing_scenery(scenario, caster, mount)
     )
+
+
+def vertices_of(cloud: PointCloud, entropy_bits: np.ndarray) -> dict[str, np.ndarray]:
+    """A cloud, and PE-VGOP (n,) of the vehicle at each point, as `world.blender.points.build_cloud` takes them."""
+    return {
+        "xyz": cloud.xyz,
+        "range": cloud.range_m,
+        "ring": cloud.ring,
+        "intensity": cloud.intensity,
+        "vehicle": cloud.vehicle_id,
+        "entropy": entropy_bits,
+        "time": cloud.time_s,
+    }
 
 
 def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:

@@ -159,7 +159,7 @@ def _build(args: argparse.Namespace) -> int:
     recording, frames = _frames(args, scenario, mount, sorted(set(numbers)))
     moment = sensor.moment(frames[0], with_cloud=not args.no_cloud)
     scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
-    points = "no cloud" if moment.cloud is None else f"{len(moment.cloud)} points"
+    points = "no cloud" if moment.points is None else f"{len(moment.points['xyz'])} points"
     moving = f" driving through {len(frames)} frames" if animated else ""
     print(f"{args.out}: {len(frames[0])} vehicles{moving}, {points} ({sensor.lattice.model.name}, {sensor.caster})")
     return 0

@@ -135,7 +135,7 @@ class CompiledScorer:
         if self._pieces is None:
             beams = np.arange(self._components.shape[1])
         else:
-            beams = next(reachable_beams(self._lattice, self._pieces, [pose], self._reach_m))
+            beams = reachable_beams(self._lattice, self._pieces, pose, self._reach_m)
         if not len(beams):
             return True
         origin, reach = pose.position - self._caster.origin, self._reach_m

@@ -136,8 +136,8 @@ class MovingScorer(FrameScorer):
     def _revolutions(self, poses: Sequence[Pose]) -> Iterator[list[Revolution]]:
         """What the beams of each mounting meet, sector by sector."""
         lattice = self._observation.lattice
-        for pose, reachable in zip(poses, reachable_beams(lattice, self._pieces, poses, self._reach_m), strict=True):
-            found = []
+        for pose in poses:
+            reachable, found = reachable_beams(lattice, self._pieces, pose, self._reach_m), []
             for number, scorer in enumerate(self._turned):
                 beams = reachable[self._sector[reachable] == number]
                 directions = ray_directions(lattice, beams, pose)

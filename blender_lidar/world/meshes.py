@@ -36,7 +36,7 @@ class Shape:
     surface: np.ndarray
 
 
-def tube(rings, glass=None) -> Shape:
+def tube(rings, glass=None, *, shorter: bool = True) -> Shape:
     """Join rings of points and close both ends.
 
     Parameters
@@ -45,11 +45,13 @@ def tube(rings, glass=None) -> Shape:
         Points of each ring [m], all rings in the same sense, none of them crossing itself.
     glass : array of bool, (s - 1, n), optional
         Which of the quads between two rings, from each point to the next, are glass.
+    shorter : bool
+        Whether each quad is cut along its shorter diagonal, or else all from the first point to the next ring's second.
 
     Returns
     -------
     Shape
-        2 n (s - 1) triangles along the tube, each quad cut along its shorter diagonal, and n - 2 in each cap.
+        2 n (s - 1) triangles along the tube, and n - 2 in each cap.
     """
     rings = np.asarray(rings, dtype=float)
     stations, around = rings.shape[:2]
@@ -60,7 +62,7 @@ def tube(rings, glass=None) -> Shape:
     first, second = (np.linalg.norm(vertices[p] - vertices[q], axis=1) for p, q in ((a, c), (b, d)))
     # Of equal ones the second half of a ring takes the other, so that what is the same on both sides stays so.
     slack = np.tile(np.where(2 * np.arange(around) < around - 1, _EQUAL, -_EQUAL), stations - 1)
-    along_first = (first <= second * (1.0 + slack))[:, None]
+    along_first = np.logical_or(not shorter, first <= second * (1.0 + slack))[:, None]
     sides = np.where(along_first, np.stack([a, b, c, a, c, d], axis=1), np.stack([b, c, d, b, d, a], axis=1))
     cap = _zigzag(around)
     faces = np.concatenate([sides.reshape(-1, 3), cap[:, ::-1], cap + around * (stations - 1)])

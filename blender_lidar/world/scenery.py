@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import unknown_name
-from .shapes import ROAD, STRUCTURE, shape
+from .meshes import ROAD, STRUCTURE, tube
+from .shapes import shape
 from .triangles import place
 
 # --- Barriers along the road, extruded along x from a cross-section that is the same to the left and to the right -
@@ -53,19 +54,10 @@ def barrier(kind: str, y_m: float, x_m: tuple[float, float]) -> Scenery:
 
 def _extruded(section, y_m, x_m) -> np.ndarray:
     """A closed mesh, (m, 3, 3): the cross-section's outline joined from one end to the other, and both ends closed."""
-    height, half = np.array(section).T
-    outline = np.concatenate([np.stack([half, height], 1), np.stack([-half, height], 1)[::-1]])  # up on the left
-    points = np.array([[(x, y_m + across, z) for across, z in outline] for x in x_m])
-    count, levels = len(outline), len(section)
-    faces = []
-    for here in range(count):
-        there = (here + 1) % count
-        faces += [(here, there, count + there), (here, count + there, count + here)]
-    for low in range(levels - 1):  # strips between one level and the next
-        left, right = (low, low + 1), (count - 1 - low, count - 2 - low)
-        strip = [(left[0], right[0], right[1]), (left[0], right[1], left[1])]
-        faces += strip + [tuple(count + corner for corner in face[::-1]) for face in strip]
-    return points.reshape(-1, 3)[np.array(faces)]
+    outline = [(half, height) for height, half in section]
+    outline += [(-half, height) for half, height in outline[::-1]]  # up on the left, and down on the right
+    made = tube([[(x, y_m + across, z) for across, z in outline] for x in x_m])
+    return made.vertices[made.faces]
 
 
 # --- The road as triangles: two large ones, as no caster leaks but at edges within a surface --------------

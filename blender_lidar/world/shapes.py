@@ -2,8 +2,8 @@
 
 A shape lives in the unit box, x forward, y left, z up, each from -0.5 to 0.5, and is scaled to a vehicle's own box.
 `box` is that box; `body` is lofted: a few cross-sections along the length, each a hexagon (sill, belt line and roof
-edge on both sides), joined by quads and closed by two caps; `detailed` is in `detailed_shapes`. So every shape is
-closed and its faces point outwards by construction.
+edge on both sides), joined by quads and closed by two caps; `detailed` is in `detailed_shapes`. All are tubes
+(`meshes.tube`), and so closed, and their faces point outwards.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import unknown_name
 from .detailed_shapes import detailed_shape
-from .meshes import GLASS, PAINT, ROAD, STRUCTURE, SURFACES, Shape  # noqa: F401  (shapes come with what they are made of)
+from .meshes import GLASS, PAINT, ROAD, STRUCTURE, SURFACES, Shape, block, tube  # noqa: F401  (what shapes are made of)
 
 DETAILS = ("box", "body", "detailed")
 SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
@@ -42,7 +42,7 @@ def shape(name: str, detail: str = "body") -> Shape:
     if name not in SHAPES:
         raise unknown_name(name, SHAPES, "vehicle shape")
     if detail == "box":
-        made = _box()
+        made = block((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
     elif detail == "body":
         made = _loft(_BODIES[name])
     else:
@@ -110,34 +110,11 @@ _BODIES = {
 
 def _loft(stations) -> Shape:
     """Join hexagonal cross-sections into a closed mesh."""
-    table = np.array([station[:6] for station in stations], dtype=float)
-    along, sill, belt, roof, belt_height, top_height = table.T
-    half = np.stack([sill, belt, roof], axis=1)
-    level = np.stack([np.zeros_like(along), belt_height, top_height], axis=1) - 0.5
-    y = np.concatenate([half, -half[:, ::-1]], axis=1)  # left sill, belt, roof, then right roof, belt, sill
-    z = np.concatenate([level, level[:, ::-1]], axis=1)
+    along, sill, belt, roof, belt_height, top_height, glass_sides, glass_top = np.array(stations, dtype=float).T
+    y = np.stack([sill, belt, roof, -roof, -belt, -sill], axis=1)
+    ground = np.zeros_like(along)
+    z = np.stack([ground, belt_height, top_height, top_height, belt_height, ground], axis=1) - 0.5
     x = np.broadcast_to(along[:, None] - 0.5, y.shape)
-    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-
-    faces, surface = [], []
-    for station in range(len(stations) - 1):
-        glass_sides, glass_top = stations[station][6:]
-        # Sides of the hexagon: left lower, left upper, top, right upper, right lower, floor.
-        glazed = (False, glass_sides, glass_top, glass_sides, False, False)
-        for side in range(6):
-            here, there = 6 * station + side, 6 * station + (side + 1) % 6
-            faces += [(here, there, there + 6), (here, there + 6, here + 6)]
-            surface += [GLASS if glazed[side] else PAINT] * 2
-    nose = 6 * (len(stations) - 1)
-    for corner in range(1, 5):
-        faces += [(0, corner + 1, corner), (nose, nose + corner, nose + corner + 1)]
-        surface += [PAINT, PAINT]
-    return Shape(vertices, np.array(faces), np.array(surface, dtype=np.uint8))
-
-
-def _box() -> Shape:
-    """The box itself: twelve triangles."""
-    vertices = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = np.array([triangle for a, b, c, d in quads for triangle in ((a, b, c), (a, c, d))])
-    return Shape(vertices, faces, np.full(len(faces), PAINT, dtype=np.uint8))
+    # Sides of the hexagon: left lower, left upper, top, right upper, right lower, floor.
+    glass = np.stack([ground, glass_sides, glass_top, glass_sides, ground, ground], axis=1)[:-1] > 0.0
+    return tube(np.stack([x, y, z], axis=-1), glass, shorter=False)

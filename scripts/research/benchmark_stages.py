@@ -167,7 +167,7 @@ class FrameCase:
 
     def cull(self) -> np.ndarray:
         """The same, found again."""
-        return next(reachable_beams(self.lattice, self.pieces, [self.pose], self.gate_m))
+        return reachable_beams(self.lattice, self.pieces, self.pose, self.gate_m)
 
     def turn_survivors(self) -> np.ndarray:
         """Directions of the survivors in the road frame, (3, k)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import bpy
 import numpy as np
@@ -12,8 +12,8 @@ from mathutils import Euler, Matrix
 from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose
 from ...traffic.vehicles import RoadFrame
+from ..meshes import GLASS, PAINT, ROAD, STRUCTURE, tube
 from ..scenery import Scenery
-from ..shapes import GLASS, PAINT, ROAD, STRUCTURE
 
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
 
@@ -30,23 +30,27 @@ def role(thing: bpy.types.ID) -> str | None:
     return thing.get(KEY)
 
 
-def of_ours(blocks: Iterable[bpy.types.ID], key: str) -> bpy.types.ID | None:
-    """The data-block that was marked with `key` when it was made, whatever it is called; None where there is none.
+def made_once(blocks: Iterable[bpy.types.ID], key: str, make: Callable[[], bpy.types.ID]) -> bpy.types.ID:
+    """The data-block that we made and marked with `key` before, whatever it is called by now, or else a new one.
 
     A file of the user's may hold blocks of the same names.
     """
-    return next((block for block in blocks if block.library is None and role(block) == key), None)
+    block = next((block for block in blocks if block.library is None and role(block) == key), None)
+    if block is None:
+        block = make()
+        block[KEY] = key
+    return block
 
 
 def collection(scene: bpy.types.Scene, name: str, of: str) -> bpy.types.Collection:
     """The scene's collection for objects of a role; made when it is not there."""
-    for child in scene.collection.children:
-        if role(child) == of:
-            return child
-    made = bpy.data.collections.new(name)
-    made[KEY] = of
-    scene.collection.children.link(made)
-    return made
+
+    def make():
+        made = bpy.data.collections.new(name)
+        scene.collection.children.link(made)
+        return made
+
+    return made_once(scene.collection.children, of, make)
 
 
 def add_object(
@@ -122,7 +126,7 @@ def add_attribute(mesh: bpy.types.Mesh, name: str, values: np.ndarray) -> None:
     attribute.data.foreach_set("value", np.ascontiguousarray(values, dtype=np.int32 if whole else np.float32))
 
 
-# --- Materials: plain ones by name, and the one that colours a point cloud by its attributes --------------
+# --- Materials, plain ones by name ---------------------------------------------------------------------------
 
 # Linear RGB. Classes are told apart by lightness too.
 CLASS_COLOURS = {
@@ -139,21 +143,32 @@ CONCRETE, METAL, HEAD, BEAM = (0.34, 0.33, 0.31), (0.30, 0.31, 0.33), (0.02, 0.0
 SURFACE_KEY = "blender_lidar_surface"  # custom property: index into `shapes.SURFACES`
 
 
+def nodes_of(block: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree:
+    """The nodes of a material or a world."""
+    if bpy.app.version < (5, 0):  # from then on they always have some
+        block.use_nodes = True
+    return block.node_tree
+
+
+def set_inputs(block: bpy.types.Material | bpy.types.World, kind: str, inputs: Mapping[str, object]) -> None:
+    """Set inputs of the one node of a kind that a new material or world has."""
+    shader = next(node for node in nodes_of(block).nodes if node.type == kind)
+    for name, value in inputs.items():
+        shader.inputs[name].default_value = value
+
+
 def plain(name: str, colour: tuple[float, float, float], surface: int = STRUCTURE, roughness: float = 0.7):
     """A material of one colour, (r, g, b) linear; the one that we made of that name before is used again."""
-    material = of_ours(bpy.data.materials, name)
-    if material is not None:
+
+    def make():
+        material = bpy.data.materials.new(name)
+        material[SURFACE_KEY] = surface
+        material.diffuse_color = (*colour, 1.0)
+        material.roughness = roughness
+        set_inputs(material, "BSDF_PRINCIPLED", {"Base Color": (*colour, 1.0), "Roughness": roughness})
         return material
-    material = bpy.data.materials.new(name)
-    material[KEY], material[SURFACE_KEY] = name, surface
-    material.diffuse_color = (*colour, 1.0)
-    material.roughness = roughness
-    if bpy.app.version < (5, 0):  # from then on they always do
-        material.use_nodes = True
-    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    shader.inputs["Base Color"].default_value = (*colour, 1.0)
-    shader.inputs["Roughness"].default_value = roughness
-    return material
+
+    return made_once(bpy.data.materials, name, make)
 
 
 def paint_of(vehicle_class: str) -> bpy.types.Material:
@@ -164,61 +179,6 @@ def paint_of(vehicle_class: str) -> bpy.types.Material:
 def glass() -> bpy.types.Material:
     """Windows: dark and glossy."""
     return plain("Glass", GLASS_COLOUR, GLASS, 0.05)
-
-
-def asphalt() -> bpy.types.Material:
-    """The carriageway."""
-    return plain("Asphalt", ASPHALT, ROAD, 0.9)
-
-
-def point_material(name: str, bits: tuple[float, float]) -> bpy.types.Material:
-    """Colours points on vehicles by their vehicle's `entropy` over a range of bits, and all others faintly by `range`.
-
-    The points shine by themselves, so that their colours are those of the ramps under any light.
-    """
-    material = bpy.data.materials.new(name)
-    material[KEY] = name
-    material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
-    if bpy.app.version < (5, 0):  # from then on they always do
-        material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    on_vehicle = _ramp(tree, "entropy", bits, ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25)))
-    elsewhere = _ramp(tree, "range", (0.0, 100.0), ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)))
-    is_vehicle = tree.nodes.new("ShaderNodeMath")
-    is_vehicle.operation = "GREATER_THAN"
-    is_vehicle.inputs[1].default_value = -0.5
-    tree.links.new(_attribute(tree, "vehicle"), is_vehicle.inputs[0])
-    mix, output = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(is_vehicle.outputs[0], mix.inputs[0])
-    tree.links.new(elsewhere, mix.inputs[1])
-    tree.links.new(on_vehicle, mix.inputs[2])
-    tree.links.new(mix.outputs[0], output.inputs["Surface"])
-    for column, node in enumerate(tree.nodes):
-        node.location = (220.0 * (column % 5), -260.0 * (column // 5))
-    return material
-
-
-def _attribute(tree, name):
-    node = tree.nodes.new("ShaderNodeAttribute")
-    node.attribute_name = name
-    return node.outputs["Fac"]
-
-
-def _ramp(tree, attribute, bounds, colours):
-    """A shining colour that runs through `colours` as an attribute goes from one bound to the other."""
-    scaled = tree.nodes.new("ShaderNodeMapRange")
-    scaled.inputs["From Min"].default_value, scaled.inputs["From Max"].default_value = bounds
-    tree.links.new(_attribute(tree, attribute), scaled.inputs["Value"])
-    ramp = tree.nodes.new("ShaderNodeValToRGB")
-    elements = ramp.color_ramp.elements
-    elements[0].color, elements[-1].color = (*colours[0], 1.0), (*colours[-1], 1.0)
-    for place, colour in enumerate(colours[1:-1], start=1):
-        elements.new(place / (len(colours) - 1)).color = (*colour, 1.0)
-    tree.links.new(scaled.outputs[0], ramp.inputs["Fac"])
-    shine = tree.nodes.new("ShaderNodeEmission")
-    tree.links.new(ramp.outputs["Color"], shine.inputs["Color"])
-    return shine.outputs[0]
 
 
 # --- The road: carriageway, shoulders and verge as one plane, lane lines on it, and what stands beside it -
@@ -237,24 +197,18 @@ def build_road(scene: bpy.types.Scene, road: RoadFrame, reach_m: float) -> None:
     edges = np.array([right - _VERGE_M, right - _SHOULDER_M, left + _SHOULDER_M, left + _VERGE_M])
     ground = np.array([(x, y, 0.0) for y in edges for x in (-reach_m, reach_m)])
     faces = np.array([(2 * row, 2 * row + 1, 2 * row + 3, 2 * row + 2) for row in range(3)])
-    materials = [plain("Verge", VERGE, roughness=1.0), asphalt()]
+    materials = [plain("Verge", VERGE, roughness=1.0), plain("Asphalt", ASPHALT, ROAD, 0.9)]
     add_object(into, "Surface", new_mesh("Surface", ground, faces, materials, np.array([0, 1, 0])))
 
-    solid = [((right, left)[side], -reach_m, reach_m) for side in (0, 1)]
     starts = np.arange(-reach_m, reach_m - _DASH_M, _DASH_EVERY_M)
-    dashed = [
-        (right + lane * road.lane_width_m, start, start + _DASH_M) for lane in range(1, road.lanes) for start in starts
-    ]
-    half, z = 0.5 * _LINE_WIDTH_M, _LINE_ABOVE_M
-    vertices = np.array(
-        [
-            corner
-            for y, first, last in solid + dashed
-            for corner in ((first, y - half, z), (last, y - half, z), (last, y + half, z), (first, y + half, z))
-        ]
-    )
-    lines = new_mesh("Lane lines", vertices, np.arange(len(vertices)).reshape(-1, 4), [plain("Lane line", LINE)])
-    add_object(into, "Lane lines", lines, MARKING)
+    lines = [(right, -reach_m, reach_m), (left, -reach_m, reach_m)]  # y, first and last x
+    lines += [(right + lane * road.lane_width_m, x, x + _DASH_M) for lane in range(1, road.lanes) for x in starts]
+    y, first, last = np.array(lines).T
+    half, z = 0.5 * _LINE_WIDTH_M, np.full(len(y), _LINE_ABOVE_M)
+    corners = [(first, y - half, z), (last, y - half, z), (last, y + half, z), (first, y + half, z)]
+    vertices = np.array(corners).transpose(2, 0, 1).reshape(-1, 3)
+    painted = new_mesh("Lane lines", vertices, np.arange(len(vertices)).reshape(-1, 4), [plain("Lane line", LINE)])
+    add_object(into, "Lane lines", painted, MARKING)
 
 
 def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
@@ -270,15 +224,9 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
         name = scenery.names[row]
         corners = scenery.corners[own]
         middle = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # float32 is finest about an object
-        vertices, faces = _welded(corners - middle)
-        item = add_object(into, name, new_mesh(name, vertices, faces, materials, scenery.surface[own] == GLASS))
-        item.location = middle
-
-
-def _welded(corners):
-    """Vertices and faces of triangles (m, 3, 3) whose equal corners are shared."""
-    vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    return vertices, faces.reshape(-1, 3)
+        vertices, faces = np.unique((corners - middle).reshape(-1, 3), axis=0, return_inverse=True)
+        mesh = new_mesh(name, vertices, faces.reshape(-1, 3), materials, scenery.surface[own] == GLASS)
+        add_object(into, name, mesh).location = middle
 
 
 # --- The mounted LiDAR: pole, head, and a fan of its beams ------------------------------------------------
@@ -321,19 +269,9 @@ def sensor_matrix(pose: Pose) -> Matrix:
 
 def _cylinder(name, radius, low, high, material):
     angle = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
-    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    vertices = np.concatenate(
-        [np.insert(ring, 2, level, axis=1) for level in (low, high)] + [[(0, 0, low), (0, 0, high)]]
-    )
-    here, there = np.arange(_SIDES), np.roll(np.arange(_SIDES), -1)
-    bottom, top = np.full(_SIDES, 2 * _SIDES), np.full(_SIDES, 2 * _SIDES + 1)
-    faces = [
-        (here, there, there + _SIDES),
-        (here, there + _SIDES, here + _SIDES),
-        (there, here, bottom),
-        (here + _SIDES, there + _SIDES, top),
-    ]
-    return new_mesh(name, vertices, np.concatenate([np.stack(face, axis=1) for face in faces]), [material])
+    ends = [np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(_SIDES, z)], axis=1) for z in (low, high)]
+    made = tube(ends)
+    return new_mesh(name, made.vertices, made.faces, [material])
 
 
 def _fan(lattice: BeamLattice, pose: Pose) -> bpy.types.Curve:

@@ -2,62 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import bpy
 import numpy as np
 
-from ...clouds.scan import PointCloud
 from .objects import (
     CLOUD,
-    KEY,
     add_attribute,
     add_object,
     clear,
     collection,
+    made_once,
     new_mesh,
-    of_ours,
+    nodes_of,
     only_for_the_eye,
-    point_material,
 )
 
-_NAME = "Point cloud"
-_GROUP, _MATERIAL = "LiDAR points", "LiDAR points"
+_NAME, _LOOK = "Point cloud", "LiDAR points"
 _RADIUS_M = 0.045
 _BITS = (0.0, 1.0)  # of a vehicle's PE-VGOP: the colours' range
 
 
-def build_cloud(
-    scene: bpy.types.Scene,
-    cloud: PointCloud | None,
-    entropy_bits: np.ndarray | None = None,
-) -> bpy.types.Object | None:
+def build_cloud(scene: bpy.types.Scene, points: Mapping[str, np.ndarray] | None) -> bpy.types.Object | None:
     """A cloud in the road frame, in place of an earlier one; None only takes that away.
-
-    Its vertices carry `range` [m], `ring`, `intensity`, `vehicle` (-1 for anything else), `time` [s] and `entropy`.
 
     Parameters
     ----------
-    entropy_bits : ndarray, (n,), optional
-        PE-VGOP of the vehicle that each point lies on [bits]; 0 if left out.
+    points : mapping of str to ndarray, or None
+        Places `xyz` (n, 3) [m], and attributes of the vertices, (n,) each, by their names. Two colour them: `vehicle`,
+        the id of the one that a point lies on, -1 for none, and `entropy`, its PE-VGOP [bits]; all others `range` [m].
     """
     into = collection(scene, _NAME, CLOUD)
     clear(into)
-    if cloud is None:
+    if points is None:
         return None
-    mesh = new_mesh(_NAME, cloud.xyz, np.empty((0, 3), dtype=int), [_material()])
-    columns = {
-        "range": cloud.range_m,
-        "ring": cloud.ring,
-        "intensity": cloud.intensity,
-        "vehicle": _numbers(cloud.vehicle_id),
-        "entropy": np.zeros(len(cloud)) if entropy_bits is None else entropy_bits,
-        "time": cloud.time_s,
-    }
-    for column, values in columns.items():
-        add_attribute(mesh, column, values)
+    mesh = new_mesh(_NAME, points["xyz"], np.empty((0, 3), dtype=int), [_material()])
+    for name, values in points.items():
+        if name != "xyz":
+            add_attribute(mesh, name, _numbers(values) if name == "vehicle" else values)
     item = add_object(into, _NAME, mesh)
     only_for_the_eye(item)
-    shown = item.modifiers.new(_GROUP, "NODES")
-    shown.node_group = _group()
+    item.modifiers.new(_LOOK, "NODES").node_group = made_once(bpy.data.node_groups, _LOOK, _spheres)
     return item
 
 
@@ -69,22 +55,83 @@ def _numbers(vehicle_id: np.ndarray) -> np.ndarray:
     return np.where(vehicle_id >= 0, np.searchsorted(vehicles, vehicle_id), -1)
 
 
+# --- Nodes: the look of the points ------------------------------------------------------------------------------------
+
+
+def _add_nodes(tree, row, *kinds):
+    """New nodes of some kinds, side by side in a row."""
+    nodes = [tree.nodes.new(kind) for kind in kinds]
+    for column, node in enumerate(nodes):
+        node.location = (220.0 * column, -260.0 * row)
+    return nodes
+
+
+def _link(tree, *links):
+    """Join outputs to inputs."""
+    for output, into in links:
+        tree.links.new(output, into)
+
+
 def _material() -> bpy.types.Material:
-    material = of_ours(bpy.data.materials, _MATERIAL)
-    return point_material(_MATERIAL, _BITS) if material is None else material
+    """Colours points on vehicles by their vehicle's `entropy`, and all others faintly by `range`.
+
+    The points shine by themselves, so that their colours are those of the ramps under any light.
+    """
+    return made_once(bpy.data.materials, _LOOK, _shining)
 
 
-def _group() -> bpy.types.NodeTree:
+def _shining():
+    material = bpy.data.materials.new(_LOOK)
+    material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
+    tree = nodes_of(material)
+    tree.nodes.clear()
+    elsewhere = _ramp(tree, 1, "range", (0.0, 100.0), ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)))
+    on_vehicle = _ramp(tree, 2, "entropy", _BITS, ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25)))
+    vehicle, is_vehicle, mix, output = _add_nodes(
+        tree, 0, "ShaderNodeAttribute", "ShaderNodeMath", "ShaderNodeMixShader", "ShaderNodeOutputMaterial"
+    )
+    vehicle.attribute_name = "vehicle"
+    is_vehicle.operation, is_vehicle.inputs[1].default_value = "GREATER_THAN", -0.5
+    _link(
+        tree,
+        (vehicle.outputs["Fac"], is_vehicle.inputs[0]),
+        (is_vehicle.outputs[0], mix.inputs[0]),
+        (elsewhere, mix.inputs[1]),
+        (on_vehicle, mix.inputs[2]),
+        (mix.outputs[0], output.inputs["Surface"]),
+    )
+    return material
+
+
+def _ramp(tree, row, attribute, bounds, colours):
+    """A shining colour that runs through `colours` as an attribute goes from one bound to the other."""
+    value, scaled, ramp, shine = _add_nodes(
+        tree, row, "ShaderNodeAttribute", "ShaderNodeMapRange", "ShaderNodeValToRGB", "ShaderNodeEmission"
+    )
+    value.attribute_name = attribute
+    scaled.inputs["From Min"].default_value, scaled.inputs["From Max"].default_value = bounds
+    elements = ramp.color_ramp.elements
+    elements[0].color, elements[-1].color = (*colours[0], 1.0), (*colours[-1], 1.0)
+    for place, colour in enumerate(colours[1:-1], start=1):
+        elements.new(place / (len(colours) - 1)).color = (*colour, 1.0)
+    _link(
+        tree,
+        (value.outputs["Fac"], scaled.inputs["Value"]),
+        (scaled.outputs[0], ramp.inputs["Fac"]),
+        (ramp.outputs["Color"], shine.inputs["Color"]),
+    )
+    return shine.outputs[0]
+
+
+def _spheres() -> bpy.types.NodeTree:
     """The node group that shows vertices as spheres; its radius is an input of the modifier."""
-    group = of_ours(bpy.data.node_groups, _GROUP)
-    if group is not None:
-        return group
-    group = bpy.data.node_groups.new(_GROUP, "GeometryNodeTree")
-    group[KEY] = _GROUP
+    group = bpy.data.node_groups.new(_LOOK, "GeometryNodeTree")
     _socket(group, "Geometry", "INPUT", "NodeSocketGeometry")
     _socket(group, "Radius", "INPUT", "NodeSocketFloat").default_value = _RADIUS_M
     _socket(group, "Geometry", "OUTPUT", "NodeSocketGeometry")
-    kinds = (
+    given, ball, placed, real, coloured, result = _add_nodes(
+        group,
+        0,
         "NodeGroupInput",
         "GeometryNodeMeshIcoSphere",
         "GeometryNodeInstanceOnPoints",
@@ -92,20 +139,17 @@ def _group() -> bpy.types.NodeTree:
         "GeometryNodeSetMaterial",
         "NodeGroupOutput",
     )
-    given, ball, placed, real, coloured, result = nodes = [group.nodes.new(kind) for kind in kinds]
     ball.inputs["Subdivisions"].default_value = 1
     coloured.inputs["Material"].default_value = _material()
-    for start, end in (
+    _link(
+        group,
         (given.outputs["Radius"], ball.inputs["Radius"]),
         (given.outputs["Geometry"], placed.inputs["Points"]),
         (ball.outputs["Mesh"], placed.inputs["Instance"]),
         (placed.outputs["Instances"], real.inputs["Geometry"]),
         (real.outputs["Geometry"], coloured.inputs["Geometry"]),
         (coloured.outputs["Geometry"], result.inputs["Geometry"]),
-    ):
-        group.links.new(start, end)
-    for column, node in enumerate(nodes):
-        node.location = (200.0 * column, 0.0)
+    )
     return group
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +13,6 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...clouds.scan import PointCloud
 from ...errors import InputError, OutputError
 from ...files import whole_file, write_bytes
 from ...sensors.beams import BeamLattice
@@ -23,7 +22,6 @@ from ...traffic.vehicles import RoadFrame, Vehicles
 from ..scenery import Scenery
 from .objects import (
     FAN,
-    KEY,
     STAGE,
     add_object,
     build_lidar,
@@ -31,8 +29,9 @@ from .objects import (
     build_scenery,
     clear,
     collection,
-    of_ours,
+    made_once,
     role,
+    set_inputs,
 )
 from .points import build_cloud
 from .quiet import first_error, quiet
@@ -73,20 +72,17 @@ def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: fl
     sun.rotation_euler = Vector(_SUN_DIRECTION).to_track_quat("-Z", "Y").to_euler()
     scene.camera = camera
     if scene.world is None:
-        scene.world = _sky()
+        scene.world = made_once(bpy.data.worlds, STAGE, _sky)
 
 
 def show_in_viewports(scene: bpy.types.Scene) -> None:
     """Let every 3D viewport of the file look through the scene's camera and show materials."""
-    for screen in bpy.data.screens:
-        for area in screen.areas:
-            for space in area.spaces:
-                if space.type == "VIEW_3D":
-                    space.shading.type = "MATERIAL"
-                    space.clip_end = _CLIP_END_M
-                    space.overlay.show_relationship_lines = False
-                    space.region_3d.view_perspective = "CAMERA"
-                    space.region_3d.view_camera_zoom = _CAMERA_ZOOM
+    spaces = (space for screen in bpy.data.screens for area in screen.areas for space in area.spaces)
+    for space in spaces:
+        if space.type == "VIEW_3D":
+            space.shading.type, space.clip_end = "MATERIAL", _CLIP_END_M
+            space.overlay.show_relationship_lines = False
+            space.region_3d.view_perspective, space.region_3d.view_camera_zoom = "CAMERA", _CAMERA_ZOOM
 
 
 def _camera(into, name, place, target, angle_deg):
@@ -98,17 +94,9 @@ def _camera(into, name, place, target, angle_deg):
 
 
 def _sky():
-    world = of_ours(bpy.data.worlds, STAGE)
-    if world is not None:
-        return world
     world = bpy.data.worlds.new("Sky")
-    world[KEY] = STAGE
     world.color = _SKY
-    if bpy.app.version < (5, 0):
-        world.use_nodes = True
-    background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
-    background.inputs["Color"].default_value = (*_SKY, 1.0)
-    background.inputs["Strength"].default_value = _SKY_STRENGTH
+    set_inputs(world, "BACKGROUND", {"Color": (*_SKY, 1.0), "Strength": _SKY_STRENGTH})
     return world
 
 
@@ -171,18 +159,14 @@ def _settings(scene, size, samples):
         raise InputError(f"this Blender, {bpy.app.version_string}, has no Cycles to render with") from error
     scene.cycles.device, scene.cycles.samples, scene.cycles.seed = "CPU", samples, _SEED
     scene.cycles.use_adaptive_sampling, scene.cycles.adaptive_threshold = True, 0.03
-    scene.cycles.use_denoising = "OPENIMAGEDENOISE" in _denoisers(scene)
+    denoisers = scene.cycles.bl_rna.properties["denoiser"].enum_items  # those that this Blender was built with
+    scene.cycles.use_denoising = "OPENIMAGEDENOISE" in denoisers
     scene.cycles.max_bounces = _BOUNCES
     render.resolution_x, render.resolution_y = size
     render.resolution_percentage = 100
     render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGB"
     render.image_settings.compression = 90  # pictures are mailed within report.html
     render.use_file_extension = True
-
-
-def _denoisers(scene):
-    """Names of the denoisers that this Blender was built with."""
-    return [item.identifier for item in scene.cycles.bl_rna.properties["denoiser"].enum_items]
 
 
 # --- A whole scene: road, vehicles, LiDAR and what it saw, in Blender, and as a .blend file ---------------
@@ -209,10 +193,8 @@ class Moment:
         The mounting.
     range_gate_m : float
         How far the sensor is asked to see [m].
-    cloud : PointCloud or None
-        What it saw.
-    entropy_bits : ndarray, (n,) or None
-        PE-VGOP of the vehicle that each point of the cloud lies on [bits].
+    points : mapping of str to ndarray, or None
+        What it saw, as `points.build_cloud` takes it.
     scenery : Scenery or None
         What stands still.
     """
@@ -223,8 +205,7 @@ class Moment:
     lattice: BeamLattice
     pose: Pose
     range_gate_m: float
-    cloud: PointCloud | None = None
-    entropy_bits: np.ndarray | None = None
+    points: Mapping[str, np.ndarray] | None = None
     scenery: Scenery | None = None
 
 
@@ -248,7 +229,7 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
     build_lidar(scene, moment.lattice, moment.pose)
-    build_cloud(scene, moment.cloud, moment.entropy_bits)
+    build_cloud(scene, moment.points)
     build_stage(scene, moment.road, moment.pose, min(_SEEN_AT_MOST_M, _SEEN_SHARE * moment.range_gate_m))
     scene.view_layers[0].update()
 

@@ -36,39 +36,25 @@ def check_version(path: Path) -> None:
     InputError
         Naming both versions.
     """
-    written = _version(_first_bytes(path))
-    if written is not None and written > bpy.app.version[:2]:
+    header = _HEADER.match(_first_bytes(path))
+    written = tuple(int(number) for number in header.groups() if number) if header else (0, 0)
+    if written > bpy.app.version[:2]:
         here, there = (".".join(map(str, version)) for version in (bpy.app.version[:2], written))
         raise InputError(f"{path}: was written by Blender {there}, and this is {here}; save it with an older one")
 
 
-def _version(header: bytes) -> tuple[int, int] | None:
-    found = _HEADER.match(header)
-    if found is None:
-        return None
-    major, minor = (found[1], found[2]) if found[1] else (found[3], found[4])
-    return int(major), int(minor)
-
-
 def _first_bytes(path: Path) -> bytes:
     """The first bytes of a file, unpacked; none of a file that cannot be unpacked."""
-    with suppress(OSError, EOFError):
-        with path.open("rb") as stream:
-            start = stream.read(_HEADER_BYTES)
+    with suppress(Exception), path.open("rb") as stream:  # of each unpacker its own; Blender tells of what is damaged
+        start = stream.read(_HEADER_BYTES)
+        stream.seek(0)
         if start.startswith(_GZIP):
-            with gzip.open(path) as stream:
-                return stream.read(_HEADER_BYTES)
-        return _unpacked(path) if start.startswith(_ZSTANDARD) else start
-    return b""
+            return gzip.open(stream).read(_HEADER_BYTES)
+        if start.startswith(_ZSTANDARD):
+            import zstandard  # comes with the module bpy
 
-
-def _unpacked(path: Path) -> bytes:
-    try:
-        import zstandard  # comes with the module bpy
-    except ImportError:
-        return b""
-    with path.open("rb") as stream, suppress(zstandard.ZstdError):
-        return zstandard.ZstdDecompressor().stream_reader(stream).read(_HEADER_BYTES)
+            return zstandard.ZstdDecompressor().stream_reader(stream).read(_HEADER_BYTES)
+        return start
     return b""
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import bpy
 import numpy as np
-from mathutils import Matrix
 
 from ...traffic.vehicles import Vehicles
-from ..shapes import GLASS, shape
+from ..meshes import GLASS
+from ..shapes import shape
 from ..triangles import shape_names
-from .objects import KEY, SHAPE, VEHICLE, VEHICLE_ID, add_object, collection, glass, new_mesh, of_ours, paint_of
+from .objects import SHAPE, VEHICLE, VEHICLE_ID, add_object, collection, glass, made_once, new_mesh, paint_of
 
 
 def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body") -> list[bpy.types.Object]:
@@ -27,30 +27,14 @@ def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "bod
     into = collection(scene, "Vehicles", VEHICLE)
     present = {(item[VEHICLE_ID], item[SHAPE]): item for item in into.objects if VEHICLE_ID in item}
     shown = []
-    for vehicle_id, name, matrix in zip(
-        vehicles.vehicle_id.tolist(), shape_names(vehicles).tolist(), box_matrices(vehicles), strict=True
-    ):
-        key = (str(vehicle_id), f"{name} {detail}")
-        item = present.pop(key, None) or _new_vehicle(into, key, name, detail)
+    for (vehicle_id, name), centre, size, heading in _rows(vehicles):
+        item = present.pop((vehicle_id, f"{name} {detail}"), None) or _new_vehicle(into, vehicle_id, name, detail)
         item.animation_data_clear()
         item.hide_render = item.hide_viewport = False
-        item.matrix_world = matrix
+        item.location, item.scale, item.rotation_euler = centre, size, (0.0, 0.0, heading)
         shown.append(item)
     bpy.data.batch_remove(present.values())
     return shown
-
-
-def box_matrices(vehicles: Vehicles) -> list[Matrix]:
-    """What takes the unit box to each vehicle's box in the road frame: scaled by its size, turned, moved."""
-    matrices = np.zeros((len(vehicles), 4, 4))
-    cos, sin = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)
-    length, width, height = vehicles.size_m.T
-    matrices[:, 0, 0], matrices[:, 0, 1] = cos * length, -sin * width
-    matrices[:, 1, 0], matrices[:, 1, 1] = sin * length, cos * width
-    matrices[:, 2, 2] = height
-    matrices[:, :3, 3] = vehicles.centre_m
-    matrices[:, 3, 3] = 1.0
-    return [Matrix(matrix) for matrix in matrices.tolist()]
 
 
 def animate(
@@ -77,14 +61,14 @@ def animate(
     scene.render.fps, scene.frame_start = fps, 1
     for vehicles in frames:
         at = 1.0 + (vehicles.frame - start) * time_step_s * fps
-        for vehicle_id, name, matrix, heading in _rows(vehicles):
+        for (vehicle_id, name), centre, size, heading in _rows(vehicles):
             item = moving.get(vehicle_id)
             if item is None:
-                moving[vehicle_id] = item = _new_vehicle(into, (vehicle_id, f"{name} {detail}"), name, detail)
-                item.matrix_world = matrix
+                moving[vehicle_id] = item = _new_vehicle(into, vehicle_id, name, detail)
+                item.scale, item.rotation_euler.z = size, heading
                 _key_visibility(item, shown=False, at=at - 1.0)
                 _key_visibility(item, shown=True, at=at)
-            item.location = matrix.translation
+            item.location = centre
             item.rotation_euler.z = heading + _whole_turns(item.rotation_euler.z - heading)
             item.keyframe_insert("location", frame=at)
             item.keyframe_insert("rotation_euler", frame=at)
@@ -99,9 +83,11 @@ def animate(
     scene.frame_set(1)
 
 
-def _rows(vehicles: Vehicles) -> Iterable[tuple[str, str, Matrix, float]]:
-    ids, names = map(str, vehicles.vehicle_id.tolist()), shape_names(vehicles).tolist()
-    return zip(ids, names, box_matrices(vehicles), vehicles.heading_rad.tolist(), strict=True)
+def _rows(vehicles):
+    """Of each vehicle its id and shape, and its box: what takes the unit box there."""
+    names = zip(map(str, vehicles.vehicle_id.tolist()), shape_names(vehicles).tolist(), strict=True)
+    box = vehicles.centre_m.tolist(), vehicles.size_m.tolist(), vehicles.heading_rad.tolist()
+    return zip(names, *box, strict=True)
 
 
 def _whole_turns(angle: float) -> float:
@@ -130,20 +116,15 @@ def _join_keys_by_straight_lines(item: bpy.types.Object) -> None:
         curve.update()
 
 
-def _new_vehicle(into, key, name, detail):
-    item = add_object(into, f"{name} {key[0]}", _mesh(name, detail))
-    item[VEHICLE_ID], item[SHAPE] = key  # as texts: numbers would have to fit into 32 bits
-    return item
-
-
-def _mesh(name, detail):
-    """The mesh that all vehicles of a shape share."""
+def _new_vehicle(into, vehicle_id, name, detail):
+    """A new object; all vehicles of a shape share a mesh."""
     title = f"{name} {detail}"
-    mesh = of_ours(bpy.data.meshes, title)
-    if mesh is not None:
-        return mesh
-    unit = shape(name, detail)
-    paints = [paint_of("truck" if name == "long_truck" else name), glass()]
-    mesh = new_mesh(title, unit.vertices, unit.faces, paints, unit.surface == GLASS)
-    mesh[KEY] = title
-    return mesh
+
+    def make():
+        unit = shape(name, detail)
+        paints = [paint_of("truck" if name == "long_truck" else name), glass()]
+        return new_mesh(title, unit.vertices, unit.faces, paints, unit.surface == GLASS)
+
+    item = add_object(into, f"{name} {vehicle_id}", made_once(bpy.data.meshes, title, make))
+    item[VEHICLE_ID], item[SHAPE] = vehicle_id, title  # as texts: numbers would have to fit into 32 bits
+    return item
