@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 
+from . import __doc__ as question
 from . import __version__
 from .errors import BlenderLidarError, MissingExtraError, one_line, output_error
 from .signals import stops_deferred, stops_recognised, stops_watched
@@ -129,11 +130,7 @@ def _drop_stdout() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _OneLineParser(
-        prog="blender-lidar",
-        description="Where should a LiDAR hang beside the road, how high and how tilted, so that it perceives the most "
-        "vehicles?",
-    )
+    parser = _OneLineParser(prog="blender-lidar", description=question)
     parser.add_argument("--version", action="version", version=f"blender_lidar {__version__}")
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=_OneLineParser)
     with stops_deferred():  # an import that is interrupted may fail in any way

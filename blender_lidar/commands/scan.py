@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 
 from ..clouds.files import WRITERS, check_cloud_name, write_cloud, write_sustechpoints
-from ..clouds.snapshot import mounted_sensor
+from ..clouds.snapshot import MountedSensor, mounted_sensor
 from ..errors import InputError
 from ..files import check_place, make_folder
 from ..report.page import RENDER_VIEWS, render_file, write_report
 from ..run.folder import SCENE, Outcome, RunFolder
 from ..scene.provenance import check_same_inputs
-from ..scene.scenario import Scenario, load_scenario
+from ..scene.scenario import load_scenario
 from ..scene.site import check_mount_is_clear, frame_of, read_recording
-from ..toml_table import Setting
+from ..toml_table import Setting, checked
 from ..traffic import Recording
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
-from .options import add_moments, add_option, given_options, mounting_from, parse_frames, scenario_from
+from .options import add_moments, mounting_from, parse_frames, scenario_from
 from .progress import Progress
 
 _SUSTECHPOINTS = "sustechpoints"
 _FORMATS = [*(suffix.removeprefix(".") for suffix in WRITERS), _SUSTECHPOINTS]
-_SAMPLES = Setting(
-    kind=int,
-    low=1,
-    high=4096,
-    option="--samples",
-    metavar="N",
-    help="light paths per pixel; more is smoother and slower",
-)
+_MOST_SAMPLES = 4096
 
 
 def add_parser(subparsers) -> None:
@@ -70,7 +62,7 @@ def add_parser(subparsers) -> None:
     )
     parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
     parser.add_argument("--frame", type=int, metavar="K", help="frame number; by default the fullest searched one")
-    add_option(parser, _SAMPLES)
+    parser.add_argument("--samples", type=int, metavar="N", help="light paths per pixel; more is smoother and slower")
     parser.set_defaults(run=_render)
 
 
@@ -79,15 +71,15 @@ def _numbers(args: argparse.Namespace) -> list[int]:
     return [args.frame] if args.sequence is None else parse_frames(args.sequence, "--frame-ids")
 
 
-def _frames(
-    args: argparse.Namespace, scenario: Scenario, mount: Mapping[str, float], numbers: list[int]
-) -> tuple[Recording, list[Vehicles]]:
-    """The recording and its frames of these numbers, in none of which the mount stands in traffic."""
-    recording = read_recording(scenario)
+def _asked(args: argparse.Namespace, numbers: list[int]) -> tuple[MountedSensor, Recording, list[Vehicles]]:
+    """The sensor as it is asked to hang, the recording, and its frames, in none of which it stands in traffic."""
+    scenario = scenario_from(args)
+    mount = mounting_from(args, scenario)
+    sensor, recording = mounted_sensor(scenario, mount), read_recording(scenario)
     option = "--frame" if args.sequence is None else "--frame-ids"
     frames = [frame_of(recording, number, option) for number in numbers]
     check_mount_is_clear(scenario, frames, {"--x, --y": mount})
-    return recording, frames
+    return sensor, recording, frames
 
 
 # --- Clouds -----------------------------------------------------------------------------------------------
@@ -97,10 +89,7 @@ def _scan(args: argparse.Namespace) -> int:
     """Write clouds; returns the exit code."""
     one, numbers = args.sequence is None, _numbers(args)
     paths = _paths(args, numbers)
-    scenario = scenario_from(args)
-    mount = mounting_from(args, scenario)
-    sensor = mounted_sensor(scenario, mount)
-    _, frames = _frames(args, scenario, mount, numbers)
+    sensor, _, frames = _asked(args, numbers)
     told = f"({sensor.lattice.model.name}, {sensor.caster})"
     if one:
         cloud = sensor.scan(frames[0])
@@ -152,11 +141,8 @@ def _build(args: argparse.Namespace) -> int:
         raise InputError(f"--out: {args.out}: allowed: a file name that ends in .blend")
     check_place(args.out, "--out")
     animated, numbers = args.sequence is not None, _numbers(args)
-    scenario = scenario_from(args)
-    mount = mounting_from(args, scenario)
     scene = blender_room("scene", "build")
-    sensor = mounted_sensor(scenario, mount)
-    recording, frames = _frames(args, scenario, mount, sorted(set(numbers)))
+    sensor, recording, frames = _asked(args, sorted(set(numbers)))
     moment = sensor.moment(frames[0], with_cloud=not args.no_cloud)
     scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
     points = "no cloud" if moment.points is None else f"{len(moment.points['xyz'])} points"
@@ -173,7 +159,8 @@ def _render(args: argparse.Namespace) -> int:
     folder = RunFolder(args.folder)
     run = folder.read_outcome()
     blender = blender_room("scene", "render")
-    samples = blender.SAMPLES if args.samples is None else given_options(args, {"samples": _SAMPLES})["samples"]
+    asked = blender.SAMPLES if args.samples is None else args.samples
+    samples = checked(asked, Setting(kind=int, low=1, high=_MOST_SAMPLES), "--samples")
     scenario = load_scenario(folder.file(SCENE))
     check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)
