@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from ..statistics import FEWEST_BLOCKS
 from ..studies.compare.cars import PAPERS
@@ -88,46 +88,44 @@ def _followed(row: Mapping) -> str:
 def _rivals(main: Mapping[str, Mapping], name: str, narrow: str) -> list[str]:
     """How the others do beside one metric."""
     apart = {metric: row["less"][name]["spearman"] for metric, row in main.items() if name in row["less"]}
-    apart = {metric: one for metric, one in apart.items() if math.isfinite(one.p_above)}
-    if not apart:
+    groups: dict[str, list[str]] = {}
+    for metric, one in apart.items():
+        if math.isfinite(one.p_above):
+            better = "better" if one.p_holm < _SIGNIFICANT else "perhaps" if one.p_above < _SIGNIFICANT else ""
+            groups.setdefault(better or ("worse" if one.high < 0.0 else "alike"), []).append(metric)
+    if not groups:
         return []
-    many = _many(len(set(apart.values())), "rival")  # orders of the cars: twins count once
-    better = [metric for metric, one in apart.items() if one.p_holm < _SIGNIFICANT]
-    perhaps = [metric for metric, one in apart.items() if one.p_above < _SIGNIFICANT and metric not in better]
-    worse = [metric for metric, one in apart.items() if one.high < 0.0]
-
-    def said(metrics: Iterable[str]) -> str:
-        return ", ".join(f"{metric} by {apart[metric].text(3, '+')}" for metric in metrics)
-
+    told = [metric for metrics in groups.values() for metric in metrics]
+    many = _many(len({apart[metric] for metric in told}), "rival")  # orders of the cars: twins count once
+    said = {
+        group: ", ".join(f"{metric} by {apart[metric].text(3, '+')}" for metric in metrics)
+        for group, metrics in groups.items()
+    }
     lines = [f"None of {many} is significantly better in Spearman than {name} after Holm's correction."]
-    if better:
+    if "better" in said:
         head = f"Significantly better in Spearman than {name}, with Holm's correction for {many}{narrow}"
-        lines = [f"{head}: {said(better)}."]
-    if perhaps:
-        lines.append(f"Better only without that correction: {said(perhaps)}.")
-    if worse:
-        rest = [metric for metric in apart if metric not in {*worse, *better, *perhaps}]
-        beside = f"; cannot be told apart from it: {said(rest)}" if rest else ""
-        lines.append(f"Below it, by intervals that leave out 0: {len(worse)} of {len(apart)}{beside}.")
+        lines = [f"{head}: {said['better']}."]
+    if "perhaps" in said:
+        lines.append(f"Better only without that correction: {said['perhaps']}.")
+    if "worse" in said:
+        beside = f"; cannot be told apart from it: {said['alike']}" if "alike" in said else ""
+        lines.append(f"Below it, by intervals that leave out 0: {len(groups['worse'])} of {len(told)}{beside}.")
     return lines
 
 
 def _by_distance(result: Mapping) -> list[str]:
-    mine = [(row, row["linear_less_logarithmic"]) for row in result["by_distance"] if row["set"] == result["main_set"]]
-    lines = [f"With distance ({result['main_set']}; out-of-fold R2 of a straight line less that of a logarithm):"]
-    leads = {
-        "falls linearly": lambda lead: lead.low > 0.0,
-        "falls logarithmically": lambda lead: lead.high < 0.0,
-        "either fits": lambda lead: lead.low <= 0.0 <= lead.high,
-    }
-    for text, holds in leads.items():
-        said = [
-            f"{row['quantity'].replace(PERFORMANCE, ' performance')} {lead.text(2, '+')}"
-            for row, lead in mine
-            if row["bearing"] == ANY and holds(lead)
-        ]
-        lines += [f"  {text}: {', '.join(said)}"] * bool(said)
-    return lines if mine else []
+    """Which quantities fall linearly with distance; by bearing `compare.json` has them."""
+    said: dict[str, list[str]] = {"falls linearly": [], "falls logarithmically": [], "either fits": []}
+    for row in result["by_distance"]:
+        lead = row["linear_less_logarithmic"]
+        if (row["set"], row["bearing"]) == (result["main_set"], ANY) and math.isfinite(lead.low):
+            shape = (
+                "falls linearly" if lead.low > 0.0 else "falls logarithmically" if lead.high < 0.0 else "either fits"
+            )
+            said[shape].append(f"{row['quantity'].replace(PERFORMANCE, ' performance')} {lead.text(2, '+')}")
+    lines = [f"  {shape}: {', '.join(quantities)}" for shape, quantities in said.items() if quantities]
+    head = f"With distance ({result['main_set']}; out-of-fold R2 of a straight line less that of a logarithm):"
+    return [head, *lines] if lines else []
 
 
 def _ground(result: Mapping) -> list[str]:
@@ -143,14 +141,12 @@ def _ground(result: Mapping) -> list[str]:
 
 
 def _speed(spent: Mapping[str, Mapping[str, float]]) -> list[str]:
-    read, assign, score = (spent[stage]["ms_per_frame"] for stage in ("read", "assign", "pe_vgop"))
     ours, every, paper = (
         f"{spent[name]['ms_per_frame']:.2f} ms a frame, {spent[name]['ms_per_car']:.2f} ms a car"
         for name in ("file_to_pe_vgop", "file_to_all_metrics", "paper")
     )
     return [
-        f"PE-VGOP from file to score, processor time: {ours} (reading {read:.2f}, assigning {assign:.2f}, scoring "
-        f"{score:.2f} ms a frame); all metrics {every}.",
+        f"PE-VGOP from file to score, processor time: {ours}; all metrics: {every}.",
         f"The paper: {PAPER['seconds']:.0f} s for {PAPER['frames']:,} frames, {paper}; it names no machine.",
     ]
 
@@ -225,16 +221,9 @@ def _errors(one: Mapping) -> list[str]:
     error, hits, residual = one["absolute_error_bits"], one["hits"], one["residual_abs_median_m"]
     interval = " to ".join(f"{end:.3f}" for end in error["interval_90"] or ()) or "-"
     counts = [f"{hits[key]:,}" for key in ("both", "real_only", "simulated_only")]
-    kept, bias = one["absolute_error_hidden_kept_bits"], f"{one['bias_bits']['median']:+.3f}"
-    return [
-        _said(one),
-        _median(error),
-        interval,
-        bias,
-        _median(kept),
-        *counts,
-        "-" if residual is None else f"{residual:.3f} m",
-    ]
+    medians = _median(error), interval, f"{one['bias_bits']['median']:+.3f}"
+    off = "-" if residual is None else f"{residual:.3f} m"
+    return [_said(one), *medians, _median(one["absolute_error_hidden_kept_bits"]), *counts, off]
 
 
 def _median(one: Mapping | None) -> str:

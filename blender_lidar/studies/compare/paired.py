@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from ...world.shapes import shape, shape_of
 from ...world.triangles import Triangles, place
 from .cars import BEARINGS
 from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep, joined
-from .rings import NO_POINT, Firings, Rays, Rings, crossing, recover_rings
+from .rings import NO_POINT, Firings, Rays, Rings, recover_rings
 
 NEAREST_M, FARTHEST_M = 10.0, 50.0
 CLEARANCE_M = 0.15
@@ -139,40 +140,6 @@ def scene_triangles(boxes: LabelledBoxes, detail: str, margin_m: np.ndarray) -> 
 # --- One sweep --------------------------------------------------------------------------------------------------------
 
 
-class Simulated(NamedTuple):
-    """What rays meet in a scene of shapes, (k,) each.
-
-    Attributes
-    ----------
-    distance_m : ndarray
-        To the first thing [m]; inf where there is none.
-    glass : ndarray of bool
-        Whether that is glass; meaningless, as the reflectivity, where there is nothing.
-    reflectivity : ndarray
-    cosine : ndarray
-        Of the incidence on it; 1 where there is nothing.
-    of_car : ndarray of bool
-        Whether that is the car whose ray it is.
-    """
-
-    distance_m: np.ndarray
-    glass: np.ndarray
-    reflectivity: np.ndarray
-    cosine: np.ndarray
-    of_car: np.ndarray
-
-
-@dataclass(frozen=True, slots=True)
-class _RowOfBeams:
-    """Rays as imperfections know them: a lattice of one ring, so that every ray draws its own numbers."""
-
-    columns: int
-    rings: int = 1
-
-    def column(self, ring: np.ndarray, slot: np.ndarray) -> np.ndarray:
-        return slot + 0 * ring
-
-
 class PairedSweep:
     """One sweep's chosen cars, real and simulated: the rays towards them, box after box, and columns of numbers.
 
@@ -210,15 +177,25 @@ class PairedSweep:
     def _towards(self, firings: Firings, row: int) -> tuple[np.ndarray, ...]:
         points, boxes = self.sweep.points, self.sweep.boxes
         centre, size, heading = boxes.centre_m[row], boxes.size_m[row], float(boxes.heading_rad[row])
-        around, grown = centre + _LIFT_M, size + _GROWTH_M
-        rays = firings.towards(around, grown, heading)
-        entry, _ = crossing(rays, around, grown, heading)
+        rays, entry = firings.towards(centre + _LIFT_M, size + _GROWTH_M, heading)
         real = rays.point != NO_POINT
         real[real] = on_vehicle(to_vehicle_frame(points[rays.point[real]], centre, heading), size)
         return *rays, np.full(len(real), row), real, ~real & (rays.range_m < entry - SHORT_M)
 
-    def simulate(self, detail: str, caster: str, margin_m: np.ndarray) -> Simulated:
-        """Cast the rays against the sweep's scene at a level of detail."""
+    def simulate(self, detail: str, caster: str, margin_m: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Cast the rays against the sweep's scene at a level of detail.
+
+        Returns
+        -------
+        distance_m : ndarray, (k,)
+            To the first thing [m]; inf where there is none.
+        glass, reflectivity : ndarray, (k,)
+            Whether that is glass, and its reflectivity; meaningless where there is nothing.
+        cosine : ndarray, (k,)
+            Of the incidence on it; 1 where there is nothing.
+        of_car : ndarray of bool, (k,)
+            Whether it is the car whose ray it is.
+        """
         scene = scene_triangles(self.sweep.boxes, detail, margin_m)
         tree = caster_class(caster)(scene.corners, closed=True)
         hits = tree.cast(self.rays.origin, self.rays.direction)
@@ -228,10 +205,10 @@ class PairedSweep:
         surface[met] = scene.surface[triangle]
         cosine[met] = np.abs(np.einsum("ij,ij->i", tree.normals(triangle), self.rays.direction[met]))
         of_car[met] = scene.owner[triangle] == self.box[met]
-        return Simulated(hits.distance, surface == GLASS, REFLECTIVITY[surface], cosine, of_car)
+        return hits.distance, surface == GLASS, REFLECTIVITY[surface], cosine, of_car
 
-    def returned(self, seen: Simulated, imperfections: Imperfections) -> tuple[np.ndarray, np.ndarray]:
-        """What an imperfect sensor measures, as `scan` has it.
+    def returned(self, seen: tuple[np.ndarray, ...], imperfections: Imperfections) -> tuple[np.ndarray, np.ndarray]:
+        """What an imperfect sensor measures of what `simulate` gives, as `scan` has it.
 
         Returns
         -------
@@ -240,10 +217,12 @@ class PairedSweep:
         hit : ndarray of bool, (k,)
             Whether the ray hit its car, on it and above the clearance.
         """
-        every = np.arange(len(self.box))
-        model = imperfections.measurement(_RowOfBeams(len(every)), self._number, min_range_m=-np.inf)
-        distance_m = model.measured(every, seen.distance_m, seen.glass, seen.reflectivity, seen.cosine)
-        hit = seen.of_car & np.isfinite(distance_m)
+        *met, of_car = seen
+        # As a lattice of one ring, so that every ray draws its own numbers.
+        row = SimpleNamespace(rings=1, columns=len(of_car), column=lambda ring, slot: slot + 0 * ring)
+        model = imperfections.measurement(row, self._number, min_range_m=-np.inf)
+        distance_m = model.measured(np.arange(len(of_car)), *met)
+        hit = of_car & np.isfinite(distance_m)
         hit[hit] = on_vehicle(self.local(distance_m, hit), self.sweep.boxes.size_m[self.box[hit]])
         return distance_m, hit
 

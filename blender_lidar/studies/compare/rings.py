@@ -132,7 +132,7 @@ def _ring_starts(azimuth: np.ndarray) -> Iterator[np.ndarray]:
 def _cone(rho: np.ndarray, z: np.ndarray) -> tuple[float, float]:
     """Height and tangent of the elevation of the cone about the vertical axis that most points lie on."""
     design = np.column_stack([np.ones_like(rho), rho])
-    height, slope = 0.0, float(np.median(z / np.maximum(rho, 1e-9)))
+    height, slope = 0.0, np.median(z / np.maximum(rho, 1e-9))
     for _ in range(_FITS):  # least absolute distances, by weights
         weight = 1.0 / np.maximum(np.abs(z - height - slope * rho), _FINE_M)
         normal = (weight[:, None] * design).T @ design
@@ -204,8 +204,8 @@ class Firings:
         # Three turns, so that a window never wraps.
         self._azimuth = [(azimuth[own] + np.array([[-_TURN], [0.0], [_TURN]])).ravel() for own in self._of_ring]
 
-    def towards(self, centre: np.ndarray, size: np.ndarray, heading: float) -> Rays:
-        """All rays that meet a box, which must not hold the sensor's axis.
+    def towards(self, centre: np.ndarray, size: np.ndarray, heading: float) -> tuple[Rays, np.ndarray]:
+        """All rays that meet a box, which must not hold the sensor's axis, and how far along each it enters the box.
 
         Parameters
         ----------
@@ -222,13 +222,12 @@ class Firings:
         bottom, top = centre[2] - 0.5 * size[2], centre[2] + 0.5 * size[2]
         fitting = np.flatnonzero((ends.max(axis=0) >= bottom) & (ends.min(axis=0) <= top))
         found = [self._within(int(ring), low, high) for ring in fitting]
-        azimuth = np.concatenate([np.empty(0), *(one[0] for one in found)])
-        point = np.concatenate([np.empty(0, dtype=np.int64), *(one[1] for one in found)])
-        ring = np.repeat(fitting, [len(one[0]) for one in found])
-        rays = self._rays(azimuth, point, ring)
+        nothing = np.empty(0), np.empty(0, dtype=np.int64)
+        azimuth, point = map(np.concatenate, zip(nothing, *found, strict=True))
+        rays = self._rays(azimuth, point, np.repeat(fitting, [len(one) for one, _ in found]))
         entry, leave = crossing(rays, centre, size, heading)
         meets = (leave >= entry) & (leave > 0.0)
-        return Rays(*(values[meets] for values in rays))
+        return Rays(*(values[meets] for values in rays)), entry[meets]
 
     def _within(self, ring: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
         """Azimuths between two angles at which a ring fired, and the points that came of it."""
