@@ -102,8 +102,8 @@ def test_a_traffic_file_that_is_none(tmp_path, capsys, verb, case):
 
 def test_a_traffic_file_that_is_not_there_or_is_a_folder(tmp_path, capsys, verb):
     words = words_for(verb, write_scene(tmp_path), tmp_path)
-    assert "none.csv: no such file" in refused(capsys, tmp_path, *words, "--traffic", "none.csv")
-    assert f"{tmp_path}: a folder" in refused(capsys, tmp_path, *words, "--traffic", tmp_path)
+    assert "none.csv: there is no such file" in refused(capsys, tmp_path, *words, "--traffic", "none.csv")
+    assert f"{tmp_path}: is a folder" in refused(capsys, tmp_path, *words, "--traffic", tmp_path)
     assert "x" * 300 in refused(capsys, tmp_path, *words, "--traffic", "x" * 300)
 
 

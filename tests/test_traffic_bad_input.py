@@ -28,19 +28,19 @@ def with_field(text, line, field, value, separator=None):
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(MissingFileError, match=r"nowhere\.txt: no such file"):
+    with pytest.raises(MissingFileError, match=r"nowhere\.txt: there is no such file"):
         read_traffic(tmp_path / "nowhere.txt")
 
 
 def test_a_folder(tmp_path):
-    assert refused(tmp_path) == "FILE: a folder; a file of vehicles is needed"
+    assert refused(tmp_path) == "FILE: is a folder; allowed: a file of vehicles"
 
 
 @pytest.mark.parametrize("content", [b"", b"\n \n", gzip.compress(b"", mtime=0)])
 def test_an_empty_file(tmp_path, content):
     path = tmp_path / "empty.txt"
     path.write_bytes(content)
-    assert refused(path) == "FILE: empty; a file of vehicles is needed"
+    assert refused(path) == "FILE: no rows; a file of vehicles is needed"
 
 
 @pytest.mark.parametrize(
@@ -100,16 +100,18 @@ BAD_VALUES = [
     (6, "NaN", "Local_Y is 'NaN'; allowed: feet"),
     (6, "inf", "Local_Y is 'inf'; allowed: feet"),
     (6, "1.2.3", "Local_Y is '1.2.3'; allowed: feet"),
-    (1, "1.5", "Vehicle_ID is '1.5'; allowed: a whole number"),
+    (6, "1_0", "Local_Y is '1_0'; allowed: feet"),
+    (6, "\u0663", "Local_Y is '\u0663'; allowed: feet"),
+    (1, "1.5", "Vehicle_ID is 1.5; allowed: a whole number"),
     (2, "x", "Frame_ID is 'x'; allowed: a whole number"),
-    (2, "1e300", "Frame_ID is '1e300'; allowed: a whole number"),
+    (2, "1e300", "Frame_ID is 1e+300; allowed: a whole number"),
     (4, "-inf", "Global_Time is '-inf'; allowed: milliseconds"),
-    (9, "-14.5", "v_Length is '-14.5'; allowed: feet, at least 0"),
-    (10, "-0.1", "v_Width is '-0.1'; allowed: feet, at least 0"),
+    (9, "-14.5", "v_Length is -14.5; allowed: feet, at least 0"),
+    (10, "-0.1", "v_Width is -0.1; allowed: feet, at least 0"),
     (10, "nan", "v_Width is 'nan'; allowed: feet, at least 0"),
-    (11, "4", "v_Class is '4'; allowed: 1 (motorcycle), 2 (auto) or 3 (truck)"),
+    (11, "4", "v_Class is 4; allowed: 1 (motorcycle), 2 (auto) or 3 (truck)"),
     (14, "two", "Lane_ID is 'two'; allowed: a whole number"),
-    (14, "99999", "Lane_ID is '99999'; allowed: a whole number"),
+    (14, "99999", "Lane_ID is 99999; allowed: a whole number"),
 ]
 
 
@@ -128,7 +130,7 @@ def test_a_bad_value_in_csv(tmp_path, columns, field, value, text):
 def test_a_bad_value_beyond_the_first_chunk(tmp_path, columns, monkeypatch):
     monkeypatch.setattr(source, "_CHUNK_ROWS", 7)
     path = tmp_path / "recording.txt"
-    for value in ("abc", "nan", "-1"):
+    for value in ("abc", "nan", "1,5", "\u0663"):
         path.write_text(with_field(samples.native(columns), 31, 9, value))
         assert refused(path) == f"FILE:31: v_Length is '{value}'; allowed: feet, at least 0"
 
@@ -142,7 +144,7 @@ def test_a_wrong_number_of_fields(tmp_path, columns, monkeypatch, line, chunk, f
     lines = samples.native(columns).splitlines()
     lines[line - 1] = " ".join([*lines[line - 1].split(), "7"][kept])
     path.write_text("\n".join(lines) + "\n")
-    assert refused(path) == f"FILE:{line}: {fields} fields; the other rows have 18"
+    assert refused(path) == f"FILE:{line}: {fields} fields; the first line has 18"
 
 
 @pytest.mark.parametrize("line", [2, 30, 61])
@@ -152,10 +154,10 @@ def test_a_wrong_number_of_fields_in_csv(tmp_path, columns, line):
     whole = lines[line - 1]
     lines[line - 1] = whole.rsplit(",", 1)[0]
     path.write_text("\n".join(lines) + "\n")
-    assert refused(path) == f"FILE:{line}: 24 fields; the other rows have 25"
+    assert refused(path) == f"FILE:{line}: 24 fields; the first line has 25"
     lines[line - 1] = whole.replace(",", ",1,", 1)  # an unquoted thousands separator
     path.write_text("\n".join(lines) + "\n")
-    assert refused(path) == f"FILE:{line}: 26 fields; the other rows have 25"
+    assert refused(path) == f"FILE:{line}: 26 fields; the first line has 25"
 
 
 def test_settings_that_do_not_fit_the_format(tmp_path, columns):

@@ -121,7 +121,7 @@ def test_values_of_other_locations_do_not_matter(mixed_sites):
     fields[8] = "-3"
     mixed_sites.write_text(text.replace(line, ",".join(fields)), encoding="utf-8", newline="")
     assert len(read_traffic(mixed_sites, location="i-80")) == 3 * 120
-    with pytest.raises(InputError, match="v_Length is '-3'"):
+    with pytest.raises(InputError, match="v_Length is -3"):
         read_traffic(mixed_sites, location="us-101")
 
 

@@ -271,11 +271,11 @@ def test_lines_parsed_by_numpy_and_rows_of_texts_give_the_same(tmp_path, monkeyp
     monkeypatch.setattr(source, "_CHUNK_ROWS", 7)
     separator = None if dialect is samples.native else ","
     lines = dialect(samples.columns(vehicles=3, frames=20, first_frame=990)).split("\n")
-    parsed, chunks = ngsim.parsed_columns, []
+    parsed, chunks = source._parsed, []
 
     def rows(path):
         try:
-            return ngsim.read_rows(path, ngsim.sniff_layout(path), None)
+            return ngsim.read_location(path, ngsim.sniff_layout(path), None)
         except InputError as error:
             return str(error)
 
@@ -285,9 +285,9 @@ def test_lines_parsed_by_numpy_and_rows_of_texts_give_the_same(tmp_path, monkeyp
             fields[place % len(fields)] = value
         path = samples.write(tmp_path, "\n".join([*lines[:31], (separator or " ").join(fields), *lines[32:]]))
         chunks.clear()
-        monkeypatch.setattr(ngsim, "parsed_columns", lambda *given: chunks.append(parsed(*given)) or chunks[-1])
+        monkeypatch.setattr(source, "_parsed", lambda *given: chunks.append(parsed(*given)) or chunks[-1])
         fast = rows(path)
-        monkeypatch.setattr(ngsim, "parsed_columns", lambda *given: None)
+        monkeypatch.setattr(source, "_parsed", lambda *given: None)
         np.testing.assert_equal(fast, rows(path))
         assert sum(found is not None for found in chunks) >= 3
         assert place is not None or all(found is not None for found in chunks)

@@ -128,17 +128,18 @@ def test_chunks_do_not_show(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("column", "value", "text"),
     [
-        ("frame", "1.5", "frame is '1.5'; allowed: a whole number"),
-        ("vehicle_id", "", "vehicle_id is ''; allowed: a whole number of at least 0"),
-        ("vehicle_id", "-1", "vehicle_id is '-1'; allowed: a whole number of at least 0"),
+        ("frame", "1.5", "frame is 1.5; allowed: a whole number"),
+        ("vehicle_id", "", "vehicle_id is nothing; allowed: a whole number of at least 0"),
+        ("vehicle_id", "-1", "vehicle_id is -1; allowed: a whole number of at least 0"),
         ("class", "lorry", "unknown class 'lorry'; allowed: car, van, truck, bus, motorcycle"),
-        ("x_m", "abc", "x_m is 'abc'; allowed: a finite number"),
-        ("y_m", "nan", "y_m is 'nan'; allowed: a finite number"),
-        ("z_m", "inf", "z_m is 'inf'; allowed: a finite number"),
-        ("length_m", "-4.5", "length_m is '-4.5'; allowed: more than 0"),
-        ("width_m", "0", "width_m is '0'; allowed: more than 0"),
-        ("height_m", "nan", "height_m is 'nan'; allowed: more than 0"),
-        ("heading_deg", "north", "heading_deg is 'north'; allowed: a finite number"),
+        ("x_m", "abc", "x_m is 'abc'; allowed: a number, -1e9 to 1e9"),
+        ("x_m", "\u0663", "x_m is '\u0663'; allowed: a number, -1e9 to 1e9"),
+        ("y_m", "nan", "y_m is 'nan'; allowed: a number, -1e9 to 1e9"),
+        ("z_m", "inf", "z_m is 'inf'; allowed: a number, -1e9 to 1e9"),
+        ("length_m", "-4.5", "length_m is -4.5; allowed: more than 0, 0.001 to 1000"),
+        ("width_m", "0", "width_m is 0; allowed: more than 0, 0.001 to 1000"),
+        ("height_m", "nan", "height_m is 'nan'; allowed: more than 0, 0.001 to 1000"),
+        ("heading_deg", "north", "heading_deg is 'north'; allowed: a number, -1e9 to 1e9"),
     ],
 )
 def test_a_bad_value(tmp_path, column, value, text):
@@ -157,8 +158,8 @@ def test_a_missing_column(tmp_path, column):
 @pytest.mark.parametrize(
     ("rows", "text"),
     [
-        ([ROWS[0], ROWS[1] + ",7"], "FILE:3: 11 fields; the header has 10"),
-        ([ROWS[0], ROWS[1].rsplit(",", 1)[0]], "FILE:3: 9 fields; the header has 10"),
+        ([ROWS[0], ROWS[1] + ",7"], "FILE:3: 11 fields; the first line has 10"),
+        ([ROWS[0], ROWS[1].rsplit(",", 1)[0]], "FILE:3: 9 fields; the first line has 10"),
         ([], "FILE: no rows below the header in line 1"),
         (["", "  "], "FILE: no rows below the header in line 1"),
     ],
@@ -168,7 +169,7 @@ def test_a_wrong_number_of_fields_or_rows(tmp_path, rows, text):
 
 
 def test_other_files_and_settings_that_cannot_be_used(tmp_path):
-    assert refused(tmp_path).startswith("FILE: a folder")
+    assert refused(tmp_path).startswith("FILE: is a folder")
     path = write(tmp_path)
     assert refused(write(tmp_path, HEADER + ",x_m", name="twice.csv")) == "FILE:1: column x_m is there twice"
     assert "time_step_s is 0" in refused(path, time_step_s=0.0)

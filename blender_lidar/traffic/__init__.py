@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import InputError, unknown_name
 from .frames import FramePlan, instants, plan_frames, well_populated_frames
 from .ngsim import read_ngsim
-from .source import fields_of, table_lines
+from .source import fields_of, first_lines
 from .sumo import kind_of_fcd, read_sumo
 from .table import is_table_header, read_table
 from .vehicles import CLASSES, Recording, RepairReport, RoadFrame, Vehicles, overlapping_pairs
@@ -78,5 +78,4 @@ def read_traffic(
 def _sniff(path: str | Path) -> str:
     if kind_of_fcd(path):
         return "sumo"
-    _, first = next(table_lines(path), (0, ""))
-    return "table" if is_table_header(fields_of(first)) else "ngsim"
+    return "table" if is_table_header(fields_of(first_lines(path)[0][1])) else "ngsim"

@@ -6,15 +6,14 @@ US DOT FHWA, Next Generation Simulation Vehicle Trajectories and Supporting Data
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from itertools import islice
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .source import column_places, csv_columns, fields_of, number, numbers, parsed_columns, quoted, table_lines
+from ..files import number
+from .source import EMPTY, Column, Layout, Rows, fields_of, first_lines, read_rows
 from .tracks import (
     class_index,
     drop_repeats,
@@ -77,14 +76,15 @@ def read_ngsim(
         If the file or one of its values cannot be used; the text names the line and the column.
     """
     layout = sniff_layout(path)
-    rows, report, odd_directions = read_rows(path, layout, location)
+    rows, report, odd_directions = read_location(path, layout, location)
     step_ms = _time_step_ms(rows, path)
     periods, of_row = _periods(rows, step_ms)
     chosen = _chosen(periods, period, path)
     # Local_Y follows the direction of travel everywhere on freeways, not where there are intersections.
-    follows_road = report.location in FREEWAYS if report.location else not layout.arterial
+    arterial = "Int_ID" in layout.columns and "Location" not in layout.columns
+    follows_road = report.location in FREEWAYS if report.location else not arterial
     notes = []
-    if location is not None and "location" not in layout.columns:
+    if location is not None and "Location" not in layout.columns:
         notes.append(f"the file has no Location column: taken to be {location}")
     if period is None and len(periods) > 1:
         notes.append(f"{len(periods)} periods found ({', '.join(periods)}); none was chosen, so the first is used")
@@ -166,78 +166,35 @@ def _boxes(
 
 # --- Which of NGSIM's dialects a file speaks: native text, the portal's CSV or its API's ------------------
 
-_LARGEST_WHOLE = 2.0**53
-
-
-def _whole(values: np.ndarray) -> np.ndarray:
-    return (np.abs(values) <= _LARGEST_WHOLE) & (np.rint(values) == values)
-
-
-def _size(values: np.ndarray) -> np.ndarray:
-    return np.isnan(values) | ((values >= 0) & np.isfinite(values))
-
-
+_SIZE = Column("feet, at least 0", low=0.0, optional=True)
 COLUMNS = {
-    "vehicle_id": ("Vehicle_ID", _whole, "a whole number"),
-    "frame_id": ("Frame_ID", _whole, "a whole number"),
-    "global_time": ("Global_Time", lambda values: np.abs(values) <= _LARGEST_WHOLE, "milliseconds"),
-    "local_x": ("Local_X", np.isfinite, "feet"),
-    "local_y": ("Local_Y", np.isfinite, "feet"),
-    "v_length": ("v_Length", _size, "feet, at least 0"),
-    "v_width": ("v_Width", _size, "feet, at least 0"),
-    "v_class": ("v_Class", lambda values: np.isin(values, (1, 2, 3)), "1 (motorcycle), 2 (auto) or 3 (truck)"),
-    "lane_id": (
-        "Lane_ID",
-        lambda values: np.isnan(values) | (_whole(values) & (np.abs(values) < 2**15)),
-        "a whole number",
-    ),
+    "Vehicle_ID": Column("a whole number", whole=True),
+    "Frame_ID": Column("a whole number", whole=True),
+    "Global_Time": Column("milliseconds"),
+    "Local_X": Column("feet"),
+    "Local_Y": Column("feet"),
+    "v_Length": _SIZE,
+    "v_Width": _SIZE,
+    "v_Class": Column("1 (motorcycle), 2 (auto) or 3 (truck)", 1, 3, whole=True),
+    "Lane_ID": Column("a whole number", 1 - 2**15, 2**15 - 1, whole=True, optional=True),
 }
-"""The columns that are needed, in lower case: NGSIM's spelling, which numbers they may hold (an empty cell is NaN), and
-what an error says is allowed."""
-EMPTY = ("", "NULL", "null")
-"""What stands for a missing number; the text ``nan`` does not."""
+"""The columns of numbers that are needed, in NGSIM's spelling; files may have them in any letter case."""
+_DIRECTIONS = {"Direction": 4, "Movement": 3}
+"""Columns of arterials, with their largest numbers: where a vehicle is bound for, whether it goes straight or turns."""
+_SPELT = {name.lower(): name for name in (*COLUMNS, *_DIRECTIONS, "Location", "Int_ID")}
 _FIRST_14 = [
-    *("vehicle_id", "frame_id", "total_frames", "global_time", "local_x", "local_y", "global_x", "global_y"),
-    *("v_length", "v_width", "v_class", "v_vel", "v_acc", "lane_id"),
+    *("Vehicle_ID", "Frame_ID", "total_frames", "Global_Time", "Local_X", "Local_Y", "global_x", "global_y"),
+    *("v_Length", "v_Width", "v_Class", "v_vel", "v_acc", "Lane_ID"),
 ]
 _LAST_4 = ["preceding", "following", "space_headway", "time_headway"]
-_ARTERIAL = ["o_zone", "d_zone", "int_id", "section_id", "direction", "movement"]
+_ARTERIAL = ["o_zone", "d_zone", "Int_ID", "section_id", "Direction", "Movement"]
 # The six columns of arterials come after column 14 (the data dictionaries of Lankershim and Peachtree); it is said, of
 # files not seen, after 16. Of them, and of what they shift, Direction alone is used.
 _WITHOUT_HEADER = {
     18: [*_FIRST_14, *_LAST_4],
     24: [*_FIRST_14, *_ARTERIAL, *_LAST_4],
-    25: [*_FIRST_14, *_ARTERIAL, *_LAST_4, "location"],
+    25: [*_FIRST_14, *_ARTERIAL, *_LAST_4, "Location"],
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """How the rows of one file are written.
-
-    Attributes
-    ----------
-    columns : tuple of str
-        Lower-case column names in the file's order.
-    delimiter : str or None
-        None stands for any run of spaces and tabs.
-    first_line : int
-        Number of the first data line, counting from 1.
-    """
-
-    columns: tuple[str, ...]
-    delimiter: str | None
-    first_line: int
-
-    @property
-    def arterial(self) -> bool:
-        """Whether this is the native text of a site with intersections, 24 columns wide."""
-        return "location" not in self.columns and "int_id" in self.columns
-
-
-def _split(line: str, delimiter: str | None) -> list[str]:
-    """The fields of one line, without quotes and padding."""
-    return line.split() if delimiter is None else [field.strip() for field in fields_of(line, delimiter)]
 
 
 def sniff_layout(path: str | Path) -> Layout:
@@ -251,12 +208,10 @@ def sniff_layout(path: str | Path) -> Layout:
         If the file is empty, is not text, has a header without one of the needed columns, or has no header and
         neither 18, 24 nor 25 columns.
     """
-    lines = list(islice(table_lines(path), 2))
-    if not lines:
-        raise InputError(f"{path}: no rows; a file of vehicles is needed")
+    lines = first_lines(path)
     line, text = lines[0]
     delimiter = next((mark for mark in (",", ";") if mark in text), None)
-    fields = _split(text, delimiter)
+    fields = fields_of(text, delimiter)
     if not np.isnan(number(fields[0].replace(",", ""))):
         trailing = [""] if fields[-1] == "" else []  # a delimiter at the line's end
         columns = _WITHOUT_HEADER.get(len(fields) - len(trailing))
@@ -265,24 +220,21 @@ def sniff_layout(path: str | Path) -> Layout:
         return Layout((*columns, *trailing), delimiter, line)
     if delimiter is None and "\t" in text:
         delimiter = "\t"  # under a header, cells may be empty: every tab counts
-    columns = [field.lower().replace(" ", "_") for field in _split(text, delimiter)]
-    needed = {column: name for column, (name, *_) in COLUMNS.items()}
-    column_places(columns, needed, (), f"{path}:{line}", " (any letter case)")
+    names = [field.lower().replace(" ", "_") for field in fields_of(text, delimiter)]
+    layout = Layout([_SPELT.get(name, name) for name in names], delimiter, line + 1)
+    layout.check(COLUMNS, _DIRECTIONS, f"{path}:{line}")
     if len(lines) < 2:
         raise InputError(f"{path}: no rows below the header in line {line}")
-    return Layout(tuple(columns), delimiter, line + 1)
+    return layout
 
 
 # --- Reading NGSIM rows, by the million and from files that mix all sites ---------------------------------
 
-_DIRECTIONS = {"direction": 4, "movement": 3}
-"""Columns of arterials, with their largest numbers: where a vehicle is bound for, whether it goes straight or turns."""
 _FEW_ODD = 0.01  # of the rows; more, and the column is another one
 _ODD = -1
-_TEXT = "U16"  # longer ones are read as rows
 
 
-def read_rows(
+def read_location(
     path: str | Path, layout: Layout, location: str | None
 ) -> tuple[dict[str, np.ndarray], RepairReport, int]:
     """Read the rows of one location in the file's order, converted from feet to metres.
@@ -312,102 +264,63 @@ def read_rows(
         If a row has too few or too many fields, or a value that cannot be used; if the location is not there, or none
         is chosen and there are several; if there are no or too many rows.
     """
-    used = [name for name in (*COLUMNS, *_DIRECTIONS, "location") if name in layout.columns]
-    has_location = "location" in used
-    wanted = location.strip().lower() if location is not None and has_location else None
+    wanted = location.strip().lower() if location is not None and "Location" in layout.columns else None
     seen: set[str] = set()
     parts: list[dict[str, np.ndarray]] = []
     rows_read = 0
-    parse = partial(_parsed, layout, {layout.columns.index(name): name for name in used})
-    width = len(layout.columns)
-    chunks = csv_columns(path, layout.first_line - 1, width, layout.delimiter, "the other rows have", parse)
-    for lines, fields in chunks:
-        rows_read += len(lines)
-        texts = {name: fields[layout.columns.index(name)] for name in used}
-        if has_location:
-            names = {text: "" if text in EMPTY else text.strip().lower() for text in set(texts["location"])}
+    for rows in read_rows(path, layout, COLUMNS, [*_DIRECTIONS, "Location"]):
+        rows_read += len(rows)
+        if "Location" in rows.columns:
+            texts = rows.columns["Location"].tolist()
+            names = {text: "" if text in EMPTY else text.strip().lower() for text in set(texts)}
             seen.update(names.values())
             if wanted is None and len(seen) > 1:
                 parts.clear()  # only their names matter now, for the message
                 continue
             if wanted is not None:
-                rows = [row for row, text in enumerate(texts["location"]) if names[text] == wanted]
-                lines, texts = [lines[row] for row in rows], {name: _of_rows(texts[name], rows) for name in used}
-        parts.append(_metric(path, texts, lines))
+                rows = rows.select(np.array([names[text] == wanted for text in texts]))
+        parts.append(_metric(rows))
     locations = tuple(sorted(seen))
     if wanted is None and len(locations) > 1:
         raise InputError(f"{path}: holds {len(locations)} locations; choose one of: {', '.join(locations)}")
     if wanted is not None and wanted not in seen:
         raise unknown_name(location, locations, "location", str(path))
-    if not parts:
-        raise InputError(f"{path}: no rows; a file of vehicles is needed")
-    rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    odd = rows["direction"] == _ODD
-    rows["direction"][odd if odd.mean() <= _FEW_ODD else slice(None)] = 0
+    found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    odd = found["direction"] == _ODD
+    found["direction"][odd if odd.mean() <= _FEW_ODD else slice(None)] = 0
     report = RepairReport(rows_read, location="".join(locations) if wanted is None else wanted, locations=locations)
-    return rows, report, int(odd.sum())
+    return found, report, int(odd.sum())
 
 
-def _parsed(layout: Layout, used: Mapping[int, str], lines: list[str]) -> list[Sequence] | None:
-    """The columns of lines that need no second look, by `parsed_columns`; numbers are those that `COLUMNS` accepts."""
-    names = [used.get(place) for place in range(len(layout.columns))]
-    kinds = ["f8" if name in COLUMNS else _TEXT if name else "U1" for name in names]
-    columns = parsed_columns(lines, layout.delimiter, kinds)
-    accepted = (name not in COLUMNS or COLUMNS[name][1](columns[place]).all() for place, name in used.items())
-    if columns is None or not all(accepted):
-        return None
-    return [column.tolist() if kind == _TEXT else column for kind, column in zip(kinds, columns, strict=True)]
-
-
-def _of_rows(column: Sequence, rows: list[int]) -> Sequence:
-    return column[rows] if isinstance(column, np.ndarray) else [column[row] for row in rows]
-
-
-def _metric(path: str | Path, texts: Mapping[str, Sequence[str]], lines: Sequence[int]) -> dict[str, np.ndarray]:
-    """The columns that are used, in metres; `lines` are the rows' numbers, for messages."""
-    values = {name: _numbers(path, name, texts[name], lines) for name in COLUMNS}
+def _metric(rows: Rows) -> dict[str, np.ndarray]:
+    """The columns that are used, in metres."""
+    values = {name: rows.numbers(name, column) for name, column in COLUMNS.items()}
     return {
-        "vehicle_id": values["vehicle_id"].astype(np.int64),
-        "frame": values["frame_id"].astype(np.int64),
-        "time_ms": values["global_time"],
-        "local_m": np.stack([values["local_x"], values["local_y"]], axis=1) * FOOT_M,
-        "size_m": np.nan_to_num(np.stack([values["v_length"], values["v_width"]], axis=1)) * FOOT_M,
-        "v_class": values["v_class"].astype(np.int8),
-        "lane": np.nan_to_num(values["lane_id"]).astype(np.int16),
-        "direction": _directions(texts, len(lines)),
+        "vehicle_id": values["Vehicle_ID"].astype(np.int64),
+        "frame": values["Frame_ID"].astype(np.int64),
+        "time_ms": values["Global_Time"],
+        "local_m": np.stack([values["Local_X"], values["Local_Y"]], axis=1) * FOOT_M,
+        "size_m": np.nan_to_num(np.stack([values["v_Length"], values["v_Width"]], axis=1)) * FOOT_M,
+        "v_class": values["v_Class"].astype(np.int8),
+        "lane": np.nan_to_num(values["Lane_ID"]).astype(np.int16),
+        "direction": _directions(rows),
     }
 
 
-def _numbers(path: str | Path, column: str, texts: Sequence[str], lines: Sequence[int]) -> np.ndarray:
-    """The numbers of a column of `COLUMNS`, without separators of thousands; NaN where one is missing."""
-    if isinstance(texts, np.ndarray):  # `_parsed` has looked at them
-        return texts
-    name, accepts, allowed = COLUMNS[column]
-    joined = "\0".join(texts)
-    values = numbers(joined.replace(",", "").split("\0") if "," in joined else texts)
-    good = accepts(values)
-    for row in np.flatnonzero(~good | np.isnan(values)):
-        text = texts[row].strip()
-        if not good[row] or text not in EMPTY:
-            given = quoted(text) if text else "nothing"
-            raise InputError(f"{path}:{lines[row]}: {name} is {given}; allowed: {allowed}")
-    return values
-
-
-def _directions(texts: Mapping[str, Sequence[str]], count: int) -> np.ndarray:
+def _directions(rows: Rows) -> np.ndarray:
     """The column Direction, (n,) int8; 0 where it is empty or not there, `_ODD` where it or Movement is none.
 
     Files are said to exist whose six columns of arterials stand two places later. The column after Direction, Movement,
     would hold other numbers there: it tells whether Direction is what it seems.
     """
-    if any(name not in texts for name in _DIRECTIONS):
-        return np.zeros(count, dtype=np.int8)
-    pairs = list(zip(*(texts[name] for name in _DIRECTIONS), strict=True))
+    if any(name not in rows.columns for name in _DIRECTIONS):
+        return np.zeros(len(rows), dtype=np.int8)
+    pairs = list(zip(*(rows.columns[name].tolist() for name in _DIRECTIONS), strict=True))
     meant = {pair: _direction(pair) for pair in set(pairs)}
     return np.array([meant[pair] for pair in pairs], dtype=np.int8)
 
 
-def _direction(pair: tuple[str, ...]) -> int:
+def _direction(pair: Sequence[str]) -> int:
     values = [0 if text.strip() in EMPTY else number(text) for text in pair]
     known = all(value in range(largest + 1) for value, largest in zip(values, _DIRECTIONS.values(), strict=True))
     return int(values[0]) if known else _ODD
@@ -420,18 +333,11 @@ def _direction(pair: tuple[str, ...]) -> int:
 _SAME_PERIOD_S = 60.0
 _STEP_LIMITS_MS = (10.0, 60_000.0)
 _USUAL_STEP_MS = 100.0
-# Nominal starts in Pacific Daylight Time; recording began up to 2 min 15 s earlier.
+# Nominal starts in Pacific Daylight Time, by a clock of twelve hours from six in the morning on; recording began up to
+# 2 min 15 s earlier.
 _PACIFIC_H = -7
-_NOMINAL_S = {
-    "0400-0415": 16 * 3600,
-    "0500-0515": 17 * 3600,
-    "0515-0530": 17 * 3600 + 15 * 60,
-    "0750-0805": 7 * 3600 + 50 * 60,
-    "0805-0820": 8 * 3600 + 5 * 60,
-    "0820-0835": 8 * 3600 + 20 * 60,
-    "0828-0845": 8 * 3600 + 28 * 60,
-    "0845-0900": 8 * 3600 + 45 * 60,
-}
+_NOMINAL = ["0400-0415", "0500-0515", "0515-0530", "0750-0805", "0805-0820", "0820-0835", "0828-0845", "0845-0900"]
+_NOMINAL_S = {name: 3600 * ((int(name[:2]) + 6) % 12 + 6) + 60 * int(name[2:4]) for name in _NOMINAL}
 _NOMINAL_TOLERANCE_S = 180
 _FIRST_REAL_TIME_MS = 1e12  # Peachtree's 10-digit times are no times of day
 

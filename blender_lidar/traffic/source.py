@@ -1,29 +1,35 @@
-"""Reading text files of traffic, plain or gzip: opening, the first lines, CSV rows in chunks, numbers."""
+"""Reading text tables of traffic, plain or gzip: opening, header, rows in chunks, and what columns may hold."""
 
 from __future__ import annotations
 
 import csv
 import gzip
 import io
-import math
+import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, MissingFileError
-from ..files import open_file
+from ..errors import InputError
+from ..files import number, open_file, reading
 
 MAX_ROWS = 20_000_000
 """The whole NGSIM portal file has 12 million."""
+EMPTY = ("", "NULL", "null", "None")
+"""What stands for a missing value; the text ``nan`` does not."""
 _HEAD_BYTES = 2**17
 _CHUNK_ROWS = 5_000  # more fill the processor's cache with short strings
+_TEXT = 24  # characters that the fast parser takes; longer texts are read as rows
 _LONGEST_SHOWN = 40
-_WAS_QUOTED = "+"  # numbers may begin with it
+_LARGEST = 2.0**53  # whole numbers are exact up to here
+
+# --- Opening a file, its first lines ----------------------------------------------------------------------
 
 
 @contextmanager
@@ -37,34 +43,24 @@ def open_bytes(path: str | Path, *, unpack: bool = True) -> Iterator[BinaryIO]:
     InputError
         If it is a folder, a pipe or a device, may not be read, or turns out to be damaged while it is read.
     """
-    try:
-        with open_file(path) as file:
-            packed = unpack and file.peek(2)[:2] == b"\x1f\x8b"
+    with reading(path, "a file of vehicles"), open_file(path) as file:
+        packed = unpack and file.peek(2)[:2] == b"\x1f\x8b"
+        try:
             yield gzip.GzipFile(fileobj=file) if packed else file
-    except (InputError, MissingFileError):  # what reads the file has said so already
-        raise
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: a folder; a file of vehicles is needed") from error
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise InputError(f"{path}: truncated or damaged gzip file ({error})") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise InputError(f"{path}: truncated or damaged gzip file ({error})") from error
 
 
-def table_lines(path: str | Path) -> Iterator[tuple[int, str]]:
-    """The first lines of a table and their numbers from 1, without blank lines and comments that start with ``#``.
+def first_lines(path: str | Path) -> list[tuple[int, str]]:
+    """The first lines of a text and their numbers from 1, without blank lines and comments that start with ``#``.
 
     Raises
     ------
     MissingFileError, InputError
-        As `open_bytes`; and if the file is empty or not text.
+        As `open_bytes`; and if there is no such line, or the file is not text.
     """
     with open_bytes(path) as stream:
         head = stream.read(_HEAD_BYTES)
-    if not head.strip():
-        raise InputError(f"{path}: empty; a file of vehicles is needed")
     if head.startswith(b"PK\x03\x04"):
         raise InputError(f"{path}: a zip archive; unpack it and give the .txt or .csv file inside")
     if len(head) == _HEAD_BYTES and b"\n" in head:
@@ -75,200 +71,263 @@ def table_lines(path: str | Path) -> Iterator[tuple[int, str]]:
         raise InputError(f"{path}: not a text file (UTF-8)") from error
     if "\0" in text:
         raise InputError(f"{path}: not a text file (it holds zero bytes)")
-    for number, line in enumerate(text.split("\n"), start=1):
-        if line.strip() and not line.startswith("#"):
-            yield number, line.rstrip("\r")
+    lines = [(number, line.rstrip("\r")) for number, line in enumerate(text.split("\n"), start=1)]
+    lines = [(number, line) for number, line in lines if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise InputError(f"{path}: no rows; a file of vehicles is needed")
+    return lines
 
 
-def first_line(path: str | Path, needed: str) -> tuple[int, str]:
-    """The first of `table_lines`; if there is none, the error says that `needed` is."""
-    found = next(table_lines(path), None)
-    if found is None:
-        raise InputError(f"{path}: no rows; {needed} is needed")
-    return found
+def fields_of(line: str, delimiter: str | None = ",") -> list[str]:
+    """The fields of one line, without padding and quotes; no `delimiter` stands for any run of white space."""
+    if delimiter is None:
+        return line.split()
+    return [field.strip() for field in next(csv.reader([line.replace("\r", " ")], delimiter=delimiter), [])]
 
 
-def fields_of(line: str, delimiter: str = ",") -> list[str]:
-    """The fields of one line; a carriage return within it counts as a space."""
-    return next(csv.reader([line.replace("\r", " ")], delimiter=delimiter), [])
+class Layout(NamedTuple):
+    """How the rows of one file are written.
 
-
-def column_places(
-    names: Sequence[str], needed: Mapping[str, str], optional: Iterable[str], where: str, hint: str = ""
-) -> dict[str, int]:
-    """Which place among `names`, those of a header, each column has that is needed, or optional and there.
-
-    Parameters
+    Attributes
     ----------
-    names : sequence of str
-        In the file's order.
-    needed : mapping of str to str
-        Names of columns, and how an error spells them.
-    optional : iterable of str
-    where, hint : str
-        The header's place, and what an error says last.
-
-    Raises
-    ------
-    InputError
-        If a needed column is missing, or one is there twice.
+    columns : sequence of str
+        Their names in the file's order.
+    delimiter : str or None
+        None stands for any run of white space.
+    first_line : int
+        Number of the first data line, counting from 1.
     """
-    missing = [spelt for name, spelt in needed.items() if name not in names]
-    if missing:
-        raise InputError(f"{where}: no column {', '.join(missing)}; needed: {', '.join(needed.values())}{hint}")
-    wanted = [*needed, *(name for name in optional if name in names)]
-    twice = [needed.get(name, name) for name in wanted if names.count(name) > 1]
-    if twice:
-        raise InputError(f"{where}: column {twice[0]} is there twice")
-    return {name: names.index(name) for name in wanted}
+
+    columns: Sequence[str]
+    delimiter: str | None
+    first_line: int
+
+    def check(self, needed: Iterable[str], optional: Collection[str], where: str) -> None:
+        """Refuse a header, which stands at `where`, that lacks a column or has one twice.
+
+        Raises
+        ------
+        InputError
+            Naming it.
+        """
+        needed = list(needed)
+        missing = [name for name in needed if name not in self.columns]
+        if missing:
+            raise InputError(f"{where}: no column {', '.join(missing)}; needed: {', '.join(needed)}")
+        for name in (*needed, *optional):
+            if self.columns.count(name) > 1:
+                raise InputError(f"{where}: column {name} is there twice")
 
 
-def csv_columns(
-    path: str | Path,
-    header_line: int,
-    width: int,
-    delimiter: str | None = ",",
-    others: str = "the header has",
-    parse: Callable[[list[str]], list[Sequence] | None] = lambda lines: None,
-) -> Iterator[tuple[Sequence[int], list[Sequence]]]:
-    """The rows below a line that are not blank, a chunk at a time; no `delimiter` stands for any run of white space.
+# --- Columns of numbers -----------------------------------------------------------------------------------
+
+
+class Column(NamedTuple):
+    """What the numbers of a column may be.
+
+    Attributes
+    ----------
+    allowed : str
+        What an error says is allowed.
+    low, high : float
+        Limits, themselves allowed.
+    whole : bool
+        Whether they are whole numbers.
+    optional : bool
+        Whether cells may be empty, which are NaN then.
+    """
+
+    allowed: str
+    low: float = -_LARGEST
+    high: float = _LARGEST
+    whole: bool = False
+    optional: bool = False
+
+    def accepts(self, values: np.ndarray) -> np.ndarray:
+        """Which numbers are allowed, (n,) bool; NaN is where cells may be empty."""
+        good = (values >= self.low) & (values <= self.high)
+        if self.whole:
+            good &= np.rint(values) == values
+        return good | np.isnan(values) if self.optional else good
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Neighbouring rows of a file.
+
+    Attributes
+    ----------
+    columns : mapping of str to ndarray, (n,)
+        By name: numbers as float64, or as the file gives them: texts, None.
+    lines : sequence of int, (n,)
+        The number of each row's line.
+    place : str
+        What stands before it in an error: ``"run.csv:"``.
+    """
+
+    columns: Mapping[str, np.ndarray]
+    lines: Sequence[int]
+    place: str
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def where(self, row: int) -> str:
+        """The place of a row, counted from 0, as an error names it: ``file:line``."""
+        return f"{self.place}{self.lines[row]}"
+
+    def select(self, which: np.ndarray) -> Rows:
+        """Those rows that `which`, a (n,) mask, picks."""
+        picked = {name: values[which] for name, values in self.columns.items()}
+        return Rows(picked, np.array(self.lines)[which], self.place)
+
+    def numbers(self, name: str, column: Column) -> np.ndarray:
+        """A column as numbers, (n,) float64; all NaN where the file has none.
+
+        Raises
+        ------
+        InputError
+            For the first cell that holds something else than `column` allows.
+        """
+        given = self.columns.get(name)
+        if given is None:
+            return np.full(len(self), np.nan)
+        found = numbers(given)
+        good = column.accepts(found)
+        for row in np.flatnonzero(~good | np.isnan(found) if given.dtype == object else ~good):
+            text = str(given[row]).strip()
+            if not good[row] or text not in EMPTY:
+                told = "nothing" if text in EMPTY else f"{found[row]:.15g}" if np.isfinite(found[row]) else quoted(text)
+                raise InputError(f"{self.where(row)}: {name} is {told}; allowed: {column.allowed}")
+        return found
+
+
+def numbers(values: np.ndarray) -> np.ndarray:
+    """Numbers, texts or None as numbers, (n,) float64; NaN where one is none, or missing."""
+    if values.dtype != object:
+        return values.astype(np.float64, copy=False)
+    try:
+        joined = "".join(values)
+        if "_" not in joined and joined.isascii():
+            return values.astype(np.float64)
+    except (TypeError, ValueError):
+        pass
+    return np.array([number(str(value)) for value in values])
+
+
+def quoted(text: str) -> str:
+    """A text from a file as an error shows it, cut where it is long."""
+    return repr(text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "...")
+
+
+# --- Rows in chunks, parsed in C where they are clean -----------------------------------------------------
+
+
+def read_rows(
+    path: str | Path, layout: Layout, columns: Mapping[str, Column], texts: Collection[str] = ()
+) -> Iterator[Rows]:
+    """The rows of a table that are not blank, a chunk at a time; quoted numbers lose their separators of thousands.
 
     Parameters
     ----------
     path : path
-    header_line, width : int
-    delimiter : str, optional
-    others : str
-        What an error says has `width` fields.
-    parse : function of a list of lines
-        Returns their columns where it can, such as with `parsed_columns`; where it returns None, as without it, the
-        lines are split into rows of texts.
+    layout : Layout
+        How the rows are written.
+    columns : mapping of str to Column
+        Those that hold numbers, by name.
+    texts : collection of str
+        Those that hold texts.
 
     Yields
     ------
-    lines : sequence of int, (n,)
-        The numbers of the lines in which the rows begin.
-    columns : list of tuples of str, (width, n)
-        Or what `parse` returned.
+    Rows
+        With those of these columns that there are.
 
     Raises
     ------
     InputError
-        If a row has not `width` fields, as `others` do, or there are more than `MAX_ROWS`.
+        If a row has not as many fields as the others, or there are more than `MAX_ROWS`.
     """
+    used = {name: layout.columns.index(name) for name in (*columns, *texts) if name in layout.columns}
     with (
         open_bytes(path) as stream,
         io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="") as text,
     ):
-        below = islice(text, header_line, None)
-        first = header_line + 1
+        below = islice(text, layout.first_line - 1, None)
+        first = layout.first_line
         while chunk := list(islice(below, _CHUNK_ROWS)):
-            if first + len(chunk) > header_line + 1 + MAX_ROWS:
+            if first + len(chunk) > layout.first_line + MAX_ROWS:
                 raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
-            columns = parse(chunk)
-            if columns is not None:
-                yield range(first, first + len(chunk)), columns
-                first += len(chunk)
-                continue
-            rows, first = _filled_rows(chunk, below, str(path), first, width, delimiter, others)
-            if rows:
-                lines, fields = zip(*rows, strict=True)
-                yield lines, list(zip(*fields, strict=True))
+            if layout.delimiter == ",":
+                chunk = _unquoted(chunk)
+            found = _parsed(chunk, layout, used, columns.keys())
+            lines = range(first, first + len(chunk))
+            first += len(chunk)
+            if found is None:
+                lines, found, first = _split(chain(chunk, below), str(path), layout, used, lines)
+                for name in columns if layout.delimiter == "," else ():
+                    if name in found:
+                        found[name] = np.array([text.replace(",", "") for text in found[name]], dtype=object)
+            if len(lines):
+                yield Rows(found, lines, f"{path}:")
 
 
-def _filled_rows(
-    chunk: list[str], below: Iterator[str], path: str, first: int, width: int, delimiter: str | None, others: str
-) -> tuple[list[tuple[int, list[str]]], int]:
-    """The rows that are not blank, each with the number of the line that it begins in, and the next chunk's first line.
-
-    A quoted field may go on in the lines `below`.
-    """
-    reader = csv.reader(chain(chunk, below), delimiter=delimiter) if delimiter else map(str.split, chunk)
-    rows, line = [], first
-    try:
-        for number, row in enumerate(reader, start=1):
-            if len(row) == width:
-                rows.append((line, row))
-            elif len(row) > 1 or "".join(row).strip():
-                raise InputError(f"{path}:{line}: {len(row)} fields; {others} {width}")
-            line = first + (reader.line_num if delimiter else number)
-            if line >= first + len(chunk):
-                break
-    except csv.Error as error:
-        raise InputError(f"{path}:{line}: {error}") from error
-    return rows, line
+def _unquoted(lines: list[str]) -> list[str]:
+    """Lines of CSV without quotes and the separators of thousands within, if they are all about numbers."""
+    pieces = "".join(lines).split('"')
+    within = "\0".join(pieces[1::2])
+    if len(pieces) < 2 or len(pieces) % 2 == 0 or not re.fullmatch(r"[0-9.,+\0-]*", within):
+        return lines
+    pieces[1::2] = within.replace(",", "").split("\0")
+    return list(io.StringIO("".join(pieces), newline=""))
 
 
-def parsed_columns(lines: list[str], delimiter: str | None, kinds: Sequence[str]) -> list[np.ndarray] | None:
-    """The columns of clean lines, parsed by NumPy in C; None if they are to be split into rows of texts.
+def _parsed(
+    lines: list[str], layout: Layout, used: Mapping[str, int], numeric: Collection[str]
+) -> dict[str, np.ndarray] | None:
+    """The columns of clean lines, parsed by NumPy in C; None if they are to be split into texts.
 
-    Parameters
-    ----------
-    lines : list of str
-    delimiter : str or None
-        None stands for any run of white space.
-    kinds : sequence of str, (width,)
-        NumPy's types of the columns: ``"f8"`` for numbers, ``"U24"`` for texts, which have to be shorter, ``"U1"`` for
-        columns that nobody needs.
-
-    Returns
-    -------
-    list of ndarray, (width, n), or None
-        None also where a line is blank, a number missing or not finite, or a text quoted.
+    They are where a line is blank, a field quoted, a text long, or a number missing or not finite.
     """
     joined = "".join(lines)
-    plain = _unquoted(joined, delimiter) if delimiter and '"' in joined else lines
-    if "\0" in joined or not plain or plain[0].isspace():  # NumPy warns where all lines are blank
+    if '"' in joined or "\0" in joined or lines[0].isspace():  # NumPy warns where all lines are blank
         return None
+    kinds = ["U1"] * len(layout.columns)  # columns that nobody needs
+    for name, place in used.items():
+        kinds[place] = "f8" if name in numeric else f"U{_TEXT}"
     try:
-        table = np.loadtxt(plain, ",".join(kinds), comments=None, delimiter=delimiter, ndmin=1, encoding=None)
+        table = np.loadtxt(lines, ",".join(kinds), comments=None, delimiter=layout.delimiter, ndmin=1, encoding=None)
     except ValueError:
         return None
-    columns = [np.ascontiguousarray(table[name]) for name in table.dtype.names]  # no views that hold the table
-    for kind, column in zip(kinds, columns, strict=True):
-        if kind == "f8":
-            clean = np.isfinite(column).all()
-        else:
-            texts = () if kind == "U1" else set(column.tolist())
-            clean = all(len(text) < int(kind[1:]) and text[:1] != _WAS_QUOTED for text in texts)
-        if not clean:
+    if len(table) < len(lines):
+        return None
+    found = {}
+    for name, place in used.items():
+        values = np.ascontiguousarray(table[table.dtype.names[place]])  # no view that holds the table
+        if not (np.isfinite(values).all() if name in numeric else np.char.str_len(values).max() < _TEXT):
             return None
-    return columns if len(table) == len(lines) else None
+        found[name] = values
+    return found
 
 
-def _unquoted(text: str, delimiter: str) -> list[str]:
-    """Lines of CSV without quotes and the separators of thousands within, a plus before each; none if unclear."""
-    pieces = f"\n{text}".split('"')
-    within = f'"{_WAS_QUOTED}'.join(["", *pieces[1::2]]).replace(",", "")
-    ends = (delimiter, "\r", "\n")
-    opened = all(piece.endswith(ends) for piece in pieces[:-1:2])
-    closed = len(pieces) % 2 and all(piece.startswith(ends) for piece in pieces[2::2])
-    if not (opened and closed) or "\n" in within or "\r" in within:
-        return []
-    pieces[1::2] = within.split('"')[1:]
-    return "".join(pieces).split("\n")[1:]
+def _split(
+    lines: Iterator[str], path: str, layout: Layout, used: Mapping[str, int], numbers: range
+) -> tuple[list[int], dict[str, np.ndarray], int]:
+    """The numbers of the lines of a chunk in which rows begin, their columns as texts, and the next chunk's first line.
 
-
-def numbers(texts: Sequence[str | float | None]) -> np.ndarray:
-    """Texts as numbers, (n,) float64; NaN where one is none, or missing."""
+    A quoted field may go on in `lines` beyond the chunk, whose lines have these `numbers`.
+    """
+    width, line, rows, begin = len(layout.columns), numbers[0], [], []
+    reader = csv.reader(lines, delimiter=layout.delimiter) if layout.delimiter else map(str.split, lines)
     try:
-        if "_" not in "".join(texts):
-            return np.array(texts, dtype=np.float64)
-    except (TypeError, ValueError):
-        pass
-    return np.array([number(text) for text in texts])
-
-
-def number(text: str | float | None) -> float:
-    """A text as a number; NaN if it is none: ``"1_0"`` is 10 to Python alone."""
-    try:
-        return math.nan if text is None or "_" in str(text) else float(text)
-    except ValueError:
-        return math.nan
-
-
-def quoted(value: object) -> str:
-    """A value from a file as an error shows it, cut where it is long."""
-    text = str(value)
-    text = text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "..."
-    return repr(text) if isinstance(value, str) else text
+        while line in numbers and (row := next(reader, None)) is not None:
+            if len(row) == width:
+                rows.append(row)
+                begin.append(line)
+            elif len(row) > 1 or "".join(row).strip():
+                raise InputError(f"{path}:{line}: {len(row)} fields; the first line has {width}")
+            line = numbers[0] + reader.line_num if layout.delimiter else line + 1
+    except csv.Error as error:
+        raise InputError(f"{path}:{line}: {error}") from error
+    fields = list(zip(*rows, strict=True)) or [()] * width
+    return begin, {name: np.array(fields[place], dtype=object) for name, place in used.items()}, line

@@ -20,28 +20,27 @@ One row per vehicle and frame under a header; columns in any order, further ones
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .source import column_places, csv_columns, fields_of, first_line, number, numbers, quoted
+from .source import Column, Layout, Rows, fields_of, first_lines, read_rows
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Placing, Recording, RepairReport, with_overlaps_reported
 
 _LENGTHS = ("length_m", "width_m", "height_m")
-NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
 OPTIONAL = ("z_m", "time_s", "lane")
-_WHOLE = ("frame", "vehicle_id", "lane")
-_LIMITS = {
-    "frame": (-(2**53), 2**53),
-    "vehicle_id": (0, 2**53),  # -1 is what is no vehicle
-    "lane": (1 - 2**15, 2**15 - 1),
-    "time_s": (-1e12, 1e12),
-    **dict.fromkeys(_LENGTHS, (1e-3, 1e3)),
-    **dict.fromkeys(("x_m", "y_m", "z_m", "heading_deg"), (-1e9, 1e9)),  # sums and squares stay finite
+_FAR = Column("a number, -1e9 to 1e9", -1e9, 1e9)  # sums and squares stay finite
+COLUMNS = {
+    "frame": Column("a whole number", whole=True),
+    "vehicle_id": Column("a whole number of at least 0", low=0, whole=True),  # -1 is what is no vehicle
+    **dict.fromkeys(("x_m", "y_m", "z_m", "heading_deg"), _FAR),
+    **dict.fromkeys(_LENGTHS, Column("more than 0, 0.001 to 1000", 1e-3, 1e3)),
+    "time_s": Column("a number of seconds", -1e12, 1e12),
+    "lane": Column("a whole number", 1 - 2**15, 2**15 - 1, whole=True),
 }
+NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
 _TIME_STEP_LIMITS_S = (1e-3, 1e6)
 _SAME_TIME_S = 1e-6
 _ASSUMED_TIME_STEP_S = 0.1
@@ -100,52 +99,31 @@ def read_table(
 
 def is_table_header(fields: list[str]) -> bool:
     """Whether a file's first fields are those of a table of boxes, complete or not."""
-    return len({field.strip().lower() for field in fields} & {"x_m", "y_m", "heading_deg", "length_m"}) > 1
+    return len({field.lower() for field in fields} & {"x_m", "y_m", "heading_deg", "length_m"}) > 1
 
 
 def _columns(path: str | Path) -> dict[str, np.ndarray]:
     """The columns that are used, by name: classes as indices, the others as float64."""
-    header_line, line = first_line(path, "a table of boxes")
-    header = [field.strip().lower() for field in fields_of(line)]
-    places = column_places(header, {name: name for name in NEEDED}, OPTIONAL, f"{path}:{header_line}")
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in places}
-    for lines, fields in csv_columns(path, header_line, len(header)):
-        for name, place in places.items():
-            read = _class_indices if name == "class" else _numbers
-            parts[name].append(read(path, name, fields[place], lines))
-    if not parts["frame"]:
-        raise InputError(f"{path}: no rows below the header in line {header_line}")
-    return {name: np.concatenate(part) for name, part in parts.items()}
+    line, text = first_lines(path)[0]
+    layout = Layout([field.lower() for field in fields_of(text)], ",", line + 1)
+    layout.check(NEEDED, OPTIONAL, f"{path}:{line}")
+    parts = [
+        {name: rows.numbers(name, COLUMNS[name]) for name in rows.columns if name != "class"}
+        | {"class": _class_indices(rows)}
+        for rows in read_rows(path, layout, COLUMNS, ["class"])
+    ]
+    if not parts:
+        raise InputError(f"{path}: no rows below the header in line {line}")
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _numbers(path: str | Path, name: str, texts: tuple[str, ...], lines: Sequence[int]) -> np.ndarray:
-    values, (low, high) = numbers(texts), _LIMITS[name]
-    good = (values >= low) & (values <= high)
-    if name in _WHOLE:
-        good &= np.rint(values) == values
-    if not good.all():
-        at = int(good.argmin())
-        raise InputError(f"{path}:{lines[at]}: {name} is {quoted(texts[at])}; allowed: {_allowed(name, texts[at])}")
-    return values
-
-
-def _allowed(name: str, text: str) -> str:
-    low, high = _LIMITS[name]
-    if name in _WHOLE:
-        return "a whole number of at least 0" if low == 0 else "a whole number"
-    value = number(text)
-    if np.isfinite(value) and not (name in _LENGTHS and value <= 0):
-        return f"{low:g} to {high:g}"
-    return "more than 0" if name in _LENGTHS else "a finite number"
-
-
-def _class_indices(path: str | Path, name: str, texts: tuple[str, ...], lines: Sequence[int]) -> np.ndarray:
-    distinct = {text: text.strip().lower() for text in set(texts)}
-    if not set(distinct.values()) <= set(CLASSES):
-        at = next(row for row, text in enumerate(texts) if distinct[text] not in CLASSES)
-        raise unknown_name(texts[at], CLASSES, name, f"{path}:{lines[at]}")
-    index = {text: CLASSES.index(known) for text, known in distinct.items()}
-    return np.array([index[text] for text in texts], dtype=np.int8)
+def _class_indices(rows: Rows) -> np.ndarray:
+    index = {name: number for number, name in enumerate(CLASSES)}
+    found = np.array([index.get(text.strip().lower(), -1) for text in rows.columns["class"].tolist()], dtype=np.int8)
+    if (found < 0).any():
+        row = int(found.argmin())
+        raise unknown_name(rows.columns["class"][row], CLASSES, "class", rows.where(row))
+    return found
 
 
 def _times(
