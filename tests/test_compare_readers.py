@@ -229,9 +229,9 @@ def test_what_is_told_of_frames_comes_from_beside_or_from_where_it_is_named(tmp_
         ([HEADER, ROWS[0].replace("1,0,", "1,0.5,", 1)], "cars.csv:2: label_line is '0.5'; allowed: a whole number"),
         ([HEADER, ROWS[0].replace("1,0,", "1,-1,", 1)], "cars.csv:2: label_line is '-1'; allowed: a whole number"),
         ([HEADER, ROWS[0].replace("1,0,", " ,0,", 1)], "cars.csv:2: frame is empty"),
-        ([HEADER, "", ROWS[0] + ",7"], "cars.csv:3: 10 fields; the header has 9"),
+        ([HEADER, "", ROWS[0] + ",7"], "cars.csv:3: 10 fields; the first line has 9"),
         ([HEADER], "has no row below its header"),
-        ([""], "cars.csv: empty; "),
+        ([""], "cars.csv: no rows; "),
     ],
 )
 def test_a_row_or_column_that_cannot_be_used_is_named_in_one_line(tmp_path, lines, told):
@@ -259,7 +259,7 @@ def test_a_table_of_frames_that_cannot_be_used_is_named_too(tmp_path, lines, tol
 def test_files_that_are_not_there_or_no_tables_are_refused(tmp_path):
     with pytest.raises(MissingFileError, match="no such file"):
         read_detections(tmp_path / "none.csv")
-    with pytest.raises(InputError, match="a folder; a file"):
+    with pytest.raises(InputError, match="is a folder; allowed: a file"):
         read_detections(tmp_path)
     binary = tmp_path / "binary.csv"
     binary.write_bytes(bytes(range(256)) * 4)
@@ -267,7 +267,7 @@ def test_files_that_are_not_there_or_no_tables_are_refused(tmp_path):
         read_detections(binary)
     assert "\n" not in str(caught.value)
     cars = written(tmp_path, HEADER, *ROWS)
-    with pytest.raises(MissingFileError, match=r"nowhere.csv: no such file"):
+    with pytest.raises(MissingFileError, match=r"nowhere.csv: there is no such file"):
         read_detections(cars, tmp_path / "nowhere.csv")
 
 
@@ -293,7 +293,7 @@ def test_which_frames_were_fitted_to_is_read_from_the_list_whatever_others_are_t
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("frame,split,label_kind\n1,val,object\n2,val\n", "frames.csv:3: 2 fields; the header has 3"),
+        ("frame,split,label_kind\n1,val,object\n2,val\n", "frames.csv:3: 2 fields; the first line has 3"),
         ("frame,split,label_kind\n1,,object\n", "frames.csv:2: split is empty"),
         ("name,split,label_kind\n1,val,object\n", "frames.csv: no column frame; needed: frame; it has name"),
         ("frame,split\n", "frames.csv: has no row below its header"),

@@ -102,21 +102,24 @@ class Layout(NamedTuple):
     delimiter: str | None
     first_line: int
 
-    def check(self, needed: Iterable[str], optional: Collection[str], where: str) -> None:
-        """Refuse a header, which stands at `where`, that lacks a column or has one twice.
+    def check(self, needed: Iterable[str], optional: Iterable[str], where: str) -> list[str]:
+        """The columns that are used: the needed ones, and the optional ones that are there.
 
         Raises
         ------
         InputError
-            Naming it.
+            If the header, which stands at `where`, lacks a needed one or has one twice.
         """
         needed = list(needed)
         missing = [name for name in needed if name not in self.columns]
         if missing:
-            raise InputError(f"{where}: no column {', '.join(missing)}; needed: {', '.join(needed)}")
-        for name in (*needed, *optional):
+            listed = f"needed: {', '.join(needed)}; it has {', '.join(self.columns)}"
+            raise InputError(f"{where}: no column {', '.join(missing)}; {listed}")
+        used = [*needed, *(name for name in optional if name in self.columns)]
+        for name in used:
             if self.columns.count(name) > 1:
                 raise InputError(f"{where}: column {name} is there twice")
+        return used
 
 
 # --- Columns of numbers -----------------------------------------------------------------------------------

@@ -284,6 +284,7 @@ def _xml_rows(path: str | Path) -> Iterator[Rows]:
 
 _PARQUET_ROWS = 50_000
 _MARKS = ("tag", "person_id", "container_id")  # further columns that tell what a row is
+_OPTIONAL = ("type", "lane", "z", *_MARKS)
 
 
 def _delimiter_of(header: str) -> str:
@@ -295,7 +296,7 @@ def _csv_rows(path: str | Path) -> Iterator[Rows]:
     line, text = first_lines(path)[0]
     delimiter = _delimiter_of(text)
     layout = Layout(_attributes(fields_of(text, delimiter)), delimiter, line + 1)
-    layout.check(NEEDED, (*COLUMNS, *_TEXTS, *_MARKS), f"{path}:{line}")
+    layout.check(NEEDED, _OPTIONAL, f"{path}:{line}")
     yield from map(_with_tags, read_rows(path, layout, COLUMNS, (*_TEXTS, *_MARKS)))
 
 
@@ -313,11 +314,10 @@ def _parquet_rows(path: str | Path) -> Iterator[Rows]:
         with pyarrow.parquet.ParquetFile(path) as file:
             names = file.schema_arrow.names
             layout = Layout(_attributes(names), None, 1)
-            layout.check(NEEDED, (*COLUMNS, *_TEXTS, *_MARKS), str(path))
-            used = {name: at for at, name in enumerate(layout.columns) if name in (*COLUMNS, *_TEXTS, *_MARKS)}
+            used = {name: names[layout.columns.index(name)] for name in layout.check(NEEDED, _OPTIONAL, str(path))}
             first = 1
-            for batch in file.iter_batches(batch_size=_PARQUET_ROWS, columns=[names[at] for at in used.values()]):
-                columns = {name: batch.column(names[at]).to_numpy(zero_copy_only=False) for name, at in used.items()}
+            for batch in file.iter_batches(batch_size=_PARQUET_ROWS, columns=[*used.values()]):
+                columns = {name: batch.column(held).to_numpy(zero_copy_only=False) for name, held in used.items()}
                 yield _with_tags(Rows(columns, range(first, first + batch.num_rows), f"{path}: row "))
                 first += batch.num_rows
     except InputError:  # a ValueError too

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError, printable
-from ...traffic.source import column_places, csv_columns, fields_of, first_line, numbers
+from ...traffic.source import Layout, fields_of, first_lines, numbers, read_rows
 
 FRAMES_FILE = "frames.csv"
 FRAME_COLUMNS = ("split", "label_kind", "drive")
@@ -41,16 +41,14 @@ class _Table:
     """
 
     def __init__(self, path: Path, columns: Callable[[list[str]], tuple[Iterable[str], Iterable[str]]]) -> None:
-        first, header = first_line(path, "a header")
-        names = [printable(name.strip(), _LONGEST_NAME) for name in fields_of(header)]
-        needed, optional = columns(names)
-        hint = f"; it has {', '.join(names)}"
-        places = column_places(names, {name: name for name in needed}, optional, str(path), hint)
-        self.path, self.lines, self.texts = path, [], {name: [] for name in places}
-        for lines, fields in csv_columns(path, first, len(names)):
-            self.lines += lines
-            for name, place in places.items():
-                self.texts[name] += [printable(text.strip(), _LONGEST_NAME) for text in fields[place]]
+        line, header = first_lines(path)[0]
+        layout = Layout([printable(name, _LONGEST_NAME) for name in fields_of(header)], ",", line + 1)
+        used = layout.check(*columns(layout.columns), str(path))
+        self.path, self.lines, self.texts = path, [], {name: [] for name in used}
+        for rows in read_rows(path, layout, {}, used):
+            self.lines += rows.lines
+            for name in used:
+                self.texts[name] += [printable(text.strip(), _LONGEST_NAME) for text in rows.columns[name].tolist()]
         if not self.lines:
             raise InputError(f"{path}: has no row below its header")
         for name, texts in self.texts.items():
@@ -59,7 +57,7 @@ class _Table:
 
     def shares(self, name: str, allowed: str = "0 to 1", most: float = 1.0, *, whole: bool = False) -> np.ndarray:
         """A column of numbers from 0 to 1, or to another limit, (n,)."""
-        values = numbers(self.texts[name])
+        values = numbers(np.array(self.texts[name], dtype=object))
         fits = (values >= 0.0) & (values <= most) & ((values == np.floor(values)) | (not whole))
         for row in np.flatnonzero(~fits):
             raise InputError(f"{self.path}:{self.lines[row]}: {name} is {self.texts[name][row]!r}; allowed: {allowed}")
