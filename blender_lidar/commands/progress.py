@@ -63,38 +63,35 @@ class RunProgress:
     def __init__(self, variables: Sequence[str], metric: Metric = PE_VGOP) -> None:
         self._metric = metric
         self._names = [MOUNTING[key].option.removeprefix("--") for key in variables]
-        self._searched: Search | None = None
-        self._search: Progress | None = None
-        self._map: Progress | None = None
-        self._evaluations = 0
+        self._searched: Search | MultiFidelitySearch | None = None
+        self._evaluations, self._mapping = 0, False
+        self._shown: Progress | None = None
 
     def __enter__(self) -> RunProgress:
         return self
 
     def __exit__(self, *exception) -> None:
-        for progress in (self._search, self._map):
-            if progress is not None:
-                progress.close()
+        if self._shown is not None:
+            self._shown.close()
 
     def searching(self, search: Search | MultiFidelitySearch) -> None:
-        if search is not self._searched:
-            self._begin(search)
+        if search is self._searched:
+            self._shown.advance(search.evaluations - self._evaluations, self._best(search))
         else:
-            self._search.advance(search.evaluations - self._evaluations, self._best(search))
-        self._evaluations = search.evaluations
-
-    def _begin(self, search: Search) -> None:
-        """Show a search from where it is; the second one is that over the tolerance."""
-        what = "search" if self._searched is None else "search over the tolerance"
-        if self._search is not None:
-            self._search.close()
-        self._searched, self._search = search, Progress(search.budget, what, search.evaluations)
+            what = "search" if self._searched is None else "search over the tolerance"
+            self._show(Progress(search.budget, what, search.evaluations))
+        self._searched, self._evaluations = search, search.evaluations
 
     def mapping(self, points: int) -> None:
-        if self._map is None:
-            self._search.close()
-            self._map = Progress(POINTS[0] * POINTS[1], "map of heights and tilts")
-        self._map.advance(points)
+        if not self._mapping:
+            self._mapping = True
+            self._show(Progress(POINTS[0] * POINTS[1], "map of heights and tilts"))
+        self._shown.advance(points)
+
+    def _show(self, progress: Progress) -> None:
+        """Show another in place of the one before."""
+        self.__exit__()
+        self._shown = progress
 
     def _best(self, search):
         if isinstance(search, MultiFidelitySearch) and search.best_value == -math.inf:

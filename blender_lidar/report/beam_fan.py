@@ -90,10 +90,8 @@ def _ends_m(model: LidarModel) -> np.ndarray:
     """Where each beam leaves the picture or reaches the sensor's range: distance and height, (r, 2) [m]."""
     along, up = np.cos(model.elevation_rad), np.sin(model.elevation_rad)
     room = np.where(up < 0.0, MOUNT_HEIGHT_M, _TOP_M - MOUNT_HEIGHT_M)
-    length = np.full(model.rings, model.range_max_m)
-    for extent, component in ((np.full(model.rings, REACH_M), along), (room, np.abs(up))):
-        reach = np.divide(extent, component, out=np.full(model.rings, np.inf), where=component > 0.0)
-        length = np.minimum(length, reach)
+    with np.errstate(divide="ignore"):  # a level beam reaches neither edge
+        length = np.minimum(model.range_max_m, np.minimum(REACH_M / along, room / np.abs(up)))
     return np.stack([length * along, MOUNT_HEIGHT_M + length * up], axis=1)
 
 
@@ -112,14 +110,12 @@ def _column_of(distance_m: np.ndarray) -> np.ndarray:
 
 def _ruler() -> tuple[str, str]:
     """The text picture's axis: marks every 10 m, and the numbers below them."""
-    ruler, labels = ["-"] * _COLUMNS, [" "] * _COLUMNS
-    for tick in range(0, int(REACH_M), 10):
-        column = int(_column_of(np.array(tick)))
-        ruler[column] = "+"
-        start = max(0, column - len(str(tick)) // 2)
-        labels[start : start + len(str(tick))] = str(tick)
-    ruler[-1] = "+"
-    return "".join(ruler), f"{''.join(labels[:-3])}{REACH_M:.0f} m"
+    ticks = {int(_column_of(np.array(tick))): str(tick) for tick in range(0, int(REACH_M), 10)}
+    ruler = "".join("+" if column in (*ticks, _COLUMNS - 1) else "-" for column in range(_COLUMNS))
+    labels = ""
+    for column, name in ticks.items():
+        labels = labels.ljust(column - len(name) // 2) + name
+    return ruler, labels.ljust(_COLUMNS - 3) + f"{REACH_M:.0f} m"
 
 
 def _bands(distance_m: np.ndarray) -> str:

@@ -41,6 +41,7 @@ FEWEST_VEHICLES = 5  # below this a band's average says little, and is not drawn
 BAND_M = 10.0
 _CELL_LENGTH_M = 5.0  # of the blind zones, along the road
 _MARGIN_M = 1.5  # room for the LiDAR's marker
+_NOBODY = "no vehicles"
 
 
 def draw_charts(site: Site, run: Outcome) -> list[str]:
@@ -155,11 +156,8 @@ def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
 
 def _mark(axes: Axes, score_map: ScoreMap, mount: Mapping, name: str, amount: str, look: Mapping) -> Line2D:
     """A marker at a mounting or, with an arrow leading out of the map, at the edge nearest to it."""
-    at = np.array([mount["tilt_x_deg"], mount["height_m"]])
-    edge = [
-        np.clip(place, axis[0], axis[-1])
-        for place, axis in zip(at, (score_map.tilt_deg, score_map.height_m), strict=True)
-    ]
+    at, grid = np.array([mount["tilt_x_deg"], mount["height_m"]]), (score_map.tilt_deg, score_map.height_m)
+    edge = np.clip(at, [axis[0] for axis in grid], [axis[-1] for axis in grid])
     label = f"{name}: {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f}°"
     if (edge != at).any():
         label += ", off the map"
@@ -218,15 +216,14 @@ def plot_by_distance(path: str | Path, run: Outcome) -> None:
         if not score.dataLim.y0 < 0.0:
             score.set_ylim(bottom=0.0)
         handles += _draw_counts(count, centre_m, counts)
-        count.set(xlabel="Horizontal distance from the LiDAR [m]", xlim=(0.0, edges_m[-1]))
-        count.set_ylabel("Vehicles\n[number]")
-        count.set_ylim(bottom=0.0)
+        labels = {"xlabel": "Horizontal distance from the LiDAR [m]", "ylabel": "Vehicles\n[number]"}
+        count.set(xlim=(0.0, edges_m[-1]), ylim=(0.0, None), **labels)
         count.yaxis.get_major_locator().set_params(integer=True)
         for axes in (share, score, count):
             axes.grid(visible=True)
         if not any(map(len, distances)):
-            say_empty(share, "no vehicles")
-            say_empty(score, "no vehicles")
+            say_empty(share, _NOBODY)
+            say_empty(score, _NOBODY)
         figure.align_ylabels()
         legend_below(figure, handles, columns=len(handles))
 
@@ -293,17 +290,14 @@ def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame) -> None:
         panels = figure.subplots(2, 1, sharex=True, sharey=True)
         for axes, table, (name, mount) in zip(panels, tables, mountings, strict=True):
             below = np.where(table["detectable"], 0.0, 100.0)
-            mesh, empty = _draw_cells(
-                axes, x_edges, y_edges, cell_means(below, (table["y_m"], table["x_m"]), (y_edges, x_edges))
-            )
+            share = cell_means(below, (table["y_m"], table["x_m"]), (y_edges, x_edges))
+            mesh, empty = _draw_cells(axes, x_edges, y_edges, share)
             _draw_lanes(axes, np.arange(low, high + 0.5 * lane_m, lane_m))
             marker = mark_sensor(axes, mount)
-            found = "no vehicles"
-            if below.size:
-                found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold"
-            else:
-                say_empty(axes, found)
+            found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold" if below.size else _NOBODY
             axes.set(title=f"{name}: {mounting_text(mount)}\n{found}", ylabel="Across the road, y [m]")
+            if not below.size:
+                say_empty(axes, _NOBODY)
         across = poles[:, 1]
         panels[-1].set(
             xlim=(x_edges[0], x_edges[-1]),

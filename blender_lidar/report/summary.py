@@ -358,7 +358,10 @@ def cautions(result: Mapping) -> list[str]:
         found.append("No mounting that was tried is better than the baseline.")
     for key, (name, _) in COORDINATE_NAMES.items():
         bounds = result["identity"][f"[deployment] {key}"]
-        if isinstance(bounds, list) and not _well_within(result["deployment"][key], *bounds):
+        if not isinstance(bounds, list):
+            continue
+        slack = _ON_A_BOUND * (bounds[1] - bounds[0])
+        if not bounds[0] + slack < result["deployment"][key] < bounds[1] - slack:
             found.append(f"The best {name} lies on a bound of [deployment]; beyond may be better.")
     if result.get("rungs"):
         tried = sum(rung["candidates"] for rung in result["rungs"])
@@ -375,12 +378,6 @@ def cautions(result: Mapping) -> list[str]:
 def better_than_baseline(result: Mapping) -> bool:
     """Whether the mounting beats the baseline on the frames that were searched."""
     return result["objective"] > result["baseline"]["objective"]
-
-
-def _well_within(value: float, low: float, high: float) -> bool:
-    """Whether a coordinate is farther from both bounds than a search that reflects there would come."""
-    slack = _ON_A_BOUND * (high - low)
-    return low + slack < value < high - slack
 
 
 def aim_text(settings: Mapping) -> str:

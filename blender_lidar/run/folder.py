@@ -213,12 +213,10 @@ class RunFolder:
             "objective_per_vehicle": score_map.per_vehicle.ravel(),
             "detectable_share": score_map.detectable_share.ravel(),
         }
-        blocks = score_map.block_objective.reshape(height.size, -1).T
-        columns |= {f"{_BLOCK_OBJECTIVE}{number}": values for number, values in enumerate(blocks)}
-        columns |= {
-            f"{_BLOCK_VEHICLES}{number}": np.full(height.size, int(vehicles))
-            for number, vehicles in enumerate(score_map.block_vehicles)
-        }
+        objective, vehicles = score_map.block_objective, score_map.block_vehicles.astype(int)
+        blocks = range(len(vehicles))
+        columns |= {f"{_BLOCK_OBJECTIVE}{block}": objective[..., block].ravel() for block in blocks}
+        columns |= {f"{_BLOCK_VEHICLES}{block}": np.full(height.size, vehicles[block]) for block in blocks}
         write_columns(self.file(SCORE_MAP), columns)
 
     def read_history(self) -> np.ndarray:

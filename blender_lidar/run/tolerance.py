@@ -149,14 +149,14 @@ class Judged:
         share = float(aimed(self.totals.detectable_share(), self.aim))
         return {"objective_per_vehicle": self.per_vehicle, "detectable_share": share}
 
-    def gain_over(self, other: Judged, seed: int) -> tuple[float, list[float] | None]:
+    def gain_over(self, other: Judged, seed: int, called: str = "gain_over_baseline") -> dict[str, object]:
         """Objective per vehicle over that of another mounting on the same frames, and its 90 % interval."""
-        interval = statistic_interval_90(
-            lambda weights: self.per_vehicle_under(weights) - other.per_vehicle_under(weights),
-            self.block_vehicles,
-            seed,
-        )
-        return self.per_vehicle - other.per_vehicle, None if interval is None else list(interval)
+
+        def gain(weights: np.ndarray) -> np.ndarray:
+            return self.per_vehicle_under(weights) - other.per_vehicle_under(weights)
+
+        interval = statistic_interval_90(gain, self.block_vehicles, seed)
+        return {called: self.per_vehicle - other.per_vehicle, "interval_90": interval and list(interval)}
 
 
 def judged_rows(totals: Totals, rows: slice, block: Sequence[int], aim: str = "mean") -> Judged:

@@ -54,20 +54,14 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
         return {name: judged_rows(totals, slice(row, row + 1), block) for row, name in enumerate(mountings)}
 
     searched, held_out = _on_both_splits(site, evaluator, planned)
+    vehicles, block = evaluator.held_out.vehicles, site.plan.holdout_block
+    size = {"vehicles": int(vehicles.sum()), "frames": len(vehicles), "blocks": len(np.unique(block))}
     verdict = {}
     for name, found in searched.items():
         verdict[name] = {"objective": float(found.totals.objective.sum()), **found.scores(), "holdout": None}
         if held_out:
-            gain, interval = held_out[name].gain_over(held_out[BASELINE], seed)
-            vehicles, block = held_out[name].totals.vehicles, held_out[name].block
-            verdict[name]["holdout"] = {
-                **held_out[name].scores(),
-                "gain_over_baseline": gain,
-                "interval_90": interval,
-                "vehicles": int(vehicles.sum()),
-                "frames": len(vehicles),
-                "blocks": len(np.unique(block)),
-            }
+            judged = held_out[name]
+            verdict[name]["holdout"] = {**judged.scores(), **judged.gain_over(held_out[BASELINE], seed), **size}
     return verdict
 
 
@@ -100,22 +94,19 @@ def judge_over_tolerance(
         kept = split[name].kept(split[BASELINE].planned.per_vehicle)
         return {**split[name].installed.scores(), "gain_kept": kept, "loss_at_limits": split[name].limit_losses}
 
-    def beside(one: Judged, other: Judged, called: str = "objective_per_vehicle") -> dict:
-        return dict(zip((called, "interval_90"), one.gain_over(other, seed), strict=True))
-
     searched, held_out = _on_both_splits(site, evaluator, losses)
     verdict = {}
     for name, found in searched.items():
         objective = found.installed.per_vehicle * int(evaluator.vehicles.sum())
         verdict[name] = {"objective": objective, **scores(searched, name), "holdout": None}
         if held_out:
-            gain = beside(held_out[name].installed, held_out[BASELINE].planned, "gain_over_baseline")
+            gain = held_out[name].installed.gain_over(held_out[BASELINE].planned, seed)
             verdict[name]["holdout"] = {**scores(held_out, name), **gain}
     if held_out and NOMINAL in mountings:
         robust, nominal = held_out["optimised"], held_out[NOMINAL]
         verdict["optimised"]["holdout"]["over_sharp"] = {
-            "as_planned": beside(robust.planned, nominal.planned),
-            "over_tolerance": beside(robust.installed, nominal.installed),
+            "as_planned": robust.planned.gain_over(nominal.planned, seed, "objective_per_vehicle"),
+            "over_tolerance": robust.installed.gain_over(nominal.installed, seed, "objective_per_vehicle"),
         }
     return verdict
 
