@@ -10,7 +10,6 @@ import pytest
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.occupancy_prior import (
     OccupiedFrames,
-    _raise_to,
     bernoulli_entropy,
     box_visibility,
     reach_probability,
@@ -182,15 +181,6 @@ def test_visibility_equals_the_product_along_every_beam(occupied):
     np.testing.assert_allclose(reached, expected, rtol=1e-12)
     assert ((reached > 0.01) & (reached < 0.9)).sum() > 50
     assert expected_visibility(prior, reached) == pytest.approx(sum(prior * expected), rel=1e-12)
-
-
-def test_of_many_beams_in_a_voxel_the_strongest_counts_whatever_their_order():
-    rng = np.random.default_rng(9)
-    for _ in range(20):
-        best, place, value = rng.uniform(0, 0.5, 30), rng.integers(0, 30, 400), rng.uniform(0, 1, 400)
-        expected = [max([old, *value[place == number]]) for number, old in enumerate(best)]
-        _raise_to(best, place, value)
-        assert best.tolist() == expected
 
 
 def test_the_mean_number_of_voxels_expected_to_be_seen_is_the_visibility(occupied):

@@ -241,7 +241,7 @@ def reach_probability(
     strength = np.ones(len(walk.beam))  # of each beam: the product so far
     for voxel in walk.steps():
         still = strength[: len(voxel)]
-        _raise_to(best, voxel, still)
+        np.maximum.at(best, voxel, still)
         still *= free[voxel]
     return walk.without_rim(best)
 
@@ -267,12 +267,3 @@ def box_visibility(
     boxes = zip(centre_m, size_m, heading_rad, strict=True)
     voxels = [grid.in_boxes(*(part[None] for part in box)) for box in boxes]
     return np.array([reached[inside].mean() if len(inside) else 0.0 for inside in voxels])
-
-
-def _raise_to(best: np.ndarray, place: np.ndarray, value: np.ndarray) -> None:
-    """The greatest value for each place into `best`: `numpy.maximum.at`, which was slow before NumPy 1.25."""
-    greater = value > best[place]
-    while greater.any():
-        place, value = place[greater], value[greater]
-        best[place] = value  # of several for one place the last stays; the others are looked at again
-        greater = value > best[place]

@@ -117,21 +117,13 @@ def _neighbours(points, centres, radius):
     middle = (np.floor(middle_x / reach)[:, None] + np.array([-1.0, 0.0, 1.0])) * height + middle_y[:, None]
     first = np.searchsorted(place, middle - reach, side="left")
     length = np.searchsorted(place, middle + reach, side="right") - first
-    ends = np.cumsum(length.sum(axis=1))
     within = np.zeros(len(centres), dtype=np.int64)
-    start = 0
-    while start < len(centres):
-        before = ends[start - 1] if start else 0
-        stop = max(int(np.searchsorted(ends, before + _PAIRS_AT_A_TIME, side="right")), start + 1)
-        many = length[start:stop].ravel()
-        candidate = np.arange(many.sum()) + np.repeat(first[start:stop].ravel() - (np.cumsum(many) - many), many)
-        pairs = length[start:stop].sum(axis=1)
-        across = x[candidate] - np.repeat(middle_x[start:stop], pairs)
-        along = y[candidate] - np.repeat(middle_y[start:stop], pairs)
-        near = np.append(0, np.cumsum(across * across + along * along <= radius * radius))
-        last = np.cumsum(pairs)
-        within[start:stop] = near[last] - near[last - pairs]
-        start = stop
+    for some in np.array_split(np.arange(len(centres)), length.sum() // _PAIRS_AT_A_TIME + 1):
+        many = length[some].ravel()
+        candidate = np.arange(many.sum()) + np.repeat(first[some].ravel() - (np.cumsum(many) - many), many)
+        disc = np.repeat(some, length[some].sum(axis=1))
+        across, along = x[candidate] - middle_x[disc], y[candidate] - middle_y[disc]
+        within += np.bincount(disc[across * across + along * along <= radius * radius], minlength=len(within))
     return within
 
 

@@ -185,17 +185,6 @@ class Hardened(Search):
         self._began = self.evaluations
         self._followed = False  # whether a climb has started from its best
 
-    @property
-    def _opening(self) -> int:
-        """Evaluations of the swarm before the climbs."""
-        share = int(self.settings.opening * min(self._round, self._budget - self._began))
-        return max(share, _FEWEST_GENERATIONS * self.settings.swarm)
-
-    @property
-    def _round(self) -> int:
-        """Evaluations after which no climb starts without another swarm."""
-        return _ROUND * self._lower.size
-
     def _candidates(self) -> np.ndarray:
         shares = (self._climb or self._swarm).candidates[: self._budget - self.evaluations]
         return in_box(shares, self._lower, self._upper)
@@ -225,18 +214,20 @@ class Hardened(Search):
 
     def _choose(self) -> None:
         """A climb starts once the swarm has had its share or nothing left to do, as long as the round lasts."""
-        swarm, spent = self._swarm, self.evaluations - self._began
+        use, swarm, spent = self.settings, self._swarm, self.evaluations - self._began
+        whole = _ROUND * self._lower.size  # the round, after which no climb starts without another swarm
         if swarm.value.max() == -math.inf:  # nothing feasible: there is nothing to learn from
             self._begin_anew()
-        elif not self.settings.climbs:
+        elif not use.climbs:
             if swarm.exhausted:
                 self._begin_anew()
         elif not self._followed:
-            if spent >= self._opening or swarm.exhausted:
+            opening = max(int(use.opening * min(whole, self._budget - self._began)), _FEWEST_GENERATIONS * use.swarm)
+            if spent >= opening or swarm.exhausted:
                 self._followed = True
                 self._start_climb(swarm.best[swarm.order[0]], *self._width_and_shape())
         else:
-            found = self._basins.unclimbed(np.array(self._climbed)) if spent < self._round else None
+            found = self._basins.unclimbed(np.array(self._climbed)) if spent < whole else None
             if found is None:
                 self._begin_anew()
             else:

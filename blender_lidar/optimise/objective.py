@@ -45,12 +45,7 @@ def detectable(occupancy: np.ndarray, threshold: float = 0.005, view: str = "mea
         raise InputError(f"occupancy: shape {occupancy.shape}; allowed: (..., 3), one column per view")
     if not (occupancy >= 0.0).all():
         raise InputError("occupancy: negative or NaN; allowed: shares, 0 or more")
-    if view == "mean":
-        share = occupancy.mean(axis=-1)
-    elif view == "max":
-        share = occupancy.max(axis=-1)
-    else:
-        share = occupancy.min(axis=-1)
+    share = getattr(occupancy, view)(axis=-1)  # views are named as NumPy's means and extremes
     return share >= threshold  # Eq. 11
 
 

@@ -13,7 +13,6 @@ import logging
 import operator
 import pickle
 import threading
-import time
 import uuid
 import warnings
 import weakref
@@ -34,7 +33,6 @@ from ..signals import stops_deferred
 _ANSWER_S = 10.0  # a scheduler that is there answers in milliseconds, unless it is very busy
 _NOBODY_S = 30.0  # what a worker that died may take to be started anew
 _LOOK_ROUND_S = 2.0
-_LOOK_AGAIN_S = 0.1
 _MOST_CANCELLED = 20  # times that calls of one batch are begun anew
 _LEAST_ITEMS = 16  # of a task, which costs some milliseconds
 _TASKS_PER_WORKER = 4  # few enough to amortise a task, enough to even out uneven ones
@@ -201,18 +199,18 @@ class ClusterWorkers:
 
     def _workers(self) -> list[str]:
         """Addresses of the worker processes; waits a while for one."""
-        end = time.monotonic() + _NOBODY_S
-        while True:
-            with self._scheduler_needed():
+        with self._scheduler_needed():
+            present = list(self._client.nthreads())
+            if not present:
+                with suppress(TimeoutError):
+                    self._client.wait_for_workers(1, timeout=_NOBODY_S)
                 present = list(self._client.nthreads())
-            if present:
-                return present
-            if time.monotonic() >= end:
-                raise WorkerError(
-                    f"{self.address}: the dask scheduler there has no workers; start some with `dask worker "
-                    f"{self.address} --nthreads 1`"
-                )
-            time.sleep(_LOOK_AGAIN_S)
+        if not present:
+            raise WorkerError(
+                f"{self.address}: the dask scheduler there has no workers; start some with `dask worker "
+                f"{self.address} --nthreads 1`"
+            )
+        return present
 
     def _hand_out(self) -> list[str]:
         """The workers, of which the new ones are checked and given the function to keep."""

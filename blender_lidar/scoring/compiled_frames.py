@@ -82,15 +82,8 @@ class CompiledScorer:
         surface = shapes.surface[caster.rows]
         vehicle = np.ascontiguousarray(shapes.counted_row[caster.rows])
         targets = Targets(caster.planes, vehicle, surface == GLASS, REFLECTIVITY[surface])
-        boxes = Boxes(
-            np.ascontiguousarray(vehicles.centre_m),
-            np.cos(vehicles.heading_rad),
-            np.sin(vehicles.heading_rad),
-            grids.half_m,
-            grids.cell_m,
-            grids.cells,
-            grids.start,
-        )
+        centre, heading = np.ascontiguousarray(vehicles.centre_m), vehicles.heading_rad
+        boxes = Boxes(centre, np.cos(heading), np.sin(heading), grids.half_m, grids.cell_m, grids.cells, grids.start)
         occluder_origin, occluders = (caster.origin, NO_BOXES) if scenery is None else scenery.occluders
         self._origins = -np.stack([caster.origin, np.zeros(3), occluder_origin])
         self._scene = targets, measurement, occluders, boxes
@@ -115,20 +108,10 @@ class CompiledScorer:
     def _rasterise(self, poses, points, cells, undecided):
         """Add what some mountings see to their rows."""
         origins = np.array([pose.position for pose in poses])[:, None] + self._origins
-        with self._caster.rasterising(self._lattice, len(poses)) as (mesh, _, *drawing):
-            _see_revolutions(
-                mesh,
-                *drawing,
-                self._reach_m,
-                origins,
-                np.array([pose.rotation for pose in poses]),
-                self._components,
-                *self._scene,
-                *self._grids.take_marks(len(poses)),
-                points,
-                cells,
-                undecided,
-            )
+        mountings = origins, np.array([pose.rotation for pose in poses]), self._components
+        into = *self._grids.take_marks(len(poses)), points, cells, undecided
+        with self._caster.rasterising(self._lattice, len(poses)) as (mesh, _, *needed):
+            _see_revolutions(mesh, *needed, self._reach_m, *mountings, *self._scene, *into)
 
     def _cast(self, pose, points, cells):
         """Add what a mounting sees to its rows; whether that is certain."""

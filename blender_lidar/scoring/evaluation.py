@@ -122,8 +122,6 @@ class Evaluator:
     Attributes
     ----------
     frames : tuple of CountedFrame, (f,)
-    vehicles : ndarray of int64, (f,)
-        Vehicles that count in each.
     metric : str
     workers : Workers or ClusterWorkers
         Who do the work, this process among them or not.
@@ -139,7 +137,6 @@ class Evaluator:
         held_out: Sequence[CountedFrame] = (),
     ) -> None:
         self.frames, self._held_out, self.metric = tuple(frames), tuple(held_out), scoring.metric
-        self.vehicles = _counts(self.frames)
         self._first = 0  # place of the first of them among all frames
         self._turn = np.arange(len(self.frames) + len(self._held_out)) * _GOLDEN % 1.0  # of each, wherever asked for
         self._work = _Work(self.frames, self._held_out, observation, scoring)
@@ -155,11 +152,15 @@ class Evaluator:
         ended.close()
 
     @property
+    def vehicles(self) -> np.ndarray:
+        """Vehicles that count in each frame, (f,) int64."""
+        return np.array([frame.counted.sum() for frame in self.frames], dtype=np.int64)
+
+    @property
     def held_out(self) -> Evaluator:
         """Scores the held-out frames in the same processes; a metric with a memory learns from those alone."""
         other = copy(self)
         other.frames, other._held_out, other._first = self._held_out, (), len(self.frames)
-        other.vehicles = _counts(other.frames)
         return other
 
     def totals(
@@ -175,14 +176,14 @@ class Evaluator:
         fidelity : Fidelity, optional
             What the frames are seen through, by `coarse_observation`; the observation itself when left out.
         """
-        chosen = np.arange(len(self.vehicles)) if frames is None else np.array(frames, dtype=int)
+        chosen = np.arange(len(self.frames)) if frames is None else np.array(frames, dtype=int)
         parts, back = self._carried_out("totals", chosen, poses, fidelity)
         objective, found = (np.concatenate(column, axis=1)[:, back] for column in zip(*parts, strict=True))
         return Totals(np.ascontiguousarray(objective), np.ascontiguousarray(found), self.vehicles[chosen])
 
     def by_vehicle(self, poses: Sequence[Pose]) -> list[Scored]:
         """What s mountings make of each counted vehicle, for each frame; without the returns themselves."""
-        parts, back = self._carried_out("by_vehicle", np.arange(len(self.vehicles)), poses, None)
+        parts, back = self._carried_out("by_vehicle", np.arange(len(self.frames)), poses, None)
         scored = list(chain.from_iterable(parts))
         return [scored[place] for place in back]
 
@@ -193,10 +194,6 @@ class Evaluator:
         ends = accumulate(self.workers.sizes(len(frames), len(poses)), initial=0)
         tasks = [(what, frames[start:stop], tuple(poses), fidelity) for start, stop in pairwise(ends)]
         return self.workers.map(*zip(*tasks, strict=True)), np.argsort(order)
-
-
-def _counts(frames: Sequence[CountedFrame]) -> np.ndarray:
-    return np.array([int(frame.counted.sum()) for frame in frames], dtype=np.int64)
 
 
 def site_evaluator(site: Site, frames: Sequence[CountedFrame], held_out: Sequence[CountedFrame] = ()) -> Evaluator:
@@ -244,9 +241,7 @@ class _Work:
     def _through(self, fidelity, held_out):
         """How vehicles are seen through a fidelity, and what scores them; None is the observation as it is."""
         if (fidelity, held_out) not in self._seen:
-            observation = self._observation
-            if fidelity is not None:
-                observation = coarse_observation(observation, fidelity)
+            observation = self._observation if fidelity is None else coarse_observation(self._observation, fidelity)
             scores = VehicleScores(self._scoring, observation, self._groups[held_out])
             self._seen[fidelity, held_out] = observation, scores
         return self._seen[fidelity, held_out]

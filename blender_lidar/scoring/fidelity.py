@@ -6,7 +6,7 @@ It is the detail of the vehicles, the share of the beams, the number of frames, 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,29 +52,22 @@ class Fidelity:
     @property
     def name(self) -> str:
         """A short name, for tables and pictures; phases share it."""
-        parts = [
-            self.detail,
-            "" if self.stride == 1 else f"1/{self.stride}",
-            "" if self.frames is None else f"{self.frames}f",
-            self.caster or "",
-            "" if self.culled else "every beam",
-            "ground" if self.ground else "",
-        ]
-        return " ".join(part for part in parts if part)
+        beams = "" if self.stride == 1 else f"1/{self.stride}"
+        frames = "" if self.frames is None else f"{self.frames}f"
+        return " ".join(self._parts(beams, frames, "every beam", "ground"))
 
     @property
     def text(self) -> str:
         """The same in words."""
         columns = {1: "all beams", 2: "every 2nd column", 3: "every 3rd column"}
-        parts = [
-            self.detail,
-            columns.get(self.stride, f"every {self.stride}th column"),
-            "all frames" if self.frames is None else f"{self.frames} frame{'s' * (self.frames != 1)}",
-            self.caster or "",
-            "" if self.culled else "nothing culled",
-            "the ground cast too" if self.ground else "",
-        ]
-        return ", ".join(part for part in parts if part)
+        beams = columns.get(self.stride, f"every {self.stride}th column")
+        frames = "all frames" if self.frames is None else f"{self.frames} frame{'s' * (self.frames != 1)}"
+        return ", ".join(self._parts(beams, frames, "nothing culled", "the ground cast too"))
+
+    def _parts(self, beams: str, frames: str, unculled: str, ground: str) -> Iterator[str]:
+        """What there is to say of it, in words for each."""
+        parts = self.detail, beams, frames, self.caster, unculled * (not self.culled), ground * self.ground
+        return filter(None, parts)
 
     def observed(self, observation: Observation) -> Observation:
         """The same sensor, seen through this fidelity but for frames and ground; `observation` has every beam.
@@ -110,10 +103,11 @@ def with_fewer_frames(site: Site, frames: int | None) -> Site:
     if frames is None or frames >= len(site.search):
         return site
     kept = evenly_spread(len(site.search), frames)
-    if not any(site.search[row].counted.any() for row in kept):
+    search = tuple(site.search[row] for row in kept)
+    if not any(frame.counted.any() for frame in search):
         return site
     plan = replace(site.plan, search=site.plan.search[kept], search_block=site.plan.search_block[kept])
-    return replace(site, plan=plan, search=tuple(site.search[row] for row in kept))
+    return replace(site, plan=plan, search=search)
 
 
 # --- the rungs of a search: which frames, beams and shapes each scores mountings with ---------------------------------

@@ -50,7 +50,10 @@ class VehicleScores:
     """
 
     def __init__(self, scoring: Scoring, observation: Observation, frames: Sequence[CountedFrame]) -> None:
-        context = None if scoring.field is None else _context(scoring.field, observation, frames)
+        boxes, near, far = tuple(frame.boxes for frame in frames), observation.min_range_m, observation.max_range_m
+        context = None
+        if scoring.field is not None:
+            context = SceneContext(boxes, observation.lattice.directions, near, far, scoring.field)
         self._scoring, self._metric = scoring, metric_named(scoring.metric).learnt(context)
 
     def of(self, frame: CountedFrame, scorer: FrameScorer, poses: Sequence[Pose], mountings: Mountings) -> Scored:
@@ -68,17 +71,6 @@ def mountings_of(poses: Sequence[Pose]) -> Mountings:
     return Mountings(
         np.array([pose.position for pose in poses]).reshape(-1, 3),
         np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3),
-    )
-
-
-def _context(field, observation, frames) -> SceneContext:
-    """What a metric with a memory learns from."""
-    return SceneContext(
-        tuple(frame.boxes for frame in frames),
-        observation.lattice.directions,
-        observation.min_range_m,
-        observation.max_range_m,
-        field,
     )
 
 
