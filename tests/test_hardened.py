@@ -241,10 +241,6 @@ def test_few_candidates_lie_on_the_bounds_where_the_best_is_inside():
     [
         ({"particles": 0}, "particles: 0; allowed: 1 or more"),
         ({"evaluations": 2.5}, "evaluations: 2.5; allowed: a whole number"),
-        ({"opening": 1.5}, "opening: 1.5; allowed: a finite number from 0 to 1"),
-        ({"flights": 1.5}, "flights: 1.5; allowed: a finite number from 0 to 1"),
-        ({"greed": "all"}, "greed: 'all'; allowed: a finite number"),
-        ({"turned": -1.0}, "turned: -1.0; allowed: a finite number"),
     ],
 )
 def test_unusable_settings_are_refused(setting, message):

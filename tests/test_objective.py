@@ -89,10 +89,6 @@ def test_losing_sight_of_a_vehicle_never_raises_the_corrected_sum():
 @pytest.mark.parametrize(
     ("occupancy", "options", "message"),
     [
-        (np.zeros((4, 2)), {}, r"occupancy: shape \(4, 2\); allowed: \(\.\.\., 3\)"),
-        (np.float64(0.1), {}, r"occupancy: shape \(\)"),
-        ([[0.1, np.nan, 0.1]], {}, "negative or NaN"),
-        ([[0.1, -0.1, 0.1]], {}, "negative or NaN"),
         (OCCUPANCY, {"view": "median"}, "unknown view 'median'; .*mean, max, min"),
         (OCCUPANCY, {"threshold": -0.1}, "threshold: -0.1; allowed"),
         (OCCUPANCY, {"threshold": np.nan}, "threshold: nan; allowed"),
@@ -108,7 +104,6 @@ def test_unusable_occupancy_is_refused_in_one_line(occupancy, options, message):
 @pytest.mark.parametrize(
     ("entropy", "seen", "options", "message"),
     [
-        ([0.1, 0.2], [True], {}, r"shape \(2,\), detectable \(1,\)"),
         ([np.nan], [True], {}, "infinite or NaN"),
         ([0.1], [True], {"loss": np.inf}, "loss: inf"),
         ([0.1], [True], {"reading": "literal"}, "unknown reading 'literal'.*corrected, paper"),

@@ -60,11 +60,6 @@ class VoxelGrid:
     def __len__(self) -> int:
         return self.counts[0] * self.counts[1] * self.counts[2]
 
-    @property
-    def high_m(self) -> np.ndarray:
-        """Corner of the region with the greatest x, y and z, (3,) [m]."""
-        return np.add(self.low_m, np.multiply(self.counts, self.voxel_m))
-
     def centres(self, voxel: np.ndarray) -> np.ndarray:
         """Centres of voxels (k,) by number, (k, 3) [m]."""
         return self.low_m + (np.stack(np.unravel_index(voxel, self.counts), axis=-1) + 0.5) * self.voxel_m

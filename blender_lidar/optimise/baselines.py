@@ -25,9 +25,6 @@ class _ListSearch(Search):
     def _candidates(self) -> np.ndarray:
         return self._rows(self.evaluations, min(self.evaluations + _BATCH, self.budget))
 
-    def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
-        pass
-
 
 class GridSearch(_ListSearch):
     """Exhaustive search of a full factorial grid that includes both bounds; the last variable changes fastest.

@@ -20,7 +20,7 @@ import numpy as np
 
 from .adaptive_swarm import AdaptiveSwarm
 from .cma_es import NARROW, CovarianceAdaptation
-from .search import Search, check_number, check_whole, generator, in_box
+from .search import Search, check_whole, generator, in_box
 
 # --- Where else a landscape may have a maximum, told from points that were evaluated ----------------------
 # A point whose nearest better one is far tops a basin, as far as anybody knows; on a slope the nearest better one is
@@ -112,9 +112,9 @@ class HardenedSettings:
     evaluations : int
         The budget, 1 or more.
     opening : float
-        Share of a round that a swarm opens with; three generations at least.
+        Share of a round that a swarm opens with, 0 to 1; three generations at least.
     flights : float
-        Chance per particle and generation of a particle-swarm move in place of a differential jump.
+        Chance, 0 to 1, per particle and generation of a particle-swarm move in place of a differential jump.
     greed : float
         Share of the swarm that counts as its better ones.
     turned : float
@@ -125,7 +125,7 @@ class HardenedSettings:
     Raises
     ------
     InputError
-        If a setting is outside what is said above.
+        If a number of particles or evaluations cannot be used.
     """
 
     particles: int = 20
@@ -139,8 +139,6 @@ class HardenedSettings:
     def __post_init__(self) -> None:
         check_whole(self.particles, 1, "particles")
         check_whole(self.evaluations, 1, "evaluations")
-        for name in ("opening", "flights", "greed", "turned"):
-            check_number(getattr(self, name), 0.0, 1.0, name)
 
     @property
     def swarm(self) -> int:
@@ -186,7 +184,7 @@ class Hardened(Search):
         self._followed = False  # whether a climb has started from its best
 
     def _candidates(self) -> np.ndarray:
-        shares = (self._climb or self._swarm).candidates[: self._budget - self.evaluations]
+        shares = (self._climb or self._swarm).candidates[: self.budget - self.evaluations]
         return in_box(shares, self._lower, self._upper)
 
     def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
@@ -222,7 +220,7 @@ class Hardened(Search):
             if swarm.exhausted:
                 self._begin_anew()
         elif not self._followed:
-            opening = max(int(use.opening * min(whole, self._budget - self._began)), _FEWEST_GENERATIONS * use.swarm)
+            opening = max(int(use.opening * min(whole, self.budget - self._began)), _FEWEST_GENERATIONS * use.swarm)
             if spent >= opening or swarm.exhausted:
                 self._followed = True
                 self._start_climb(swarm.best[swarm.order[0]], *self._width_and_shape())

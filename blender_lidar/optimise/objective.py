@@ -35,17 +35,12 @@ def detectable(occupancy: np.ndarray, threshold: float = 0.005, view: str = "mea
     Raises
     ------
     InputError
-        If the last axis is not 3 long, a share is negative or NaN, or the threshold or view is not one of the above.
+        If the threshold or view is not one of the above.
     """
     if view not in VIEWS:
         raise unknown_name(view, VIEWS, "view")
     threshold = check_number(threshold, 0.0, math.inf, "threshold")
-    occupancy = np.asarray(occupancy, dtype=float)
-    if occupancy.shape[-1:] != (3,):
-        raise InputError(f"occupancy: shape {occupancy.shape}; allowed: (..., 3), one column per view")
-    if not (occupancy >= 0.0).all():
-        raise InputError("occupancy: negative or NaN; allowed: shares, 0 or more")
-    share = getattr(occupancy, view)(axis=-1)  # views are named as NumPy's means and extremes
+    share = getattr(np.asarray(occupancy, dtype=float), view)(axis=-1)  # views are named as NumPy's means and extremes
     return share >= threshold  # Eq. 11
 
 
@@ -74,12 +69,10 @@ def vehicle_score(
     Raises
     ------
     InputError
-        If the shapes differ, a merit or the loss is not finite, or the reading is unknown.
+        If a merit or the loss is not finite, or the reading is unknown.
     """
     check_reading(reading)
     merit, detectable = np.asarray(merit, dtype=float), np.asarray(detectable, dtype=bool)
-    if merit.shape != detectable.shape:
-        raise InputError(f"merit has shape {merit.shape}, detectable {detectable.shape}; allowed: the same")
     if not np.isfinite(merit).all():
         raise InputError("merit: infinite or NaN; allowed: finite numbers")
     if loss is None:

@@ -29,7 +29,7 @@ def check_bounds(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.n
         )
     for variable, (low, high) in enumerate(zip(lower.tolist(), upper.tolist(), strict=True)):
         where = f"bounds of variable {variable}: [{low:g}, {high:g}]"
-        if not np.isfinite([low, high, high - low]).all():
+        if not math.isfinite(high - low):
             raise InputError(f"{where}; allowed: finite numbers, a finite distance apart")
         if low > high:
             raise InputError(f"{where} are upside down; allowed: low below high")
@@ -138,13 +138,15 @@ class Search(ABC):
     ----------
     name : str
         What users call it.
+    budget : int
+        Evaluations that the whole search makes.
     """
 
     name: ClassVar[str]
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray, *, budget: int, per_iteration: int = 1) -> None:
         self._lower, self._upper = check_bounds(lower, upper)
-        self._budget = budget
+        self.budget = budget
         self._per_iteration = per_iteration  # evaluations, at least; a batch is never divided
         self._x: list[list[float]] = []
         self._values: list[float] = []
@@ -155,9 +157,9 @@ class Search(ABC):
     def _candidates(self) -> np.ndarray:
         """The candidates to evaluate next, (s, d); fixed between two calls of `tell`."""
 
-    @abstractmethod
     def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
-        """Take candidates, (s, d), and their values, (s,), that have just been recorded."""
+        """Take candidates, (s, d), and their values, (s,), that have just been recorded; one may learn nothing."""
+        return
 
     def ask(self) -> np.ndarray:
         """The candidates to evaluate next, (s, d), all within the bounds. Asking again returns the same ones.
@@ -168,7 +170,7 @@ class Search(ABC):
             If the search is done.
         """
         if self.done:
-            raise InputError(f"search {self.name!r}: all {self._budget} evaluations are made; nothing is left to ask")
+            raise InputError(f"search {self.name!r}: all {self.budget} evaluations are made; nothing is left to ask")
         return self._candidates().copy()
 
     def tell(self, values: np.ndarray) -> None:
@@ -197,12 +199,7 @@ class Search(ABC):
     @property
     def done(self) -> bool:
         """Whether the budget is spent."""
-        return self.evaluations >= self._budget
-
-    @property
-    def budget(self) -> int:
-        """Evaluations that the whole search makes."""
-        return self._budget
+        return self.evaluations >= self.budget
 
     @property
     def evaluations(self) -> int:

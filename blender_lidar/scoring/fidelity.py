@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -189,14 +190,9 @@ def spread_order(block: Sequence[int], vehicles: Sequence[int]) -> tuple[int, ..
     block, filled = np.asarray(block), np.asarray(vehicles) > 0
     order = []
     for some in (filled, ~filled):
-        places = np.flatnonzero(some)
-        queues = [
-            [members[turn] for turn in far_apart(len(members))]
-            for members in (places[block[places] == label] for label in np.unique(block[places]))
-        ]
-        turns = far_apart(len(queues))
-        for step in range(max(map(len, queues), default=0)):
-            order += [int(queues[turn][step]) for turn in turns if step < len(queues[turn])]
+        queues = [np.flatnonzero(some & (block == label)) for label in np.unique(block[some])]
+        queues = [queues[turn][far_apart(len(queues[turn]))].tolist() for turn in far_apart(len(queues))]
+        order += [frame for turn in zip_longest(*queues) for frame in turn if frame is not None]
     return tuple(order)
 
 
