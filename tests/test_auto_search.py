@@ -30,7 +30,7 @@ def made_rungs(frames=FRAMES, climb=24, screen_climb=48):
 def made_search(d=2, seed=1, **given):
     lower, upper = np.full(d, -1.0), np.full(d, 3.0)
     screen = make_search("hardened", lower, upper, seed=seed, evaluations=screening(d))
-    return MultiFidelitySearch(screen, made_rungs(**given), BLOCK, lower, upper, seed=seed)
+    return MultiFidelitySearch(screen, made_rungs(**given), BLOCK, seed=seed)
 
 
 def objective(asked, bias=0.0):

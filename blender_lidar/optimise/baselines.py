@@ -55,8 +55,8 @@ class GridSearch(_ListSearch):
     def _rows(self, start: int, stop: int) -> np.ndarray:
         node = np.column_stack(np.unravel_index(np.arange(start, stop), self._points))
         last = np.array(self._points) - 1
-        x = node * ((self._upper - self._lower) / last) + self._lower  # as NumPy's linspace, which may not fit memory
-        return np.where(node == last, self._upper, x)
+        x = node * ((self.upper - self.lower) / last) + self.lower  # as NumPy's linspace, which may not fit memory
+        return np.where(node == last, self.upper, x)
 
 
 class RandomSearch(_ListSearch):
@@ -85,8 +85,8 @@ class RandomSearch(_ListSearch):
 
     def _rows(self, start: int, stop: int) -> np.ndarray:
         rng = generator(self._seed)
-        rng.bit_generator.advance(start * self._lower.size)
-        return uniform(rng, stop - start, self._lower, self._upper)
+        rng.bit_generator.advance(start * self.lower.size)
+        return uniform(rng, stop - start, self.lower, self.upper)
 
 
 def grid_points(evaluations: int, variables: int) -> tuple[int, ...]:

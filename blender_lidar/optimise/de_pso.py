@@ -98,7 +98,7 @@ class DePso(Search):
         particles = self.settings.particles
         super().__init__(lower, upper, budget=self.settings.evaluations, per_iteration=particles)
         self._rng = generator(seed)
-        self._position = latin_hypercube(self._rng, particles, self._lower, self._upper)  # Algorithm 1, line 1
+        self._position = latin_hypercube(self._rng, particles, self.lower, self.upper)  # Algorithm 1, line 1
         self._velocity = np.zeros_like(self._position)  # Algorithm 1, line 1
         self._personal_best = self._position.copy()
         self._personal_best_value = np.full(particles, -math.inf)
@@ -138,7 +138,7 @@ class DePso(Search):
             jump = position + jump  # Eq. 14 as printed: Eq. 13 then adds the position a second time
         velocity = np.where(r3 < use.differential_threshold, jump, velocity)  # Algorithm 1, line 7
         position = position + velocity  # Eq. 13
-        self._position[i] = np.clip(position, self._lower, self._upper)  # Eq. 15
+        self._position[i] = np.clip(position, self.lower, self.upper)  # Eq. 15
         self._velocity[i] = velocity
 
     def _partners(self, i: np.ndarray, u_j: np.ndarray, u_k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

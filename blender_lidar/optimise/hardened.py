@@ -173,24 +173,24 @@ class Hardened(Search):
         self._rng = generator(seed)
         self._begin_anew()
         self._climb: CovarianceAdaptation | None = None  # whose candidates are asked for, else the swarm's
-        self._basins = Basins(self._lower.size)
+        self._basins = Basins(self.lower.size)
         self._climbed: list[np.ndarray] = []  # where climbs began and ended, in shares of the box
 
     def _begin_anew(self) -> None:
         use = self.settings
-        size = use.swarm, self._lower.size
+        size = use.swarm, self.lower.size
         self._swarm = AdaptiveSwarm(self._rng, *size, flights=use.flights, greed=use.greed, turned=use.turned)
         self._began = self.evaluations
         self._followed = False  # whether a climb has started from its best
 
     def _candidates(self) -> np.ndarray:
         shares = (self._climb or self._swarm).candidates[: self.budget - self.evaluations]
-        return in_box(shares, self._lower, self._upper)
+        return in_box(shares, self.lower, self.upper)
 
     def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
         if self.done:
             return
-        self._basins.add((candidates - self._lower) / (self._upper - self._lower), values)
+        self._basins.add((candidates - self.lower) / (self.upper - self.lower), values)
         if self._climb is None:
             self._swarm.tell(values)
         else:
@@ -213,7 +213,7 @@ class Hardened(Search):
     def _choose(self) -> None:
         """A climb starts once the swarm has had its share or nothing left to do, as long as the round lasts."""
         use, swarm, spent = self.settings, self._swarm, self.evaluations - self._began
-        whole = _ROUND * self._lower.size  # the round, after which no climb starts without another swarm
+        whole = _ROUND * self.lower.size  # the round, after which no climb starts without another swarm
         if swarm.value.max() == -math.inf:  # nothing feasible: there is nothing to learn from
             self._begin_anew()
         elif not use.climbs:
@@ -234,11 +234,11 @@ class Hardened(Search):
 
     def _width_and_shape(self) -> tuple[float, np.ndarray]:
         """Step size and shape, (d, d), of the swarm's better half."""
-        shape, d = self._swarm.shape(), self._lower.size
+        shape, d = self._swarm.shape(), self.lower.size
         mean_variance = max(float(np.trace(shape)) / d, _NARROWEST**2)
         return math.sqrt(mean_variance), (1.0 - _ROUNDNESS) * shape / mean_variance + _ROUNDNESS * np.eye(d)
 
     def _start_climb(self, start: np.ndarray, step: float, shape: np.ndarray | None = None) -> None:
-        samples = _FEWEST + int(3.0 * math.log(self._lower.size))
+        samples = _FEWEST + int(3.0 * math.log(self.lower.size))
         self._climb = CovarianceAdaptation(self._rng, start, min(step, _WIDEST), samples, shape)
         self._climbed.append(start.copy())

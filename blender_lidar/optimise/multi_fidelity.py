@@ -62,13 +62,11 @@ class MultiFidelitySearch:
     Parameters
     ----------
     screen : Search
-        Searches on the first rung.
+        Searches the box on the first rung.
     rungs : sequence of Rung
         From the cheapest to the reference, two or more.
     block : sequence of int, (f,)
         Block of time of each frame.
-    lower, upper : sequence of float, (d,)
-        The box.
     seed : int
         Of the climbs.
 
@@ -80,18 +78,9 @@ class MultiFidelitySearch:
         Candidates scored so far, on any rung.
     """
 
-    def __init__(
-        self,
-        screen: Search,
-        rungs: Sequence[Rung],
-        block: Sequence[int],
-        lower: Sequence[float],
-        upper: Sequence[float],
-        *,
-        seed: int,
-    ) -> None:
+    def __init__(self, screen: Search, rungs: Sequence[Rung], block: Sequence[int], *, seed: int) -> None:
         self._screen, self.rungs, self._block = screen, tuple(rungs), np.asarray(block)
-        self._lower, self._upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
+        self._lower, self._upper = screen.lower, screen.upper
         self._seed = seed
         self._level, self._work = 0, "screen"  # the rung that is at work, and at what
         self._records = [RungRecord(self._lower.size, rung.frames) for rung in self.rungs]
@@ -184,14 +173,10 @@ class MultiFidelitySearch:
         self._work = "halving"
         below, rung, reference = self.rungs[self._level - 1], self.rungs[self._level], self.rungs[-1]
         record, alike = self._records[self._level - 1], below.fidelity == rung.fidelity
-        kept = going_on(
-            self._unit(record.x),
-            record.objective,
-            self._block[list(below.frames)],
-            rung.candidates,
-            distance=_APART if self._level == 1 else _BARELY_APART,
-            drops=NONE if not alike else ALL if below.fidelity == reference.fidelity else BUT_PEAKS,
-        )
+        unit, block = self._unit(record.x), self._block[list(below.frames)]
+        distance = _APART if self._level == 1 else _BARELY_APART
+        drops = NONE if not alike else ALL if below.fidelity == reference.fidelity else BUT_PEAKS
+        kept = going_on(unit, record.objective, block, rung.candidates, distance=distance, drops=drops)
         x, known = record.x[kept], record.objective[kept, : len(below.frames) * alike]
         if known.shape[1] < len(rung.frames):  # with few frames rungs are alike
             new = yield Asked(rung.fidelity, rung.frames[known.shape[1] :], x.copy())

@@ -138,6 +138,8 @@ class Search(ABC):
     ----------
     name : str
         What users call it.
+    lower, upper : ndarray, (d,)
+        The box.
     budget : int
         Evaluations that the whole search makes.
     """
@@ -145,7 +147,7 @@ class Search(ABC):
     name: ClassVar[str]
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray, *, budget: int, per_iteration: int = 1) -> None:
-        self._lower, self._upper = check_bounds(lower, upper)
+        self.lower, self.upper = check_bounds(lower, upper)
         self.budget = budget
         self._per_iteration = per_iteration  # evaluations, at least; a batch is never divided
         self._x: list[list[float]] = []
@@ -232,7 +234,7 @@ class Search(ABC):
     @property
     def history(self) -> np.ndarray:
         """One row per evaluation, (n, d + 5): evaluation, iteration, particle (all from 1), x, value, best so far."""
-        x = np.reshape(self._x, (-1, self._lower.size))
+        x = np.reshape(self._x, (-1, self.lower.size))
         return history_of(x, np.array(self._values), np.array(self._iterations, dtype=int))
 
 

@@ -107,7 +107,7 @@ def fresh_auto_search(site: Site) -> MultiFidelitySearch:
     vehicles = [int(frame.counted.sum()) for frame in site.search]
     rungs = make_rungs(site.observation, block, vehicles, variables)
     screen = fresh_search(site.scenario, screened)
-    return MultiFidelitySearch(screen, rungs, block, deployment.lower, deployment.upper, seed=use.seed)
+    return MultiFidelitySearch(screen, rungs, block, seed=use.seed)
 
 
 def screening(variables: int) -> int:

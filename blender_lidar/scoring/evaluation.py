@@ -7,7 +7,7 @@ float64, whatever they look for them in. So the number of workers changes the ti
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate, chain, pairwise
@@ -177,23 +177,32 @@ class Evaluator:
             What the frames are seen through, by `coarse_observation`; the observation itself when left out.
         """
         chosen = np.arange(len(self.frames)) if frames is None else np.array(frames, dtype=int)
-        parts, back = self._carried_out("totals", chosen, poses, fidelity)
-        objective, found = (np.concatenate(column, axis=1)[:, back] for column in zip(*parts, strict=True))
-        return Totals(np.ascontiguousarray(objective), np.ascontiguousarray(found), self.vehicles[chosen])
+        sums = np.array(self._carried_out(_sums, chosen, poses, fidelity)).reshape(len(chosen), 2, len(poses))
+        objective, found = np.moveaxis(sums, 0, -1).copy()
+        return Totals(objective, found.astype(np.int64), self.vehicles[chosen])
 
     def by_vehicle(self, poses: Sequence[Pose]) -> list[Scored]:
         """What s mountings make of each counted vehicle, for each frame; without the returns themselves."""
-        parts, back = self._carried_out("by_vehicle", np.arange(len(self.frames)), poses, None)
-        scored = list(chain.from_iterable(parts))
-        return [scored[place] for place in back]
+        return self._carried_out(_without_returns, np.arange(len(self.frames)), poses, None)
 
-    def _carried_out(self, what: str, chosen: np.ndarray, poses: Sequence[Pose], fidelity: Fidelity | None):
-        """What each call returns, the frames in as many parts as there are calls; and the order that undoes theirs."""
+    def _carried_out(self, what: Callable, chosen: np.ndarray, poses: Sequence[Pose], fidelity: Fidelity | None):
+        """What a function makes of the scores of each frame; the frames go out in as many parts as there are calls."""
         order = np.argsort(self._turn[self._first + chosen], kind="stable")
         frames = (self._first + chosen[order]).tolist()
         ends = accumulate(self.workers.sizes(len(frames), len(poses)), initial=0)
         tasks = [(what, frames[start:stop], tuple(poses), fidelity) for start, stop in pairwise(ends)]
-        return self.workers.map(*zip(*tasks, strict=True)), np.argsort(order)
+        found = list(chain.from_iterable(self.workers.map(*zip(*tasks, strict=True))))
+        return [found[place] for place in np.argsort(order)]
+
+
+def _sums(scored: Scored) -> np.ndarray:
+    """Objective and number of detectable vehicles of a frame, (2, s)."""
+    return np.stack([scored.objective.sum(axis=1), scored.detectable.sum(axis=1)])  # Eq. 10
+
+
+def _without_returns(scored: Scored) -> Scored:
+    """Scores of a frame; its returns, which may be many, stay where they are."""
+    return scored._replace(seen=scored.seen._replace(returns=None))
 
 
 def site_evaluator(site: Site, frames: Sequence[CountedFrame], held_out: Sequence[CountedFrame] = ()) -> Evaluator:
@@ -203,7 +212,7 @@ def site_evaluator(site: Site, frames: Sequence[CountedFrame], held_out: Sequenc
 
 
 class _Work:
-    """Frames and settings, with the scorers built so far; called with the name of what to do."""
+    """Frames and settings, with the scorers built so far; called with what to make of the scores of each frame."""
 
     def __init__(self, frames, held_out, observation, scoring) -> None:
         self._groups, self._frames = (frames, held_out), (*frames, *held_out)
@@ -216,27 +225,12 @@ class _Work:
         return {**vars(self), "_scorers": {}, "_shapes": {}, "_seen": {}}
 
     def __call__(self, what, frames, poses, fidelity):
-        return getattr(self, what)(frames, poses, fidelity)
-
-    def totals(self, frames, poses, fidelity):
-        """Objective and number of detectable vehicles, (s, frames) each."""
-        objective = np.empty((len(poses), len(frames)))
-        found = np.empty((len(poses), len(frames)), dtype=np.int64)
-        for column, scored in enumerate(self._scored(frames, poses, fidelity)):
-            objective[:, column] = scored.objective.sum(axis=1)  # Eq. 10
-            found[:, column] = scored.detectable.sum(axis=1)
-        return objective, found
-
-    def by_vehicle(self, frames, poses, fidelity):
-        """Scores of each frame; returns, which may be many, stay here."""
-        scored = self._scored(frames, poses, fidelity)
-        return [one._replace(seen=one.seen._replace(returns=None)) for one in scored]
-
-    def _scored(self, frames, poses, fidelity) -> Iterator[Scored]:
-        mountings = mountings_of(poses)
+        mountings, found = mountings_of(poses), []
         for frame in frames:
             observation, scores = self._through(fidelity, frame >= len(self._groups[0]))
-            yield scores.of(self._frames[frame], self._scorer(frame, fidelity, observation), poses, mountings)
+            scored = scores.of(self._frames[frame], self._scorer(frame, fidelity, observation), poses, mountings)
+            found.append(what(scored))
+        return found
 
     def _through(self, fidelity, held_out):
         """How vehicles are seen through a fidelity, and what scores them; None is the observation as it is."""

@@ -79,11 +79,7 @@ class Workers:
 
     def map(self, *arguments: Iterable) -> list:
         """What the function returns for each set of arguments, in their order."""
-        return list(self._results(arguments, from_back=self.count > 1))
-
-    def each(self, *arguments: Iterable) -> Iterator:
-        """As `map`, one after another as soon as it is known."""
-        return self._results(arguments, from_back=False)
+        return list(self.each(*arguments, from_back=self.count > 1))
 
     def submit(self, *arguments) -> Future:
         """A call of one of the others."""
@@ -111,8 +107,8 @@ class Workers:
             if self._folder is not None:
                 self._folder.cleanup()
 
-    def _results(self, arguments: tuple[Iterable, ...], *, from_back: bool) -> Iterator:
-        """What the calls return, in their order.
+    def each(self, *arguments: Iterable, from_back: bool = False) -> Iterator:
+        """As `map`, one after another as soon as it is known; this process takes the next calls, or the last.
 
         Others are given no more than keeps them busy, and nothing is taken back from them: Python 3.11 waits for ever
         for processes of which one has died if a call was cancelled.
