@@ -29,9 +29,8 @@ from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.studies.driver import HELD_OUT, Job, landscapes
 from blender_lidar.studies.variations import metric_variations
 from tests.local_cluster import ROOT, LocalCluster
-from tests.refusals import refused
 from tests.sample_traffic import counted_frames
-from tests.small_scene import CASTER, MAPPED, done, without_charts, without_times, write_scene
+from tests.small_scene import CASTER, MAPPED, cli, done, without_charts, without_times, write_scene
 from tests.test_evaluation import POSES, SCORING, SEEN
 from tests.waiting import WAIT_S, wait_for
 
@@ -355,7 +354,8 @@ def test_what_a_task_raises_is_raised_here(cluster):
 def test_without_dask_the_extra_is_named(capsys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     words = ("--out", tmp_path / "run", "--cluster", "tcp://127.0.0.1:8786")
-    line = refused(capsys, tmp_path, "optimise", write_scene(tmp_path), *words)
-    assert line.splitlines()[-1] == (
+    code, _, err = cli(capsys, "optimise", write_scene(tmp_path), *words)
+    assert code == 2
+    assert err.splitlines()[-1] == (
         'blender-lidar: --cluster needs dask.distributed: pip install "blender_lidar[cluster]"'
     )
