@@ -37,9 +37,9 @@ class Setting:
     Attributes
     ----------
     kind : type
-        Of its value: float, int, bool, str or list; a tuple of one of them, or a number or a tuple of two; a dataclass
-        for a table that it declares, or a tuple of such; a mapping for a table of numbers that are called as is
-        `allowed`.
+        Of its value: float, int, bool, str or list; a tuple of one of them; a number or its bounds, the lower first; a
+        dataclass for a table that it declares, or a tuple of such; a mapping for a table of numbers that are called as
+        is `allowed`.
     default : object
         Its value where it is left out; without one it may not be.
     low, high, above, below : float
@@ -137,7 +137,10 @@ def checked(value: object, declared: Setting, where: str) -> Any:
 def _of_kind(value, kind, declared, where):
     is_list, parts = isinstance(value, list | tuple), get_args(kind)
     if get_origin(kind) is UnionType:
-        return _of_kind(value, parts[is_list], declared, where)
+        found = _of_kind(value, parts[is_list], declared, where)
+        if is_list and not found[0] < found[1]:
+            raise _refused(where, value, "the lower bound first, below the upper")
+        return found
     if get_origin(kind) is tuple:
         count = None if ... in parts else len(parts)
         if not is_list or not value or (count and len(value) != count):

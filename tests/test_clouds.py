@@ -200,7 +200,7 @@ def test_a_file_that_may_not_be_opened_is_one_line(tmp_path, monkeypatch, suffix
     monkeypatch.setattr(Path, "open", refuse)
     monkeypatch.setattr("builtins.open", refuse)
     monkeypatch.setattr(os, "open", refuse)
-    assert refusal(path) == "cannot be read (Permission denied)"
+    assert refusal(path) == "cannot be read: Permission denied"
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

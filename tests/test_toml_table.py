@@ -145,6 +145,11 @@ def test_what_does_not_fit_is_refused_with_the_form_that_would():
     assert refused("3", **even) == "is 3; allowed: an even number"
 
 
+@pytest.mark.parametrize("text", ["[4.5, 2.0]", "[2.0, 2.0]"])
+def test_bounds_upside_down_or_empty_are_refused(text):
+    assert refused(text, PAIR) == f"is {text}; allowed: the lower bound first, below the upper"
+
+
 def test_both_ends_of_a_pair_must_be_in_range():
     assert refused("[1, 200]", PAIR, low=0.0, high=100.0) == "is 200; allowed: 0 to 100"
 

@@ -13,8 +13,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError, OutputError
-from ..files import make_folder, open_file, write_bytes, write_text
+from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputError
+from ..files import make_folder, open_file, reading, write_bytes, write_text
 from ..traffic.vehicles import Vehicles
 from .scan import PointCloud, class_names
 
@@ -342,26 +342,21 @@ def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
         If there is no such file, or it cannot be used.
     """
     path = Path(path)
-    try:
+    with reading(path, f"a point cloud, {' or '.join(READERS)}"):
         if path.is_dir():
             raise IsADirectoryError
         suffix = check_cloud_name(path, "cloud", READERS).suffix.lower()
-        with open_file(path) as stream, np.errstate(over="ignore", invalid="ignore"):  # such points are left out below
-            points, vehicle_id = READERS[suffix](path, stream)
-            if points.dtype.kind not in "iufb":
-                raise InputError(f"{path}: xyz is of type {points.dtype}; allowed: numbers")
-            points = points.astype(float)
-    except BlenderLidarError:
-        raise
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: there is no such file") from error
-    except IsADirectoryError as error:
-        raise InputError(f"{path}: is a folder; allowed: a point cloud, {' or '.join(READERS)}") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except Exception as error:  # NumPy and zipfile raise many kinds for a damaged file
-        reason = str(error).partition("\n")[0] or type(error).__name__
-        raise InputError(f"{path}: is not a readable {suffix[1:].upper()} file ({reason})") from error
+        try:
+            with open_file(path) as stream, np.errstate(over="ignore", invalid="ignore"):  # such points are left out
+                points, vehicle_id = READERS[suffix](path, stream)
+                if points.dtype.kind not in "iufb":
+                    raise InputError(f"{path}: xyz is of type {points.dtype}; allowed: numbers")
+                points = points.astype(float)
+        except (BlenderLidarError, OSError):
+            raise
+        except Exception as error:  # NumPy and zipfile raise many kinds for a damaged file
+            reason = str(error).partition("\n")[0] or type(error).__name__
+            raise InputError(f"{path}: is not a readable {suffix[1:].upper()} file ({reason})") from error
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"{path}: xyz has shape {points.shape}; allowed: (n, 3)")
     if vehicle_id is not None and vehicle_id.shape != (len(points),):

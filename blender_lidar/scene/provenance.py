@@ -16,6 +16,7 @@ from ..errors import InputError, shown
 from ..files import open_file, reading, source_digest
 from .settings import Scenario
 
+_CONTENT = "file with SHA-256 "  # how the content of a file stands for it
 CODE = "blender_lidar"  # of an identity: version, and a digest of the source
 
 
@@ -27,7 +28,7 @@ def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = N
     tables = scenario.as_tables()
     tables["model"] = {"caster": caster}  # the number of workers changes nothing
     for (table, key), path in _input_files(scenario).items():
-        tables[table][key] = _named_by_content(path)
+        tables[table][key] = _CONTENT + file_digest(path)
     if scenery_digest is not None:
         files = [key for table, key in scenario.files if table == "world"]
         tables["world"] |= dict.fromkeys(files, "file that is read")  # it may draw on further files
@@ -72,7 +73,7 @@ def check_same_inputs(scenario: Scenario, identity: Mapping[str, object]) -> Non
         Naming the file.
     """
     for (table, key), path in _input_files(scenario).items():
-        if identity.get(f"[{table}] {key}") != _named_by_content(path):
+        if identity.get(f"[{table}] {key}") != _CONTENT + file_digest(path):
             raise InputError(f"{path}: is not as it was when the run read it")
 
 
@@ -95,10 +96,6 @@ def unchanged_inputs(scenario: Scenario) -> Iterator[None]:
 def _input_files(scenario: Scenario) -> dict[tuple[str, str], str]:
     """The files that a scene names, but for scenery, by table and key."""
     return {place: path for place, path in scenario.files.items() if place[0] != "world"}
-
-
-def _named_by_content(path: str) -> str:
-    return f"file with SHA-256 {file_digest(path)}"
 
 
 def _stamp(path: str) -> tuple[int, int] | None:

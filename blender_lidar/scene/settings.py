@@ -71,13 +71,7 @@ COORDINATE_LIMITS = {key: (declared.low, declared.high) for key, declared in MOU
 SEARCHED = {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
 """What [deployment] searches unless said: the paper's ranges, section V.A."""
 DEPLOYMENT = {
-    key: replace(
-        declared,
-        kind=float | tuple[float, float],
-        default=SEARCHED.get(key, 0.0),
-        fits=lambda bounds: not isinstance(bounds, tuple) or bounds[0] < bounds[1],
-        form="the lower bound first, below the upper",
-    )
+    key: replace(declared, kind=float | tuple[float, float], default=SEARCHED.get(key, 0.0))
     for key, declared in MOUNTING.items()
 }
 """[deployment]: a number fixes a coordinate, a pair [low, high] has it searched."""
