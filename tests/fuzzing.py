@@ -79,8 +79,10 @@ def is_one_line(text: str) -> bool:
     return bool(text) and text.isprintable() and len(text) <= 2500
 
 
-def kept_promise(read: Callable[[Path], object], path: Path, check: Callable[[object], None] | None = None) -> bool:
-    """Whether a file could be read; fails for anything but a sound object or one line, in time and within memory."""
+def kept_promise(
+    read: Callable[[Path], object], path: Path, check: Callable[[object], None] | None = None
+) -> str | None:
+    """What a file is refused with; fails for anything but a sound object or one line, in time and within memory."""
     refusal = found = None
     tracemalloc.start()
     try:
@@ -99,7 +101,7 @@ def kept_promise(read: Callable[[Path], object], path: Path, check: Callable[[ob
         assert is_one_line(refusal), repr(refusal)
     elif check is not None:
         check(found)
-    return refusal is None
+    return refusal
 
 
 def fuzz(
@@ -130,7 +132,7 @@ def fuzz(
     def keeps_its_promise(content: bytes) -> None:
         nonlocal refused
         path.write_bytes(content)
-        refused += not kept_promise(read, path, check)
+        refused += kept_promise(read, path, check) is not None
 
     keeps_its_promise()
     return refused

@@ -94,7 +94,7 @@ def slow_pipeline(vehicles, counted, seen, pose):
     return np.array(points)[counted], np.array(shares).reshape(-1, 3)[counted]
 
 
-@settings(max_examples=80)
+@settings(max_examples=50)
 @given(
     seed=st.integers(0, 2**32 - 1),
     sensor=st.sampled_from(sorted(LATTICES)),

@@ -37,13 +37,11 @@ def table_text(rows) -> str:
 
 
 _COLUMNS = traffic_samples.columns(vehicles=4, frames=25)
-_NGSIM = {
+_TRAFFIC = {
     "native": traffic_samples.native(_COLUMNS),
     "arterial": traffic_samples.native(_COLUMNS, arterial=True, separator="\t"),
     "portal": traffic_samples.portal(_COLUMNS),
     "api": traffic_samples.api(_COLUMNS),
-}
-_TRAFFIC = {
     "table": table_text(traffic_rows(frames=12, vehicles=20)),
     "sumo xml": sumo_samples.xml(sumo_samples.driving(4, 12)),
     "sumo csv": sumo_samples.csv(sumo_samples.driving(4, 12)),
@@ -82,11 +80,6 @@ def test_damaged_traffic(tmp_path, sample):
     assert fuzz(read_and_plan, tmp_path / "traffic", _TRAFFIC[sample].encode(), a_sound_recording, packed=True)
 
 
-@pytest.mark.parametrize("sample", _NGSIM)
-def test_damaged_ngsim(tmp_path, sample):
-    assert fuzz(read_and_plan, tmp_path / "traffic", _NGSIM[sample].encode(), a_sound_recording, packed=True)
-
-
 def test_damaged_parquet(tmp_path):
     sumo_samples.need_pyarrow()
     path = sumo_samples.write_parquet(tmp_path / "sample", sumo_samples.driving(4, 12))
@@ -103,11 +96,8 @@ _SCENES = sorted((Path(__file__).parent.parent / "scenes").glob("*.toml"))
 
 def test_damaged_scenes(tmp_path):
     samples = [path.read_bytes() for path in _SCENES]
-    samples.append(
-        write_scene(
-            tmp_path, {**MAPPED, "world": {"boxes": [{"centre_m": [1, 2, 3], "size_m": [1, 1, 1]}]}}
-        ).read_bytes()
-    )
+    changes = {**MAPPED, "world": {"boxes": [{"centre_m": [1, 2, 3], "size_m": [1, 1, 1]}]}}
+    samples.append(write_scene(tmp_path, changes).read_bytes())
 
     def check(scenario):
         for low, high in scenario.deployment.bounds.values():
@@ -188,8 +178,8 @@ def test_arrays_of_any_kind_and_shape_as_a_cloud(tmp_path, kinds, shapes, body, 
             text = f"{{'descr': {kind!r}, 'fortran_order': {order}, 'shape': {shape!r}, }}".encode()
             text += b" " * (-(len(text) + 11) % 64) + b"\n"
             archive.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + body)
-    is_read = kept_promise(read_points, path, a_sound_cloud)
-    assert not is_read or shapes[0] in ((4, 3), (0, 3))
+    refusal = kept_promise(read_points, path, a_sound_cloud)
+    assert refusal is not None or shapes[0] in ((4, 3), (0, 3))
 
 
 # --- labelled sweeps --------------------------------------------------------------------------------------------------
@@ -254,11 +244,8 @@ def test_damaged_records_of_a_search(tmp_path, stored_runs, name):
     shutil.copytree(stored_runs / "searched", tmp_path / "run")
     folder = RunFolder(tmp_path / "run")
 
-    assert fuzz(
-        lambda _: folder.read_history() if name == "history.csv" else folder.read_score_map(),
-        folder.file(name),
-        folder.file(name).read_bytes(),
-    )
+    read = folder.read_history if name == "history.csv" else folder.read_score_map
+    assert fuzz(lambda _: read(), folder.file(name), folder.file(name).read_bytes())
 
 
 class Stopped(Exception):

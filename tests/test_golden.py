@@ -24,7 +24,12 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main
 from blender_lidar.optimise import de_pso, maximise
+from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.scores import VehicleScores, mountings_of
 from tests.small_scene import traffic_rows, write_scene, write_table
+from tests.test_auto_search import made_search
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(__file__).with_name("golden.json")
@@ -42,45 +47,17 @@ TOLERANCE = {"tilt_deg": 1.0, "height_m": 0.05}
 METHODS = ("hardened", "de-pso", "grid", "random")
 
 
-# --- the package's own functions that are used, each in one place -----------------------------------------------------
-
-
-def site_of(scene: Path):
-    """A scene made ready."""
-    from blender_lidar.scene.scenario import load_scenario
-    from blender_lidar.scene.site import prepare
-
-    return prepare(load_scenario(scene))
-
-
 def scored(site, frame, poses):
     """Points (s, n), occupancies (s, n, 3) and what each vehicle adds to the objective (s, n), of s mountings."""
-    from blender_lidar.scoring.frame_scorer import FrameScorer
-    from blender_lidar.scoring.scores import VehicleScores, mountings_of
-
     scorer = FrameScorer(frame.vehicles, frame.counted, site.observation)
     scores = VehicleScores(site.scoring, site.observation, site.search)
     of = scores.of(frame, scorer, poses, mountings_of(poses))
     return of.seen.points, of.seen.occupancy, of.objective
 
 
-def pose_of(coordinates):
-    """A mounting at six coordinates in metres and degrees."""
-    from blender_lidar.scene.scenario import pose_at
-
-    return pose_at(coordinates)
-
-
 def without_numba(patch: pytest.MonkeyPatch) -> None:
     """Have frames scored by NumPy alone, as Blender does it where Numba is not installed."""
     patch.setattr("blender_lidar.scoring.frame_scorer.numba_works", lambda: False)
-
-
-def auto_search():
-    """The search of `fidelity = "auto"` over two variables from -1 to 3, on 40 made-up frames."""
-    from tests.test_auto_search import made_search
-
-    return made_search(2)
 
 
 # --- scenes -----------------------------------------------------------------------------------------------------------
@@ -111,7 +88,7 @@ def fixed_poses(number: int = 40):
     places = rng.uniform(low, high, (number, 6))
     places[:4] = [[0, 0, height, tilt, 0, 0] for height, tilt in ((2.0, 0.0), (3.0, 10.0), (4.5, 23.0), (4.5, 0.0))]
     names = ("x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg")
-    return [pose_of(dict(zip(names, row, strict=True))) for row in places.tolist()]
+    return [pose_at(dict(zip(names, row, strict=True))) for row in places.tolist()]
 
 
 def needs(*casters: str) -> None:
@@ -136,19 +113,13 @@ def command(*words: object) -> str:
 def hits(folder: Path, caster: str, frames: int = 3, mountings: int = 40, **changes) -> dict:
     """What mountings see of each counted vehicle of each frame; occupancies as [top, side, front] of each."""
     needs(caster)
-    site = site_of(busy_scene(folder, caster, **changes))
+    site = prepare(load_scenario(busy_scene(folder, caster, **changes)))
     poses, found = fixed_poses()[:mountings], []
     for frame in site.search[:frames]:
         points, occupancy, objective = scored(site, frame, poses)
-        found.append(
-            {
-                "frame": int(frame.vehicles.frame),
-                "vehicle_id": frame.vehicles.vehicle_id[frame.counted].tolist(),
-                "points": points.tolist(),
-                "occupancy": occupancy.reshape(len(poses), -1).tolist(),
-                "objective": objective.sum(axis=1).tolist(),
-            }
-        )
+        sums = {"occupancy": occupancy.reshape(len(poses), -1), "objective": objective.sum(axis=1)}
+        columns = {"vehicle_id": frame.vehicles.vehicle_id[frame.counted], "points": points, **sums}
+        found.append({"frame": int(frame.vehicles.frame), **{name: of.tolist() for name, of in columns.items()}})
     return {"frame_ids": [int(frame) for frame in site.plan.search], "frames": found}
 
 
@@ -259,8 +230,8 @@ def path_as_printed(folder: Path) -> dict:
 
 
 def path_of_auto(folder: Path) -> dict:
-    """The same of the search from cheap to dear: what it asks for, on which beams and frames."""
-    search, asked = auto_search(), []
+    """The same of the search from cheap to dear, on 40 made-up frames: what it asks for, on which beams and frames."""
+    search, asked = made_search(2), []
     while not search.done:
         batch = search.ask()
         asked.append([batch.fidelity.name, digest(np.array(batch.frames)), np.asarray(batch.x).tolist()])

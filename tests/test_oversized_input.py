@@ -27,17 +27,9 @@ MEGABYTE = 2**20
 
 def refused(read, path: Path) -> str:
     """The line that a file is refused with, in time and within memory."""
-    line: list[str] = []
-
-    def told(place: Path) -> object:
-        try:
-            return read(place)
-        except BlenderLidarError as error:
-            line.append(str(error))
-            raise
-
-    assert not kept_promise(told, path), "the file was read"
-    return line[0].replace(str(path), "FILE")
+    line = kept_promise(read, path)
+    assert line is not None, "the file was read"
+    return line.replace(str(path), "FILE")
 
 
 def written(path: Path, content: bytes) -> Path:

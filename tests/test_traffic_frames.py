@@ -43,12 +43,9 @@ def counted(vehicles):
     return np.abs(vehicles.centre_m[:, 0]) <= REGION_M
 
 
-def counted_ids(recording, frames):
-    return {
-        int(vehicle)
-        for frame in frames
-        for vehicle in recording.vehicles(frame).vehicle_id[counted(recording.vehicles(frame))]
-    }
+def counted_ids(recording, frames, counts=counted):
+    every = map(recording.vehicles, frames)
+    return {number for vehicles in every for number in vehicles.vehicle_id[counts(vehicles)].tolist()}
 
 
 @pytest.fixture(scope="module")
@@ -114,11 +111,7 @@ def test_a_vehicle_that_lingers_is_named_so_that_it_can_be_left_out(recording):
         return counted(vehicles) | (vehicles.vehicle_id == vehicles.vehicle_id.min())
 
     plan = plan_frames(recording, with_a_parked_car, count=40, block_s=12.0)
-    judged = {
-        int(vehicle)
-        for frame in plan.holdout
-        for vehicle in recording.vehicles(frame).vehicle_id[with_a_parked_car(recording.vehicles(frame))]
-    }
+    judged = counted_ids(recording, plan.holdout, with_a_parked_car)
     assert not (judged - set(plan.searched_ids)) & set(plan.searched_ids)
 
 

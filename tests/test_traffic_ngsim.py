@@ -10,6 +10,7 @@ import pytest
 from blender_lidar.errors import InputError
 from blender_lidar.traffic import CLASSES, RoadFrame, ngsim, read_traffic, source
 from tests import traffic_samples as samples
+from tests.traffic_samples import assert_same_boxes
 
 FOOT_M = 0.3048
 
@@ -22,12 +23,6 @@ def columns():
 @pytest.fixture
 def expected(columns, tmp_path):
     return read_traffic(samples.write(tmp_path, samples.native(columns)))
-
-
-def assert_same_boxes(given, expected):
-    for name in ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "frame_time_s"):
-        np.testing.assert_array_equal(getattr(given, name), getattr(expected, name), err_msg=name)
-    assert given.time_step_s == expected.time_step_s
 
 
 def _api_with_empty_cells(columns):
@@ -188,12 +183,8 @@ def at_rest(direction, movement=1):
 def test_a_vehicle_that_never_moves_points_where_direction_has_it_bound_for(dialect, tmp_path):
     columns = at_rest([0, 1, 2, 3, 4])
     path = tmp_path / "lankershim.txt"
-    text = (
-        samples.native(columns, arterial=True)
-        if dialect == "native"
-        else getattr(samples, dialect)(columns, "peachtree")
-    )
-    path.write_text(text, encoding="utf-8", newline="")
+    where = {"arterial": True} if dialect == "native" else {"location": "peachtree"}
+    path.write_text(getattr(samples, dialect)(columns, **where), encoding="utf-8", newline="")
     vehicles = read_traffic(path).vehicles(110)
     forward = np.stack([np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)], axis=1)
     # Local_Y, the road's x, runs north and Local_X, against its y, east.
@@ -247,22 +238,7 @@ def test_the_24_columns_say_the_same_as_the_18(columns, tmp_path):
         np.testing.assert_array_equal(getattr(long, name), getattr(short, name), err_msg=name)
 
 
-DIRTY = [
-    "",
-    "NULL",
-    "nan",
-    "-1",
-    "1_0",
-    "0x10",
-    "1,5",
-    '"1,500"',
-    '"0,001"',
-    '"a\nb"',
-    '1"5',
-    '"x"',
-    "+4",
-    "\u0663",
-]
+DIRTY = ["", "NULL", "nan", "-1", "1_0", "0x10", "1,5", '"1,500"', '"0,001"', '"a\nb"', '1"5', '"x"', "+4", "\u0663"]
 
 
 @pytest.mark.parametrize("dialect", [samples.native, samples.portal, samples.api])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import BlenderLidarError
-from blender_lidar.traffic import read_traffic
+from blender_lidar.traffic import Recording, read_traffic
 
 P1_ORIGIN_MS = 1_113_433_134_900
 """Global_Time of frame 0 of I-80's first period; the others begin 3,632 s and 4,430 s later."""
@@ -113,6 +113,12 @@ def api(given: Columns, location: str = "i-80") -> str:
         fields[-1] = location
         lines.append(",".join(fields))
     return "\n".join(lines) + "\n"
+
+
+def assert_same_boxes(given: Recording, expected: Recording) -> None:
+    for name in ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "frame_time_s"):
+        np.testing.assert_array_equal(getattr(given, name), getattr(expected, name), err_msg=name)
+    assert given.time_step_s == expected.time_step_s
 
 
 def write(folder: Path, text: str) -> Path:
