@@ -32,3 +32,17 @@ def ackley(x):
 def terraces(x):
     """A sphere in steps, as the threshold of Eq. 11 makes the real objective."""
     return np.ceil(400.0 * sphere(x)) / 400.0
+
+
+def feasible_high_up(x):
+    return np.where(x[:, 0] > 4.2, sphere(x), -np.inf)
+
+
+def points_of(history):
+    """The candidates of a search's history, (n, d)."""
+    return history[:, 3:-2]
+
+
+def share_on_a_bound(history):
+    """Of the candidates, those with a variable at `LOWER` or `UPPER`."""
+    return ((points_of(history) == LOWER) | (points_of(history) == UPPER)).any(axis=1).mean()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,11 +23,15 @@ from blender_lidar.optimise import (
 )
 from blender_lidar.optimise.baselines import grid_points
 from blender_lidar.optimise.search import generator, latin_hypercube, uniform
-from tests.search_landscapes import LOWER, UPPER, ackley, sphere, terraces
-
-
-def points_of(history):
-    return history[:, 3:-2]
+from tests.search_landscapes import (
+    LOWER,
+    UPPER,
+    ackley,
+    feasible_high_up,
+    points_of,
+    sphere,
+    terraces,
+)
 
 
 @pytest.mark.parametrize("objective", [sphere, ackley, terraces])
@@ -77,10 +82,6 @@ def small(name):
     return make_search(name, LOWER, UPPER, seed=4, evaluations=130, **own)
 
 
-def feasible_high_up(x):
-    return np.where(x[:, 0] > 4.2, sphere(x), -np.inf)
-
-
 @pytest.mark.parametrize("objective", [terraces, feasible_high_up, lambda x: np.zeros(len(x))])
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_search_made_anew_and_told_the_same_asks_for_the_same_however_often_it_is_asked(name, objective):
@@ -96,6 +97,17 @@ def test_a_search_made_anew_and_told_the_same_asks_for_the_same_however_often_it
         again.tell(values.tolist())
     assert np.array_equal(first.history, again.history)
     assert np.array_equal(first.best_x, again.best_x)
+
+
+DOORS = {name: partial(maximise, search=name, evaluations=400) for name in SEARCHES}
+DOORS["de-pso as printed"] = partial(de_pso, particles=6, iterations=9, reading="paper")
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_the_same_seed_gives_the_same_trace_and_another_seed_another_but_on_a_grid(door):
+    first, again, other = (DOORS[door](ackley, LOWER, UPPER, seed=seed) for seed in (5, 5, 6))
+    assert np.array_equal(first.history, again.history)
+    assert np.array_equal(first.history, other.history) == (door == "grid")
 
 
 @pytest.mark.parametrize("name", SEARCHES)
