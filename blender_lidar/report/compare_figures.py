@@ -29,7 +29,6 @@ from .figure import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
 # --- Metrics beside detectors -----------------------------------------------------------------------------------------
@@ -161,8 +160,16 @@ def _with_interval(axes: Axes, one: Decline, look: dict, label: str) -> object:
 
 _CAR_MM = 50.0  # of height for one car from two sides
 _EDGE_M = 0.3  # about a car
-_EDGES = (np.linspace(-0.5, 0.5, 26), np.linspace(-0.5, 0.5, 17), np.linspace(-0.5, 0.5, 17))  # x, y, z
 _FEWEST = 5  # cars of a band, or rays in a cell, that is drawn
+_CELLS = (30, 8), (15, 8)  # along or across the box, and upwards
+_MEDIANS = {
+    "reduce_C_function": np.median,
+    "mincnt": _FEWEST,
+    "extent": (0.0, 100.0, 0.0, 100.0),
+    "cmap": "PuOr",
+    "vmin": -0.3,
+    "vmax": 0.3,
+}
 # Told apart in grey by lightness, and without any colour by the marker.
 _LOOKS = {
     "box": {"color": "#cf7f1b", "marker": "s", "markerfacecolor": "white"},
@@ -288,33 +295,14 @@ def _draw_residuals(figure: Figure, residuals: Mapping[str, np.ndarray]) -> None
     """The median residual over the car, from the side and from an end, a row for each level of detail."""
     panels = figure.subplots(len(residuals), 2, squeeze=False, width_ratios=(2.6, 1.2), sharex="col", sharey=True)
     for row, (detail, values) in zip(panels, residuals.items(), strict=True):
+        percent = 100.0 * (values[:, :3] + 0.5)  # of the unit box
         for across, axes in enumerate(row):
-            mesh = _draw_cells(axes, values, across)
+            cells = axes.hexbin(percent[:, across], percent[:, 2], values[:, 3], gridsize=_CELLS[across], **_MEDIANS)
+            axes.set(facecolor="#e8e8e8", xlim=(0.0, 100.0), ylim=(0.0, 100.0))
         off = np.median(np.abs(values[:, 3])) if len(values) else np.nan
         row[0].set_title(f"{detail}: median |residual| {off:.3f} m")
         row[0].set_ylabel("Height in the box [%]")
     panels[-1][0].set_xlabel("Along the box, tail to nose [%]")
     panels[-1][1].set_xlabel("Across the box, right to left [%]")
     label = "Real less simulated range [m]"
-    figure.colorbar(mesh, ax=panels.ravel().tolist(), label=label, pad=0.02, extend="both")
-
-
-def _draw_cells(axes: Axes, values: np.ndarray, across: int) -> QuadMesh:
-    """Median residual of the cells of one view; `values` are x, y, z in the unit box and the residual [m], (k, 4)."""
-    edges, heights = _EDGES[across], _EDGES[2]
-    columns, rows = len(edges) - 1, len(heights) - 1
-    column, row = (
-        np.clip(np.searchsorted(line, values[:, axis], side="right") - 1, 0, len(line) - 2)
-        for line, axis in ((edges, across), (heights, 2))
-    )
-    cell, median = row * columns + column, np.full(rows * columns, np.nan)
-    for number in np.flatnonzero(np.bincount(cell, minlength=rows * columns) >= _FEWEST):
-        median[number] = np.median(values[cell == number, 3])
-    axes.set_facecolor("#e8e8e8")
-    percent = 100.0 * (edges + 0.5), 100.0 * (heights + 0.5)
-    mesh = axes.pcolormesh(
-        *percent, np.ma.masked_invalid(median.reshape(rows, columns)), cmap="PuOr", vmin=-0.3, vmax=0.3
-    )
-    for spine in axes.spines.values():
-        spine.set_color(INK)
-    return mesh
+    figure.colorbar(cells, ax=panels.ravel().tolist(), label=label, pad=0.02, extend="both")

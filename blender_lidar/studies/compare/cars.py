@@ -77,17 +77,15 @@ def chosen_metrics(names: str | None, option: str = "--metrics") -> tuple[Metric
     Raises
     ------
     InputError
-        For one that is not known or named twice.
+        For one that is not known.
     """
     known = comparable()
     if names is None:
         return tuple(known.values())
-    chosen = [name.strip() for name in names.split(",")]
-    for number, name in enumerate(chosen):
+    chosen = dict.fromkeys(name.strip() for name in names.split(","))
+    for name in chosen:
         if name not in known:
             raise unknown_name(name, known, "metric", option)
-        if name in chosen[:number]:
-            raise InputError(f"{option}: names {name} twice")
     return tuple(known[name] for name in chosen)
 
 
