@@ -83,18 +83,17 @@ def parse_share(text: str, option: str) -> float:
 
 def _other_site(args: argparse.Namespace, scenario: Scenario) -> Site | None:
     """The scene with another sensor; its range gate and the rest are what the scene says of that one."""
-    name = args.other_sensor
-    if name == NO_SENSOR:
+    asked, own = args.other_sensor, load_model(scenario.sensor.name).name
+    if asked == NO_SENSOR:
         return None
-    own = load_model(scenario.sensor.name).name
-    if name is not None:
+    name = next(other for other in OTHER_SENSORS if other != own) if asked is None else asked
+    try:
         other = scenario_from(argparse.Namespace(**{**vars(args), "sensor": name}))
         if load_model(other.sensor.name).name == own:
             raise InputError(f"--other-sensor: is {name!r}, the scene's own; allowed: another one, or {NO_SENSOR}")
         return prepare(other)
-    name = next(other for other in OTHER_SENSORS if other != own)
-    try:
-        return prepare(scenario_from(argparse.Namespace(**{**vars(args), "sensor": name})))
     except InputError as error:
+        if asked is not None:
+            raise
         print(f"blender-lidar: note: not tried with {name}: {error}", file=sys.stderr)
         return None

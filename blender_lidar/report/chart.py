@@ -21,19 +21,14 @@ if TYPE_CHECKING:
 
 
 def _flat(rows: Sequence[Mapping]) -> list[dict[str, object]]:
-    """Rows with one level of keys: those of a mapping, and the ends of an interval, get columns; None is empty."""
-    found = []
-    for row in rows:
-        flat: dict[str, object] = {}
-        for key, value in row.items():
-            if isinstance(value, Mapping):
-                flat |= {f"{key}_{name}": one for name, one in value.items()}
-            elif key.endswith("interval_90"):
-                flat |= dict(zip((f"{key}_low", f"{key}_high"), value or (None, None), strict=True))
-            else:
-                flat[key] = value
-        found.append({key: "" if value is None else value for key, value in flat.items()})
-    return found
+    """Rows with one level of keys: those of a mapping, and the ends of an interval, get columns."""
+    return [dict(column for key, value in row.items() for column in _columns(key, value)) for row in rows]
+
+
+def _columns(key: str, value: object) -> list[tuple[str, object]]:
+    if key.endswith("interval_90"):
+        value = dict(zip(("low", "high"), value or (None, None), strict=True))
+    return [(f"{key}_{name}", one) for name, one in value.items()] if isinstance(value, Mapping) else [(key, value)]
 
 
 # --- the picture: error over time, every fidelity named, with the Pareto front ----------------------------------------
@@ -144,22 +139,20 @@ def signed(value: float | None) -> str:
     return "" if value is None else f"{round(value, 4) + 0.0:+.4f}"
 
 
+def _scores(row: Mapping) -> tuple[str, str, str]:
+    """The cells of bias, error and tau."""
+    return signed(row["bias"]), number(row["error"]), number(row["tau"], 3)
+
+
 def ablation_cells(row: Mapping) -> tuple[str, ...]:
     """A row of the table of ablations."""
     draws = f"; mean of {row['draws']} draws" if row["draws"] > 1 else ""
     what = (row["what"], row["value"] + draws)
     if row["bias"] is None:
-        return (*what, row["note"], "", "", "", "", "", "")
-    return (
-        *what,
-        signed(row["bias"]),
-        number(row["error"]),
-        number(row["tau"], 3),
-        ", ".join(_moved(key, by) for key, by in row["shift"].items()),
-        percent(row["regret"], row["regret_interval_90"]),
-        percent(row["apart"], row["apart_interval_90"]),
-        _verdicts(row),
-    )
+        return (*what, row["note"], *[""] * 6)
+    moved = ", ".join(_moved(key, by) for key, by in row["shift"].items())
+    shares = (percent(row[key], row[f"{key}_interval_90"]) for key in ("regret", "apart"))
+    return (*what, *_scores(row), moved, *shares, _verdicts(row))
 
 
 def _moved(key: str, by: float) -> str:
@@ -252,25 +245,18 @@ def _head(result: Mapping) -> list[str]:
 
 
 def _rung(row: Mapping, result: Mapping) -> tuple[str, ...]:
-    time = row["milliseconds"]
+    """A row of the table of fidelities."""
+    first, median, third = (milliseconds(row["milliseconds"][key]) for key in _QUARTILES)
     marks = [
         "reference" if row["name"] == result["reference"] else "",
         "recommended" if row["name"] == result["recommended"] else "within" if row["within"] else "",
         "front" if row["pareto"] else "",
         "" if row["twin"] is None else f"as {row['twin']}" if row["same_as_twin"] else f"NOT as {row['twin']}",
     ]
-    return (
-        row["name"],
-        milliseconds(time["median"]),
-        f"{milliseconds(time['first_quartile'])} to {milliseconds(time['third_quartile'])}",
-        f"{row['speedup']:.2g} x",
-        signed(row["bias"]),
-        number(row["error"]),
-        percent(row["error_share"]),
-        number(row["tau"], 3),
-        percent(row["regret"], row["regret_interval_90"]),
-        ", ".join(mark for mark in marks if mark),
-    )
+    bias, error, tau = _scores(row)
+    lost = percent(row["regret"], row["regret_interval_90"])
+    scores = (f"{row['speedup']:.2g} x", bias, error, percent(row["error_share"]), tau, lost)
+    return (row["name"], median, f"{first} to {third}", *scores, ", ".join(filter(None, marks)))
 
 
 def _asked(result: Mapping) -> str:
@@ -294,10 +280,8 @@ def _hits(result: Mapping) -> list[str]:
         of = [one for one in result["hits"] if one["caster"] == name]
         rays, hits, missed, other = (sum(one[key] for one in of) for key in ("rays", "hits", "hit_or_miss", "vehicle"))
         farthest = max(one["largest_range_m"] for one in of)
-        lines.append(
-            f"{name} beside the float64 oracle: of {rays:,} rays, {hits:,} of which hit, {missed} hit where the other "
-            f"misses, {other} meet another vehicle; ranges differ by {farthest:.2g} m at most"
-        )
+        apart = f"{missed} hit where the other misses, {other} meet another vehicle; ranges differ by {farthest:.2g} m"
+        lines.append(f"{name} beside the float64 oracle: of {rays:,} rays, {hits:,} of which hit, {apart} at most")
     return lines
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..metrics.catalogue import metric_named
 from ..studies.findings import ASKED_DEG, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, RULE, UNDECIDED, VERDICTS, worst
-from ..studies.variations import METRIC, MOUNTING, SEARCH, SECTIONS, SENSOR, TRAFFIC
+from ..studies.variations import SECTIONS
 from .figure import BASELINE, FAINT, INK, OPTIMISED, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
 
@@ -151,13 +151,7 @@ def draw_sample_size(path: str | Path, result: Mapping) -> bool:
 
 # --- the report -------------------------------------------------------------------------------------------------------
 
-HEADINGS = {
-    TRAFFIC: "Traffic",
-    MOUNTING: "Mounting tolerance",
-    METRIC: "Metric",
-    SENSOR: "Sensor",
-    SEARCH: "Search",
-}
+HEADINGS = dict(zip(SECTIONS, ("Traffic", "Mounting tolerance", "Metric", "Sensor", "Search"), strict=True))
 _COLUMNS = ("verdict", "change", "found")
 _JUDGED = {
     "held out": "held-out frames, with 90 % intervals",
@@ -211,8 +205,7 @@ def _answer(result: Mapping) -> list[str]:
         verdicts = [one["verdict"] for one in findings]
         counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in VERDICTS if verdict in verdicts)
         gravest = worst(verdicts)
-        overall = gravest if gravest == UNDECIDED else f"at worst {gravest}"
-        lines.append(f"{HEADINGS[section]}: {overall} ({counts})")
+        lines.append(f"{HEADINGS[section]}: {'at worst ' * (gravest != UNDECIDED)}{gravest} ({counts})")
     return lines
 
 

@@ -101,21 +101,22 @@ def _imperfections(site: Site, own: Variation, draws: int) -> list[Ablation]:
     )
     sensor, found = site.scenario.sensor, []
     at_random = sensor.range_noise_m or sensor.dropout or sensor.glass_dropout or sensor.unit_spread_deg
+
+    def side(name: str, value: str, draw: int, **settings) -> Variation:
+        seeds = {"noise_seed": draw, "unit": draw} if draw else {}
+        return Variation(ABLATION, name, value, partial(with_sensor, settings=seeds | settings), draw)
+
     for what, value, key, number in asked:
-        has, nothing, pairs = getattr(sensor, key), None if key == _WEAK else 0.0, []
-        for draw in range(1, draws + 1) if key != _WEAK else [0]:
-            seeds = {"noise_seed": draw, "unit": draw} if draw else {}
-            as_it_is = _sensor("as drawn", "", seeds, draw) if draw and at_random else own
+        has, pairs = getattr(sensor, key), []
+        for draw in range(1, draws + 1) if key != _WEAK else (0,):
+            as_it_is = side("as drawn", "", draw) if draw and at_random else own
             if has:
-                pairs.append((_sensor(what, f"{value} left out", seeds | {key: nothing}, draw), as_it_is))
+                nothing = side(what, f"{value} left out", draw, **{key: None if key == _WEAK else 0.0})
+                pairs.append((nothing, as_it_is))
             else:
-                pairs.append((as_it_is, _sensor(what, value, seeds | {key: number}, draw)))
+                pairs.append((as_it_is, side(what, value, draw, **{key: number})))
         found.append(Ablation(what, f"{has:g}, as the scene has it" if has else value, tuple(pairs)))
     return found
-
-
-def _sensor(what: str, value: str, settings: dict[str, float | None], draw: int) -> Variation:
-    return Variation(ABLATION, what, value, partial(with_sensor, settings=settings), draw)
 
 
 def _azimuth_offsets(site: Site, own: Variation) -> Ablation:

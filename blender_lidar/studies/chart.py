@@ -21,16 +21,13 @@ from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
 from .ablations import OFFSETS, Compared, ablation_rows, ablations
 from .compare.paired_findings import RESULT, judging
 from .driver import HELD_OUT, SEARCHED, Job, Landscape, StudyFolder, judging_split, split_of, study_head
-from .effects import BASELINE, FIRST, Candidates, Reference, candidates
+from .effects import BASELINE, BOUND_LEVEL, FIRST, SURE, Candidates, Reference, accuracy, candidates
 from .ladder import (
-    BOUND_LEVEL,
     ORACLE,
     REFERENCE,
-    SURE,
     TOGETHER,
     ChartEffort,
     Times,
-    accuracy_row,
     count_hits,
     ladder,
     looked_at,
@@ -158,14 +155,14 @@ def _timed(
         poses = every.poses[FIRST : FIRST + effort.rounds + TOGETHER]
         with folder.counting(len(site.search), "frames timed") as shown:
             timed = time_fidelities(site, fidelities, poses, effort.rounds, shown.advance)
-        return [[part.tolist() for part in timed[fidelity]] for fidelity in fidelities]
+        return [[part.tolist() for part in both] for both in timed.values()]
 
     stored = folder.stage("times", measure)
     return {fidelity: tuple(map(np.array, both)) for fidelity, both in zip(fidelities, stored, strict=True)}
 
 
 def _hits(folder: StudyFolder, site: Site, every: Candidates, effort: ChartEffort) -> list[dict]:
-    """The casters beside the oracle."""
+    """What the installed casters hit beside the float64 oracle, on a few frames from a few mountings."""
     frames = [site.search[row] for row in evenly_spread(len(site.search), min(effort.hit_frames, len(site.search)))]
     poses = every.poses[FIRST : FIRST + effort.hit_mountings]
     casters = [name for name in (site.observation.caster, *other_casters(site)) if name != ORACLE]
@@ -218,7 +215,7 @@ def _validated(
     jobs = [Job(variation(phase, section), on.every.poses, split) for phase in phased(chosen, effort.phases)]
     phases = folder.landscapes(on.site, jobs, f"recommendation, {section}")
     frames = looked_at(chosen, len(on.site.search), len(split_of(on.site, split)[0]))
-    found = accuracy_row(on.reference, phases, frames)
+    found = accuracy(on.reference, phases, frames)
     kept = {key: found[key] for key in ("regret", "regret_interval_90", "error_share", "tau")}
     return {"where": where, "verdict": verdict(found["regret"], found["regret_interval_90"], tolerance), **kept}
 
@@ -255,19 +252,12 @@ def read_paired(path: str | Path) -> dict:
     path = path / RESULT if path.is_dir() else path
     try:
         sets = json.loads(read_text(path))["sets"]
-        name = judging(sets)
-        variants = [_variant(one) for one in sets[name]["variants"]]
+        name, variants = judging(sets), []
+        for one in sets[name]["variants"]:
+            error = one["absolute_error_bits"]
+            interval = error["interval_90"] and [float(end) for end in error["interval_90"]]
+            told = {"detail": str(one["detail"]), "losses": str(one["losses"])}
+            variants.append({**told, "error_bits": float(error["median"]), "interval_90": interval})
         return {"file": path.name, "set": name, "cars": int(sets[name]["cars"]), "variants": variants}
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{OPTION}: {path}: is no {RESULT} of blender-lidar compare --paired") from error
-
-
-def _variant(one: Mapping) -> dict:
-    error = one["absolute_error_bits"]
-    interval = error["interval_90"]
-    return {
-        "detail": str(one["detail"]),
-        "losses": str(one["losses"]),
-        "error_bits": float(error["median"]),
-        "interval_90": None if interval is None else [float(end) for end in interval],
-    }

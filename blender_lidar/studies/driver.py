@@ -79,16 +79,9 @@ class StudyFolder:
         Makes what shows progress from a total and what is counted: it has `advance` and `close`.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        identity: Mapping[str, object],
-        results: Iterable[str] = (),
-        counter: Callable | None = None,
-    ) -> None:
-        self.path = Path(path)
+    def __init__(self, path: str | Path, identity: Mapping, results: Iterable[str] = (), counter=None) -> None:
+        self.path, self._results, self._counter = Path(path), tuple(results), counter
         self._identity = json.loads(json.dumps(identity))
-        self._results, self._counter = tuple(results), counter
 
     def file(self, name: str) -> Path:
         """Path of a file of the study."""
@@ -112,11 +105,10 @@ class StudyFolder:
             for name in (*made, *(name for name in self._results if self.file(name).exists())):
                 raise InputError(f"--out: {self.path}: holds {name}, which no study has written; give another folder")
             return
-        stored = _read_json(self.file(IDENTITY), "is no file of a study")
+        stored = _read_json(self.file(IDENTITY))
         if not resume:
-            raise InputError(
-                f"--out: {self.path}: holds a study already; give another folder, or go on with it: --resume"
-            )
+            where = f"--out: {self.path}"
+            raise InputError(f"{where}: holds a study already; give another folder, or go on with it: --resume")
         check_identity(stored, self._identity, f"{self.path}: the study there")
 
     @contextmanager
@@ -163,8 +155,7 @@ class StudyFolder:
         InputError
             When the stored file is not as a run has left it.
         """
-        stored = _read_json(self._stage(name), "is damaged: it holds no stage; remove it to have it made again", _VALUE)
-        return stored[_VALUE]
+        return _read_json(self._stage(name), _VALUE, "; remove it to have it made again")[_VALUE]
 
     def counting(self, total: int, what: str):
         """A context in which steps are counted up to a total, by `advance`."""
@@ -189,14 +180,14 @@ class StudyFolder:
         return self.file(STAGES) / f"{name}.json"
 
 
-def _read_json(path: Path, otherwise: str, *keys: str) -> dict:
-    """The table in a file, with these keys alone if there are any."""
+def _read_json(path: Path, key: str | None = None, advice: str = "") -> dict:
+    """The table in a file, with that key if one is given; one that is damaged is refused with some advice."""
     try:
         content = json.loads(read_text(path))
+        if not isinstance(content, dict) or (key is not None and key not in content):
+            raise ValueError("it is no file of a study")
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is damaged: {error}; remove it to have it made again") from error
-    if not isinstance(content, dict) or (keys and set(content) != set(keys)):
-        raise InputError(f"{path}: {otherwise}")
+        raise InputError(f"{path}: is damaged: {error}{advice}") from error
     return content
 
 

@@ -21,6 +21,7 @@ from ..optimise.search import generator
 from ..scene.scenario import Scenario
 from ..sensors.pose import Pose
 from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90, resampled_weights, student_t
+from ..world.shapes import DETAILS
 from .driver import Landscape
 
 SOBOL_BITS = 30
@@ -142,6 +143,8 @@ def pareto_front(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 # --- what is chosen on other traffic of this kind, and what it loses on held-out frames -------------------------------
 
 
+SURE = 0.95  # of all tests together: see `ladder.mark_within`
+BOUND_LEVEL = 1.0 - (1.0 - SURE) / len(DETAILS)  # of each test's bound, one-sided
 DRAWS = 300  # resamples of the searched blocks, under each of which a mounting is chosen
 
 
@@ -291,38 +294,37 @@ class Reference:
         return float(values[FIRST:].max() - values[BASELINE])
 
 
-class Accuracy(NamedTuple):
-    """How near a fidelity comes to the reference, its phases averaged.
+def accuracy(
+    reference: Reference, phases: Sequence[Landscape], frames: np.ndarray | slice = slice(None)
+) -> dict[str, object]:
+    """How near a fidelity comes whose phases score `phases` on all frames, and which looks at the rows `frames`.
 
-    Attributes
-    ----------
-    bias : float
-        What it scores more, in the metric's unit per vehicle; mean over the candidates.
-    error : float
-        Root mean square of what is left after calibration, in the metric's unit per vehicle.
-    tau : float
-        `weighted_tau`.
-    regret : Regret or None
+    Returns
+    -------
+    dict
+        As JSON holds it. ``bias``: what it scores more, in the metric's unit per vehicle, mean over the candidates and
+        phases. ``error``: root mean square of what is left after calibration, in the same unit, and ``error_share`` of
+        the gain. ``tau``: `weighted_tau`. ``regret`` with ``regret_interval_90`` and the upper ``regret_bound`` at
+        `BOUND_LEVEL`. None for what cannot be known.
     """
-
-    bias: float
-    error: float
-    tau: float
-    regret: Regret | None
-
-
-def accuracy(reference: Reference, phases: Sequence[Landscape], frames: np.ndarray | slice = slice(None)) -> Accuracy:
-    """How near a fidelity comes whose phases score `phases` on all frames, and which looks at the rows `frames`."""
-    truth = reference.searched.per_vehicle()[FIRST:]
+    truth, gain = reference.searched.per_vehicle()[FIRST:], reference.gain
     values = [
         phase.objective[FIRST:, frames].sum(axis=1) / max(int(phase.vehicles[frames].sum()), 1) for phase in phases
     ]
     bias, errors, tau = np.array([agreement(each, truth) for each in values]).T
     error = float(np.sqrt(np.mean(errors**2)))
+    error = 0.0 if error <= _ROUNDING * float(np.abs(truth).max()) else error
     chosen = np.mean([chosen_shares(phase, reference.weights, frames) for phase in phases], axis=0)
     lost = regret(chosen, reference.chosen, reference.judged, reference.judged_block)
-    within_rounding = error <= _ROUNDING * float(np.abs(truth).max())
-    return Accuracy(float(bias.mean()), 0.0 if within_rounding else error, float(tau.mean()), lost)
+    return {
+        "bias": float(bias.mean()),
+        "error": error,
+        "error_share": error / gain if gain > 0.0 else None,
+        "tau": None if np.isnan(tau).any() else float(tau.mean()),
+        "regret": lost and lost.share,
+        "regret_interval_90": lost and lost.interval_90,
+        "regret_bound": lost and lost.bound(BOUND_LEVEL),
+    }
 
 
 @dataclass(frozen=True, slots=True)

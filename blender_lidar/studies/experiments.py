@@ -195,18 +195,15 @@ def recorded_velocity(recording: Recording, vehicles: Vehicles) -> np.ndarray:
     From one of them where it is in no other; 0 where it is in neither, or both are more than a second away.
     """
     at = int(np.searchsorted(recording.frames, vehicles.frame))
-    places, times = [vehicles.centre_m[:, :2]] * 2, [np.full(len(vehicles), vehicles.time_s) for _ in range(2)]
-    for side, neighbour in enumerate((at - 1, at + 1)):
-        if not 0 <= neighbour < len(recording.frames):
-            continue
-        other = recording.vehicles(int(recording.frames[neighbour]))
-        if abs(other.time_s - vehicles.time_s) > _FARTHEST_FRAME_S:
-            continue
-        _, here, there = np.intersect1d(vehicles.vehicle_id, other.vehicle_id, return_indices=True)
-        places[side] = places[side].copy()
-        places[side][here], times[side][here] = other.centre_m[there, :2], other.time_s
-    lasted = (times[1] - times[0])[:, None]
-    return np.divide(places[1] - places[0], lasted, out=np.zeros((len(vehicles), 2)), where=lasted > 0.0)
+    moved_m, lasted_s = np.zeros((len(vehicles), 2)), np.zeros((len(vehicles), 1))
+    for place, sign in ((at - 1, -1.0), (at + 1, 1.0)):
+        if 0 <= place < len(recording.frames):
+            other = recording.vehicles(int(recording.frames[place]))
+            if abs(other.time_s - vehicles.time_s) <= _FARTHEST_FRAME_S:
+                _, here, there = np.intersect1d(vehicles.vehicle_id, other.vehicle_id, return_indices=True)
+                moved_m[here] += sign * (other.centre_m[there, :2] - vehicles.centre_m[here, :2])
+                lasted_s[here] += sign * (other.time_s - vehicles.time_s)
+    return np.divide(moved_m, lasted_s, out=np.zeros_like(moved_m), where=lasted_s > 0.0)
 
 
 def velocity_at(vehicles: Vehicles, speed_m_s: float) -> np.ndarray:

@@ -329,15 +329,9 @@ def optimum_finding(
     losses = losses_to_best(values)
     loss = None if np.isnan(losses).all() else float(np.nanquantile(losses, 0.95))
     left = "nothing is gained" if loss is None else f"in 95 % of them the mounting loses at most {percent(loss)}"
-    text = (
-        f"height {intervals.height_m[0]:.2f} to {intervals.height_m[1]:.2f} m, tilt {intervals.tilt_deg[0]:.1f} to "
-        f"{intervals.tilt_deg[1]:.1f} deg (90 %); {left}"
-    )
-    numbers = {
-        "height_interval_90_m": list(intervals.height_m),
-        "tilt_interval_90_deg": list(intervals.tilt_deg),
-        "loss_95": loss,
-    }
+    (lowest, highest), (least, most) = intervals
+    text = f"height {lowest:.2f} to {highest:.2f} m, tilt {least:.1f} to {most:.1f} deg (90 %); {left}"
+    numbers = {"height_interval_90_m": [lowest, highest], "tilt_interval_90_deg": [least, most], "loss_95": loss}
     return Finding(TRAFFIC, what, "", by_loss(loss), text, numbers), intervals
 
 
@@ -348,17 +342,11 @@ def sample_size_finding(found: SampleSize | None) -> Finding:
         return Finding(TRAFFIC, what, "", UNDECIDED, "too few blocks of time")
     reach, here = found.reach_deg[-1], found.vehicles[-1]
     verdict = STABLE if reach <= ASKED_DEG else FRAGILE if reach <= _MOST_FRAGILE_DEG else FAILS
+    needed = f"{float(f'{found.needed:.1e}'):,.0f}"  # two digits: no more are known
+    more = f"as this falls with their power {-found.power:.2f}, it takes about {needed}"
     text = f"+/-{reach:.1f} deg from {here:,.0f} vehicle observations, searched and held out; "
-    if reach > ASKED_DEG:
-        text += f"as this falls with their power {-found.power:.2f}, it takes about {_rounded(found.needed):,.0f}"
-    else:
-        text += f"from about {_rounded(found.needed):,.0f} on"
+    text += more if reach > ASKED_DEG else f"from about {needed} on"
     return Finding(TRAFFIC, what, "", verdict, text, asdict(found))
-
-
-def _rounded(count: float) -> float:
-    """Two digits: no more are known."""
-    return float(f"{count:.1e}")
 
 
 # --- one change: where the optimum would go, and what the mounting leaves to it on other traffic ----------------------
@@ -409,13 +397,10 @@ def finding_of(
     if not all(draw.chooses for draw in draws):
         return Finding(*change, UNDECIDED, "does not choose: it is the same wherever the LiDAR hangs")
     best = [draw.best for draw in draws]
-    places = list(zip(mountings.height_m[best].tolist(), mountings.tilt_deg[best].tolist(), strict=True))
-    numbers = {
-        "best_height_m": [height for height, _ in places],
-        "best_tilt_deg": [tilt for _, tilt in places],
-        "inside": None if intervals is None else [intervals.hold(*place, mountings.steps) for place in places],
-        "vehicles_per_frame": float(np.mean([draw.judged.vehicles.mean() for draw in draws])),
-    }
+    places = mountings.height_m[best].tolist(), mountings.tilt_deg[best].tolist()
+    held = intervals and [intervals.hold(*place, mountings.steps) for place in zip(*places, strict=True)]
+    numbers = {"best_height_m": places[0], "best_tilt_deg": places[1], "inside": held}
+    numbers["vehicles_per_frame"] = float(np.mean([draw.judged.vehicles.mean() for draw in draws]))
     values = np.array([draw.judged.per_vehicle() for draw in draws]).T
     losses = losses_to(values[CANDIDATES], values).tolist()
     if np.isnan(losses).any():
@@ -423,12 +408,12 @@ def finding_of(
         return Finding(*change, UNDECIDED, text, numbers)
     loss, interval = float(np.mean(losses)), None
     if block is not None:
-        vehicles = sum(draw.judged.blocks(block)[1] for draw in draws)
-        influence = np.mean([_influence(draw.judged.blocks(block)[0]) for draw in draws], axis=0)[vehicles > 0]
-        ends = linear_interval_90(loss, influence)
-        interval = None if ends is None else list(ends)
-    numbers = {"loss": loss, "interval_90": interval, "losses": losses, **numbers}
-    return Finding(*change, by_loss(loss, interval), f"{lost(loss, interval)}; {_places(numbers)}", numbers)
+        objective, vehicles = zip(*(draw.judged.blocks(block) for draw in draws), strict=True)
+        influence = np.mean([_influence(one) for one in objective], axis=0)
+        interval = linear_interval_90(loss, influence[sum(vehicles) > 0])
+    text = f"{lost(loss, interval)}; {_places(*places, held)}"
+    numbers |= {"loss": loss, "interval_90": interval and list(interval), "losses": losses}
+    return Finding(*change, by_loss(loss, interval), text, numbers)
 
 
 def _influence(objective: np.ndarray) -> np.ndarray:
@@ -441,17 +426,14 @@ def _influence(objective: np.ndarray) -> np.ndarray:
     return (left - left.sum() / gain.sum() * gain) / gain.sum()
 
 
-def _places(numbers) -> str:
-    """Where the optimum would be."""
-    heights, tilts = (_range(numbers[key], digits) for key, digits in (("best_height_m", 2), ("best_tilt_deg", 0)))
-    text, inside = f"best at {heights} m, {tilts} deg", numbers["inside"]
+def _places(heights: Sequence[float], tilts: Sequence[float], inside: Sequence[bool] | None) -> str:
+    """Where the optimum would be under each draw, and how many of these places are inside."""
+    text = f"best at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
     if inside is None:
         return text
-    if all(inside):
-        return f"{text}: inside"
-    return f"{text}: outside" if not any(inside) else f"{text}: {sum(inside)} of {len(inside)} inside"
+    some = "inside" if all(inside) else f"{sum(inside)} of {len(inside)} inside"
+    return f"{text}: {some if any(inside) else 'outside'}"
 
 
 def _range(values: Sequence[float], digits: int) -> str:
-    low, high = (f"{end:.{digits}f}" for end in (min(values), max(values)))
-    return low if low == high else f"{low} to {high}"
+    return " to ".join(dict.fromkeys(f"{end:.{digits}f}" for end in (min(values), max(values))))

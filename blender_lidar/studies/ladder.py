@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -274,8 +274,6 @@ def score_ladder(
 # more than the tolerance, given what was chosen on the searched frames: the bounds tell of other frames that judge, not
 # of others that choose, which the exchange of blocks asks for once.
 
-SURE = 0.95  # of all tests together
-BOUND_LEVEL = 1.0 - (1.0 - SURE) / len(DETAILS)  # of each test's bound, one-sided
 SAME = 1e-9  # of a score, relative: what differs by less has met the same hits
 
 
@@ -319,45 +317,21 @@ def rung_rows(
             same = bool(np.allclose(few, many[: len(few)], rtol=SAME, atol=SAME))
         first, median, third = 1e3 * np.quantile(_seconds(fidelity, timed), [0.25, 0.5, 0.75])
         found = [scored[phase] for phase in phased(of, phases)]
-        known = accuracy_row(reference, found, looked_at(of, len(reference.searched.vehicles)))
-        rows.append(
-            {
-                "name": fidelity.name,
-                "text": fidelity.text,
-                "detail": fidelity.detail,
-                "stride": fidelity.stride,
-                "frames": fidelity.frames or len(reference.searched.vehicles),
-                "caster": fidelity.caster,
-                "culled": fidelity.culled,
-                "ground": fidelity.ground,
-                "twin": None if rung.twin is None else rung.twin.name,
-                "same_as_twin": same,
-                "milliseconds": {"first_quartile": first, "median": median, "third_quartile": third},
-                "build_milliseconds_per_frame": float(1e3 * np.median(timed[whole(fidelity)][1])),
-                "speedup": float(of_reference * 1e3 / median),
-                **(dict.fromkeys(known) if same is False else known),
-            }
-        )
+        known = accuracy(reference, found, looked_at(of, len(reference.searched.vehicles)))
+        same_for_all = {key: value for key, value in asdict(fidelity).items() if key != "phase"}
+        row = {"name": fidelity.name, "text": fidelity.text, **same_for_all}
+        row["frames"] = fidelity.frames or len(reference.searched.vehicles)
+        row |= {"twin": rung.twin and rung.twin.name, "same_as_twin": same}
+        row["milliseconds"] = {"first_quartile": first, "median": median, "third_quartile": third}
+        row["build_milliseconds_per_frame"] = float(1e3 * np.median(timed[whole(fidelity)][1]))
+        row["speedup"] = float(of_reference * 1e3 / median)
+        rows.append(row | (dict.fromkeys(known) if same is False else known))
     known = [row for row in rows if row["error"] is not None]
-    front = pareto_front(*(np.array(cost) for cost in zip(*map(_costs, known), strict=True)))
+    front = pareto_front(*np.array([(row["milliseconds"]["median"], row["error"]) for row in known]).T)
+    best = [known[number]["name"] for number in front]
     for row in rows:
-        row["pareto"] = any(row is known[number] for number in front)
+        row["pareto"] = row["name"] in best
     return rows
-
-
-def accuracy_row(reference: Reference, phases: Sequence[Landscape], frames: np.ndarray) -> dict[str, object]:
-    """The `accuracy` of a fidelity as JSON holds it."""
-    found, gain = accuracy(reference, phases, frames), reference.gain
-    lost = found.regret
-    return {
-        "bias": found.bias,
-        "error": found.error,
-        "error_share": found.error / gain if gain > 0.0 else None,
-        "tau": None if np.isnan(found.tau) else found.tau,
-        "regret": lost and lost.share,
-        "regret_interval_90": lost and lost.interval_90,
-        "regret_bound": lost and lost.bound(BOUND_LEVEL),
-    }
 
 
 def looked_at(fidelity: Fidelity, searched: int, frames: int | None = None) -> np.ndarray:
@@ -368,13 +342,9 @@ def looked_at(fidelity: Fidelity, searched: int, frames: int | None = None) -> n
 
 
 def _seconds(fidelity: Fidelity, timed: Times) -> np.ndarray:
-    """Of one evaluation in each round, (rounds,) [s]."""
+    """Seconds that one evaluation by a fidelity took in each round, (rounds,)."""
     each, _ = timed[whole(fidelity)]
     return each[:, looked_at(fidelity, each.shape[1])].sum(axis=1)
-
-
-def _costs(row: Mapping) -> tuple[float, float]:
-    return row["milliseconds"]["median"], row["error"]
 
 
 def recommended(rows: Sequence[dict]) -> dict:

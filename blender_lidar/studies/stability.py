@@ -224,12 +224,8 @@ def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[d
                     asked = search.ask()
                     search.tell(evaluator.totals([scene.deployment.pose(x) for x in asked]).per_vehicle())
                     shown.advance(len(asked))
-                answer = {
-                    "seed": seed,
-                    "mounting": scene.deployment.coordinates(search.best_x),
-                    "per_vehicle": search.best_value,
-                    "evaluations": search.evaluations,
-                }
+                answer = {"seed": seed, "mounting": scene.deployment.coordinates(search.best_x)}
+                answer |= {"per_vehicle": search.best_value, "evaluations": search.evaluations}
                 folder.store(stages[seed], answer)
     return [folder.stored(stage) for stage in stages.values()]
 
@@ -323,12 +319,11 @@ def saturation_finding(found: Mapping) -> Finding:
 
     `found`: how many views were ``seen`` at all, the ``share`` of them beyond that, and ``share_within_10_m``.
     """
-    what, share, near = "views beyond P = 1/e", found["share"], found["share_within_10_m"]
-    if share is None:
-        return Finding(METRIC, what, "", UNDECIDED, "no view of any vehicle has a return", dict(found))
-    text = f"{percent(share)} of {found['seen']:,} seen views"
-    text += "" if near is None else f", {percent(near)} of those nearer than 10 m: there a denser view scores less"
-    return Finding(METRIC, what, "", by_loss(share), text, dict(found))
+    share, near, text = found["share"], found["share_within_10_m"], "no view of any vehicle has a return"
+    if share is not None:
+        text = f"{percent(share)} of {found['seen']:,} seen views"
+        text += "" if near is None else f", {percent(near)} of those nearer than 10 m: there a denser view scores less"
+    return Finding(METRIC, "views beyond P = 1/e", "", by_loss(share), text, dict(found))
 
 
 # --- an installer's errors --------------------------------------------------------------------------------------------
@@ -358,22 +353,19 @@ def installation_findings(found: Mapping, robust: Mapping, tolerance: Tolerance)
     loss = 1.0 - found["kept"]
     aim = "on average" if tolerance.aim == "mean" else "in nine of ten installations"
     text = f"keeps {percent(found['kept'])} of its gain {aim} within {tolerance_text(asdict(tolerance))}"
-    return [
-        *lines,
-        Finding(MOUNTING, "all of these together", "", by_loss(loss), text, {"loss": loss}),
-        _robust(robust),
-    ]
+    lines.append(Finding(MOUNTING, "all of these together", "", by_loss(loss), text, {"loss": loss}))
+    return [*lines, _robust(robust)]
 
 
 def _robust(found: Mapping) -> Finding:
     """What the mounting in question leaves to the robust optimum where both hang only nearly as planned."""
-    what, place = "robust optimum", found["mounting"]
-    at = f"{place['height_m']:.2f} m, {place['tilt_x_deg']:.1f} deg"
-    if not found["robust_gain"] > 0.0:
-        return Finding(MOUNTING, what, "", UNDECIDED, f"{at}, which gains nothing over the baseline", dict(found))
-    loss = 1.0 - found["sharp_gain"] / found["robust_gain"]
-    text = f"{at}, best on the searched frames where all of these may be off; there the mounting {lost(loss)}"
-    return Finding(MOUNTING, what, "", by_loss(loss), text, {"loss": loss, **found})
+    gain, loss, text = found["robust_gain"], None, "which gains nothing over the baseline"
+    if gain > 0.0:
+        loss = 1.0 - found["sharp_gain"] / gain
+        text = f"best on the searched frames where all of these may be off; there the mounting {lost(loss)}"
+    text = f"{found['mounting']['height_m']:.2f} m, {found['mounting']['tilt_x_deg']:.1f} deg, {text}"
+    numbers = {**found} if loss is None else {"loss": loss, **found}
+    return Finding(MOUNTING, "robust optimum", "", by_loss(loss), text, numbers)
 
 
 # --- the search: do other seeds find the same, and as good? -----------------------------------------------------------

@@ -6,6 +6,7 @@ and their sizes, unless they are turned into others, and queue up anew with the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -40,16 +41,16 @@ Gaps = Callable[[np.ndarray], np.ndarray]
 def traffic_variations(draws: int) -> list[Variation]:
     """The recording's traffic thinned, jammed, and with other shares of lorries; what is drawn `draws` times over."""
     numbers = range(1, draws + 1)
-    found = [
-        Variation(TRAFFIC, "density", text, partial(_light, share=share, seed=number), number)
-        for text, share in SHARES_KEPT.items()
-        for number in numbers
-    ]
-    found.append(Variation(TRAFFIC, "density", f"jammed: gaps of {JAM_GAPS_M[1]:g} m at most", _jammed))
-    return found + [
-        Variation(TRAFFIC, "lorries", f"{100 * share:g} %", partial(_with_trucks, share=share, seed=number), number)
-        for share in TRUCK_SHARES
-        for number in (numbers if share else (0,))  # no lorries at all is no draw
+    changes = [("density", text, partial(_light, share=share), numbers) for text, share in SHARES_KEPT.items()]
+    changes.append(("density", f"jammed: gaps of {JAM_GAPS_M[1]:g} m at most", _jammed, (0,)))
+    for share in TRUCK_SHARES:  # no lorries at all is no draw
+        changes.append(
+            ("lorries", f"{100 * share:g} %", partial(_with_trucks, share=share), numbers if share else (0,))
+        )
+    return [
+        Variation(TRAFFIC, what, text, partial(change, seed=number), number)
+        for what, text, change, draws in changes
+        for number in draws
     ]
 
 
@@ -59,7 +60,8 @@ def _light(site: Site, share: float, seed: int) -> Site:
     return _with_traffic(site, lambda vehicles: vehicles.select(np.isin(vehicles.vehicle_id, kept)))
 
 
-def _jammed(site: Site) -> Site:
+def _jammed(site: Site, seed: int) -> Site:
+    """The site with queues that close up; nothing is drawn."""
     return _with_traffic(site, lambda vehicles: vehicles, lambda gaps: np.clip(gaps, *JAM_GAPS_M), site.reach_m)
 
 
@@ -95,8 +97,8 @@ def _with_traffic(
         return site.counted(vehicles)
 
     searched, held_out = (tuple(map(changed, frames)) for frames in (site.plan.search, site.plan.holdout))
-    chose = [site.plan.searched_ids, *(frame.vehicles.vehicle_id[frame.counted] % step for frame in searched)]
-    chosen = np.concatenate(chose)
+    chosen = [frame.vehicles.vehicle_id[frame.counted] % step for frame in searched]
+    chosen = np.concatenate([site.plan.searched_ids, *chosen])
     judged = (
         replace(frame, counted=frame.counted & ~np.isin(frame.vehicles.vehicle_id % step, chosen)) for frame in held_out
     )
@@ -152,7 +154,7 @@ def queued(
     along = np.abs(np.cos(vehicles.heading_rad)) >= _ALONG
     lane = np.floor((vehicles.centre_m[:, 1] - road.carriageway_y[0]) / road.lane_width_m).astype(int)
     x = vehicles.centre_m[:, 0].copy()
-    copied_rows, copied_x, copied_turn = [], [], []
+    copies = []  # of each: rows, their places, and by how many periods they are shifted
     for number in np.unique(lane[along]):
         rows = np.flatnonzero(along & (lane == number))
         rows = rows[np.argsort(x[rows], kind="stable")]
@@ -167,26 +169,19 @@ def queued(
         x[rows] = places
         if not 0 <= number < road.lanes or period < new.sum():  # a ramp ends where it ends; a pile cannot be continued
             continue
-        for turn in _turns(places[0] - anchor_x_m, places[-1] - anchor_x_m, period, filled_to_m):
-            copied_rows.append(rows)
-            copied_x.append(places + turn * period)
-            copied_turn.append(np.full(len(rows), turn))
+        before = max(0, math.ceil((places[0] - anchor_x_m + filled_to_m) / period))
+        after = max(0, math.ceil((filled_to_m - places[-1] + anchor_x_m) / period))
+        copies += [(rows, places + turn * period, turn) for turn in range(-before, after + 1) if turn]
     queue = replace(vehicles, centre_m=np.column_stack([x, vehicles.centre_m[:, 1:]]))
-    if not copied_rows:
+    if not copies:
         return queue
-    rows, copied_x, turn = map(np.concatenate, (copied_rows, copied_x, copied_turn))
+    rows, copied_x = (np.concatenate(parts) for parts in list(zip(*copies, strict=True))[:2])
+    turn = np.repeat([turn for *_, turn in copies], [len(rows) for rows, *_ in copies])
     together = queue.select(np.concatenate([np.arange(len(queue)), rows]))
     centre, ids = together.centre_m.copy(), together.vehicle_id.copy()
     centre[len(queue) :, 0] = copied_x
     ids[len(queue) :] += copies_from * np.where(turn > 0, 2 * turn - 1, -2 * turn)  # 1, 2, 3 ... for turns 1, -1, 2 ...
     return replace(together, centre_m=centre, vehicle_id=ids)
-
-
-def _turns(first: float, last: float, period: float, reach: float) -> list[int]:
-    """By how many periods the copies of a lane are shifted that fill it from -reach to reach; not 0, itself."""
-    before = max(0, int(np.ceil((first + reach) / period)))
-    after = max(0, int(np.ceil((reach - last) / period)))
-    return [*range(-before, 0), *range(1, after + 1)]
 
 
 # --- metric: the score with other constants, and other scores, of the same returns ------------------------------------
@@ -202,21 +197,20 @@ def metric_variations(site: Site) -> list[Variation]:
     Without a C the objective asks for neither view nor delta.
     """
     scoring, cell_m = site.scoring, site.observation.cell_m
+    settings = [
+        ("view of Eq. 11", "view", {view: view for view in VIEWS}),
+        ("delta of Eq. 11", "threshold", {f"{value:g}": value for value in THRESHOLDS}),
+        ("abs(C) of Eq. 10", "loss", {f"{value:g}": -value for value in LOSSES}),
+    ]
     changes = [
         ("cell size", f"{100 * side:g} cm", partial(_with_cells, cell_m=side)) for side in CELLS_M if side != cell_m
     ]
-    if scoring.loss is not None:
-        settings = (
-            ("view of Eq. 11", "view", {view: view for view in VIEWS}, scoring.view),
-            ("delta of Eq. 11", "threshold", {f"{value:g}": value for value in THRESHOLDS}, scoring.threshold),
-            ("abs(C) of Eq. 10", "loss", {f"{value:g}": -value for value in LOSSES}, -abs(scoring.loss)),
-        )
-        changes += [
-            (what, text, partial(_with_scoring, **{key: value}))
-            for what, key, values, now in settings
-            for text, value in values.items()
-            if value != now
-        ]
+    changes += [
+        (what, text, partial(_with_scoring, **{key: value}))
+        for what, key, values in (settings if scoring.loss is not None else ())
+        for text, value in values.items()
+        if value != (-abs(scoring.loss) if key == "loss" else getattr(scoring, key))
+    ]
     changes += [("other metric", name, partial(_with_metric, name=name)) for name in METRICS if name != scoring.metric]
     return [Variation(METRIC, *change, cast_anew=False) for change in changes]
 
@@ -249,8 +243,8 @@ _DRAWN = (  # what, key of [sensor], values, unit of the values, key of the seed
 
 def sensor_variations(site: Site, draws: int) -> list[Variation]:
     """Each imperfection alone, what is drawn `draws` times over; phase and step of the azimuths."""
-    found = [
-        Variation(SENSOR, what, f"{value:g}{unit}", partial(with_sensor, settings={key: value, seed: number}), number)
+    changes = [
+        (what, f"{value:g}{unit}", partial(with_sensor, settings={key: value, seed: number}), number)
         for what, key, values, unit, seed in _DRAWN
         for value in values
         for number in range(1, draws + 1)
@@ -259,10 +253,9 @@ def sensor_variations(site: Site, draws: int) -> list[Variation]:
     fixed = [("glass drop-out", "1", {"glass_dropout": 1.0})]  # loses them all
     fixed += [("10 % target seen", f"to {reach:g} m", {"range_at_10_percent_m": reach}) for reach in (60.0, 30.0)]
     fixed += [("rotation rate", f"{rate:g} Hz", {"rotation_hz": rate}) for rate in rates]
-    found += [Variation(SENSOR, what, text, partial(with_sensor, settings=settings)) for what, text, settings in fixed]
-    return found + [
-        Variation(SENSOR, "azimuth phase", f"{share:.2f} of a step", partial(_turned, share=share)) for share in PHASES
-    ]
+    changes += [(what, text, partial(with_sensor, settings=settings)) for what, text, settings in fixed]
+    changes += [("azimuth phase", f"{share:.2f} of a step", partial(_turned, share=share)) for share in PHASES]
+    return [Variation(SENSOR, *change) for change in changes]
 
 
 def with_sensor(site: Site, settings: Mapping[str, float | None]) -> Site:
