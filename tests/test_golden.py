@@ -258,7 +258,6 @@ def reality(folder: Path, words: tuple) -> dict:
     if not KITTI.is_dir():
         pytest.skip("no KITTI sweeps in ../shared/data/kitti")
     if words[0] == "--detections":
-        pytest.importorskip("pandas")
         pytest.importorskip("scipy")
     if words[0] == "--paired" and not any(map(is_available, CASTERS[:-1])):
         pytest.skip("no caster but the exact one is installed")

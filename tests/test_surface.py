@@ -332,7 +332,7 @@ def of_comparisons(folder: Path) -> dict[str, list[str]]:
     out = folder / "paired"
     done("compare", "--kitti", folder / "sweeps", "--paired", "--caster", CASTER, "--details", "box,body", "--out", out)
     found = left_in(out, "compare --paired")
-    if not find_spec("pandas"):
+    if not find_spec("scipy"):
         return found
     cars = sample_cars()
     write_labelled(folder / "labelled", cars)
@@ -447,7 +447,8 @@ def can_be_there(section: str, entry: str) -> bool:
         "laspy": r"\blas|\blaz",
         "bpy": "build: |: bpy$",
         "matplotlib": r"\.png|img: Chart|h2: (How sure|What the beams)",
-        "pandas": ": pandas$|compare --detections",  # its version is told
+        "pandas": ": pandas$",  # its version is told
+        "scipy": ": scipy$|compare --detections",
         "embreex": ": embreex$",
     }
     return all(find_spec(name) for name, pattern in needs.items() if re.search(pattern, f"{section}: {entry}"))
