@@ -35,7 +35,7 @@ def own_sensor(folder: Path, rows: str) -> str:
 def test_the_list_has_one_line_per_model_with_its_facts(capsys):
     assert run() == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines[2 : 2 + len(model_names())]] == model_names()
+    assert [line.split()[0] for line in lines[1 : 1 + len(model_names())]] == model_names()
     line = next(line for line in lines if line.startswith("RS-32 "))
     for fact in ("32", "-16 to +15", "1800", "576,000", "0.2-150", "medium", "RS-Helios-1615"):
         assert fact in line

@@ -47,7 +47,7 @@ def test_an_empty_file(tmp_path, content):
     ("content", "text"),
     [
         (bytes(range(256)) * 40, "not a text file"),
-        (b"\0" * 1000, "zero bytes"),
+        (b"\0" * 1000, "FILE:1: no column Vehicle_ID"),
         ("1 2 3\n".encode("utf-16"), "not a text file"),
         (b"PK\x03\x04" + bytes(100), "zip archive"),
         (b"x" * 200_000, "FILE:1: no column Vehicle_ID"),

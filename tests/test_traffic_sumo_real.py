@@ -187,7 +187,8 @@ def test_the_default_sizes_are_those_that_sumo_tells(folder):
     tools = HOME / "tools"
     if not (tools / "traci").is_dir():
         pytest.skip("SUMO's tools are not installed")
-    names = list(DEFAULT_TYPES)
+    sizes = {name: known.size_m for name, known in DEFAULT_TYPES.items() if known.class_name is not None}
+    names = list(sizes)
     write_xml(folder / "classes.rou.xml", "routes", "".join(f'<vType id="t_{n}" vClass="{n}"/>' for n in names))
     program = f"""
 import sys
@@ -207,4 +208,4 @@ traci.close()
     )
     assert done.returncode == 0, done.stderr
     told = {name: tuple(map(float, size)) for name, *size in map(str.split, done.stdout.splitlines()) if name in names}
-    assert told == {name: known.size_m for name, known in DEFAULT_TYPES.items()}
+    assert told == sizes

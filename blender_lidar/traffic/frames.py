@@ -59,7 +59,6 @@ _SHORTEST_BLOCK_S = 5.0
 _TRANSIT_PERCENTILE = 95
 _FEWEST_HOLDOUT_BLOCKS = 2
 _SHORTEST_S = 1e-3
-_MOST_MULTIPLES = 10_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -246,9 +245,6 @@ def _nearest_to_multiples(time_s: np.ndarray, spacing_s: float, count: int | Non
     """Places of the times (n,), ascending, that are nearest to one of the first `count` multiples from the first on."""
     if len(time_s) == 1:
         return np.zeros(1, dtype=np.int64)
-    multiples = (time_s[-1] - time_s[0]) / spacing_s
-    if multiples > _MOST_MULTIPLES:
-        raise InputError(f"the spacing of frames is {spacing_s} s: {multiples:.0f} times in the searched part")
     target = np.arange(time_s[0], time_s[-1] + 1e-9, spacing_s)[:count]
     after = np.clip(np.searchsorted(time_s, target), 1, len(time_s) - 1)
     is_before = np.abs(time_s[after - 1] - target) <= np.abs(time_s[after] - target)
@@ -284,9 +280,7 @@ def _skipped(recording: Recording, whole: np.ndarray, candidates: _Frames) -> li
 
 
 def _too_short(candidates: _Frames, holdout: float, block_s: float, listed: bool) -> str:
+    needed_s = (1 + _FEWEST_HOLDOUT_BLOCKS) * block_s / (1.0 if listed else holdout)
+    needed = f"{needed_s:.0f} s{' after or before the given frames' if listed else ''} are needed"
     has = f"the recording has {candidates.length_s:.0f} s"
-    if listed:
-        needs = f"{(1 + _FEWEST_HOLDOUT_BLOCKS) * block_s:.0f} s after or before the given frames are needed"
-    else:
-        needs = f"{(1 + _FEWEST_HOLDOUT_BLOCKS) * block_s / holdout:.0f} s are needed"
-    return f"nothing is held out: {has}, {needs} (blocks of {block_s:.0f} s, longer than a transit)"
+    return f"nothing is held out: {has}, {needed} (blocks of {block_s:.0f} s, longer than a transit)"

@@ -69,8 +69,6 @@ def first_lines(path: str | Path) -> list[tuple[int, str]]:
         text = head.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file (UTF-8)") from error
-    if "\0" in text:
-        raise InputError(f"{path}: not a text file (it holds zero bytes)")
     lines = [(number, line.rstrip("\r")) for number, line in enumerate(text.split("\n"), start=1)]
     lines = [(number, line) for number, line in lines if line.strip() and not line.startswith("#")]
     if not lines:

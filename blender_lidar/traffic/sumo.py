@@ -323,8 +323,7 @@ def _parquet_rows(path: str | Path) -> Iterator[Rows]:
     except InputError:  # a ValueError too
         raise
     except (pyarrow.ArrowException, OSError, ValueError, LookupError) as error:  # some of them of places beyond the end
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: truncated or damaged Parquet file ({reason})") from error
+        raise InputError(f"{path}: truncated or damaged Parquet file ({error})") from error
 
 
 def _attributes(header: Sequence[str]) -> list[str]:
@@ -362,7 +361,7 @@ class VehicleType(NamedTuple):
     class_name : str or None
         Ours; None for what is no vehicle on a road.
     size_m : (float, float, float)
-        Length, width and height [m].
+        Length, width and height [m]; of no account for what is on no road.
     """
 
     class_name: str | None
@@ -370,6 +369,8 @@ class VehicleType(NamedTuple):
 
 
 _CARS = ("ignoring", "private", "authority", "army", "vip", "passenger", "hov", "taxi", "evehicle")
+_ON_RAILS = ("rail_urban", "subway", "rail", "rail_electric", "rail_fast", "cable_car")
+_ON_NO_ROAD = ("pedestrian", "wheelchair", "container", "ship", "aircraft", "drone")
 DEFAULT_TYPES = {
     **dict.fromkeys((*_CARS, "custom1", "custom2"), VehicleType("car", (5.0, 1.8, 1.5))),
     **dict.fromkeys(("emergency", "delivery"), VehicleType("van", (6.5, 2.16, 2.86))),
@@ -382,16 +383,7 @@ DEFAULT_TYPES = {
     "moped": VehicleType("motorcycle", (2.1, 0.78, 1.7)),
     "bicycle": VehicleType("motorcycle", (1.6, 0.65, 1.7)),
     "scooter": VehicleType("motorcycle", (1.2, 0.5, 1.7)),
-    **dict.fromkeys(("rail_urban", "subway"), VehicleType(None, (109.5, 3.0, 3.6))),
-    "rail": VehicleType(None, (135.0, 2.84, 3.75)),
-    **dict.fromkeys(("rail_electric", "rail_fast"), VehicleType(None, (200.0, 2.95, 3.89))),
-    "cable_car": VehicleType(None, (5.0, 1.8, 1.5)),
-    "pedestrian": VehicleType(None, (0.215, 0.478, 1.719)),
-    "wheelchair": VehicleType(None, (1.2, 0.72, 1.2)),
-    "container": VehicleType(None, (6.096, 2.438, 2.591)),
-    "ship": VehicleType(None, (17.0, 4.0, 4.0)),
-    "aircraft": VehicleType(None, (72.7, 79.8, 1.5)),
-    "drone": VehicleType(None, (0.5, 0.5, 1.5)),
+    **dict.fromkeys((*_ON_RAILS, *_ON_NO_ROAD), VehicleType(None, (1.0, 1.0, 1.0))),
 }
 """By SUMO's vehicle class, of which nothing else is known; 5 m by default say nothing about a van, and a tram stands in
 the street as a bus does. Sizes: "Vehicle Type Parameter Defaults" of its documentation, as SUMO 1.28.0 tells them by

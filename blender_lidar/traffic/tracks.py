@@ -109,8 +109,6 @@ def lane_changing(vehicle_id: np.ndarray, time_s: np.ndarray, lane: np.ndarray) 
     """Rows within `LANE_CHANGE_S` of a change of lane number, (n,) bool; rows as in `held_heading`."""
     same = np.diff(vehicle_id) == 0
     changed = np.flatnonzero(same & (np.diff(lane) != 0))
-    if not len(changed):
-        return np.zeros(len(lane), dtype=bool)
     # Both rows of a change count, as it lies somewhere between them.
     events = np.zeros(len(lane))
     events[changed] = events[changed + 1] = 1

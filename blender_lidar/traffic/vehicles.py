@@ -308,11 +308,8 @@ class RoadFrame:
         ndarray, (n, 2)
             x and y [m, road frame].
         """
-        local_m = np.asarray(local_m, dtype=np.float64)
-        return np.stack(
-            [local_m[:, 1] - self.station_m, self.setback_m + (self.right_edge_m - local_m[:, 0])],
-            axis=1,
-        )
+        across, along = np.asarray(local_m, dtype=np.float64).T
+        return np.stack([along - self.station_m, self.setback_m + (self.right_edge_m - across)], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,28 +367,23 @@ def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
     """
     centre, half, heading = vehicles.centre_m[:, :2], vehicles.size_m[:, :2] / 2, vehicles.heading_rad
     reach = np.hypot(half[:, 0], half[:, 1])
-    # Along the axis on which the fewest circles overlap, each is paired with those that begin before it ends.
-    order, following = min((_swept(along, reach) for along in centre.T), key=lambda swept: int(swept[1].sum()))
-    if following.sum() > _MOST_NEAR_PAIRS:
-        raise InputError(f"frame {vehicles.frame}: {len(order):,} vehicles so close to one another are no traffic")
-    row = np.repeat(np.arange(len(order)), following)
-    nth = np.arange(len(row)) - np.repeat(np.cumsum(following) - following, following)
-    pairs = np.sort(np.stack([order[row], order[row + 1 + nth]], axis=1), axis=1)
-    near = np.abs(centre[pairs[:, 0]] - centre[pairs[:, 1]]).max(axis=1) < reach[pairs].sum(axis=1)
-    first, second = pairs[near].T
+    along = centre[:, np.abs(centre - centre.mean(axis=0)).sum(axis=0).argmax()] if len(vehicles) else reach
+    order = np.argsort(along - reach, kind="stable")
+    begin, end = (along - reach)[order], (along + reach)[order]
+    near = [np.zeros((2, 0), dtype=np.int64)]
+    for later in range(1, len(order)):  # circles that begin before another one ends, the nearest neighbours first
+        rows = np.flatnonzero(begin[later:] < end[:-later])
+        if not len(rows):
+            break
+        near.append(np.sort([order[rows], order[rows + later]], axis=0))
+        if sum(pairs.shape[1] for pairs in near) > _MOST_NEAR_PAIRS:
+            raise InputError(f"frame {vehicles.frame}: {len(order):,} vehicles so close to one another are no traffic")
+    first, second = np.concatenate(near, axis=1)
     together = rectangles_overlap(
         centre[first], half[first], heading[first], centre[second], half[second], heading[second]
     )
-    pairs = pairs[near][together]
+    pairs = np.stack([first, second], axis=1)[together]
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-
-
-def _swept(along: np.ndarray, reach: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Order by where circles begin along an axis, and how many begin within each after it."""
-    order = np.argsort(along - reach, kind="stable")
-    begin = (along - reach)[order]
-    within = np.searchsorted(begin, (along + reach)[order], side="left") - np.arange(1, len(order) + 1)
-    return order, np.maximum(within, 0)
 
 
 def rectangles_overlap(
