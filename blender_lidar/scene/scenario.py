@@ -68,10 +68,8 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     """
     tables = _tables(Path(path), overrides or {})
     bounds = tables["deployment"].read(DEPLOYMENT)
-    deployment = Deployment(
-        {key: value for key, value in bounds.items() if not isinstance(value, tuple)},
-        {key: value for key, value in bounds.items() if isinstance(value, tuple)},
-    )
+    searched = {key: value for key, value in bounds.items() if isinstance(value, tuple)}
+    deployment = Deployment({key: value for key, value in bounds.items() if key not in searched}, searched)
     nominal = dict(zip(("x_m", "y_m"), deployment.nominal_xy, strict=True))
     baseline = {key: replace(one, default=nominal.get(key, one.default)) for key, one in MOUNTING.items()}
     objective, search = _objective(tables["objective"]), _search(tables["search"], deployment)
