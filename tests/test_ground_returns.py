@@ -14,7 +14,6 @@ from blender_lidar.metrics.scene_metrics import (
     DISC_RADIUS_M,
     density_on_ground,
     field_area,
-    ground_density,
     nuc,
     nuc_on_ground,
 )
@@ -84,11 +83,6 @@ def test_a_single_return_is_perfectly_uniform_and_none_is_worst():
     assert worst == pytest.approx(0.5 * AREA_M2 / (math.pi * DISC_RADIUS_M**2))
     two = np.concatenate([np.zeros((50, 2)), np.array([[10.0, 10.0]] * 50), np.array([[20.0, 0.0]])])
     assert 0.0 < nuc(two, AREA_M2) < worst
-
-
-def test_density_is_returns_per_area():
-    assert ground_density(np.zeros((30, 2)), 12.0) == 2.5
-    assert ground_density(np.zeros((0, 2)), 12.0) == 0.0
 
 
 def test_the_area_of_a_field_equals_that_of_many_thin_strips():

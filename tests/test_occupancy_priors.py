@@ -14,7 +14,7 @@ from blender_lidar.metrics.occupancy_prior import (
     box_visibility,
     reach_probability,
 )
-from blender_lidar.metrics.voxel_grid import VoxelGrid, VoxelWalk, covered_voxels
+from blender_lidar.metrics.voxel_grid import VoxelGrid, covered_voxels, traverse
 
 GRID = VoxelGrid((-6.0, 2.0, 0.0), (30, 18, 5), 0.4)
 MOUNT = np.array([0.0, 0.0, 3.1])
@@ -164,11 +164,10 @@ def test_a_second_beam_through_the_same_voxels_changes_nothing(occupied):
 
 def slow_reach(grid, prior, origin, directions, farthest):
     """The strength of every beam in every voxel on its way, multiplied out by itself; the best one counts."""
-    best = np.zeros(len(grid))
+    best, number = np.zeros(len(grid)), grid.with_rim(np.arange(1, len(grid) + 1)) - 1
     for direction in directions:
-        walk = VoxelWalk(grid, origin, direction[None], farthest)
-        number = walk.with_rim(np.arange(1, len(grid) + 1)) - 1
-        way = [int(number[voxel[0]]) for voxel in walk.steps() if number[voxel[0]] >= 0]
+        walked = [int(number[voxel[0]]) for _, voxel in traverse(grid, origin, direction[None], farthest)]
+        way = [voxel for voxel in walked if voxel >= 0]
         for place, voxel in enumerate(way):
             best[voxel] = max(best[voxel], math.prod(1.0 - prior[before] for before in way[:place]))
     return best

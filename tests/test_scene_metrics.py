@@ -14,7 +14,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics import scene_metrics
 from blender_lidar.metrics.catalogue import METRICS, metric_named
 from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
-from blender_lidar.metrics.scene_metrics import VOXEL_M, Road, field_area, ground_density, ground_points, nuc
+from blender_lidar.metrics.scene_metrics import VOXEL_M, Road, field_area, ground_points, nuc
 from blender_lidar.metrics.voxel_grid import covered_voxels
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
@@ -257,7 +257,7 @@ def test_ground_returns_are_those_of_a_scan_of_the_empty_road(pose):
     np.testing.assert_allclose(points, cloud[inside, :2], atol=1e-9)
     area = field_area(30.0, (2.0, 23.96))
     found = [per_vehicle(name, [pose])[0] for name in ("ground-density", "ground-nuc")]
-    np.testing.assert_allclose(found, [ground_density(points, area), -nuc(points, area)], rtol=1e-12)
+    np.testing.assert_allclose(found, [len(points) / area, -nuc(points, area)], rtol=1e-12)
     assert (len(points) > 0) == (pose is not OUT_OF_REACH)
 
 

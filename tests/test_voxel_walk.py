@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.voxel_grid import VoxelGrid, VoxelWalk, covered_voxels
+from blender_lidar.metrics.voxel_grid import VoxelGrid, covered_voxels, traverse
 
 GRID = VoxelGrid((-4.0, 1.2, 0.0), (20, 15, 6), 0.4)
 LATTICE = [np.array(d) - 2 for d in np.ndindex(5, 5, 5) if d != (2, 2, 2)]  # along planes, edges and corners
@@ -44,11 +44,10 @@ def crossed(grid, origin, direction, nearest, farthest):
 
 def paths(grid, origin, directions, nearest, farthest):
     """The voxels of each beam in the order of the walk, by number within the grid."""
-    walk = VoxelWalk(grid, origin, directions, farthest, nearest)
-    number = walk.with_rim(np.arange(1, len(grid) + 1)) - 1  # -1 in the rim
+    number = grid.with_rim(np.arange(1, len(grid) + 1)) - 1  # -1 in the rim
     found = [[] for _ in directions]
-    for voxel in walk.steps():
-        for beam, one in zip(walk.beam, number[voxel], strict=False):
+    for beams, voxel in traverse(grid, origin, directions, farthest, nearest):
+        for beam, one in zip(beams, number[voxel], strict=True):
             found[beam].append(int(one))
     return found
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError
 from .metric import VehicleReturns
 from .view_grids import cell_counts
-from .voxel_grid import MOST_VOXELS, VoxelGrid, VoxelWalk
+from .voxel_grid import MOST_VOXELS, VoxelGrid, traverse
 
 # --- How uncertain the voxels are that beams cross: S-MIG and M-SOG, which learn from traffic where vehicles drive -
 # Both ask no more of a beam than that it crosses a voxel: it goes on through whatever stands there. Neither sees
@@ -235,15 +235,14 @@ def reach_probability(
     max_range_m, min_range_m : float
         How far they are followed, and from where on [m].
     """
-    walk = VoxelWalk(grid, origin_m, directions, max_range_m, min_range_m)
-    free = 1.0 - walk.with_rim(prior)
-    best = walk.empty(float)
-    strength = np.ones(len(walk.beam))  # of each beam: the product so far
-    for voxel in walk.steps():
+    free = 1.0 - grid.with_rim(prior)
+    best = np.zeros(len(free))
+    strength = np.ones(len(directions))  # of each beam: the product so far
+    for _, voxel in traverse(grid, origin_m, directions, max_range_m, min_range_m):
         still = strength[: len(voxel)]
         np.maximum.at(best, voxel, still)
         still *= free[voxel]
-    return walk.without_rim(best)
+    return grid.without_rim(best)
 
 
 def box_visibility(

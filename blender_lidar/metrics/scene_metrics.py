@@ -35,22 +35,6 @@ DISC_RADIUS_M, DISCS, SEED = 0.7, 6000, 1
 _PAIRS_AT_A_TIME = 1 << 16  # whose temporaries stay in cache
 
 
-def ground_density(points_m: np.ndarray, area_m2: float) -> float:
-    """Returns from the ground per area of the field, N / A [points/m²]; higher is better.
-
-    Cai et al., ICRA 2023, arXiv:2211.15975 (PCSim, `ComputeDNUC.py`). It falls with the square of distance, so that the
-    metres next to the pole decide it. It knows no vehicles: neither where they drive nor what they hide.
-
-    Parameters
-    ----------
-    points_m : ndarray, (n, 2)
-        Returns in the field [m].
-    area_m2 : float
-        Its area A [m²].
-    """
-    return len(points_m) / area_m2
-
-
 def nuc(
     points_m: np.ndarray, area_m2: float, radius_m: float = DISC_RADIUS_M, discs: int = DISCS, seed: int = SEED
 ) -> float:
@@ -62,7 +46,7 @@ def nuc(
 
     As published, discs reach over the field's edge, and are drawn where returns are dense, so that sparse zones hardly
     count. A few returns close together, or a single one, make it 0, which no road can better: read it beside
-    `ground_density`. Without any return it is taken for its upper bound 1 / (2 p).
+    `density_on_ground`. Without any return it is taken for its upper bound 1 / (2 p).
 
     Parameters
     ----------
@@ -275,7 +259,7 @@ def m_sog(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
     Li, Kong, Hu, Xu and Huang, "Is Your LiDAR Placement Optimized for 3D Scene Understanding?" (Place3D), NeurIPS 2024,
     arXiv:2403.17009, section 3, as for car detection: two classes, vehicle and anything else. Theirs learns classes
-    from dense merged clouds and follows beams as `VoxelWalk` does; code for the metric was not released.
+    from dense merged clouds and follows beams as `voxel_grid.traverse` does; code for the metric was not released.
 
     As a mean of -H it rises with every *certain* voxel that is covered, such as the air above the roofs, and is
     greatest for a sensor that covers nothing uncertain, or nothing at all: degenerate as `s_mig` is. Between set-ups
@@ -298,8 +282,12 @@ def visible_voxels(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np
 
 
 def density_on_ground(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
-    """`ground_density` of a mounting over the empty road [points/m²]."""
-    return ground_density(ground_points(context, origin_m, rotation), _area(context.field))
+    """Returns of a mounting from the empty road per area of the field, N / A [points/m²]; higher is better.
+
+    Cai et al., ICRA 2023, arXiv:2211.15975 (PCSim, `ComputeDNUC.py`). It falls with the square of distance, so that the
+    metres next to the pole decide it. It knows no vehicles: neither where they drive nor what they hide.
+    """
+    return len(ground_points(context, origin_m, rotation)) / _area(context.field)
 
 
 def nuc_on_ground(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:

@@ -64,6 +64,14 @@ class VoxelGrid:
         """Centres of voxels (k,) by number, (k, 3) [m]."""
         return self.low_m + (np.stack(np.unravel_index(voxel, self.counts), axis=-1) + 0.5) * self.voxel_m
 
+    def with_rim(self, value: np.ndarray) -> np.ndarray:
+        """A value of each voxel (voxels,) as `traverse` numbers them: with a rim of voxels about the grid, all 0."""
+        return np.pad(value.reshape(self.counts), 1).ravel()
+
+    def without_rim(self, value: np.ndarray) -> np.ndarray:
+        """A value of each voxel of the grid, (voxels,), from what `with_rim` made."""
+        return value.reshape(np.add(self.counts, 2))[1:-1, 1:-1, 1:-1].ravel()
+
     def in_boxes(self, centre_m: np.ndarray, size_m: np.ndarray, heading_rad: np.ndarray) -> np.ndarray:
         """Voxels whose centre lies in one of n boxes, each once.
 
@@ -93,8 +101,7 @@ class VoxelGrid:
         last = np.clip(np.ceil(last) + 1.0, 0, self.counts).astype(np.int64)
         i, j, k = (np.arange(start, stop) for start, stop in zip(first, last, strict=True))
         x, y, z = (
-            low + (index + 0.5) * self.voxel_m - middle
-            for low, index, middle in zip(self.low_m, (i, j, k), centre, strict=True)
+            self.low_m[axis] + (index + 0.5) * self.voxel_m - centre[axis] for axis, index in enumerate((i, j, k))
         )
         x, y = x[:, None], y[None, :]
         in_plan = (np.abs(cos * x + sin * y) <= half[0]) & (np.abs(cos * y - sin * x) <= half[1])
@@ -107,8 +114,10 @@ class VoxelGrid:
 _LEVEL = 1e-12  # of a unit vector; a smaller component moves a beam by less than a nanometre in a kilometre
 
 
-class VoxelWalk:
-    """The voxels that beams from one place cross, in the order in which they cross them.
+def traverse(
+    grid: VoxelGrid, origin_m: np.ndarray, directions: np.ndarray, max_range_m: float, min_range_m: float = 0.0
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Voxel traversal: the voxels that beams from one place cross, step after step, in the order they cross them.
 
     Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987: a beam goes on through
     the nearest of the next planes across x, y and z. Exact but for rounding: a voxel that a beam merely touches, on a
@@ -123,91 +132,57 @@ class VoxelWalk:
         Where they start [m].
     directions : ndarray, (n, 3)
         Unit vectors.
-    max_range_m : float
-        How far they are followed [m].
-    min_range_m : float
-        From where on [m].
+    max_range_m, min_range_m : float
+        How far they are followed, and from where on [m].
 
-    Attributes
-    ----------
-    beam : ndarray of int64, (m,)
-        Rows of `directions` that cross the region at all, those with the most voxels first.
-
-    A walk is used up by going through its `steps` once.
+    Yields
+    ------
+    beam, voxel : ndarray of int64, (k,)
+        Rows of the beams that have not left the region yet, those with the most voxels first, so that each step has the
+        first k of the one before; and the number of the voxel that each is in, within the rim of
+        `VoxelGrid.with_rim`, overwritten by the next step.
     """
-
-    def __init__(
-        self,
-        grid: VoxelGrid,
-        origin_m: np.ndarray,
-        directions: np.ndarray,
-        max_range_m: float,
-        min_range_m: float = 0.0,
-    ) -> None:
-        counts = np.array(grid.counts)[:, None]
-        start = ((origin_m - grid.low_m) / grid.voxel_m)[:, None]  # all in voxels from here on
-        ahead = np.where(np.abs(directions.T) < _LEVEL, 0.0, directions.T)
-        enter, leave = _within(start, ahead, counts, min_range_m / grid.voxel_m, max_range_m / grid.voxel_m)
-        beam = np.flatnonzero(enter < leave)
-        ahead, enter, leave = ahead[:, beam], enter[beam], leave[beam]
-        first = np.clip(np.floor(start + ahead * enter), 0, counts - 1)
-        last = np.clip(np.floor(start + ahead * leave), 0, counts - 1)
-        voxels = np.abs(last - first).sum(axis=0).astype(np.int64) + 1  # a plane crossed for each but the first
-        order = np.argsort(-voxels, kind="stable")
-        self.beam = beam[order]
-        self._counts = grid.counts
-        self._walking = _still_walking(voxels)
-        ahead, first = ahead[:, order], first[:, order]
-        stands = ahead == 0.0
-        self._apart = 1.0 / np.abs(np.where(stands, 1.0, ahead))  # between planes, along the beam
-        self._next = np.where(stands, np.inf, (first + (ahead > 0.0) - start) / np.where(stands, 1.0, ahead))
-        # A rim of voxels about the grid takes up a beam that rounding lets cross its last plane too early.
-        stride = np.array([(grid.counts[1] + 2) * (grid.counts[2] + 2), grid.counts[2] + 2, 1])[:, None]
-        self._voxel = ((first.astype(np.int64) + 1) * stride).sum(axis=0)
-        self._stride = np.where(ahead > 0.0, stride, -stride)
-
-    def steps(self) -> Iterator[np.ndarray]:
-        """The voxel that each beam is in, step after step; for numbers within the rim that `empty` makes.
-
-        Yields
-        ------
-        ndarray of int64, (k,)
-            Numbers for the first k of `beam`: those that have not left the region yet. Overwritten by the next step.
-        """
-        for walking in self._walking:
-            voxel = self._voxel[:walking]
-            yield voxel
-            x, y, z = (along[:walking] for along in self._next)
-            by_x = (x <= y) & (x <= z)
-            by_y = (y <= z) & ~by_x
-            by_z = ~(by_x | by_y)
-            for along, apart, crossed in zip((x, y, z), self._apart, (by_x, by_y, by_z), strict=True):
-                np.add(along, apart[:walking], out=along, where=crossed)
-            across_x, across_y, across_z = (stride[:walking] for stride in self._stride)
-            voxel += np.where(by_x, across_x, np.where(by_y, across_y, across_z))
-
-    def empty(self, dtype: type) -> np.ndarray:
-        """Zeros for every voxel and for a rim about the grid, to be indexed by `steps`."""
-        return np.zeros(np.prod(np.add(self._counts, 2)), dtype=dtype)
-
-    def with_rim(self, value: np.ndarray) -> np.ndarray:
-        """A value of each voxel (voxels,) as `steps` index it."""
-        return np.pad(value.reshape(self._counts), 1).ravel()
-
-    def without_rim(self, value: np.ndarray) -> np.ndarray:
-        """What was found by `steps` for each voxel of the grid, (voxels,)."""
-        return value.reshape(np.add(self._counts, 2))[1:-1, 1:-1, 1:-1].ravel()
+    counts = np.array(grid.counts)[:, None]
+    start = ((origin_m - grid.low_m) / grid.voxel_m)[:, None]  # all in voxels from here on
+    ahead = np.where(np.abs(directions.T) < _LEVEL, 0.0, directions.T)
+    enter, leave = _within(start, ahead, counts, min_range_m / grid.voxel_m, max_range_m / grid.voxel_m)
+    beam = np.flatnonzero(enter < leave)
+    ahead, enter, leave = ahead[:, beam], enter[beam], leave[beam]
+    first = np.clip(np.floor(start + ahead * enter), 0, counts - 1)
+    last = np.clip(np.floor(start + ahead * leave), 0, counts - 1)
+    voxels = np.abs(last - first).sum(axis=0).astype(np.int64) + 1  # a plane crossed for each but the first
+    order = np.argsort(-voxels, kind="stable")
+    beam, ahead, first = beam[order], ahead[:, order], first[:, order]
+    stands = ahead == 0.0
+    slope = np.where(stands, 1.0, ahead)
+    apart = 1.0 / np.abs(slope)  # between planes, along the beam
+    planes = np.where(stands, np.inf, (first + (ahead > 0.0) - start) / slope)  # the next ones
+    # A rim of voxels about the grid takes up a beam that rounding lets cross its last plane too early.
+    stride = np.array([(grid.counts[1] + 2) * (grid.counts[2] + 2), grid.counts[2] + 2, 1])[:, None]
+    place = ((first.astype(np.int64) + 1) * stride).sum(axis=0)
+    stride = np.where(ahead > 0.0, stride, -stride)
+    going = len(voxels) - np.cumsum(np.bincount(voxels, minlength=1))  # beams, after so many steps
+    for walking in going[:-1].tolist():
+        voxel = place[:walking]
+        yield beam[:walking], voxel
+        x, y, z = (along[:walking] for along in planes)
+        by_x = (x <= y) & (x <= z)
+        by_y = (y <= z) & ~by_x
+        by_z = ~(by_x | by_y)
+        for along, gap, crossed in zip((x, y, z), apart, (by_x, by_y, by_z), strict=True):
+            np.add(along, gap[:walking], out=along, where=crossed)
+        across_x, across_y, across_z = (step[:walking] for step in stride)
+        voxel += np.where(by_x, across_x, np.where(by_y, across_y, across_z))
 
 
 def covered_voxels(
     grid: VoxelGrid, origin_m: np.ndarray, directions: np.ndarray, max_range_m: float, min_range_m: float = 0.0
 ) -> np.ndarray:
-    """Which voxels any beam crosses, (voxels,) bool; parameters as for `VoxelWalk`."""
-    walk = VoxelWalk(grid, origin_m, directions, max_range_m, min_range_m)
-    covered = walk.empty(bool)
-    for voxel in walk.steps():
+    """Which voxels any beam crosses, (voxels,) bool; parameters as for `traverse`."""
+    covered = grid.with_rim(np.zeros(len(grid), dtype=bool))
+    for _, voxel in traverse(grid, origin_m, directions, max_range_m, min_range_m):
         covered[voxel] = True
-    return walk.without_rim(covered)
+    return grid.without_rim(covered)
 
 
 def _within(start, ahead, counts, nearest, farthest):
@@ -219,9 +194,3 @@ def _within(start, ahead, counts, nearest, farthest):
     enter = np.where(stands, np.where(between, -np.inf, np.inf), np.minimum(one, other))
     leave = np.where(stands, np.inf, np.maximum(one, other))
     return np.maximum(enter.max(axis=0), nearest), np.minimum(leave.min(axis=0), farthest)
-
-
-def _still_walking(voxels):
-    """How many beams are still in the region in each step; the counts of their voxels descend."""
-    ended = np.bincount(voxels, minlength=1)
-    return (len(voxels) - np.cumsum(ended))[:-1].tolist()

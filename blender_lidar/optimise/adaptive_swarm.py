@@ -67,8 +67,6 @@ class AdaptiveSwarm:
         self.candidates = self._position.copy()
         self._next_velocity = self._velocity.copy()
         self._flown = np.zeros(particles, dtype=bool)
-        self._scale = np.full(particles, FIRST_SCALE)
-        self._crossover = np.full(particles, FIRST_CROSSOVER)
         self._scales, self._crossovers = np.full(MEMORY, FIRST_SCALE), np.full(MEMORY, FIRST_CROSSOVER)
         self._oldest = 0  # of the memory
         self._replaced = np.empty((0, variables))

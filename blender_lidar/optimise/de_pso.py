@@ -66,11 +66,6 @@ class DePsoSettings:
         check_number(self.differential_threshold, 0.0, 1.0, "differential_threshold")
         check_reading(self.reading)
 
-    @property
-    def evaluations(self) -> int:
-        """Evaluations of a whole run, T N."""
-        return self.particles * self.iterations
-
 
 class DePso(Search):
     """DE-PSO as an ask/tell search; see `Search` for the methods.
@@ -96,7 +91,7 @@ class DePso(Search):
     ) -> None:
         self.settings = settings or DePsoSettings()
         particles = self.settings.particles
-        super().__init__(lower, upper, budget=self.settings.evaluations, per_iteration=particles)
+        super().__init__(lower, upper, budget=particles * self.settings.iterations, per_iteration=particles)
         self._rng = generator(seed)
         self._position = latin_hypercube(self._rng, particles, self.lower, self.upper)  # Algorithm 1, line 1
         self._velocity = np.zeros_like(self._position)  # Algorithm 1, line 1

@@ -215,8 +215,8 @@ class ClusterWorkers:
     def _hand_out(self) -> list[str]:
         """The workers, of which the new ones are checked and given the function to keep."""
         present = self._workers()
-        kept = {worker: self._kept[worker] for worker in present if worker in self._kept}
-        self._kept = {worker: future for worker, future in kept.items() if future.status not in _LOST}
+        kept = self._kept.items()
+        self._kept = {worker: one for worker, one in kept if worker in present and one.status not in _LOST}
         new = [worker for worker in present if worker not in self._kept]
         if new:
             with self._scheduler_needed():
