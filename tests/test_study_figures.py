@@ -121,6 +121,7 @@ CHANGES = [
     change("traffic", "density", "light", "stable", -0.02, [-0.04, 0.0], [22.0, 24.0]),
     change("metric", "cell size", "2.5 cm", "fragile", 0.08, [0.01, 0.15], [19.0]),
     change("metric", "other metric", "s-mig", "fails", 1.8, None, [1.0]),
+    change("metric", "delta of Eq. 11", "0.02", "stable", -0.378, [-0.7, -0.02], [18.0]),
 ]
 OPTIMUM = {"section": "traffic", "what": "optimum", "value": "", "verdict": "stable"}
 OPTIMUM["numbers"] = {"tilt_interval_90_deg": [20.0, 24.0]}
@@ -138,8 +139,8 @@ def test_every_change_has_a_row_with_its_loss_its_interval_and_its_optima(drawn,
     span, mark = lines_at(lost, 0)
     np.testing.assert_allclose(span.get_xdata(), [-4.0, 0.0])
     np.testing.assert_allclose(mark.get_xdata(), -2.0)
-    _, beyond = lines_at(lost, 2)
-    assert beyond.get_xdata()[0] == lost.get_xlim()[1]  # a loss beyond the rim is drawn on it
+    for row, rim in ((2, 1), (3, 0)):  # a loss beyond a rim is drawn on it
+        assert lines_at(lost, row)[1].get_xdata()[0] == lost.get_xlim()[rim]
     span, mark = lines_at(moved, 0)
     np.testing.assert_allclose(span.get_xdata(), [22.0, 24.0])
     np.testing.assert_allclose(mark.get_xdata(), 23.0)

@@ -36,7 +36,7 @@ VERDICT_LOOKS = {
     "fragile": {"color": "#5b8fc7", "marker": "^"},
     "fails": {"color": BASELINE["color"], "marker": "s", "markerfacecolor": "white"},
 }
-_MOST_PERCENT = 100.0  # a loss beyond is drawn at the rim
+_LEAST_PERCENT, _MOST_PERCENT = -30.0, 100.0  # a loss beyond is drawn at the rim
 _LINEAR_PERCENT = 1.0
 _ROW_MM, _HEADING_MM = 3.7, 40.0
 _LINE = {"color": OPTIMISED["color"], "marker": "o"}
@@ -69,7 +69,7 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
             look, found = VERDICT_LOOKS[one["verdict"]], one["numbers"]
             loss, tilts = 100.0 * found["loss"], found["best_tilt_deg"]
             ends = 100.0 * np.array(found["interval_90"] or [found["loss"]] * 2)
-            rim = float(np.clip(loss, -_MOST_PERCENT, _MOST_PERCENT))
+            rim = float(np.clip(loss, _LEAST_PERCENT, _MOST_PERCENT))
             for axes, middle, span in ((lost, rim, ends), (moved, float(np.mean(tilts)), (min(tilts), max(tilts)))):
                 axes.plot(span, [row, row], color=look["color"], linewidth=1.2, zorder=2)
                 axes.plot(middle, row, linestyle="none", markersize=4.0, clip_on=False, zorder=3, **look)
@@ -82,7 +82,7 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
             axes.grid(visible=True, axis="x")
             axes.grid(visible=True, axis="y", linewidth=0.3)
         lost.set_xscale("symlog", linthresh=_LINEAR_PERCENT)
-        lost.set_xlim(-0.3 * _MOST_PERCENT, _MOST_PERCENT)
+        lost.set_xlim(_LEAST_PERCENT, _MOST_PERCENT)
         lost.axvline(0.0, color=INK, linewidth=0.8)
         ticks = [-10.0, -1.0, 0.0, 1.0, *limits, _MOST_PERCENT]
         lost.set_xticks(ticks, [f"{tick:g}" if tick < _MOST_PERCENT else f"{tick:g}+" for tick in ticks])
