@@ -70,24 +70,19 @@ def cut_vehicles(vehicles: Vehicles, detail: str) -> Pieces:
 def _unit_corners(name: str, detail: str, pieces: int) -> np.ndarray:
     """Corners (pieces, 8, 3) of the boxes about slices of a unit shape, equally long."""
     made = shape(name, detail)
-    edge = made.vertices[np.concatenate([made.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])]
+    start, end = (made.vertices[np.concatenate(made.faces[:, pairs].T)] for pairs in ([0, 1, 2], [1, 2, 0]))
+    step = end - start
+    run = np.where(step[:, 0] == 0.0, np.finfo(float).tiny, step[:, 0])
     bounds = []
     for first, last in pairwise(np.linspace(-0.5, 0.5, pieces + 1)):
         # Within a slice the surface takes its extremes at vertices, or where an edge crosses the slice's ends.
-        inside = made.vertices[(made.vertices[:, 0] >= first) & (made.vertices[:, 0] <= last)]
-        points = np.concatenate([inside, *(_crossings(edge, x) for x in (first, last))])
-        low, high = points.min(axis=0), points.max(axis=0)
+        there = (np.minimum(start, end)[:, 0] <= last) & (np.maximum(start, end)[:, 0] >= first)
+        share = np.clip((np.array([[first], [last]]) - start[there, 0]) / run[there], 0.0, 1.0)
+        points = start[there] + share[..., None] * step[there]
+        low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
         low[0], high[0] = first, last
         bounds.append((low, high))
     return np.take_along_axis(np.array(bounds), _CORNERS[None], axis=1)
-
-
-def _crossings(edge: np.ndarray, x: float) -> np.ndarray:
-    """Where edges (e, 2, 3) cross the plane at `x`."""
-    start, end = edge[:, 0], edge[:, 1]
-    crossing = (start[:, 0] < x) & (end[:, 0] > x) | (start[:, 0] > x) & (end[:, 0] < x)
-    start, end = start[crossing], end[crossing]
-    return start + ((x - start[:, 0]) / (end[:, 0] - start[:, 0]))[:, None] * (end - start)
 
 
 def reachable_beams(lattice: BeamLattice, pieces: Pieces, pose: Pose, max_range: float) -> np.ndarray:

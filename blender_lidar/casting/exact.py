@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .protocol import Caster, Returns, TrianglePlanes, origins_of
+from .protocol import Caster, Returns, TrianglePlanes, cross, dot, origins_of
 
 _EDGE_TOLERANCE = 1e-12  # barycentric: a ray at an edge belongs to both neighbours, so that it slips through neither
 # Each signed volume is made of a dozen rounded operations on coordinates that are themselves rounded.
@@ -42,9 +42,8 @@ class ExactSearch:
     def __init__(self, corners: np.ndarray, planes: TrianglePlanes) -> None:
         self._corners, self._planes = corners, planes
         self._edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        side_1, side_2, side_3 = (
-            np.linalg.norm(side, axis=1) for side in (*self._edges, self._edges[1] - self._edges[0])
-        )
+        sides = *self._edges, self._edges[1] - self._edges[0]
+        side_1, side_2, side_3 = (np.linalg.norm(side, axis=1) for side in sides)
         self._size = np.maximum(np.maximum(side_1, side_2), side_3)
         self._least_volume = _ROUNDING * side_1 * side_2
         self._farthest = np.linalg.norm(corners, axis=2).max(axis=1)  # corner, from where coordinates are counted
@@ -58,17 +57,12 @@ class ExactSearch:
 
     def meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float) -> Returns:
         """What rays meet first, up to `max_range` [m]; `origins` (3,) or (n, 3) [m], unit `directions` (n, 3)."""
-        step = max(_BATCH // len(self._group_middle), 1)
-        rays = np.arange(len(directions))
-        parts = [
-            self._meet_some(
-                origins_of(origins, rays[start : start + step]), directions[start : start + step], max_range
-            )
-            for start in range(0, len(rays), step)
-        ]
-        ray = [part.ray + start for start, part in zip(range(0, len(rays), step), parts, strict=True)]
-        _, triangle, distance = map(np.concatenate, zip(*parts, strict=True))
-        return Returns(np.concatenate(ray), triangle, distance)
+        step, parts = max(_BATCH // len(self._group_middle), 1), []
+        for start in range(0, len(directions), step):
+            some = np.arange(start, min(start + step, len(directions)))
+            part = self._meet_some(origins_of(origins, some), directions[some], max_range)
+            parts.append(part._replace(ray=part.ray + start))
+        return Returns(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _meet_some(self, origins, directions, max_range):
         ray, triangle = self._near_pairs(origins, directions)
@@ -84,25 +78,21 @@ class ExactSearch:
         towards = self._group_middle - origins[..., None, :]  # (groups, 3) or (rays, groups, 3)
         along = directions @ towards.T if origins.ndim == 1 else np.einsum("rgi,ri->rg", towards, directions)
         ray, group = np.nonzero(_pierced(along, towards, self._group_radius))
-        triangle = np.add.outer(_GROUP * group, np.arange(_GROUP)).ravel()
-        ray = np.repeat(ray, _GROUP)
-        if len(triangle) and len(self._middle) % _GROUP:
-            there = triangle < len(self._middle)
-            ray, triangle = ray[there], triangle[there]
+        ray, triangle = np.repeat(ray, _GROUP), np.add.outer(_GROUP * group, np.arange(_GROUP)).ravel()
+        there = triangle < len(self._middle)  # the last group may be smaller
+        ray, triangle = ray[there], triangle[there]
         towards = self._middle[triangle] - origins_of(origins, ray)
-        pierced = _pierced(_dot(towards, directions[ray]), towards, self._radius[triangle])
+        pierced = _pierced(dot(towards.T, directions[ray].T), towards, self._radius[triangle])
         return ray[pierced], triangle[pierced]
 
     def _distance(self, origins, directions, triangle):
         """Distance of each pair, inf where they do not meet (Moeller and Trumbore 1997, two-sided)."""
-        edge_1, edge_2 = self._edges[0][triangle], self._edges[1][triangle]
-        p = _cross(directions, edge_2)
-        s = origins - self._corners[triangle, 0]
-        q = _cross(s, edge_1)
-        whole = _dot(edge_1, p)
+        rays, size = directions.T, self._size[triangle]
+        edge_1, edge_2 = self._edges[0][triangle].T, self._edges[1][triangle].T
+        p, s = cross(rays, edge_2), (origins - self._corners[triangle, 0]).T
+        q, whole = cross(s, edge_1), dot(edge_1, p)
         facing = np.sign(whole)
-        whole, second, third, ahead = np.abs(whole), facing * _dot(s, p), facing * _dot(directions, q), _dot(edge_2, q)
-        size = self._size[triangle]
+        whole, second, third, ahead = np.abs(whole), facing * dot(s, p), facing * dot(rays, q), dot(edge_2, q)
         rounding = _ROUNDING * size * (self._farthest[triangle] + np.linalg.norm(origins, axis=-1))
         low = -_EDGE_TOLERANCE * whole - rounding
         met = (second >= low) & (third >= low) & (second + third <= whole - low) & (facing * ahead >= -rounding * size)
@@ -123,13 +113,3 @@ def _pierced(along, towards, radius):
     square = np.einsum("...i,...i->...", towards, towards)
     least = square * (1.0 - _SLACK) - radius * radius  # of the square of `along`
     return along * np.abs(along) >= np.where(least > 0.0, least, -np.inf)  # whatever the ray from within a sphere
-
-
-def _cross(a, b):
-    """Cross products of rows; for few of them faster than `np.cross`."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
-
-
-def _dot(a, b):
-    return np.einsum("ij,ij->i", a, b)

@@ -121,19 +121,15 @@ class TrianglePlanes:
         triangle : ndarray of int, (k,)
             Row of the triangle that each ray is asked about.
         """
-        distance, facing = self._along(0, origins, directions, triangle)
         with np.errstate(divide="ignore", invalid="ignore"):
-            distance /= facing
-            inside = distance >= 0.0
-            second, gain = self._along(1, origins, directions, triangle)
-            gain *= distance
-            np.subtract(gain, second, out=second)
-            third, gain = self._along(2, origins, directions, triangle)
-            gain *= distance
-            np.subtract(gain, third, out=third)
-            inside &= np.minimum(second, third) >= 0.0
-            second += third
-            inside &= second <= 1.0
+            missing, facing = self._along(0, origins, directions, triangle)
+            distance = missing / facing
+            weights = []
+            for corner in (1, 2):
+                missing, gain = self._along(corner, origins, directions, triangle)
+                weights.append(gain * distance - missing)
+            second, third = weights
+            inside = (distance >= 0.0) & (np.minimum(second, third) >= 0.0) & (second + third <= 1.0)
         return PlaneHits(distance, facing, inside)
 
     def _along(self, function, origins, directions, triangle):
@@ -142,10 +138,7 @@ class TrianglePlanes:
         shared = origins.ndim == 1
         missing = _take(offset - dot(slopes, origins) if shared else offset, triangle)
         slopes = [_take(slope, triangle) for slope in slopes]
-        if not shared:
-            missing -= dot(slopes, origins)
-        growth = dot(slopes, directions)
-        return missing, growth
+        return missing if shared else missing - dot(slopes, origins), dot(slopes, directions)
 
 
 # --- Casters ----------------------------------------------------------------------------------------------------------
@@ -349,13 +342,9 @@ def _checked(origins, directions, max_range):
     if origins.shape not in ((3,), directions.shape):
         raise InputError(f"origins have shape {origins.shape}; allowed: (3,) or {directions.shape}")
     length = np.einsum("ij,ij->i", directions, directions)
-    good = np.abs(length - 1.0) <= _UNIT_TOLERANCE
-    if not good.all():  # also catches NaN, which casters would miss silently
-        row = int(np.argmin(good))
+    for row in np.flatnonzero(~(np.abs(length - 1.0) <= _UNIT_TOLERANCE))[:1]:  # NaN too, which casters would miss
         raise InputError(f"direction {row} is {directions[row].tolist()}; allowed: finite and of unit length")
-    good = (np.abs(origins) <= MOST_M).all(axis=-1)
-    if not good.all():
-        row = int(np.argmin(good))
+    for row in np.flatnonzero(~(np.abs(np.atleast_2d(origins)) <= MOST_M).all(axis=1))[:1]:
         which = "the origin" if origins.ndim == 1 else f"origin {row}"
         raise InputError(f"{which} {_unusable(np.atleast_2d(origins)[row])}")
     if not max_range >= 0.0:

@@ -105,13 +105,15 @@ _LEAST_COSINE = 1e-3  # between two corners as projected from the sensor: triang
 
 
 @inlined
-def project_vertex(vertices, vertex, origin, rotation, projected):
-    x, y, z = vertices[vertex, 0] - origin[0], vertices[vertex, 1] - origin[1], vertices[vertex, 2] - origin[2]
-    for axis in range(3):
-        projected[vertex, axis] = rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z
-    projected[vertex, 3] = math.atan2(projected[vertex, 0], projected[vertex, 1])  # clockwise from +y, Eq. 1
+def project_vertex(vertices, vertex, origin, inverse, projected):
+    """Write a vertex's row of `DepthBuffer.projected`."""
+    x, y, z = to_world(
+        vertices[vertex, 0] - origin[0], vertices[vertex, 1] - origin[1], vertices[vertex, 2] - origin[2], inverse
+    )
+    projected[vertex, 0], projected[vertex, 1], projected[vertex, 2] = x, y, z
+    projected[vertex, 3] = math.atan2(x, y)  # clockwise from +y, Eq. 1
     projected[vertex, 5] = 1.0 / math.sqrt(x * x + y * y + z * z)
-    projected[vertex, 4] = projected[vertex, 2] * projected[vertex, 5]
+    projected[vertex, 4] = z * projected[vertex, 5]
 
 
 @inlined
@@ -121,10 +123,8 @@ def ring_bounds(sine, projected, a, b, c):
     A direction to a point of it is a sum of its corners' directions with weights of 0 or more that add up to 1, over
     the length of that sum, which is the square root of the least cosine between two corners at least.
     """
-    low, high = (
-        min(projected[a, 4], projected[b, 4], projected[c, 4]),
-        max(projected[a, 4], projected[b, 4], projected[c, 4]),
-    )
+    first, second, third = projected[a, 4], projected[b, 4], projected[c, 4]
+    low, high = min(first, second, third), max(first, second, third)
     cosine = min(_cosine(projected, a, b), _cosine(projected, b, c), _cosine(projected, c, a))
     if not cosine > _LEAST_COSINE:  # also where a corner is at the very sensor
         return 0, len(sine)
@@ -219,7 +219,7 @@ def rasterise(mesh, planes, table, components, origin, rotation, reach, closed, 
     bool
         Whether the sensor is within a triangle; nothing is then certain.
     """
-    near_surface = False
+    near_surface, inverse = False, rotation.T
     vertices, faces, middle, radius = mesh.vertices, mesh.faces, mesh.middle, mesh.radius
     sine, cosine, azimuth0 = table.elevation_sine, table.elevation_cosine, table.azimuth0
     sine0, cosine0 = table.azimuth0_sine, table.azimuth0_cosine
@@ -243,12 +243,12 @@ def rasterise(mesh, planes, table, components, origin, rotation, reach, closed, 
             for vertex in (a, b, c):
                 if projected_in[vertex] != revolution:
                     projected_in[vertex] = revolution
-                    project_vertex(vertices, vertex, origin, rotation, projected)
+                    project_vertex(vertices, vertex, origin, inverse, projected)
             first_ring, last_ring = ring_bounds(sine, projected, a, b, c)
             if first_ring == last_ring:
                 continue
             first, last = azimuth_bounds(projected[a, 3], projected[b, 3], projected[c, 3])
-            weights, doubt, away = _weights(planes, t, origin, rotation)
+            weights, doubt, away = _weights(planes, t, origin, inverse)
             edge = EDGE + planes[t, 12]
             for ring in range(first_ring, last_ring):
                 slot, tests = slots_between(first - azimuth0[ring], last - azimuth0[ring], step, columns)
@@ -293,7 +293,7 @@ def _within_any(low, high, place):
 
 
 @inlined
-def _weights(planes, t, origin, rotation):
+def _weights(planes, t, origin, inverse):
     """Three linear functions of a direction in the sensor frame, all above 0 where a ray meets a triangle.
 
     They are the weights of its corners where the ray meets its plane, times `facing`, the cosine between ray and
@@ -301,27 +301,15 @@ def _weights(planes, t, origin, rotation):
     """
     missing = signed_distance(planes, t, 0, origin)
     sign = 1.0 if missing > 0.0 else -1.0
-    fx, fy, fz = _turned(planes, t, 0, rotation)
-    fx, fy, fz = sign * fx, sign * fy, sign * fz
-    bx, by, bz = _turned(planes, t, 1, rotation)
+    fx, fy, fz = to_world(sign * planes[t, 0], sign * planes[t, 1], sign * planes[t, 2], inverse)
+    bx, by, bz = to_world(planes[t, 4], planes[t, 5], planes[t, 6], inverse)
     short, away = signed_distance(planes, t, 1, origin), abs(missing)
     bx, by, bz = away * bx - short * fx, away * by - short * fy, away * bz - short * fz
-    cx, cy, cz = _turned(planes, t, 2, rotation)
+    cx, cy, cz = to_world(planes[t, 8], planes[t, 9], planes[t, 10], inverse)
     short = signed_distance(planes, t, 2, origin)
     cx, cy, cz = away * cx - short * fx, away * cy - short * fy, away * cz - short * fz
     doubt = weight_rounding(planes, t, size_of(planes, t, 0, origin), origin)
     return (fx - bx - cx, fy - by - cy, fz - bz - cz, bx, by, bz, cx, cy, cz), doubt, away
-
-
-@inlined
-def _turned(planes, t, function, rotation):
-    """Slope of one of a triangle's functions in the sensor frame."""
-    x, y, z = planes[t, 4 * function], planes[t, 4 * function + 1], planes[t, 4 * function + 2]
-    return (
-        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
-        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
-        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
-    )
 
 
 @inlined
@@ -351,9 +339,10 @@ def _meeting(in_ring, sine, cosine, doubt, edge, away):
         return np.inf, False
     facing = a + b + c
     doubt += edge * max(facing, 0.0)
-    if (a < -doubt) | (b < -doubt) | (c < -doubt):
+    least = min(a, b, c)
+    if least < -doubt:
         return np.inf, False
-    if (a < doubt) | (b < doubt) | (c < doubt):
+    if least < doubt:
         return away / facing if facing > 4.0 * doubt else 0.0, True
     return away / facing, False
 

@@ -52,40 +52,25 @@ def run(args: argparse.Namespace) -> int:
     for name, verdict in verdicts.items():
         print(f"caster {name:<7} {verdict}")
     works = any(verdicts[name].startswith("works") for name in CASTERS[:-1])
-    print(
-        "All is well."
-        if works
-        else 'No fast caster works: pip install "blender_lidar[fast]" or "blender_lidar[blender]"'
-    )
+    advice = 'No fast caster works: pip install "blender_lidar[fast]" or "blender_lidar[blender]"'
+    print("All is well." if works else advice)
     return 0 if works else 1
 
 
 def _check(name: str) -> str:
-    """Scan a wall 10 m away with an RS-16 and compare with the plane's equation."""
+    """Scan a wall 10 m ahead with the beams of an RS-16 that reach it, and compare with the plane's equation."""
     if not is_available(name):
         return "not installed"
-    wall = np.array(
-        [
-            [[-50.0, 10.0, -50.0], [50.0, 10.0, -50.0], [50.0, 10.0, 50.0]],
-            [[-50.0, 10.0, -50.0], [50.0, 10.0, 50.0], [-50.0, 10.0, 50.0]],
-        ]
-    )
-    lattice = beam_lattice(load_model("RS-16"), stride=8)
+    corners = np.array([[-50.0, 10.0, -50.0], [50.0, 10.0, -50.0], [50.0, 10.0, 50.0], [-50.0, 10.0, 50.0]])
     pose = Pose(height_m=2.0, tilt_x=0.1)
-    rays = pose.to_world(lattice.directions.reshape(-1, 3))
-    with np.errstate(divide="ignore"):
-        distance = np.where(rays[:, 1] > 0, 10.0 / rays[:, 1], np.inf)
-    point = pose.position + np.where(np.isfinite(distance), distance, 0.0)[:, None] * rays
-    expected = np.where(
-        (np.abs(point[:, 0]) < 50) & (np.abs(point[:, 2]) < 50) & np.isfinite(distance), distance, np.inf
-    )
+    rays = pose.to_world(beam_lattice(load_model("RS-16"), stride=8).directions.reshape(-1, 3))
+    rays = rays[rays[:, 1] > 0.25]
     try:
-        found = caster_class(name)(wall).cast(pose.position, rays).distance
+        found = caster_class(name)(corners[[[0, 1, 2], [0, 2, 3]]]).cast(pose.position, rays).distance
     except Exception as error:  # whatever a broken library raises is what the user needs to see
         return f"fails: {type(error).__name__}: {error}"
-    wrong = int((np.isfinite(found) != np.isfinite(expected)).sum())
-    both = np.isfinite(found) & np.isfinite(expected)
-    error = float(np.abs(found[both] - expected[both]).max())
-    if wrong or error > _TOLERANCE_M:
-        return f"fails: {wrong} of {len(rays)} rays differ, ranges by up to {error:.2g} m"
-    return f"works: {len(rays)} rays at a wall, ranges within {error:.1g} m"
+    error = np.abs(found - 10.0 / rays[:, 1])
+    wrong, worst = int((error > _TOLERANCE_M).sum()), error.max()
+    if wrong:
+        return f"fails: {wrong} of {len(rays)} rays differ, ranges by up to {worst:.2g} m"
+    return f"works: {len(rays)} rays at a wall, ranges within {worst:.1g} m"

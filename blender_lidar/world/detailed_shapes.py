@@ -18,6 +18,7 @@ from .meshes import Shape, block, both_sides, drum, fitted, joined, limb, loft
 
 _ARCH = np.array([-1.0, -0.72, 0.0, 0.72, 1.0])  # of its radius: where cross-sections are laid through a wheel arch
 _SILL_M = 0.02  # the outer edge of the floor lies so much above the floor
+_WELL_M = 0.6  # from the middle of the vehicle to the inner end of the wheel wells
 _FOOT_M = 0.10  # the upper body reaches so far down into the lower one
 
 
@@ -57,7 +58,7 @@ class Axle:
         return self.radius + self.gap
 
 
-def lower_body(sections, axles=(), well: float = 0.6) -> Shape:
+def lower_body(sections, axles=()) -> Shape:
     """The body up to its belt line, with hood and boot, its floor clear of the ground and cut by wheel arches.
 
     Parameters
@@ -68,21 +69,18 @@ def lower_body(sections, axles=(), well: float = 0.6) -> Shape:
         where the section is widest, half-width and height of the belt line or hood's edge, and height in the middle.
     axles : sequence of Axle
         Whose arches are cut into the sides; they end below where the section is widest.
-    well : float
-        From the middle of the vehicle to the inner end of the wheel wells [m].
     """
     table = np.array(sections, dtype=float)
     x = np.unique(np.concatenate([table[:, 0], *(axle.x + axle.arch * _ARCH for axle in axles)]))
-    bow, floor, sill_y, side_y, side_z, belt_y, belt_z, ridge = (
-        np.interp(x, table[:, 0], column) for column in table.T[1:]
-    )
+    columns = (np.interp(x, table[:, 0], column) for column in table.T[1:])
+    bow, floor, sill_y, side_y, side_z, belt_y, belt_z, ridge = columns
     edge = floor + _SILL_M
     for axle in axles:
         away = np.abs(x - axle.x)
         within = away < 0.99 * axle.arch
         edge[within] = axle.radius + np.sqrt(axle.arch**2 - away[within] ** 2)
     edge_y = sill_y + (side_y - sill_y) * (edge - floor - _SILL_M) / (side_z - floor - _SILL_M)
-    y = np.stack([np.minimum(well, 0.9 * sill_y), edge_y, side_y, belt_y, np.zeros_like(x)], axis=1)
+    y = np.stack([np.minimum(_WELL_M, 0.9 * sill_y), edge_y, side_y, belt_y, np.zeros_like(x)], axis=1)
     z = np.stack([floor, edge, side_z, belt_z, ridge], axis=1)
     return loft(_bent(x, bow, y, z))
 
@@ -118,20 +116,11 @@ def _bent(x, bow, y, z) -> np.ndarray:
 # --- A motorcycle and its rider, 2.2 x 0.9 x 1.4 m up to the helmet ---------------------------------------------------
 
 
-def motorcycle():
-    """Its parts and the rider's."""
-    return (*_machine(), *_rider())
-
-
-def _machine():
+def _motorcycle():
     yield drum((0.31, 0.0, 0.31), 0.31, 0.16, 12)
     yield drum((1.89, 0.0, 0.31), 0.31, 0.13, 12)
-    tail, seat, tank, head = (
-        (0.12, 0, 0.80, 0.07, 0.05),
-        (0.62, 0, 0.72, 0.14, 0.09),
-        (1.16, 0, 0.80, 0.17, 0.15),
-        (1.50, 0, 0.88, 0.08, 0.08),
-    )
+    tail, seat = (0.12, 0, 0.80, 0.07, 0.05), (0.62, 0, 0.72, 0.14, 0.09)
+    tank, head = (1.16, 0, 0.80, 0.17, 0.15), (1.50, 0, 0.88, 0.08, 0.08)
     yield limb([tail, seat, tank, head])
     yield limb([(0.66, 0, 0.46, 0.15, 0.24), (1.40, 0, 0.48, 0.17, 0.26)])  # engine
     yield limb([(1.42, 0, 0.90, 0.10, 0.10), (1.70, 0, 0.92, 0.12, 0.12)])  # headlight
@@ -141,9 +130,7 @@ def _machine():
         limb([(0.31, 0.10, 0.31, 0.04, 0.04), (0.80, 0.10, 0.42, 0.04, 0.05)], 4),  # swing arm
         block((1.38, 0.33, 1.03), (1.44, 0.45, 1.16)),  # mirror
     )
-
-
-def _rider():
+    # The rider.
     yield limb([(0.70, 0, 0.80, 0.17, 0.12), (0.84, 0, 1.00, 0.18, 0.12), (0.98, 0, 1.18, 0.21, 0.10)])  # torso
     neck, jaw = (1.06, 0, 1.10, 0.08, 0.08), (1.07, 0, 1.19, 0.12, 0.14)
     brow, crown = (1.07, 0, 1.30, 0.12, 0.14), (1.06, 0, 1.40, 0.06, 0.08)
@@ -309,5 +296,5 @@ _MAKERS = {
     "truck": _truck,
     "long_truck": _long_truck,
     "bus": _bus,
-    "motorcycle": motorcycle,
+    "motorcycle": _motorcycle,
 }

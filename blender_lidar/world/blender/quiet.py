@@ -1,4 +1,4 @@
-"""Blender's chatter kept off standard output, since results are printed there, whether it comes from Python or C."""
+"""Blender's chatter kept off standard output, where results are printed, and its errors in one line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def quiet() -> Iterator[None]:
         with redirect_stdout(io.StringIO()):
             yield
     finally:
-        _flush_c_streams()
+        with suppress(OSError, TypeError, AttributeError):  # Windows has no library of that kind
+            ctypes.CDLL(None).fflush(None)  # C's own buffers, which Blender prints into
         os.dup2(kept, 1)
         os.close(kept)
         os.close(nowhere)
@@ -37,9 +38,3 @@ def first_error(error: RuntimeError) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
     told = next((line for line in lines if "Error" in line), lines[0])
     return told.removeprefix("Error: ").rstrip(":")
-
-
-def _flush_c_streams() -> None:
-    """Empty C's own buffers, which Blender prints into."""
-    with suppress(OSError, TypeError, AttributeError):  # Windows has no library of that kind
-        ctypes.CDLL(None).fflush(None)

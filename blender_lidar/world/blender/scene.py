@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -254,19 +253,12 @@ def save_blend(path: str | Path, moment: Moment, frames: Sequence[Vehicles] = ()
     if frames:
         animate(scene, frames, moment.detail, time_step_s=time_step_s)
     show_in_viewports(scene)
-    with whole_file(path) as temporary, quiet(), _without_backup():
-        try:  # not packed: an older Blender must be able to tell that the file is too new for it
-            bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=False)
-        except RuntimeError as error:
-            raise OutputError(f"{path}: cannot be written: {first_error(error)}") from error
-
-
-@contextmanager
-def _without_backup() -> Iterator[None]:
-    """While it lasts, Blender keeps no copy, under another name, of what was in a file's place."""
     files = bpy.context.preferences.filepaths
-    before, files.save_version = files.save_version, 0
-    try:
-        yield
+    backups, files.save_version = files.save_version, 0  # no copy, under another name, of what was in the file's place
+    try:  # not packed: an older Blender must be able to tell that the file is too new for it
+        with whole_file(path) as temporary, quiet():
+            bpy.ops.wm.save_as_mainfile(filepath=str(temporary.resolve()), copy=True, compress=False)
+    except RuntimeError as error:
+        raise OutputError(f"{path}: cannot be written: {first_error(error)}") from error
     finally:
-        files.save_version = before
+        files.save_version = backups

@@ -8,14 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 import bpy
 import numpy as np
 
 from ...errors import InputError, MissingFileError
-from ..scenery import Scenery
-from ..shapes import STRUCTURE, SURFACES
+from ..meshes import STRUCTURE, SURFACES
+from ..scenery import Scenery, join
 from .objects import DISPLAY_ONLY, ROAD_ROLE, SURFACE_KEY, VEHICLE, role
 from .quiet import first_error, quiet
 
@@ -64,7 +63,9 @@ Keep = Callable[[np.ndarray], bool]
 
 
 def visible_triangles(
-    scene: bpy.types.Scene, skip: Callable[[bpy.types.Object], bool] | None = None, keep: Keep | None = None
+    scene: bpy.types.Scene,
+    skip: Callable[[bpy.types.Object], bool] = lambda item: False,
+    keep: Keep = lambda box: True,
 ) -> Scenery:
     """Everything that a LiDAR would meet in a scene, with modifiers applied and instances made real.
 
@@ -90,34 +91,25 @@ def visible_triangles(
     layer = scene.view_layers[0]
     layer.update()
     rendered = set(_rendered_objects(scene.collection))
-    meshes: dict[int, _Solid] = {}
+    meshes, parts = {}, []
     unit_m = scene.unit_settings.scale_length
-    corners, surface, names = [], [], []
     for instance in layer.depsgraph.object_instances:
         item = instance.object
-        if item.type != "MESH" or not _is_seen(instance, rendered) or role(item) in DISPLAY_ONLY:
+        if item.type != "MESH" or not _is_seen(instance, rendered) or role(item) in DISPLAY_ONLY or skip(item):
             continue
-        if skip is not None and skip(item):
-            continue
-        mesh = item.data
-        if mesh.as_pointer() not in meshes:
-            meshes[mesh.as_pointer()] = _solid(mesh)
-        solid = meshes[mesh.as_pointer()]
+        key = item.data.as_pointer()
+        if key not in meshes:
+            meshes[key] = _arrays_of(item.data)
+        vertices, faces, surface, box = meshes[key]
         matrix = np.array(instance.matrix_world, dtype=float)
         turn, move = unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
-        if len(solid.faces) == 0 or (keep is not None and not keep(solid.box @ turn + move)):
+        if len(faces) == 0 or not keep(box @ turn + move):
             continue
-        faces = solid.faces if np.linalg.det(turn) > 0.0 else solid.faces[:, ::-1]  # a mirror turns faces inside out
-        corners.append((solid.vertices @ turn + move)[faces])
-        surface.append(solid.surface)
-        names.append(item.name)
-    counts = [len(part) for part in corners]
-    return Scenery(
-        np.concatenate([np.empty((0, 3, 3)), *corners]),
-        np.repeat(np.arange(len(counts), dtype=np.int32), counts),
-        np.concatenate([np.empty(0, np.uint8), *surface]),
-        tuple(names),
-    )
+        if np.linalg.det(turn) < 0.0:  # a mirror turns faces inside out
+            faces = faces[:, ::-1]
+        owner = np.zeros(len(faces), np.int32)
+        parts.append(Scenery((vertices @ turn + move)[faces], owner, surface, (item.name,)))
+    return join(parts)
 
 
 def _rendered_objects(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
@@ -138,16 +130,8 @@ def _is_seen(instance: bpy.types.DepsgraphObjectInstance, rendered: set[bpy.type
     return item.original in rendered and (not item.is_instancer or item.show_instancer_for_render)
 
 
-class _Solid(NamedTuple):
+def _arrays_of(mesh: bpy.types.Mesh) -> tuple[np.ndarray, ...]:
     """An evaluated mesh: vertices (n, 3), triangles (m, 3), their surface (m,), corners (8, 3) of the bounding box."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    surface: np.ndarray
-    box: np.ndarray
-
-
-def _solid(mesh: bpy.types.Mesh) -> _Solid:
     mesh.calc_loop_triangles()
     count = len(mesh.loop_triangles)
     vertices, faces = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * count, np.int32)
@@ -160,7 +144,7 @@ def _solid(mesh: bpy.types.Mesh) -> _Solid:
     vertices = vertices.reshape(-1, 3).astype(float)
     low, high = vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf)
     box = np.array(list(product(*zip(low, high, strict=True))))
-    return _Solid(vertices, faces.reshape(-1, 3), made_of, box)
+    return vertices, faces.reshape(-1, 3), made_of, box
 
 
 def _surface_of(material: bpy.types.Material | None) -> int:
@@ -218,7 +202,7 @@ def read_site(path: str | Path, keep: Keep | None = None) -> Scenery:
     if suffix == ".blend":
         check_version(path)
     with quiet(), _linked_scene(path) if suffix == ".blend" else _imported_scene(path) as scene:
-        found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY, keep)
+        found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY, keep or (lambda box: True))
     if len(found) == 0 and keep is None:
         raise InputError(f"{path}: nothing with faces is visible in it")
     if not np.isfinite(found.corners).all():

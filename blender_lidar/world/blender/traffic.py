@@ -105,11 +105,10 @@ def _key_visibility(item, *, shown, at):
 def _join_keys_by_straight_lines(item: bpy.types.Object) -> None:
     """Let an object move evenly from key to key; Blender's own choice starts and stops at each."""
     action = item.animation_data.action
-    if hasattr(action, "fcurves"):
-        curves = list(action.fcurves)
-    else:  # from Blender 5 on
-        bags = (bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags)
-        curves = [curve for bag in bags for curve in bag.fcurves]
+    holders = [action]
+    if not hasattr(action, "fcurves"):  # from Blender 5 on
+        holders = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    curves = [curve for holder in holders for curve in holder.fcurves]
     for curve in curves:
         for key in curve.keyframe_points:
             key.interpolation = "LINEAR"
