@@ -56,7 +56,7 @@ def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_m
         scorer, counted = FrameScorer(frame.vehicles, frame.counted, SEEN), frame.vehicles.select(frame.counted)
         for row, pose in enumerate(POSES):
             points, vehicle = scorer.vehicle_points(pose)
-            distance = [math.dist((x, y), (pose.x_m, pose.y_m)) for x, y, _ in counted.centre_m.tolist()]
+            distance = np.array([math.dist((x, y), (pose.x_m, pose.y_m)) for x, y, _ in counted.centre_m.tolist()])
             returns = vehicle_returns(points, vehicle, counted.size_m, distance)
             expected = 0.0
             for value, shares in zip(metric.values(returns).tolist(), returns.occupancy.tolist(), strict=True):
