@@ -35,23 +35,25 @@ IGNORED = TIMES | CHOSEN_BY_TIME | {"versions", "identity"}
 PROSE = {"text", "notes"}  # may be reworded, but for the numbers in it
 
 
-def differences(kept: object, found: object, where: str = "") -> list[str]:
+def differences(kept: object, found: object, where: str = "", within: float = 1e-9) -> list[str]:
     """Where two results as JSON holds them disagree, a line each; keys that only the second has are no difference."""
     if isinstance(kept, dict) and isinstance(found, dict):
         lines = [f"{where}/{key}: is gone" for key in kept if key not in found and key not in IGNORED]
         for key in kept:
             if key in found and key not in IGNORED:
                 pair = (_numbers(one[key]) if key in PROSE else one[key] for one in (kept, found))
-                lines += differences(*pair, f"{where}/{key}")
+                lines += differences(*pair, f"{where}/{key}", within)
         return lines
     if isinstance(kept, list) and isinstance(found, list):
         if len(kept) != len(found):
             return [f"{where}: {len(kept)} entries, now {len(found)}"]
-        parts = (differences(*pair, f"{where}[{row}]") for row, pair in enumerate(zip(kept, found, strict=True)))
+        parts = (
+            differences(*pair, f"{where}[{row}]", within) for row, pair in enumerate(zip(kept, found, strict=True))
+        )
         return [line for part in parts for line in part]
     same = kept == found
     if {type(kept), type(found)} in ({float}, {int, float}):
-        same = math.isclose(kept, found, rel_tol=1e-9, abs_tol=1e-12) or (math.isnan(kept) and math.isnan(found))
+        same = math.isclose(kept, found, rel_tol=within, abs_tol=1e-12) or (math.isnan(kept) and math.isnan(found))
     return [] if same else [f"{where}: {kept!r}, now {found!r}"]
 
 
