@@ -180,9 +180,8 @@ class _Frames:
 
 def _known_frames(recording: Recording, ids: Iterable[int]) -> np.ndarray:
     frames = np.unique(np.array(list(ids), dtype=np.int64))
-    unknown = frames[~np.isin(frames, recording.frames)]
-    if len(unknown):
-        raise unknown_frame(unknown[0], recording)
+    for frame in frames[~np.isin(frames, recording.frames)]:
+        raise unknown_frame(frame, recording)
     return frames
 
 
