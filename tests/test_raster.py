@@ -9,14 +9,30 @@ import pytest
 
 from blender_lidar.casting import caster_class, is_available
 from blender_lidar.casting.culling import cut_vehicles, reachable_beams
+from blender_lidar.casting.protocol import TrianglePlanes
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.test_casters import unit_rows
 
 pytestmark = pytest.mark.skipif(not is_available("raster"), reason="Numba is not installed")
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_compiled_planes_measure_as_numpys_do_to_the_last_digit(shared, monkeypatch):
+    rng = np.random.default_rng(2)
+    corners = rng.normal(size=(200, 3, 3)) * 5.0
+    normal = unit_rows(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    triangle, rays = rng.integers(0, 200, 5000), unit_rows(rng.normal(size=(5000, 3))).T
+    origins = np.array([0.3, -2.0, 4.0]) if shared else rng.normal(size=(3, 5000))
+    planes = TrianglePlanes(corners, normal)
+    ours = planes.meet(origins, rays, triangle)
+    monkeypatch.setattr("blender_lidar.casting.protocol.numba_works", lambda: False)
+    for column, other in zip(ours, planes.meet(origins, rays, triangle), strict=True):
+        np.testing.assert_array_equal(column, other)
 
 
 @pytest.mark.parametrize(("offset", "scale"), [(0.0, 1.0), (1e6, 1.0), (-3e6, 1e-3), (0.0, 1e5)])

@@ -92,6 +92,20 @@ def is_behind(planes, t, other, origin, x, y, z):
 
 
 @compiled
+def meet_planes(planes, origins, shared, directions, triangle):
+    """`TrianglePlanes.meet`, compiled: distance, facing and inside, (k,) each."""
+    rays = len(triangle)
+    distance, facing, inside = np.empty(rays), np.empty(rays), np.empty(rays, dtype=np.bool_)
+    for k in range(rays):
+        t, start = triangle[k], 0 if shared else k
+        origin = origins[0, start], origins[1, start], origins[2, start]
+        x, y, z = directions[0, k], directions[1, k], directions[2, k]
+        facing[k], distance[k] = growth(planes, t, 0, x, y, z), measured(planes, t, origin, x, y, z)
+        inside[k] = is_inside(planes, t, origin, x, y, z, distance[k])
+    return distance, facing, inside
+
+
+@compiled
 def directions_of(components, beams, rotation, into):
     """Directions (k, 3) of beams in the road frame, added up as `Pose.to_world` does, in float64 or float32."""
     for k in range(len(beams)):

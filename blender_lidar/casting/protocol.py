@@ -121,6 +121,11 @@ class TrianglePlanes:
         triangle : ndarray of int, (k,)
             Row of the triangle that each ray is asked about.
         """
+        if numba_works():
+            from .kernels import meet_planes
+
+            shared = origins.ndim == 1
+            return PlaneHits(*meet_planes(self.rows, origins.reshape(3, -1), shared, directions, triangle))
         with np.errstate(divide="ignore", invalid="ignore"):
             missing, facing = self._along(0, origins, directions, triangle)
             distance = missing / facing

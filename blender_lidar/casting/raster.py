@@ -48,7 +48,7 @@ class RasterCaster(Caster):
             if near_surface:  # nothing is certain
                 undecided = np.arange(components.shape[1])
             beam = np.union1d(touched, undecided).astype(np.int64)
-            triangle = buffer.triangle[beam]
+            triangle = np.minimum(buffer.triangle[beam], len(planes) - 1)  # of the undecided it is anything
         directions = pose.to_world(components[:, beam].T)
         distance = self._planes.meet(origin, directions.T, triangle).distance
         self._decide(self._exact, origin, directions, max_range, np.searchsorted(beam, undecided), triangle, distance)
