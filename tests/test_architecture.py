@@ -23,7 +23,6 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 # Third-party libraries, and the files or folders that may import them.
 LIBRARIES = {
     "numpy": ("",),
-    "pandas": ("studies/",),
     "bpy": ("casting/bvh.py", "world/blender/", "addon/"),
     "mathutils": ("casting/bvh.py", "world/blender/", "addon/"),
     "embreex": ("casting/embree.py",),

@@ -16,7 +16,6 @@ from ..sensors.model import load_model
 from ..sensors.pose import Pose
 
 _OPTIONAL = {
-    "pandas": "",
     "scipy": "",
     "bpy": "blender",
     "numba": "fast",
@@ -25,6 +24,7 @@ _OPTIONAL = {
     "tqdm": "plots",
     "pyarrow": "parquet",
     "eclipse-sumo": "sumo",
+    "pandas": "sumo",
     "distributed": "cluster",
 }
 _TOLERANCE_M = 1e-4

@@ -114,7 +114,7 @@ def file_digest(path: str | Path) -> str:
 
 def versions(caster: str) -> dict[str, str]:
     """Versions of what a result depends on."""
-    libraries = ("numpy", "pandas", *{"raster": ("numba",), "embree": ("embreex",)}.get(caster, ()))
+    libraries = ("numpy", *{"raster": ("numba",), "embree": ("embreex",)}.get(caster, ()))
     found = {"blender_lidar": __version__, "python": platform.python_version()}
     for library in libraries:
         with suppress(PackageNotFoundError):
