@@ -21,7 +21,8 @@ from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, role, 
 from blender_lidar.world.blender.scene import build_scene, empty_scene, render_picture, save_blend
 from blender_lidar.world.blender.site import read_site, visible_triangles
 from blender_lidar.world.blender.traffic import animate, show_vehicles
-from blender_lidar.world.shapes import DETAILS, GLASS
+from blender_lidar.world.meshes import GLASS
+from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import shape_names, vehicle_triangles
 from tests.blender_session import POSE, SCENERY, TRAFFIC, hits, moment
 from tests.sample_traffic import dense_traffic

@@ -7,8 +7,8 @@ import pytest
 
 from blender_lidar.casting import caster_class
 from blender_lidar.world.detailed_shapes import detailed_parts
-from blender_lidar.world.meshes import joined
-from blender_lidar.world.shapes import GLASS, PAINT, SHAPES, shape
+from blender_lidar.world.meshes import GLASS, PAINT, joined
+from blender_lidar.world.shapes import SHAPES, shape
 
 TYPICAL_SIZE = {
     "car": (4.5, 1.8, 1.5),

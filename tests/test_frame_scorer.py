@@ -26,8 +26,9 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
+from blender_lidar.world.meshes import GLASS
 from blender_lidar.world.scenery import barrier, box, join, structure
-from blender_lidar.world.shapes import DETAILS, GLASS
+from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, joined, one_vehicle
 

@@ -17,9 +17,8 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections, detection_range_m
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.world.meshes import REFLECTIVITY, ROAD, STRUCTURE, SURFACES
+from blender_lidar.world.meshes import GLASS, REFLECTIVITY, ROAD, STRUCTURE, SURFACES
 from blender_lidar.world.scenery import Scenery, structure
-from blender_lidar.world.shapes import GLASS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 

@@ -267,3 +267,10 @@ def test_names_are_the_catalogues_and_an_unknown_one_is_refused_with_the_nearest
         InputError, match=r"--metric: unknown metric 'voxel-entropy'; did you mean 'voxel-entropy-0.\d'"
     ):
         metric_named("voxel-entropy", "--metric")
+
+
+def test_a_metric_names_what_it_lacks():
+    with pytest.raises(InputError, match="metric 'distance' needs the place of the LiDAR"):
+        METRICS["distance"].values(
+            vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.array([[4.0, 2.0, 1.5]]))
+        )

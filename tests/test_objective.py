@@ -93,6 +93,8 @@ def test_losing_sight_of_a_vehicle_never_raises_the_corrected_sum():
         (OCCUPANCY, {"threshold": -0.1}, "threshold: -0.1; allowed"),
         (OCCUPANCY, {"threshold": np.nan}, "threshold: nan; allowed"),
         (OCCUPANCY, {"threshold": "low"}, "threshold: 'low'; allowed"),
+        ([0.1, 0.2], {}, r"occupancy: shape \(2,\); allowed: \(\.\.\., 3\)"),
+        ([0.1, 0.2, np.nan], {}, "occupancy: .*shares of 0 or more"),
     ],
 )
 def test_unusable_occupancy_is_refused_in_one_line(occupancy, options, message):

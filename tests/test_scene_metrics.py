@@ -14,7 +14,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics import scene_metrics
 from blender_lidar.metrics.catalogue import METRICS, metric_named
 from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
-from blender_lidar.metrics.scene_metrics import VOXEL_M, Road, field_area, ground_points, nuc
+from blender_lidar.metrics.scene_metrics import ROAD_VOXEL_M, Road, field_area, ground_points, nuc
 from blender_lidar.metrics.voxel_grid import covered_voxels
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
@@ -218,7 +218,7 @@ def test_thinned_beams_are_beams_less_than_a_voxel_apart_and_cover_nearly_all():
     assert per_ring < 0.4 * dense.columns
     rings = road.beams.reshape(dense.rings, per_ring, 3)
     apart = 30.0 * np.linalg.norm(np.diff(rings, axis=1), axis=2)
-    assert apart.max() < VOXEL_M
+    assert apart.max() < ROAD_VOXEL_M
     for pose in POSES:
         thinned = road.covered(pose.position, pose.rotation)
         whole = covered_voxels(road.grid, pose.position, every @ pose.rotation, 30.0, 0.4)
@@ -229,7 +229,7 @@ def test_thinned_beams_are_beams_less_than_a_voxel_apart_and_cover_nearly_all():
 def test_voxels_nearer_than_the_sensor_reports_are_neither_covered_nor_reached():
     every, kept = Road(context()), Road(replace(context(), min_range_m=12.0))
     away = np.linalg.norm(every.grid.centres(np.arange(len(every.grid))) - POSES[1].position, axis=1)
-    far = away >= 12.0 - 0.5 * math.sqrt(3.0) * VOXEL_M
+    far = away >= 12.0 - 0.5 * math.sqrt(3.0) * ROAD_VOXEL_M
     covered, reached = (look(POSES[1].position, POSES[1].rotation) for look in (kept.covered, kept.reached))
     assert every.covered(POSES[1].position, POSES[1].rotation)[~far].any()
     for found in (covered, reached):

@@ -26,8 +26,8 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.toml_table import read_toml, to_toml
+from blender_lidar.world.meshes import STRUCTURE
 from blender_lidar.world.scenery import BARRIERS, barrier, box, join
-from blender_lidar.world.shapes import STRUCTURE
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.refusals import refused
 from tests.report_samples import Page

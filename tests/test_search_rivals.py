@@ -190,7 +190,9 @@ def test_the_finest_grid_is_that_of_counting_up(variables):
 
 
 @pytest.mark.parametrize("name", SEARCHES)
-@pytest.mark.parametrize("bounds", [([2.0, 25.0], [4.5, 0.0]), ([2.0], [4.5, 25.0]), ([np.nan, 0.0], [4.5, 25.0])])
+@pytest.mark.parametrize(
+    "bounds", [([2.0, 25.0], [4.5, 0.0]), ([2.0], [4.5, 25.0]), ([np.nan, 0.0], [4.5, 25.0]), ([], [])]
+)
 def test_every_search_refuses_unusable_bounds(name, bounds):
     with pytest.raises(InputError, match="bounds"):
         make_search(name, *bounds, seed=0)

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from blender_lidar.casting import caster_class
 from blender_lidar.errors import InputError
 from blender_lidar.traffic.vehicles import CLASSES
-from blender_lidar.world.shapes import DETAILS, GLASS, SHAPES, SURFACES, shape, shape_of
+from blender_lidar.world.meshes import GLASS, SURFACES
+from blender_lidar.world.shapes import DETAILS, SHAPES, shape, shape_of
 from blender_lidar.world.triangles import STATIC, vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 

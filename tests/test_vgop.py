@@ -174,7 +174,7 @@ def test_the_views_to_be_drawn_hold_the_same_occupancy():
     points = rng.uniform(-0.52, 0.52, (300, 3)) * CAR
     views = vgop.occupancy_views(points, CAR[0])
     p = vgop.occupancy(points, np.zeros(300, dtype=int), CAR)[0]
-    assert [views[name].mean() for name in vgop.VIEWS] == pytest.approx(p.tolist())
+    assert [views[name].mean() for name in vgop.VIEW_NAMES] == pytest.approx(p.tolist())
     assert views["top"].shape == (90, 36)
 
 

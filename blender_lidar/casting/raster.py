@@ -16,7 +16,7 @@ from ..compiled import compiled
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from .protocol import FARTHEST, Caster, Revolution
-from .rasterise import RUN, DepthBuffer, Table, depth_buffer, lattice_table, rasterise, undecided_beams
+from .rasterise import RUN, DepthBuffer, LatticeTable, depth_buffer, lattice_table, rasterise, undecided_beams
 
 _spare: dict[int, DepthBuffer] = {}  # by number of beams
 
@@ -58,7 +58,7 @@ class RasterCaster(Caster):
     @contextmanager
     def rasterising(
         self, lattice: BeamLattice, revolutions: int = 1
-    ) -> Iterator[tuple[Mesh, np.ndarray, bool, Table, DepthBuffer, int]]:
+    ) -> Iterator[tuple[Mesh, np.ndarray, bool, LatticeTable, DepthBuffer, int]]:
         """What compiled code needs to rasterise so many revolutions of a lattice.
 
         Mesh, planes, whether backs may be passed over, lattice, depth buffer, and the number of the first of these

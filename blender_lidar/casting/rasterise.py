@@ -22,7 +22,7 @@ RUN = 16  # triangles with a sphere about them: neighbours in the list tend to b
 # --- The lattice's sines and cosines, and the depth buffer ------------------------------------------------------------
 
 
-class Table(NamedTuple):
+class LatticeTable(NamedTuple):
     """What `rasterise` needs of a lattice: by ring, and by slot the sine and cosine of its azimuth from slot 0."""
 
     elevation_sine: np.ndarray
@@ -68,10 +68,10 @@ class DepthBuffer(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def lattice_table(lattice: BeamLattice) -> Table:
+def lattice_table(lattice: BeamLattice) -> LatticeTable:
     """What `rasterise` needs of a lattice."""
     azimuth0, slots = np.ascontiguousarray(lattice.slot_azimuth0_rad), lattice.step_rad * np.arange(lattice.columns)
-    return Table(
+    return LatticeTable(
         np.sin(lattice.elevation_rad),
         np.cos(lattice.elevation_rad),
         azimuth0,
@@ -199,7 +199,7 @@ def rasterise(mesh, planes, table, components, origin, rotation, reach, closed, 
     mesh : Mesh
     planes : ndarray, (m, 13)
         Of each triangle, as in `TrianglePlanes.rows`.
-    table : Table
+    table : LatticeTable
     components : ndarray, (3, b)
         The lattice's beams.
     origin : ndarray, (3,)

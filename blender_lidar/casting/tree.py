@@ -246,10 +246,8 @@ def fences(corners: np.ndarray, normal: np.ndarray, height: np.ndarray) -> list[
 
 def _around_needles(corners, normal, margin):
     """Triangles that hold a rectangle about each needle, which lies along its longest side."""
-    rows, longest = (
-        np.arange(len(corners)),
-        np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).argmax(axis=1),
-    )
+    rows = np.arange(len(corners))
+    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).argmax(axis=1)
     first, second, third = (corners[rows, (longest + which) % 3] for which in range(3))
     length = np.linalg.norm(second - first, axis=1, keepdims=True)
     along = (second - first) / length

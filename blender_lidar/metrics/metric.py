@@ -133,6 +133,11 @@ class SceneContext:
 # --- What a metric is, and what it is given: the returns from vehicles, each in its vehicle's own frame ---
 
 NEEDS_POINTS, NEEDS_DISTANCE, NEEDS_VIEW = "points", "distance_m", "view"
+_MISSING = {
+    NEEDS_POINTS: "the points themselves, not their number alone",
+    NEEDS_DISTANCE: "the place of the LiDAR",
+    NEEDS_VIEW: "the mountings and the frame's boxes",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,9 +273,13 @@ class Metric:
         Raises
         ------
         InputError
-            When the metric has to learn first: see `learnt`.
+            When `returns` lacks something that the metric needs, or the metric has to learn first: see `learnt`.
         """
-        return self.learnt(None).score(returns)
+        score = self.learnt(None).score
+        for what in sorted(self.needs):
+            if getattr(returns, what) is None:
+                raise InputError(f"metric {self.name!r} needs {_MISSING[what]}")
+        return score(returns)
 
     def merit(self, values: np.ndarray) -> np.ndarray:
         """Values with their sign turned where lower is better, so that of two merits the greater one is the better."""

@@ -92,7 +92,7 @@ class OccupiedFrames:
 # the share of training vehicles with a return in it; only what a return lies in counts as covered. The form is ours.
 # Density and NUC of the ground (`scene_metrics`) have no form for a vehicle and get none.
 
-VOXEL_M = 0.2
+VEHICLE_VOXEL_M = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +119,7 @@ class VehiclePrior:
     vehicles: np.ndarray
 
     @classmethod
-    def learn(cls, returns: VehicleReturns, voxel_m: float = VOXEL_M) -> VehiclePrior:
+    def learn(cls, returns: VehicleReturns, voxel_m: float = VEHICLE_VOXEL_M) -> VehiclePrior:
         """The prior of some vehicles; to be fair learned from other vehicles than those that it scores.
 
         Raises

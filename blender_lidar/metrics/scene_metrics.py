@@ -113,7 +113,7 @@ def _neighbours(points, centres, radius):
 
 # --- Metrics of a whole scene: S-MIG, its positive form, M-SOG, expected visibility, density and evenness on the ground
 
-VOXEL_M = 0.4
+ROAD_VOXEL_M = 0.4
 """That of the published code for expected visibility: a car is about 11 x 5 x 4 voxels. S-MIG's authors take 0.05 m,
 with which a carriageway has 70 million. Sums grow with the number of voxels: those of two sizes do not compare."""
 _MOUNTINGS_KEPT = 128  # at least; as many as are scored together, where these are more
@@ -143,14 +143,14 @@ class Road:
         (x, y), reach = field.centre_xy_m, field.radius_m
         top = max(float((boxes.centre_m[:, 2] + 0.5 * boxes.size_m[:, 2]).max(initial=0.0)) for boxes in context.frames)
         right, left = np.clip(field.y_m, y - reach, y + reach)
-        self.grid = VoxelGrid.covering((x - reach, right, 0.0), (x + reach, left, max(top, VOXEL_M)), VOXEL_M)
+        self.grid = VoxelGrid.covering((x - reach, right, 0.0), (x + reach, left, max(top, ROAD_VOXEL_M)), ROAD_VOXEL_M)
         self.frames = OccupiedFrames(
             [self.grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad) for boxes in context.frames],
             len(self.grid),
             [np.count_nonzero(boxes.counted) for boxes in context.frames],
         )
         apart = 2.0 * np.pi / context.directions.shape[1] * context.max_range_m
-        self.beams = context.directions[:, :: max(int(VOXEL_M / apart), 1)].reshape(-1, 3)
+        self.beams = context.directions[:, :: max(int(ROAD_VOXEL_M / apart), 1)].reshape(-1, 3)
         self._ranges = context.max_range_m, context.min_range_m
 
     def covered(self, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -21,12 +21,10 @@ from .view_grids import ViewGrids, cell_counts
 # - It saturates, as detectors do: the first cells of a view count most. s(0) = 0 and s(1) = 1, so that C is 0 for a
 #   vehicle that nothing returns from and 1 for one with every cell of every view hit.
 # - It is fair to bearing: what the beams see of a vehicle's upright faces moves from the side to the front view as the
-#   line of sight turns, and the root of the sum of squares keeps what moves. For a car in the full view of an
-#   HDL-64E at
-#   20 m, C varies over the bearings by a coefficient of variation of 0.09, the number of returns by 0.19.
+#   line of sight turns, and the root of the sum of squares keeps what moves. For a car in the full view of an HDL-64E
+#   at 20 m, C varies over the bearings by a coefficient of variation of 0.09, the number of returns by 0.19.
 # - It is fair to size: P is a share, and cells of 0.2 m, about those in which detectors gather points (PointPillars
-#   0.16
-#   m), are hit in a lorry as easily as in a car.
+#   0.16 m), are hit in a lorry as easily as in a car.
 # Cell and h are the best of this form on 55 labelled cars of KITTI's train split, frozen before any other car was
 # looked at. These cars cannot tell this form from the plain sum of the three s, or from the better of side and front
 # in place of the root; bearing decided. `scripts/research/choose_view_coverage.py` does it again, and
@@ -41,26 +39,14 @@ def view_coverage(returns: VehicleReturns) -> np.ndarray:
     return coverage(occupancy(returns.points, returns.vehicle, returns.size_m, CELL_M))
 
 
-def coverage(shares: np.ndarray, half_share: float = HALF_SHARE) -> np.ndarray:
-    """C of the occupancies of top, side and front view.
-
-    Parameters
-    ----------
-    shares : ndarray, (..., 3)
-        P of top, side and front, from 0 to 1.
-    half_share : float
-        h: the smaller, the sooner a view saturates.
-
-    Returns
-    -------
-    ndarray, (...)
-    """
-    top, side, front = np.moveaxis(saturated(shares, half_share), -1, 0)
+def coverage(shares: np.ndarray) -> np.ndarray:
+    """C, (...), of the occupancies P of top, side and front view, (..., 3), from 0 to 1."""
+    top, side, front = np.moveaxis(saturated(shares, HALF_SHARE), -1, 0)
     return (top + np.hypot(side, front)) / (1.0 + math.sqrt(2.0))
 
 
 def saturated(shares: np.ndarray, half_share: float) -> np.ndarray:
-    """s of each occupancy, in the shape of `shares`."""
+    """s of each occupancy, in the shape of `shares`; the smaller h is, the sooner a view saturates."""
     return (1.0 + half_share) * shares / (shares + half_share)
 
 
@@ -210,7 +196,7 @@ def voxel_occupancy(returns: VehicleReturns, voxel_m: float = OCCUPANCY_VOXEL_M)
     return np.bincount(row, minlength=len(returns)) / cell_counts(returns.size_m, voxel_m).prod(axis=1)
 
 
-def voxel_occupancy_entropy(returns: VehicleReturns, voxel_m: float = OCCUPANCY_VOXEL_M) -> np.ndarray:
+def voxel_occupancy_entropy(returns: VehicleReturns) -> np.ndarray:
     """-q log2 q of the share q of occupied voxels [bits], (n,).
 
     It stands where the perception entropy of Roos et al. (IEEE ITSC 2021, 3231-3237) would: it is known that theirs
@@ -218,7 +204,7 @@ def voxel_occupancy_entropy(returns: VehicleReturns, voxel_m: float = OCCUPANCY_
     formula is not public, so this is not it and does not bear its name. It rises with q up to 1/e, which the surface of
     a vehicle hardly reaches at 0.1 m.
     """
-    return entropy(voxel_occupancy(returns, voxel_m))
+    return entropy(voxel_occupancy(returns))
 
 
 def _filled(returns, voxel_m):

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
-from .view_grids import DEFAULT_CELL_M, VIEW_AXES, VIEWS, ViewGrids, cell_counts
+from .view_grids import DEFAULT_CELL_M, VIEW_AXES, VIEW_NAMES, ViewGrids, cell_counts
 
 
 def to_vehicle_frame(
@@ -145,7 +145,7 @@ def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAUL
     cells = cell_counts(size, cell_m)[0]
     index, _ = ViewGrids(size, cell_m).cells_of(points, np.zeros(len(points), dtype=np.int64))
     views = {}
-    for name, (row, column) in zip(VIEWS, VIEW_AXES, strict=True):
+    for name, (row, column) in zip(VIEW_NAMES, VIEW_AXES, strict=True):
         views[name] = np.zeros((cells[row], cells[column]), dtype=bool)
         views[name][index[row], index[column]] = True
     return views

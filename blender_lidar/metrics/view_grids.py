@@ -22,7 +22,7 @@ def check_reading(reading: str) -> None:
 
 # --- The grids over a vehicle's top, side and front view ---------------------------------------------------
 
-VIEWS = ("top", "side", "front")
+VIEW_NAMES = ("top", "side", "front")
 VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
 DEFAULT_CELL_M = 0.05
 

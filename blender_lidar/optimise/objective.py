@@ -35,12 +35,15 @@ def detectable(occupancy: np.ndarray, threshold: float = 0.005, view: str = "mea
     Raises
     ------
     InputError
-        If the threshold or view is not one of the above.
+        If the threshold, the view or the occupancy is not one of the above.
     """
     if view not in VIEWS:
         raise unknown_name(view, VIEWS, "view")
     threshold = check_number(threshold, 0.0, math.inf, "threshold")
-    share = getattr(np.asarray(occupancy, dtype=float), view)(axis=-1)  # views are named as NumPy's means and extremes
+    occupancy = np.asarray(occupancy, dtype=float)
+    if occupancy.shape[-1:] != (3,) or not (occupancy >= 0.0).all():  # NaN fails too
+        raise InputError(f"occupancy: shape {occupancy.shape}; allowed: (..., 3), shares of 0 or more")
+    share = getattr(occupancy, view)(axis=-1)  # views are named as NumPy's means and extremes
     return share >= threshold  # Eq. 11
 
 

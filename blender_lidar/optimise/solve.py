@@ -11,7 +11,7 @@ from ..errors import unknown_name
 from .baselines import GridSearch, RandomSearch, grid_points
 from .de_pso import DePso, DePsoSettings
 from .hardened import Hardened, HardenedSettings
-from .search import Search, check_whole
+from .search import Search, check_bounds, check_whole
 
 SEARCHES = (Hardened.name, DePso.name, GridSearch.name, RandomSearch.name)
 
@@ -94,8 +94,9 @@ def make_search(
     """
     if name not in SEARCHES:
         raise unknown_name(name, SEARCHES, "search")
+    lower, upper = check_bounds(lower, upper)
     if name == GridSearch.name:
-        return GridSearch(lower, upper, points=grid_points(evaluations, np.size(lower)), **settings)
+        return GridSearch(lower, upper, points=grid_points(evaluations, lower.size), **settings)
     if name == RandomSearch.name:
         return RandomSearch(lower, upper, seed=seed, evaluations=evaluations, **settings)
     if name == Hardened.name:

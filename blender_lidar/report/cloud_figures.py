@@ -12,7 +12,7 @@ import numpy as np
 
 from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
-from ..metrics.vgop import VIEWS, entropy, occupancy_views
+from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import Outcome
 from ..scene.scenario import pose_at
 from ..scene.site import Site
@@ -248,7 +248,7 @@ def plot_occupancy(
             axes.set_axis_off()
             axes.set(xlim=(0.0, _LONGEST_MM / scale), ylim=(-drawing_mm / scale, 0.0))
             floor = total = 0.0
-            for view in VIEWS:
+            for view in VIEW_NAMES:
                 across, up = (size_m[axis] for axis in _SIDES_OF_VIEW[view])
                 floor -= _GAP_MM / scale + up
                 p = float(np.mean(views[view]))  # Eq. 7

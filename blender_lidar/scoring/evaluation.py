@@ -90,13 +90,13 @@ class Totals(NamedTuple):
     detectable: np.ndarray
     vehicles: np.ndarray
 
-    def per_vehicle(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Objective per counted vehicle over the chosen frames, (s,), in the metric's unit."""
-        return self.objective[:, frames].sum(axis=1) / self.vehicles[frames].sum()
+    def per_vehicle(self) -> np.ndarray:
+        """Objective per counted vehicle over all frames, (s,), in the metric's unit."""
+        return self.objective.sum(axis=1) / self.vehicles.sum()
 
-    def detectable_share(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Share of counted vehicles at or above the threshold over the chosen frames, (s,)."""
-        return self.detectable[:, frames].sum(axis=1) / self.vehicles[frames].sum()
+    def detectable_share(self) -> np.ndarray:
+        """Share of counted vehicles at or above the threshold over all frames, (s,)."""
+        return self.detectable.sum(axis=1) / self.vehicles.sum()
 
 
 class Evaluator:

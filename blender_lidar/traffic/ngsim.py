@@ -168,7 +168,7 @@ def _boxes(
 
 _SIZE = Column("feet, at least 0", low=0.0, optional=True)
 COLUMNS = {
-    "Vehicle_ID": Column("a whole number", whole=True),
+    "Vehicle_ID": Column("a whole number of at least 0", low=0, whole=True),
     "Frame_ID": Column("a whole number", whole=True),
     "Global_Time": Column("milliseconds"),
     "Local_X": Column("feet"),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from .vehicles import CLASSES, HEIGHTS_M, VAN_LONGER_THAN_M
+from .vehicles import CLASSES, HEIGHTS_M, LONG_TRUCK_M, VAN_LONGER_THAN_M
 
 # --- Which way vehicles point, from where they have been: NGSIM records no heading ------------------------
 # Local straight-line fits over a moving window, as a Savitzky-Golay filter of 3.1 s; a speed gate below which a
@@ -231,7 +231,6 @@ def segments(vehicle_id: np.ndarray, frame: np.ndarray, time_step_s: float) -> t
 
 # --- Classes, sizes and heights of NGSIM vehicles, which are measured from video blobs and have no height -
 
-_LONG_TRUCK_M = 9.0
 _CLASS_INDEX = np.array([0, *map(CLASSES.index, ("motorcycle", "car", "truck"))], dtype=np.int8)
 """By v_Class: 1 motorcycle, 2 auto, 3 truck."""
 _PLAUSIBLE_M = {
@@ -280,5 +279,5 @@ def heights(index: np.ndarray, length_m: np.ndarray, height_m: Mapping[str, floa
     """Heights [m], (n,), from indices into `CLASSES` and lengths [m]; `height_m` replaces those of `HEIGHTS_M`."""
     table = {**HEIGHTS_M, **(height_m or {})}
     result = np.array([table[name] for name in CLASSES])[index]
-    result[(index == CLASSES.index("truck")) & (length_m >= _LONG_TRUCK_M)] = table["long_truck"]
+    result[(index == CLASSES.index("truck")) & (length_m >= LONG_TRUCK_M)] = table["long_truck"]
     return result

@@ -109,8 +109,9 @@ def _counted(count: int, noun: str) -> str:
 CLASSES = ("car", "van", "truck", "bus", "motorcycle")
 """Vehicle classes; `class_index` counts into them. A van is any car longer than 4.9 m: van, SUV or pick-up."""
 VAN_LONGER_THAN_M = 4.9
+LONG_TRUCK_M = 9.0  # from this length on a truck is an articulated one
 HEIGHTS_M = {"car": 1.5, "van": 1.9, "truck": 3.0, "long_truck": 3.8, "bus": 3.2, "motorcycle": 1.4}
-"""Heights by kind [m], for recordings that have none; a ``long_truck`` is one of 9 m or more."""
+"""Heights by kind [m], for recordings that have none; a ``long_truck`` is one of `LONG_TRUCK_M` or more."""
 _COLUMNS = {
     "vehicle_id": np.int64,
     "class_index": np.int8,

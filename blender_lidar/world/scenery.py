@@ -85,7 +85,7 @@ class Scenery:
     owner : ndarray of int32, (m,)
         Row in `names` of the object that a triangle belongs to.
     surface : ndarray of uint8, (m,)
-        Index into `shapes.SURFACES`.
+        Index into `meshes.SURFACES`.
     names : tuple of str
         The objects.
     """

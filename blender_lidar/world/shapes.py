@@ -13,12 +13,12 @@ from functools import cache
 import numpy as np
 
 from ..errors import unknown_name
+from ..traffic.vehicles import LONG_TRUCK_M
 from .detailed_shapes import detailed_shape
-from .meshes import GLASS, PAINT, ROAD, STRUCTURE, SURFACES, Shape, block, tube  # noqa: F401  (what shapes are made of)
+from .meshes import Shape, block, tube
 
 DETAILS = ("box", "body", "detailed")
 SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
-LONG_TRUCK_M = 9.0  # from this length on a truck is an articulated one
 
 
 def shape_of(vehicle_class: str, length_m: float) -> str:

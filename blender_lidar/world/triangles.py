@@ -27,7 +27,7 @@ class Triangles:
     owner : ndarray of int32, (m,)
         Row of the vehicle that a triangle belongs to, or `STATIC`.
     surface : ndarray of uint8, (m,)
-        Index into `shapes.SURFACES`.
+        Index into `meshes.SURFACES`.
     """
 
     corners: np.ndarray

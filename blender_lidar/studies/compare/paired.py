@@ -14,7 +14,7 @@ import numpy as np
 from ...casting import caster_class
 from ...errors import InputError
 from ...metrics.vgop import entropy, occupancy, to_vehicle_frame
-from ...metrics.view_grids import VIEWS
+from ...metrics.view_grids import VIEW_NAMES
 from ...sensors.imperfections import PERFECT, Imperfections
 from ...traffic.vehicles import VAN_LONGER_THAN_M
 from ...world.meshes import GLASS, REFLECTIVITY
@@ -272,7 +272,7 @@ class PairedSweep:
     def _scores(self, of: str, distance_m: np.ndarray, which: np.ndarray) -> dict[str, np.ndarray]:
         boxes = self.sweep.boxes
         share = occupancy(self.local(distance_m, which), self.box[which], boxes.size_m)[self.rows]
-        columns = {f"{of}_p_{view}": column for view, column in zip(VIEWS, share.T, strict=True)}
+        columns = {f"{of}_p_{view}": column for view, column in zip(VIEW_NAMES, share.T, strict=True)}
         return {**columns, f"{of}_entropy_bits": entropy(share).sum(axis=1)}
 
     def _count(self, which: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from itertools import permutations
 
 import numpy as np
 
-from ...metrics.view_grids import VIEWS
+from ...metrics.view_grids import VIEW_NAMES
 from ...statistics import FEWEST_BLOCKS, RESAMPLES, interval_90, resampled_weights
 from .cars import of_bearing
 from .detections import told_of, tuned_frames
@@ -81,7 +81,7 @@ def _of_variant(cars: Mapping[str, np.ndarray], cluster: np.ndarray) -> dict:
         "bias_bits": median_interval(error, cluster),
         "absolute_error_hidden_kept_bits": median_interval(np.abs(kept), cluster),
         "absolute_error_p": {
-            view: float(np.median(np.abs(cars[f"simulated_p_{view}"] - cars[f"real_p_{view}"]))) for view in VIEWS
+            view: float(np.median(np.abs(cars[f"simulated_p_{view}"] - cars[f"real_p_{view}"]))) for view in VIEW_NAMES
         },
         "by_distance": [
             {"low_m": low, "high_m": high, **group((distance_m >= low) & (distance_m < high))} for low, high in BANDS_M
