@@ -96,6 +96,12 @@ def test_doctor_without_a_fast_caster_fails_and_says_what_to_install(capsys, mon
     assert out.splitlines()[-1].startswith('No fast caster works: pip install "blender_lidar[fast]"')
 
 
+def test_what_needs_scipy_says_so_where_it_is_missing(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    code, _, err = run(capsys, "chart", "scene.toml")
+    assert (code, err) == (2, "blender-lidar: chart needs scipy (pip install scipy)\n")
+
+
 def test_doctor_shows_what_a_broken_caster_raises(capsys, monkeypatch):
     class Broken:
         def __init__(self, corners) -> None:

@@ -17,7 +17,7 @@ So all casters find the same hits and ranges, and differ in speed alone; but for
 triangles have no fences because these double the time of a cast. A ray within 1e-7 rad of an outline that is so rounded
 that the sides about it are all seen edge-on may miss it, and one that leaks between two triangles of a flat side seen
 edge-on may meet another solid that stands within the first. Of 1.7 million rays aimed at such places bvh lost 2 and
-Embree 1, and none and 7 met what stands within (`stability.caster_attacks` at full size, seeds 1 to 3).
+Embree 1, and none and 7 met what stands within (scripts/research/caster_attacks.py at full size, seeds 1 to 3).
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from ..studies.driver import StudyFolder
 from ..studies.effects import candidates
 from ..studies.ladder import FULL, QUICK
 from .optimise import check_resume
-from .options import add_scene, scenario_from
+from .options import add_scene, check_scipy, scenario_from
 from .studies import add_study_options, carry_out, effort_of
 
 OTHER_SENSORS = ("RS-80", "RS-32")  # the first that is not the scene's own
@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     check_resume(args)
     tolerance = parse_share(args.tolerance, "--tolerance")
+    check_scipy("chart")
     scenario = scenario_from(args)
     candidates(scenario, 2)  # refuses a scene that searches nothing
     paired = None if args.paired is None else read_paired(args.paired)

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 
 from ..casting import CASTERS, resolve
@@ -30,7 +29,7 @@ from ..studies.compare.paired import CLEARANCE_M, GROWN_M, LABEL_MARGIN_M, MEASU
 from ..studies.compare.paired_findings import RESULT, TABLE, aggregate, cheapest_within_noise, judging, paired_table
 from ..toml_table import Setting, checked
 from ..world.shapes import DETAILS
-from .options import label_classes, new_folder
+from .options import check_scipy, label_classes, new_folder
 from .progress import Progress
 
 SCHEMA = 1
@@ -124,8 +123,7 @@ def _beside_detectors(args: argparse.Namespace) -> Made:
     asked = [checked(getattr(args, key), limits, f"--{key.replace('_', '-')}") for key, limits in _ASKED.items()]
     settings = Settings(label_classes(args), *asked)
     metrics = chosen_metrics(args.metrics)
-    if find_spec("scipy") is None:
-        raise MissingExtraError("compare --detections needs scipy (pip install scipy)")
+    check_scipy("compare --detections")
     clouds = open_labelled(args.kitti)
     findings = compare(clouds, read_detections(args.detections, args.frames_table), metrics, settings)
     about = {

@@ -7,10 +7,11 @@ import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, get_args
 
-from ..errors import InputError
+from ..errors import InputError, MissingExtraError
 from ..scene.scenario import DECLARED, Scenario, load_scenario
 from ..scene.settings import MOUNTING
 from ..toml_table import Setting, checked
@@ -150,6 +151,12 @@ def label_classes(args: argparse.Namespace) -> tuple[str, ...]:
     if not all(classes):
         raise InputError("--class: is empty; allowed: a name that the labels use")
     return classes
+
+
+def check_scipy(what: str) -> None:
+    """Refuse early what needs SciPy where it is not installed, as within a real Blender."""
+    if find_spec("scipy") is None:
+        raise MissingExtraError(f"{what} needs scipy (pip install scipy)")
 
 
 # --- Folders of results -----------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ class Progress:
 class RunProgress:
     """Shows how a run comes along, first the search, or both where there is a tolerance, then the map.
 
-    It is a `run.Listener` and a context manager.
+    It is a `run.replay.Listener` and a context manager.
 
     Parameters
     ----------

@@ -17,7 +17,17 @@ import numpy as np
 
 from .. import __version__
 from ..errors import BlenderLidarError, InputError, MissingFileError
-from ..files import check_folder, folder_lock, make_folder, open_file, read_text, sweep, write_columns, write_text
+from ..files import (
+    check_folder,
+    folder_lock,
+    make_folder,
+    open_file,
+    read_text,
+    reading,
+    sweep,
+    write_columns,
+    write_text,
+)
 from ..metrics.catalogue import METRICS, PE_VGOP
 from ..optimise import READINGS
 from ..scene.provenance import check_identity
@@ -281,13 +291,10 @@ class RunFolder:
 def refused_by_name(path: Path) -> Iterator[None]:
     """While a file of a run is read and its content used: what is missing or damaged becomes one line with its name."""
     try:
-        yield
+        with reading(path, "a file of a run"):
+            yield
     except BlenderLidarError:
         raise
-    except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, csv.Error) as error:
         what = f"has no {error}" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
         raise InputError(f"{path}: is damaged, or not of this version: {what}") from error

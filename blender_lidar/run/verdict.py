@@ -55,7 +55,8 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
 
     searched, held_out = _on_both_splits(site, evaluator, planned)
     vehicles, block = evaluator.held_out.vehicles, site.plan.holdout_block
-    size = {"vehicles": int(vehicles.sum()), "frames": len(vehicles), "blocks": len(np.unique(block))}
+    blocks = int((block_sums(vehicles, block) > 0).sum())  # an empty one tells nothing
+    size = {"vehicles": int(vehicles.sum()), "frames": len(vehicles), "blocks": blocks}
     verdict = {}
     for name, found in searched.items():
         verdict[name] = {"objective": float(found.totals.objective.sum()), **found.scores(), "holdout": None}
@@ -233,7 +234,7 @@ def map_verdict(score_map: ScoreMap, verdict: Mapping[str, dict], found: str, se
         For the resampling of blocks.
     """
     height, tilt, value = score_map.best
-    base, reached = (verdict[name]["objective_per_vehicle"] for name in ("baseline", found))
+    base, reached = (verdict[name]["objective_per_vehicle"] for name in (BASELINE, found))
     best = max(value, reached)
     gains = best > base
     near_best = near_best_threshold(best, base, REGION_SHARE)

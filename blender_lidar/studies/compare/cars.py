@@ -1,9 +1,9 @@
 """Every labelled car of a folder of sweeps: the points in its box, its metrics, and what detectors made of it.
 
 Metrics of single cars are the catalogue's, PE-VGOP's logarithm, and four that learn: S-MIG, M-SOG, the entropy of the
-voxels hit and expected visibility. These are published for a region; `metrics.vehicle_prior` and `expected_visibility`
-say in which form they score a car. Their prior is learned from the frames that detectors learned from, and frozen
-before any other car is scored.
+voxels hit and expected visibility. These are published for a region; `metrics.occupancy_prior` says
+in which form they score a car. Their prior is learned from the frames that detectors learned from, and frozen before
+any other car is scored.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def taught(metrics: Sequence[Metric], training: Sequence[VehicleReturns]) -> lis
 def expected_visibility(frames: Sequence[FrameBoxes]) -> Callable[[VehicleReturns], np.ndarray]:
     """Expected visibility of single cars: mean, over a box's voxels, of the probability that a beam gets there.
 
-    `metrics.expected_visibility` has the formula and its source. The prior of a voxel, in the sensor's frame, is the
+    `metrics.occupancy_prior.reach_probability` has the formula. The prior of a voxel, in the sensor's frame, is the
     share of training frames with a labelled car in it. A beam goes through the centre of every voxel of a car: how
     densely a sensor samples does not enter, nor do the car's returns.
 
