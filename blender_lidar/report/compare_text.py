@@ -1,4 +1,7 @@
-"""A comparison with reality in words: a short table and sentences, for detectors and for paired sweeps."""
+"""A comparison with reality in words: a table and a verdict, for detectors and for paired sweeps.
+
+What a reader decides by; `compare.json` and `paired.json` hold all sets, bands and bearings.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,11 @@ from collections.abc import Mapping
 from ..statistics import FEWEST_BLOCKS
 from ..studies.compare.cars import PAPERS
 from ..studies.compare.detections import TRAINING
-from ..studies.compare.detectors import ANY, PAPER, PERFORMANCE, Findings
+from ..studies.compare.detectors import PAPER, Findings
 from ..studies.compare.labelled import NOT_TOLD
 from ..studies.compare.paired import LOSSES
 from ..studies.compare.paired_findings import ALL, TUNED, VALIDATION, judging
+from ..studies.compare.resampling import Estimate
 from .study import text_table
 
 _DRIVES = (
@@ -22,7 +26,6 @@ _DRIVES = (
 # --- Metrics beside detectors -----------------------------------------------------------------------------------------
 
 _SIGNIFICANT = 0.05
-_NARROW = " that are too narrow (see below)"
 _TABLE = {
     "Spearman": lambda row: row["spearman"],
     "given distance, occlusion": lambda row: row["partial_spearman"],
@@ -33,122 +36,60 @@ _TABLE = {
 
 
 def findings_text(findings: Findings) -> str:
-    """The whole text."""
+    """The main set's correlations with each detector, who is better than the first metric, speed and cautions."""
     result = findings.result
-    parts = (_head(result), *(_of_detector(result, name) for name in result["detectors"]))
-    parts = (*parts, _by_distance(result), _ground(result), _speed(result["speed"]), _cautions(findings))
-    return "\n\n".join("\n".join(lines) for lines in parts if lines)
-
-
-def _head(result: Mapping) -> list[str]:
     sets = ", ".join(f"{name} {cars}" for name, cars in result["sets"].items())
-    lines = [f"{result['cars']} cars in {_many(result['frames'], 'frame')}; sets: {sets}"]
+    parts = [[f"{result['cars']} cars in {result['frames']} frames; sets: {sets}"]]
     if result["cars_not_listed"]:
-        lines.append(f"{result['cars_not_listed']} further labelled cars of these frames are not in the detections")
-    return lines
+        parts[0].append(f"{result['cars_not_listed']} further labelled cars of these frames are not in the detections")
+    parts += [_of_detector(result, name) for name in result["detectors"]]
+    ours, every, paper = (
+        f"{result['speed'][name]['ms_per_frame']:.2f} ms a frame, {result['speed'][name]['ms_per_car']:.2f} ms a car"
+        for name in ("file_to_pe_vgop", "file_to_all_metrics", "paper")
+    )
+    timed = f"PE-VGOP from file to score, processor time: {ours}; all metrics: {every}."
+    said = f"The paper: {PAPER['seconds']:.0f} s for {PAPER['frames']:,} frames, {paper}; it names no machine."
+    return "\n\n".join("\n".join(lines) for lines in (*parts, [timed, said], _cautions(findings)) if lines)
 
 
 def _of_detector(result: Mapping, detector: str) -> list[str]:
-    mine = [row for row in result["correlations"] if row["detector"] == detector]
-    main = {row["metric"]: row for row in mine if row["set"] == result["main_set"]}
-    if not main:
-        return [f"{detector}: too few cars or frames of {result['main_set']} in its range for intervals"]
-    first = next(iter(main.values()))
-    narrow = _NARROW if first["resampled"]["intervals_too_narrow"] else ""
-    rows = [[name, *(of(row).text() for of in _TABLE.values())] for name, row in main.items()]
+    """The metrics beside a detector among the main set's cars."""
+    judging_set = result["main_set"]
+    of = {
+        row["metric"]: row for row in result["correlations"] if (row["detector"], row["set"]) == (detector, judging_set)
+    }
+    if not of:
+        return [f"{detector}: too few cars or frames of {judging_set} in its range for intervals"]
+    first = next(iter(of.values()))
+    drawn = first["resampled"]
+    narrow = " that are too narrow (see below)" * drawn["intervals_too_narrow"]
+    rows = [[name, *(cell(row).text() for cell in _TABLE.values())] for name, row in of.items()]
     lines = [
-        f"{detector}, {result['main_set']}: {first['cars']} cars, {_drawn(first)}; with confidence x IoU, 90 % "
+        f"{detector}, {judging_set}: {first['cars']} cars, {_drawn(drawn)}; with confidence x IoU, 90 % "
         f"intervals{narrow}",
         *text_table([["", *_TABLE], *rows]),
     ]
     for name in dict.fromkeys((first["metric"], PAPERS)):
-        if name in main:
-            lines += [_followed(main[name]), *_rivals(main, name, narrow and f", by intervals{narrow}")]
-    others = [row for row in mine if row["metric"] == first["metric"] and row["set"] != result["main_set"]]
-    lines += [f"Spearman of {first['metric']} on other sets:"] * bool(others)
-    for row in others:
-        cars = f"{row['cars']} cars, {_drawn(row)}{', learned from' * (row['set'] == TRAINING)}"
-        given = f"given distance and occlusion {row['partial_spearman'].text()}"
-        lines.append(f"  {row['set']} ({cars}): {row['spearman'].text()}, {given}")
+        lines += _rivals(
+            {metric: row["less"][name]["spearman"] for metric, row in of.items() if name in row["less"]}, name
+        )
     return lines
 
 
-def _followed(row: Mapping) -> str:
-    rank, means = row["spearman"], row["bins_10m"]
-    if not math.isfinite(rank.low):
-        return f"{row['metric']}: Spearman {rank.text()}, no interval."
-    follows = "follows" if rank.low > 0.0 else "goes against" if rank.high < 0.0 else "cannot be shown to follow"
-    return (
-        f"{row['metric']} {follows} {row['detector']} car by car: Spearman {rank.text()}; beyond what distance and "
-        f"occlusion tell: {row['partial_spearman'].text()}. Bins of 10 m: Pearson {means['pearson'].text(3)} over "
-        f"{means['groups']} means."
-    )
-
-
-def _rivals(main: Mapping[str, Mapping], name: str, narrow: str) -> list[str]:
-    """How the others do beside one metric."""
-    apart = {metric: row["less"][name]["spearman"] for metric, row in main.items() if name in row["less"]}
-    groups: dict[str, list[str]] = {}
-    for metric, one in apart.items():
-        if math.isfinite(one.p_above):
-            better = "better" if one.p_holm < _SIGNIFICANT else "perhaps" if one.p_above < _SIGNIFICANT else ""
-            groups.setdefault(better or ("worse" if one.high < 0.0 else "alike"), []).append(metric)
-    if not groups:
+def _rivals(apart: Mapping[str, Estimate], name: str) -> list[str]:
+    """Which metrics are better in Spearman than one, by how much each exceeds it."""
+    known = {metric: one for metric, one in apart.items() if math.isfinite(one.p_above)}
+    if not known:
         return []
-    told = [metric for metrics in groups.values() for metric in metrics]
-    many = _many(len({apart[metric] for metric in told}), "rival")  # orders of the cars: twins count once
-    said = {
-        group: ", ".join(f"{metric} by {apart[metric].text(3, '+')}" for metric in metrics)
-        for group, metrics in groups.items()
-    }
-    lines = [f"None of {many} is significantly better in Spearman than {name} after Holm's correction."]
-    if "better" in said:
-        head = f"Significantly better in Spearman than {name}, with Holm's correction for {many}{narrow}"
-        lines = [f"{head}: {said['better']}."]
-    if "perhaps" in said:
-        lines.append(f"Better only without that correction: {said['perhaps']}.")
-    if "worse" in said:
-        beside = f"; cannot be told apart from it: {said['alike']}" if "alike" in said else ""
-        lines.append(f"Below it, by intervals that leave out 0: {len(groups['worse'])} of {len(told)}{beside}.")
-    return lines
-
-
-def _by_distance(result: Mapping) -> list[str]:
-    """Which quantities fall linearly with distance; by bearing `compare.json` has them."""
-    said: dict[str, list[str]] = {"falls linearly": [], "falls logarithmically": [], "either fits": []}
-    for row in result["by_distance"]:
-        lead = row["linear_less_logarithmic"]
-        if (row["set"], row["bearing"]) == (result["main_set"], ANY) and math.isfinite(lead.low):
-            shape = (
-                "falls linearly" if lead.low > 0.0 else "falls logarithmically" if lead.high < 0.0 else "either fits"
-            )
-            said[shape].append(f"{row['quantity'].replace(PERFORMANCE, ' performance')} {lead.text(2, '+')}")
-    lines = [f"  {shape}: {', '.join(quantities)}" for shape, quantities in said.items() if quantities]
-    head = f"With distance ({result['main_set']}; out-of-fold R2 of a straight line less that of a logarithm):"
-    return [head, *lines] if lines else []
-
-
-def _ground(result: Mapping) -> list[str]:
-    name, other = result["metrics"][0]["name"], result["other_ground_clearance"]
-    said = "; ".join(
-        f"{row['detector']} {row['spearman'].text()}, {row['spearman_change'].text(3, '+')}"
-        for row in other["correlations"]
-        if row["metric"] == name and math.isfinite(row["spearman_change"].value)
-    )
-    least_m = other["ground_clearance_m"]
-    what = f"Without returns under {least_m:g} m above floors" if least_m else "With ground returns kept"
-    return [f"{what}, {name} has Spearman: {said}."] if said else []
-
-
-def _speed(spent: Mapping[str, Mapping[str, float]]) -> list[str]:
-    ours, every, paper = (
-        f"{spent[name]['ms_per_frame']:.2f} ms a frame, {spent[name]['ms_per_car']:.2f} ms a car"
-        for name in ("file_to_pe_vgop", "file_to_all_metrics", "paper")
-    )
-    return [
-        f"PE-VGOP from file to score, processor time: {ours}; all metrics: {every}.",
-        f"The paper: {PAPER['seconds']:.0f} s for {PAPER['frames']:,} frames, {paper}; it names no machine.",
-    ]
+    number = len(set(known.values()))  # orders of the cars: twins count once
+    many = f"{number} rival{'s' * (number != 1)}"
+    better = [metric for metric, one in known.items() if one.p_holm < _SIGNIFICANT]
+    below = sum(one.high < 0.0 for one in known.values())
+    head = f"None of {many} is significantly better in Spearman than {name} after Holm's correction"
+    if better:
+        told = ", ".join(f"{metric} by {known[metric].text(3, '+')}" for metric in better)
+        head = f"Significantly better in Spearman than {name}, with Holm's correction for {many}: {told}"
+    return [f"{head}. Below it, by intervals that leave out 0: {below} of {len(known)}."]
 
 
 def _cautions(findings: Findings) -> list[str]:
@@ -167,35 +108,24 @@ def _cautions(findings: Findings) -> list[str]:
     return lines
 
 
-def _drawn(row: Mapping) -> str:
+def _drawn(resampled: Mapping) -> str:
     """What was resampled: ``"26 resampled frames"``."""
-    unit, number = row["resampled"]["unit"], row["resampled"]["number"]
+    unit, number = resampled["unit"], resampled["number"]
     return f"{number} resampled {unit}s" if unit in ("frame", "drive") else f"{number} resampled blocks of {unit}"
-
-
-def _many(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
 
 
 # --- Simulated beside real scores -------------------------------------------------------------------------------------
 
-_HEAD = ("detail, losses", "median error", "90 % interval", "bias", "with hidden", "both", "real only", "sim. only")
-_LEGEND = (
-    "both, real only, sim. only: rays to the cars that return from them in reality, against our shapes, or in both",
-    "with hidden: the median error with the rays that something unlabelled stopped before the car",
-    "|range|: real less simulated range of the rays that return in both; median of the cars' medians",
-)
-
 
 def paired_text(result: Mapping) -> str:
-    """The findings as tables for a terminal, of the set that judges; `result` as `paired.json` has it."""
+    """The findings as a table for a terminal, of the set that judges; `result` as `paired.json` has it."""
     sets, losses = result["sets"], result["losses"]
     name = judging(sets)
     of = sets[name]
     left_out = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items())
+    rings = " or ".join(map(str, result["sensor"]["rings"]))
     lines = [
-        f"Sweeps     {result['sweeps']} in {result['folder']}, {result['layout']} layout",
-        f"Sensor     {_rings(result['sensor'])}",
+        f"Sweeps     {result['sweeps']} in {result['folder']}, {result['layout']} layout, of {rings} rings",
         f"Cars       {sets[ALL]['cars']} whole ones at 10 to 50 m; left out: {left_out}",
         f"Casting    {result['caster']}; losses: {100 * losses['glass_dropout']:g} % of the returns from glass, "
         f"{100 * losses['dropout']:g} % of any, noise {losses['range_noise_m']:g} m; weak: 10 % seen to "
@@ -205,67 +135,52 @@ def paired_text(result: Mapping) -> str:
         lines.append(f"Judged on  {of['cars']} cars in {of['frames']} frames that nothing was fitted to")
     elif TUNED in sets:
         lines.append("Judged on  the frames that shapes and losses were fitted to, so that errors are too small")
-    errors = text_table([[*_HEAD, "|range|"], *map(_errors, of["variants"])])
-    groups = {_said(one): [*one["by_distance"], *one["by_bearing"]] for one in of["variants"]}
-    first = next(iter(groups.values()))
-    where = [group.get("bearing") or f"{group['low_m']:.0f}-{group['high_m']:.0f} m" for group in first]
-    medians = [[said, *(_median(group["absolute_error_bits"]) for group in of_one)] for said, of_one in groups.items()]
-    counts = ["cars", *(str(group["cars"]) for group in first)]
-    lines += ["", "PE-VGOP of each car, simulated less real [bits], and its rays", *errors]
-    lines += ["", *text_table([["median error at", *where], *medians, counts]), "", *_LEGEND]
-    return "\n".join([*lines, "", *_verdict(result["cheapest_within_noise"], sets, of["resampled"])])
+    head = ("detail, losses", "median error", "90 % interval", "bias", "both", "real only", "sim. only", "|range|")
+    return "\n".join(
+        [
+            *lines,
+            "",
+            "PE-VGOP of each car, simulated less real [bits], and its rays: how many return from it really, against",
+            "our shapes, or in both, and how far apart the ranges of these are (median of the cars' medians)",
+            *text_table([head, *map(_errors, of["variants"])]),
+            "",
+            *_verdict(result["cheapest_within_noise"], sets, of["resampled"]),
+        ]
+    )
 
 
 def _errors(one: Mapping) -> list[str]:
     """The row of a variant."""
-    error, hits, residual = one["absolute_error_bits"], one["hits"], one["residual_abs_median_m"]
+    error, residual = one["absolute_error_bits"], one["residual_abs_median_m"]
     interval = " to ".join(f"{end:.3f}" for end in error["interval_90"] or ()) or "-"
-    counts = [f"{hits[key]:,}" for key in ("both", "real_only", "simulated_only")]
-    medians = _median(error), interval, f"{one['bias_bits']['median']:+.3f}"
+    counts = [f"{one['hits'][key]:,}" for key in ("both", "real_only", "simulated_only")]
     off = "-" if residual is None else f"{residual:.3f} m"
-    return [_said(one), *medians, _median(one["absolute_error_hidden_kept_bits"]), *counts, off]
-
-
-def _median(one: Mapping | None) -> str:
-    return "-" if one is None else f"{one['median']:.3f}"
+    return [_said(one), f"{error['median']:.3f}", interval, f"{one['bias_bits']['median']:+.3f}", *counts, off]
 
 
 def _verdict(found: Mapping, sets: Mapping, resampled: Mapping) -> list[str]:
-    best, cheapest, number = found["best"], found["cheapest"], resampled["number"]
-    if number < FEWEST_BLOCKS:
-        lines = [f"Smallest error: {_said(best)}; with fewer than {FEWEST_BLOCKS} frames there are no intervals."]
-    elif best == cheapest:
-        lines = [f"Best: {_said(best)}. No cheaper level of detail is within the noise of it."]
-    else:
+    best, cheapest = found["best"], found["cheapest"]
+    if resampled["number"] < FEWEST_BLOCKS:
+        return [f"Smallest error: {_said(best)}; with fewer than {FEWEST_BLOCKS} frames there are no intervals."]
+    lines = [f"Best: {_said(best)}. No cheaper level of detail is within the noise of it."]
+    if best != cheapest:
         low, high = found["interval_90"]
         lines = [
             f"Best: {_said(best)}. The cheapest level of detail within its noise: {cheapest['detail']},",
             f"whose median error is {found['difference_bits']:+.3f} bits off it (90 % interval {low:+.3f} to "
             f"{high:+.3f}).",
         ]
+    lines.append(f"Intervals are of {_drawn(resampled)}.")
+    if resampled["too_narrow"]:
+        lines.append(f"They are too narrow. {_DRIVES}")
     if TUNED in sets and VALIDATION in sets:
         fit, other = (
-            next(_median(one["absolute_error_bits"]) for one in sets[key]["variants"] if one | best == one)
+            next(one["absolute_error_bits"]["median"] for one in sets[key]["variants"] if one | best == one)
             for key in (TUNED, VALIDATION)
         )
-        lines.append(f"It errs by {fit} on the frames of the fit and by {other} on the others.")
-    if number >= FEWEST_BLOCKS:
-        lines.append(f"Intervals are of {_many(number, 'resampled ' + resampled['unit'])}.")
-        if resampled["too_narrow"]:
-            lines.append(f"They are too narrow. {_DRIVES}")
+        lines.append(f"It errs by {fit:.3f} on the frames of the fit and by {other:.3f} on the others.")
     return lines
 
 
 def _said(one: Mapping) -> str:
     return f"{one['detail']}, {LOSSES[one['losses']]}"
-
-
-def _rings(sensor: Mapping) -> str:
-    text = f"{' or '.join(map(str, sensor['rings']))} rings, a firing every {sensor['azimuth_step_deg']:.4f} deg"
-    if "height_m" in sensor:
-        height, elevation = sensor["height_m"], sensor["elevation_deg"]
-        text += (
-            f", {elevation[0]:.2f} to {elevation[-1]:.2f} deg, lasers {min(height):.3f} to {max(height):.3f} m above "
-            f"and up to {max(map(abs, sensor['lateral_m'])):.3f} m beside the axis"
-        )
-    return text

@@ -7,14 +7,15 @@ The frames' are ``frame`` and perhaps ``split, label_kind, drive``; these may al
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import InputError, printable
-from ...traffic.source import Layout, fields_of, first_lines, numbers, read_rows
+from ...traffic.source import Column, Layout, Rows, fields_of, first_lines, read_rows
+from .labelled import joined
 
 FRAMES_FILE = "frames.csv"
 FRAME_COLUMNS = ("split", "label_kind", "drive")
@@ -30,54 +31,62 @@ _TUNED_BESIDE = frozenset(("000001", "000006", "000192", "001985", "002613", "00
 _LONGEST_NAME = 255  # that of files, which frames are named after
 
 
-class _Table:
-    """Columns of a CSV file as texts, none of them empty; what it refuses names the file and the line.
+_NUMBERS = {
+    "label_line": Column("a whole number of 0 or more", 0.0, 1e9, whole=True),
+    CONFIDENCE: Column("0 to 1", 0.0, 1.0),
+    IOU: Column("0 to 1", 0.0, 1.0),
+    IN_RANGE: Column("0 or 1", 0.0, 1.0, whole=True),
+}
+"""What columns hold numbers, by the ends of their names; all others hold texts."""
+
+
+def _read_table(
+    path: Path, columns: Callable[[list[str]], tuple[Iterable[str], Iterable[str]]], one_row_each: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """Columns of a CSV file, (n,) each, and the ``line`` that each row stands in; no text is empty.
 
     Parameters
     ----------
     path : Path
     columns : callable
         Which columns are needed and which are read if they are there, by the names in the header.
+    one_row_each : sequence of str
+        Columns of which no two rows have the same values.
+
+    Raises
+    ------
+    InputError, MissingFileError
+        Naming the file, and the line or the column.
     """
+    line, header = first_lines(path)[0]
+    layout = Layout([printable(name, _LONGEST_NAME) for name in fields_of(header)], ",", line + 1)
+    kinds = {
+        name: next((of for end, of in _NUMBERS.items() if name.endswith(end)), None)
+        for name in layout.check(*columns(layout.columns), str(path))
+    }
+    parts = [
+        {"line": np.array(rows.lines)} | {name: _values(rows, name, of) for name, of in kinds.items()}
+        for rows in read_rows(path, layout, {name: of for name, of in kinds.items() if of}, kinds)
+    ]
+    if not parts:
+        raise InputError(f"{path}: has no row below its header")
+    table, before = joined(parts), {}
+    for line, *key in zip(*(table[name].tolist() for name in ("line", *one_row_each)), strict=True):
+        if before.setdefault(tuple(key), line) != line:
+            what = ", ".join(f"{name} {value}" for name, value in zip(one_row_each, key, strict=True))
+            raise InputError(f"{path}:{line}: {what} is in line {before[tuple(key)]} already")
+    return table
 
-    def __init__(self, path: Path, columns: Callable[[list[str]], tuple[Iterable[str], Iterable[str]]]) -> None:
-        line, header = first_lines(path)[0]
-        layout = Layout([printable(name, _LONGEST_NAME) for name in fields_of(header)], ",", line + 1)
-        used = layout.check(*columns(layout.columns), str(path))
-        self.path, self.lines, self.texts = path, [], {name: [] for name in used}
-        for rows in read_rows(path, layout, {}, used):
-            self.lines += rows.lines
-            for name in used:
-                self.texts[name] += [printable(text.strip(), _LONGEST_NAME) for text in rows.columns[name].tolist()]
-        if not self.lines:
-            raise InputError(f"{path}: has no row below its header")
-        for name, texts in self.texts.items():
-            if "" in texts:
-                raise InputError(f"{path}:{self.lines[texts.index('')]}: {name} is empty")
 
-    def shares(self, name: str, allowed: str = "0 to 1", most: float = 1.0, *, whole: bool = False) -> np.ndarray:
-        """A column of numbers from 0 to 1, or to another limit, (n,)."""
-        values = numbers(np.array(self.texts[name], dtype=object))
-        fits = (values >= 0.0) & (values <= most) & ((values == np.floor(values)) | (not whole))
-        for row in np.flatnonzero(~fits):
-            raise InputError(f"{self.path}:{self.lines[row]}: {name} is {self.texts[name][row]!r}; allowed: {allowed}")
-        return values
-
-    def whole_numbers(self, name: str) -> np.ndarray:
-        """A column of numbers from 0 on that count something, (n,)."""
-        return self.shares(name, "a whole number of 0 or more", 1e9, whole=True).astype(np.int64)
-
-    def flags(self, name: str) -> np.ndarray:
-        """A column of 0 and 1, (n,) bool."""
-        return self.shares(name, "0 or 1", whole=True) > 0.0
-
-    def check_one_row_each(self, **columns: np.ndarray) -> None:
-        """Refuse a table two rows of which have the same values in some columns."""
-        before: dict[tuple, int] = {}
-        for line, *key in zip(self.lines, *(values.tolist() for values in columns.values()), strict=True):
-            if before.setdefault(tuple(key), line) != line:
-                what = ", ".join(f"{name} {value}" for name, value in zip(columns, key, strict=True))
-                raise InputError(f"{self.path}:{line}: {what} is in line {before[tuple(key)]} already")
+def _values(rows: Rows, name: str, column: Column | None) -> np.ndarray:
+    """A column of rows as numbers, or as texts where it holds none."""
+    if column is not None:
+        found = rows.numbers(name, column)
+        return found.astype(np.int64) if column.whole else found
+    texts = [printable(text.strip(), _LONGEST_NAME) for text in rows.columns[name].tolist()]
+    if "" in texts:
+        raise InputError(f"{rows.where(texts.index(''))}: {name} is empty")
+    return np.array(texts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,25 +133,20 @@ def read_detections(path: str | Path, frames_table: str | Path | None = None) ->
         Naming the file, and the line or the column.
     """
     path = Path(path)
-    table = _Table(path, _columns_of_cars)
-    frames, entry = np.array(table.texts["frame"]), table.whole_numbers("label_line")
-    table.check_one_row_each(frame=frames, label_line=entry)
-    about = {name: np.array(table.texts[name]) for name in FRAME_COLUMNS if name in table.texts}
+    table = _read_table(path, _columns_of_cars, ("frame", "label_line"))
+    detectors = _detectors(table)
     if frames_table is None and (path.parent / FRAMES_FILE).is_file():
         frames_table = path.parent / FRAMES_FILE
     if frames_table is not None:
         told = read_frames(Path(frames_table))
-        for line, frame in zip(table.lines, table.texts["frame"], strict=True):
+        for line, frame in zip(table["line"].tolist(), table["frame"].tolist(), strict=True):
             if frame not in told:
                 raise InputError(f"{path}:{line}: frame {frame} has no row in {frames_table}")
-        about |= told_of(frames, told)
-    columns = {"line": np.array(table.lines), "frame": frames, "label_line": entry, **about}
-    detectors = _detectors(table.texts)
+        table |= told_of(table["frame"], told)
     for name in detectors:
-        told = name + IN_RANGE in table.texts
-        columns[name + IN_RANGE] = table.flags(name + IN_RANGE) if told else np.ones(len(frames), dtype=bool)
-        columns[name + PERFORMANCE] = table.shares(name + CONFIDENCE) * table.shares(name + IOU)
-    return Detections(path, columns, detectors)
+        table[name + IN_RANGE] = table.get(name + IN_RANGE, np.ones(len(table["line"]))) > 0.0
+        table[name + PERFORMANCE] = table.pop(name + CONFIDENCE) * table.pop(name + IOU)
+    return Detections(path, table, detectors)
 
 
 def _detectors(names: Iterable[str]) -> tuple[str, ...]:
@@ -166,10 +170,9 @@ def read_frames(path: Path) -> dict[str, dict[str, str]]:
     InputError, MissingFileError
         Naming the file, and the line or the column.
     """
-    table = _Table(path, lambda header: (["frame"], FRAME_COLUMNS))
-    table.check_one_row_each(frame=np.array(table.texts["frame"]))
-    rows = (dict(zip(table.texts, texts, strict=True)) for texts in zip(*table.texts.values(), strict=True))
-    return {row.pop("frame"): row for row in rows}
+    table = _read_table(path, lambda header: (["frame"], FRAME_COLUMNS), ("frame",))
+    names = [name for name in FRAME_COLUMNS if name in table]
+    return {frame: {name: str(table[name][row]) for name in names} for row, frame in enumerate(table["frame"].tolist())}
 
 
 def told_of(frames: np.ndarray, told: Mapping[str, Mapping[str, str]]) -> dict[str, np.ndarray]:

@@ -37,7 +37,6 @@ _LATERAL_M = np.linspace(-0.06, 0.06, 61)  # candidates
 _LEVEL = 0.002  # [1/m]: neighbours whose inverse ranges differ by less have no parallax
 _CLEARLY_BETTER = 0.7  # of the misfit of a laser on the axis
 _TURN = 2.0 * math.pi
-_CORNERS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 NO_POINT = -1
 
 
@@ -199,13 +198,22 @@ class Firings:
         parallax = np.arcsin(np.clip(rings.lateral_m[rings.ring] / np.maximum(rho, 1e-9), -1.0, 1.0))
         azimuth = np.mod(np.arctan2(points[:, 1], points[:, 0]) - parallax, _TURN)
         order = np.lexsort((azimuth, rings.ring))
-        ends = np.searchsorted(rings.ring[order], np.arange(len(rings) + 1))
-        self._of_ring = [order[a:b] for a, b in pairwise(ends)]
-        # Three turns, so that a window never wraps.
-        self._azimuth = [(azimuth[own] + np.array([[-_TURN], [0.0], [_TURN]])).ravel() for own in self._of_ring]
+        ring, azimuth = rings.ring[order], azimuth[order]
+        first = np.searchsorted(ring, ring)  # of its ring
+        last = np.append(ring[1:] != ring[:-1], True)
+        gap = np.where(last, azimuth[first] + _TURN, np.roll(azimuth, -1)) - azimuth
+        # Firings without a return are spread evenly over the gap between two that returned.
+        lacking = np.maximum(np.round(gap / rings.step_rad).astype(int) - 1, 0)
+        number = np.arange(lacking.sum()) - np.repeat(np.cumsum(lacking) - lacking, lacking) + 1
+        between = np.mod(np.repeat(azimuth, lacking) + np.repeat(gap / (lacking + 1), lacking) * number, _TURN)
+        self._azimuth = np.concatenate([azimuth, between])
+        self._ring = np.concatenate([ring, np.repeat(ring, lacking)])
+        self._point = np.concatenate([order, np.full(len(between), NO_POINT)])
 
     def towards(self, centre: np.ndarray, size: np.ndarray, heading: float) -> tuple[Rays, np.ndarray]:
         """All rays that meet a box, which must not hold the sensor's axis, and how far along each it enters the box.
+
+        They go ring by ring, first those that returned, each with the azimuth rising.
 
         Parameters
         ----------
@@ -214,37 +222,15 @@ class Firings:
         heading : float
             Counter-clockwise from +x [rad].
         """
-        low, high, nearest, farthest = _window(centre, size, heading)
-        margin = np.abs(self._rings.lateral_m).max() / nearest + self._rings.step_rad
-        low, high = low - margin, high + margin
-        slope, height = np.tan(self._rings.elevation_rad), self._rings.height_m
-        ends = height + slope * np.array([[nearest], [farthest]])
-        bottom, top = centre[2] - 0.5 * size[2], centre[2] + 0.5 * size[2]
-        fitting = np.flatnonzero((ends.max(axis=0) >= bottom) & (ends.min(axis=0) <= top))
-        found = [self._within(int(ring), low, high) for ring in fitting]
-        nothing = np.empty(0), np.empty(0, dtype=np.int64)
-        azimuth, point = map(np.concatenate, zip(nothing, *found, strict=True))
-        rays = self._rays(azimuth, point, np.repeat(fitting, [len(one) for one, _ in found]))
+        reach = 0.5 * math.hypot(*size[:2]) + np.abs(self._rings.lateral_m).max()
+        bearing, widest = math.atan2(centre[1], centre[0]) % _TURN, math.asin(min(reach / math.hypot(*centre[:2]), 1.0))
+        near = np.flatnonzero(np.abs(np.abs(self._azimuth - bearing) - math.pi) >= math.pi - widest)
+        aside = _wrapped(self._azimuth[near] - bearing)
+        near = near[np.lexsort((aside, self._point[near] == NO_POINT, self._ring[near]))]
+        rays = self._rays(self._azimuth[near], self._point[near], self._ring[near])
         entry, leave = crossing(rays, centre, size, heading)
         meets = (leave >= entry) & (leave > 0.0)
         return Rays(*(values[meets] for values in rays)), entry[meets]
-
-    def _within(self, ring: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-        """Azimuths between two angles at which a ring fired, and the points that came of it."""
-        azimuth, own, step = self._azimuth[ring], self._of_ring[ring], self._rings.step_rad
-        first, last = np.searchsorted(azimuth, [low, high])
-        # With a neighbour on either side: three turns hold one.
-        nodes = azimuth[first - 1 : last + 1]
-        point = own[np.arange(first - 1, first - 1 + len(nodes)) % len(own)]
-        gap = np.diff(nodes)
-        lacking = np.maximum(np.round(gap / step).astype(int) - 1, 0)  # firings without a return
-        count = np.repeat(lacking, lacking)
-        number = np.arange(len(count)) - np.repeat(np.cumsum(lacking) - lacking, lacking) + 1
-        between = np.repeat(nodes[:-1], lacking) + np.repeat(gap, lacking) * number / (count + 1)
-        every = np.concatenate([nodes, between])
-        points = np.concatenate([point, np.full(len(between), NO_POINT)])
-        inside = (every >= low) & (every <= high)
-        return every[inside], points[inside]
 
     def _rays(self, azimuth: np.ndarray, point: np.ndarray, ring: np.ndarray) -> Rays:
         """Rays of rings at azimuths counter-clockwise from +x, and the points that they returned as, (k,) each."""
@@ -268,16 +254,3 @@ def crossing(rays: Rays, centre: np.ndarray, size: np.ndarray, heading: float) -
         inverse = 1.0 / np.where(way == 0.0, 1e-300, way)
     near, far = (-0.5 * size - start) * inverse, (0.5 * size - start) * inverse
     return np.minimum(near, far).max(axis=1), np.maximum(near, far).min(axis=1)
-
-
-def _window(centre: np.ndarray, size: np.ndarray, heading: float) -> tuple[float, float, float, float]:
-    """Lowest and highest azimuth of a box, the lowest within one turn [rad], and its nearest and farthest [m]."""
-    cos, sin = math.cos(heading), math.sin(heading)
-    corner = _CORNERS * size @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) + centre
-    middle = math.atan2(centre[1], centre[0])
-    relative = _wrapped(np.arctan2(corner[:, 1], corner[:, 0]) - middle)
-    low = math.fmod(middle + float(relative.min()) + 2.0 * _TURN, _TURN)
-    rho = np.hypot(corner[:, 0], corner[:, 1])
-    own = to_vehicle_frame(np.array([[0.0, 0.0, centre[2]]]), centre, heading)[0, :2]
-    away = np.maximum(np.abs(own) - 0.5 * size[:2], 0.0)
-    return low, low + float(np.ptp(relative)), max(float(np.hypot(*away)), 0.1), float(rho.max())
