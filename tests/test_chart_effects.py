@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.report.chart import ablation_cells, needs
+from blender_lidar.report.chart import ablation_cells
 from blender_lidar.studies.ablations import (
     ABOVE,
     BELOW,
@@ -198,14 +198,12 @@ def test_a_great_shift_is_above_the_floor_in_the_score_and_below_in_the_rest():
     assert row["shift"] == {"height_m": 0.0}
     assert row["floors"]["score"] < row["score_interval_90"][0] <= row["score"] == pytest.approx(0.5)
     assert ablation_cells(row)[-1] == "above: score"
-    assert needs({"ablations": [row]}) == ["Above the noise floor: thing, big (score)"]
 
 
 def test_what_changes_nothing_is_below_in_everything():
     row = rows(0.0)
     assert set(row["verdicts"].values()) == {BELOW}
     assert ablation_cells(row)[-1] == BELOW
-    assert needs({"ablations": [row]}) == ["Below it in everything: thing, big"]
 
 
 def test_noise_that_turns_the_order_round_is_above_in_the_ranking():
@@ -219,7 +217,6 @@ def test_with_too_few_blocks_for_a_floor_numbers_are_given_and_no_verdicts(block
     assert row["verdicts"] is None
     assert (row["bias_interval_90"] is None) == (blocks == 1)
     assert ablation_cells(row)[-1] == "no floor known"
-    assert needs({"ablations": [row]}) == []
 
 
 def test_a_side_that_cannot_be_had_is_told_of_in_its_words():

@@ -51,8 +51,8 @@ def test_height_place_and_scores_are_those_of_the_result(sheet):
     assert "x 1.50 m along the road, y 0.00 m across it" in text
     assert "2.00 m to the right of the carriageway" in text
     assert "15.0 deg forward and down towards +y, left of the direction of travel" in text
-    assert "75.0 % (baseline 50.0 %)" in text
-    assert "1.250 bits (baseline 0.500)" in text
+    assert "75.0 % of the vehicles are detectable instead of 50.0 % under the baseline" in text
+    assert "a vehicle gains 0.750 bits" in text
     assert "20 Hz" in text
     assert max(map(len, text.splitlines())) <= 120
 
@@ -82,8 +82,8 @@ def test_what_to_expect_comes_from_frames_that_did_not_choose_the_mounting(sheet
     held_out = {"detectable_share": 0.7, "objective_per_vehicle": 1.0, "interval_90": [0.5, 1.25]}
     text = sheet(holdout=held_out)
     assert "held-out traffic" in text
-    assert "70.0 % (baseline 25.0 %)" in text
-    assert "0.500 to 1.250 bits per vehicle" in text
+    assert "70.0 % of the vehicles are detectable instead of 25.0 % under the baseline" in text
+    assert "(90 % interval of the gain 0.500 to 1.250)" in " ".join(text.split())
     assert "the traffic that chose it" in sheet()
 
 

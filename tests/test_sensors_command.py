@@ -122,7 +122,7 @@ def test_the_text_fan_counts_the_rings_on_the_road_by_distance():
 def test_the_text_fan_draws_a_level_beam_as_a_level_line(tmp_path):
     fan = fan_text(load_model(own_sensor(tmp_path, "0,0\n")))
     drawn = [line for line in fan.splitlines()[:13] if "." in line]
-    assert drawn == ["   4 m |" + "." * 89]
+    assert drawn == ["   4 m |" + "." * 81]
 
 
 def test_the_chart_is_a_png_and_json_stays_alone_on_stdout(tmp_path, capsys):

@@ -227,19 +227,13 @@ def test_the_page_shows_both_optima(runs):
     items = [page.text(number) for number in page.find("li")]
     assert all(note in items for note in cautions(result))
     assert page.text(page.find("p", **{"class": "answer"})[0]) == answer(result)
-    assert "9 of mountings as planned and 9 over the tolerance, with 9 errors each" in page.text(
-        page.find("table", **{"class": "settings"})[0]
-    )
 
 
-def test_the_sheet_tells_what_is_kept_what_costs_most_and_where_the_sharp_mounting_is(runs):
+def test_the_sheet_tells_what_is_kept_and_what_costs_most(runs):
     result, sheet = stored(runs / "robust"), (runs / "robust" / "installation.txt").read_text()
     assert f"If it hangs only nearly so: {tolerance_text(result['tolerance']['settings'])}" in sheet
     assert f"- {kept_text(result)}" in sheet
     assert f"- {costliest_text(result)}" in sheet
-    sharp = result["tolerance"]["sharp"]["deployment"]
-    if sharp != result["deployment"]:
-        assert f"height {sharp['height_m']:.2f} m,\n  tilt {sharp['tilt_x_deg']:.1f} deg across the road" in sheet
     assert "hangs only nearly so" not in (runs / "plain" / "installation.txt").read_text()
 
 

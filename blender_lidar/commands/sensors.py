@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..report.beam_fan import MOUNT_HEIGHT_M, fan_text, ground_distance_m, plot_beam_fan
+from ..report.study import text_table
 from ..sensors.model import LidarModel, load_model, model_names
 
 _WIDTH = 100
@@ -124,9 +125,7 @@ def _listing(models: Sequence[dict[str, Any]]) -> str:
         )
         for of in models
     ]
-    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
-    template = "  ".join(f"{{:{side}{width}}}" for side, width in zip("<><>><<<", widths, strict=True))
-    return "\n".join([*(template.format(*row).rstrip() for row in rows), _LISTING_NOTES])
+    return "\n".join([*text_table(rows), _LISTING_NOTES])
 
 
 def _portrait(model: LidarModel) -> str:

@@ -19,7 +19,10 @@ REACH_M = 100.0
 _TOP_M = 6.0  # the picture's upper edge
 _BAND_M = 20.0
 
-_COLUMNS, _ROWS = 89, 13  # the text picture's cells; their centres lie on both edges
+# Of the text picture: a cell for each 0.5 m of height and 1.25 m of distance, those of the edges halfway beyond them.
+_UP_M = np.arange(-0.25, _TOP_M + 0.5, 0.5)
+_ALONG_M = np.arange(-0.625, REACH_M + 1.25, 1.25)
+_TICKS = range(0, int(REACH_M), 10)  # [m], each 8 cells wide
 _SHADES = " .:+#"  # by the beams in a cell
 _SHADE_FROM = (1, 2, 4, 8)
 
@@ -40,20 +43,20 @@ def fan_text(model: LidarModel) -> str:
     The more beams cross a character's cell, the darker it is: ``.`` one, ``:`` from two, ``+`` from four, ``#`` from
     eight.
     """
-    crossings = np.zeros((_ROWS, _COLUMNS), dtype=int)
-    for end in _ends_m(model):
-        crossings[_cells(*end)] += 1
+    way = np.linspace(0.0, 1.0, 4 * len(_ALONG_M))
+    beams = ((MOUNT_HEIGHT_M + (up - MOUNT_HEIGHT_M) * way, along * way) for along, up in _ends_m(model))
+    crossings = sum((np.histogram2d(*beam, (_UP_M, _ALONG_M))[0] > 0).astype(int) for beam in beams)
     shades = np.array(list(_SHADES))[np.searchsorted(_SHADE_FROM, crossings, side="right")]
     lines = []
-    for height, shade in zip(np.linspace(_TOP_M, 0.0, _ROWS), shades, strict=True):
+    for height, shade in zip(_UP_M[:0:-1] - 0.25, shades[::-1], strict=True):
         label = f"{height:.0f} m" if height == int(height) else ""
         lines.append(f"{label:>6} |{''.join(shade)}".rstrip())
     distance = ground_distance_m(model)
-    landings = np.bincount(_column_of(distance[distance <= REACH_M]), minlength=_COLUMNS)
+    landings, _ = np.histogram(distance[distance <= REACH_M], _ALONG_M)
     marks = "".join(" " if count == 0 else str(count) if count < 10 else "*" for count in landings)
-    ruler, labels = _ruler()
-    lines += [f"{'rings':>6} |{marks}".rstrip(), f"{'':6} +{ruler}", f"{'':6}  {labels}", "", _bands(distance)]
-    return "\n".join(lines)
+    ruler, labels = "+-------" * len(_TICKS), "".join(f"{tick:<8}" for tick in _TICKS)
+    lines += [f"{'rings':>6} |{marks}".rstrip(), f"{'':6} +{ruler}+", f"{'':6}  {labels}{REACH_M:.0f} m", ""]
+    return "\n".join([*lines, _bands(distance)])
 
 
 def plot_beam_fan(model: LidarModel, path: str | Path) -> None:
@@ -93,29 +96,6 @@ def _ends_m(model: LidarModel) -> np.ndarray:
     with np.errstate(divide="ignore"):  # a level beam reaches neither edge
         length = np.minimum(model.range_max_m, np.minimum(REACH_M / along, room / np.abs(up)))
     return np.stack([length * along, MOUNT_HEIGHT_M + length * up], axis=1)
-
-
-def _cells(end_distance: float, end_height: float) -> tuple[np.ndarray, np.ndarray]:
-    """The cells of a line from the sensor: rows and columns, one per column or, if it is steep, one per row."""
-    columns = _column_of(np.array([0.0, end_distance]))
-    rows = np.rint((_TOP_M - np.array([MOUNT_HEIGHT_M, end_height])) / _TOP_M * (_ROWS - 1)).astype(int)
-    count = 1 + max(abs(columns[1] - columns[0]), abs(rows[1] - rows[0]))
-    return np.rint(np.linspace(*rows, count)).astype(int), np.rint(np.linspace(*columns, count)).astype(int)
-
-
-def _column_of(distance_m: np.ndarray) -> np.ndarray:
-    """Column of the text picture for each distance [m]."""
-    return np.rint(distance_m / REACH_M * (_COLUMNS - 1)).astype(int)
-
-
-def _ruler() -> tuple[str, str]:
-    """The text picture's axis: marks every 10 m, and the numbers below them."""
-    ticks = {int(_column_of(np.array(tick))): str(tick) for tick in range(0, int(REACH_M), 10)}
-    ruler = "".join("+" if column in (*ticks, _COLUMNS - 1) else "-" for column in range(_COLUMNS))
-    labels = ""
-    for column, name in ticks.items():
-        labels = labels.ljust(column - len(name) // 2) + name
-    return ruler, labels.ljust(_COLUMNS - 3) + f"{REACH_M:.0f} m"
 
 
 def _bands(distance_m: np.ndarray) -> str:

@@ -152,38 +152,16 @@ def ablation_cells(row: Mapping) -> tuple[str, ...]:
         return (*what, row["note"], *[""] * 6)
     moved = ", ".join(_moved(key, by) for key, by in row["shift"].items())
     shares = (percent(row[key], row[f"{key}_interval_90"]) for key in ("regret", "apart"))
-    return (*what, *_scores(row), moved, *shares, _verdicts(row))
+    if row["verdicts"] is None:
+        return (*what, *_scores(row), moved, *shares, "no floor known")
+    told = {kind: [name for name in JUDGED if row["verdicts"][name] == kind] for kind in (ABOVE, UNTOLD)}
+    beside = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in told.items() if names)
+    return (*what, *_scores(row), moved, *shares, beside or BELOW)
 
 
 def _moved(key: str, by: float) -> str:
     unit = next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), "")
     return f"{round(by, 2) + 0.0:+.2f} {unit}".rstrip()
-
-
-def _verdicts(row: Mapping) -> str:
-    """What is above the noise floor and what cannot be told; all else is below."""
-    if row["verdicts"] is None:
-        return "no floor known"
-    told = [f"{kind}: {names}" for kind in (ABOVE, UNTOLD) if (names := _having(row, kind))]
-    return "; ".join(told) or BELOW
-
-
-def _having(row: Mapping, verdict: str) -> str:
-    return ", ".join(name for name in JUDGED if row["verdicts"][name] == verdict)
-
-
-def needs(result: Mapping) -> list[str]:
-    """What the scene needs: all things by what can be told of them."""
-    kinds: dict[str, list[str]] = {"Above the noise floor": [], "Below it in everything": [], "Cannot be told": []}
-    for row in result["ablations"]:
-        if row["verdicts"]:
-            name = f"{row['what']}, {row['value']}" if row["value"] else row["what"]
-            above, untold = _having(row, ABOVE), _having(row, UNTOLD)
-            if above or untold:
-                kinds["Above the noise floor" if above else "Cannot be told"].append(f"{name} ({above or untold})")
-            else:
-                kinds["Below it in everything"].append(name)
-    return [f"{kind}: {'; '.join(names)}" for kind, names in kinds.items() if names]
 
 
 def _floor(result: Mapping) -> str:
@@ -204,22 +182,17 @@ def _floor(result: Mapping) -> str:
 _LADDER = ("fidelity", "one evaluation", "quartiles", "faster", "bias", "error", "of the gain", "tau", "regret", "")
 
 
-def _sections(result: Mapping, whole: bool) -> list[Section]:
-    """What `chart_study` came to; of the ladder only what is worth a line, unless it is told as a whole."""
-    rows = [_rung(row, result) for row in result["rungs"] if whole or _worth_a_line(row, result)]
-    rest = [] if whole else [f"({len(result['rungs'])} fidelities; all of them are in chart.csv)"]
+def _sections(result: Mapping) -> list[Section]:
+    """What `chart_study` came to."""
+    ladder = [_LADDER, *(_rung(row, result) for row in result["rungs"])]
     ablated = [_ABLATIONS, *map(ablation_cells, result["ablations"])]
-    held = [*_hits(result), *_validated(result), *_paired(result), _asked(result)]
+    held = [*_validated(result), *_paired(result), _asked(result)]
     return [
         Section("", (), _head(result)),
-        Section("The ladder", [_LADDER, *rows], rest),
-        Section("What the scene needs", ablated, [_floor(result), *needs(result)]),
+        Section("The ladder", ladder, ()),
+        Section("What the scene needs", ablated, [_floor(result)]),
         Section("Does it hold", (), held),
     ]
-
-
-def _worth_a_line(row: Mapping, result: Mapping) -> bool:
-    return row["pareto"] or row["within"] or row["twin"] is not None or row["name"] == result["reference"]
 
 
 def _head(result: Mapping) -> list[str]:
@@ -261,28 +234,12 @@ def _rung(row: Mapping, result: Mapping) -> tuple[str, ...]:
 
 def _asked(result: Mapping) -> str:
     asked = [row["name"] for row in result["rungs"] if row["asked"] and row["name"] != result["reference"]]
-    sure = (
-        f"so that with {100 * result['sure']:g} % none of those that pass loses more than the tolerance, given what "
-        "the searched frames choose"
-    )
-    if result["judged_on"] != "held out":
-        sure = "of frames that chose too, so that more may pass than should"
     return (
-        f"Near enough is asked of each level of detail from all beams to the fewest, up to the first fidelity that "
+        "Near enough is asked of each level of detail from all beams to the fewest, up to the first fidelity that "
         f"cannot be shown to be: here of {len(asked)} ({', '.join(asked)}), by upper bounds of regret at "
-        f"{100 * result['bound_level']:.1f} %, {sure}"
+        f"{100 * result['bound_level']:.1f} %: where held-out frames judge, with {100 * result['sure']:g} % none that "
+        "passes loses more than the tolerance"
     )
-
-
-def _hits(result: Mapping) -> list[str]:
-    lines = []
-    for name in dict.fromkeys(one["caster"] for one in result["hits"]):
-        of = [one for one in result["hits"] if one["caster"] == name]
-        rays, hits, missed, other = (sum(one[key] for one in of) for key in ("rays", "hits", "hit_or_miss", "vehicle"))
-        farthest = max(one["largest_range_m"] for one in of)
-        apart = f"{missed} hit where the other misses, {other} meet another vehicle; ranges differ by {farthest:.2g} m"
-        lines.append(f"{name} beside the float64 oracle: of {rays:,} rays, {hits:,} of which hit, {apart} at most")
-    return lines
 
 
 def _validated(result: Mapping) -> list[str]:

@@ -15,7 +15,7 @@ from ..run.folder import refused_by_name
 _VOID = {"meta", "img", "col"}  # have no closing tag
 # What HTML does not allow even as a reference: control characters, halves of surrogate pairs, non-characters.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
-_LABELLED = re.compile(r"(\S+(?: \S+)*) {2,}(\S.*)")
+_HEADING = re.compile(r"(?m)^((?!- )\S+(?: \S+)*)$")
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _FIRST, _LAST = slice(12, 16), slice(-8, -4)  # names of the first chunk, which holds the size, and of the last
 _WIDTH, _HEIGHT = slice(16, 20), slice(20, 24)
@@ -97,33 +97,11 @@ def image(path: Path, alt: str) -> Markup:
 
 
 def sheet_markup(text: str) -> list[Markup]:
-    """What installation.txt says, line by line.
+    """What installation.txt says, as it stands, but for its headings.
 
-    Lines ``- text`` become items of a list and lines ``Label    text`` terms and descriptions; an indented line goes on
-    with the one above it, and any other is a heading. No word is left out, whatever the text.
+    A heading is a line that is no item of a list, ``- text``, no ``Label    text`` and not indented.
     """
-    blocks: list[tuple[str, list[list[str]]]] = [("", [])]  # kind, entries; an entry's words, its label before them
-    for line in text.splitlines():
-        words, labelled = line.strip(), _LABELLED.fullmatch(line)
-        if not words:
-            kind, entry = "", []  # what follows begins anew
-        elif line.startswith("- "):
-            kind, entry = "item", [line[2:].strip()]
-        elif labelled and not line.startswith(" "):
-            kind, entry = "term", [*labelled.groups()]
-        elif line.startswith(" ") and blocks[-1][0]:
-            blocks[-1][1][-1][-1] += f" {words}"
-            continue
-        else:
-            kind, entry = "heading", [words]
-        if blocks[-1][0] != kind:
-            blocks.append((kind, []))
-        blocks[-1][1].append(entry)
-    return [_SET[kind](entries) for kind, entries in blocks if kind]
-
-
-_SET = {
-    "heading": lambda entries: many("h3", [text for (text,) in entries]),
-    "item": lambda entries: element("ul", many("li", [text for (text,) in entries])),
-    "term": terms,
-}
+    parts = _HEADING.split(text)  # before the first heading, then each heading and what is below it
+    return [
+        element("h3" if number % 2 else "pre", part.strip("\n")) for number, part in enumerate(parts) if part.strip()
+    ]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 
 import numpy as np
 
-from ..metrics.catalogue import PE_VGOP, metric_named
 from ..run.tolerance import tolerance_text
 from ..scene.scenario import pose_at
 from ..scene.site import Site
-from .summary import conditions, costliest_text, judged, kept_text, objective_text, optimum_text, sharp_of, span
+from .summary import conditions, costliest_text, judged, kept_text, optimum_text, worth
 
+_WIDTH = 110
 _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
 
 
@@ -85,35 +86,16 @@ def _lowest_beam(site, pose):
 
 def _expected(result):
     """What to expect, on the frames that did not choose the mounting where there are any."""
-    (found, base, on), metric = judged(result), metric_named(result["metric"])
-    lines = [
-        f"Expected, on {on}",
-        f"- vehicles at or above the threshold: {100 * found['detectable_share']:.1f} % "
-        f"(baseline {100 * base['detectable_share']:.1f} %)",
-        *([] if metric is PE_VGOP else [f"- the objective is {objective_text(result)}"]),
-        f"- objective per vehicle: {metric.amount(found['objective_per_vehicle'])} "
-        f"(baseline {metric.number(base['objective_per_vehicle'])})",
-    ]
-    if found.get("interval_90"):
-        gain = f"{span(metric, found['interval_90'])} {metric.unit}".rstrip()
-        lines.append(f"- gain over the baseline: {gain} per vehicle (90 % interval)")
-    if optimum := optimum_text(result["map"] or {}):
-        lines.append("- " + optimum.replace(" and the best", " and\n  the best"))
+    *_, on = judged(result)
+    lines = [f"Expected, on {on}"]
+    for text in filter(None, (worth(result), optimum_text(result["map"] or {}))):
+        lines += textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")
     return [*lines, *(f"- as {condition}" for condition in conditions(result))]
 
 
 def _errors(result):
-    """What the installer's errors cost, and which mounting would be best without any."""
+    """What the installer's errors cost."""
     if result.get("tolerance") is None:
         return []
-    lines = ["", f"If it hangs only nearly so: {tolerance_text(result['tolerance']['settings'])}"]
-    lines += [f"- {line}" for line in (kept_text(result), costliest_text(result)) if line]
-    sharp = sharp_of(result)
-    if sharp is not None and sharp["deployment"] != result["deployment"]:
-        mount = sharp["deployment"]
-        lines += [
-            f"- without any error the best mounting would be another: height {mount['height_m']:.2f} m,",
-            f"  tilt {mount['tilt_x_deg']:.1f} deg across the road, {mount['tilt_y_deg']:.1f} deg along it, "
-            f"yaw {mount['yaw_deg']:.1f} deg; this one forgives more",
-        ]
-    return lines
+    lines = (f"- {line}" for line in (kept_text(result), costliest_text(result)) if line)
+    return ["", f"If it hangs only nearly so: {tolerance_text(result['tolerance']['settings'])}", *lines]

@@ -65,18 +65,7 @@ def _number(text: str) -> Markup:
 
 def computing_table(result: Mapping) -> Markup:
     """What a result depends on beside the scene: how it was computed, and by what."""
-    search = f"{result['search']}, seed {result['seed']}, {result['evaluations']:,} evaluations"
-    if result.get("rungs"):
-        search += " at full fidelity, after " + ", ".join(
-            f"{rung['candidates']:,} on {rung['frames']} frames in detail {rung['detail']}, 1 of {rung['stride']} beams"
-            for rung in result["rungs"][:-1]
-        )
-    if sharp_of(result):
-        block = result["tolerance"]
-        search += (
-            f": {block['evaluations']['sharp']:,} of mountings as planned and {block['evaluations']['robust']:,} over "
-            f"the tolerance, with {block['searched_errors']} errors each"
-        )
+    search = f"{result['search']}, seed {result['seed']}, {result['evaluations']:,} evaluations at full fidelity"
     rows = {
         "Search": search if was_searched(result) else "none: the mounting was given",
         "Metric": f"{result['metric']}, {result['reading']} reading",
@@ -273,11 +262,7 @@ def _scores(run: Outcome):
     if result.get("tolerance") is not None:
         words["gain kept"] = (
             "what an error of installation leaves of the gain over the baseline, each error uniform within what is "
-            "stated."
-        )
-    if sharp_of(result):
-        words["gain kept"] += (
-            " The sharp mounting is the best where there is none; the robust one the best over all of them."
+            "stated. A sharp mounting is the best where there is none, a robust one the best over all of them."
         )
     if result["holdout"]:
         words |= {

@@ -160,8 +160,8 @@ _JUDGED = {
 _OTHERS = {"x_m": "x {:.2f} m", "y_m": "y {:.2f} m", "tilt_y_deg": "{:.1f} deg along it", "yaw_deg": "yaw {:.1f} deg"}
 
 
-def _sections(result: Mapping, whole: bool) -> list[Section]:
-    """What `study_stability` came to, the same on a page as on a terminal."""
+def _sections(result: Mapping) -> list[Section]:
+    """What `study_stability` came to."""
     sections = [Section("", (), _head(result))]
     for section, findings in _by_section(result).items():
         rows = [(one["verdict"], _name(one), one["text"]) for one in findings]

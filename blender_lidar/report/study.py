@@ -40,7 +40,7 @@ class StudyReport:
     pictures : mapping of str to callable
         Draws a picture at the path that it is given first, by its name; False where there is nothing to draw.
     sections : callable
-        The sections; told whether they are for a page, and so all of it, or for a terminal.
+        The sections, the same for a page and for a terminal.
     answer : callable
         Lines with what it comes to: the first ones of a page, and the last ones on a terminal.
     """
@@ -49,7 +49,7 @@ class StudyReport:
     result: str
     tables: Mapping[str, Callable[[Mapping], Sequence[Mapping]]]
     pictures: Mapping[str, Callable[[Path, Mapping], bool]]
-    sections: Callable[[Mapping, bool], Sequence[Section]]
+    sections: Callable[[Mapping], Sequence[Section]]
     answer: Callable[[Mapping], Sequence[str]]
 
     @property
@@ -78,7 +78,7 @@ class StudyReport:
     def text(self, result: Mapping) -> str:
         """The report for a terminal, the answer last."""
         parts = []
-        for heading, table, lines in (*self.sections(result, False), Section("", (), self.answer(result))):
+        for heading, table, lines in (*self.sections(result), Section("", (), self.answer(result))):
             told = [*filter(None, [heading]), *text_table(table), *filter(None, [lines and "\n".join(wrapped(lines))])]
             parts.append("\n".join(told))
         return "\n\n".join(parts)
@@ -86,7 +86,7 @@ class StudyReport:
     def markdown(self, result: Mapping, pictures: Sequence[str]) -> str:
         """The report as a page of Markdown, the answer first."""
         parts = [f"# {self.title}", "", *(f"- **{line}**" for line in self.answer(result)), ""]
-        for heading, table, lines in self.sections(result, True):
+        for heading, table, lines in self.sections(result):
             parts += [f"## {heading}", ""] if heading else []
             parts += [*markdown_table(table), ""] if table else []
             parts += [*(f"- {line}" for line in lines), ""] if lines else []

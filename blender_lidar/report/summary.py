@@ -5,13 +5,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..metrics.catalogue import METRICS, PE_VGOP, metric_named
+from ..metrics.catalogue import PE_VGOP, metric_named
 from ..metrics.metric import Metric
 from ..optimise import vehicle_score
 from ..run.folder import Outcome
@@ -27,9 +26,6 @@ COORDINATE_NAMES = {
     "y_m": ("y across the road", "m"),
 }
 _LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
-_NO_BREAK = "\N{NO-BREAK SPACE}"
-_UNITS = "|".join(sorted({re.escape(metric.unit) for metric in METRICS.values() if metric.unit}, reverse=True))
-_SPACE_BEFORE_UNIT = re.compile(rf"(?<=\d) (?=%|(?:m|{_UNITS})(?!\w))")
 
 # --- What a run is about: its mountings, what judges them, and what the scores hold under -----------------------------
 
@@ -160,8 +156,7 @@ def _gain(found, base):
 def answer(result: Mapping) -> str:
     """The mounting and what it is worth against the baseline, with the interval where there is one."""
     kept = kept_text(result)
-    told = f"{_what_to_do(result)}: {_worth(result)}." + (f" {as_sentence(kept)}" if kept else "")
-    return _SPACE_BEFORE_UNIT.sub(_NO_BREAK, told)
+    return f"{_what_to_do(result)}: {worth(result)}." + (f" {as_sentence(kept)}" if kept else "")
 
 
 def key_figures(result: Mapping) -> list[tuple[str, str]]:
@@ -176,7 +171,7 @@ def key_figures(result: Mapping) -> list[tuple[str, str]]:
         f"detectable on {on}": f"{100 * base['detectable_share']:.1f} \N{RIGHTWARDS ARROW} {_percent(found)}",
         gain: minus(metric.amount(_gain(found, base), sign="+")),
     }
-    return [(_SPACE_BEFORE_UNIT.sub(_NO_BREAK, what), figure) for what, figure in figures.items()]
+    return list(figures.items())
 
 
 def _what_to_do(result):
@@ -189,7 +184,7 @@ def _what_to_do(result):
         parts.append(f"turned {mount['yaw_deg']:.1f}°")
     if mount["x_m"] or mount["y_m"]:
         parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
-    place = minus(", ".join(parts))
+    place = ", ".join(parts)
     if not was_searched(result):
         return f"The {sensor} {place}"
     if not better_than_baseline(result):
@@ -197,7 +192,7 @@ def _what_to_do(result):
     return f"Hang the {sensor} {place}"
 
 
-def _worth(result):
+def worth(result: Mapping) -> str:
     """What the mounting is worth against the baseline where both are judged, on held-out frames if there are any."""
     found, base, on = judged(result)
     gain, metric = _gain(found, base), metric_named(result["metric"])
@@ -220,7 +215,7 @@ def _interval(result, metric, gain):
         return "; there are too few blocks of time for an interval"
     low, high = result["holdout"]["interval_90"]
     doubt = "" if low > 0.0 or high < 0.0 else f", so that there may be no {'gain' if gain >= 0.0 else 'loss'} at all"
-    return f" (90 % interval of the gain {minus(span(metric, (low, high)))}{doubt})"
+    return f" (90 % interval of the gain {span(metric, (low, high))}{doubt})"
 
 
 # --- Tables: the mountings of a run side by side, and scores of groups of vehicles ------------------------------------
@@ -457,12 +452,6 @@ def _map_notes(score_map, mounting):
     if regret is not None and regret > _SMALL_SHORTFALL:
         lacks = f"lacks {100 * regret:.1f} % of the gain that the best point of that grid has there"
         found.append(f"On the held-out frames the {mounting} {lacks}.")
-    if score_map["share_within_1_percent"] is not None:
-        share = 100 * score_map["share_within_1_percent"]
-        how_many = f"{share:.1f} % of those heights and tilts come"
-        found.append(
-            f"{how_many if share else 'None of those heights and tilts comes'} within 1 % of the gain of the best one."
-        )
     if text := optimum_text(score_map):
         found.append(as_sentence(text))
     return found
