@@ -234,7 +234,7 @@ def test_a_mounting_of_ones_own_is_the_one_in_question(tiny, tmp_path, capsys):
     result = json.loads(out)
     assert result["mounting_given"]
     assert (result["mounting"]["height_m"], result["mounting"]["tilt_x_deg"]) == (3.1, 7.0)
-    assert "as given: 3.10 m, 7.0 deg across the road, yaw 30.0 deg; " in REPORT.text(result)
+    assert "as given: 3.10 m above the road, tilted 7.0° across it, turned 30.0°; " in REPORT.text(result)
 
 
 def test_a_scene_that_holds_nothing_out_is_judged_on_the_searched_frames_and_says_so(tiny, tmp_path, capsys):

@@ -7,7 +7,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from blender_lidar.errors import InputError
 from blender_lidar.report import chart, stability
 from tests.test_plots import figures_kept
 
@@ -96,9 +95,9 @@ def test_without_noise_tolerance_or_unit(drawn, tmp_path):
     assert drawn[0].axes[0].get_ylabel() == "Error after calibration"
 
 
-def test_nothing_to_draw_is_refused(tmp_path):
-    with pytest.raises(InputError, match="none given"):
-        draw(tmp_path / "chart.png", [])
+def test_nothing_to_draw_leaves_no_picture(tmp_path):
+    draw(tmp_path / "chart.png", [])
+    assert not (tmp_path / "chart.png").exists()
 
 
 # --- stability --------------------------------------------------------------------------------------------------------

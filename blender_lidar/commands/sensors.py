@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             allowed = ", ".join(model_names())
             raise InputError(f"--out {args.out}: draws one sensor, so it needs a NAME; allowed: {allowed}")
-        models = [_summary(load_model(name)) for name in model_names()]
-        print(_json(models) if args.json else _listing(models))
+        found = [_summary(load_model(name)) for name in model_names()]
+        print(json.dumps(found, indent=2) if args.json else _listing(found))
         return 0
     model = load_model(args.name)
     if args.out is not None:
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"--out {args.out}: the fan is drawn as a .png")
         plot_beam_fan(model, args.out)
         print(f"beam fan drawn: {args.out}", file=sys.stderr)
-    print(_json(_facts(model)) if args.json else _portrait(model))
+    print(json.dumps(_facts(model), indent=2) if args.json else _portrait(model))
     return 0
 
 
@@ -104,10 +104,6 @@ def _facts(model: LidarModel) -> dict[str, Any]:
 def _degrees(angles: np.ndarray) -> list[float]:
     # Files give four decimals at most; what lies beyond is the way to radians and back. Adding 0 turns -0 into 0.
     return [round(float(angle), 6) + 0.0 for angle in np.degrees(angles)]
-
-
-def _json(content: object) -> str:
-    return json.dumps(content, indent=2, allow_nan=False)
 
 
 def _listing(models: Sequence[dict[str, Any]]) -> str:

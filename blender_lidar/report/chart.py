@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import InputError
 from ..studies.ablations import ABOVE, BELOW, JUDGED, UNTOLD
 from ..studies.driver import percent
 from ..studies.ladder import milliseconds
 from .figure import BASELINE, FAINT, INK, OPTIMISED, legend_below, name_points, sheet
 from .study import Section, StudyReport
+from .summary import COORDINATE_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,16 +47,10 @@ _ABBREVIATED = "1/4: every 4th column; 8f: 8 frames; det.: detailed"
 
 
 def draw_chart(path: str | Path, result: Mapping) -> bool:
-    """Draw error over the logarithm of time as a PNG.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to draw.
-    """
+    """Draw error over the logarithm of time as a PNG; returns whether there is anything to draw."""
     rows = [row for row in result["rungs"] if row["error"] is not None]
     if not rows:
-        raise InputError("fidelities: none given; at least one is needed")
+        return False
     gain, noise, unit = result["gain_per_vehicle"], result["noise"], result["metric_unit"]
     tolerance = result["tolerance"] * gain if gain > 0.0 else None
     times = np.array([[row["milliseconds"][key] for key in _QUARTILES] for row in rows])
@@ -68,20 +62,20 @@ def draw_chart(path: str | Path, result: Mapping) -> bool:
     with sheet(path, _HEIGHT_MM, "Speed against accuracy", subtitle) as figure:
         from matplotlib.ticker import LogLocator
 
-        axes = figure.subplots()
-        axes.set_xscale("log")
+        error = "Error after calibration" + (f" [{unit} per vehicle]" if unit else "")
+        axes = figure.add_subplot(
+            xscale="log", xlabel="One evaluation: median of the times [ms]; bars: quartiles", ylabel=error
+        )
         handles = [*_limits(axes, noise, tolerance), *_points(axes, rows, times, places, front)]
         ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgewidth": 1.5, "zorder": 4}
         look = {"color": BASELINE["color"], "linestyle": "none", "label": "recommended"}
         handles += axes.plot(*places[best].T, **ring, **look) if any(best) else []
         most = max(places[:, 1].max(), noise["error_90"][1] if noise else 0.0, tolerance or 0.0) or 1.0
-        axes.set_ylim(-_MARGIN * most, (1.0 + _MARGIN) * most)
-        axes.set_xlim(places[:, 0].min() / 1.6, places[:, 0].max() * 1.6)
+        spread = places[:, 0].min() / 1.6, places[:, 0].max() * 1.6
+        axes.set(xlim=spread, ylim=(-_MARGIN * most, (1.0 + _MARGIN) * most))
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.xaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
-        axes.set_xlabel("One evaluation: median of the times [ms]; bars: quartiles")
-        axes.set_ylabel(f"Error after calibration [{unit} per vehicle]" if unit else "Error after calibration")
         axes.grid(visible=True)
         figure.canvas.draw()  # places are now known in pixels
         weights = ["bold" if chosen or row["pareto"] else "normal" for row, chosen in zip(rows, best, strict=True)]
@@ -126,7 +120,6 @@ def _points(axes: Axes, rows: Sequence[Mapping], times: np.ndarray, places: np.n
 
 _ABLATIONS = ("modelled", "", "bias", "error", "tau", "best moves by", "left out it costs", "choices apart")
 _ABLATIONS += ("beside the noise floor",)
-_UNITS = {"_m": "m", "_deg": "deg"}
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -150,7 +143,7 @@ def ablation_cells(row: Mapping) -> tuple[str, ...]:
     what = (row["what"], row["value"] + draws)
     if row["bias"] is None:
         return (*what, row["note"], *[""] * 6)
-    moved = ", ".join(_moved(key, by) for key, by in row["shift"].items())
+    moved = ", ".join(f"{round(by, 2) + 0.0:+.2f} {COORDINATE_NAMES[key][1]}" for key, by in row["shift"].items())
     shares = (percent(row[key], row[f"{key}_interval_90"]) for key in ("regret", "apart"))
     if row["verdicts"] is None:
         return (*what, *_scores(row), moved, *shares, "no floor known")
@@ -159,21 +152,23 @@ def ablation_cells(row: Mapping) -> tuple[str, ...]:
     return (*what, *_scores(row), moved, *shares, beside or BELOW)
 
 
-def _moved(key: str, by: float) -> str:
-    unit = next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), "")
-    return f"{round(by, 2) + 0.0:+.2f} {unit}".rstrip()
-
-
 def _floor(result: Mapping) -> str:
     """What the ablations are held against."""
-    floor, count = result["ablation_floor"], result["ablation_mountings"]
-    if floor is None:
-        return "Noise floor of the ablations: too few blocks for one"
     return (
-        f"Ablations, on the {count} best mountings by the reference; their noise floor, half of the blocks against the "
-        f"other: bias {floor['bias']:.4f}, tau {floor['tau']:.3f}, choices apart by {percent(floor['apart'])} of the "
-        "gain. An effect is above or below the floor when its whole 90 % interval is, each for itself; else it cannot "
-        "be told"
+        f"Ablations, on the {result['ablation_mountings']} best mountings by the reference; their noise floor, half of "
+        f"the blocks against the other: {_halves(result['ablation_floor'])}. An effect is above or below the floor "
+        "when its whole 90 % interval is, each for itself; else it cannot be told"
+    )
+
+
+def _halves(noise: Mapping | None) -> str:
+    """What the reference on one half of the blocks is off from itself on the other."""
+    if noise is None:
+        return "too few blocks for one"
+    low, high = noise["error_90"]
+    return (
+        f"bias {noise['bias']:.4f}, error {noise['error']:.4f} ({low:.4f} to {high:.4f}), tau {noise['tau']:.3f}, "
+        f"choices apart by {percent(noise['apart'])} of the gain"
     )
 
 
@@ -196,7 +191,7 @@ def _sections(result: Mapping) -> list[Section]:
 
 
 def _head(result: Mapping) -> list[str]:
-    unit, noise = result["metric_unit"] or "1", result["noise"]
+    unit = result["metric_unit"] or "1"
     judge = "judge" if result["judged_on"] == "held out" else "chose them, as none is held out"
     lines = [
         f"{result['sensor']}, range gate {result['range_gate_m']:g} m, {result['caster']}; {result['frames']} searched "
@@ -207,11 +202,7 @@ def _head(result: Mapping) -> list[str]:
         f"Errors and biases are in {unit} per vehicle, errors after one affine calibration fitted on the other half of "
         "the mountings; tau weighs the best mountings most; regret is what choices on resampled traffic lose to the "
         f"reference's on frames that {judge}, as a share of the gain, with its 90 % interval",
-        "Noise ceiling: too few blocks for one"
-        if noise is None
-        else "Noise ceiling, the reference on one half of the blocks against the other: bias "
-        f"{noise['bias']:.4f}, error {noise['error']:.4f} ({noise['error_90'][0]:.4f} to {noise['error_90'][1]:.4f}), "
-        f"tau {noise['tau']:.3f}, choices apart by {percent(noise['apart'])} of the gain",
+        f"Noise ceiling, the reference on one half of the blocks against the other: {_halves(result['noise'])}",
     ]
     missing = ", ".join(result["casters_not_installed"])
     return [*lines, f"Not installed, and left out: {missing}"] if missing else lines

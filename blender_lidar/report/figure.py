@@ -23,7 +23,6 @@ WIDTH_MM = 170.0  # the text width of an A4 report
 DPI = 200
 SMALL_PT = 7.0
 _PAD_MM = 2.0
-_OLDEST_MATPLOTLIB = (3, 7)  # the first with legends outside the axes
 MM_PER_INCH = 25.4
 
 # Told apart in grey by lightness, and without any colour by dash and marker.
@@ -98,20 +97,16 @@ def sheet(
     Raises
     ------
     MissingExtraError
-        If matplotlib is not installed, or too old.
+        If matplotlib is not installed.
     OutputError
         If the file cannot be written.
     """
     try:
-        from matplotlib import __version_info__ as installed
         from matplotlib import style
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtraError('charts need matplotlib: pip install "blender_lidar[plots]"') from error
-    if installed[:2] < _OLDEST_MATPLOTLIB:
-        oldest, here = (".".join(map(str, version[:2])) for version in (_OLDEST_MATPLOTLIB, installed))
-        raise MissingExtraError(f"charts need matplotlib {oldest} or later; {here} is installed")
     with style.context(["default", _STYLE]):
         size = (WIDTH_MM / MM_PER_INCH, height_mm / MM_PER_INCH)
         figure = Figure(figsize=size, dpi=DPI, layout="none" if to_scale else "constrained")

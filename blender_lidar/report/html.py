@@ -62,11 +62,6 @@ def element(tag: str, *content: object, **attributes: object) -> Markup:
     return Markup(f"<{tag}{written}>{joined(*content)}</{tag}>")
 
 
-def many(tag: str, items: list[object], **attributes: object) -> Markup:
-    """An element of the same kind for each item, a line each."""
-    return Markup("\n".join(element(tag, item, **attributes) for item in items))
-
-
 def table(caption: str, *parts: Markup, class_: str | None = None) -> Markup:
     """A table that scrolls by itself where the page is too narrow for it."""
     inner = element("table", element("caption", caption), *parts, class_=class_)

@@ -16,7 +16,7 @@ from ..metrics.catalogue import metric_named
 from ..run.folder import INSTALLATION, REPORT, RESULT, SCENE, Outcome, refused_by_name
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport
-from .html import Markup, element, image, joined, many, sheet_markup, table, terms
+from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
     Table,
     answer,
@@ -31,7 +31,6 @@ from .summary import (
     mounting_name,
     mounting_text,
     objective_text,
-    sharp_of,
     sides,
     was_searched,
 )
@@ -84,8 +83,9 @@ def computing_table(result: Mapping) -> Markup:
 CHARTS = {
     "score_map.png": (
         "Objective over mounting height and tilt",
-        "Brighter is better; the star is the mounting found, the square the baseline. Where a wide area is nearly as "
-        "bright as the star, exact values matter little.",
+        "Brighter is better where a mounting hangs as planned; the star is the best found, the square the baseline, "
+        "a diamond the best over a tolerance. Where a wide area is nearly as bright as the star, exact values matter "
+        "little.",
     ),
     "convergence.png": (
         "Objective of every mounting tried, in order, and the best so far",
@@ -110,11 +110,6 @@ CHARTS = {
         "One vehicle as PE-VGOP sees it: a cell is dark where a beam has hit it, and the share of dark cells counts.",
     ),
 }
-_SCORE_MAP_OVER_TOLERANCE = (
-    "Objective over mounting height and tilt, of mountings that hang as planned",
-    "Brighter is better where a mounting hangs as planned; the star is the best of these, the diamond the robust one, "
-    "the square the baseline. The robust one stands where the surroundings are bright too.",
-)
 
 # Rendered pictures by where they look from, and what that is called.
 RENDER_VIEWS = {"above": "the road from above", "pole": "the view from the pole"}
@@ -130,8 +125,6 @@ def chart_figures(run: Outcome, *files: str) -> list[Markup]:
     figures = []
     for file in files:
         shows, caption = CHARTS[file]
-        if file == "score_map.png" and sharp_of(run.result):
-            shows, caption = _SCORE_MAP_OVER_TOLERANCE
         path = run.folder.file(file)
         if path.exists():
             figures.append(element("figure", image(path, f"Chart: {shows}"), element("figcaption", caption)))
@@ -280,7 +273,7 @@ def _notes(run: Outcome):
     known = {field.name: counts[field.name] for field in fields(RepairReport) if field.name in counts}
     lists = {"": cautions(run.result), "Frames": run.result["notes"], "Traffic as read": RepairReport(**known).lines()}
     parts = [
-        joined(element("h3", heading) if heading else None, element("ul", many("li", items)))
+        joined(element("h3", heading) if heading else None, element("ul", *(element("li", item) for item in items)))
         for heading, items in lists.items()
         if items
     ]

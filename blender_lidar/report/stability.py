@@ -12,6 +12,7 @@ from ..studies.findings import ASKED_DEG, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, R
 from ..studies.variations import SECTIONS
 from .figure import BASELINE, FAINT, INK, OPTIMISED, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
+from .summary import place_text
 
 
 def _numbers_with(result: Mapping, key: str) -> Mapping:
@@ -82,12 +83,11 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
             axes.grid(visible=True, axis="x")
             axes.grid(visible=True, axis="y", linewidth=0.3)
         lost.set_xscale("symlog", linthresh=_LINEAR_PERCENT)
-        lost.set_xlim(_LEAST_PERCENT, _MOST_PERCENT)
+        lost.set(xlim=(_LEAST_PERCENT, _MOST_PERCENT), xlabel="Loss of the mounting [% of the gain]")
         lost.axvline(0.0, color=INK, linewidth=0.8)
         ticks = [-10.0, -1.0, 0.0, 1.0, *limits, _MOST_PERCENT]
         lost.set_xticks(ticks, [f"{tick:g}" if tick < _MOST_PERCENT else f"{tick:g}+" for tick in ticks])
         lost.minorticks_off()
-        lost.set_xlabel("Loss of the mounting [% of the gain]")
         moved.set_xlabel("Best tilt under the change [deg]")
         lost.set_yticks(range(len(changes)), [_name(one, ": ") for one in changes], fontsize=SMALL_PT)
         lost.tick_params(axis="y", length=0.0)
@@ -138,12 +138,10 @@ def draw_sample_size(path: str | Path, result: Mapping) -> bool:
         if needed > vehicles[-1]:
             look = {**BASELINE, "linestyle": "none", "label": "asked for"}
             handles += axes.plot(needed, ASKED_DEG, clip_on=False, **look)
-        axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(lambda count, _: f"{count:,.0f}")
+        axes.set(xscale="log", xlabel="Vehicle observations", ylabel="Uncertainty of the best tilt [deg]")
+        axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.minorticks_off()
         axes.set_ylim(bottom=0.0)
-        axes.set_xlabel("Vehicle observations")
-        axes.set_ylabel("Uncertainty of the best tilt [deg]")
         axes.grid(visible=True)
         legend_below(figure, handles, columns=len(handles))
     return True
@@ -157,7 +155,6 @@ _JUDGED = {
     "held out": "held-out frames, with 90 % intervals",
     "searched": "same frames, as nothing is held out, and so without intervals",
 }
-_OTHERS = {"x_m": "x {:.2f} m", "y_m": "y {:.2f} m", "tilt_y_deg": "{:.1f} deg along it", "yaw_deg": "yaw {:.1f} deg"}
 
 
 def _sections(result: Mapping) -> list[Section]:
@@ -176,15 +173,12 @@ def _by_section(result: Mapping) -> dict[str, list[Mapping]]:
 
 
 def _head(result: Mapping) -> list[str]:
-    metric, mount = metric_named(result["metric"]), result["mounting"]
+    metric, place = metric_named(result["metric"]), place_text(result["mounting"])
     origin = f"found by {result['search']}, seed {result['seed']}, to hang as planned"
     if result["answered_frames"] < result["frames"]:
         origin += f", on {result['answered_frames']} of them"
     if result["mounting_given"]:
         origin = "as given"
-    # The other coordinates, where they are not the baseline's; candidates share them with the mounting.
-    apart = [text.format(mount[key]) for key, text in _OTHERS.items() if mount[key] != result["baseline"][key]]
-    place = ", ".join([f"{mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg across the road", *apart])
     best, base = metric.number(result["objective_per_vehicle"]), metric.number(result["baseline_per_vehicle"])
     return [
         f"{result['sensor']}, {result['frames']} frames, {result['vehicles']:,} vehicle observations, "

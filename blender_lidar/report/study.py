@@ -79,8 +79,8 @@ class StudyReport:
         """The report for a terminal, the answer last."""
         parts = []
         for heading, table, lines in (*self.sections(result), Section("", (), self.answer(result))):
-            told = [*filter(None, [heading]), *text_table(table), *filter(None, [lines and "\n".join(wrapped(lines))])]
-            parts.append("\n".join(told))
+            told = (textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
+            parts.append("\n".join([*filter(None, [heading]), *text_table(table), *told]))
         return "\n\n".join(parts)
 
     def markdown(self, result: Mapping, pictures: Sequence[str]) -> str:
@@ -96,11 +96,6 @@ class StudyReport:
 
 
 # --- lines and tables -------------------------------------------------------------------------------------------------
-
-
-def wrapped(lines: Iterable[str]) -> list[str]:
-    """Lines no wider than a terminal."""
-    return [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ")]
 
 
 def text_table(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -59,6 +59,18 @@ def mounting_text(mount: Mapping[str, float]) -> str:
     return ", ".join([*parts, *(f"{name} {angle:.1f}°" for name, angle in more.items() if angle)])
 
 
+def place_text(mount: Mapping[str, float]) -> str:
+    """A mounting in words that a sentence can hold, without the coordinates that are nought."""
+    tilts = {"tilt_x_deg": "across it", "tilt_y_deg": "along it"}
+    leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= _LEVEL_DEG]
+    parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
+    if abs(mount["yaw_deg"]) >= _LEVEL_DEG:
+        parts.append(f"turned {mount['yaw_deg']:.1f}°")
+    if mount["x_m"] or mount["y_m"]:
+        parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
+    return ", ".join(parts)
+
+
 def judged(result: Mapping) -> tuple[Mapping, Mapping, str]:
     """Scores of the mounting and of the baseline where they are judged, and what traffic that is."""
     if result["holdout"] is not None:
@@ -176,15 +188,7 @@ def key_figures(result: Mapping) -> list[tuple[str, str]]:
 
 def _what_to_do(result):
     """The sentence's beginning: hang it there, or that nothing tried is better than the baseline."""
-    sensor, mount = result["sensor"], result["deployment"]
-    tilts = {"tilt_x_deg": "across it", "tilt_y_deg": "along it"}
-    leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= _LEVEL_DEG]
-    parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
-    if abs(mount["yaw_deg"]) >= _LEVEL_DEG:
-        parts.append(f"turned {mount['yaw_deg']:.1f}°")
-    if mount["x_m"] or mount["y_m"]:
-        parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
-    place = ", ".join(parts)
+    sensor, place = result["sensor"], place_text(result["deployment"])
     if not was_searched(result):
         return f"The {sensor} {place}"
     if not better_than_baseline(result):
