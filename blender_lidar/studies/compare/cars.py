@@ -71,8 +71,8 @@ def comparable() -> dict[str, Metric]:
     return {**first, LOG_PE_VGOP.name: LOG_PE_VGOP, **of_cars, **LEARNED}
 
 
-def chosen_metrics(names: str | None, option: str = "--metrics") -> tuple[Metric, ...]:
-    """The metrics that an option names, divided by commas; all by default.
+def chosen_metrics(names: str | None) -> tuple[Metric, ...]:
+    """The metrics that `--metrics` names, divided by commas; all by default.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def chosen_metrics(names: str | None, option: str = "--metrics") -> tuple[Metric
     chosen = dict.fromkeys(name.strip() for name in names.split(","))
     for name in chosen:
         if name not in known:
-            raise unknown_name(name, known, "metric", option)
+            raise unknown_name(name, known, "metric", "--metrics")
     return tuple(known[name] for name in chosen)
 
 
