@@ -21,8 +21,8 @@ from blender_lidar.studies.ablations import (
 )
 from blender_lidar.studies.driver import Landscape
 from blender_lidar.studies.effects import (
+    AblationDraw,
     Candidates,
-    Draw,
     Effect,
     Reference,
     choices,
@@ -35,14 +35,14 @@ BLOCKS, MOUNTINGS = 12, 16
 HALVES = halvings(BLOCKS, 1)
 
 
-def draw(seed: int, noise: float = 0.0, shift: float = 0.0, blocks: int = BLOCKS) -> Draw:
+def draw(seed: int, noise: float = 0.0, shift: float = 0.0, blocks: int = BLOCKS) -> AblationDraw:
     """Candidates of rising worth; without the thing each scores `shift` less, and differs by noise in every block."""
     rng = np.random.default_rng(seed)
     vehicles = np.full(blocks, 10.0)
     worth = np.linspace(0.0, 1.0, MOUNTINGS)[:, None] + 0.1 * rng.normal(size=(MOUNTINGS, blocks))
     without = worth - shift + noise * rng.normal(size=worth.shape)
     judged = np.linspace(0.0, 1.0, MOUNTINGS)[:, None] + 0.1 * rng.normal(size=(MOUNTINGS, 8))
-    return Draw(10.0 * without, 10.0 * worth, vehicles, 10.0 * np.concatenate([np.full((1, 8), -1.0), judged]))
+    return AblationDraw(10.0 * without, 10.0 * worth, vehicles, 10.0 * np.concatenate([np.full((1, 8), -1.0), judged]))
 
 
 # --- halves and choices -----------------------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ def test_a_choice_that_is_worth_half_of_the_gain_costs_half_and_is_half_apart():
     """Without the thing the order is turned round: the last is chosen, worth as much as the baseline and half of 2."""
     worth = np.linspace(0.0, 1.0, MOUNTINGS)[:, None] * np.ones((1, BLOCKS))
     judged = np.concatenate([-np.ones((1, BLOCKS)), worth])
-    found = effects([Draw(worth[::-1], worth, np.ones(BLOCKS), judged)], HALVES)
+    found = effects([AblationDraw(worth[::-1], worth, np.ones(BLOCKS), judged)], HALVES)
     assert found["regret"] == Effect(pytest.approx(0.5), pytest.approx((0.5, 0.5)))
     assert found["apart"].value == pytest.approx(0.5)
     assert found["tau"].value == pytest.approx(-1.0)
@@ -175,7 +175,7 @@ def test_nothing_is_told_without_an_effect_or_a_floor():
     assert verdict(None, 0.1) == verdict(Effect(0.0, (0.0, 0.0)), None) == UNTOLD
 
 
-def compared_on(noise: float, shift: float = 0.0, blocks: int = BLOCKS) -> tuple[Draw, Compared]:
+def compared_on(noise: float, shift: float = 0.0, blocks: int = BLOCKS) -> tuple[AblationDraw, Compared]:
     """A draw, and what it is compared on, from landscapes with a frame in each block."""
     one = draw(1, noise=noise, shift=shift, blocks=blocks)
     vehicles, below = np.full(blocks, 10), np.full((1, blocks), -10.0)

@@ -315,7 +315,7 @@ def test_occupied_cells_darken_their_area_on_paper(tmp_path):
     for name, share in (("empty", 0.0), ("half", 0.5)):
         plot_occupancy(tmp_path / f"{name}.png", **{**occupancy(share, share, truck), **headings})
     darkening = (grey_pixels(tmp_path / "empty.png") - grey_pixels(tmp_path / "half.png")).sum()
-    darkening /= (1.0 - lightness(canvas.OPTIMISED["color"])[0]) * (canvas.DPI / canvas.MM_PER_INCH) ** 2
+    darkening /= (1.0 - lightness(canvas.OPTIMISED_LOOK["color"])[0]) * (canvas.DPI / canvas.MM_PER_INCH) ** 2
     length, width, height = truck
     views_mm2 = 2.0 * (length * width + length * height + width * height) * (79.0 / length) ** 2
     assert darkening == pytest.approx(0.5 * views_mm2, rel=0.05)

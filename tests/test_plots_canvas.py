@@ -106,7 +106,7 @@ def test_the_colour_maps_keep_their_order_in_grey(part):
 
 def test_baseline_and_optimised_differ_in_grey_and_in_shape():
     pytest.importorskip("matplotlib", reason="charts need matplotlib")
-    before, after = canvas.BASELINE, canvas.OPTIMISED
+    before, after = canvas.BASELINE_LOOK, canvas.OPTIMISED_LOOK
     assert abs(lightness(before["color"]) - lightness(after["color"])) > 0.25
     assert lightness(before["color"]) < 0.65  # still dark enough on white paper
     assert before["linestyle"] != after["linestyle"]

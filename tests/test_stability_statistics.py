@@ -22,7 +22,7 @@ from blender_lidar.studies.findings import (
     UNDECIDED,
     Draw,
     Intervals,
-    Mountings,
+    MountingGrid,
     by_loss,
     chooses,
     finding_of,
@@ -44,7 +44,7 @@ TOLERANCE = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=0.0, aim="mean")
 
 
 def grid(tilts):
-    return Mountings(REFERENCE, None, np.full(len(tilts), 4.0), np.asarray(tilts, dtype=float))
+    return MountingGrid(REFERENCE, None, np.full(len(tilts), 4.0), np.asarray(tilts, dtype=float))
 
 
 def landscape(rows, vehicles=None):

@@ -12,7 +12,7 @@ import numpy as np
 from ..studies.ablations import ABOVE, BELOW, JUDGED, UNTOLD
 from ..studies.driver import percent
 from ..studies.ladder import milliseconds
-from .figure import BASELINE, FAINT, INK, OPTIMISED, legend_below, name_points, sheet
+from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, legend_below, name_points, sheet
 from .study import Section, StudyReport
 from .summary import COORDINATE_NAMES
 
@@ -37,7 +37,7 @@ def _columns(key: str, value: object) -> list[tuple[str, object]]:
 _LOOKS = {
     "box": {"marker": "s", "color": "#8fb4da"},
     "body": {"marker": "o", "color": "#3d77b8"},
-    "detailed": {"marker": "^", "color": OPTIMISED["color"]},
+    "detailed": {"marker": "^", "color": OPTIMISED_LOOK["color"]},
 }
 _HEIGHT_MM = 175.0
 _MARGIN = 0.05  # of the errors' range, above and below it
@@ -68,7 +68,7 @@ def draw_chart(path: str | Path, result: Mapping) -> bool:
         )
         handles = [*_limits(axes, noise, tolerance), *_points(axes, rows, times, places, front)]
         ring = {"marker": "o", "markersize": 11.0, "markerfacecolor": "none", "markeredgewidth": 1.5, "zorder": 4}
-        look = {"color": BASELINE["color"], "linestyle": "none", "label": "recommended"}
+        look = {"color": BASELINE_LOOK["color"], "linestyle": "none", "label": "recommended"}
         handles += axes.plot(*places[best].T, **ring, **look) if any(best) else []
         most = max(places[:, 1].max(), noise["error_90"][1] if noise else 0.0, tolerance or 0.0) or 1.0
         spread = places[:, 0].min() / 1.6, places[:, 0].max() * 1.6

@@ -22,7 +22,7 @@ from .figure import (
     FAINT,
     HEIGHT_COLOURS,
     INK,
-    OPTIMISED,
+    OPTIMISED_LOOK,
     SMALL_PT,
     TRAVEL_LABEL,
     WIDTH_MM,
@@ -271,6 +271,6 @@ def _draw_grid(axes: Axes, grid: np.ndarray, floor: float, cell_m: float, *, out
 
     lines = {"edgecolors": FAINT, "linewidth": 0.25} if outlined else {}
     right, upwards = (cell_m * np.arange(cells + 1) for cells in grid.shape)
-    shades = ListedColormap(["white", OPTIMISED["color"]])
+    shades = ListedColormap(["white", OPTIMISED_LOOK["color"]])
     values = grid.T.astype(float)
     axes.pcolormesh(right, floor + upwards, values, cmap=shades, vmin=0.0, vmax=1.0, clip_on=False, **lines)

@@ -16,11 +16,11 @@ from ..studies.compare.paired import LOSSES, PICTURED, PairedCars, PicturedCar
 from ..studies.compare.paired_findings import judging
 from ..studies.compare.resampling import FEWEST_IN_BAND
 from .figure import (
-    BASELINE,
+    BASELINE_LOOK,
     FAINT,
     HEIGHT_COLOURS,
     INK,
-    OPTIMISED,
+    OPTIMISED_LOOK,
     SMALL_PT,
     colours,
     legend_below,
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 _BAND_M = 10.0
 _COLUMNS = 4
 _DOTS = {"linestyle": "none", "marker": ".", "markersize": 2.2, "color": FAINT, "zorder": 1}
-_METRIC = {"color": OPTIMISED["color"], "linestyle": "-", "marker": "o", "markersize": 3.0}
+_METRIC = {"color": OPTIMISED_LOOK["color"], "linestyle": "-", "marker": "o", "markersize": 3.0}
 _DETECTORS = (
-    {"color": BASELINE["color"], "linestyle": "--", "marker": "s", "markersize": 3.0, "markerfacecolor": "white"},
+    {"color": BASELINE_LOOK["color"], "linestyle": "--", "marker": "s", "markersize": 3.0, "markerfacecolor": "white"},
     {"color": INK, "linestyle": ":", "marker": "^", "markersize": 3.0, "markerfacecolor": "white"},
 )
 
@@ -124,11 +124,11 @@ def plot_against(path: str | Path, metrics: Sequence[Scatter], *, title: str = "
     title, subtitle : str
         Headings.
     """
-    look = {**_DOTS, "markersize": 3.0, "color": BASELINE["color"], "alpha": 0.55}
+    look = {**_DOTS, "markersize": 3.0, "color": BASELINE_LOOK["color"], "alpha": 0.55}
     with _panels(path, len(metrics), title, subtitle) as (figure, panels):
         for axes, one in zip(panels, metrics, strict=True):
             dots = axes.plot(one.values, one.performance, label="one car", **look)
-            curve = axes.plot(*one.curve, color=OPTIMISED["color"], label="rising curve that fits best", zorder=3)
+            curve = axes.plot(*one.curve, color=OPTIMISED_LOOK["color"], label="rising curve that fits best", zorder=3)
             axes.text(0.97, 0.96, one.note, transform=axes.transAxes, ha="right", va="top", fontsize=6.5)
             axes.set_title(one.name, fontsize=SMALL_PT)
             axes.set_xlabel(f"[{one.unit}]" if one.unit else "", fontsize=SMALL_PT, labelpad=1.0)

@@ -26,7 +26,7 @@ _PAD_MM = 2.0
 MM_PER_INCH = 25.4
 
 # Told apart in grey by lightness, and without any colour by dash and marker.
-BASELINE = {
+BASELINE_LOOK = {
     "color": "#cf7f1b",
     "linestyle": "--",
     "marker": "s",
@@ -34,7 +34,7 @@ BASELINE = {
     "markerfacecolor": "white",
     "label": "baseline",
 }
-OPTIMISED = {"color": "#173f70", "linestyle": "-", "marker": "o", "markersize": 4.0, "label": "optimised"}
+OPTIMISED_LOOK = {"color": "#173f70", "linestyle": "-", "marker": "o", "markersize": 4.0, "label": "optimised"}
 FAINT = "#b8b8b8"
 INK = "#202020"
 

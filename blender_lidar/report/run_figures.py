@@ -17,11 +17,11 @@ from ..scene.site import Site
 from ..traffic.vehicles import RoadFrame
 from .cloud_figures import draw_clouds, draw_occupancy
 from .figure import (
-    BASELINE,
+    BASELINE_LOOK,
     BLIND_COLOURS,
     FAINT,
     INK,
-    OPTIMISED,
+    OPTIMISED_LOOK,
     SCORE_COLOURS,
     TRAVEL_LABEL,
     colours,
@@ -105,9 +105,9 @@ def plot_convergence(path: str | Path, run: Outcome, history: np.ndarray) -> Non
         )
         known = np.isfinite(value)
         dots = axes.plot(evaluation[known], value[known], ".", color=FAINT, markersize=2.5, label="one candidate")
-        look, label = _line(OPTIMISED), f"best so far (at the end {metric.amount(best[-1])})"
+        look, label = _line(OPTIMISED_LOOK), f"best so far (at the end {metric.amount(best[-1])})"
         line = axes.step(evaluation, best, where="post", label=label, **look)
-        level = axes.axhline(baseline, label=f"baseline mounting ({metric.amount(baseline)})", **_line(BASELINE))
+        level = axes.axhline(baseline, label=f"baseline mounting ({metric.amount(baseline)})", **_line(BASELINE_LOOK))
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.grid(visible=True)
@@ -202,7 +202,7 @@ def plot_by_distance(path: str | Path, run: Outcome) -> None:
         share, score, count = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.4))
         handles = []
         for table, inside, look, (name, _) in zip(
-            (run.baseline, run.optimised), counts, (BASELINE, OPTIMISED), sides(result), strict=True
+            (run.baseline, run.optimised), counts, (BASELINE_LOOK, OPTIMISED_LOOK), sides(result), strict=True
         ):
             line = {**look, "label": name.lower(), "clip_on": False, "zorder": 3}
             seen, scored = (

@@ -10,7 +10,7 @@ import numpy as np
 from ..metrics.catalogue import metric_named
 from ..studies.findings import ASKED_DEG, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, RULE, UNDECIDED, VERDICTS, worst
 from ..studies.variations import SECTIONS
-from .figure import BASELINE, FAINT, INK, OPTIMISED, SMALL_PT, legend_below, sheet
+from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
 from .summary import place_text
 
@@ -33,14 +33,14 @@ def _about(result: Mapping) -> str:
 
 # Told apart in grey by lightness, and without any colour by the marker.
 VERDICT_LOOKS = {
-    "stable": {"color": OPTIMISED["color"], "marker": "o"},
+    "stable": {"color": OPTIMISED_LOOK["color"], "marker": "o"},
     "fragile": {"color": "#5b8fc7", "marker": "^"},
-    "fails": {"color": BASELINE["color"], "marker": "s", "markerfacecolor": "white"},
+    "fails": {"color": BASELINE_LOOK["color"], "marker": "s", "markerfacecolor": "white"},
 }
 _LEAST_PERCENT, _MOST_PERCENT = -30.0, 100.0  # a loss beyond is drawn at the rim
 _LINEAR_PERCENT = 1.0
 _ROW_MM, _HEADING_MM = 3.7, 40.0
-_LINE = {"color": OPTIMISED["color"], "marker": "o"}
+_LINE = {"color": OPTIMISED_LOOK["color"], "marker": "o"}
 _OFF_PLAN = {  # of a coordinate: its name on an axis, and which tolerance is its own
     "height_m": ("Height [m]", "height_m"),
     "tilt_x_deg": ("Tilt across [deg]", "tilt_deg"),
@@ -131,12 +131,12 @@ def draw_sample_size(path: str | Path, result: Mapping) -> bool:
         axes = figure.subplots()
         handles = axes.plot(vehicles, reach, markersize=4.0, label="samples of the traffic at hand", **_LINE)
         ahead = np.geomspace(vehicles[-1], max(needed, vehicles[-1]) * 1.5, 50)
-        look = {"color": OPTIMISED["color"], "linestyle": ":", "label": f"as its power {-power:.2f} from there on"}
+        look = {"color": OPTIMISED_LOOK["color"], "linestyle": ":", "label": f"as its power {-power:.2f} from there on"}
         handles += axes.plot(ahead, reach[-1] * (ahead / vehicles[-1]) ** -power, **look)
         asked = {"color": INK, "linestyle": "--", "linewidth": 0.8, "label": f"{ASKED_DEG:g} deg"}
         handles.append(axes.axhline(ASKED_DEG, **asked))
         if needed > vehicles[-1]:
-            look = {**BASELINE, "linestyle": "none", "label": "asked for"}
+            look = {**BASELINE_LOOK, "linestyle": "none", "label": "asked for"}
             handles += axes.plot(needed, ASKED_DEG, clip_on=False, **look)
         axes.set(xscale="log", xlabel="Vehicle observations", ylabel="Uncertainty of the best tilt [deg]")
         axes.xaxis.set_major_formatter("{x:,.0f}")

@@ -20,7 +20,7 @@ from ..sensors.beams import beam_lattice
 from ..world.scenery import barrier, join
 from ..world.shapes import DETAILS
 from .driver import HELD_OUT, Job, Landscape, StudyFolder, Variation, judging_split
-from .effects import BASELINE, FIRST, Candidates, Draw, Effect, Reference, choices, effects
+from .effects import BASELINE, FIRST, AblationDraw, Candidates, Effect, Reference, choices, effects
 from .experiments import FREE_FLOW_M_S, bare, grounded, moving, single
 from .ladder import variation
 from .variations import with_sensor
@@ -210,19 +210,19 @@ def ablation_rows(
     return [ablation_row(one, refused[one], [draw for of, draw in judged if of is one], on) for one in changes]
 
 
-def draw_of(without: Landscape, having: Landscape, on: Compared) -> Draw:
+def draw_of(without: Landscape, having: Landscape, on: Compared) -> AblationDraw:
     """One draw of a thing from what the baseline and the candidates come to without it and with it; not yet judged."""
     (less, _), (more, vehicles) = (one.blocks(on.reference.searched_block) for one in (without, having))
     filled = vehicles > 0
-    return Draw(less[FIRST:, filled], more[FIRST:, filled], vehicles[filled], np.empty((len(less), 0)))
+    return AblationDraw(less[FIRST:, filled], more[FIRST:, filled], vehicles[filled], np.empty((len(less), 0)))
 
 
-def _ever_chosen(draw: Draw, halves: np.ndarray) -> list[int]:
+def _ever_chosen(draw: AblationDraw, halves: np.ndarray) -> list[int]:
     """Rows of the baseline and of the candidates that either side would ever choose: all that need be judged."""
     return [BASELINE, *(FIRST + np.unique(choices(draw, halves))).tolist()]
 
 
-def with_judges(draw: Draw, judged: Landscape, rows: Sequence[int] | slice, on: Compared) -> Draw:
+def with_judges(draw: AblationDraw, judged: Landscape, rows: Sequence[int] | slice, on: Compared) -> AblationDraw:
     """The draw with what some rows come to where the scene has the thing, on the frames that judge; NaN for others."""
     objective, vehicles = judged.blocks(on.reference.judged_block)
     every = np.full((len(on.every.poses), len(vehicles)), np.nan)
@@ -237,7 +237,7 @@ JUDGED = {"score": "score", "ranking": "tau", "optimum": "apart"}  # what has a 
 _EFFECTS = ("bias", "score", "error", "tau", "regret", "apart")
 
 
-def ablation_row(change: Ablation, refused: str | None, draws: Sequence[Draw], on: Compared) -> dict:
+def ablation_row(change: Ablation, refused: str | None, draws: Sequence[AblationDraw], on: Compared) -> dict:
     """One ablation as JSON holds it: all but its name is None where there is nothing to compare."""
     columns = [name + ending for name in _EFFECTS for ending in ("", "_interval_90")]
     row = {"what": change.what, "value": change.value, "note": refused or change.note, "draws": len(change.pairs)}
@@ -272,7 +272,7 @@ def verdict(effect: Effect | None, floor: float | None, *, less: bool = False) -
     return ABOVE if low > floor else BELOW if high <= floor else UNTOLD
 
 
-def _shift(draw: Draw, on: Compared) -> np.ndarray:
+def _shift(draw: AblationDraw, on: Compared) -> np.ndarray:
     """Where the mounting that is chosen moves to when the thing comes in, (d,): mean over the halves."""
     without, having = (on.every.points[one[0]] for one in choices(draw, on.reference.halves))
     return (having - without).mean(axis=(0, 1))

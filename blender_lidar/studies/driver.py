@@ -101,9 +101,12 @@ class StudyFolder:
         check_folder(self.path, "--out")
         if not self.file(IDENTITY).exists():
             stages = self.file(STAGES)
-            made = [STAGES] if stages.is_file() or any(stages.glob("*")) else []  # `locked` makes an empty one
-            for name in (*made, *(name for name in self._results if self.file(name).exists())):
-                raise InputError(f"--out: {self.path}: holds {name}, which no study has written; give another folder")
+            there = [name for name in self._results if self.file(name).exists()]
+            if stages.is_file() or any(stages.glob("*")):  # `locked` makes an empty one
+                there.insert(0, STAGES)
+            if there:
+                what = f"holds {there[0]}, which no study has written"
+                raise InputError(f"--out: {self.path}: {what}; give another folder")
             return
         stored = _read_json(self.file(IDENTITY))
         if not resume:

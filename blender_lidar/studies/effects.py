@@ -383,7 +383,7 @@ class Effect(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Draw:
+class AblationDraw:
     """One random draw of a thing, or the thing itself where nothing is drawn; k candidates.
 
     Attributes
@@ -403,7 +403,7 @@ class Draw:
     judged: np.ndarray
 
 
-def choices(draw: Draw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def choices(draw: AblationDraw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What each half would choose without the thing and with it, (1 + b, s, 2) each: first of all blocks, then with one
     block left out after another."""
     blocks = halves.shape[-1]
@@ -412,7 +412,7 @@ def choices(draw: Draw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return chosen_by(there, draw.without), chosen_by(there, draw.having)
 
 
-def effects(draws: Sequence[Draw], halves: np.ndarray) -> dict[str, Effect | None]:
+def effects(draws: Sequence[AblationDraw], halves: np.ndarray) -> dict[str, Effect | None]:
     """All effects of a thing, means over its draws, with jackknife intervals; None for those that cannot be known.
 
     Returns
@@ -434,7 +434,7 @@ def effects(draws: Sequence[Draw], halves: np.ndarray) -> dict[str, Effect | Non
     return found
 
 
-def _left_out_of_searched(draw: Draw) -> np.ndarray:
+def _left_out_of_searched(draw: AblationDraw) -> np.ndarray:
     """Bias, score, error and tau, of all blocks and without each of them, (1 + b, 4)."""
     blocks = len(draw.vehicles)
     kept = np.concatenate([np.ones((1, blocks)), 1.0 - np.eye(blocks)])
@@ -446,7 +446,7 @@ def _left_out_of_searched(draw: Draw) -> np.ndarray:
     return np.array(rows)
 
 
-def _left_out_of_judged(draw: Draw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _left_out_of_judged(draw: AblationDraw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Apart and regret: without each block that chooses, (1 + b, 2), and without each that judges, (1 + j, 2)."""
     without, having = choices(draw, halves)
     whole = draw.judged.sum(axis=1)

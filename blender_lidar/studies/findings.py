@@ -93,7 +93,7 @@ REFERENCE, BASELINE, CANDIDATES = 0, 1, 2  # rows: the first two, and where the 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mountings:
+class MountingGrid:
     """A reference, the baseline, and candidates on a grid of heights and tilts through the reference.
 
     Attributes
@@ -138,7 +138,7 @@ def check_searched(scenario: Scenario) -> None:
         )
 
 
-def mountings_about(scenario: Scenario, reference: Mapping[str, float], heights: int, tilts: int) -> Mountings:
+def mountings_about(scenario: Scenario, reference: Mapping[str, float], heights: int, tilts: int) -> MountingGrid:
     """Candidates over the searched ones of height and tilt, the other coordinates as in `reference`."""
     counts = dict(zip(AXES, (heights, tilts), strict=True))
     axes: list[Sequence[float]] = [
@@ -148,7 +148,7 @@ def mountings_about(scenario: Scenario, reference: Mapping[str, float], heights:
         for axis in AXES
     ]
     height, tilt = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
-    return Mountings(dict(reference), scenario.baseline_pose, height, tilt)
+    return MountingGrid(dict(reference), scenario.baseline_pose, height, tilt)
 
 
 # --- losses -----------------------------------------------------------------------------------------------------------
@@ -310,7 +310,7 @@ def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric:
 
 
 def optimum_finding(
-    landscape: Landscape, mountings: Mountings, block: np.ndarray, seed: int
+    landscape: Landscape, mountings: MountingGrid, block: np.ndarray, seed: int
 ) -> tuple[Finding, Intervals | None]:
     """Where other traffic would put the optimum, and what the mounting leaves to it in 95 % of such traffic.
 
@@ -373,7 +373,7 @@ class Draw(NamedTuple):
 def finding_of(
     change: tuple[str, str, str],
     draws: Sequence[Draw | str],
-    mountings: Mountings,
+    mountings: MountingGrid,
     intervals: Intervals | None,
     block: np.ndarray | None,
 ) -> Finding:
@@ -385,7 +385,7 @@ def finding_of(
         Section, what and value.
     draws : sequence of Draw or str
         A text tells why the site does not allow the change.
-    mountings : Mountings
+    mountings : MountingGrid
     intervals : Intervals or None
         Where resampled traffic puts the optimum of the scene as it is.
     block : ndarray of int, (f,), or None

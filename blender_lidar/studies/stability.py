@@ -45,7 +45,7 @@ from .findings import (
     UNDECIDED,
     Draw,
     Finding,
-    Mountings,
+    MountingGrid,
     best_candidate,
     by_loss,
     chooses,
@@ -238,7 +238,7 @@ def _judged_answers(folder: StudyFolder, site: Site, judging: str, answers: Sequ
 
 
 def _draws(
-    folder: StudyFolder, site: Site, variations: Sequence[Variation], mountings: Mountings, judging: str
+    folder: StudyFolder, site: Site, variations: Sequence[Variation], mountings: MountingGrid, judging: str
 ) -> dict[tuple[str, str, str], list[Draw | str]]:
     """The best mounting of each variation, chosen on the searched frames and judged beside the one in question.
 
@@ -264,7 +264,7 @@ def _draws(
 
 
 def _installation(
-    folder: StudyFolder, site: Site, judging: str, mountings: Mountings, tolerance: Tolerance
+    folder: StudyFolder, site: Site, judging: str, mountings: MountingGrid, tolerance: Tolerance
 ) -> dict[str, dict]:
     """The mounting off its plan, on the frames that judge; the robust optimum is looked for as each variation's is."""
     plan, block = mountings.reference, split_of(site, judging)[1]

@@ -12,7 +12,7 @@ from pathlib import Path
 from benchmark_growth import FRAMES_FOR_WORKERS, VEHICLES, PowerLaw, Series, processors
 from benchmark_rivals import RAW, RIVALS
 from benchmark_stages import METRIC, SWARM, Quartiles, Timing
-from blender_lidar.report.figure import BASELINE, INK, OPTIMISED, SMALL_PT, sheet
+from blender_lidar.report.figure import BASELINE_LOOK, INK, OPTIMISED_LOOK, SMALL_PT, sheet
 
 
 @dataclass(slots=True)
@@ -175,7 +175,7 @@ def _draw_times(axes, times: Sequence[Timing]) -> None:
     """A dot at each median, a line between the quartiles, the number beside it; the first row on top."""
     for row, timing in enumerate(times):
         low, median, high = (1e3 * value for value in timing.quartiles)
-        look = BASELINE if timing.group == RIVALS else OPTIMISED
+        look = BASELINE_LOOK if timing.group == RIVALS else OPTIMISED_LOOK
         axes.plot([low, high], [row, row], color=look["color"], linewidth=2.4, solid_capstyle="butt")
         face = "white" if timing.group == RIVALS else look["color"]
         axes.plot(median, row, look["marker"], color=look["color"], markersize=4.5, markerfacecolor=face)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from blender_lidar.report.figure import FAINT, OPTIMISED, sheet
+from blender_lidar.report.figure import FAINT, OPTIMISED_LOOK, sheet
 from search_judgement import SHOWN, Part
 from search_problems import DIMENSIONS, NAMES
 from search_solvers import CHOICES, OURS, SOLVERS
@@ -127,7 +127,7 @@ _OTHERS = (
 
 def draw_ecdf(path: Path, parts: Sequence[Part], title: str) -> None:
     """Draw the runtime ECDF of each part side by side; MissingExtraError where matplotlib is not installed."""
-    looks = [{"color": OPTIMISED["color"], "linestyle": "-", "linewidth": 2.4, "zorder": 5}]
+    looks = [{"color": OPTIMISED_LOOK["color"], "linestyle": "-", "linewidth": 2.4, "zorder": 5}]
     looks += [{"color": colour, "linestyle": dash, "linewidth": 1.3} for colour, dash in _OTHERS]
     with sheet(path, 88.0, title, "Runtime ECDF over (problem, target) pairs") as figure:
         figure.get_layout_engine().set(w_pad=0.06)
