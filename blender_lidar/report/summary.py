@@ -168,7 +168,8 @@ def _gain(found, base):
 def answer(result: Mapping) -> str:
     """The mounting and what it is worth against the baseline, with the interval where there is one."""
     kept = kept_text(result)
-    return f"{_what_to_do(result)}: {worth(result)}." + (f" {as_sentence(kept)}" if kept else "")
+    *_, on = judged(result)
+    return f"{_what_to_do(result)}: on {on} {worth(result)}." + (f" {as_sentence(kept)}" if kept else "")
 
 
 def key_figures(result: Mapping) -> list[tuple[str, str]]:
@@ -198,7 +199,7 @@ def _what_to_do(result):
 
 def worth(result: Mapping) -> str:
     """What the mounting is worth against the baseline where both are judged, on held-out frames if there are any."""
-    found, base, on = judged(result)
+    found, base, _ = judged(result)
     gain, metric = _gain(found, base), metric_named(result["metric"])
     amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.amount(abs(gain))}"
     # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better, and what
@@ -206,7 +207,7 @@ def worth(result: Mapping) -> str:
     of_vehicles = metric.higher_is_better and not metric.of_scene
     gained = f"a vehicle {amount}" if of_vehicles else f"the objective {amount} per vehicle"
     return (
-        f"on {on} {_percent(found)} of the vehicles are detectable instead of {_percent(base)} under the baseline, and "
+        f"{_percent(found)} of the vehicles are detectable instead of {_percent(base)} under the baseline, and "
         f"{gained}{_interval(result, metric, gain)}"
     )
 
