@@ -201,6 +201,17 @@ def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     assert set(needing) == compiled
 
 
+def test_a_constant_and_a_class_have_one_meaning():
+    defined = {}
+    for path in SOURCES:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            names = {target.id for target in targets if isinstance(target, ast.Name) and target.id.isupper()}
+            for name in names | ({node.name} if isinstance(node, ast.ClassDef) else set()):
+                defined.setdefault(name, set()).add(path.relative_to(PACKAGE).as_posix())
+    assert {name: files for name, files in defined.items() if len(files) > 1 and not name.startswith("_")} == {}
+
+
 def test_boxes_are_scanned_scored_and_optimised_with_numpy_alone(tmp_path):
     scene = write_scene(tmp_path, {"model": {"caster": "exact"}})
     body = """

@@ -15,8 +15,8 @@ from blender_lidar.studies.ablations import (
     Ablation,
     Compared,
     ablation_row,
+    beside_floor,
     draw_of,
-    verdict,
     with_judges,
 )
 from blender_lidar.studies.driver import Landscape
@@ -162,17 +162,17 @@ def test_what_is_not_judged_has_no_regret_and_few_judges_give_no_interval():
     [((0.11, 0.2), ABOVE), ((0.0, 0.1), BELOW), ((0.05, 0.2), UNTOLD), ((-0.5, 0.5), UNTOLD), (None, UNTOLD)],
 )
 def test_an_effect_is_above_or_below_the_floor_by_its_whole_interval(interval, expected):
-    assert verdict(Effect(0.12, interval), 0.1) == expected
+    assert beside_floor(Effect(0.12, interval), 0.1) == expected
 
 
 def test_a_tau_is_above_the_floor_where_it_is_surely_less():
-    assert verdict(Effect(0.7, (0.6, 0.8)), 0.85, less=True) == ABOVE
-    assert verdict(Effect(0.95, (0.9, 1.0)), 0.85, less=True) == BELOW
-    assert verdict(Effect(0.85, (0.8, 0.9)), 0.85, less=True) == UNTOLD
+    assert beside_floor(Effect(0.7, (0.6, 0.8)), 0.85, less=True) == ABOVE
+    assert beside_floor(Effect(0.95, (0.9, 1.0)), 0.85, less=True) == BELOW
+    assert beside_floor(Effect(0.85, (0.8, 0.9)), 0.85, less=True) == UNTOLD
 
 
 def test_nothing_is_told_without_an_effect_or_a_floor():
-    assert verdict(None, 0.1) == verdict(Effect(0.0, (0.0, 0.0)), None) == UNTOLD
+    assert beside_floor(None, 0.1) == beside_floor(Effect(0.0, (0.0, 0.0)), None) == UNTOLD
 
 
 def compared_on(noise: float, shift: float = 0.0, blocks: int = BLOCKS) -> tuple[AblationDraw, Compared]:

@@ -35,7 +35,7 @@ def tiny(monkeypatch):
     """Whole studies of seconds, without pictures."""
     if CASTER == "exact":
         pytest.skip("no fast caster is installed")
-    monkeypatch.setattr("blender_lidar.commands.chart.QUICK", TINY)
+    monkeypatch.setattr("blender_lidar.commands.chart.QUICK_CHART", TINY)
     monkeypatch.setattr(ladder, "CASTERS", (CASTER, "exact"))  # another one takes seconds to load
     monkeypatch.setattr(ladder, "STRIDES", (1, 4))
     kept = ("ground", "body shape", "azimuth offsets", "drop-out", "float32")
@@ -48,7 +48,7 @@ def tiny(monkeypatch):
 
 def test_the_ladder_begins_with_the_reference_and_every_rung_has_a_name_of_its_own(site):
     rungs = ladder.ladder(site)
-    assert rungs[0] == ladder.Rung(Fidelity("detailed"))
+    assert rungs[0] == ladder.LadderRung(Fidelity("detailed"))
     names = [rung.fidelity.name for rung in rungs]
     assert len(set(names)) == len(names)
     assert len({rung.fidelity.text for rung in rungs}) == len(names)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.statistics import student_t
-from blender_lidar.studies.chart import verdict
+from blender_lidar.studies.chart import within_tolerance
 from blender_lidar.studies.driver import Landscape
 from blender_lidar.studies.effects import (
     BOUND_LEVEL,
@@ -229,11 +229,11 @@ def test_the_front_is_what_no_other_beats(costs):
 
 
 def test_a_recommendation_holds_surely_likely_or_not():
-    assert verdict(0.002, (-0.001, 0.005), 0.01) == "holds"
-    assert (verdict(0.002, (-0.02, 0.03), 0.01), verdict(0.002, None, 0.01)) == ("likely", "likely")
-    assert verdict(0.02, (0.015, 0.04), 0.01) == "fails"
-    assert verdict(0.02, (0.0, 0.04), 0.01) == "cannot be told"
-    assert verdict(None, None, 0.01) == "cannot be told"
+    assert within_tolerance(0.002, (-0.001, 0.005), 0.01) == "holds"
+    assert (within_tolerance(0.002, (-0.02, 0.03), 0.01), within_tolerance(0.002, None, 0.01)) == ("likely", "likely")
+    assert within_tolerance(0.02, (0.015, 0.04), 0.01) == "fails"
+    assert within_tolerance(0.02, (0.0, 0.04), 0.01) == "cannot be told"
+    assert within_tolerance(None, None, 0.01) == "cannot be told"
 
 
 @pytest.mark.parametrize("first", [0, 64])

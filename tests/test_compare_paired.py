@@ -15,7 +15,7 @@ from blender_lidar.cli import main
 from blender_lidar.metrics.vgop import occupancy, pe_vgop
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.studies.compare.labelled import open_labelled
-from blender_lidar.studies.compare.paired import MEASURED, pair_cars, shape_names, variants
+from blender_lidar.studies.compare.paired import MEASURED, pair_cars, shapes_of_labels, variants
 from blender_lidar.studies.compare.paired_findings import aggregate, cheapest_within_noise, median_interval
 from tests.labelled_samples import KITTI, needs_kitti
 from tests.real_sweeps import cloud_of, in_kitti_frame, street, write_kitti
@@ -138,7 +138,7 @@ def test_labels_become_the_shapes_that_traffic_has(tmp_path):
     boxes = one_sweep(tmp_path, street(1, cars=8), labels).read("1").boxes
     size = np.repeat([[4.0, 1.8, 1.5], [5.0, 1.9, 1.8], [8.0, 2.5, 3.0], [12.0, 2.5, 3.5]], 2, axis=0)
     expected = ["car", None, "van", "van", "truck", "motorcycle", "long_truck", "bus"]
-    assert shape_names(replace(boxes, size_m=size)) == expected
+    assert shapes_of_labels(replace(boxes, size_m=size)) == expected
 
 
 def test_intervals_cover_the_median_of_frames_that_differ():

@@ -22,7 +22,7 @@ import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.errors import WorkerError
-from blender_lidar.run.verdict import COLUMNS, distance_bands, judge, lanes, vehicle_table
+from blender_lidar.run.verdict import VEHICLE_COLUMNS, distance_bands, judge, lanes, vehicle_table
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator, Totals
 from blender_lidar.scoring.fidelity import Fidelity, coarse_observation
@@ -354,7 +354,7 @@ def test_starting_workers_leaves_the_environment_as_it_was(monkeypatch):
 
 def test_the_vehicle_table_adds_up_to_the_totals(alone):
     table = vehicle_table(POSES[1], search=Evaluator(FRAMES, SEEN, SCORING))
-    assert tuple(table) == COLUMNS
+    assert tuple(table) == VEHICLE_COLUMNS
     assert {len(column) for column in table.values()} == {alone.vehicles.sum()}
     score = np.where(table["detectable"], table["entropy_bits"], -1.0)
     for column in range(len(FRAMES)):
@@ -373,7 +373,7 @@ def test_both_splits_stand_in_one_table_and_frames_in_which_nobody_counts_in_non
     for empty in ([], [nobody]):
         evaluator = Evaluator(searched, SEEN, SCORING, held_out=empty)
         table = vehicle_table(POSES[0], search=evaluator, holdout=evaluator.held_out)
-        for name in COLUMNS:
+        for name in VEHICLE_COLUMNS:
             np.testing.assert_array_equal(table[name], alone[name])
             assert table[name].dtype == alone[name].dtype
     evaluator = Evaluator(searched, SEEN, SCORING, held_out=held_out)

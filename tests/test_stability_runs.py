@@ -12,7 +12,7 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.report.stability import HEADINGS, REPORT
+from blender_lidar.report.stability import HEADINGS, STABILITY_REPORT
 from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
@@ -34,7 +34,7 @@ def one_study(monkeypatch):
     for name in ("metric_variations", "sensor_variations", "traffic_variations"):
         every = getattr(study, name)
         monkeypatch.setattr(study, name, lambda *given, every=every: every(*given)[:3])
-    monkeypatch.setattr("blender_lidar.commands.stability.QUICK", TINY)
+    monkeypatch.setattr("blender_lidar.commands.stability.QUICK_STABILITY", TINY)
     without_charts(monkeypatch)
 
 
@@ -234,7 +234,7 @@ def test_a_mounting_of_ones_own_is_the_one_in_question(tiny, tmp_path, capsys):
     result = json.loads(out)
     assert result["mounting_given"]
     assert (result["mounting"]["height_m"], result["mounting"]["tilt_x_deg"]) == (3.1, 7.0)
-    assert "as given: 3.10 m above the road, tilted 7.0° across it, turned 30.0°; " in REPORT.text(result)
+    assert "as given: 3.10 m above the road, tilted 7.0° across it, turned 30.0°; " in STABILITY_REPORT.text(result)
 
 
 def test_a_scene_that_holds_nothing_out_is_judged_on_the_searched_frames_and_says_so(tiny, tmp_path, capsys):

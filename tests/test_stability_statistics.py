@@ -20,7 +20,7 @@ from blender_lidar.studies.findings import (
     MOST_STABLE_LOSS,
     STABLE,
     UNDECIDED,
-    Draw,
+    ChangeDraw,
     Intervals,
     MountingGrid,
     by_loss,
@@ -122,11 +122,11 @@ def test_losses_read_as_losses_and_their_opposite_as_such(share, interval, text)
 
 
 def drawn(reference, baseline, best, row=1, chooses=True):
-    return Draw(row, chooses, landscape([reference, baseline, best]))
+    return ChangeDraw(row, chooses, landscape([reference, baseline, best]))
 
 
 def found(draws, intervals=None, block=None):
-    frames = next((draw.judged.objective.shape[1] for draw in draws if isinstance(draw, Draw)), 1)
+    frames = next((draw.judged.objective.shape[1] for draw in draws if isinstance(draw, ChangeDraw)), 1)
     return finding_of(CHANGE, draws, grid([5.0, 10.0]), intervals, np.arange(frames) if block is None else block)
 
 
@@ -168,7 +168,7 @@ def test_there_is_an_interval_where_some_blocks_gain_nothing_or_one_draw_leaves_
     little = drawn([0.1, 0.0, 0.2, -0.1], [0.0] * 4, [0.9, -0.3, 0.8, -0.2])
     low, high = found([little]).numbers["interval_90"]
     assert low < found([little]).numbers["loss"] < high
-    empty = Draw(1, True, landscape([[0.8, 0.9, 0.7, 0.0], [0.0] * 4, [1.0, 1.0, 1.0, 0.0]], [1, 1, 1, 0]))
+    empty = ChangeDraw(1, True, landscape([[0.8, 0.9, 0.7, 0.0], [0.0] * 4, [1.0, 1.0, 1.0, 0.0]], [1, 1, 1, 0]))
     full = drawn([0.8, 0.9, 0.7, 0.8], [0.0] * 4, [1.0, 1.0, 1.0, 1.0])
     assert found([empty, full]).numbers["interval_90"] is not None
 

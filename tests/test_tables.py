@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from blender_lidar.errors import OutputError
 from blender_lidar.files import to_csv, write_columns
-from blender_lidar.run.verdict import COLUMNS, vehicle_table
+from blender_lidar.run.verdict import VEHICLE_COLUMNS, vehicle_table
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
@@ -88,7 +88,7 @@ def test_the_vehicles_of_a_run_are_a_table_of_boxes(tmp_path):
     frame = CountedFrame(vehicles, np.arange(15) % 3 > 0)
     evaluator = Evaluator([frame], seen, Scoring(0.005, "mean", -1.0, "corrected"))
     table = vehicle_table(Pose(height_m=4.0), search=evaluator)
-    write_columns(tmp_path / "vehicles.csv", {name: table[name] for name in COLUMNS})
+    write_columns(tmp_path / "vehicles.csv", {name: table[name] for name in VEHICLE_COLUMNS})
     boxes = read_table(tmp_path / "vehicles.csv").vehicles(30)
     counted = vehicles.select(frame.counted)
     np.testing.assert_array_equal(boxes.vehicle_id, counted.vehicle_id)

@@ -7,14 +7,14 @@ import math
 import sys
 
 from ..errors import InputError
-from ..report.chart import REPORT
+from ..report.chart import CHART_REPORT
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..sensors.model import load_model
 from ..studies.chart import chart_identity, chart_study, read_paired
 from ..studies.driver import StudyFolder
 from ..studies.effects import candidates
-from ..studies.ladder import FULL, QUICK
+from ..studies.ladder import FULL_CHART, QUICK_CHART
 from .optimise import check_resume
 from .options import add_scene, check_scipy, scenario_from
 from .studies import add_study_options, carry_out, effort_of
@@ -62,12 +62,12 @@ def run(args: argparse.Namespace) -> int:
     scenario = scenario_from(args)
     candidates(scenario, 2)  # refuses a scene that searches nothing
     paired = None if args.paired is None else read_paired(args.paired)
-    effort, site, other = effort_of(args, FULL, QUICK), prepare(scenario), _other_site(args, scenario)
+    effort, site, other = effort_of(args, FULL_CHART, QUICK_CHART), prepare(scenario), _other_site(args, scenario)
 
     def study(folder: StudyFolder) -> dict:
         return chart_study(site, effort, tolerance, folder, other, paired)
 
-    return carry_out(args, "chart", site, chart_identity(site, effort, other), REPORT, study)
+    return carry_out(args, "chart", site, chart_identity(site, effort, other), CHART_REPORT, study)
 
 
 def parse_share(text: str, option: str) -> float:

@@ -22,7 +22,7 @@ from ..report.compare_text import findings_text, paired_text
 from ..scene.provenance import file_digest, versions
 from ..sensors.imperfections import Imperfections
 from ..studies.compare.cars import OURS, chosen_metrics, comparable
-from ..studies.compare.detections import FRAMES_FILE, RULE, read_detections, read_frames, tuned_frames
+from ..studies.compare.detections import FRAMES_FILE, SETS_RULE, read_detections, read_frames, tuned_frames
 from ..studies.compare.detectors import Settings, car_columns, compare, correlation_table, plain
 from ..studies.compare.labelled import open_labelled
 from ..studies.compare.paired import CLEARANCE_M, GROWN_M, LABEL_MARGIN_M, MEASURED, SHORT_M, pair_cars, variants
@@ -32,7 +32,7 @@ from ..world.shapes import DETAILS
 from .options import check_scipy, label_classes, new_folder
 from .progress import Progress
 
-SCHEMA = 1
+COMPARE_SCHEMA = 1
 _ASKED = {
     "ground_clearance": Setting(low=0.0),
     "block_frames": Setting(kind=int, low=1, high=100_000),
@@ -127,7 +127,7 @@ def _beside_detectors(args: argparse.Namespace) -> Made:
     clouds = open_labelled(args.kitti)
     findings = compare(clouds, read_detections(args.detections, args.frames_table), metrics, settings)
     about = {
-        "schema": SCHEMA,
+        "schema": COMPARE_SCHEMA,
         "kitti": args.kitti,
         "detections": args.detections,
         "detections_sha256": file_digest(args.detections),
@@ -172,7 +172,7 @@ def _paired(args: argparse.Namespace) -> Made:
         "label_margin_m": list(margin_m),
         "clearance_m": CLEARANCE_M,
         "hidden_if_nearer_than_box_by_m": GROWN_M + SHORT_M,
-        "tuning": None if tuned_frames(told) is None else RULE,
+        "tuning": None if tuned_frames(told) is None else SETS_RULE,
         "sensor": paired.sensor,
         "left_out": paired.left_out,
         "sets": sets,

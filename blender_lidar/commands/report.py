@@ -13,7 +13,7 @@ from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import DePso
 from ..report.summary import (
     COORDINATE_NAMES,
-    Table,
+    TextTable,
     aim_text,
     cautions,
     comparison_table,
@@ -75,7 +75,7 @@ def comparison(run: Outcome) -> str:
     return "\n\n".join([*tables, told]).rstrip()
 
 
-def table_text(table: Table) -> str:
+def table_text(table: TextTable) -> str:
     """A table in columns: the first flush left, numbers flush right."""
     rows = [[cell for text, columns in line for cell in (text, *[""] * (columns - 1))] for line in table.head]
     for heading, lines in table.sections:

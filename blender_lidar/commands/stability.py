@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-from ..report.stability import REPORT
+from ..report.stability import STABILITY_REPORT
 from ..scene.settings import MOUNTING
 from ..scene.site import prepare
 from ..studies.driver import StudyFolder
 from ..studies.findings import check_searched
-from ..studies.stability import FULL, QUICK, study_identity, study_stability
+from ..studies.stability import FULL_STABILITY, QUICK_STABILITY, study_identity, study_stability
 from .optimise import check_resume
 from .options import add_pose, add_scene, given_options, mounting_from, scenario_from
 from .studies import add_study_options, carry_out, effort_of
@@ -36,9 +36,9 @@ def run(args: argparse.Namespace) -> int:
     scenario = scenario_from(args)
     check_searched(scenario)
     mounting = mounting_from(args, scenario) if given_options(args, MOUNTING) else None
-    effort, site = effort_of(args, FULL, QUICK), prepare(scenario, mounting)
+    effort, site = effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, mounting)
 
     def study(folder: StudyFolder) -> dict:
         return study_stability(site, effort, folder, mounting)
 
-    return carry_out(args, "stability", site, study_identity(site, effort, mounting), REPORT, study)
+    return carry_out(args, "stability", site, study_identity(site, effort, mounting), STABILITY_REPORT, study)

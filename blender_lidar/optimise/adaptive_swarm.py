@@ -28,7 +28,7 @@ FIRST_SCALE, FIRST_CROSSOVER = 0.5, 0.7
 DRAW_WIDTH = 0.1  # of scale factors (Cauchy) and crossover rates (normal) about the memory
 LEAST_SCALE = 0.05
 COLLAPSED = 1e-3  # of the box: a swarm no wider than that in every variable has nothing left to tell apart
-PATIENCE = 30  # generations without a better best
+SWARM_PATIENCE = 30  # generations without a better best
 
 
 class AdaptiveSwarm:
@@ -87,7 +87,7 @@ class AdaptiveSwarm:
     @property
     def exhausted(self) -> bool:
         """Whether the swarm has collapsed, or has long found nothing better."""
-        return bool(self._idle >= PATIENCE or np.ptp(self.best, axis=0).max() < COLLAPSED)
+        return bool(self._idle >= SWARM_PATIENCE or np.ptp(self.best, axis=0).max() < COLLAPSED)
 
     def tell(self, values: np.ndarray) -> None:
         """Take the values, (particles,), of `candidates`, and keep what is at least as good."""

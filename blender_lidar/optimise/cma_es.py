@@ -22,7 +22,7 @@ NARROW = 1e-5  # of the box: a Gaussian no wider than that has arrived
 ILL_CONDITIONED = 1e7  # longest over shortest axis
 WIDEST = 3.0  # of the box, in standard deviations: it has lost its way
 FLAT_GROWTH = 1.3  # of the step size after a generation of equal values
-PATIENCE = 10  # generations without a better best, and more for more variables
+CLIMB_PATIENCE = 10  # generations without a better best, and more for more variables
 _LEAST_VARIANCE = 1e-20
 
 
@@ -92,7 +92,7 @@ class CovarianceAdaptation:
             self._step * longest < NARROW
             or longest > ILL_CONDITIONED * shortest
             or self._step > WIDEST
-            or self.idle > PATIENCE + 30 * self._mean.size // self.samples
+            or self.idle > CLIMB_PATIENCE + 30 * self._mean.size // self.samples
         )
 
     def move(self) -> None:

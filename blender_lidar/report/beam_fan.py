@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOUNT_HEIGHT_M = 4.0
-REACH_M = 100.0
+FAN_REACH_M = 100.0
 _TOP_M = 6.0  # the picture's upper edge
 _BAND_M = 20.0
 
 # Of the text picture: a cell for each 0.5 m of height and 1.25 m of distance, those of the edges halfway beyond them.
 _UP_M = np.arange(-0.25, _TOP_M + 0.5, 0.5)
-_ALONG_M = np.arange(-0.625, REACH_M + 1.25, 1.25)
-_TICKS = range(0, int(REACH_M), 10)  # [m], each 8 cells wide
+_ALONG_M = np.arange(-0.625, FAN_REACH_M + 1.25, 1.25)
+_TICKS = range(0, int(FAN_REACH_M), 10)  # [m], each 8 cells wide
 _SHADES = " .:+#"  # by the beams in a cell
 _SHADE_FROM = (1, 2, 4, 8)
 
@@ -52,10 +52,10 @@ def fan_text(model: LidarModel) -> str:
         label = f"{height:.0f} m" if height == int(height) else ""
         lines.append(f"{label:>6} |{''.join(shade)}".rstrip())
     distance = ground_distance_m(model)
-    landings, _ = np.histogram(distance[distance <= REACH_M], _ALONG_M)
+    landings, _ = np.histogram(distance[distance <= FAN_REACH_M], _ALONG_M)
     marks = "".join(" " if count == 0 else str(count) if count < 10 else "*" for count in landings)
     ruler, labels = "+-------" * len(_TICKS), "".join(f"{tick:<8}" for tick in _TICKS)
-    lines += [f"{'rings':>6} |{marks}".rstrip(), f"{'':6} +{ruler}+", f"{'':6}  {labels}{REACH_M:.0f} m", ""]
+    lines += [f"{'rings':>6} |{marks}".rstrip(), f"{'':6} +{ruler}+", f"{'':6}  {labels}{FAN_REACH_M:.0f} m", ""]
     return "\n".join([*lines, _bands(distance)])
 
 
@@ -94,14 +94,14 @@ def _ends_m(model: LidarModel) -> np.ndarray:
     along, up = np.cos(model.elevation_rad), np.sin(model.elevation_rad)
     room = np.where(up < 0.0, MOUNT_HEIGHT_M, _TOP_M - MOUNT_HEIGHT_M)
     with np.errstate(divide="ignore"):  # a level beam reaches neither edge
-        length = np.minimum(model.range_max_m, np.minimum(REACH_M / along, room / np.abs(up)))
+        length = np.minimum(model.range_max_m, np.minimum(FAN_REACH_M / along, room / np.abs(up)))
     return np.stack([length * along, MOUNT_HEIGHT_M + length * up], axis=1)
 
 
 def _bands(distance_m: np.ndarray) -> str:
     """How many rings meet the road in each band of 20 m."""
-    edges = np.arange(0.0, REACH_M + _BAND_M, _BAND_M)
-    counts, _ = np.histogram(distance_m[distance_m <= REACH_M], edges)
+    edges = np.arange(0.0, FAN_REACH_M + _BAND_M, _BAND_M)
+    counts, _ = np.histogram(distance_m[distance_m <= FAN_REACH_M], edges)
     parts = [f"{low:.0f}-{low + _BAND_M:.0f} m {count}" for low, count in zip(edges, counts, strict=False)]
     unseen = int(np.isinf(distance_m).sum())
     parts.append(f"further {len(distance_m) - int(counts.sum()) - unseen}")
@@ -111,7 +111,7 @@ def _bands(distance_m: np.ndarray) -> str:
 def _draw_side(axes: Axes, model: LidarModel) -> None:
     """The beams from the side, those that meet the road dark."""
     distance = ground_distance_m(model)
-    lands = distance <= REACH_M
+    lands = distance <= FAN_REACH_M
     for (end_distance, end_height), dark in zip(_ends_m(model), lands, strict=True):
         look = {"color": INK, "linewidth": 0.7} if dark else {"color": FAINT, "linewidth": 0.5}
         axes.plot([0.0, end_distance], [MOUNT_HEIGHT_M, end_height], **look)
@@ -119,12 +119,12 @@ def _draw_side(axes: Axes, model: LidarModel) -> None:
     axes.axhline(0.0, color=INK, linewidth=1.0)
     axes.plot(0.0, MOUNT_HEIGHT_M, "^", color="white", markeredgecolor="black", markersize=8.0, clip_on=False, zorder=5)
     axes.set(
-        xlim=(0.0, REACH_M),
+        xlim=(0.0, FAN_REACH_M),
         ylim=(-0.25, _TOP_M),
         xlabel="Distance from the mount [m]",
         ylabel="Height above the road [m]",
         title=f"Level at {MOUNT_HEIGHT_M:g} m, heights stretched: {lands.sum()} of {model.rings} rings (dark) meet the "
-        f"road within {REACH_M:g} m",
+        f"road within {FAN_REACH_M:g} m",
     )
 
 

@@ -251,7 +251,7 @@ def _paired(result: Mapping) -> list[str]:
     return [f"Against {paired['cars']} real cars, median error per car [bits]: {'; '.join(told)}"] if told else []
 
 
-REPORT = StudyReport(
+CHART_REPORT = StudyReport(
     title="Speed against accuracy",
     result="chart.json",
     tables={

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..studies.compare.detections import IN_RANGE, PERFORMANCE
 from ..studies.compare.detectors import Decline, Findings, Scatter, decline, scatter
-from ..studies.compare.paired import LOSSES, PICTURED, PairedCars, PicturedCar
+from ..studies.compare.paired import PICTURED, RETURN_LOSSES, PairedCars, PicturedCar
 from ..studies.compare.paired_findings import judging
 from ..studies.compare.resampling import FEWEST_IN_BAND
 from .figure import (
@@ -194,7 +194,7 @@ def draw_paired(paired: PairedCars, result: Mapping, folder: Path) -> list[str]:
         When matplotlib is not installed.
     """
     of = result["sets"][judging(result["sets"])]
-    lost = f"{LOSSES[PICTURED]} lost"
+    lost = f"{RETURN_LOSSES[PICTURED]} lost"
     title = "Error of simulated PE-VGOP against a real LiDAR's"
     about = f"{of['cars']} cars in {of['frames']} real sweeps, ray by ray; bars: 90 % of resampled "
     with sheet(folder / "error.png", 96.0, title, f"{about}{of['resampled']['unit']}s") as figure:
@@ -219,7 +219,7 @@ def _draw_errors(axes: Axes, variants: Sequence[Mapping]) -> None:
         error, look = one["absolute_error_bits"], _LOOKS[one["detail"]]
         axes.plot(error["interval_90"] or [error["median"]] * 2, [row, row], color=look["color"], linewidth=1.6)
         axes.plot(error["median"], row, linestyle="none", markersize=5.0, **look)
-    axes.set_yticks(range(len(variants)), [f"{one['detail']}, {LOSSES[one['losses']]}" for one in variants])
+    axes.set_yticks(range(len(variants)), [f"{one['detail']}, {RETURN_LOSSES[one['losses']]}" for one in variants])
     axes.set_ylim(len(variants) - 0.4, -0.6)
     axes.set_xlim(left=0.0)
     axes.set_xlabel("Median absolute error, 10 to 50 m [bits per car]")
@@ -242,7 +242,7 @@ def _draw_bands(axes: Axes, variants: Sequence[Mapping]) -> list:
     axes.set_xticks(centre, texts, color=INK)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel("Median absolute error [bits per car]")
-    axes.set_title(f"By distance: {LOSSES[variants[0]['losses']]}")
+    axes.set_title(f"By distance: {RETURN_LOSSES[variants[0]['losses']]}")
     axes.grid(visible=True, axis="y")
     return handles
 

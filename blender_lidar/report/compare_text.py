@@ -13,7 +13,7 @@ from ..studies.compare.cars import PAPERS
 from ..studies.compare.detections import TRAINING
 from ..studies.compare.detectors import PAPER, Findings
 from ..studies.compare.labelled import NOT_TOLD
-from ..studies.compare.paired import LOSSES
+from ..studies.compare.paired import RETURN_LOSSES
 from ..studies.compare.paired_findings import ALL, TUNED, VALIDATION, judging
 from ..studies.compare.resampling import Estimate
 from .study import text_table
@@ -183,4 +183,4 @@ def _verdict(found: Mapping, sets: Mapping, resampled: Mapping) -> list[str]:
 
 
 def _said(one: Mapping) -> str:
-    return f"{one['detail']}, {LOSSES[one['losses']]}"
+    return f"{one['detail']}, {RETURN_LOSSES[one['losses']]}"

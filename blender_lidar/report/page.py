@@ -18,7 +18,7 @@ from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport
 from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
-    Table,
+    TextTable,
     answer,
     as_sentence,
     cautions,
@@ -40,7 +40,7 @@ from .summary import (
 _NONE = "\N{EN DASH}"
 
 
-def table_markup(content: Table, class_: str | None = None) -> Markup:
+def table_markup(content: TextTable, class_: str | None = None) -> Markup:
     """A table of numbers."""
     head = [element("tr", *(_heading_cell(text, columns) for text, columns in line)) for line in content.head]
     bodies = []

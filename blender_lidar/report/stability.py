@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..studies.findings import ASKED_DEG, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, RULE, UNDECIDED, VERDICTS, worst
+from ..studies.findings import ASKED_DEG, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, UNDECIDED, VERDICT_RULE, VERDICTS, worst
 from ..studies.variations import SECTIONS
 from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
@@ -188,7 +188,7 @@ def _head(result: Mapping) -> list[str]:
         f"the searched frames; losses to it are on the {result['judged_frames']} {_JUDGED[result['judged_on']]}, and "
         "are to be read against the line 'as the scene has it'; inside or outside: of where other traffic of this kind "
         "puts the optimum of the scene as it is",
-        f"Verdicts - {RULE}",
+        f"Verdicts - {VERDICT_RULE}",
     ]
 
 
@@ -208,7 +208,7 @@ def _rows(result: Mapping) -> list[dict]:
     return [{key: one[key] for key in keys} | {"loss": one["numbers"].get("loss", "")} for one in result["findings"]]
 
 
-REPORT = StudyReport(
+STABILITY_REPORT = StudyReport(
     title="How stable is this answer?",
     result="stability.json",
     tables={"stability.csv": _rows},

@@ -229,7 +229,7 @@ _ALWAYS_SHOWN = ("height_m", "tilt_x_deg")
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class TextTable:
     """Numbers as texts, in columns under a head.
 
     Attributes
@@ -246,7 +246,7 @@ class Table:
     sections: list[tuple[str, list[tuple[str, ...]]]]
 
 
-def comparison_table(result: Mapping) -> Table:
+def comparison_table(result: Mapping) -> TextTable:
     """The mountings of a run side by side: the baseline, the sharp one where there is one, the run's own."""
     compared = {"baseline": result["baseline"], "sharp": sharp_of(result), mounting_name(result): result}
     compared = {name: scores for name, scores in compared.items() if scores is not None}
@@ -263,7 +263,7 @@ def comparison_table(result: Mapping) -> Table:
         sections += _score_sections(result, robust, over)
     *others, last = compared
     head = [("Mounting", 1), *((name, 1) for name in compared)]
-    return Table(f"{', '.join(others).capitalize()} and {last} mounting", [head], sections)
+    return TextTable(f"{', '.join(others).capitalize()} and {last} mounting", [head], sections)
 
 
 def _score_sections(result, compared, over=""):
@@ -296,13 +296,13 @@ def _score_rows(result, compared, over):
     return rows
 
 
-def group_tables(run: Outcome) -> list[Table]:
+def group_tables(run: Outcome) -> list[TextTable]:
     """Objective per vehicle and detectable share by distance and, where lanes are known, by lane: see `group_table`."""
     groups = {"distance": distance_bands} | ({"lane": lanes} if run.baseline["lane"].any() else {})
     return [group_table(name, function, run) for name, function in groups.items()]
 
 
-def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarray]]], run: Outcome) -> Table:
+def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarray]]], run: Outcome) -> TextTable:
     """Objective per vehicle and detectable share of each group of vehicles, searched and held out, before and after.
 
     Before is the baseline, after the run's mounting; "-" stands where a group has no vehicle or the objective is the
@@ -338,7 +338,7 @@ def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarra
         [("", 1), *measures * len(splits), ("", 1)],
         [(f"by {name}", 1), *[("before", 1), ("after", 1)] * 2 * len(splits), ("vehicles", 1)],
     ]
-    return Table(f"By {name}", head, [("", rows)])
+    return TextTable(f"By {name}", head, [("", rows)])
 
 
 # --- How far to trust the answer --------------------------------------------------------------------------------------

@@ -35,7 +35,7 @@ from ..scene.settings import COORDINATES, Scenario
 from ..toml_table import to_toml
 from .verdict import ScoreMap, columns_for
 
-SCHEMA = 1
+RUN_SCHEMA = 1
 RESULT, CHECKPOINT, SCENE = "result.json", "checkpoint.json", "scene.toml"
 HISTORY, HISTORY_NOMINAL = "history.csv", "history_sharp.csv"
 VEHICLES, VEHICLES_BASELINE, SCORE_MAP = "vehicles.csv", "vehicles_baseline.csv", "score_map.csv"
@@ -182,8 +182,8 @@ class RunFolder:
             raise MissingFileError(f"{self.path}: the run there has not ended; go on with it: optimise --resume")
         if result is None:
             raise MissingFileError(f"{self.path}: is not the folder of a run: there is no {RESULT}")
-        if result.get("schema") != SCHEMA:
-            raise InputError(f"{where}: schema is not {SCHEMA}, the one that this version writes")
+        if result.get("schema") != RUN_SCHEMA:
+            raise InputError(f"{where}: schema is not {RUN_SCHEMA}, the one that this version writes")
         with refused_by_name(where):
             for key, known in (("metric", METRICS), ("reading", READINGS)):
                 if result[key] not in known:

@@ -17,11 +17,11 @@ from ..scene.scenario import Scenario, pose_at
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
-from .folder import HISTORY, HISTORY_NOMINAL, SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
+from .folder import HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
 from .verdict import (
-    BASELINE,
+    BASELINE_NAME,
     NOMINAL,
     ROBUST,
     ScoreMap,
@@ -69,7 +69,7 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
         found = {name: deployment.coordinates(search.best_x) for name, search in searches.items()}
         if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
             score_map = map_scores(evaluator, deployment, found[NOMINAL], site.plan.search_block, listener.mapping)
-        mountings = {"optimised": found[NOMINAL], BASELINE: scenario.baseline}
+        mountings = {"optimised": found[NOMINAL], BASELINE_NAME: scenario.baseline}
         if tolerance is not None:
             mountings["optimised"] = best_over_tolerance(evaluator, [found[ROBUST], found[NOMINAL]], tolerance)
             mountings[NOMINAL] = found[NOMINAL]
@@ -81,7 +81,7 @@ def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float
     started = time.perf_counter()
     folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        mountings = {"optimised": coordinates, BASELINE: site.scenario.baseline}
+        mountings = {"optimised": coordinates, BASELINE_NAME: site.scenario.baseline}
         return _conclude(site, folder, evaluator, started, mountings, {}, None)
 
 
@@ -179,7 +179,7 @@ def _conclude(
     if score_map is not None:
         folder.write_score_map(score_map)
         poses["best_of_map"] = pose_at(score_map.best_coordinates(mountings[planned]))
-    for file, name in {VEHICLES: "optimised", VEHICLES_BASELINE: BASELINE}.items():
+    for file, name in {VEHICLES: "optimised", VEHICLES_BASELINE: BASELINE_NAME}.items():
         folder.write_vehicles(file, vehicle_table(poses[name], search=evaluator, holdout=evaluator.held_out))
     verdict = judge(site, poses, evaluator, seed)
     evaluations = {name: len(search.history) for name, search in searches.items()}
@@ -198,7 +198,7 @@ def _conclude(
     )
     rungs = [rung_costs(search) for search in searches.values() if isinstance(search, MultiFidelitySearch)]
     result = {
-        "schema": SCHEMA,
+        "schema": RUN_SCHEMA,
         "scene": Path(scenario.source).name,
         "sensor": site.model.name,
         "range_gate_m": scenario.sensor.range_gate_m,
@@ -223,7 +223,7 @@ def _conclude(
         "vehicles": int(evaluator.vehicles.sum()),
         "deployment": dict(mountings["optimised"]),
         **verdict["optimised"],
-        "baseline": {"deployment": dict(scenario.baseline), **verdict[BASELINE]},
+        "baseline": {"deployment": dict(scenario.baseline), **verdict[BASELINE_NAME]},
         "tolerance": over_tolerance,
         "notes": list(site.plan.notes),
         "traffic_report": site.recording.report.as_dict(),

@@ -23,7 +23,7 @@ from ..traffic.vehicles import Vehicles
 from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
 
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
-BASELINE = "baseline"
+BASELINE_NAME = "baseline"
 NOMINAL, ROBUST = "sharp", "robust"  # mountings and their searches, as planned and over a tolerance, in result.json
 
 # --- Beside the baseline: on the frames that chose a mounting, and on frames that did not -----------------------------
@@ -62,7 +62,7 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
         verdict[name] = {"objective": float(found.totals.objective.sum()), **found.scores(), "holdout": None}
         if held_out:
             judged = held_out[name]
-            verdict[name]["holdout"] = {**judged.scores(), **judged.gain_over(held_out[BASELINE], seed), **size}
+            verdict[name]["holdout"] = {**judged.scores(), **judged.gain_over(held_out[BASELINE_NAME], seed), **size}
     return verdict
 
 
@@ -92,7 +92,7 @@ def judge_over_tolerance(
         return {name: losses_over_tolerance(scorer, plan, tolerance, block) for name, plan in mountings.items()}
 
     def scores(split: Mapping[str, ToleranceLosses], name: str) -> dict:
-        kept = split[name].kept(split[BASELINE].planned.per_vehicle)
+        kept = split[name].kept(split[BASELINE_NAME].planned.per_vehicle)
         return {**split[name].installed.scores(), "gain_kept": kept, "loss_at_limits": split[name].limit_losses}
 
     searched, held_out = _on_both_splits(site, evaluator, losses)
@@ -101,7 +101,7 @@ def judge_over_tolerance(
         objective = found.installed.per_vehicle * int(evaluator.vehicles.sum())
         verdict[name] = {"objective": objective, **scores(searched, name), "holdout": None}
         if held_out:
-            gain = held_out[name].installed.gain_over(held_out[BASELINE].planned, seed)
+            gain = held_out[name].installed.gain_over(held_out[BASELINE_NAME].planned, seed)
             verdict[name]["holdout"] = {**scores(held_out, name), **gain}
     if held_out and NOMINAL in mountings:
         robust, nominal = held_out["optimised"], held_out[NOMINAL]
@@ -234,7 +234,7 @@ def map_verdict(score_map: ScoreMap, verdict: Mapping[str, dict], found: str, se
         For the resampling of blocks.
     """
     height, tilt, value = score_map.best
-    base, reached = (verdict[name]["objective_per_vehicle"] for name in (BASELINE, found))
+    base, reached = (verdict[name]["objective_per_vehicle"] for name in (BASELINE_NAME, found))
     best = max(value, reached)
     gains = best > base
     near_best = near_best_threshold(best, base, REGION_SHARE)
@@ -263,15 +263,26 @@ def _regret(best: dict | None, found: dict | None) -> float | None:
 
 # --- One row for each counted vehicle and frame: what a mounting sees of it -------------------------------
 
-COLUMNS = ("frame", "vehicle_id", "class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "heading_deg")
-COLUMNS += ("distance_m", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable", "lane", "split")
+VEHICLE_COLUMNS = (
+    "frame",
+    "vehicle_id",
+    "class",
+    "x_m",
+    "y_m",
+    "z_m",
+    "length_m",
+    "width_m",
+    "height_m",
+    "heading_deg",
+)
+VEHICLE_COLUMNS += ("distance_m", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable", "lane", "split")
 METRIC_VALUE = "metric_value"
 """The column of the chosen metric, in its own unit, where that is another than PE-VGOP: that one is `entropy_bits`."""
 
 
 def columns_for(metric: str) -> tuple[str, ...]:
     """The columns of the table of a run with a metric."""
-    return COLUMNS if metric == PE_VGOP.name else (*COLUMNS, METRIC_VALUE)
+    return VEHICLE_COLUMNS if metric == PE_VGOP.name else (*VEHICLE_COLUMNS, METRIC_VALUE)
 
 
 def metric_values(table: Mapping[str, np.ndarray]) -> np.ndarray:

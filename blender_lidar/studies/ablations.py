@@ -20,7 +20,7 @@ from ..sensors.beams import beam_lattice
 from ..world.scenery import barrier, join
 from ..world.shapes import DETAILS
 from .driver import HELD_OUT, Job, Landscape, StudyFolder, Variation, judging_split
-from .effects import BASELINE, FIRST, AblationDraw, Candidates, Effect, Reference, choices, effects
+from .effects import BASELINE_ROW, FIRST, AblationDraw, Candidates, Effect, Reference, choices, effects
 from .experiments import FREE_FLOW_M_S, bare, grounded, moving, single
 from .ladder import variation
 from .variations import with_sensor
@@ -219,7 +219,7 @@ def draw_of(without: Landscape, having: Landscape, on: Compared) -> AblationDraw
 
 def _ever_chosen(draw: AblationDraw, halves: np.ndarray) -> list[int]:
     """Rows of the baseline and of the candidates that either side would ever choose: all that need be judged."""
-    return [BASELINE, *(FIRST + np.unique(choices(draw, halves))).tolist()]
+    return [BASELINE_ROW, *(FIRST + np.unique(choices(draw, halves))).tolist()]
 
 
 def with_judges(draw: AblationDraw, judged: Landscape, rows: Sequence[int] | slice, on: Compared) -> AblationDraw:
@@ -254,12 +254,13 @@ def ablation_row(change: Ablation, refused: str | None, draws: Sequence[Ablation
     if floor is not None:
         row["floors"] = {"score": floor.bias, "ranking": floor.tau, "optimum": floor.apart}
         row["verdicts"] = {
-            name: verdict(found[effect], row["floors"][name], less=effect == "tau") for name, effect in JUDGED.items()
+            name: beside_floor(found[effect], row["floors"][name], less=effect == "tau")
+            for name, effect in JUDGED.items()
         }
     return row
 
 
-def verdict(effect: Effect | None, floor: float | None, *, less: bool = False) -> str:
+def beside_floor(effect: Effect | None, floor: float | None, *, less: bool = False) -> str:
     """Whether an effect lies beyond the floor by its whole interval, or within it, or neither can be told.
 
     `less` : the less, the greater the effect is: a tau.

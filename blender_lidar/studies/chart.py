@@ -21,7 +21,7 @@ from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
 from .ablations import OFFSETS, Compared, ablation_rows, ablations
 from .compare.paired_findings import RESULT, judging
 from .driver import HELD_OUT, SEARCHED, Job, Landscape, StudyFolder, judging_split, split_of, study_head
-from .effects import BASELINE, BOUND_LEVEL, FIRST, SURE, Candidates, Reference, accuracy, candidates
+from .effects import BASELINE_ROW, BOUND_LEVEL, FIRST, SURE, Candidates, Reference, accuracy, candidates
 from .ladder import (
     ORACLE,
     REFERENCE,
@@ -43,7 +43,7 @@ from .ladder import (
     whole,
 )
 
-SCHEMA = 2  # of the stages and of the result
+CHART_SCHEMA = 2  # of the stages and of the result
 
 
 def chart_identity(site: Site, effort: ChartEffort, other: Site | None) -> dict[str, object]:
@@ -51,7 +51,7 @@ def chart_identity(site: Site, effort: ChartEffort, other: Site | None) -> dict[
     asked = {f"chart {name}": value for name, value in asdict(effort).items()}
     casters = [site.observation.caster, *other_casters(site)]
     sensor = None if other is None else other.identity
-    return {**site.identity, **asked, "chart schema": SCHEMA, "chart casters": casters, "chart other": sensor}
+    return {**site.identity, **asked, "chart schema": CHART_SCHEMA, "chart casters": casters, "chart other": sensor}
 
 
 def chart_study(
@@ -94,7 +94,7 @@ def chart_study(
     best = recommended(rows)
     numbers = reference.best(effort.varied_mountings)
     few = Compared(site, every.select(numbers), reference.select(numbers))
-    few_rows = [BASELINE, *(FIRST + number for number in numbers)]
+    few_rows = [BASELINE_ROW, *(FIRST + number for number in numbers)]
     plain = [one for one, found in scored.items() if len(found.objective) == len(every.poses)]
     known = {variation(one).stage: scored[one].select(few_rows) for one in plain}
     beside = None if other is None else _other_sensor(folder, with_fewer_frames(other, effort.frames), effort)
@@ -107,7 +107,7 @@ def chart_study(
         where = f"{beside.site.model.name}, range gate {beside.site.observation.max_range_m:g} m"
         validated.append((where, "other sensor", beside, SEARCHED))
     return {
-        **study_head(site, SCHEMA, effort),
+        **study_head(site, CHART_SCHEMA, effort),
         "range_gate_m": site.observation.max_range_m,
         "casters_not_installed": [name for name in CASTERS if not is_available(name)],
         "blocks": len(np.unique(reference.searched_block)),
@@ -116,7 +116,7 @@ def chart_study(
         "judged_frames": len(reference.judged_block),
         "judged_blocks": len(np.unique(reference.judged_block)),
         "mountings": effort.mountings,
-        "baseline_per_vehicle": float(reference.searched.per_vehicle()[BASELINE]),
+        "baseline_per_vehicle": float(reference.searched.per_vehicle()[BASELINE_ROW]),
         "gain_per_vehicle": gain,
         "tolerance": tolerance,
         "sure": SURE,
@@ -217,10 +217,14 @@ def _validated(
     frames = looked_at(chosen, len(on.site.search), len(split_of(on.site, split)[0]))
     found = accuracy(on.reference, phases, frames)
     kept = {key: found[key] for key in ("regret", "regret_interval_90", "error_share", "tau")}
-    return {"where": where, "verdict": verdict(found["regret"], found["regret_interval_90"], tolerance), **kept}
+    return {
+        "where": where,
+        "verdict": within_tolerance(found["regret"], found["regret_interval_90"], tolerance),
+        **kept,
+    }
 
 
-def verdict(share: float | None, interval: tuple[float, float] | None, tolerance: float) -> str:
+def within_tolerance(share: float | None, interval: tuple[float, float] | None, tolerance: float) -> str:
     """Whether a loss is within the tolerance: by its whole 90 % interval, or likely; or surely is not."""
     if share is None or (share > tolerance and (interval is None or interval[0] <= tolerance)):
         return UNTOLD

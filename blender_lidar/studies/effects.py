@@ -25,7 +25,7 @@ from ..world.shapes import DETAILS
 from .driver import Landscape
 
 SOBOL_BITS = 30
-BASELINE, FIRST = 0, 1  # rows of a landscape: the baseline, and where the candidates begin
+BASELINE_ROW, FIRST = 0, 1  # rows of a landscape: the baseline, and where the candidates begin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +48,7 @@ class Candidates:
 
     def select(self, numbers: Sequence[int]) -> Candidates:
         """The baseline and some of the candidates, by their rows in `points`."""
-        poses = (self.poses[BASELINE], *(self.poses[FIRST + number] for number in numbers))
+        poses = (self.poses[BASELINE_ROW], *(self.poses[FIRST + number] for number in numbers))
         return Candidates(self.variables, self.points[list(numbers)], poses)
 
 
@@ -203,7 +203,7 @@ def regret(chosen: np.ndarray, by_reference: np.ndarray, judged: Landscape, bloc
     """
     objective, vehicles = judged.blocks(block)
     lost = (by_reference - chosen) @ objective[FIRST:]
-    gain = by_reference @ objective[FIRST:] - objective[BASELINE]
+    gain = by_reference @ objective[FIRST:] - objective[BASELINE_ROW]
     if not gain.sum() > 0.0:
         return None
     share = float(lost.sum() / gain.sum())
@@ -279,7 +279,7 @@ class Reference:
 
     def select(self, numbers: Sequence[int]) -> Reference:
         """Of some of the candidates."""
-        rows = [BASELINE, *(FIRST + number for number in numbers)]
+        rows = [BASELINE_ROW, *(FIRST + number for number in numbers)]
         searched, judged = self.searched.select(rows), self.judged.select(rows)
         return Reference(searched, self.searched_block, judged, self.judged_block, self.seed)
 
@@ -291,7 +291,7 @@ class Reference:
     def gain(self) -> float:
         """What the best candidate gains over the baseline on the frames that choose, per vehicle."""
         values = self.searched.per_vehicle()
-        return float(values[FIRST:].max() - values[BASELINE])
+        return float(values[FIRST:].max() - values[BASELINE_ROW])
 
 
 def accuracy(
@@ -364,7 +364,7 @@ def noise_ceiling(reference: Reference) -> Noise | None:
     tau = np.nan_to_num(tau)  # where a half prefers no mounting, nothing is ranked alike
     worth = reference.judged.objective.sum(axis=1)
     chosen = worth[FIRST + chosen_by(halves, objective)]
-    gain = chosen.mean() - worth[BASELINE]
+    gain = chosen.mean() - worth[BASELINE_ROW]
     apart = float(np.abs(chosen[:, 0] - chosen[:, 1]).mean() / gain) if gain > 0.0 else None
     bias, middle, tau = (float(np.median(column)) for column in (np.abs(bias), error, tau))
     return Noise(bias, middle, interval_90(error), tau, apart)
@@ -458,7 +458,7 @@ def _left_out_of_judged(draw: AblationDraw, halves: np.ndarray) -> tuple[np.ndar
 def _apart(without: np.ndarray, having: np.ndarray, worth: np.ndarray) -> tuple[float, float]:
     """How far choices are apart and what is lost, as shares of the gain; NaN where nothing is gained."""
     lost = worth[FIRST + having] - worth[FIRST + without]
-    gain = worth[FIRST + having].mean() - worth[BASELINE]
+    gain = worth[FIRST + having].mean() - worth[BASELINE_ROW]
     return (np.abs(lost).mean() / gain, lost.mean() / gain) if gain > 0.0 else (np.nan, np.nan)
 
 

@@ -27,7 +27,7 @@ STABLE, FRAGILE, FAILS = "stable", "fragile", "fails"
 UNDECIDED = "undecided"  # nothing to judge by: too few blocks, or an objective that gains nothing anywhere
 VERDICTS = (STABLE, FRAGILE, FAILS, UNDECIDED)
 MOST_STABLE_LOSS, MOST_FRAGILE_LOSS = 0.05, 0.20  # shares of the gain over the baseline
-RULE = (
+VERDICT_RULE = (
     f"stable: the mounting loses at most {100 * MOST_STABLE_LOSS:g} % of the gain that it could have; fragile: at most "
     f"{100 * MOST_FRAGILE_LOSS:g} %; fails: more, and surely more than {100 * MOST_STABLE_LOSS:g} %; undecided: "
     f"nothing to gain, or too little traffic to tell {100 * MOST_STABLE_LOSS:g} from {100 * MOST_FRAGILE_LOSS:g} %"
@@ -352,7 +352,7 @@ def sample_size_finding(found: SampleSize | None) -> Finding:
 # --- one change: where the optimum would go, and what the mounting leaves to it on other traffic ----------------------
 
 
-class Draw(NamedTuple):
+class ChangeDraw(NamedTuple):
     """One draw of a change.
 
     Attributes
@@ -372,7 +372,7 @@ class Draw(NamedTuple):
 
 def finding_of(
     change: tuple[str, str, str],
-    draws: Sequence[Draw | str],
+    draws: Sequence[ChangeDraw | str],
     mountings: MountingGrid,
     intervals: Intervals | None,
     block: np.ndarray | None,

@@ -75,15 +75,15 @@ class ChartEffort:
     quick: bool
 
 
-FULL = ChartEffort(None, 128, 8, 64, 6, 64, phases=2, rounds=5, hit_frames=3, hit_mountings=3, quick=False)
-QUICK = ChartEffort(10, 64, 4, 64, 2, 64, phases=2, rounds=5, hit_frames=1, hit_mountings=2, quick=True)
+FULL_CHART = ChartEffort(None, 128, 8, 64, 6, 64, phases=2, rounds=5, hit_frames=3, hit_mountings=3, quick=False)
+QUICK_CHART = ChartEffort(10, 64, 4, 64, 2, 64, phases=2, rounds=5, hit_frames=1, hit_mountings=2, quick=True)
 
 
 # --- the rungs --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Rung:
+class LadderRung:
     """One fidelity of the ladder.
 
     Attributes
@@ -98,21 +98,21 @@ class Rung:
     twin: Fidelity | None = None
 
 
-def ladder(site: Site) -> list[Rung]:
+def ladder(site: Site) -> list[LadderRung]:
     """All rungs, the reference first; strides leave a turn at least a few columns."""
     strides = [stride for stride in STRIDES if site.observation.lattice.columns >= 4 * stride]
     rungs = [
-        Rung(Fidelity(detail, stride, frames=frames))
+        LadderRung(Fidelity(detail, stride, frames=frames))
         for detail in reversed(DETAILS)
         for stride in strides
         for frames in frame_counts(len(site.search))
     ]
     others = other_casters(site)
-    rungs += [Rung(Fidelity(one, caster=caster), Fidelity(one)) for caster in others for one in reversed(DETAILS)]
+    rungs += [LadderRung(Fidelity(one, caster=caster), Fidelity(one)) for caster in others for one in reversed(DETAILS)]
     own = Fidelity(site.scenario.world.detail)
-    rungs.append(Rung(replace(own, ground=True), own))
+    rungs.append(LadderRung(replace(own, ground=True), own))
     culling = [None] if site.observation.caster != RASTER else others[:1]  # `raster` never culls: the first other one
-    return [*rungs, *(Rung(replace(own, caster=caster, culled=False), own) for caster in culling)]
+    return [*rungs, *(LadderRung(replace(own, caster=caster, culled=False), own) for caster in culling)]
 
 
 def other_casters(site: Site) -> list[str]:
@@ -247,7 +247,7 @@ def differing_hits(oracle: Sequence[np.ndarray], found: Sequence[np.ndarray]) ->
 
 
 def score_ladder(
-    folder: StudyFolder, site: Site, every: Candidates, effort: ChartEffort, rungs: Sequence[Rung]
+    folder: StudyFolder, site: Site, every: Candidates, effort: ChartEffort, rungs: Sequence[LadderRung]
 ) -> tuple[dict[Fidelity, Landscape], Landscape]:
     """Landscapes of all fidelities and phases on all frames, and that of the reference on the frames that judge.
 
@@ -302,7 +302,7 @@ def mark_within(rows: Sequence[dict], tolerance: float, noise: Noise | None, gai
 
 
 def rung_rows(
-    rungs: Iterable[Rung], reference: Reference, scored: Mapping[Fidelity, Landscape], timed: Times, phases: int
+    rungs: Iterable[LadderRung], reference: Reference, scored: Mapping[Fidelity, Landscape], timed: Times, phases: int
 ) -> list[dict]:
     """A row for each rung, the reference first: its time and its accuracy, as JSON holds it.
 

@@ -43,7 +43,7 @@ from .findings import (
     MOST_STABLE_LOSS,
     REFERENCE,
     UNDECIDED,
-    Draw,
+    ChangeDraw,
     Finding,
     MountingGrid,
     best_candidate,
@@ -68,7 +68,7 @@ from .variations import (
     traffic_variations,
 )
 
-SCHEMA = 1  # of the stages and of the result
+STABILITY_SCHEMA = 1  # of the stages and of the result
 TILT = AXES[1]
 USUAL = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=2.0, aim="mean")
 PROFILES = {"height_m": 0.5, "tilt_x_deg": 5.0, "tilt_y_deg": 5.0, "yaw_deg": 10.0}  # how far off each is drawn
@@ -111,14 +111,16 @@ class StabilityEffort:
     quick: bool
 
 
-FULL = StabilityEffort(None, 15, heights=6, tilts=26, fine_tilts=51, seeds=11, budget=1.0, draws=8, quick=False)
-QUICK = StabilityEffort(8, 8, heights=4, tilts=26, fine_tilts=51, seeds=3, budget=0.3, draws=2, quick=True)
+FULL_STABILITY = StabilityEffort(
+    None, 15, heights=6, tilts=26, fine_tilts=51, seeds=11, budget=1.0, draws=8, quick=False
+)
+QUICK_STABILITY = StabilityEffort(8, 8, heights=4, tilts=26, fine_tilts=51, seeds=3, budget=0.3, draws=2, quick=True)
 
 
 def study_identity(site: Site, effort: StabilityEffort, mounting: Mapping[str, float] | None) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"study {name}": value for name, value in asdict(effort).items()}
-    limits = {"study losses": [MOST_STABLE_LOSS, MOST_FRAGILE_LOSS], "study schema": SCHEMA}
+    limits = {"study losses": [MOST_STABLE_LOSS, MOST_FRAGILE_LOSS], "study schema": STABILITY_SCHEMA}
     return {**site.identity, **asked, **limits, "study mounting": None if mounting is None else dict(mounting)}
 
 
@@ -183,7 +185,7 @@ def study_stability(
     findings.sort(key=lambda finding: SECTIONS.index(finding.section))  # which keeps their order within a section
     values = as_it_is[0].per_vehicle()
     return {
-        **study_head(site, SCHEMA, effort),
+        **study_head(site, STABILITY_SCHEMA, effort),
         "reading": scene.objective.reading,
         "search": scene.search.method,
         "answered_frames": len(whole.search),
@@ -239,7 +241,7 @@ def _judged_answers(folder: StudyFolder, site: Site, judging: str, answers: Sequ
 
 def _draws(
     folder: StudyFolder, site: Site, variations: Sequence[Variation], mountings: MountingGrid, judging: str
-) -> dict[tuple[str, str, str], list[Draw | str]]:
+) -> dict[tuple[str, str, str], list[ChangeDraw | str]]:
     """The best mounting of each variation, chosen on the searched frames and judged beside the one in question.
 
     By section, what and value, as several draws of one change share them; a text where the site allows no such change.
@@ -254,10 +256,10 @@ def _draws(
     else:
         judged = [found.select(of) for (_, found), of in zip(known, rows, strict=True)]
     told = {
-        one: seen if isinstance(seen, str) else Draw(of[-1] - CANDIDATES, chooses(found), seen)
+        one: seen if isinstance(seen, str) else ChangeDraw(of[-1] - CANDIDATES, chooses(found), seen)
         for (one, found), of, seen in zip(known, rows, judged, strict=True)
     }
-    draws: dict[tuple[str, str, str], list[Draw | str]] = {}
+    draws: dict[tuple[str, str, str], list[ChangeDraw | str]] = {}
     for one, found in zip(variations, searched, strict=True):
         draws.setdefault((one.section, one.what, one.value), []).append(told.get(one, found))
     return draws

@@ -188,7 +188,7 @@ def queued(
 
 CELLS_M = (0.025, 0.05, 0.1, 0.2)
 THRESHOLDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
-LOSSES = (0.0, 0.5, 1.0, 2.0, 4.0)  # abs(C), in the metric's unit
+MISS_COSTS = (0.0, 0.5, 1.0, 2.0, 4.0)  # abs(C), in the metric's unit
 
 
 def metric_variations(site: Site) -> list[Variation]:
@@ -200,7 +200,7 @@ def metric_variations(site: Site) -> list[Variation]:
     settings = [
         ("view of Eq. 11", "view", {view: view for view in VIEWS}),
         ("delta of Eq. 11", "threshold", {f"{value:g}": value for value in THRESHOLDS}),
-        ("abs(C) of Eq. 10", "loss", {f"{value:g}": -value for value in LOSSES}),
+        ("abs(C) of Eq. 10", "loss", {f"{value:g}": -value for value in MISS_COSTS}),
     ]
     changes = [
         ("cell size", f"{100 * side:g} cm", partial(_with_cells, cell_m=side)) for side in CELLS_M if side != cell_m

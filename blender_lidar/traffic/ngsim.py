@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..files import number
-from .source import EMPTY, Column, Layout, Rows, fields_of, first_lines, read_rows
+from .source import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, read_rows
 from .tracks import (
     class_index,
     drop_repeats,
@@ -167,7 +167,7 @@ def _boxes(
 # --- Which of NGSIM's dialects a file speaks: native text, the portal's CSV or its API's ------------------
 
 _SIZE = Column("feet, at least 0", low=0.0, optional=True)
-COLUMNS = {
+NGSIM_COLUMNS = {
     "Vehicle_ID": Column("a whole number of at least 0", low=0, whole=True),
     "Frame_ID": Column("a whole number", whole=True),
     "Global_Time": Column("milliseconds"),
@@ -181,7 +181,7 @@ COLUMNS = {
 """The columns of numbers that are needed, in NGSIM's spelling; files may have them in any letter case."""
 _DIRECTIONS = {"Direction": 4, "Movement": 3}
 """Columns of arterials, with their largest numbers: where a vehicle is bound for, whether it goes straight or turns."""
-_SPELT = {name.lower(): name for name in (*COLUMNS, *_DIRECTIONS, "Location", "Int_ID")}
+_SPELT = {name.lower(): name for name in (*NGSIM_COLUMNS, *_DIRECTIONS, "Location", "Int_ID")}
 _FIRST_14 = [
     *("Vehicle_ID", "Frame_ID", "total_frames", "Global_Time", "Local_X", "Local_Y", "global_x", "global_y"),
     *("v_Length", "v_Width", "v_Class", "v_vel", "v_acc", "Lane_ID"),
@@ -197,7 +197,7 @@ _WITHOUT_HEADER = {
 }
 
 
-def sniff_layout(path: str | Path) -> Layout:
+def sniff_layout(path: str | Path) -> TableLayout:
     """Find the dialect of a file of NGSIM trajectories; lines before the table that are blank or comments are skipped.
 
     Raises
@@ -217,12 +217,12 @@ def sniff_layout(path: str | Path) -> Layout:
         columns = _WITHOUT_HEADER.get(len(fields) - len(trailing))
         if columns is None:
             raise InputError(f"{path}:{line}: {len(fields)} fields; NGSIM rows have 18 or 24, the portal's 25")
-        return Layout((*columns, *trailing), delimiter, line)
+        return TableLayout((*columns, *trailing), delimiter, line)
     if delimiter is None and "\t" in text:
         delimiter = "\t"  # under a header, cells may be empty: every tab counts
     names = [field.lower().replace(" ", "_") for field in fields_of(text, delimiter)]
-    layout = Layout([_SPELT.get(name, name) for name in names], delimiter, line + 1)
-    layout.check(COLUMNS, _DIRECTIONS, f"{path}:{line}")
+    layout = TableLayout([_SPELT.get(name, name) for name in names], delimiter, line + 1)
+    layout.check(NGSIM_COLUMNS, _DIRECTIONS, f"{path}:{line}")
     if len(lines) < 2:
         raise InputError(f"{path}: no rows below the header in line {line}")
     return layout
@@ -235,7 +235,7 @@ _ODD = -1
 
 
 def read_location(
-    path: str | Path, layout: Layout, location: str | None
+    path: str | Path, layout: TableLayout, location: str | None
 ) -> tuple[dict[str, np.ndarray], RepairReport, int]:
     """Read the rows of one location in the file's order, converted from feet to metres.
 
@@ -268,7 +268,7 @@ def read_location(
     seen: set[str] = set()
     parts: list[dict[str, np.ndarray]] = []
     rows_read = 0
-    for rows in read_rows(path, layout, COLUMNS, [*_DIRECTIONS, "Location"]):
+    for rows in read_rows(path, layout, NGSIM_COLUMNS, [*_DIRECTIONS, "Location"]):
         rows_read += len(rows)
         if "Location" in rows.columns:
             texts = rows.columns["Location"].tolist()
@@ -294,7 +294,7 @@ def read_location(
 
 def _metric(rows: Rows) -> dict[str, np.ndarray]:
     """The columns that are used, in metres."""
-    values = {name: rows.numbers(name, column) for name, column in COLUMNS.items()}
+    values = {name: rows.numbers(name, column) for name, column in NGSIM_COLUMNS.items()}
     return {
         "vehicle_id": values["Vehicle_ID"].astype(np.int64),
         "frame": values["Frame_ID"].astype(np.int64),

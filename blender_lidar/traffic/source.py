@@ -83,7 +83,7 @@ def fields_of(line: str, delimiter: str | None = ",") -> list[str]:
     return [field.strip() for field in next(csv.reader([line.replace("\r", " ")], delimiter=delimiter), [])]
 
 
-class Layout(NamedTuple):
+class TableLayout(NamedTuple):
     """How the rows of one file are written.
 
     Attributes
@@ -225,7 +225,7 @@ def quoted(text: str) -> str:
 
 
 def read_rows(
-    path: str | Path, layout: Layout, columns: Mapping[str, Column], texts: Collection[str] = ()
+    path: str | Path, layout: TableLayout, columns: Mapping[str, Column], texts: Collection[str] = ()
 ) -> Iterator[Rows]:
     """The rows of a table that are not blank, a chunk at a time; quoted numbers lose their separators of thousands.
 
@@ -284,7 +284,7 @@ def _unquoted(lines: list[str]) -> list[str]:
 
 
 def _parsed(
-    lines: list[str], layout: Layout, used: Mapping[str, int], numeric: Collection[str]
+    lines: list[str], layout: TableLayout, used: Mapping[str, int], numeric: Collection[str]
 ) -> dict[str, np.ndarray] | None:
     """The columns of clean lines, parsed by NumPy in C; None if they are to be split into texts.
 
@@ -312,7 +312,7 @@ def _parsed(
 
 
 def _split(
-    lines: Iterator[str], path: str, layout: Layout, used: Mapping[str, int], numbers: range
+    lines: Iterator[str], path: str, layout: TableLayout, used: Mapping[str, int], numbers: range
 ) -> tuple[list[int], dict[str, np.ndarray], int]:
     """The numbers of the lines of a chunk in which rows begin, their columns as texts, and the next chunk's first line.
 

@@ -18,7 +18,7 @@ from xml.parsers import expat
 import numpy as np
 
 from ..errors import InputError, MissingExtraError, printable, unknown_name
-from .source import MAX_ROWS, Column, Layout, Rows, fields_of, first_lines, open_bytes, read_rows
+from .source import MAX_ROWS, Column, Rows, TableLayout, fields_of, first_lines, open_bytes, read_rows
 from .tracks import drop_repeats
 from .vehicles import CLASSES, HEIGHTS_M, VAN_LONGER_THAN_M, Placing, Recording, RepairReport, with_overlaps_reported
 
@@ -153,13 +153,13 @@ def _short(name: str) -> str:
 
 _FAR = 1e10  # metres, degrees: squares and sums stay finite
 _PLACE = Column("a finite number (SUMO leaves it out if --fcd-output.attributes does)", -_FAR, _FAR)
-COLUMNS = {
+FCD_COLUMNS = {
     "time": Column("a finite number of seconds (leave out SUMO's --human-readable-time)", -_FAR, _FAR),
     **dict.fromkeys(("x", "y", "angle"), _PLACE),
     "z": Column("a finite number", -_FAR, _FAR, optional=True),
 }
 """The columns of numbers; ``time`` is in s, ``angle`` clockwise from the net's +y [degrees]."""
-NEEDED = ("time", "id", "x", "y", "angle")
+FCD_NEEDED = ("time", "id", "x", "y", "angle")
 _TEXTS = ("id", "type", "lane")
 _NO_POSITION = -(2.0**30)  # SUMO's INVALID_DOUBLE: the vehicle is nowhere, as while it teleports
 _KINDS = ("vehicle", "person", "container")
@@ -187,7 +187,7 @@ def _collected(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, list[
             continue
         rows = rows if vehicle.all() else rows.select(vehicle)
         part = {name: _codes(rows, name, index) for name, index in known.items()}
-        part |= {name: rows.numbers(name, column) for name, column in COLUMNS.items()}
+        part |= {name: rows.numbers(name, column) for name, column in FCD_COLUMNS.items()}
         part["time"] = np.rint(1000.0 * part["time"]).astype(np.int64)
         early = np.flatnonzero(np.diff(part["time"], prepend=latest_ms) < 0)
         if len(early):
@@ -295,9 +295,9 @@ def _csv_rows(path: str | Path) -> Iterator[Rows]:
     """The rows of a file that ``sumo --fcd-output run.fcd.csv`` or the tool ``xml2csv.py`` wrote."""
     line, text = first_lines(path)[0]
     delimiter = _delimiter_of(text)
-    layout = Layout(_attributes(fields_of(text, delimiter)), delimiter, line + 1)
-    layout.check(NEEDED, _OPTIONAL, f"{path}:{line}")
-    yield from map(_with_tags, read_rows(path, layout, COLUMNS, (*_TEXTS, *_MARKS)))
+    layout = TableLayout(_attributes(fields_of(text, delimiter)), delimiter, line + 1)
+    layout.check(FCD_NEEDED, _OPTIONAL, f"{path}:{line}")
+    yield from map(_with_tags, read_rows(path, layout, FCD_COLUMNS, (*_TEXTS, *_MARKS)))
 
 
 def _parquet_rows(path: str | Path) -> Iterator[Rows]:
@@ -313,8 +313,8 @@ def _parquet_rows(path: str | Path) -> Iterator[Rows]:
     try:
         with pyarrow.parquet.ParquetFile(path) as file:
             names = file.schema_arrow.names
-            layout = Layout(_attributes(names), None, 1)
-            used = {name: names[layout.columns.index(name)] for name in layout.check(NEEDED, _OPTIONAL, str(path))}
+            layout = TableLayout(_attributes(names), None, 1)
+            used = {name: names[layout.columns.index(name)] for name in layout.check(FCD_NEEDED, _OPTIONAL, str(path))}
             first = 1
             for batch in file.iter_batches(batch_size=_PARQUET_ROWS, columns=[*used.values()]):
                 columns = {name: batch.column(held).to_numpy(zero_copy_only=False) for name, held in used.items()}

@@ -25,14 +25,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .source import Column, Layout, Rows, fields_of, first_lines, read_rows
+from .source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Placing, Recording, RepairReport, with_overlaps_reported
 
 _LENGTHS = ("length_m", "width_m", "height_m")
 OPTIONAL = ("z_m", "time_s", "lane")
 _FAR = Column("a number, -1e9 to 1e9", -1e9, 1e9)  # sums and squares stay finite
-COLUMNS = {
+BOX_COLUMNS = {
     "frame": Column("a whole number", whole=True),
     "vehicle_id": Column("a whole number of at least 0", low=0, whole=True),  # -1 is what is no vehicle
     **dict.fromkeys(("x_m", "y_m", "z_m", "heading_deg"), _FAR),
@@ -40,7 +40,7 @@ COLUMNS = {
     "time_s": Column("a number of seconds", -1e12, 1e12),
     "lane": Column("a whole number", 1 - 2**15, 2**15 - 1, whole=True),
 }
-NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
+BOX_NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
 _TIME_STEP_LIMITS_S = (1e-3, 1e6)
 _SAME_TIME_S = 1e-6
 _ASSUMED_TIME_STEP_S = 0.1
@@ -105,12 +105,12 @@ def is_table_header(fields: list[str]) -> bool:
 def _columns(path: str | Path) -> dict[str, np.ndarray]:
     """The columns that are used, by name: classes as indices, the others as float64."""
     line, text = first_lines(path)[0]
-    layout = Layout([field.lower() for field in fields_of(text)], ",", line + 1)
-    layout.check(NEEDED, OPTIONAL, f"{path}:{line}")
+    layout = TableLayout([field.lower() for field in fields_of(text)], ",", line + 1)
+    layout.check(BOX_NEEDED, OPTIONAL, f"{path}:{line}")
     parts = [
-        {name: rows.numbers(name, COLUMNS[name]) for name in rows.columns if name != "class"}
+        {name: rows.numbers(name, BOX_COLUMNS[name]) for name in rows.columns if name != "class"}
         | {"class": _class_indices(rows)}
-        for rows in read_rows(path, layout, COLUMNS, ["class"])
+        for rows in read_rows(path, layout, BOX_COLUMNS, ["class"])
     ]
     if not parts:
         raise InputError(f"{path}: no rows below the header in line {line}")

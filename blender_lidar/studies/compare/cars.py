@@ -38,7 +38,7 @@ BEARINGS = {"end-on": 0.0, "oblique": 20.0, "side-on": 70.0}
 OURS, PAPERS = "view-coverage", "pe-vgop"
 SHARES = ["p_top", "p_side", "p_front"]
 VOXEL_M = 0.4  # of the prior of expected visibility
-REACH_M = 80.0  # cars farther away are not looked for
+LOOKED_FOR_WITHIN_M = 80.0  # cars farther away are not looked for
 LOWEST_M, HIGHEST_M = -3.2, 2.0  # of its region, above the sensor: a car's LiDAR sits on its roof
 _OFFSET_BITS = 0.001  # so that a car without a point has a logarithm
 _AT_THE_ORIGIN = Mountings(np.zeros((1, 3)), np.eye(3)[None])
@@ -120,8 +120,8 @@ def expected_visibility(frames: Sequence[FrameBoxes]) -> Callable[[VehicleReturn
     callable
         Of each car, (n,), 0 to 1; the `view` of the returns is one sensor in the origin of their frame.
     """
-    corner = np.array([REACH_M, REACH_M, HIGHEST_M])
-    grid = VoxelGrid.covering((-REACH_M, -REACH_M, LOWEST_M), corner, VOXEL_M)
+    corner = np.array([LOOKED_FOR_WITHIN_M, LOOKED_FOR_WITHIN_M, HIGHEST_M])
+    grid = VoxelGrid.covering((-LOOKED_FOR_WITHIN_M, -LOOKED_FOR_WITHIN_M, LOWEST_M), corner, VOXEL_M)
 
     def inside(boxes: FrameBoxes) -> np.ndarray:
         return grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad)
@@ -133,7 +133,7 @@ def expected_visibility(frames: Sequence[FrameBoxes]) -> Callable[[VehicleReturn
         (origin,) = returns.view.mountings.origin_m
         way = grid.centres(inside(boxes)) - origin
         beams = way / np.linalg.norm(way, axis=1, keepdims=True)
-        reached = reach_probability(grid, prior, origin, beams, 2.0 * REACH_M)
+        reached = reach_probability(grid, prior, origin, beams, 2.0 * LOOKED_FOR_WITHIN_M)
         return box_visibility(grid, reached, boxes.centre_m, boxes.size_m, boxes.heading_rad)
 
     return visibility

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError, printable
-from ...traffic.source import Column, Layout, Rows, fields_of, first_lines, read_rows
+from ...traffic.source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
 from .labelled import joined
 
 FRAMES_FILE = "frames.csv"
 FRAME_COLUMNS = ("split", "label_kind", "drive")
 TRAINING = "train"
 CONFIDENCE, IOU, IN_RANGE, PERFORMANCE = "_confidence", "_iou3d", "_in_range", "_performance"
-RULE = (
+SETS_RULE = (
     "tuned: what shapes and losses were fitted to, KITTI's train split and seven other frames with object labels; "
     "validation: all other frames, which decided between fits but entered none"
 )
@@ -59,7 +59,7 @@ def _read_table(
         Naming the file, and the line or the column.
     """
     line, header = first_lines(path)[0]
-    layout = Layout([printable(name, _LONGEST_NAME) for name in fields_of(header)], ",", line + 1)
+    layout = TableLayout([printable(name, _LONGEST_NAME) for name in fields_of(header)], ",", line + 1)
     kinds = {
         name: next((of for end, of in _NUMBERS.items() if name.endswith(end)), None)
         for name in layout.check(*columns(layout.columns), str(path))

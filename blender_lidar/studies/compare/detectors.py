@@ -22,7 +22,7 @@ from .cars import LEARNED, PAPERS, SHARES, comparable, judged_cars, of_bearing, 
 from .detections import FRAME_COLUMNS, IN_RANGE, PERFORMANCE, TRAINING, Detections
 from .labelled import LabelledClouds
 from .resampling import (
-    BANDS_M,
+    BAND_WIDTHS_M,
     FEWEST_IN_BAND,
     Estimate,
     Resampling,
@@ -46,7 +46,7 @@ from .resampling import (
 
 ALL, ANY = "all", "any"
 COMPARED = ("spearman", "partial_spearman", "pearson", "isotonic_r2")
-GROUPED = (*BANDS_M, "deciles")
+GROUPED = (*BAND_WIDTHS_M, "deciles")
 FEWEST_CARS = 10
 OTHER_CLEARANCE_M = 0.1  # as `score --assign box` has it
 PAPER = {"frames": 3712, "vehicles": 14357, "seconds": 18.0}

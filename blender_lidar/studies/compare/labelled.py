@@ -291,7 +291,7 @@ def _numbers(where: str, given: Iterable, sides: slice = slice(0)) -> list[float
     return numbers
 
 
-class Layout(NamedTuple):
+class SweepLayout(NamedTuple):
     """How a data set is laid out: its folders with the suffix of the files in each, and what reads one sweep's files.
 
     The reader takes the files' paths in the order of the folders and gives points, (n, 3) [m], and boxes.
@@ -302,6 +302,6 @@ class Layout(NamedTuple):
 
 
 LAYOUTS = {
-    "KITTI": Layout({"velodyne": ".bin", "label_2": ".txt", "calib": ".txt"}, _read_kitti),
-    "SUSTechPOINTS": Layout({"lidar": ".pcd", "label": ".json"}, _read_sustech),
+    "KITTI": SweepLayout({"velodyne": ".bin", "label_2": ".txt", "calib": ".txt"}, _read_kitti),
+    "SUSTechPOINTS": SweepLayout({"lidar": ".pcd", "label": ".json"}, _read_sustech),
 }

@@ -39,7 +39,7 @@ LABEL_MARGIN_M = (0.15, 0.06, 0.01)
 
 # --- Variants of the simulation ---------------------------------------------------------------------------------------
 
-LOSSES = {
+RETURN_LOSSES = {
     "none": "no loss",
     "glass": "glass",
     "any": "drop-out",
@@ -98,7 +98,7 @@ _CLASS_OF |= {"Cyclist": "motorcycle", "Motorcycle": "motorcycle"}
 _PEOPLE = ("Pedestrian", "Person_sitting", "Person")
 
 
-def shape_names(boxes: LabelledBoxes) -> list[str | None]:
+def shapes_of_labels(boxes: LabelledBoxes) -> list[str | None]:
     """Name of the shape of each box; None for a plain box. A car longer than 4.9 m is a van, as in traffic."""
     names = []
     for label, length in zip(boxes.label.tolist(), boxes.size_m[:, 0].tolist(), strict=True):
@@ -121,7 +121,7 @@ def scene_triangles(boxes: LabelledBoxes, detail: str, margin_m: np.ndarray) -> 
         By how much a label's box is longer, wider and higher than the vehicle in it [m]. The shape stands on the floor.
     """
     corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
-    for row, name in enumerate(shape_names(boxes)):
+    for row, name in enumerate(shapes_of_labels(boxes)):
         size, centre = boxes.size_m[row].copy(), boxes.centre_m[row].copy()
         if name is None:
             unit = shape("car", "box")

@@ -20,7 +20,7 @@ from .resampling import clusters
 
 RESULT, TABLE = "paired.json", "paired.csv"
 ALL, TUNED, VALIDATION = "all", "tuned", "validation"
-BANDS_M = ((10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 50.0))
+DISTANCE_BANDS_M = ((10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 50.0))
 SEED = 1
 
 # --- Aggregates -------------------------------------------------------------------------------------------------------
@@ -84,7 +84,8 @@ def _of_variant(cars: Mapping[str, np.ndarray], cluster: np.ndarray) -> dict:
             view: float(np.median(np.abs(cars[f"simulated_p_{view}"] - cars[f"real_p_{view}"]))) for view in VIEW_NAMES
         },
         "by_distance": [
-            {"low_m": low, "high_m": high, **group((distance_m >= low) & (distance_m < high))} for low, high in BANDS_M
+            {"low_m": low, "high_m": high, **group((distance_m >= low) & (distance_m < high))}
+            for low, high in DISTANCE_BANDS_M
         ],
         "by_bearing": [{"bearing": name, **group(mine)} for name, mine in of_bearing(cars["bearing_deg"]).items()],
         "hits": {"both": both, "real_only": real - both, "simulated_only": simulated - both},

@@ -17,7 +17,7 @@ import numpy as np
 from ...statistics import FEWEST_BLOCKS, RESAMPLES, interval_90, resampled_weights, student_t_95
 
 FOLDS = 10
-BANDS_M = {"bins_5m": 5.0, "bins_10m": 10.0}
+BAND_WIDTHS_M = {"bins_5m": 5.0, "bins_10m": 10.0}
 FEWEST_IN_BAND = 5  # cars: fewer make no mean
 _CELLS = 1 << 18  # of resamples by cars that are worked on at a time: their tables stay in the processor's cache
 _ROUNDING = 1e-12  # a variance so far below the mean square is none
@@ -144,7 +144,7 @@ def bootstrap_correlations(
         and ``bins_5m``, ``bins_10m`` (bands of distance with enough cars) and ``deciles`` (tenths of the cars, from the
         lowest metric to the highest): means of metric and performance, (r, 2, g).
     """
-    bands = {name: np.floor(distance_m / width).astype(np.int64) for name, width in BANDS_M.items()}
+    bands = {name: np.floor(distance_m / width).astype(np.int64) for name, width in BAND_WIDTHS_M.items()}
     used = {name: np.flatnonzero(np.bincount(band) >= FEWEST_IN_BAND) for name, band in bands.items()}
     found: dict[str, dict[str, list]] = {name: {} for name in merits}
     rows = max(_CELLS // weights.shape[1], 1)
