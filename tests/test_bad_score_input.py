@@ -70,8 +70,8 @@ def test_clouds_and_boxes_that_are_not_there_or_are_folders(tmp_path, capsys, bo
 
     assert "none.npz" in line("none.npz", boxes)
     assert f"{tmp_path}: is a folder" in line(tmp_path, boxes)
-    assert "none.csv: no such file" in line(points, "none.csv")
-    assert f"{tmp_path}: a folder" in line(points, tmp_path)
+    assert "none.csv: there is no such file" in line(points, "none.csv")
+    assert f"{tmp_path}: is a folder" in line(points, tmp_path)
 
 
 @pytest.mark.parametrize("case", BAD_CELLS)

@@ -115,7 +115,8 @@ def _draw_side(axes: Axes, model: LidarModel) -> None:
     for (end_distance, end_height), dark in zip(_ends_m(model), lands, strict=True):
         look = {"color": INK, "linewidth": 0.7} if dark else {"color": FAINT, "linewidth": 0.5}
         axes.plot([0.0, end_distance], [MOUNT_HEIGHT_M, end_height], **look)
-    axes.plot(distance[lands], np.zeros(lands.sum()), "|", color=INK, markersize=7.0, clip_on=False)
+    for landing in distance[lands]:
+        axes.plot(landing, 0.0, "|", color=INK, markersize=7.0, clip_on=False)
     axes.axhline(0.0, color=INK, linewidth=1.0)
     axes.plot(0.0, MOUNT_HEIGHT_M, "^", color="white", markeredgecolor="black", markersize=8.0, clip_on=False, zorder=5)
     axes.set(

@@ -338,6 +338,9 @@ def _with_tags(rows: Rows) -> Rows:
 
     def given(name: str) -> np.ndarray:
         values = rows.columns.get(name, np.full(len(rows), None))
+        if values.dtype.kind == "f":
+            return ~np.isnan(values)
+        values = values.astype(object)
         return (values != "") & (values == values) & np.not_equal(values, None)  # NaN is not equal to itself
 
     there = given("id") | given("x")
