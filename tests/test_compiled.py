@@ -76,7 +76,7 @@ def test_where_nothing_can_be_kept_one_line_says_so_and_everything_works(package
     assert package(warns=True, cache=str(tmp_path / "no_folder"), shapes=PAIR, added=more) == "3.0 0\n"
 
 
-def test_a_type_of_compiled_code_that_had_moved_to_another_module_ended_every_run_from_then_on(package, tmp_path):
+def test_a_type_of_compiled_code_that_has_moved_to_another_module_ends_no_run(package, tmp_path):
     assert package(shapes=PAIR, added=ADDED.format(module="shapes")) == "3.0 0\n"
     (tmp_path / "package" / "shapes.py").unlink()
     assert package(forms=PAIR, added=ADDED.format(module="forms")) == "3.0 0\n"

@@ -114,7 +114,7 @@ def test_a_run_hit_at_a_random_moment_leaves_nothing_half_done_and_goes_on_to_th
     ("numbers", "workers", "group"),
     [((signal.SIGTERM, signal.SIGTERM), 2, True), ((signal.SIGHUP,), 2, True), ((signal.SIGTERM,), 1, False)],
 )
-def test_sigterm_and_a_closed_terminal_ended_a_run_without_a_word_and_left_semaphores(
+def test_sigterm_and_a_closed_terminal_end_a_run_with_a_word_and_leave_no_semaphores(
     attack, tmp_path, scene, numbers, workers, group
 ):
     out = tmp_path / "run"
@@ -168,7 +168,7 @@ def test_what_is_deferred_comes_when_the_block_ends_and_once():
     assert (done.returncode, done.stdout, done.stderr) == (0, "whole\nstopped\n", "")
 
 
-def test_a_stop_that_compiled_code_went_on_after_came_out_as_another_error():
+def test_a_stop_within_compiled_code_is_told_as_a_stop():
     """As Python makes it of a call that returns a result while a KeyboardInterrupt is under way."""
     done = python(
         "def compiled(cause):\n"
@@ -184,7 +184,7 @@ def test_a_stop_that_compiled_code_went_on_after_came_out_as_another_error():
     assert (done.returncode, done.stdout) == (0, "KeyboardInterrupt\nSystemError\n")
 
 
-def test_a_stop_while_blender_started_was_swallowed_or_crashed_it():
+def test_a_stop_while_blender_starts_stops_the_run():
     pytest.importorskip("bpy")
     done = python(
         "import os, sys, threading\n"
@@ -199,7 +199,7 @@ def test_a_stop_while_blender_started_was_swallowed_or_crashed_it():
     assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "stopped", "")
 
 
-def test_a_stop_while_charts_are_drawn_did_not_say_how_to_go_on(attack, tmp_path, scene):
+def test_a_stop_while_charts_are_drawn_says_how_to_go_on(attack, tmp_path, scene):
     pytest.importorskip("matplotlib")
     for number in range(20):
         out = tmp_path / f"run_{number}"
@@ -217,7 +217,7 @@ def test_a_stop_while_charts_are_drawn_did_not_say_how_to_go_on(attack, tmp_path
 # --- killed -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_run_killed_while_its_workers_started_left_their_function_in_the_temporary_folder(attack, tmp_path, scene):
+def test_a_run_killed_while_its_workers_start_leaves_nothing_in_the_temporary_folder(attack, tmp_path, scene):
     run = attack("optimise", scene, "--out", tmp_path / "run", "--workers", 3, *ENDLESS)
     wait_for(lambda: len(run.survivors()) == 4)  # itself, what counts semaphores, and two other workers
     run.send(signal.SIGKILL)
@@ -271,13 +271,13 @@ def test_a_good_place_on_a_full_disk_is_no_wrong_input(number, kind, code):
     assert (type(told), told.exit_code, str(told)) == (kind, code, "a.csv: cannot be written: why")
 
 
-def test_a_temporary_folder_that_cannot_be_written_was_called_the_output(tmp_path, monkeypatch):
+def test_a_temporary_folder_that_cannot_be_written_is_not_called_the_output(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
     with pytest.raises(WorkerError, match=r"the temporary folder .*missing cannot be written.*; make room, set TMPDIR"):
         Workers(abs, 3)
 
 
-def test_semaphores_that_cannot_be_made_were_called_the_output(tmp_path, scene):
+def test_semaphores_that_cannot_be_made_are_not_called_the_output(tmp_path, scene):
     words = [sys.executable, "-c", WITHOUT_CHARTS, "optimise", scene, "--out", tmp_path / "run", "--workers", "2"]
     hidden = ["unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o ro none /dev/shm || exit 77; "$@"', "sh"]
     try:
@@ -294,7 +294,7 @@ def test_semaphores_that_cannot_be_made_were_called_the_output(tmp_path, scene):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-def test_a_run_was_lost_because_its_messages_could_not_be_written(attack, tmp_path, finished):
+def test_a_run_whose_messages_cannot_be_written_is_not_lost(attack, tmp_path, finished):
     scene, undisturbed = finished
     with Path("/dev/full").open("w") as full:
         run = attack("optimise", scene, "--out", tmp_path / "run", settings={"stderr": full})
@@ -302,7 +302,7 @@ def test_a_run_was_lost_because_its_messages_could_not_be_written(attack, tmp_pa
     check_same(tmp_path / "run", undisturbed)
 
 
-def test_with_stderr_closed_messages_went_among_the_json(attack, tmp_path, scene):
+def test_with_stderr_closed_no_message_stands_among_the_json(attack, tmp_path, scene):
     command = ["sh", "-c", 'exec "$@" 2>&-', "sh", sys.executable, "-c", WITHOUT_CHARTS]
     words = ["evaluate", scene, "--out", tmp_path / "run", "--json"]
     done = subprocess.run([*command, *map(str, words)], capture_output=True, text=True, check=True)
@@ -312,14 +312,14 @@ def test_with_stderr_closed_messages_went_among_the_json(attack, tmp_path, scene
 # --- files that vanish or change --------------------------------------------------------------------------------------
 
 
-def test_an_evaluation_was_lost_when_its_traffic_had_vanished_meanwhile(tmp_path, scene):
+def test_an_evaluation_is_kept_when_its_traffic_vanishes_meanwhile(tmp_path, scene):
     site = prepare(load_scenario(scene))
     (tmp_path / "traffic.csv").unlink()
     result = evaluate_site(site, RunFolder(tmp_path), site.scenario.baseline)
     assert result["identity"]["[traffic] path"].startswith("file with SHA-256 ")
 
 
-def test_traffic_that_changed_while_it_was_read_was_identified_by_what_had_not_been_read(scene, monkeypatch):
+def test_traffic_that_changes_while_it_is_read_is_noticed(scene, monkeypatch):
     read = site_module.read_recording
 
     def read_as_it_grows(scenario):
@@ -333,7 +333,7 @@ def test_traffic_that_changed_while_it_was_read_was_identified_by_what_had_not_b
         prepare(load_scenario(scene))
 
 
-def test_render_pictured_other_traffic_than_the_runs(tmp_path, scene, capsys, monkeypatch):
+def test_render_refuses_other_traffic_than_the_runs(tmp_path, scene, capsys, monkeypatch):
     pytest.importorskip("bpy")
     without_charts(monkeypatch)
     done(capsys, "evaluate", scene, "--out", tmp_path / "run")
@@ -343,7 +343,7 @@ def test_render_pictured_other_traffic_than_the_runs(tmp_path, scene, capsys, mo
     assert line == f"blender-lidar: {table}: is not as it was when the run read it"
 
 
-def test_a_vanished_table_was_called_damaged(tmp_path):
+def test_a_vanished_table_is_not_called_damaged(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"vehicles\.csv: there is no such file"):
         RunFolder(tmp_path).read_vehicles("vehicles.csv")
 
@@ -373,7 +373,7 @@ def test_a_lock_that_leads_nowhere_is_refused_and_not_tried_for_ever(tmp_path):
         pass
 
 
-def test_a_file_that_the_lock_leads_to_was_emptied(tmp_path):
+def test_a_file_that_the_lock_leads_to_is_not_emptied(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     (tmp_path / ".lock").symlink_to(tmp_path / "mine.txt")
     with folder_lock(tmp_path):
@@ -381,7 +381,7 @@ def test_a_file_that_the_lock_leads_to_was_emptied(tmp_path):
     assert (tmp_path / "mine.txt").read_text() == "mine"
 
 
-def test_a_file_system_without_locks_went_unmentioned(tmp_path, monkeypatch):
+def test_a_file_system_without_locks_is_mentioned(tmp_path, monkeypatch):
     fcntl = pytest.importorskip("fcntl")
 
     def refuse(*_):
@@ -393,7 +393,7 @@ def test_a_file_system_without_locks_went_unmentioned(tmp_path, monkeypatch):
         pass
 
 
-def test_a_link_that_leads_nowhere_was_called_a_file_that_exists(tmp_path):
+def test_a_link_that_leads_nowhere_is_called_that(tmp_path):
     (tmp_path / "run").symlink_to(tmp_path / "none")
     with pytest.raises(OutputError, match="is a link that leads nowhere"):
         RunFolder(tmp_path / "run").check()
