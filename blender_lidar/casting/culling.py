@@ -161,7 +161,14 @@ def _beams_inside(low, high, first, last, sine, azimuth0, step, columns):
 
 def ray_directions(lattice: BeamLattice, beams: np.ndarray, pose: Pose) -> np.ndarray:
     """Directions (3, k) in the road frame of beams given by their flat indices (k,)."""
-    return pose.to_world(np.take(lattice.components.reshape(3, -1), beams, axis=1, mode="clip").T).T
+    components = lattice.components.reshape(3, -1)
+    if not numba_works():
+        return pose.to_world(np.take(components, beams, axis=1, mode="clip").T).T
+    from .kernels import directions_of
+
+    directions = np.empty((3, len(beams)))
+    directions_of(components, beams, pose.rotation, directions.T)
+    return directions
 
 
 def revolutions(

@@ -15,6 +15,7 @@ import numpy as np
 from ..compiled import compiled
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
+from .culling import ray_directions
 from .protocol import FARTHEST, Caster, Revolution
 from .rasterise import RUN, DepthBuffer, LatticeTable, depth_buffer, lattice_table, rasterise, undecided_beams
 
@@ -47,13 +48,15 @@ class RasterCaster(Caster):
             buffer.nearest[touched] = np.inf
             if near_surface:  # nothing is certain
                 undecided = np.arange(components.shape[1])
-            beam = np.union1d(touched, undecided).astype(np.int64)
+            beams = np.zeros(components.shape[1], dtype=bool)
+            beams[touched] = beams[undecided] = True
+            beam = np.flatnonzero(beams)
             triangle = np.minimum(buffer.triangle[beam], len(planes) - 1)  # of the undecided it is anything
-        directions = pose.to_world(components[:, beam].T)
-        distance = self._planes.meet(origin, directions.T, triangle).distance
-        self._decide(self._exact, origin, directions, max_range, np.searchsorted(beam, undecided), triangle, distance)
+        directions = ray_directions(lattice, beam, pose)
+        distance = self._planes.meet(origin, directions, triangle).distance
+        self._decide(self._exact, origin, directions.T, max_range, np.searchsorted(beam, undecided), triangle, distance)
         met = distance <= max_range
-        return Revolution(beam[met], self.rows[triangle[met]], distance[met], directions.T[:, met])
+        return Revolution(beam[met], self.rows[triangle[met]], distance[met], directions[:, met])
 
     @contextmanager
     def rasterising(
