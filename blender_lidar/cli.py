@@ -13,10 +13,10 @@ from contextlib import suppress
 
 from . import __doc__ as question
 from . import __version__
+from .commands.parsers import add_verbs
 from .errors import BlenderLidarError, MissingExtraError, one_line, output_error
 from .signals import stops_deferred, stops_recognised, stops_watched
 
-_COMMANDS = ("optimise", "stability", "chart", "scan", "score", "compare", "sensors", "doctor")  # modules of verbs
 GOOD, FAILED, WRONG_INPUT = 0, 1, 2
 
 
@@ -76,7 +76,11 @@ def _carried_out(argv: Sequence[str] | None) -> int:
         args = parser.parse_args(words)
     except SystemExit as stop:  # argparse has printed what was wrong, or the help
         return GOOD if not stop.code else WRONG_INPUT
-    return args.run(args)
+    module, function = args.run.split(".")
+    with stops_deferred():  # an import that is interrupted may fail in any way
+        _check_numpy()
+        carry_out = getattr(importlib.import_module(f".commands.{module}", __package__), function)
+    return carry_out(args)
 
 
 def _failed(text: str, code: int) -> int:
@@ -133,10 +137,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _OneLineParser(prog="blender-lidar", description=question)
     parser.add_argument("--version", action="version", version=f"blender_lidar {__version__}")
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=_OneLineParser)
-    with stops_deferred():  # an import that is interrupted may fail in any way
-        _check_numpy()
-        for module in _COMMANDS:
-            importlib.import_module(f".commands.{module}", __package__).add_parser(subparsers)
+    add_verbs(subparsers)
     return parser
 
 
@@ -151,11 +152,18 @@ def _check_numpy() -> None:
         ) from error
 
 
+class _HelpFormatter(argparse.HelpFormatter):
+    """Help whose examples keep their lines."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return text if text.startswith("examples:") else super()._fill_text(text, width, indent)
+
+
 class _OneLineParser(argparse.ArgumentParser):
     """An argument error is one line, like every other; options are written out, lest a new one changes a short one."""
 
     def __init__(self, **settings) -> None:
-        super().__init__(**settings, allow_abbrev=False)
+        super().__init__(**settings, allow_abbrev=False, formatter_class=_HelpFormatter)
 
     def error(self, message: str):
         print(f"{self.prog}: {one_line(message)} (see {self.prog} --help)", file=sys.stderr)

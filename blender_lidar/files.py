@@ -19,11 +19,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import IO, BinaryIO
-
-import numpy as np
+from typing import IO, TYPE_CHECKING, BinaryIO
 
 from .errors import BlenderLidarError, InputError, MissingFileError, OutputError, output_error
+
+if TYPE_CHECKING:
+    import numpy as np
 
 # --- Files that are written whole or not at all -----------------------------------------------------------
 
@@ -182,6 +183,8 @@ def write_columns(
         Digits after the point for a column of floats; others are written so that reading gives the same float.
     """
     decimals = decimals or {}
+    import numpy as np  # here alone: whoever asks for help does not wait for it
+
     texts = [_texts(np.asarray(values), decimals.get(name)) for name, values in columns.items()]
     write_text(path, to_csv(list(columns), zip(*texts, strict=True)))
 

@@ -171,13 +171,17 @@ def _within(value, kind, declared, where):
     if kind is int:
         low, high = max(low, -_LARGEST_WHOLE), min(high, _LARGEST_WHOLE)
     if not (low <= value <= high and declared.above < value < declared.below):
-        show = str if kind is int else "{:g}".format
-        if math.isfinite(low) and math.isfinite(high):
-            raise _refused(where, value, f"{show(low)} to {show(high)}")
-        limits = {"more than": declared.above, "at least": low, "at most": high, "less than": declared.below}
-        told = (f"{word} {show(limit)}" for word, limit in limits.items() if math.isfinite(limit))
-        raise _refused(where, value, " and ".join(told))
+        raise _refused(where, value, limits_text(dataclasses.replace(declared, low=low, high=high), kind))
     return kind(value)
+
+
+def limits_text(declared: Setting, kind: type = float) -> str:
+    """What numbers are between, in words: "0 to 25", "more than 0 and at most 10"; empty without limits."""
+    low, high, show = declared.low, declared.high, str if kind is int else "{:g}".format
+    if math.isfinite(low) and math.isfinite(high):
+        return f"{show(low)} to {show(high)}"
+    limits = {"more than": declared.above, "at least": low, "at most": high, "less than": declared.below}
+    return " and ".join(f"{word} {show(limit)}" for word, limit in limits.items() if math.isfinite(limit))
 
 
 def _refused(where, value, allowed):

@@ -7,10 +7,10 @@ import numpy as np
 from blender_lidar.casting import caster_class
 from blender_lidar.clouds.scan import scan
 from blender_lidar.clouds.snapshot import vertices_of
+from blender_lidar.road import RoadFrame
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.vehicles import RoadFrame
 from blender_lidar.world.scenery import barrier, box, join
 from tests.sample_traffic import dense_traffic
 

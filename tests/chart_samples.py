@@ -12,11 +12,12 @@ import numpy as np
 from blender_lidar.report.cloud_figures import Sight, plot_clouds, plot_occupancy
 from blender_lidar.report.compare_figures import plot_against, plot_declines
 from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
+from blender_lidar.road import RoadFrame
 from blender_lidar.run.folder import Outcome
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.settings import COORDINATES
 from blender_lidar.studies.compare.detectors import Decline, Scatter
-from blender_lidar.traffic.vehicles import RoadFrame, Vehicles
+from blender_lidar.traffic.vehicles import Vehicles
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 HEADINGS = {"title": "A title", "subtitle": "And a subtitle"}

@@ -12,6 +12,11 @@ from pathlib import Path
 import pytest
 
 import blender_lidar
+from blender_lidar import names
+from blender_lidar.casting import CASTERS, caster_class, is_available
+from blender_lidar.clouds.files import WRITERS
+from blender_lidar.metrics.catalogue import METRICS
+from blender_lidar.optimise import DePso, GridSearch, Hardened, RandomSearch
 from tests import traffic_samples
 from tests.small_scene import write_scene
 from tests.waiting import WAIT_S
@@ -19,6 +24,19 @@ from tests.waiting import WAIT_S
 PACKAGE = Path(blender_lidar.__file__).parent
 ROOT = PACKAGE.parent
 SOURCES = sorted(PACKAGE.rglob("*.py"))
+VERBS = (
+    "optimise",
+    "evaluate",
+    "stability",
+    "chart",
+    "scan",
+    "build",
+    "render",
+    "score",
+    "compare",
+    "sensors",
+    "doctor",
+)
 
 # Third-party libraries, and the files or folders that may import them.
 LIBRARIES = {
@@ -36,7 +54,7 @@ LIBRARIES = {
     "distributed": ("scoring/cluster.py",),
 }
 # Rooms in the order in which the data walks, and those that each may import besides the floor.
-FLOOR = {"errors", "files", "compiled", "signals", "statistics", "toml_table"}
+FLOOR = {"errors", "names", "road", "files", "compiled", "signals", "statistics", "toml_table"}
 ROOMS = {
     **{name: set() for name in FLOOR},
     "metrics": set(),
@@ -163,7 +181,7 @@ def test_the_metric_and_the_search_need_numpy_alone():
         import_all("blender_lidar.metrics")
         import_all("blender_lidar.optimise")
         rooms = {name.split(".")[1] for name in sys.modules if name.startswith("blender_lidar.")}
-        assert rooms == {"metrics", "optimise", "compiled", "errors", "statistics"}, rooms
+        assert rooms == {"metrics", "optimise", "compiled", "errors", "names", "statistics"}, rooms
         from blender_lidar.optimise import maximise
         print(maximise(lambda x: -(x ** 2).sum(axis=1), [-1.0], [1.0], seed=1, evaluations=50).value > -0.01)
         """
@@ -240,3 +258,25 @@ def test_ngsim_is_read_with_numpy_alone(tmp_path):
         print(len(read_traffic(sys.argv[1])))
         """
     assert with_numpy_alone(body, path) == "12\n"
+
+
+def test_the_names_that_settings_allow_are_those_of_the_rooms():
+    assert tuple(METRICS) == names.METRIC_NAMES
+    assert tuple(name for name, metric in METRICS.items() if metric.learn is None) == names.VEHICLE_METRICS
+    assert tuple(search.name for search in (Hardened, DePso, GridSearch, RandomSearch)) == names.SEARCHES
+    assert tuple(WRITERS) == names.CLOUD_SUFFIXES
+    assert all(caster_class(name).__name__ == f"{name.capitalize()}Caster" for name in CASTERS if is_available(name))
+
+
+@pytest.mark.parametrize("verb", ["", *VERBS])
+def test_help_needs_the_standard_library_alone(verb):
+    program = """
+        import sys
+        from blender_lidar.cli import main
+        assert main([*sys.argv[1:], "--help"]) == 0
+        heavy = {"numpy", "scipy", "pandas", "matplotlib", "bpy", "numba", "distributed", "tqdm"} & sys.modules.keys()
+        print(f"imported: {sorted(heavy)}")
+        """
+    command = [sys.executable, "-c", textwrap.dedent(program), *([verb] if verb else [])]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=WAIT_S, check=True)
+    assert done.stdout.endswith("imported: []\n")

@@ -221,7 +221,7 @@ def paired_file(path):
 
 def test_the_errors_of_a_paired_comparison_stand_beside(tiny, tmp_path, capsys):
     paired_file(tmp_path / "paired.json")
-    words = ("--quick", "--other-sensor", "none", "--paired", tmp_path, "--out", tmp_path / "run")
+    words = ("--quick", "--other-sensor", "none", "--paired-errors", tmp_path, "--out", tmp_path / "run")
     out, _ = done(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
     assert "Against 12 real cars, median error per car [bits]: body (none) 0.050 (0.040 to 0.060)" in out
 
@@ -237,13 +237,13 @@ def test_what_is_no_paired_comparison_is_refused(tmp_path):
 
 @pytest.mark.parametrize(("text", "share"), [("1%", 0.01), ("0.5 %", 0.005), ("0.02", 0.02), ("100%", 1.0)])
 def test_a_tolerance_is_a_share(text, share):
-    assert parse_share(text, "--tolerance") == pytest.approx(share)
+    assert parse_share(text, "--max-regret") == pytest.approx(share)
 
 
 @pytest.mark.parametrize("text", ["", "0", "0%", "-1%", "101%", "nan", "tilt_deg=1", "inf"])
 def test_another_tolerance_is_refused_in_one_line(text, tmp_path, capsys):
-    line = refused(capsys, tmp_path, "chart", write_scene(tmp_path, MAPPED), f"--tolerance={text}", "--out", tmp_path)
-    assert "--tolerance" in line
+    line = refused(capsys, tmp_path, "chart", write_scene(tmp_path, MAPPED), f"--max-regret={text}", "--out", tmp_path)
+    assert "--max-regret" in line
     assert "a share above 0 up to 1" in line
 
 
@@ -269,3 +269,10 @@ def test_a_scene_that_searches_nothing_is_refused(tmp_path, capsys):
 def test_the_other_sensor_is_part_of_what_a_resumed_chart_must_share(site):
     alone, beside = study.chart_identity(site, TINY, None), study.chart_identity(site, TINY, site)
     assert {key for key in alone if alone[key] != beside[key]} == {"chart other"}
+
+
+@pytest.mark.parametrize(("old", "new"), [("--tolerance", "--max-regret"), ("--paired", "--paired-errors")])
+def test_an_option_that_has_another_name_now_is_answered_with_it(capsys, tmp_path, old, new):
+    line = refused(capsys, tmp_path, "chart", write_scene(tmp_path, MAPPED), old, "1%", "--out", tmp_path / "run")
+    assert old in line
+    assert new in line

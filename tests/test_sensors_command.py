@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.commands import sensors
+from blender_lidar.commands.parsers import add_verbs
 from blender_lidar.errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError, OutputError
 from blender_lidar.report.beam_fan import fan_text, ground_distance_m
 from blender_lidar.sensors.model import load_model, model_names
@@ -21,9 +22,8 @@ PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 def run(*words: str) -> int:
     parser = argparse.ArgumentParser()
-    sensors.add_parser(parser.add_subparsers(required=True))
-    args = parser.parse_args(["sensors", *map(str, words)])
-    return args.run(args)
+    add_verbs(parser.add_subparsers(required=True))
+    return sensors.run(parser.parse_args(["sensors", *map(str, words)]))
 
 
 def own_sensor(folder: Path, rows: str) -> str:

@@ -42,6 +42,8 @@ REMOVED: dict[str, str] = {
     "stability: stability.csv rows: casters, ": _ATTACKS,
     "optimise: page parts: th: pandas": "nothing in the package imports it",
     "evaluate, every key set: page parts: h3: Expected, on the traffic that chose": "none chose a given mounting",
+    "options of chart: chart --tolerance": "is --max-regret: a tolerance is an installer's error",
+    "options of chart: chart --paired": "is --paired-errors: --paired is a flag of compare",
 }
 
 OWN_SENSOR = {

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from blender_lidar.road import RoadFrame
 from blender_lidar.studies.variations import CAR, SIZE_M, TRUCK, queued, turned_into
-from blender_lidar.traffic import RoadFrame, overlapping_pairs
+from blender_lidar.traffic import overlapping_pairs
 from tests.sample_traffic import dense_traffic
 
 ROAD = RoadFrame()

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.traffic import CLASSES, RoadFrame, ngsim, read_traffic, source
+from blender_lidar.road import RoadFrame
+from blender_lidar.traffic import CLASSES, ngsim, read_traffic, source
 from tests import traffic_samples as samples
 from tests.traffic_samples import assert_same_boxes
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar.traffic import CLASSES, RoadFrame, plan_frames, read_traffic
+from blender_lidar.road import RoadFrame
+from blender_lidar.traffic import CLASSES, plan_frames, read_traffic
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the NGSIM excerpts of ../shared/data are not here")

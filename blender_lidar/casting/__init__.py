@@ -7,10 +7,10 @@ import importlib.util
 
 from ..compiled import numba_works
 from ..errors import MissingExtraError, unknown_name
+from ..names import CASTERS
 from ..signals import stops_deferred
 from .protocol import Caster, Hits
 
-CASTERS = ("raster", "embree", "bvh", "exact")
 RASTER = CASTERS[0]  # the one that rasterises whole revolutions
 EXACT = CASTERS[-1]  # the one without any tree
 

@@ -16,52 +16,19 @@ from ..studies.driver import StudyFolder
 from ..studies.effects import candidates
 from ..studies.ladder import FULL_CHART, QUICK_CHART
 from .optimise import check_resume
-from .options import add_scene, check_scipy, scenario_from
-from .studies import add_study_options, carry_out, effort_of
-
-OTHER_SENSORS = ("RS-80", "RS-32")  # the first that is not the scene's own
-NO_SENSOR = "none"
-DEFAULT_TOLERANCE = "1%"
-
-
-def add_parser(subparsers) -> None:
-    """Describe the verb to argparse."""
-    parser = subparsers.add_parser(
-        "chart",
-        help="speed charted against accuracy, and how much model a scene needs",
-        description="Time and judge a ladder of fidelities (vehicle detail, share of the beams and frames, caster, "
-        "culling, ground) against the reference of all beams, all frames and the best detail; name the cheapest that "
-        "is near enough; and say what of the scene's model makes a difference at all.",
-    )
-    add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
-    parser.add_argument(
-        "--tolerance",
-        default=DEFAULT_TOLERANCE,
-        metavar="SHARE",
-        help="how much of the gain over the baseline a fidelity may lose: 1%% or 0.01 (how far off its plan the "
-        "mounting may end up, as other verbs have it, is not asked here)",
-    )
-    parser.add_argument(
-        "--other-sensor",
-        metavar="NAME",
-        help=f"another than the scene's, with which the recommendation is tried too, or {NO_SENSOR}; by default "
-        f"{OTHER_SENSORS[0]}, for a scene of its own {OTHER_SENSORS[1]}",
-    )
-    parser.add_argument(
-        "--paired", metavar="PATH", help="paired.json of compare --paired, or its folder: its errors stand beside"
-    )
-    add_study_options(parser, "ten frames, fewer mountings and draws")
-    parser.set_defaults(run=run)
+from .options import check_scipy, scenario_from
+from .parsers import NO_SENSOR, OTHER_SENSORS
+from .studies import carry_out, effort_of
 
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     check_resume(args)
-    tolerance = parse_share(args.tolerance, "--tolerance")
+    tolerance = parse_share(args.max_regret, "--max-regret")
     check_scipy("chart")
     scenario = scenario_from(args)
     candidates(scenario, 2)  # refuses a scene that searches nothing
-    paired = None if args.paired is None else read_paired(args.paired)
+    paired = None if args.paired_errors is None else read_paired(args.paired_errors)
     effort, site, other = effort_of(args, FULL_CHART, QUICK_CHART), prepare(scenario), _other_site(args, scenario)
 
     def study(folder: StudyFolder) -> dict:

@@ -14,18 +14,18 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from ..casting import CASTERS, resolve
+from ..casting import resolve
 from ..errors import InputError, MissingExtraError, unknown_name
 from ..files import check_folder, make_folder, to_csv, write_columns, write_text
 from ..report.compare_figures import draw_detections, draw_paired
 from ..report.compare_text import findings_text, paired_text
 from ..scene.provenance import file_digest, versions
 from ..sensors.imperfections import Imperfections
-from ..studies.compare.cars import OURS, chosen_metrics, comparable
+from ..studies.compare.cars import chosen_metrics
 from ..studies.compare.detections import FRAMES_FILE, SETS_RULE, read_detections, read_frames, tuned_frames
 from ..studies.compare.detectors import Settings, car_columns, compare, correlation_table, plain
 from ..studies.compare.labelled import open_labelled
-from ..studies.compare.paired import CLEARANCE_M, GROWN_M, LABEL_MARGIN_M, MEASURED, SHORT_M, pair_cars, variants
+from ..studies.compare.paired import CLEARANCE_M, GROWN_M, MEASURED, SHORT_M, pair_cars, variants
 from ..studies.compare.paired_findings import RESULT, TABLE, aggregate, cheapest_within_noise, judging, paired_table
 from ..toml_table import Setting, checked
 from ..world.shapes import DETAILS
@@ -43,51 +43,6 @@ _LOSSES = ("range_noise_m", "dropout", "glass_dropout", "range_at_10_percent_m")
 _RESULT, _CARS, _CORRELATION = "compare.json", "cars.csv", "correlation.csv"
 Made = tuple[dict, dict[str, Callable[[Path], None]], Callable[[Path], list[str]], str]
 """Of a comparison: its result, what writes its tables by the names of their files, what draws it, and its text."""
-
-
-def add_parser(subparsers) -> None:
-    """Describe the verb to argparse."""
-    parser = subparsers.add_parser(
-        "compare",
-        help="hold shapes, beams and metrics against reality",
-        description="Compare with real, labelled sweeps: the same rays cast against our shapes (--paired), or metrics "
-        "beside what real detectors made of each car (--detections).",
-    )
-    add = parser.add_argument
-    add("--kitti", required=True, metavar="DIR", help="labelled sweeps in the layout of KITTI or SUSTechPOINTS")
-    called = "what the labels call a car; may be repeated (default Car, in small or capital letters)"
-    add("--class", dest="classes", action="append", metavar="NAME", help=called)
-    add("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
-    add("--json", action="store_true", help="print the results as JSON, and nothing else, on stdout")
-
-    add = parser.add_argument_group("--paired", "the same rays in reality and against our shapes").add_argument
-    add("--paired", action="store_true", help="compare points, occupancies and PE-VGOP ray by ray")
-    add("--details", default=",".join(DETAILS), metavar="NAMES", help="levels of detail (default %(default)s)")
-    add("--caster", default="auto", choices=("auto", *CASTERS), help="what casts the rays")
-    add(
-        "--losses",
-        default=",".join(f"{name}={getattr(MEASURED, name):g}" for name in _LOSSES),
-        metavar="NAME=VALUE,...",
-        help="what the variants with losses lose, by the keys of a scene's [sensor] (default %(default)s)",
-    )
-    longer = (
-        "by how much labels are longer, wider and higher than the vehicles in them, in metres (default %(default)s)"
-    )
-    add("--label-margin", type=float, nargs=3, default=LABEL_MARGIN_M, metavar=("L", "W", "H"), help=longer)
-
-    add = parser.add_argument_group("beside detectors").add_argument
-    made = "what detectors made of each car: frame, label_line, and NAME_confidence and NAME_iou3d for each detector"
-    add("--detections", metavar="CARS.csv", help=made)
-    told = f"split, label_kind and drive of each frame; by default {FRAMES_FILE} beside CARS.csv, if it is there"
-    add("--frames-table", metavar="CSV", help=told)
-    held = f"metrics, divided by commas; the others are held against the first (default all, {OURS} first): "
-    add("--metrics", metavar="NAMES", help=held + ", ".join(comparable()))
-    least = "leave out points this little above a box's floor (default 0: none, as detectors see them too)"
-    add("--ground-clearance", type=float, default=0.0, metavar="M", help=least)
-    block = "resample N frames as one, in the order of their names (default 1); whole drives where they are told"
-    add("--block-frames", type=int, default=1, metavar="N", help=block)
-    add("--seed", type=int, default=1, help="of the resamples and folds (default 1)")
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

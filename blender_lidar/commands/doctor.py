@@ -30,14 +30,6 @@ _OPTIONAL = {
 _TOLERANCE_M = 1e-4
 
 
-def add_parser(subparsers) -> None:
-    """Describe the verb to argparse."""
-    parser = subparsers.add_parser(
-        "doctor", help="check the installation", description="Show what is installed and scan a wall with each caster."
-    )
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
     """Carry it out; 0 if a fast caster works, else 1."""
     print(f"blender_lidar {__version__}, Python {platform.python_version()} ({sys.platform}), NumPy {np.__version__}")

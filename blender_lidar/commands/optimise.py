@@ -16,19 +16,11 @@ from ..run.optimise import evaluate_site, optimise_site
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
-from .options import SEARCH_OPTIONS, add_pose, add_scene, default_folder, mounting_from, scenario_from
+from .options import default_folder, mounting_from, scenario_from
 from .progress import RunProgress
 from .report import comparison, describe_site, files
 
 # --- Where a run's results go, and how they are told: what the verbs that leave a folder share ------------
-
-
-def add_output(parser: argparse.ArgumentParser) -> None:
-    """The options that say where results go."""
-    parser.add_argument("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
-    parser.add_argument(
-        "--json", action="store_true", help="print the content of result.json, and nothing else, on stdout"
-    )
 
 
 def check_resume(args: argparse.Namespace) -> None:
@@ -69,30 +61,7 @@ def say(args: argparse.Namespace, text: str) -> None:
 # --- The verbs --------------------------------------------------------------------------------------------
 
 
-def add_parser(subparsers) -> None:
-    """Describe the verbs to argparse."""
-    parser = subparsers.add_parser(
-        "optimise",
-        help="find the best mounting for a scene",
-        description="Find the mounting with the highest objective, judge it on held-out traffic and leave a folder of "
-        "results.",
-    )
-    add_scene(parser)
-    add_output(parser)
-    parser.add_argument("--resume", action="store_true", help="go on with the run in --out DIR that was stopped")
-    parser.set_defaults(run=_optimise)
-    parser = subparsers.add_parser(
-        "evaluate",
-        help="score one mounting",
-        description="Score one mounting against the scene's baseline, on the searched and the held-out frames.",
-    )
-    add_scene(parser, leave_out=SEARCH_OPTIONS)
-    add_pose(parser)
-    add_output(parser)
-    parser.set_defaults(run=_evaluate)
-
-
-def _optimise(args: argparse.Namespace) -> int:
+def run_optimise(args: argparse.Namespace) -> int:
     """Search for the best mounting; returns the exit code."""
     check_resume(args)
     scenario = scenario_from(args)
@@ -123,7 +92,7 @@ def _optimise(args: argparse.Namespace) -> int:
             return 1
 
 
-def _evaluate(args: argparse.Namespace) -> int:
+def run_evaluate(args: argparse.Namespace) -> int:
     """Score one mounting; returns the exit code."""
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)

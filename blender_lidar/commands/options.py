@@ -9,12 +9,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from ..errors import InputError, MissingExtraError
-from ..scene.scenario import DECLARED, Scenario, load_scenario
-from ..scene.settings import MOUNTING
-from ..toml_table import Setting, checked
+from ..scene.settings import DECLARED, MOUNTING
+from ..toml_table import Setting, checked, limits_text
+
+if TYPE_CHECKING:
+    from ..scene.settings import Scenario
 
 _MOST_FRAMES = 1_000_000
 _FRAMES = re.compile(r"\s*(-?\d+)(?::(-?\d+)(?::(\d+))?)?\s*")
@@ -31,17 +33,54 @@ _FOR_SEARCHES += ("--cluster", "--seed")
 # --- Options that are declared as settings are ------------------------------------------------------------
 
 
-def add_option(parser, declared: Setting, default: object = None) -> None:
-    """The option of a setting, which `given_options` reads; it must be given where `default` is ``...``."""
+_UNITS = {"m": "m", "deg": "degrees", "s": "s", "hz": "Hz"}  # by how the name of a setting ends
+# Groups of a scene's options, by the table that each is of.
+_GROUPS = {
+    "scene": ("traffic", "road", "world"),
+    "sensor": ("sensor",),
+    "objective": ("objective",),
+    "search": ("search",),
+    "computing": ("model",),
+}
+
+
+class Renamed(argparse.Action):
+    """An option that has another name now: whoever gives it is told which."""
+
+    def __init__(self, told: str, **settings) -> None:
+        super().__init__(**settings, nargs="?", help=argparse.SUPPRESS)
+        self._told = told
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        parser.error(f"argument {option_string}: {self._told}")
+
+
+def _described(declared: Setting, key: str, default: object) -> str:
+    """The help of a setting's option: what it is, its limits and unit in brackets, its default."""
+    unit = _UNITS.get(key.rpartition("_")[2], "")
+    limits = limits_text(declared, declared.kind) if declared.kind in (int, float) else ""
+    amount = " ".join(part for part in (limits, unit) if part)
+    names = ", ".join(declared.allowed) if declared.allowed and declared.metavar else ""
+    told = declared.help + (f": {names}" if names else "") + (f" [{amount}]" if amount else "")
+    if default not in (None, ..., False, ()):
+        told += f" (default {default:g})" if isinstance(default, float) else f" (default {default})"
+    return told.replace("%", "%%")
+
+
+def add_option(parser, declared: Setting, key: str, default: object = None, *, of_scene: bool = False) -> None:
+    """The option of a setting, which `given_options` reads; it must be given where `default` is ``...``.
+
+    `of_scene`: where it is not given the scene's counts, and the default where that says nothing.
+    """
     names, parts = tuple(declared.allowed), get_args(declared.kind)
-    how = {"default": None if default is ... else default, "help": declared.help}
+    told = _described(declared, key, declared.default if of_scene else default)
+    how = {"default": None if default is ... else default, "help": told}
     if declared.kind is bool:
         how["action"] = "store_true"
     elif names and not declared.metavar:
         how["choices"] = names
     else:
-        how["metavar"] = declared.metavar or declared.option[2:].upper()
-        how["help"] += f": {', '.join(names)}" if names else ""
+        how["metavar"] = declared.metavar or ("FILE" if declared.is_path else declared.option[2:].upper())
     if parts and declared.option not in _READ_AS:
         how |= {"action": "append"} if ... in parts else {"nargs": len(parts)}
     parser.add_argument(declared.option, required=default is ..., **how)
@@ -69,17 +108,24 @@ def _numbers_read(given, kind):
 
 def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
     """The scene file, and the options that replace its settings but for those left out."""
-    parser.add_argument("scene", metavar="SCENE.toml", help="the scene file")
-    for option, (_, _, declared) in _SETTINGS.items():
-        if option not in leave_out:
-            add_option(parser, declared)
+    parser.add_argument(
+        "scene",
+        metavar="SCENE.toml",
+        help="the scene file; an option replaces what it says, and a default holds where neither says",
+    )
+    for title, tables in _GROUPS.items():
+        asked = {option: of for option, of in _SETTINGS.items() if of[0] in tables and option not in leave_out}
+        group = parser.add_argument_group(title) if asked else None
+        for _, key, declared in asked.values():
+            add_option(group, declared, key, of_scene=True)
     parser.set_defaults(left_out=leave_out)
 
 
 def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
     """A scene, one or many of its frames, and a mounting, for verbs without a search; `many` says what many make."""
     add_scene(parser, leave_out=_FOR_SEARCHES)
-    which = parser.add_mutually_exclusive_group(required=True)
+    frames = parser.add_argument_group("frames", "one, or many")
+    which = frames.add_mutually_exclusive_group(required=True)
     which.add_argument("--frame", type=int, metavar="K", help="frame number, as the recording counts them")
     which.add_argument(
         "--frame-ids", dest="sequence", metavar="IDS", help=f"{many}: 100,150 or 100:160:5, its end included"
@@ -89,13 +135,15 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
 
 def add_pose(parser: argparse.ArgumentParser) -> None:
     """The six coordinates of one mounting."""
-    group = parser.add_argument_group("mounting", "metres and degrees; what is left out is the scene's baseline")
+    group = parser.add_argument_group("mounting", "what is left out is the scene's baseline")
     for key, declared in MOUNTING.items():
-        add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()))
+        add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), key)
 
 
 def scenario_from(args: argparse.Namespace) -> Scenario:
     """The scene with the options given in place of its settings."""
+    from ..scene.scenario import load_scenario
+
     overrides = {}
     for option, (table, key, declared) in _SETTINGS.items():
         given = getattr(args, option[2:].replace("-", "_"), None)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..clouds.files import WRITERS, check_cloud_name, write_cloud, write_sustechpoints
+from ..clouds.files import check_cloud_name, write_cloud, write_sustechpoints
 from ..clouds.snapshot import MountedSensor, mounted_sensor
 from ..errors import InputError
 from ..files import check_place, make_folder
@@ -21,49 +21,11 @@ from ..toml_table import Setting, checked
 from ..traffic import Recording
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
-from .options import add_moments, mounting_from, parse_frames, scenario_from
+from .options import mounting_from, parse_frames, scenario_from
+from .parsers import SUSTECHPOINTS
 from .progress import Progress
 
-_SUSTECHPOINTS = "sustechpoints"
-_FORMATS = [*(suffix.removeprefix(".") for suffix in WRITERS), _SUSTECHPOINTS]
 _MOST_SAMPLES = 4096
-
-
-def add_parser(subparsers) -> None:
-    """Describe the verbs to argparse."""
-    parser = subparsers.add_parser(
-        "scan",
-        help="write the point clouds of frames",
-        description="Cast one revolution over a frame and write the cloud: .npz with everything, .pcd, .ply, .las, "
-        ".laz, or KITTI's .bin with its .label. With --frame-ids a folder of clouds, one for each frame.",
-    )
-    add_moments(parser, many="many frames")
-    out = "the file to write, whose suffix is the format; the folder to write to with --frame-ids"
-    parser.add_argument("--out", required=True, metavar="CLOUD", help=out)
-    of_folder = "format of the files in the folder; npz unless said, sustechpoints adds labels"
-    parser.add_argument("--format", choices=_FORMATS, help=of_folder)
-    parser.set_defaults(run=_scan)
-    parser = subparsers.add_parser(
-        "build",
-        help="write a scene as a .blend file",
-        description="Build one frame's road, vehicles, LiDAR and point cloud in Blender and write them as a .blend "
-        "file. With --frame-ids the vehicles drive through those frames, as an animation; the cloud is the first's.",
-    )
-    add_moments(parser, many="an animation")
-    parser.add_argument("--no-cloud", action="store_true", help="leave the point cloud out")
-    parser.add_argument("--out", required=True, metavar="FILE.blend", help="the file to write")
-    parser.set_defaults(run=_build)
-    parser = subparsers.add_parser(
-        "render",
-        help="pictures of a run's mountings with their clouds, by Cycles",
-        description="Render the baseline and the mounting of a run with the clouds that they see, from above and from "
-        "the pole, into the run's folder, and gather them in its report.html. Points on a vehicle go from red to green "
-        "with the vehicle's entropy.",
-    )
-    parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
-    parser.add_argument("--frame", type=int, metavar="K", help="frame number; by default the fullest searched one")
-    parser.add_argument("--samples", type=int, metavar="N", help="light paths per pixel; more is smoother and slower")
-    parser.set_defaults(run=_render)
 
 
 def _numbers(args: argparse.Namespace) -> list[int]:
@@ -85,7 +47,7 @@ def _asked(args: argparse.Namespace, numbers: list[int]) -> tuple[MountedSensor,
 # --- Clouds -----------------------------------------------------------------------------------------------
 
 
-def _scan(args: argparse.Namespace) -> int:
+def run_scan(args: argparse.Namespace) -> int:
     """Write clouds; returns the exit code."""
     one, numbers = args.sequence is None, _numbers(args)
     paths = _paths(args, numbers)
@@ -105,7 +67,7 @@ def _scan(args: argparse.Namespace) -> int:
     with closing(Progress(len(frames), "scan")) as progress:
         for path, vehicles in zip(paths, frames, strict=True):
             cloud, header = sensor.scan(vehicles), sensor.cloud_header(vehicles)
-            if args.format == _SUSTECHPOINTS:
+            if args.format == SUSTECHPOINTS:
                 write_sustechpoints(path, cloud, vehicles, header)
             else:
                 write_cloud(path, cloud, header)
@@ -127,7 +89,7 @@ def _paths(args: argparse.Namespace, numbers: list[int]) -> list[Path]:
         raise InputError("--frame-ids: names a frame twice")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out: {folder}: is a file; allowed: a folder for the clouds of --frame-ids")
-    if args.format == _SUSTECHPOINTS:
+    if args.format == SUSTECHPOINTS:
         return [folder] * len(numbers)
     return [folder / f"{number:06d}.{args.format or 'npz'}" for number in numbers]
 
@@ -135,7 +97,7 @@ def _paths(args: argparse.Namespace, numbers: list[int]) -> list[Path]:
 # --- A .blend file ----------------------------------------------------------------------------------------
 
 
-def _build(args: argparse.Namespace) -> int:
+def run_build(args: argparse.Namespace) -> int:
     """Write a scene as a .blend file; returns the exit code."""
     if Path(args.out).suffix.lower() != ".blend":
         raise InputError(f"--out: {args.out}: allowed: a file name that ends in .blend")
@@ -154,7 +116,7 @@ def _build(args: argparse.Namespace) -> int:
 # --- Pictures ---------------------------------------------------------------------------------------------
 
 
-def _render(args: argparse.Namespace) -> int:
+def run_render(args: argparse.Namespace) -> int:
     """Render a run's mountings; returns the exit code."""
     folder = RunFolder(args.folder)
     run = folder.read_outcome()

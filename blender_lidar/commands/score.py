@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,12 +15,13 @@ from ..files import write_columns
 from ..metrics.assignment import NO_BOX, points_in_boxes
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
-from ..metrics.vgop import DEFAULT_CELL_M, entropy, to_vehicle_frame
-from ..optimise import VIEWS, detectable
-from ..toml_table import setting, settings_of
+from ..metrics.vgop import entropy, to_vehicle_frame
+from ..optimise import detectable
+from ..toml_table import settings_of
 from ..traffic import read_table
 from ..traffic.vehicles import Vehicles
-from .options import add_option, given_options
+from .options import given_options
+from .parsers import ScoreOptions
 
 _ALL = "all"
 _ALWAYS = {"pe-vgop": "entropy_bits", "points": "points"}  # columns of metrics that the table has anyway
@@ -29,70 +29,11 @@ _SHARES = ("p_top", "p_side", "p_front")
 _HEADING = "vehicle  class       points   p_top  p_side p_front  entropy  detectable"
 _ROW = "{vehicle_id:<8} {class:<10} {points:>7} {p_top:7.4f} {p_side:7.4f} {p_front:7.4f} {entropy_bits:8.4f}"
 _OF_CLOUD = {name: metric for name, metric in METRICS.items() if metric.learn is None}
-_METRIC = f"another metric beside PE-VGOP, again for more, or all: {', '.join(_OF_CLOUD)}"
-
-
-@dataclass(frozen=True, slots=True)
-class _Options:
-    """What is scored, and how.
-
-    Attributes
-    ----------
-    points : str
-        The cloud: .npz with xyz, or .pcd.
-    boxes : str
-        The boxes, in the columns of vehicles.csv and the frame of the cloud.
-    frame : int or None
-        Frame of the boxes, where they come from several.
-    assign : str
-        A point belongs to the vehicle that its vehicle_id names, or to the box it lies in.
-    clearance_m : float
-        With --assign box, points this little above a box's floor are ground (default 0.1).
-    cell_m : float
-        Side of a cell (default 0.05).
-    threshold : float
-        Least occupancy that counts as detectable (default 0.005).
-    view : str
-        Which of the three occupancies the threshold asks for.
-    metrics : tuple of str or None
-        Another metric beside PE-VGOP, again for more, or all.
-    lidar_xy : (float, float) or None
-        Where the LiDAR is, in the frame of the cloud [m]: for the metric distance.
-    out : str or None
-        Write one row for each vehicle.
-    json : bool
-        Print the scores as JSON, and nothing else, on stdout.
-    """
-
-    points: str = setting(option="--points", metavar="CLOUD")
-    boxes: str = setting(option="--boxes", metavar="BOXES.csv")
-    frame: int | None = setting(None, option="--frame", metavar="K")
-    assign: str = setting("id", allowed=("id", "box"), option="--assign")
-    clearance_m: float = setting(0.1, low=0.0, option="--ground-clearance", metavar="M")
-    cell_m: float = setting(DEFAULT_CELL_M, low=0.001, option="--cell", metavar="M")
-    threshold: float = setting(0.005, low=0.0, option="--threshold")
-    view: str = setting("mean", allowed=VIEWS, option="--view")
-    metrics: tuple[str, ...] | None = setting(None, option="--metric", metavar="NAME", help=_METRIC)
-    lidar_xy: tuple[float, float] | None = setting(None, option="--lidar", metavar=("X", "Y"))
-    out: str | None = setting(None, option="--out", metavar="CSV")
-    json: bool = setting(False, option="--json")
-
-
-def add_parser(subparsers) -> None:
-    """Describe the verb to argparse."""
-    parser = subparsers.add_parser(
-        "score",
-        help="score the vehicles of a labelled cloud",
-        description="Score a point cloud by boxes that are known: PE-VGOP of each vehicle, and other metrics if asked.",
-    )
-    for declared in settings_of(_Options).values():
-        add_option(parser, declared, declared.default)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    asked = _Options(**given_options(args, settings_of(_Options)))
+    asked = ScoreOptions(**given_options(args, settings_of(ScoreOptions)))
     metrics = _metrics(asked)
     points, vehicle_id = read_points(asked.points)
     vehicles = _boxes(asked)
@@ -118,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _metrics(asked: _Options) -> list[Metric]:
+def _metrics(asked: ScoreOptions) -> list[Metric]:
     """The metrics that were asked for beside PE-VGOP, each once."""
     found: dict[str, Metric] = {}
     known = {NEEDS_POINTS} if asked.lidar_xy is None else {NEEDS_POINTS, NEEDS_DISTANCE}
@@ -140,7 +81,7 @@ def _column(metric: Metric) -> str:
     return _ALWAYS.get(metric.name, metric.name.replace("-", "_"))
 
 
-def _boxes(asked: _Options) -> Vehicles:
+def _boxes(asked: ScoreOptions) -> Vehicles:
     recording = read_table(asked.boxes)
     frames = recording.frames
     if asked.frame is None and len(frames) > 1:
@@ -148,7 +89,7 @@ def _boxes(asked: _Options) -> Vehicles:
     return recording.vehicles(int(frames[0]) if asked.frame is None else asked.frame)
 
 
-def _assigned(asked: _Options, points, vehicle_id, vehicles) -> np.ndarray:
+def _assigned(asked: ScoreOptions, points, vehicle_id, vehicles) -> np.ndarray:
     """Row of the box of each point."""
     if asked.assign == "box":
         return points_in_boxes(points, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, asked.clearance_m)

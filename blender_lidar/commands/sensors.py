@@ -25,21 +25,6 @@ Elevation in degrees; columns and points at the default rotation rate, one retur
 blender-lidar sensors NAME shows one in full; NAME may also be the path of your own .toml or .csv."""
 
 
-def add_parser(subparsers: argparse._SubParsersAction) -> None:
-    """Add the ``sensors`` verb to the command line."""
-    parser = subparsers.add_parser(
-        "sensors",
-        help="list the LiDAR models, or show one with its beam fan",
-        description="List the LiDAR models; with NAME show one in full, with its beam fan and its table of rings.",
-    )
-    parser.add_argument(
-        "name", nargs="?", metavar="NAME", help="a model's name or alias, or the path of a .toml or .csv"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON on stdout and nothing else there")
-    parser.add_argument("--out", type=Path, metavar="PNG", help="draw NAME's beam fan into this file")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
     """Print the list, or the model `args.name`; draw its fan if `args.out` is given.
 
@@ -57,9 +42,9 @@ def run(args: argparse.Namespace) -> int:
         return 0
     model = load_model(args.name)
     if args.out is not None:
-        if args.out.suffix.lower() != ".png":
+        if Path(args.out).suffix.lower() != ".png":
             raise InputError(f"--out {args.out}: the fan is drawn as a .png")
-        plot_beam_fan(model, args.out)
+        plot_beam_fan(model, Path(args.out))
         print(f"beam fan drawn: {args.out}", file=sys.stderr)
     print(json.dumps(_facts(model), indent=2) if args.json else _portrait(model))
     return 0

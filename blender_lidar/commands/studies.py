@@ -1,4 +1,4 @@
-"""What the verbs chart and stability share: their options, and how a study is carried out in its folder."""
+"""What the verbs chart and stability share: how a study is carried out in its folder."""
 
 from __future__ import annotations
 
@@ -12,17 +12,10 @@ from ..report.study import StudyReport
 from ..scene.site import Site
 from ..signals import stops_recognised
 from ..studies.driver import StudyFolder
-from .optimise import add_output, say
+from .optimise import say
 from .options import default_folder
 from .progress import Progress
 from .report import describe_site
-
-
-def add_study_options(parser: argparse.ArgumentParser, quick: str) -> None:
-    """Describe where a study is left, that it may go on, and what its quick form is."""
-    add_output(parser)
-    parser.add_argument("--quick", action="store_true", help=quick)
-    parser.add_argument("--resume", action="store_true", help="go on with the study in --out DIR that was stopped")
 
 
 def effort_of(args: argparse.Namespace, full, quick):

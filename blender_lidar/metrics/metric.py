@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
+from ..names import DEFAULT_CELL_M
 from .vgop import occupancy
-from .view_grids import DEFAULT_CELL_M
 
 # --- What a metric can learn from a scene: its traffic as boxes, its beams, and from where they look ------
 # Beams and places follow the package's conventions: points are ``origin + distance * (directions @ rotation)``, in

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import InputError
-from .view_grids import DEFAULT_CELL_M, VIEW_AXES, VIEW_NAMES, ViewGrids, cell_counts
+from ..names import DEFAULT_CELL_M
+from .view_grids import VIEW_AXES, VIEW_NAMES, ViewGrids, cell_counts
 
 
 def to_vehicle_frame(

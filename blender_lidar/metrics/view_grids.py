@@ -8,10 +8,9 @@ import numpy as np
 
 from ..compiled import numba_works
 from ..errors import InputError, unknown_name
+from ..names import DEFAULT_CELL_M, READINGS
 
 # --- The two readings of the paper's equations: the corrected one, and the literal one for comparison -----
-
-READINGS = ("corrected", "paper")
 
 
 def check_reading(reading: str) -> None:
@@ -24,7 +23,6 @@ def check_reading(reading: str) -> None:
 
 VIEW_NAMES = ("top", "side", "front")
 VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
-DEFAULT_CELL_M = 0.05
 
 _WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
 _KEPT_BYTES = 1 << 22  # 4 MB: larger arrays of marks are not kept from one cloud to the next

@@ -3,18 +3,18 @@
 A function in, a best point out; needs numpy alone.
 """
 
-from ..metrics.view_grids import READINGS as READINGS
+from ..names import READINGS as READINGS
+from ..names import SEARCHES as SEARCHES
+from ..names import VIEWS as VIEWS
 from .baselines import GridSearch as GridSearch
 from .baselines import RandomSearch as RandomSearch
 from .de_pso import DePso as DePso
 from .de_pso import DePsoSettings as DePsoSettings
 from .hardened import Hardened as Hardened
 from .hardened import HardenedSettings as HardenedSettings
-from .objective import VIEWS as VIEWS
 from .objective import detectable as detectable
 from .objective import vehicle_score as vehicle_score
 from .search import Search as Search
-from .solve import SEARCHES as SEARCHES
 from .solve import Objective as Objective
 from .solve import SearchResult as SearchResult
 from .solve import de_pso as de_pso

@@ -21,6 +21,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..metrics.view_grids import check_reading
+from ..names import ITERATIONS, PARTICLES
 from .search import Search, check_number, check_whole, distinct_donors, generator, latin_hypercube
 
 
@@ -49,8 +50,8 @@ class DePsoSettings:
         If a setting is outside what is said above.
     """
 
-    particles: int = 20
-    iterations: int = 100
+    particles: int = PARTICLES
+    iterations: int = ITERATIONS
     inertia: float = 0.7
     differential_weight: float = 0.5
     cognitive: float = 0.3

@@ -18,6 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..names import PARTICLES
 from .adaptive_swarm import AdaptiveSwarm
 from .cma_es import NARROW, CovarianceAdaptation
 from .search import Search, check_whole, generator, in_box
@@ -128,7 +129,7 @@ class HardenedSettings:
         If a number of particles or evaluations cannot be used.
     """
 
-    particles: int = 20
+    particles: int = PARTICLES
     evaluations: int = 2000
     opening: float = 0.35
     flights: float = 0.2

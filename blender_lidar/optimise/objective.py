@@ -8,9 +8,8 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..metrics.view_grids import check_reading
+from ..names import VIEWS
 from .search import check_number
-
-VIEWS = ("mean", "max", "min")
 
 
 def detectable(occupancy: np.ndarray, threshold: float = 0.005, view: str = "mean") -> np.ndarray:

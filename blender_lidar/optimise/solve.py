@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import unknown_name
+from ..names import ITERATIONS, PARTICLES, SEARCHES
 from .baselines import GridSearch, RandomSearch, grid_points
 from .de_pso import DePso, DePsoSettings
 from .hardened import Hardened, HardenedSettings
 from .search import Search, check_bounds, check_whole
-
-SEARCHES = (Hardened.name, DePso.name, GridSearch.name, RandomSearch.name)
 
 Objective = Callable[[np.ndarray], np.ndarray]
 """Takes candidates, (s, d), and returns their values, (s,): the higher the better, ``-inf`` for an infeasible one."""
@@ -112,8 +111,8 @@ def de_pso(
     upper: np.ndarray,
     *,
     seed: int,
-    particles: int = 20,
-    iterations: int = 100,
+    particles: int = PARTICLES,
+    iterations: int = ITERATIONS,
     inertia: float = 0.7,
     differential_weight: float = 0.5,
     cognitive: float = 0.3,

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
+from ..road import RoadFrame
 from ..run.folder import Outcome
 from ..run.verdict import METRIC_VALUE, REGION_SHARE, ScoreMap, near_best_threshold
 from ..scene.site import Site
-from ..traffic.vehicles import RoadFrame
 from .cloud_figures import draw_clouds, draw_occupancy
 from .figure import (
     BASELINE_LOOK,

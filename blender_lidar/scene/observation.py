@@ -11,9 +11,9 @@ from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..metrics.metric import Field, FrameBoxes
+from ..road import RoadFrame
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
-from ..traffic import RoadFrame
 from ..traffic.vehicles import Vehicles
 
 

@@ -7,22 +7,21 @@ before they are checked, so both pass the same checks.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import get_type_hints
 
 from ..errors import InputError, MissingFileError, unknown_name
 from ..metrics.catalogue import PE_VGOP
-from ..optimise import DePso, GridSearch
+from ..optimise import DePso, DePsoSettings, GridSearch
+from ..road import RoadFrame
 from ..sensors.model import LidarModel, load_model, unit_of
 from ..toml_table import TomlTable, checked, read_toml, settings_of
-from ..traffic import RoadFrame
 from ..traffic.frames import DEFAULT_COUNT
 from .settings import (
     COORDINATE_LIMITS,
     COORDINATES,
     DATASHEET,
-    DE_PSO,
+    DECLARED,
     DEPLOYMENT,
     MOUNTING,
     Deployment,
@@ -40,9 +39,6 @@ from .settings import (
 
 __all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_scenario", "pose_at"]
 
-DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}
-DECLARED |= {"deployment": DEPLOYMENT, "baseline": MOUNTING}
-"""The settings of each table of a scene file."""
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
@@ -185,7 +181,8 @@ def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
     search = table.read_as(SearchSettings)
     given = [key for key in _DE_PSO_ALONE if getattr(search, key) is not None]
     if search.method == DePso.name:
-        search = replace(search, **{key: getattr(DE_PSO, key) for key in _DE_PSO_ALONE if key not in given})
+        paper = DePsoSettings()
+        search = replace(search, **{key: getattr(paper, key) for key in _DE_PSO_ALONE if key not in given})
     elif given:
         raise InputError(
             f"{table.where(given[0])}: a setting of {DePso.name} alone, but the method is {search.method}; "

@@ -1,6 +1,7 @@
 """The settings of a scene, each declared once: type, default, limits, option and help; frozen when read.
 
-`scenario.load_scenario` reads them from a file, `commands.options` from the command line.
+`scenario.load_scenario` reads them from a file, `commands.options` from the command line. Needs the standard library
+alone, so that help opens at once.
 """
 
 from __future__ import annotations
@@ -8,23 +9,35 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, get_type_hints
 
-from ..casting import CASTERS
-from ..metrics.catalogue import METRICS, PE_VGOP
-from ..optimise import READINGS, SEARCHES, VIEWS, DePsoSettings, Hardened
-from ..sensors.files import SUFFIXES
-from ..sensors.imperfections import MOST_RANGE_NOISE_M, STATED_RANGE_LIMITS_M, Imperfections
-from ..sensors.model import MOST_SPREAD_DEG
-from ..sensors.pose import Pose
+from ..names import (
+    BARRIERS,
+    CASTERS,
+    DEFAULT_CELL_M,
+    DETAILS,
+    ITERATIONS,
+    METRIC_NAMES,
+    MOST_RANGE_NOISE_M,
+    MOST_SPREAD_DEG,
+    PARTICLES,
+    READINGS,
+    SEARCHES,
+    SENSOR_SUFFIXES,
+    STATED_RANGE_LIMITS_M,
+    TRAFFIC_FORMATS,
+    VIEWS,
+)
+from ..road import RoadFrame
 from ..toml_table import setting, settings_of
-from ..traffic import FORMATS, RoadFrame
-from ..world.scenery import BARRIERS
-from ..world.shapes import DETAILS
+
+if TYPE_CHECKING:
+    from ..sensors.imperfections import Imperfections
+    from ..sensors.pose import Pose
 
 DATASHEET = "datasheet"  # in place of a number: the model's own
-DE_PSO = DePsoSettings()
 _LARGEST_ORIGIN_M = 1e9  # of a place in a net; sums and squares stay finite
 _FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
 _REACH = {"low": -_FARTHEST_M, "high": _FARTHEST_M}
@@ -114,7 +127,7 @@ class TrafficSettings:
     """
 
     path: str = setting(is_path=True, option="--traffic")
-    format: str = setting("auto", allowed=FORMATS)
+    format: str = setting("auto", allowed=TRAFFIC_FORMATS)
     period: str | None = setting(None, option="--period")
     location: str | None = setting(None, option="--location")
     origin_m: tuple[float, float] | None = setting(None, low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
@@ -147,15 +160,15 @@ class SensorSettings:
     rotation_hz, range_gate_m : float
         Turns per second, and the range within which it is asked to see [m].
     range_noise_m : float
-        Standard deviation of the range noise in metres, or datasheet for the model's own.
+        Standard deviation of the range noise, or datasheet for the model's own.
     dropout : float
         Probability that a return is lost.
     glass_dropout : float
         Probability that a return from glass is lost besides; 1: windows return nothing.
     range_at_10_percent_m : float or None
-        Metres to which a target of 10 percent reflectivity is seen, or datasheet; weaker returns are lost.
+        Range to which a target of 10 percent reflectivity is seen, or datasheet; weaker returns are lost.
     unit_spread_deg : float
-        Standard deviation between units' beams in degrees.
+        Standard deviation between units' beams.
     unit, noise_seed : int
         Which of the units it is, and the seed of its noise.
     """
@@ -179,6 +192,8 @@ class SensorSettings:
     @property
     def imperfections(self) -> Imperfections:
         """How its returns differ from the truth."""
+        from ..sensors.imperfections import Imperfections
+
         return Imperfections(
             self.range_noise_m,
             self.dropout,
@@ -280,9 +295,9 @@ class ObjectiveSettings:
         aim=mean or aim=low; none: it hangs as planned.
     """
 
-    metric: str = setting(PE_VGOP.name, allowed=METRICS, option="--metric", metavar="METRIC")
+    metric: str = setting(METRIC_NAMES[0], allowed=METRIC_NAMES, option="--metric", metavar="METRIC")
     reading: str = setting("corrected", allowed=READINGS, option="--reading")
-    cell_m: float = setting(0.05, low=0.005, high=1.0)
+    cell_m: float = setting(DEFAULT_CELL_M, low=0.005, high=1.0)
     threshold: float = setting(0.005, low=0.0, high=1.0)
     view: str = setting("mean", allowed=VIEWS)
     loss: float | None = setting(None, low=-_MOST_LOSS, high=_MOST_LOSS)
@@ -310,11 +325,11 @@ class SearchSettings:
         DE-PSO's coefficients, see `optimise.de_pso.DePsoSettings`.
     """
 
-    method: str = setting(Hardened.name, allowed=SEARCHES, option="--search")
+    method: str = setting(SEARCHES[0], allowed=SEARCHES, option="--search")
     fidelity: str = setting("full", allowed=("full", "auto"), option="--fidelity")
     seed: int = setting(1, low=0, option="--seed")
-    particles: int = setting(DE_PSO.particles, low=3, high=10_000, option="--particles")
-    iterations: int = setting(DE_PSO.iterations, low=1, high=1_000_000, option="--iterations")
+    particles: int = setting(PARTICLES, low=3, high=10_000, option="--particles")
+    iterations: int = setting(ITERATIONS, low=1, high=1_000_000, option="--iterations")
     inertia: float | None = setting(None, **_COEFFICIENT)
     differential_weight: float | None = setting(None, **_COEFFICIENT)
     cognitive: float | None = setting(None, **_COEFFICIENT)
@@ -446,12 +461,19 @@ class Scenario:
         return tables
 
 
+DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}
+DECLARED |= {"deployment": DEPLOYMENT, "baseline": MOUNTING}
+"""The settings of each table of a scene file."""
+
+
 def is_sensor_file(name: str) -> bool:
     """Whether `name` is the path of a beam table, not the name of a model."""
-    return name.lower().endswith(SUFFIXES)
+    return name.lower().endswith(SENSOR_SUFFIXES)
 
 
 def pose_at(coordinates: Mapping[str, float]) -> Pose:
     """The mounting at the six coordinates of `COORDINATES`, degrees becoming radians."""
+    from ..sensors.pose import Pose
+
     x_m, y_m, height_m, *angles = (coordinates[key] for key in COORDINATES)
     return Pose(x_m, y_m, height_m, *map(math.radians, angles))

@@ -12,10 +12,9 @@ import numpy as np
 
 from ..errors import InputError, shown, unknown_name
 from ..files import number, read_file, reading
+from ..names import SENSOR_SUFFIXES, STATED_RANGE_LIMITS_M
 from ..toml_table import Setting, TomlTable, read_toml, setting, settings_of
-from .imperfections import STATED_RANGE_LIMITS_M
 
-SUFFIXES = (".toml", ".csv")
 MAX_RINGS = 4096
 _MOST_BEAMS_PER_TURN = 10_000_000  # twenty times a 128-ring sensor at 5 Hz; directions alone would take 240 MB
 
@@ -88,8 +87,8 @@ def read_sensor_file(path: Path) -> tuple[dict[str, Any], np.ndarray]:
         Anything else that is wrong with it, as ``file:key`` or ``file:line``.
     """
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"{path}: a sensor file ends in {' or '.join(SUFFIXES)}")
+    if suffix not in SENSOR_SUFFIXES:
+        raise InputError(f"{path}: a sensor file ends in {' or '.join(SENSOR_SUFFIXES)}")
     settings = _checked_settings({"beams": _csv_rows(path)} if suffix == ".csv" else read_toml(path), path)
     rows = settings.pop("beams")
     beams = _checked_beams(rows if suffix == ".csv" else _toml_rows(rows, path), path)

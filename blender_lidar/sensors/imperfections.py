@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..errors import InputError
+from ..names import MOST_RANGE_NOISE_M
 
 if TYPE_CHECKING:
     from .beams import BeamLattice
 
-MOST_RANGE_NOISE_M = 10.0
 _MOST_DEVIATIONS = 6.0  # noise is cut off here, so that its reach is known; a normal draw is beyond once in 5e8
 _NOISE, _CHANCE = range(2)  # streams of random numbers: one is the same whether or not the other is drawn
 _FRAME_NUMBERS = 2**64  # seeds are not negative; frame numbers may be
@@ -183,7 +183,6 @@ def _by_slot(lattice: BeamLattice, drawn: np.ndarray) -> np.ndarray:
 # --- Weak returns: Lambert's law and the inverse square of the range, against the weakest return that counts ----------
 
 STATED_REFLECTIVITY = 0.1
-STATED_RANGE_LIMITS_M = (0.01, 1e5)  # that sensor tables and scenes may state
 
 
 def detection_range_m(

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .files import SUFFIXES, Datasheet, read_sensor_file
+from ..names import MOST_SPREAD_DEG, SENSOR_SUFFIXES
+from .files import Datasheet, read_sensor_file
 
 DATA_FOLDER = Path(__file__).parent / "data"
-MOST_SPREAD_DEG = 5.0  # between units
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +104,7 @@ def load_model(name_or_path: str | Path) -> LidarModel:
             if _plain(name_or_path) in map(_plain, (model.name, *model.aliases)):
                 return model
         path = Path(name_or_path)
-        if path.suffix.lower() not in SUFFIXES and path.name == name_or_path:
+        if path.suffix.lower() not in SENSOR_SUFFIXES and path.name == name_or_path:
             names = [name for model in _shipped() for name in (model.name, *model.aliases)]
             raise InputError(f"{unknown_name(name_or_path, names, 'sensor')}, or the path of a .toml or .csv file")
     return _model(Path(name_or_path))

@@ -15,10 +15,10 @@ import numpy as np
 
 from ..metrics.catalogue import METRICS
 from ..optimise import VIEWS
+from ..road import RoadFrame
 from ..scene.observation import CountedFrame, scene_field
 from ..scene.site import Site, lattice_of
 from ..sensors.beams import beam_lattice
-from ..traffic import RoadFrame
 from ..traffic.vehicles import CLASSES, Vehicles
 from .driver import Variation
 

@@ -9,16 +9,17 @@ import inspect
 from pathlib import Path
 
 from ..errors import InputError, unknown_name
+from ..names import TRAFFIC_FORMATS
+from ..road import RoadFrame
 from .frames import FramePlan, instants, plan_frames, well_populated_frames
 from .ngsim import read_ngsim
 from .source import fields_of, first_lines
 from .sumo import kind_of_fcd, read_sumo
 from .table import is_table_header, read_table
-from .vehicles import CLASSES, Recording, RepairReport, RoadFrame, Vehicles, overlapping_pairs
+from .vehicles import CLASSES, Recording, RepairReport, Vehicles, overlapping_pairs
 
 __all__ = [
     "CLASSES",
-    "FORMATS",
     "FramePlan",
     "Recording",
     "RepairReport",
@@ -33,8 +34,7 @@ __all__ = [
     "well_populated_frames",
 ]
 
-_READERS = {"ngsim": read_ngsim, "sumo": read_sumo, "table": read_table}
-FORMATS = ("auto", *_READERS)
+_READERS = dict(zip(TRAFFIC_FORMATS[1:], (read_ngsim, read_sumo, read_table), strict=True))
 
 
 def read_traffic(
@@ -61,8 +61,8 @@ def read_traffic(
     MissingExtraError
         If a Parquet file is to be read without pyarrow.
     """
-    if format not in FORMATS:
-        raise unknown_name(format, FORMATS, "traffic format")
+    if format not in TRAFFIC_FORMATS:
+        raise unknown_name(format, TRAFFIC_FORMATS, "traffic format")
     if format == "auto":
         format = _sniff(path)
     read = _READERS[format]

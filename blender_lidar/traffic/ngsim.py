@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..files import number
+from ..road import RoadFrame
 from .source import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, read_rows
 from .tracks import (
     class_index,
@@ -26,7 +27,7 @@ from .tracks import (
     repaired_sizes,
     segments,
 )
-from .vehicles import Recording, RepairReport, RoadFrame, with_overlaps_reported
+from .vehicles import Recording, RepairReport, with_overlaps_reported
 
 FOOT_M = 0.3048
 """International foot, exactly; 0.3084 circulates."""
@@ -130,7 +131,10 @@ def _boxes(
     vehicle, frame, lane, v_class = (rows[name] for name in ("vehicle_id", "frame", "lane", "v_class"))
     segment, split = segments(vehicle, frame, time_step_s)
     time_s = frame * time_step_s
-    front = road.from_local(rows["local_m"])
+    right_m, along_m = np.asarray(
+        rows["local_m"], dtype=np.float64
+    ).T  # Local_X, Local_Y: from the left edge, along travel
+    front = np.stack([along_m - road.station_m, road.setback_m + (road.right_edge_m - right_m)], axis=1)
     at_rest = 0.0 if follows_road else _BOUND_FOR_RAD[rows["direction"]]
     motion, held = held_heading(vehicle, fitted_velocity(segment, time_s, front), at_rest)
     heading = limited(motion, lane_changing(vehicle, time_s, lane)) if follows_road else motion

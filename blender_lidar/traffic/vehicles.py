@@ -9,9 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError, printable
-from ..toml_table import setting
-
-_LARGEST_M = 1e6  # of the road; sums and squares stay finite
 
 # --- What reading a recording found and repaired ----------------------------------------------------------
 
@@ -263,54 +260,6 @@ def unknown_frame(frame: object, recording: Recording) -> InputError:
 
 
 # --- The road frame, beside a carriageway: where it lies in a recording's own coordinates -----------------
-
-
-@dataclass(frozen=True, slots=True)
-class RoadFrame:
-    """[road], the road frame beside a carriageway: x in the direction of travel, y to the left, the LiDAR at y <= 0.
-
-    The defaults are I-80's: past the on-ramp, whose acceleration lane ends at Local_Y 202 m.
-
-    Attributes
-    ----------
-    station_m : float
-        Local_Y of x = 0 [m].
-    right_edge_m : float
-        Local_X of the carriageway's right edge [m]; 72 ft on I-80.
-    setback_m : float
-        From the line y = 0 to that edge [m].
-    lanes : int
-        Lanes of the carriageway.
-    lane_width_m : float
-        Width of one lane [m].
-    """
-
-    station_m: float = setting(250.0, low=-_LARGEST_M, high=_LARGEST_M)
-    right_edge_m: float = setting(21.9456, low=-_LARGEST_M, high=_LARGEST_M)
-    setback_m: float = setting(2.0, low=0.0, high=_LARGEST_M)
-    lanes: int = setting(6, low=1, high=50)
-    lane_width_m: float = setting(3.66, above=0.0, high=10.0)
-
-    @property
-    def carriageway_y(self) -> tuple[float, float]:
-        """The y [m] of the carriageway's right and left edge."""
-        return self.setback_m, self.setback_m + self.lanes * self.lane_width_m
-
-    def from_local(self, local_m: np.ndarray) -> np.ndarray:
-        """NGSIM's local coordinates to the road frame.
-
-        Parameters
-        ----------
-        local_m : ndarray, (n, 2)
-            Local_X (to the right, from the left edge) and Local_Y (along travel) [m].
-
-        Returns
-        -------
-        ndarray, (n, 2)
-            x and y [m, road frame].
-        """
-        across, along = np.asarray(local_m, dtype=np.float64).T
-        return np.stack([along - self.station_m, self.setback_m + (self.right_edge_m - across)], axis=1)
 
 
 @dataclass(frozen=True, slots=True)

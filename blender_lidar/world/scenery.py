@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import unknown_name
+from ..names import BARRIERS
 from .meshes import ROAD, STRUCTURE, tube
 from .shapes import shape
 from .triangles import place
@@ -22,8 +23,6 @@ _CONCRETE = ((0.0, 0.305), (0.075, 0.305), (0.330, 0.127), (0.813, 0.076))
 _RAIL = ((0.476, 0.0415), (0.787, 0.0415))
 _POST_SPACING_M = 1.905  # 6 ft 3 in
 _POST_SIZE_M = (0.10, 0.15, 0.70)  # W6 x 9
-
-BARRIERS = ("concrete", "guard_rail")
 
 
 HALF_WIDTH_M, HEIGHT_M = 0.305, 0.813  # of the widest and the highest

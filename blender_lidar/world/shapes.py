@@ -13,11 +13,11 @@ from functools import cache
 import numpy as np
 
 from ..errors import unknown_name
+from ..names import DETAILS
 from ..traffic.vehicles import LONG_TRUCK_M
 from .detailed_shapes import detailed_shape
 from .meshes import Shape, block, tube
 
-DETAILS = ("box", "body", "detailed")
 SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
 
 

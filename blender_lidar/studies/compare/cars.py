@@ -30,12 +30,13 @@ from ...metrics.metric import (
 from ...metrics.occupancy_prior import OccupiedFrames, VehiclePrior, box_visibility, reach_probability
 from ...metrics.vgop import to_vehicle_frame
 from ...metrics.voxel_grid import VoxelGrid
+from . import OURS
 from .detections import Detections
 from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep, joined
 
 BEARINGS = {"end-on": 0.0, "oblique": 20.0, "side-on": 70.0}
 """From which angle on between the line of sight and the car's axis [deg]."""
-OURS, PAPERS = "view-coverage", "pe-vgop"
+PAPERS = "pe-vgop"
 SHARES = ["p_top", "p_side", "p_front"]
 VOXEL_M = 0.4  # of the prior of expected visibility
 LOOKED_FOR_WITHIN_M = 80.0  # cars farther away are not looked for

@@ -15,9 +15,9 @@ import numpy as np
 
 from ...errors import InputError, printable
 from ...traffic.source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
+from . import FRAMES_FILE
 from .labelled import joined
 
-FRAMES_FILE = "frames.csv"
 FRAME_COLUMNS = ("split", "label_kind", "drive")
 TRAINING = "train"
 CONFIDENCE, IOU, IN_RANGE, PERFORMANCE = "_confidence", "_iou3d", "_in_range", "_performance"

@@ -20,6 +20,7 @@ from ...traffic.vehicles import VAN_LONGER_THAN_M
 from ...world.meshes import GLASS, REFLECTIVITY
 from ...world.shapes import shape, shape_of
 from ...world.triangles import Triangles, place
+from . import LABEL_MARGIN_M, MEASURED_LOSSES
 from .cars import BEARINGS
 from .labelled import LabelledBoxes, LabelledClouds, LabelledSweep, joined
 from .rings import NO_POINT, Firings, Rays, Rings, recover_rings
@@ -34,9 +35,6 @@ GROWN_M = 0.3  # a ray is a car's if it meets its box grown by this to all sides
 _LIFT_M = np.array([0.0, 0.0, 0.5 * (GROWN_M + CLEARANCE_M)])
 _GROWTH_M = np.array([2.0 * GROWN_M, 2.0 * GROWN_M, GROWN_M - CLEARANCE_M])
 SHORT_M = 0.3  # a return so far before the grown box came from something else, which hides the car
-LABEL_MARGIN_M = (0.15, 0.06, 0.01)
-"""By how much KITTI's labels are longer, wider and higher than the cars in them [m], fitted to the tuned frames."""
-
 # --- Variants of the simulation ---------------------------------------------------------------------------------------
 
 RETURN_LOSSES = {
@@ -48,9 +46,7 @@ RETURN_LOSSES = {
     "all": "all of these",
 }
 PICTURED = "weak"  # the losses that pictures of cars are drawn with
-MEASURED = Imperfections(0.02, 0.05, glass_dropout=0.3, range_at_10_percent_m=50.0)
-"""What an HDL-64E loses of cars: noise and the range to which a 10 % target is seen are the model's own; the shares are
-what is lost besides, by the tuned frames of KITTI. On those 35 to 50 m do about as well."""
+MEASURED = Imperfections(**MEASURED_LOSSES)
 
 
 class Variant(NamedTuple):

@@ -9,9 +9,9 @@ import bpy
 import numpy as np
 from mathutils import Euler, Matrix
 
+from ...road import RoadFrame
 from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose
-from ...traffic.vehicles import RoadFrame
 from ..meshes import GLASS, PAINT, ROAD, STRUCTURE, tube
 from ..scenery import Scenery
 

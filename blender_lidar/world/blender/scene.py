@@ -14,10 +14,11 @@ from mathutils import Vector
 
 from ...errors import InputError, OutputError
 from ...files import whole_file, write_bytes
+from ...road import RoadFrame
 from ...sensors.beams import BeamLattice
 from ...sensors.pose import Pose
 from ...signals import stops_end_at_once
-from ...traffic.vehicles import RoadFrame, Vehicles
+from ...traffic.vehicles import Vehicles
 from ..scenery import Scenery
 from .objects import (
     FAN,

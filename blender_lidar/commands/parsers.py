@@ -1,0 +1,322 @@
+"""Every verb of the command line and its options, for argparse; the standard library alone, so that help opens at once.
+
+A parser names what carries its verb out as ``module.function`` of this room, which is imported when it is run.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+
+from ..names import CASTERS, CLOUD_SUFFIXES, DEFAULT_CELL_M, DETAILS, VEHICLE_METRICS, VIEWS
+from ..studies.compare import FRAMES_FILE, LABEL_MARGIN_M, MEASURED_LOSSES, OURS
+from ..toml_table import setting, settings_of
+from .options import SEARCH_OPTIONS, Renamed, add_moments, add_option, add_pose, add_scene
+
+OTHER_SENSORS = ("RS-80", "RS-32")  # of chart: the first that is not the scene's own
+NO_SENSOR = "none"
+SUSTECHPOINTS = "sustechpoints"
+_CLOUD_FORMATS = [*(suffix.removeprefix(".") for suffix in CLOUD_SUFFIXES), SUSTECHPOINTS]
+
+
+def add_verbs(subparsers) -> None:
+    """Describe all verbs to argparse."""
+    for add in (_optimise, _evaluate, _stability, _chart, _scan, _build, _render, _score, _compare, _sensors, _doctor):
+        add(subparsers)
+
+
+def _verb(subparsers, name, place, must, what, description, *examples) -> argparse.ArgumentParser:
+    """The parser of a verb; `place` is what carries it out, `must` what has to follow it, `examples` what may."""
+    usage = f"%(prog)s {must} [options]".replace("  ", " ")
+    lines = "".join(f"\n  blender-lidar {name} {words}" for words in examples)
+    epilog = f"examples:{lines}" if examples else ""
+    parser = subparsers.add_parser(name, help=what, usage=usage, description=description, epilog=epilog)
+    parser.set_defaults(run=place)
+    return parser
+
+
+def _output(parser: argparse.ArgumentParser, *, resumed: str = "", quick: str = "") -> None:
+    """Where results go; whether a run can go on, and what a quick form of it is."""
+    add = parser.add_argument_group("output").add_argument
+    add("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
+    add("--json", action="store_true", help="print the content of the result file, and nothing else, on stdout")
+    if resumed:
+        add("--resume", action="store_true", help=f"go on with the {resumed} in --out DIR that was stopped")
+    if quick:
+        add("--quick", action="store_true", help=quick)
+
+
+# --- One mounting, or the best one ------------------------------------------------------------------------------------
+
+
+def _optimise(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "optimise", "optimise.run_optimise", "SCENE.toml", "find the best mounting for a scene"),
+        "Find the mounting with the highest objective, judge it on held-out traffic and leave a folder of results.",
+        "scenes/i80.toml",
+        "scenes/i80.toml --sensor RS-80 --fidelity auto --out runs/rs80",
+        "scenes/i80.toml --tolerance tilt_deg=1,height_m=0.05",
+    )
+    add_scene(parser)
+    _output(parser, resumed="run")
+
+
+def _evaluate(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "evaluate", "optimise.run_evaluate", "SCENE.toml", "score one mounting"),
+        "Score one mounting against the scene's baseline, on the searched and the held-out frames.",
+        "scenes/i80.toml --height 4.1 --tilt-x 19",
+    )
+    add_scene(parser, leave_out=SEARCH_OPTIONS)
+    add_pose(parser)
+    _output(parser)
+
+
+# --- Studies ----------------------------------------------------------------------------------------------------------
+
+
+def _stability(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "stability", "stability.run", "SCENE.toml", "where a scene's answer holds and where it breaks"),
+        "Vary the traffic, the installation, the metric and the sensor one thing at a time, search with other seeds, "
+        "and say of each whether the mounting holds: the one that the search finds, or one that is given.",
+        "scenes/i80.toml --quick",
+        "scenes/i80.toml --height 4.1 --tilt-x 19",
+    )
+    add_scene(parser)
+    add_pose(parser)
+    _output(parser, resumed="study", quick="few frames, coarse grids, short searches")
+
+
+def _chart(subparsers) -> None:
+    parser = _verb(
+        *(
+            subparsers,
+            "chart",
+            "chart.run",
+            "SCENE.toml",
+            "speed charted against accuracy, and how much model a scene needs",
+        ),
+        "Time and judge a ladder of fidelities (vehicle detail, share of the beams and frames, caster, culling, ground)"
+        " against the reference of all beams, all frames and the best detail; name the cheapest that is near enough; "
+        "and say what of the scene's model makes a difference at all.",
+        "scenes/i80.toml --quick",
+        "scenes/i80.toml --max-regret 0.5% --other-sensor none",
+    )
+    add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
+    add = parser.add_argument_group("chart").add_argument
+    regret = (
+        "share of the gain over the baseline that a fidelity may lose, above 0 up to 100%%: 1%% or 0.01; default 1%%"
+    )
+    add("--max-regret", default="1%", metavar="SHARE", help=regret)
+    other = f"another than the scene's, with which the recommendation is tried too, or {NO_SENSOR}; by default "
+    other += f"{OTHER_SENSORS[0]}, for a scene of its own {OTHER_SENSORS[1]}"
+    add("--other-sensor", metavar="NAME", help=other)
+    paired = "paired.json of compare --paired, or its folder: its errors stand beside"
+    add("--paired-errors", metavar="PATH", help=paired)
+    regret = "is an installer's error with other verbs; how much of the gain may be lost is --max-regret SHARE"
+    add("--tolerance", action=Renamed, told=regret)
+    add("--paired", action=Renamed, told="is a flag of compare; the errors that it found are --paired-errors PATH")
+    _output(parser, resumed="study", quick="ten frames, fewer mountings and draws")
+
+
+# --- Frames as clouds, in Blender and as pictures ---------------------------------------------------------------------
+
+
+def _scan(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "scan", "scan.run_scan", "SCENE.toml --frame K --out CLOUD", "write the point clouds of frames"),
+        "Cast one revolution over a frame and write the cloud: .npz with everything, .pcd, .ply, .las, .laz, or "
+        "KITTI's .bin with its .label. With --frame-ids a folder of clouds, one for each frame.",
+        "scenes/i80.toml --frame 1000 --height 4.1 --tilt-x 19 --out cloud.pcd",
+        "scenes/i80.toml --frame-ids 100:1000:100 --format sustechpoints --out clouds",
+    )
+    add_moments(parser, many="many frames")
+    add = parser.add_argument_group("output").add_argument
+    out = "the file to write, whose suffix is the format; the folder to write to with --frame-ids"
+    add("--out", required=True, metavar="CLOUD", help=out)
+    of_folder = f"format of the files in the folder; npz unless said, {SUSTECHPOINTS} adds labels"
+    add("--format", choices=_CLOUD_FORMATS, help=of_folder)
+
+
+def _build(subparsers) -> None:
+    parser = _verb(
+        *(
+            subparsers,
+            "build",
+            "scan.run_build",
+            "SCENE.toml --frame K --out FILE.blend",
+            "write a scene as a .blend file",
+        ),
+        "Build one frame's road, vehicles, LiDAR and point cloud in Blender and write them as a .blend file. With "
+        "--frame-ids the vehicles drive through those frames, as an animation; the cloud is the first's.",
+        "scenes/i80.toml --frame 1000 --height 4.1 --tilt-x 19 --out scene.blend",
+    )
+    add_moments(parser, many="an animation")
+    add = parser.add_argument_group("output").add_argument
+    add("--no-cloud", action="store_true", help="leave the point cloud out")
+    add("--out", required=True, metavar="FILE.blend", help="the file to write")
+
+
+def _render(subparsers) -> None:
+    parser = _verb(
+        *(
+            subparsers,
+            "render",
+            "scan.run_render",
+            "RUN_DIR",
+            "pictures of a run's mountings with their clouds, by Cycles",
+        ),
+        "Render the baseline and the mounting of a run with the clouds that they see, from above and from the pole, "
+        "into the run's folder, and gather them in its report.html. Points on a vehicle go from red to green with the "
+        "vehicle's entropy.",
+        "runs/i80_rs-16",
+    )
+    parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
+    parser.add_argument("--frame", type=int, metavar="K", help="frame number; by default the fullest searched one")
+    samples = "light paths per pixel, 1 to 4096; more is smoother and slower"
+    parser.add_argument("--samples", type=int, metavar="N", help=samples)
+
+
+# --- Clouds and metrics without a simulation, and beside reality ------------------------------------------------------
+
+_METRIC = f"another metric beside PE-VGOP, again for more, or all: {', '.join(VEHICLE_METRICS)}"
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreOptions:
+    """What `score` scores, and how.
+
+    Attributes
+    ----------
+    points : str
+        The cloud: .npz with xyz, or .pcd.
+    boxes : str
+        The boxes, in the columns of vehicles.csv and the frame of the cloud.
+    frame : int or None
+        Frame of the boxes, where they come from several.
+    assign : str
+        A point belongs to the vehicle that its vehicle_id names, or to the box it lies in.
+    clearance_m : float
+        With --assign box, points this little above a box's floor are ground.
+    cell_m : float
+        Side of a cell.
+    threshold : float
+        Least occupancy that counts as detectable.
+    view : str
+        Which of the three occupancies the threshold asks for.
+    metrics : tuple of str or None
+        Another metric beside PE-VGOP, again for more, or all.
+    lidar_xy : (float, float) or None
+        Where the LiDAR is, in the frame of the cloud [m]: for the metric distance.
+    out : str or None
+        Write one row for each vehicle.
+    json : bool
+        Print the scores as JSON, and nothing else, on stdout.
+    """
+
+    points: str = setting(option="--points", metavar="CLOUD")
+    boxes: str = setting(option="--boxes", metavar="BOXES.csv")
+    frame: int | None = setting(None, option="--frame", metavar="K")
+    assign: str = setting("id", allowed=("id", "box"), option="--assign")
+    clearance_m: float = setting(0.1, low=0.0, option="--ground-clearance", metavar="M")
+    cell_m: float = setting(DEFAULT_CELL_M, low=0.001, option="--cell", metavar="M")
+    threshold: float = setting(0.005, low=0.0, option="--threshold")
+    view: str = setting("mean", allowed=VIEWS, option="--view")
+    metrics: tuple[str, ...] | None = setting(None, option="--metric", metavar="NAME", help=_METRIC)
+    lidar_xy: tuple[float, float] | None = setting(None, option="--lidar", metavar=("X", "Y"))
+    out: str | None = setting(None, option="--out", metavar="CSV")
+    json: bool = setting(False, option="--json")
+
+
+def _score(subparsers) -> None:
+    parser = _verb(
+        *(
+            subparsers,
+            "score",
+            "score.run",
+            "--points CLOUD --boxes BOXES.csv",
+            "score the vehicles of a labelled cloud",
+        ),
+        "Score a point cloud by boxes that are known: PE-VGOP of each vehicle, and other metrics if asked.",
+        "--points cloud.npz --boxes runs/i80_rs-16/vehicles.csv --frame 1000",
+        "--points sweep.pcd --boxes boxes.csv --assign box --metric all",
+    )
+    groups = {
+        name: parser.add_argument_group(title)
+        for title, names in {
+            "what is scored": ("points", "boxes", "frame", "assign", "clearance_m", "lidar_xy"),
+            "metric": ("cell_m", "threshold", "view", "metrics"),
+            "output": ("out", "json"),
+        }.items()
+        for name in names
+    }
+    for key, declared in settings_of(ScoreOptions).items():
+        add_option(groups[key], declared, key, declared.default)
+
+
+def _compare(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "compare", "compare.run", "--kitti DIR", "hold shapes, beams and metrics against reality"),
+        "Compare with real, labelled sweeps: the same rays cast against our shapes (--paired), or metrics beside what "
+        "real detectors made of each car (--detections).",
+        "--paired --kitti DIR",
+        "--kitti DIR --detections cars.csv --metrics view-coverage,pe-vgop,distance",
+    )
+    add = parser.add_argument_group("sweeps").add_argument
+    add("--kitti", required=True, metavar="DIR", help="labelled sweeps in the layout of KITTI or SUSTechPOINTS")
+    called = "what the labels call a car; may be repeated (default Car, in small or capital letters)"
+    add("--class", dest="classes", action="append", metavar="NAME", help=called)
+
+    add = parser.add_argument_group("--paired", "the same rays in reality and against our shapes").add_argument
+    add("--paired", action="store_true", help="compare points, occupancies and PE-VGOP ray by ray")
+    add("--details", default=",".join(DETAILS), metavar="NAMES", help="levels of detail (default %(default)s)")
+    add("--caster", default="auto", choices=("auto", *CASTERS), help="what casts the rays")
+    add(
+        "--losses",
+        default=",".join(f"{name}={share:g}" for name, share in MEASURED_LOSSES.items()),
+        metavar="NAME=VALUE,...",
+        help="what the variants with losses lose, by the keys of a scene's [sensor] (default %(default)s)",
+    )
+    longer = "by how much labels are longer, wider and higher than the vehicles in them [m] (default %(default)s)"
+    add("--label-margin", type=float, nargs=3, default=LABEL_MARGIN_M, metavar=("L", "W", "H"), help=longer)
+
+    add = parser.add_argument_group("beside detectors").add_argument
+    made = "what detectors made of each car: frame, label_line, and NAME_confidence and NAME_iou3d for each detector"
+    add("--detections", metavar="CARS.csv", help=made)
+    told = f"split, label_kind and drive of each frame; by default {FRAMES_FILE} beside CARS.csv, if it is there"
+    add("--frames-table", metavar="CSV", help=told)
+    held = (
+        f"metrics of single vehicles, divided by commas; others are held against the first (default all, {OURS} first)"
+    )
+    add("--metrics", metavar="NAMES", help=held)
+    least = "leave out points this little above a box's floor [m] (default 0: none, as detectors see them too)"
+    add("--ground-clearance", type=float, default=0.0, metavar="M", help=least)
+    block = "resample N frames as one, in the order of their names (default 1); whole drives where they are told"
+    add("--block-frames", type=int, default=1, metavar="N", help=block)
+    add("--seed", type=int, default=1, help="of the resamples and folds (default 1)")
+    _output(parser)
+
+
+# --- What there is ----------------------------------------------------------------------------------------------------
+
+
+def _sensors(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "sensors", "sensors.run", "[NAME]", "list the LiDAR models, or show one with its beam fan"),
+        "List the LiDAR models; with NAME show one in full, with its beam fan and its table of rings.",
+        "RS-16",
+        "own_sensor.csv --out fan.png",
+    )
+    add = parser.add_argument
+    add("name", nargs="?", metavar="NAME", help="a model's name or alias, or the path of a .toml or .csv")
+    add = parser.add_argument_group("output").add_argument
+    add("--json", action="store_true", help="print JSON on stdout and nothing else there")
+    add("--out", metavar="PNG", help="draw NAME's beam fan into this file")
+
+
+def _doctor(subparsers) -> None:
+    _verb(
+        *(subparsers, "doctor", "doctor.run", "", "check the installation"),
+        "Show what is installed and scan a wall with each caster.",
+    )

@@ -1,0 +1,45 @@
+"""Names and limits that settings share with the rooms that give them a meaning; the standard library alone.
+
+Settings, options and help need the names of metrics, searches or casters, not NumPy, which takes longer to import than
+help takes to print. A test holds each list to what its room has.
+"""
+
+CASTERS = ("raster", "embree", "bvh", "exact")  # in the order in which "auto" tries them; the last it does not
+DETAILS = ("box", "body", "detailed")  # of vehicles, the coarsest first
+BARRIERS = ("concrete", "guard_rail")
+TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table")
+SENSOR_SUFFIXES = (".toml", ".csv")
+CLOUD_SUFFIXES = (".npz", ".pcd", ".ply", ".bin", ".las", ".laz")
+VIEWS = ("mean", "max", "min")  # how three occupancies become the P of Eq. 11
+READINGS = ("corrected", "paper")
+SEARCHES = ("hardened", "de-pso", "grid", "random")  # the first unless said
+VEHICLE_METRICS = (  # of single vehicles in a cloud
+    "pe-vgop",
+    "view-coverage",
+    "sum-of-views",
+    "points",
+    "log-points",
+    "areal-density",
+    "volumetric-density",
+    "voxel-entropy-0.1",
+    "voxel-entropy-0.2",
+    "voxel-occupancy",
+    "voxel-occupancy-entropy",
+    "ap-entropy",
+    "distance",
+)
+SCENE_METRICS = (  # learnt from a scene's traffic
+    "s-mig",
+    "covered-entropy",
+    "m-sog",
+    "expected-visibility",
+    "ground-density",
+    "ground-nuc",
+)
+METRIC_NAMES = VEHICLE_METRICS + SCENE_METRICS  # the first unless said
+
+DEFAULT_CELL_M = 0.05  # side of an occupancy cell, the paper's mu
+PARTICLES, ITERATIONS = 20, 100  # the paper's N and T, section V.A
+MOST_RANGE_NOISE_M = 10.0
+STATED_RANGE_LIMITS_M = (0.01, 1e5)  # of a target of 10 % reflectivity
+MOST_SPREAD_DEG = 5.0  # between the beams of a model's units
