@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from blender_lidar import __version__
+from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.sensors.model import model_names
 
@@ -21,6 +23,28 @@ SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 def test_a_shipped_scene_can_be_read_and_its_traffic_is_there(scene):
     scenario = load_scenario(scene)
     assert Path(scenario.traffic.path).is_file()
+
+
+def test_a_shipped_scene_is_found_by_its_name_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert Path(load_scenario("i80").traffic.path).is_file()
+    with pytest.raises(MissingFileError, match=r"^i81: there is no such file; .*: i80, paper$"):
+        load_scenario("i81")
+    with pytest.raises(MissingFileError, match=r"^scenes/i80.toml: there is no such file; .*: i80, paper$"):
+        load_scenario("scenes/i80.toml")
+    (tmp_path / "i80").mkdir()  # what is there is meant
+    with pytest.raises(InputError, match="i80: is a folder"):
+        load_scenario("i80")
+
+
+def test_the_distribution_lists_every_package_and_the_citation_its_version():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    packages = {path.parent.relative_to(ROOT).as_posix() for path in (ROOT / "blender_lidar").rglob("__init__.py")}
+    listed = {name.replace(".", "/") for name in project["tool"]["setuptools"]["packages"]}
+    assert listed == packages | {"blender_lidar/scenes"}
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {__version__}\n" in citation
+    assert project["project"]["version"] == __version__
 
 
 def test_the_paper_scene_holds_the_papers_settings():

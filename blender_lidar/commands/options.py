@@ -108,11 +108,10 @@ def _numbers_read(given, kind):
 
 def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
     """The scene file, and the options that replace its settings but for those left out."""
-    parser.add_argument(
-        "scene",
-        metavar="SCENE.toml",
-        help="the scene file; an option replaces what it says, and a default holds where neither says",
+    meant = (
+        "the scene file, or i80, which ships with the package; an option replaces what it says, and a default holds "
     )
+    parser.add_argument("scene", metavar="SCENE.toml", help=meant + "where neither says")
     for title, tables in _GROUPS.items():
         asked = {option: of for option, of in _SETTINGS.items() if of[0] in tables and option not in leave_out}
         group = parser.add_argument_group(title) if asked else None

@@ -6,6 +6,7 @@ before they are checked, so both pass the same checks.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -46,13 +47,21 @@ _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
 
 
+def shipped_scenes() -> dict[str, Path]:
+    """The scene files that come with the package, by name: inside it, or beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    folder = next((place for place in (package / "scenes", package.parent / "scenes") if place.is_dir()), package)
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
 def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scenario:
     """Read a scene file.
 
     Parameters
     ----------
     path : path
-        The TOML file. Relative paths in it start from its folder.
+        The TOML file, or the name of one that ships with the package, as in `shipped_scenes`. Relative paths in it
+        start from its folder.
     overrides : mapping of (table, key) to (value, origin), optional
         Values that replace the file's, and where each came from: ``{("sensor", "name"): ("RS-80", "--sensor")}``.
         A path among them starts from the working folder.
@@ -62,7 +71,12 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     MissingFileError, InputError
         Naming the file, the table and the key.
     """
-    tables = _tables(Path(path), overrides or {})
+    shipped = shipped_scenes()
+    path = Path(path) if os.path.exists(path) else shipped.get(str(path), Path(path))  # noqa: PTH110 - of any length
+    try:
+        tables = _tables(path, overrides or {})
+    except MissingFileError as error:
+        raise MissingFileError(f"{error}; scenes that ship with the package: {', '.join(shipped)}") from error
     bounds = tables["deployment"].read(DEPLOYMENT)
     searched = {key: value for key, value in bounds.items() if isinstance(value, tuple)}
     deployment = Deployment({key: value for key, value in bounds.items() if key not in searched}, searched)
