@@ -18,6 +18,9 @@ from blender_lidar import __version__, cli
 from blender_lidar.clouds.files import read_points
 from blender_lidar.commands import doctor
 from blender_lidar.commands.progress import Progress
+from blender_lidar.commands.report import outcome_text
+from blender_lidar.report.summary import answer
+from blender_lidar.run.folder import RunFolder
 from tests.small_scene import CASTER, done, without_times, write_scene, write_table
 from tests.small_scene import cli as run
 
@@ -162,13 +165,31 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_without_json_what_is_for_people_is_on_stdout_and_progress_on_stderr(tmp_path, capsys):
+def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    titles = [line.split()[0] for line in out.splitlines() if line and not line.startswith(" ")]
-    assert titles[:7] == ["Sensor", "Traffic", "Searched", "Held", "Casting", "Searching", "Mounting"]
-    assert titles[-1] == "Results"
+    described, told, meant, *tables, where = out.rstrip().split("\n\n")
+    assert [line.split()[0] for line in described.splitlines()] == ["Sensor", "Traffic", "Searched"]
+    assert " ".join(told.split()) == answer(json.loads(Path("run/result.json").read_text()))
+    assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
+    assert tables[0].startswith("Mounting ")
+    assert where.startswith("Results in run: ")  # there is nothing to warn of
     assert "search: 12 of 12 best " in err
     assert max(map(len, out.replace(str(tmp_path), "").splitlines())) <= 120
+
+
+def test_warnings_of_plan_and_traffic_come_last_and_once(tmp_path, capsys):
+    done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
+    run = RunFolder("run").read_outcome()
+    run.result["notes"], run.result["traffic_report"]["notes"] = ["few frames", "guessed"], ["guessed"]
+    warned = outcome_text(run, "Results in run").rpartition("\n\n")[2].splitlines()
+    assert warned[-2:] == ["Few frames.", "Guessed."]
+    assert warned.count("Guessed.") == 1
+
+
+def test_the_words_of_the_solver_are_kept_for_verbose(tmp_path, capsys):
+    out, _ = done(capsys, "optimise", write_scene(tmp_path), "--verbose", "--out", "run")
+    titles = [line.split()[0] for line in out.partition("\n\n")[0].splitlines() if not line.startswith(" ")]
+    assert titles == ["Sensor", "Traffic", "Searched", "Held", "Casting", "Searching"]
 
 
 def test_a_printed_mounting_is_that_of_the_result_with_units(tmp_path, capsys):
@@ -178,7 +199,7 @@ def test_a_printed_mounting_is_that_of_the_result_with_units(tmp_path, capsys):
     others = {"yaw [deg]": ["0.00", "3.00"], "x along the road [m]": ["0.00", "-1.50"]}
     told = {"Mounting": ["baseline", "given"], "height [m]": ["2.00", "3.30"], **tilts, **others}
     assert told.items() <= lines.items()
-    assert "Searching" not in out  # nothing is searched
+    assert "Searched  " not in out.partition("\n\n")[0]  # nothing is searched
 
 
 @pytest.mark.parametrize("height_m", [[2.0, 2.2], [2.0, 4.5], [4.0, 4.5]])

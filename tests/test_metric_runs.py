@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.verdict import METRIC_VALUE, distance_bands, vehicle_table
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.settings import DECLARED
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer
@@ -167,8 +169,8 @@ def test_a_run_goes_on_with_its_metric_alone(runs, capsys):
     code, _, err = cli(capsys, *words, "--metric", "log-points")
     assert code == 2
     assert "the run there had [objective] metric = 'points', not 'log-points'" in err
-    out, _ = done(capsys, *words, "--metric", "points")
-    assert "Objective: the number of returns of every vehicle, detectable or not." in out
+    out, _ = done(capsys, *words, "--metric", "points", "--verbose")
+    assert "Objective, in points: the number of returns of every vehicle, detectable or not," in out
     assert "random, 4 evaluations, seed 1, corrected reading, metric points" in out
 
 
@@ -282,6 +284,9 @@ class Memory:
 @pytest.fixture
 def memory(monkeypatch):
     made = Memory()
+    declared = DECLARED["objective"]
+    allowed = (*declared["metric"].allowed, "memory")
+    monkeypatch.setitem(declared, "metric", replace(declared["metric"], allowed=allowed))
     monkeypatch.setitem(
         METRICS, "memory", Metric("memory", "memory", "", True, needs=frozenset({NEEDS_VIEW}), learn=made.learn)
     )

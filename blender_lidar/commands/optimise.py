@@ -18,7 +18,7 @@ from ..scene.site import Site, prepare
 from ..signals import stops_recognised
 from .options import default_folder, mounting_from, scenario_from
 from .progress import RunProgress
-from .report import comparison, describe_site, files
+from .report import describe_site, files, outcome_text
 
 # --- Where a run's results go, and how they are told: what the verbs that leave a folder share ------------
 
@@ -47,7 +47,7 @@ def report(args: argparse.Namespace, site: Site, folder: RunFolder) -> int:
     except MissingExtraError as error:
         print(f"blender-lidar: note: no charts: {error}", file=sys.stderr)
     write_report(run)
-    say(args, comparison(run) + "\n\n" + files(folder, charts))
+    say(args, outcome_text(run, files(folder, charts)))
     if args.json:
         print(json.dumps(run.result, indent=2))
     return 0
@@ -73,7 +73,7 @@ def run_optimise(args: argparse.Namespace) -> int:
     site = prepare(scenario)
     with folder.locked():
         folder.check(resume=args.resume)  # again: another run may have come first
-        say(args, describe_site(site) + "\n")
+        say(args, describe_site(site, verbose=args.verbose) + "\n")
         done = folder.read_result(site.identity) if args.resume else None
         if done is not None and done.get("search") is None:
             raise InputError(
@@ -100,6 +100,6 @@ def run_evaluate(args: argparse.Namespace) -> int:
     site = prepare(scenario, mount)
     with folder.locked():
         folder.check()  # again: another run may have come first
-        say(args, describe_site(site, searched=False) + "\n")
+        say(args, describe_site(site, searched=False, verbose=args.verbose) + "\n")
         evaluate_site(site, folder, mount)
         return report(args, site, folder)

@@ -35,11 +35,13 @@ def _verb(subparsers, name, place, must, what, description, *examples) -> argpar
     return parser
 
 
-def _output(parser: argparse.ArgumentParser, *, resumed: str = "", quick: str = "") -> None:
+def _output(parser: argparse.ArgumentParser, *, verbose: bool = True, resumed: str = "", quick: str = "") -> None:
     """Where results go; whether a run can go on, and what a quick form of it is."""
     add = parser.add_argument_group("output").add_argument
     add("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
     add("--json", action="store_true", help="print the content of the result file, and nothing else, on stdout")
+    if verbose:
+        add("--verbose", action="store_true", help="say all that was read, and how it is searched and cast")
     if resumed:
         add("--resume", action="store_true", help=f"go on with the {resumed} in --out DIR that was stopped")
     if quick:
@@ -295,7 +297,7 @@ def _compare(subparsers) -> None:
     block = "resample N frames as one, in the order of their names (default 1); whole drives where they are told"
     add("--block-frames", type=int, default=1, metavar="N", help=block)
     add("--seed", type=int, default=1, help="of the resamples and folds (default 1)")
-    _output(parser)
+    _output(parser, verbose=False)
 
 
 # --- What there is ----------------------------------------------------------------------------------------------------

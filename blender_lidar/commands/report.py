@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,11 +16,13 @@ from ..report.summary import (
     COORDINATE_NAMES,
     TextTable,
     aim_text,
+    answer,
+    as_sentence,
     cautions,
     comparison_table,
+    definitions,
     group_tables,
     imperfections_text,
-    objective_text,
     scenery_text,
 )
 from ..run.folder import Outcome, RunFolder
@@ -31,12 +34,33 @@ from ..scoring.evaluation import workplace_of
 _NOTE_WIDTH = 120
 
 
-def describe_site(site: Site, *, searched: bool = True) -> str:
-    """What a run will work on, a line for each room of the house; `searched` is False where a mounting is given."""
+def describe_site(site: Site, *, searched: bool = True, verbose: bool = False) -> str:
+    """What a run will work on, in a few lines; in the solver's words, with all that was read, where `verbose`.
+
+    `searched` is False where a mounting is given.
+    """
+    lines = _all_lines(site, searched) if verbose else _few_lines(site, searched)
+    return "\n".join(f"{name:<10} {text}" for name, text in lines if text)
+
+
+def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
+    scenario, vehicles = site.scenario, sum(int(frame.counted.sum()) for frame in site.search)
+    held_out = f"; {len(site.holdout)} held-out ones judge" if len(site.holdout) else "; none is held out"
+    return [
+        ("Sensor", f"{site.model.name}, range gate {site.observation.max_range_m:g} m"),
+        ("", imperfections_text(scenario.sensor.imperfections_as_table())),
+        ("Scenery", scenery_text(scenery_counts(site))),
+        ("Traffic", f"{scenario.traffic.path}: {len(site.search)} frames with {vehicles:,} vehicles{held_out}"),
+        ("Tolerance", _tolerance_text(scenario, searched)),
+        ("Searched" if searched else "", _ranges(scenario)),
+    ]
+
+
+def _all_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
     scenario, observation, plan = site.scenario, site.observation, site.plan
     lattice = observation.lattice
     sensor = f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz"
-    lines = [
+    return [
         ("Sensor", f"{sensor}, range gate {observation.max_range_m:g} m"),
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),
@@ -61,18 +85,27 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
         ("Casting", f"{observation.caster}, detail {observation.detail}, {workplace_of(scenario.model)}"),
         ("Searching", _search_text(scenario) if searched else ""),
     ]
-    return "\n".join(f"{name:<10} {text}" for name, text in lines if text)
 
 
-def comparison(run: Outcome) -> str:
-    """The mounting and the baseline side by side: scores, then detectable shares by distance and by lane."""
-    result = run.result
+def outcome_text(run: Outcome, where: str) -> str:
+    """What a run came to, the answer first: it, what its words mean, tables, `where` the results are, warnings last.
+
+    Warnings are what the run says of how far to trust it: of the search, of its frames, and of the recording.
+    """
+    result, metric = run.result, metric_named(run.result["metric"])
+    unit = f", in {metric.unit}" if metric.unit else ""
+    words = definitions(result)
+    meant = [f"Objective{unit}: {words['objective']}", f"Detectable: {words['detectable']}"]
     tables = [table_text(table) for table in (comparison_table(result), *group_tables(run))]
-    notes = cautions(result)
-    if result["reading"] == "corrected" or metric_named(result["metric"]) is not PE_VGOP:
-        notes.insert(0, f"Objective: {objective_text(result)}.")
-    told = "\n".join(textwrap.fill(note, _NOTE_WIDTH) for note in notes)
-    return "\n\n".join([*tables, told]).rstrip()
+    warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
+    parts = [_filled([answer(result)]), _filled(meant), *tables, where, _filled(warnings)]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _filled(sentences: Sequence[str]) -> str:
+    """Sentences, each on lines of its own that fit the terminal."""
+    width = min(shutil.get_terminal_size((_NOTE_WIDTH, 24)).columns, _NOTE_WIDTH)
+    return "\n".join(textwrap.fill(sentence, width, break_on_hyphens=False) for sentence in dict.fromkeys(sentences))
 
 
 def table_text(table: TextTable) -> str:
@@ -110,12 +143,7 @@ def _tolerance_text(scenario, searched):
 
 def _search_text(scenario):
     """What is searched, between which bounds, how, and with what budget."""
-    settings, bounds = scenario.search, scenario.deployment.bounds
-    ranges = (
-        f"{name} {bounds[key][0]:g} to {bounds[key][1]:g} {unit}"
-        for key, (name, unit) in COORDINATE_NAMES.items()
-        if key in bounds
-    )
+    settings = scenario.search
     budget = (
         f"{settings.particles} particles x {settings.iterations} iterations"
         if settings.method == DePso.name
@@ -126,5 +154,15 @@ def _search_text(scenario):
     objective = scenario.objective
     metric = "" if objective.metric == PE_VGOP.name else f", metric {objective.metric}"
     return (
-        f"{', '.join(ranges)}; {settings.method}, {budget}, seed {settings.seed}, {objective.reading} reading{metric}"
+        f"{_ranges(scenario)}; {settings.method}, {budget}, seed {settings.seed}, {objective.reading} reading{metric}"
+    )
+
+
+def _ranges(scenario):
+    """The searched coordinates, each with its bounds."""
+    bounds = scenario.deployment.bounds
+    return ", ".join(
+        f"{name} {bounds[key][0]:g} to {bounds[key][1]:g} {unit}"
+        for key, (name, unit) in COORDINATE_NAMES.items()
+        if key in bounds
     )

@@ -39,7 +39,7 @@ def carry_out(
     """
     folder = StudyFolder(args.out or default_folder(site.scenario, verb), identity, report.files, Progress)
     with folder.locked(resume=args.resume):
-        say(args, describe_site(site) + "\n")
+        say(args, describe_site(site, verbose=args.verbose) + "\n")
         try:
             with stops_recognised():
                 result = study(folder)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from .. import __version__
 from ..files import write_text
-from ..metrics.catalogue import metric_named
 from ..run.folder import INSTALLATION, REPORT, RESULT, SCENE, Outcome, refused_by_name
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport
@@ -24,13 +23,13 @@ from .summary import (
     cautions,
     comparison_table,
     conditions,
+    definitions,
     frames_word,
     group_tables,
     key_figures,
     minus,
     mounting_name,
     mounting_text,
-    objective_text,
     sides,
     was_searched,
 )
@@ -240,18 +239,8 @@ def _heading(run: Outcome):
 
 def _scores(run: Outcome):
     """The mountings side by side, and what the words in that table mean."""
-    result, metric = run.result, metric_named(run.result["metric"])
-    identity = result["identity"]
-    words = {
-        "objective": f"{objective_text(result)}, summed over the vehicles in view, which are the same for every "
-        "mounting.",
-        "detectable": f"occupancy ({identity['[objective] view']} of the three views) of at least "
-        f"{identity['[objective] threshold']:g}: a threshold on the metric, not a detector.",
-    }
-    if metric.tells:
-        what = "the scene" if metric.of_scene else "each vehicle"
-        direction = "" if metric.higher_is_better else "; lower is better"
-        words["objective"] += f" For {what} the metric, {metric.name}, tells {metric.tells}{direction}."
+    result = run.result
+    words = definitions(result)
     if result.get("tolerance") is not None:
         words["gain kept"] = (
             "what an error of installation leaves of the gain over the baseline, each error uniform within what is "

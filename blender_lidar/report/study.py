@@ -76,9 +76,9 @@ class StudyReport:
         return [PAGE, self.result, *self.tables, *drawn, *note]
 
     def text(self, result: Mapping) -> str:
-        """The report for a terminal, the answer last."""
+        """The report for a terminal, the answer first."""
         parts = []
-        for heading, table, lines in (*self.sections(result), Section("", (), self.answer(result))):
+        for heading, table, lines in (Section("", (), self.answer(result)), *self.sections(result)):
             told = (textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
             parts.append("\n".join([*filter(None, [heading]), *text_table(table), *told]))
         return "\n\n".join(parts)

@@ -134,6 +134,22 @@ def objective_text(result: Mapping) -> str:
     return f"{merit} of every detectable vehicle, less {f'{abs(loss):g} {unit}'.rstrip()} for every other one"
 
 
+def definitions(result: Mapping) -> dict[str, str]:
+    """What the objective, and with it its unit, and "detectable" mean in this run, a sentence or two each."""
+    metric, identity = metric_named(result["metric"]), result["identity"]
+    words = {
+        "objective": f"{objective_text(result)}, summed over the vehicles in view, which are the same for every "
+        "mounting.",
+        "detectable": f"occupancy ({identity['[objective] view']} of the three views) of at least "
+        f"{identity['[objective] threshold']:g}: a threshold on the metric, not a detector.",
+    }
+    if metric.tells:
+        what = "the scene" if metric.of_scene else "each vehicle"
+        direction = "" if metric.higher_is_better else "; lower is better"
+        words["objective"] += f" For {what} the metric, {metric.name}, tells {metric.tells}{direction}."
+    return words
+
+
 # --- How a number, a gain, an interval are told -----------------------------------------------------------------------
 
 
