@@ -52,6 +52,7 @@ LIBRARIES = {
     "tqdm": ("commands/progress.py",),
     "scipy": ("studies/",),
     "distributed": ("scoring/cluster.py",),
+    "pandas": ("api.py",),
 }
 # Rooms in the order in which the data walks, and those that each may import besides the floor.
 FLOOR = {"errors", "names", "road", "files", "compiled", "signals", "statistics", "toml_table"}
@@ -69,7 +70,7 @@ ROOMS = {
 _UPWARDS = ("scoring", "clouds", "run", "studies", "report", "commands")
 for _here in _UPWARDS:
     ROOMS[_here] = set(ROOMS) - FLOOR
-DOOR = {"commands", "cli", "addon", "__main__", "__init__"}
+DOOR = {"commands", "cli", "api", "addon", "__main__", "__init__"}
 
 
 @cache

@@ -152,6 +152,11 @@ def scenario_from(args: argparse.Namespace) -> Scenario:
     return load_scenario(args.scene, overrides)
 
 
+def scene_settings() -> dict[str, tuple[str, str]]:
+    """Table and key of each setting that has an option, by the option's name as Python writes it."""
+    return {option[2:].replace("-", "_"): (table, key) for option, (table, key, _) in _SETTINGS.items()}
+
+
 def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, float]:
     """The mounting that the options name, in metres and degrees."""
     return {**scenario.baseline, **given_options(args, MOUNTING)}

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -34,16 +35,30 @@ _OF_CLOUD = {name: metric for name, metric in METRICS.items() if metric.learn is
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     asked = ScoreOptions(**given_options(args, settings_of(ScoreOptions)))
-    metrics = _metrics(asked)
+    metrics = metrics_of(asked)
     points, vehicle_id = read_points(asked.points)
-    vehicles = _boxes(asked)
+    table = score_table(asked, metrics, points, vehicle_id, boxes_of(asked))
+    if asked.out:
+        write_columns(asked.out, table, dict.fromkeys((*_SHARES, "entropy_bits"), 6))
+    (_print_json if asked.json else _print)(table, len(points), metrics)
+    return 0
+
+
+def score_table(
+    asked: ScoreOptions,
+    metrics: Sequence[Metric],
+    points: np.ndarray,
+    vehicle_id: np.ndarray | None,
+    vehicles: Vehicles,
+) -> dict[str, np.ndarray]:
+    """Scores of the vehicles of a labelled cloud, by column; `points` are (k, 3) [m], `vehicle_id` (k,)."""
     row = _assigned(asked, points, vehicle_id, vehicles)
     mine = row != NO_BOX
     local = to_vehicle_frame(points[mine], vehicles.centre_m, vehicles.heading_rad, row[mine])
     away = None if asked.lidar_xy is None else np.hypot(*(vehicles.centre_m[:, :2] - asked.lidar_xy).T)
     returns = vehicle_returns(local, row[mine], vehicles.size_m, away, asked.cell_m)
     shares = returns.occupancy
-    table = {
+    return {
         "frame": np.full(len(vehicles), vehicles.frame),
         "vehicle_id": vehicles.vehicle_id,
         "class": vehicles.class_name,
@@ -53,13 +68,9 @@ def run(args: argparse.Namespace) -> int:
         "detectable": detectable(shares, asked.threshold, asked.view),
         **{_column(metric): metric.values(returns) for metric in metrics if metric.name not in _ALWAYS},
     }
-    if asked.out:
-        write_columns(asked.out, table, dict.fromkeys((*_SHARES, "entropy_bits"), 6))
-    (_print_json if asked.json else _print)(table, len(points), metrics)
-    return 0
 
 
-def _metrics(asked: ScoreOptions) -> list[Metric]:
+def metrics_of(asked: ScoreOptions) -> list[Metric]:
     """The metrics that were asked for beside PE-VGOP, each once."""
     found: dict[str, Metric] = {}
     known = {NEEDS_POINTS} if asked.lidar_xy is None else {NEEDS_POINTS, NEEDS_DISTANCE}
@@ -81,7 +92,8 @@ def _column(metric: Metric) -> str:
     return _ALWAYS.get(metric.name, metric.name.replace("-", "_"))
 
 
-def _boxes(asked: ScoreOptions) -> Vehicles:
+def boxes_of(asked: ScoreOptions) -> Vehicles:
+    """The boxes that are named, of the frame that is."""
     recording = read_table(asked.boxes)
     frames = recording.frames
     if asked.frame is None and len(frames) > 1:

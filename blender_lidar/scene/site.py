@@ -188,7 +188,7 @@ class Site:
     @property
     def reach_m(self) -> float:
         """How far from the middle of the region vehicles are looked at: farther ones hide none that count [m]."""
-        return _reach_m(self.scenario, None)
+        return reach_of(self.scenario, None)
 
     def counted(self, vehicles: Vehicles) -> CountedFrame:
         """A frame of other traffic at this site: those within reach, and which of them count."""
@@ -231,7 +231,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     check_mount_is_clear(scenario, frames)
     if mount is not None:
         check_mount_is_clear(scenario, frames, {"--x, --y": mount})
-    reach = _reach_m(scenario, mount)
+    reach = reach_of(scenario, mount)
     searched = tuple(_counted(frame, region, reach) for frame in frames[: len(plan.search)])
     held_out = tuple(_counted(frame, region, reach, plan.searched_ids) for frame in frames[len(plan.search) :])
     if not any(frame.counted.any() for frame in searched):
@@ -314,7 +314,7 @@ def _counted(vehicles, region, reach, not_counted=()) -> CountedFrame:
     return CountedFrame(near, counted)
 
 
-def _reach_m(scenario: Scenario, mount: Mapping[str, float] | None) -> float:
+def reach_of(scenario: Scenario, mount: Mapping[str, float] | None) -> float:
     """How far from the nominal place vehicles matter to a mounting [m]."""
     return scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, mount)
 

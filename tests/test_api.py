@@ -1,0 +1,190 @@
+"""The Python interface: it comes to what the command line comes to, and refuses what that refuses."""
+
+from __future__ import annotations
+
+import builtins
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import blender_lidar as bl
+from blender_lidar.errors import InputError
+from blender_lidar.report.summary import answer
+from blender_lidar.run.folder import RunFolder
+from tests.small_scene import CASTER, done, write_scene
+
+ROOT = Path(__file__).parents[1]
+MAPPED = {"deployment": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0]}}
+
+
+@pytest.fixture
+def site(tmp_path):
+    return bl.load_scene(write_scene(tmp_path, MAPPED), particles=4, iterations=3, workers=1)
+
+
+def rows_of(table):
+    return {name: np.asarray(table[name]) for name in table}
+
+
+def test_importing_costs_nothing_until_something_is_asked_for():
+    program = "import sys, blender_lidar as bl; print('numpy' in sys.modules, 'load_scene' in dir(bl))"
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "False True\n"
+    with pytest.raises(AttributeError, match="nonsense"):
+        _ = bl.nonsense
+
+
+def test_a_search_comes_to_what_the_command_line_comes_to(tmp_path, site, capsys):
+    words = ("--particles", 4, "--iterations", 3, "--workers", 1, "--out", tmp_path / "run")
+    done(capsys, "optimise", tmp_path / "scene.toml", *words)
+    told = RunFolder(tmp_path / "run").read_outcome()
+    run = bl.best_mounting(site)
+    assert run.complete
+    assert run.mounting == told.result["deployment"]
+    assert {key: value for key, value in run.result.items() if key not in ("seconds", "notes")} == {
+        key: value for key, value in told.result.items() if key not in ("seconds", "notes")
+    }
+    for name, column in rows_of(run.vehicles).items():
+        np.testing.assert_array_equal(column, told.optimised[name])
+    assert str(run) == answer(told.result)
+    assert len(run.history["objective"]) == told.result["evaluations"]
+    assert np.max(run.history["objective"]) == pytest.approx(told.result["objective"])
+
+
+def test_scores_of_one_of_many_and_of_a_judged_mounting_agree(site):
+    many = rows_of(bl.score_mountings(site, [{"height_m": 3.0, "tilt_x_deg": 10}, {"height_m": np.float64(4.0)}]))
+    one = bl.score_mounting(site, height_m=3.0, tilt_x_deg=10.0)
+    assert many["objective"][0] == one.objective
+    assert many["detectable_share"][0] == one.detectable_share
+    judged = bl.judge_mounting(site, height_m=3.0, tilt_x_deg=10.0)
+    assert judged.result["objective"] == one.objective
+    columns = {"height_m": [3.0, 4.0], "tilt_x_deg": [10.0, site.scenario.baseline["tilt_x_deg"]]}
+    np.testing.assert_array_equal(rows_of(bl.score_mountings(site, columns))["objective"], many["objective"])
+    assert bl.score_mounting(site, height_m=3.0, tilt_x_deg=10.0, held_out=True).objective != one.objective
+
+
+def test_a_mounting_beyond_the_searched_places_meets_all_vehicles_that_matter_to_it(tmp_path, site):
+    far = {"x_m": 60.0, "height_m": 4.0, "tilt_x_deg": 15.0}
+    assert bl.score_mounting(site, **far).objective == bl.judge_mounting(site, **far).result["objective"]
+
+
+def test_a_scan_that_is_scored_has_the_occupancies_of_the_scorer(site):
+    at = {"height_m": 4.0, "tilt_x_deg": 15.0}
+    frame = site.search[0].vehicles.frame
+    scan = bl.scan_frame(site, frame, **at)
+    scored = rows_of(bl.score_cloud(scan.cloud.xyz, scan.vehicles, scan.cloud.vehicle_id))
+    seen = rows_of(bl.score_mounting(site, **at).vehicles)
+    of_frame = seen["frame"] == frame
+    row = [scored["vehicle_id"].tolist().index(number) for number in seen["vehicle_id"][of_frame]]
+    np.testing.assert_array_equal(scored["points"][row], seen["points"][of_frame])
+    np.testing.assert_allclose(scored["entropy_bits"][row], seen["entropy_bits"][of_frame], rtol=1e-12)
+
+
+def test_a_cloud_is_scored_from_its_file_too(tmp_path, site):
+    scan = bl.scan_frame(site, site.search[0].vehicles.frame, height_m=4.0)
+    scan.write(tmp_path / "cloud.npz")
+    of_file = rows_of(bl.score_cloud(tmp_path / "cloud.npz", scan.vehicles, metrics=["log-points"]))
+    of_arrays = rows_of(bl.score_cloud(scan.cloud.xyz, scan.vehicles, scan.cloud.vehicle_id))
+    np.testing.assert_array_equal(of_file["entropy_bits"], of_arrays["entropy_bits"])
+    np.testing.assert_allclose(of_file["log_points"], np.log1p(of_file["points"]))
+    assert len(scan.points["x_m"]) == len(scan.cloud)
+
+
+def test_a_search_that_is_stopped_gives_its_best_so_far_and_can_be_gone_on_with(tmp_path, site):
+    calls = []
+
+    def stop(done, total, best):
+        calls.append((done, total))
+        if done >= 4:
+            raise KeyboardInterrupt
+
+    stopped = bl.best_mounting(site, tmp_path / "run", progress=stop)
+    assert not stopped.complete
+    assert stopped.result["search"] is None
+    assert "was stopped" in stopped._repr_html_()
+    assert calls[0] == (0, 12)
+    again = bl.best_mounting(site, tmp_path / "run", resume=True)
+    assert again.complete
+    assert again.mounting == bl.best_mounting(site).mounting
+
+
+def test_a_search_that_is_stopped_before_its_first_batch_is_stopped(site):
+    def stop(done, total, best):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bl.best_mounting(site, progress=stop)
+
+
+def test_without_pandas_tables_are_dictionaries_of_arrays(site, monkeypatch):
+    found = builtins.__import__
+
+    def without(name, *args, **kwargs):
+        if name == "pandas":
+            raise ImportError(name)
+        return found(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    vehicles = bl.score_mounting(site).vehicles
+    assert isinstance(vehicles, dict)
+    assert all(isinstance(column, np.ndarray) for column in vehicles.values())
+
+
+def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
+    pytest.importorskip("matplotlib")
+    judged = bl.judge_mounting(site, height_m=3.0)
+    assert judged.plot.by_distance().startswith(b"\x89PNG")
+    assert judged.history is None
+    assert judged.score_map is None
+    with pytest.raises(InputError, match="score_map: the run has none"):
+        judged.plot.score_map()
+    with pytest.raises(InputError, match="search: the run has no history"):
+        judged.plot.search()
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        (lambda site: bl.load_scene("i80", colour=1), "load_scene: unknown setting 'colour'"),
+        (lambda site: bl.load_scene("i80", frames=-1), "load_scene: frames: is -1; allowed: "),
+        (lambda site: bl.load_scene("nowhere"), "nowhere: there is no such file; .*: i80, paper"),
+        (
+            lambda site: bl.score_mounting(site, height=3),
+            "mounting: unknown coordinate 'height'; did you mean 'height_m'",
+        ),
+        (lambda site: bl.score_mounting(site, height_m=300), "height_m: is 300; allowed: 0.1 to 100"),
+        (lambda site: bl.score_mounting(site, height_m=float("nan")), "height_m: is nan; allowed: a number"),
+        (
+            lambda site: bl.score_mounting(site, y_m=sum(site.scenario.road.carriageway_y) / 2),
+            "mounting: the mount at y .* m stands on the carriageway",
+        ),
+        (lambda site: bl.score_mountings(site, []), "score_mountings: the table is empty"),
+        (lambda site: bl.scan_frame(site, 10**6), "frame: "),
+        (
+            lambda site: bl.score_cloud(np.zeros((2, 2)), site.search[0].vehicles),
+            r"points: shape \(2, 2\); allowed: \(n, 3\)",
+        ),
+        (lambda site: bl.score_cloud(np.zeros((2, 3)), site.search[0].vehicles, [1]), r"vehicle_id: shape \(1,\)"),
+        (lambda site: bl.score_cloud("a.npz", "b.csv", colour=1), "score_cloud: unknown setting 'colour'"),
+        (lambda site: bl.best_mounting(site, resume=True), "resume needs out"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_line(site, asked, told):
+    with pytest.raises((InputError, FileNotFoundError), match=told) as caught:
+        asked(site)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.skipif(CASTER == "exact", reason="no fast caster is installed")
+def test_the_examples_of_the_page_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "reference" / "python.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    program = "\n".join(blocks).replace("frames=6", "frames=2, particles=3, iterations=2, workers=1")
+    ran = subprocess.run([sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert "Hang the RS-16 " in ran.stdout
