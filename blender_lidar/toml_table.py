@@ -102,9 +102,13 @@ def settings_of(declared: type) -> dict[str, Setting]:
 
 def _attributes(declared: type) -> dict[str, str]:
     """What the docstring of a class says of each of its attributes, as a phrase."""
-    entries = re.findall(r"^(\w+) : .*\n((?: {4}.*\n?)+)", inspect.getdoc(declared) or "", re.MULTILINE)
-    texts = {name: " ".join(text.split()).removesuffix(".") for name, text in entries}
-    return {name: text[0].lower() + text[1:] for name, text in texts.items()}
+    entries = re.findall(r"^(\w+(?:, \w+)*)(?: : .*)?\n((?: {4}.*\n?)+)", inspect.getdoc(declared) or "", re.MULTILINE)
+    phrases = {}
+    for names, text in entries:
+        phrase = " ".join(text.split()).removesuffix(".")
+        first = phrase[0].lower() if re.match(r"[A-Z][a-z]*\b", phrase) else phrase[0]  # but for names such as NGSIM
+        phrases |= dict.fromkeys(names.split(", "), first + phrase[1:])
+    return phrases
 
 
 def _without_none(kind):

@@ -1,17 +1,27 @@
-"""The README, the documents, the scene files and the package say the same."""
+"""The README, the documents, the scene files and the package say the same.
+
+``python -m tests.test_documents`` writes the tables of the reference that are made from the declarations.
+"""
 
 from __future__ import annotations
 
+import argparse
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from types import UnionType
+from typing import get_args, get_origin
 
 import pytest
 
 from blender_lidar import __version__
+from blender_lidar.commands.parsers import add_verbs
 from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.settings import DECLARED
 from blender_lidar.sensors.model import model_names
+from blender_lidar.toml_table import limits_text
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -100,3 +110,97 @@ def headings(page: Path) -> set[str]:
 
 def test_versions_agree():
     assert f'version = "{__version__}"' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+
+
+# --- The tables of the reference that are made from the declarations --------------------------------------------------
+
+MADE = "<!-- made from the declarations by `python -m tests.test_documents`; do not edit below -->\n"
+
+
+def cells(*texts: str) -> str:
+    return "| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |"
+
+
+def option_rows(actions) -> list[str]:
+    rows = []
+    for action in actions:
+        if action.help in (None, argparse.SUPPRESS) or action.dest == "help":
+            continue
+        name, value = (action.option_strings or [action.metavar])[0], action.metavar if action.option_strings else ""
+        value = "\\|".join(action.choices) if action.choices else " ".join(value) if isinstance(value, tuple) else value
+        told = action.help.replace("%(default)s", str(action.default)).replace("%%", "%")
+        rows.append(f"| `{name}{f' {value}' if value and action.nargs != 0 else ''}` | {told.replace('<', '&lt;')} |")
+    return rows
+
+
+def options_table() -> str:
+    """Every option of every verb; those that replace a scene's settings once, by their groups."""
+    parser = argparse.ArgumentParser(prog="blender-lidar")
+    subparsers = parser.add_subparsers()
+    add_verbs(subparsers)
+    shared = {option for table in DECLARED.values() for one in table.values() if (option := one.option)}
+    verbs = subparsers.choices
+    groups = [group for group in verbs["evaluate"]._action_groups if group.title == "mounting"]
+    groups = [*verbs["optimise"]._action_groups, *groups]
+    parts = ["## Every option", "", "### Options that replace what a scene says", ""]
+    for group in groups:
+        rows = option_rows(one for one in group._group_actions if shared & set(one.option_strings))
+        parts += [f"**{group.title}**", "", "| option | meaning |", "|---|---|", *rows, ""] if rows else []
+    for name, verb in verbs.items():
+        has_scene = any(action.dest == "scene" for action in verb._actions)
+        rows = option_rows(one for one in verb._actions if not (has_scene and shared & set(one.option_strings)))
+        parts += [f"### {name}", "", f"`{verb.format_usage().removeprefix('usage: ').strip()}`", ""]
+        parts += [verb.description, ""] + (["| option | meaning |", "|---|---|", *rows, ""] if rows else [])
+    return "\n".join(parts)
+
+
+def kind_text(declared) -> str:
+    names = {float: "number", int: "whole number", bool: "true or false", str: "text", list: "list"}
+    kind, parts = declared.kind, get_args(declared.kind)
+    if get_origin(kind) is UnionType:
+        return "number, or a pair of bounds"
+    if get_origin(kind) is tuple:
+        first = names.get(parts[0], "table")
+        return f"list of {first}s" if ... in parts else f"list of {len(parts)} {first}s"
+    return names.get(kind, "table")
+
+
+def keys_table() -> str:
+    """Every key of a scene file."""
+    head = [
+        "## Every key, as it is declared",
+        "",
+        "| key | is | default | allowed | meaning |",
+        "|---|---|---|---|---|",
+    ]
+    rows = []
+    for table, settings in DECLARED.items():
+        for key, one in settings.items():
+            default = {...: "required", None: "", (): ""}.get(one.default, toml_value(one.default))
+            default = "" if get_origin(one.kind) is Mapping else default
+            allowed = ", ".join(one.allowed) or limits_text(one, int if one.kind is int else float) or one.form
+            allowed += f', or "{one.word}"' if one.word else ""
+            rows.append(cells(f"`[{table}] {key}`", kind_text(one), default, allowed, one.help.replace("<", "&lt;")))
+    return "\n".join([*head, *rows, ""])
+
+
+def toml_value(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+REFERENCE = {"command_line.md": options_table, "scene_file.md": keys_table}
+
+
+@pytest.mark.parametrize("name", REFERENCE)
+def test_the_reference_is_what_is_declared(name):
+    page = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")
+    assert page.partition(MADE)[2] == "\n" + REFERENCE[name]()
+
+
+if __name__ == "__main__":
+    for name, made in REFERENCE.items():
+        path = ROOT / "docs" / "reference" / name
+        written = path.read_text(encoding="utf-8").partition(MADE)[0].rstrip()
+        path.write_text(f"{written}\n\n{MADE}\n{made()}", encoding="utf-8")

@@ -111,7 +111,7 @@ class TrafficSettings:
     vehicle_types : str or None
         Route or additional file of SUMO with the <vType>s.
     lanes : tuple of int or None
-        Lanes whose vehicles are read; all where None.
+        Lanes whose vehicles are read; all unless said.
     frames : int or None
         Number of searched frames, spread evenly.
     frame_ids : tuple of int or None
@@ -121,7 +121,7 @@ class TrafficSettings:
     holdout : float
         Share of the blocks of time that is held out.
     block_s : float or None
-        Length of these blocks [s]; longer than a transit of the site where None.
+        Length of these blocks [s]; longer than a transit of the site unless said.
     height_m : mapping
         Heights by class [m], of vehicles in recordings that give none.
     """
@@ -157,8 +157,10 @@ class SensorSettings:
     ----------
     name : str
         Sensor model or the path of a beam table; see `blender-lidar sensors`.
-    rotation_hz, range_gate_m : float
-        Turns per second, and the range within which it is asked to see [m].
+    rotation_hz : float
+        Turns per second; the model's own unless said.
+    range_gate_m : float
+        Range within which it is asked to see [m]; the model's own unless said.
     range_noise_m : float
         Standard deviation of the range noise, or datasheet for the model's own.
     dropout : float
@@ -169,8 +171,10 @@ class SensorSettings:
         Range to which a target of 10 percent reflectivity is seen, or datasheet; weaker returns are lost.
     unit_spread_deg : float
         Standard deviation between units' beams.
-    unit, noise_seed : int
-        Which of the units it is, and the seed of its noise.
+    unit : int
+        Which of the units it is.
+    noise_seed : int
+        Seed of its noise and of what is lost.
     """
 
     name: str = setting("RS-16", option="--sensor")
@@ -288,8 +292,8 @@ class ObjectiveSettings:
     threshold, view
         Least occupancy that counts as detectable, and of which of the three views.
     loss : float or None
-        What a vehicle below the threshold adds. None: what the metric gives it, as others do, which is what is done
-        unless said for any metric but the paper's.
+        What a vehicle below the threshold adds, in the metric's unit; unless said -1 with the paper's metric, and with
+        any other what the metric gives it.
     tolerance : Tolerance or None
         How far off its plan the mounting may end up, as half-widths: tilt_deg=1,height_m=0.05; also yaw_deg, and
         aim=mean or aim=low; none: it hangs as planned.
