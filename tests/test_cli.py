@@ -168,7 +168,7 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
 def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
     described, told, meant, *tables, where = out.rstrip().split("\n\n")
-    assert [line.split()[0] for line in described.splitlines()] == ["Sensor", "Traffic", "Searched"]
+    assert [line.split()[0] for line in described.splitlines()] == ["Sensor", "Traffic", "Searched", "Casting"]
     assert " ".join(told.split()) == answer(json.loads(Path("run/result.json").read_text()))
     assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
     assert tables[0].startswith("Mounting ")

@@ -52,7 +52,8 @@ def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
         ("Scenery", scenery_text(scenery_counts(site))),
         ("Traffic", f"{scenario.traffic.path}: {len(site.search)} frames with {vehicles:,} vehicles{held_out}"),
         ("Tolerance", _tolerance_text(scenario, searched)),
-        ("Searched" if searched else "", _ranges(scenario)),
+        ("Searched", _ranges(scenario) if searched else ""),
+        ("Casting", f"{site.observation.caster}, detail {site.observation.detail}, {workplace_of(scenario.model)}"),
     ]
 
 
