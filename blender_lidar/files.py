@@ -131,13 +131,30 @@ def write_bytes(path: str | Path, data: bytes) -> None:
 def folder_lock(folder: Path) -> Iterator[None]:
     """Make a folder and keep other processes out of it while the block lasts; a process that is killed lets go.
 
+    What killed processes left there is swept. Where the block ends with an error before anything was written, no folder
+    is left.
+
     Raises
     ------
     OutputError
         When another process is at work there, or the folder cannot be made or written.
     """
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        with _lock_file(folder):
+            sweep(folder)
+            yield
+    except BaseException:
+        for place in missing:  # the deepest first; what is not empty stays
+            with suppress(OSError):
+                place.rmdir()
+        raise
+
+
+@contextmanager
+def _lock_file(folder: Path) -> Iterator[None]:
     path = folder / ".lock"
-    make_folder(folder, "--out")  # a run that has failed may have removed it after it was made
+    make_folder(folder, "--out")
     try:
         stream = path.open("a")
     except OSError as error:

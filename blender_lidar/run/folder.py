@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
@@ -20,11 +20,9 @@ from ..errors import BlenderLidarError, InputError, MissingFileError
 from ..files import (
     check_folder,
     folder_lock,
-    make_folder,
     open_file,
     read_text,
     reading,
-    sweep,
     write_columns,
     write_text,
 )
@@ -120,17 +118,8 @@ class RunFolder:
         OutputError
             When another run is at work there, or the folder cannot be made or written.
         """
-        missing = [place for place in (self.path, *self.path.parents) if not place.exists()]
-        make_folder(self.path, "--out")
-        try:
-            with folder_lock(self.path):
-                sweep(self.path)
-                yield self
-        except BaseException:
-            for place in missing:  # the deepest first; what is not empty stays
-                with suppress(OSError):
-                    place.rmdir()
-            raise
+        with folder_lock(self.path):
+            yield self
 
     def file(self, name: str) -> Path:
         """Path of a file of the run."""

@@ -126,12 +126,12 @@ class StudyFolder:
             As `check`.
         """
         self.check(resume=resume)
-        make_folder(self.file(STAGES), "--out")
         with folder_lock(self.path):
             self.check(resume=resume)  # again: another run may have come between the first check and the lock
+            make_folder(self.file(STAGES), "--out")
             if not self.file(IDENTITY).exists():
                 write_text(self.file(IDENTITY), json.dumps(self._identity, indent=2) + "\n")
-            for folder in (self.path, self.file(STAGES), *map(self.file, self._results)):
+            for folder in (self.file(STAGES), *map(self.file, self._results)):
                 if folder.is_dir():
                     sweep(folder)
             yield self
