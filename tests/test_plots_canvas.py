@@ -176,3 +176,11 @@ def test_footprints_equal_corners_turned_one_by_one():
         for corner, (along, left) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
             point = complex(x, y) + turn * complex(along * length / 2, left * width / 2)
             np.testing.assert_allclose(corners[index, corner], (point.real, point.imag), atol=1e-12)
+
+
+def test_a_matplotlib_that_is_too_old_is_told_in_one_line(tmp_path, monkeypatch):
+    matplotlib = pytest.importorskip("matplotlib", reason="charts need matplotlib")
+    monkeypatch.setattr(matplotlib, "__version_info__", (3, 6, 3, "final", 0))
+    told = "^charts need matplotlib 3.7 or later, and .* is installed$"
+    with pytest.raises(MissingExtraError, match=told), canvas.sheet(tmp_path / "a.png", 80.0, "title", ""):
+        pass

@@ -196,6 +196,7 @@ def test_no_points_and_no_vehicles_are_fine():
         (np.zeros((1, 3)), np.zeros(1, int), -CAR, 0.05, "positive"),
         (np.zeros((1, 3)), np.zeros(1, int), CAR * np.nan, 0.05, "positive"),
         (np.zeros((1, 3)), np.zeros(1, int), CAR, 0.0, "cell_m"),
+        (np.zeros((1, 3)), np.zeros(1, int), CAR, 1e-9, "cell_m is 1e-09; allowed: at least"),
     ],
 )
 def test_bad_input_is_named(points, vehicle, size, cell, says):
@@ -209,3 +210,8 @@ def test_an_unknown_reading_and_an_impossible_occupancy_are_refused():
     for p in (-0.1, np.nan, np.inf):
         with pytest.raises(InputError, match="occupancy"):
             vgop.entropy(p)
+
+
+def test_the_views_of_one_vehicle_want_one_size():
+    with pytest.raises(InputError, match=r"size has shape \(1, 3\); allowed: \(3,\)"):
+        vgop.occupancy_views(np.zeros((1, 3)), CAR[:1])

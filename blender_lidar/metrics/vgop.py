@@ -142,7 +142,10 @@ def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAUL
     dict of str to ndarray of bool
         ``top`` (length cells, width cells), ``side`` (length, height) and ``front`` (width, height).
     """
-    points, size = _triples(points, "points"), np.asarray(size, dtype=float).reshape(1, 3)
+    points, size = _triples(points, "points"), np.asarray(size, dtype=float)
+    if size.shape != (3,):
+        raise InputError(f"size has shape {size.shape}; allowed: (3,)")
+    size = size[None]
     cells = cell_counts(size, cell_m)[0]
     index, _ = ViewGrids(size, cell_m).cells_of(points, np.zeros(len(points), dtype=np.int64))
     views = {}

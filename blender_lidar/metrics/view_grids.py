@@ -24,6 +24,7 @@ def check_reading(reading: str) -> None:
 VIEW_NAMES = ("top", "side", "front")
 VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
 
+_MOST_CELLS = 20_000  # along a side: a millimetre of a long truck; a view of more does not fit into memory
 _WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
 _KEPT_BYTES = 1 << 22  # 4 MB: larger arrays of marks are not kept from one cloud to the next
 _CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
@@ -54,6 +55,9 @@ def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
         raise InputError("size holds a side that is not a positive, finite number of metres")
     if not (np.isfinite(cell_m) and cell_m > 0):
         raise InputError(f"cell_m is {cell_m}; allowed: a positive number of metres")
+    if size.size and size.max() > _MOST_CELLS * cell_m:
+        most = f"at least {size.max() / _MOST_CELLS:.1g} m, for {_MOST_CELLS:,} cells along the longest side"
+        raise InputError(f"cell_m is {cell_m:g}; allowed: {most}")
     return np.maximum(np.ceil(size / cell_m - _WHOLE_CELL_TOLERANCE), 1).astype(np.int64)
 
 

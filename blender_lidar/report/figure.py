@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+_OLDEST_MATPLOTLIB = (3, 7)
 WIDTH_MM = 170.0  # the text width of an A4 report
 DPI = 200
 SMALL_PT = 7.0
@@ -97,16 +98,20 @@ def sheet(
     Raises
     ------
     MissingExtraError
-        If matplotlib is not installed.
+        If matplotlib is not installed, or too old.
     OutputError
         If the file cannot be written.
     """
     try:
+        import matplotlib
         from matplotlib import style
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtraError('charts need matplotlib: pip install "blender_lidar[plots]"') from error
+    if matplotlib.__version_info__ < _OLDEST_MATPLOTLIB:  # Debian's has no legends outside
+        oldest = ".".join(map(str, _OLDEST_MATPLOTLIB))
+        raise MissingExtraError(f"charts need matplotlib {oldest} or later, and {matplotlib.__version__} is installed")
     with style.context(["default", _STYLE]):
         size = (WIDTH_MM / MM_PER_INCH, height_mm / MM_PER_INCH)
         figure = Figure(figsize=size, dpi=DPI, layout="none" if to_scale else "constrained")
