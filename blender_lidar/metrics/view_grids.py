@@ -55,9 +55,6 @@ def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
         raise InputError("size holds a side that is not a positive, finite number of metres")
     if not (np.isfinite(cell_m) and cell_m > 0):
         raise InputError(f"cell_m is {cell_m}; allowed: a positive number of metres")
-    if size.size and size.max() > _MOST_CELLS * cell_m:
-        most = f"at least {size.max() / _MOST_CELLS:.1g} m, for {_MOST_CELLS:,} cells along the longest side"
-        raise InputError(f"cell_m is {cell_m:g}; allowed: {most}")
     return np.maximum(np.ceil(size / cell_m - _WHOLE_CELL_TOLERANCE), 1).astype(np.int64)
 
 
@@ -98,6 +95,9 @@ class ViewGrids:
         check_reading(reading)
         cells = cell_counts(size, cell_m)
         size = np.asarray(size, dtype=float)
+        if size.size and size.max() > _MOST_CELLS * cell_m:
+            most = f"at least {size.max() / _MOST_CELLS:.1g} m, for {_MOST_CELLS:,} cells along the longest side"
+            raise InputError(f"cell_m is {cell_m:g}; allowed: {most}")
         self.cell_m, self.half_m = float(cell_m), np.ascontiguousarray(0.5 * size.T)
         self.cells = np.ascontiguousarray(cells.T)
         self._counts = self.cells.astype(float)
