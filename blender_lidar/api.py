@@ -64,7 +64,8 @@ def load_scene(path: str | Path, **settings: object) -> Site:
     for name in settings:
         if name not in known:
             raise unknown_name(name, known, "setting", "load_scene")
-    overrides = {known[name]: (value, f"load_scene: {name}") for name, value in settings.items()}
+    given = {name: str(value) if isinstance(value, Path) else value for name, value in settings.items()}
+    overrides = {known[name]: (value, f"load_scene: {name}") for name, value in given.items()}
     return prepare(load_scenario(path, overrides))
 
 
@@ -361,6 +362,9 @@ def score_mountings(site: Site, table, *, held_out: bool = False):
         rows = [_mounting(site, row) for row in table]
     else:
         names, columns = list(table), [np.asarray(table[name]) for name in table]
+        if len({column.shape for column in columns}) > 1 or any(column.ndim != 1 for column in columns):
+            shapes = ", ".join(f"{name} {column.shape}" for name, column in zip(names, columns, strict=True))
+            raise InputError(f"score_mountings: columns have shapes {shapes}; allowed: (s,), all of one length")
         rows = [_mounting(site, dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True)]
     if not rows:
         raise InputError("score_mountings: the table is empty; allowed: one row for each mounting")

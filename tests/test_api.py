@@ -163,6 +163,11 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
             "mounting: the mount at y .* m stands on the carriageway",
         ),
         (lambda site: bl.score_mountings(site, []), "score_mountings: the table is empty"),
+        (lambda site: bl.score_mountings(site, {"height_m": [2, 3], "tilt_x_deg": [1]}), "allowed: .s,., all of one"),
+        (
+            lambda site: bl.load_scene("i80", traffic=Path("none.csv")),
+            "none.csv: there is no such file",
+        ),
         (lambda site: bl.scan_frame(site, 10**6), "frame: "),
         (
             lambda site: bl.score_cloud(np.zeros((2, 2)), site.search[0].vehicles),
