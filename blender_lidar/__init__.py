@@ -4,25 +4,32 @@ from __future__ import annotations
 
 __version__ = "0.1.0"
 
-_OF_API = (
-    "best_mounting",
-    "judge_mounting",
-    "load_scene",
-    "scan_frame",
-    "score_cloud",
-    "score_mounting",
-    "score_mountings",
-)
+_LAZY = {
+    "BlenderLidarError": "errors",
+    "InputError": "errors",
+    "Run": "results",
+    "Scan": "results",
+    "Score": "results",
+    "best_mounting": "api",
+    "judge_mounting": "api",
+    "load_scene": "api",
+    "metric": "metrics.metric",
+    "scan_frame": "api",
+    "score_cloud": "api",
+    "score_mounting": "api",
+    "score_mountings": "api",
+}
+__all__ = ["__version__", *_LAZY]
 
 
 def __getattr__(name: str):
     """The Python interface, imported when it is first asked for."""
-    if name not in _OF_API:
+    if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from . import api
+    from importlib import import_module
 
-    return getattr(api, name)
+    return getattr(import_module(f".{_LAZY[name]}", __name__), name)
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_OF_API])
+    return sorted([*globals(), *_LAZY])

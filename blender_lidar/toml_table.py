@@ -23,6 +23,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from .errors import InputError, shown, unknown_name
 from .files import read_file, reading
+from .plugins import is_plugin, located, plugin_names
 
 _MAX_BYTES = 1 << 20
 _LARGEST_WHOLE = 2**53  # what a float and a CSV column still hold exactly
@@ -46,6 +47,8 @@ class Setting:
         What numbers are between: `low` and `high` are allowed themselves, `above` and `below` are not.
     allowed : iterable of str
         What a text may be; any where there are none.
+    plugins : str
+        Group of entry points whose names a text may be besides, or a function or class in a file: see `plugins`.
     word : str
         A text that may stand in place of a number.
     fits : callable
@@ -71,6 +74,7 @@ class Setting:
     above: float = -math.inf
     below: float = math.inf
     allowed: Iterable[str] = ()
+    plugins: str = ""
     word: str = ""
     fits: Callable[[Any], object] | None = None
     form: str = ""
@@ -131,8 +135,9 @@ def checked(value: object, declared: Setting, where: str) -> Any:
         When it is something else, with what is allowed.
     """
     found = _of_kind(value, declared.kind, declared, where)
-    if declared.allowed and found not in declared.allowed:
-        raise unknown_name(found, declared.allowed, where.rpartition(" ")[2].lstrip("-"), where)
+    if declared.allowed and found not in declared.allowed and not is_plugin(found, declared.plugins):
+        known = (*declared.allowed, *plugin_names(declared.plugins))
+        raise unknown_name(found, known, where.rpartition(" ")[2].lstrip("-"), where)
     if declared.fits is not None and not declared.fits(found):
         raise _refused(where, value, declared.form)
     return found
@@ -290,6 +295,8 @@ class TomlTable:
             tables = (TomlTable(one, f"{self.where(key)} {at}", folder=self.folder) for at, one in places)
             return tuple(table.read_as(entry) for table in tables)
         found = checked(value, declared, self.where(key))
+        if declared.plugins:
+            return located(found, Path() if key in self.origins else self.folder)
         return self.path(key, found) if declared.is_path else found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import gc
 import re
 import subprocess
 import sys
@@ -120,6 +121,100 @@ def test_a_search_that_is_stopped_before_its_first_batch_is_stopped(site):
         bl.best_mounting(site, progress=stop)
 
 
+def test_the_best_so_far_is_that_of_the_last_search_that_found_any(tmp_path):
+    scene = write_scene(tmp_path, MAPPED)
+    site = bl.load_scene(scene, particles=4, iterations=2, workers=1, tolerance="tilt_deg=1")
+    told, known = [], []
+
+    def stop(done, total, best):
+        told.append(done)
+        if len(told) > 2 and done == 0:  # the search over the tolerance begins, and has found nothing yet
+            raise KeyboardInterrupt
+        known.append(best)
+
+    stopped = bl.best_mounting(site, progress=stop)
+    sharp = bl.best_mounting(bl.load_scene(scene, particles=4, iterations=2, workers=1))
+    assert stopped.mounting == sharp.mounting
+    assert not stopped.complete
+
+
+def test_a_search_over_fidelities_that_is_stopped_while_it_screens_gives_the_best_that_it_screened(tmp_path):
+    site = bl.load_scene(write_scene(tmp_path, MAPPED), fidelity="auto", workers=1)
+
+    def stop(done, total, best):
+        if done:
+            assert best == ""
+            raise KeyboardInterrupt
+
+    stopped = bl.best_mounting(site, progress=stop)
+    assert not stopped.complete
+    assert stopped.result["objective"] >= 0
+
+
+def test_a_run_that_is_kept_has_the_files_of_the_command_line_and_a_judged_one_is_no_search(tmp_path, site):
+    run = bl.judge_mounting(site, out=tmp_path / "kept", height_m=3.0)
+    assert {"report.html", "result.json", "installation.txt"} <= {path.name for path in (tmp_path / "kept").iterdir()}
+    assert repr(run) == f"<Run: {run}>"
+    with pytest.raises(InputError, match="holds one mounting's evaluation, not a search"):
+        bl.best_mounting(site, tmp_path / "kept", resume=True)
+    with pytest.warns(UserWarning, match="nothing is stored there to go on with"):
+        bl.best_mounting(site, tmp_path / "new", resume=True)
+
+
+def test_the_folder_of_a_run_that_nobody_keeps_goes_with_it(site):
+    run = bl.judge_mounting(site)
+    folder = run.outcome.folder.path
+    assert folder.is_dir()
+    del run
+    gc.collect()
+    assert not folder.exists()
+
+
+def test_settings_may_be_tables_of_the_scene_file_and_values_of_numpy(tmp_path):
+    scene = write_scene(tmp_path, MAPPED)
+    tables = {"deployment": {"height_m": np.array([2.0, 3.0])}, "traffic": {"holdout": 0.0}}
+    site = bl.load_scene(scene, frame_ids=range(10, 31, 10), seed=np.int64(7), tolerance=None, **tables)
+    assert site.scenario.deployment.bounds["height_m"] == (2.0, 3.0)
+    assert not site.holdout
+    assert site.scenario.search.seed == 7
+    assert [frame.vehicles.frame for frame in site.search] == [10, 20, 30]
+
+
+def test_what_is_read_again_is_found_from_another_folder_and_refused_where_it_has_changed(tmp_path, monkeypatch):
+    write_scene(tmp_path, MAPPED)
+    monkeypatch.chdir(tmp_path)
+    site = bl.load_scene("scene.toml", workers=1)
+    far = {"x_m": 60.0, "height_m": 4.0}
+    here = bl.score_mounting(site, **far).objective
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert bl.score_mounting(site, **far).objective == here
+    traffic = tmp_path / "traffic.csv"
+    traffic.write_text("\n".join(traffic.read_text().splitlines()[:-1]) + "\n")
+    with pytest.raises(InputError, match="is not as it was when the run read it"):
+        bl.score_mounting(site, **far)
+
+
+def test_tables_of_any_kind_are_scored_and_a_scored_one_again(site):
+    pandas = pytest.importorskip("pandas")
+    rows = [{"height_m": 3.0, "tilt_x_deg": 10.0}, {"height_m": 4.0, "tilt_x_deg": 12.0}]
+    scored = bl.score_mountings(site, pandas.DataFrame(rows))
+    for table in (iter(rows), [pandas.Series(row) for row in rows], scored):
+        np.testing.assert_array_equal(bl.score_mountings(site, table)["objective"], scored["objective"])
+
+
+def test_a_scan_brings_its_labels_and_boxes_and_a_table_of_boxes_does_as_well(tmp_path, site):
+    frame = site.search[0].vehicles.frame
+    scan = bl.scan_frame(site, np.int64(frame), height_m=4.0)
+    whole = rows_of(bl.score_cloud(scan))
+    vehicles = rows_of(bl.score_mounting(site, height_m=4.0).vehicles)
+    boxes = {name: column[vehicles["frame"] == frame] for name, column in vehicles.items()}
+    by_table = rows_of(bl.score_cloud(scan, boxes))
+    row = [whole["vehicle_id"].tolist().index(number) for number in by_table["vehicle_id"]]
+    np.testing.assert_array_equal(by_table["points"], whole["points"][row])
+    assert "distance" in rows_of(bl.score_cloud(scan, metrics=["distance"], lidar_xy=np.array([0.0, 0.0])))
+
+
 def test_without_pandas_tables_are_dictionaries_of_arrays(site, monkeypatch):
     found = builtins.__import__
 
@@ -165,7 +260,7 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
         (lambda site: bl.score_mountings(site, []), "score_mountings: the table is empty"),
         (lambda site: bl.score_mountings(site, {"height_m": [2, 3], "tilt_x_deg": [1]}), "allowed: .s,., all of one"),
         (
-            lambda site: bl.load_scene("i80", traffic=Path("none.csv")),
+            lambda site: bl.load_scene("i80", traffic=Path("none.csv"), caster="exact"),
             "none.csv: there is no such file",
         ),
         (lambda site: bl.scan_frame(site, 10**6), "frame: "),
@@ -173,9 +268,33 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
             lambda site: bl.score_cloud(np.zeros((2, 2)), site.search[0].vehicles),
             r"points: shape \(2, 2\); allowed: \(n, 3\)",
         ),
-        (lambda site: bl.score_cloud(np.zeros((2, 3)), site.search[0].vehicles, [1]), r"vehicle_id: shape \(1,\)"),
+        (lambda site: bl.score_cloud(np.zeros((2, 3)), site.search[0].vehicles, [1]), r"of shape \(1,\)"),
         (lambda site: bl.score_cloud("a.npz", "b.csv", colour=1), "score_cloud: unknown setting 'colour'"),
         (lambda site: bl.best_mounting(site, resume=True), "resume needs out"),
+        (lambda site: bl.best_mounting(site, progress="yes"), "progress: is 'yes'; allowed: True, False or a function"),
+        (lambda site: bl.load_scene("i80", frame_ids="a"), "load_scene: frame_ids: 'a'; allowed: frame numbers"),
+        (lambda site: bl.load_scene("i80", frames=[1]), "load_scene: frames: is .1.; allowed: a whole number"),
+        (lambda site: bl.load_scene("i80", deployment={"height": 3}), "unknown key 'height'; did you mean 'height_m'"),
+        (lambda site: bl.score_mountings(site, [{"height_m": 3}, 4]), "row 2: is 4; allowed: a mapping"),
+        (lambda site: bl.score_mountings(site, np.ones((2, 2))), "row 1: is array.*; allowed: a mapping"),
+        (lambda site: bl.score_mountings(site, {"height_m": 3}), r"columns have shapes height_m \(\); allowed"),
+        (lambda site: bl.score_mountings(site, {"height_m": [3, np.nan]}), "row 2: height_m: is nan; allowed"),
+        (lambda site: bl.scan_frame(site, "1400"), "frame: is '1400'; allowed: a whole number"),
+        (lambda site: bl.scan_frame(site, [1400]), "frame: is .1400.; allowed: a whole number"),
+        (lambda site: bl.score_cloud("a.npz", site.search[0].vehicles, [1]), "is given beside a file"),
+        (lambda site: bl.score_cloud([["a", 1, 2]], site.search[0].vehicles), "points: is .*; allowed: .n, 3."),
+        (
+            lambda site: bl.score_cloud(np.zeros((1, 3)), site.search[0].vehicles, [np.nan]),
+            "vehicle_id: float64 .*whole numbers",
+        ),
+        (
+            lambda site: bl.score_cloud(np.zeros((1, 3)), site.search[0].vehicles, [1], frame=-5),
+            "boxes: hold frame .*; allowed: one vehicle or more, of the frame",
+        ),
+        (
+            lambda site: bl.score_cloud(np.zeros((1, 3)), site.search[0].vehicles.select([]), [1]),
+            "0 vehicles; allowed: one vehicle or more",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_line(site, asked, told):

@@ -156,7 +156,7 @@ BAD_OPTIONS = {
     ("optimise",): [
         ("--particles 2", "--particles: is 2; allowed: 3 to 10000"),
         ("--iterations 0", "--iterations: is 0; allowed: 1 to "),
-        ("--search bayes", "argument --search: invalid choice: 'bayes'"),
+        ("--search bayes", "--search: unknown search 'bayes'; allowed: hardened, de-pso, grid, random, FILE.py:NAME"),
         ("--resume --out run extra", "unrecognized arguments: extra"),
     ],
     ("evaluate", "scan"): [

@@ -42,9 +42,11 @@ def test_a_shipped_scene_is_found_by_its_name_from_any_folder(tmp_path, monkeypa
         load_scenario("i81")
     with pytest.raises(MissingFileError, match=r"^scenes/i80.toml: there is no such file; .*: i80, paper$"):
         load_scenario("scenes/i80.toml")
-    (tmp_path / "i80").mkdir()  # what is there is meant
-    with pytest.raises(InputError, match="i80: is a folder"):
-        load_scenario("i80")
+    (tmp_path / "i80").mkdir()  # a folder of results called so hides no scene
+    assert Path(load_scenario("i80").traffic.path).is_file()
+    with pytest.raises(InputError, match="results: is a folder"):
+        (tmp_path / "results").mkdir()
+        load_scenario("results")
 
 
 def test_the_distribution_lists_every_package_and_the_citation_its_version():

@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
+from blender_lidar.names import SEARCHES
 from blender_lidar.toml_table import to_toml
 from tests.labelled_samples import sample_cars, write_detections
 from tests.labelled_samples import write_kitti as write_labelled
@@ -177,7 +178,8 @@ def options(verb: str) -> list[str]:
         name = "/".join(action.option_strings) or action.metavar or action.dest
         count = "flag" if action.nargs == 0 else f"takes {action.nargs or 1}"
         found.append(f"{verb} {name} {count}{', required' if action.required else ''}")
-        found += [f"{verb} {name} = {choice}" for choice in action.choices or ()]
+        choices = SEARCHES if name == "--search" else action.choices or ()  # which may be one's own besides
+        found += [f"{verb} {name} = {choice}" for choice in choices]
         if action.default not in (None, False, argparse.SUPPRESS, []):
             found.append(f"{verb} {name} default {action.default}")
     return found

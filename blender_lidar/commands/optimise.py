@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable
 
 from ..errors import InputError, MissingExtraError
 from ..files import write_text
 from ..metrics.catalogue import metric_named
 from ..report.installation import installation_text
 from ..report.page import write_report
-from ..run.folder import CHECKPOINT, INSTALLATION, RunFolder
-from ..run.optimise import evaluate_site, optimise_site
+from ..run.folder import INSTALLATION, Outcome, RunFolder
+from ..run.optimise import ended_search, evaluate_site, optimise_site
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
@@ -36,17 +37,27 @@ def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
     return folder
 
 
-def report(args: argparse.Namespace, site: Site, folder: RunFolder) -> int:
-    """Of a run that has ended write the installation sheet, charts and the page, and print what was found."""
-    run, charts = folder.read_outcome(), []
-    write_text(folder.file(INSTALLATION), installation_text(site, run.result))
+def write_pages(site: Site, run: Outcome, note: Callable[[str], object]) -> list[str]:
+    """Of a run that has ended write the installation sheet, charts and the page; `note` is told of what is left out.
+
+    Returns the names of the charts.
+    """
+    charts = []
+    write_text(run.folder.file(INSTALLATION), installation_text(site, run.result))
     try:
         from ..report.run_figures import draw_charts
 
         charts = draw_charts(site, run)
     except MissingExtraError as error:
-        print(f"blender-lidar: note: no charts: {error}", file=sys.stderr)
+        note(f"no charts: {error}")
     write_report(run)
+    return charts
+
+
+def report(args: argparse.Namespace, site: Site, folder: RunFolder) -> int:
+    """Of a run that has ended write all that it leaves, and print what was found."""
+    run = folder.read_outcome()
+    charts = write_pages(site, run, lambda text: print(f"blender-lidar: note: {text}", file=sys.stderr))
     say(args, outcome_text(run, files(folder, charts)))
     if args.json:
         print(json.dumps(run.result, indent=2))
@@ -74,13 +85,7 @@ def run_optimise(args: argparse.Namespace) -> int:
     with folder.locked():
         folder.check(resume=args.resume)  # again: another run may have come first
         say(args, describe_site(site, verbose=args.verbose) + "\n")
-        done = folder.read_result(site.identity) if args.resume else None
-        if done is not None and done.get("search") is None:
-            raise InputError(
-                f"--resume: {folder.path}: holds one mounting's evaluation, not a search; give another --out"
-            )
-        if args.resume and done is None and not folder.file(CHECKPOINT).exists():
-            say(args, f"{folder.path}: nothing is stored there to go on with; the search starts from its beginning.\n")
+        done = ended_search(site, folder, lambda text: say(args, f"{text}.\n")) if args.resume else None
         try:
             if done is None:
                 variables, metric = scenario.deployment.variables, metric_named(scenario.objective.metric)

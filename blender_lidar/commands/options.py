@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from ..errors import InputError, MissingExtraError
+from ..plugins import IN_A_FILE
 from ..scene.settings import DECLARED, MOUNTING
 from ..toml_table import Setting, checked, limits_text
 
@@ -60,7 +61,8 @@ def _described(declared: Setting, key: str, default: object) -> str:
     unit = _UNITS.get(key.rpartition("_")[2], "")
     limits = limits_text(declared, declared.kind) if declared.kind in (int, float) else ""
     amount = " ".join(part for part in (limits, unit) if part)
-    names = ", ".join(declared.allowed) if declared.allowed and declared.metavar else ""
+    allowed = (*declared.allowed, *([IN_A_FILE] if declared.plugins else []))
+    names = ", ".join(allowed) if allowed and declared.metavar else ""
     told = declared.help + (f": {names}" if names else "") + (f" [{amount}]" if amount else "")
     if default not in (None, ..., False, ()):
         told += f" (default {default:g})" if isinstance(default, float) else f" (default {default})"
@@ -108,10 +110,8 @@ def _numbers_read(given, kind):
 
 def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
     """The scene file, and the options that replace its settings but for those left out."""
-    meant = (
-        "the scene file, or i80, which ships with the package; an option replaces what it says, and a default holds "
-    )
-    parser.add_argument("scene", metavar="SCENE.toml", help=meant + "where neither says")
+    meant = "the scene file, or the name of one that ships with the package, i80; an option replaces what it says, "
+    parser.add_argument("scene", metavar="SCENE.toml", help=meant + "and a default holds where neither says")
     for title, tables in _GROUPS.items():
         asked = {option: of for option, of in _SETTINGS.items() if of[0] in tables and option not in leave_out}
         group = parser.add_argument_group(title) if asked else None
@@ -195,6 +195,12 @@ def parse_tolerance(text: str, option: str) -> dict[str, float | str] | None:
 
 
 _READ_AS = {"--tolerance": parse_tolerance, "--frame-ids": parse_frames}
+
+
+def in_words(name: str, value: object, where: str) -> object:
+    """The value of a scene's setting that is written as its option is, such as "100:160:5"; any other as it is."""
+    read = _READ_AS.get("--" + name.replace("_", "-"))
+    return read(value, where) if read and isinstance(value, str) else value
 
 
 def label_classes(args: argparse.Namespace) -> tuple[str, ...]:

@@ -55,9 +55,9 @@ def _optimise(subparsers) -> None:
     parser = _verb(
         *(subparsers, "optimise", "optimise.run_optimise", "SCENE.toml", "find the best mounting for a scene"),
         "Find the mounting with the highest objective, judge it on held-out traffic and leave a folder of results.",
-        "scenes/i80.toml",
-        "scenes/i80.toml --sensor RS-80 --fidelity auto --out runs/rs80",
-        "scenes/i80.toml --tolerance tilt_deg=1,height_m=0.05",
+        "i80",
+        "i80 --sensor RS-80 --fidelity auto --out runs/rs80",
+        "i80 --tolerance tilt_deg=1,height_m=0.05",
     )
     add_scene(parser)
     _output(parser, resumed="run")
@@ -67,7 +67,7 @@ def _evaluate(subparsers) -> None:
     parser = _verb(
         *(subparsers, "evaluate", "optimise.run_evaluate", "SCENE.toml", "score one mounting"),
         "Score one mounting against the scene's baseline, on the searched and the held-out frames.",
-        "scenes/i80.toml --height 4.1 --tilt-x 19",
+        "i80 --height 4.1 --tilt-x 19",
     )
     add_scene(parser, leave_out=SEARCH_OPTIONS)
     add_pose(parser)
@@ -82,8 +82,8 @@ def _stability(subparsers) -> None:
         *(subparsers, "stability", "stability.run", "SCENE.toml", "where a scene's answer holds and where it breaks"),
         "Vary the traffic, the installation, the metric and the sensor one thing at a time, search with other seeds, "
         "and say of each whether the mounting holds: the one that the search finds, or one that is given.",
-        "scenes/i80.toml --quick",
-        "scenes/i80.toml --height 4.1 --tilt-x 19",
+        "i80 --quick",
+        "i80 --height 4.1 --tilt-x 19",
     )
     add_scene(parser)
     add_pose(parser)
@@ -102,8 +102,8 @@ def _chart(subparsers) -> None:
         "Time and judge a ladder of fidelities (vehicle detail, share of the beams and frames, caster, culling, ground)"
         " against the reference of all beams, all frames and the best detail; name the cheapest that is near enough; "
         "and say what of the scene's model makes a difference at all.",
-        "scenes/i80.toml --quick",
-        "scenes/i80.toml --max-regret 0.5% --other-sensor none",
+        "i80 --quick",
+        "i80 --max-regret 0.5% --other-sensor none",
     )
     add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
     add = parser.add_argument_group("chart").add_argument
@@ -116,8 +116,8 @@ def _chart(subparsers) -> None:
     add("--other-sensor", metavar="NAME", help=other)
     paired = "paired.json of compare --paired, or its folder: its errors stand beside"
     add("--paired-errors", metavar="PATH", help=paired)
-    regret = "is an installer's error with other verbs; how much of the gain may be lost is --max-regret SHARE"
-    add("--tolerance", action=Renamed, told=regret)
+    told = "is an installer's error with other verbs; how much of the gain may be lost is --max-regret SHARE"
+    add("--tolerance", action=Renamed, told=told)
     add("--paired", action=Renamed, told="is a flag of compare; the errors that it found are --paired-errors PATH")
     _output(parser, resumed="study", quick="ten frames, fewer mountings and draws")
 
@@ -130,8 +130,8 @@ def _scan(subparsers) -> None:
         *(subparsers, "scan", "scan.run_scan", "SCENE.toml --frame K --out CLOUD", "write the point clouds of frames"),
         "Cast one revolution over a frame and write the cloud: .npz with everything, .pcd, .ply, .las, .laz, or "
         "KITTI's .bin with its .label. With --frame-ids a folder of clouds, one for each frame.",
-        "scenes/i80.toml --frame 1000 --height 4.1 --tilt-x 19 --out cloud.pcd",
-        "scenes/i80.toml --frame-ids 100:1000:100 --format sustechpoints --out clouds",
+        "i80 --frame 1000 --height 4.1 --tilt-x 19 --out cloud.pcd",
+        "i80 --frame-ids 100:1000:100 --format sustechpoints --out clouds",
     )
     add_moments(parser, many="many frames")
     add = parser.add_argument_group("output").add_argument
@@ -152,7 +152,7 @@ def _build(subparsers) -> None:
         ),
         "Build one frame's road, vehicles, LiDAR and point cloud in Blender and write them as a .blend file. With "
         "--frame-ids the vehicles drive through those frames, as an animation; the cloud is the first's.",
-        "scenes/i80.toml --frame 1000 --height 4.1 --tilt-x 19 --out scene.blend",
+        "i80 --frame 1000 --height 4.1 --tilt-x 19 --out scene.blend",
     )
     add_moments(parser, many="an animation")
     add = parser.add_argument_group("output").add_argument
@@ -182,7 +182,8 @@ def _render(subparsers) -> None:
 
 # --- Clouds and metrics without a simulation, and beside reality ------------------------------------------------------
 
-_METRIC = f"another metric beside PE-VGOP, again for more, or all: {', '.join(VEHICLE_METRICS)}"
+_METRIC = "another metric beside PE-VGOP, again for more: all, FILE.py:NAME, or of "
+_METRIC += ", ".join(VEHICLE_METRICS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,16 +246,15 @@ def _score(subparsers) -> None:
         "--points sweep.pcd --boxes boxes.csv --assign box --metric all",
     )
     groups = {
-        name: parser.add_argument_group(title)
-        for title, names in {
-            "what is scored": ("points", "boxes", "frame", "assign", "clearance_m", "lidar_xy"),
-            "metric": ("cell_m", "threshold", "view", "metrics"),
-            "output": ("out", "json"),
-        }.items()
-        for name in names
+        "what is scored": ("points", "boxes", "frame", "assign", "clearance_m", "lidar_xy"),
+        "metric": ("cell_m", "threshold", "view", "metrics"),
+        "output": ("out", "json"),
     }
-    for key, declared in settings_of(ScoreOptions).items():
-        add_option(groups[key], declared, key, declared.default)
+    settings = settings_of(ScoreOptions)
+    for title, keys in groups.items():
+        group = parser.add_argument_group(title)
+        for key in keys:
+            add_option(group, settings[key], key, settings[key].default)
 
 
 def _compare(subparsers) -> None:
@@ -280,7 +280,8 @@ def _compare(subparsers) -> None:
         metavar="NAME=VALUE,...",
         help="what the variants with losses lose, by the keys of a scene's [sensor] (default %(default)s)",
     )
-    longer = "by how much labels are longer, wider and higher than the vehicles in them [m] (default %(default)s)"
+    longer = "by how much labels are longer, wider and higher than the vehicles in them [m] "
+    longer += f"(default {' '.join(f'{margin:g}' for margin in LABEL_MARGIN_M)})"
     add("--label-margin", type=float, nargs=3, default=LABEL_MARGIN_M, metavar=("L", "W", "H"), help=longer)
 
     add = parser.add_argument_group("beside detectors").add_argument
@@ -310,8 +311,9 @@ def _sensors(subparsers) -> None:
         "RS-16",
         "own_sensor.csv --out fan.png",
     )
-    add = parser.add_argument
-    add("name", nargs="?", metavar="NAME", help="a model's name or alias, or the path of a .toml or .csv")
+    parser.add_argument(
+        "name", nargs="?", metavar="NAME", help="a model's name or alias, or the path of a .toml or .csv"
+    )
     add = parser.add_argument_group("output").add_argument
     add("--json", action="store_true", help="print JSON on stdout and nothing else there")
     add("--out", metavar="PNG", help="draw NAME's beam fan into this file")

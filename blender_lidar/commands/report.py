@@ -12,6 +12,7 @@ import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import DePso
+from ..plugins import short_name
 from ..report.summary import (
     COORDINATE_NAMES,
     TextTable,
@@ -153,10 +154,9 @@ def _search_text(scenario):
     if settings.fidelity == AUTO:
         budget = "from few frames and beams to all (fidelity auto)"
     objective = scenario.objective
-    metric = "" if objective.metric == PE_VGOP.name else f", metric {objective.metric}"
-    return (
-        f"{_ranges(scenario)}; {settings.method}, {budget}, seed {settings.seed}, {objective.reading} reading{metric}"
-    )
+    metric = "" if objective.metric == PE_VGOP.name else f", metric {short_name(objective.metric)}"
+    method = f"{short_name(settings.method)}, {budget}, seed {settings.seed}"
+    return f"{_ranges(scenario)}; {method}, {objective.reading} reading{metric}"
 
 
 def _ranges(scenario):

@@ -58,7 +58,7 @@ def score_table(
     away = None if asked.lidar_xy is None else np.hypot(*(vehicles.centre_m[:, :2] - asked.lidar_xy).T)
     returns = vehicle_returns(local, row[mine], vehicles.size_m, away, asked.cell_m)
     shares = returns.occupancy
-    return {
+    table = {
         "frame": np.full(len(vehicles), vehicles.frame),
         "vehicle_id": vehicles.vehicle_id,
         "class": vehicles.class_name,
@@ -66,8 +66,14 @@ def score_table(
         **dict(zip(_SHARES, shares.T, strict=True)),
         "entropy_bits": entropy(shares).sum(axis=1),
         "detectable": detectable(shares, asked.threshold, asked.view),
-        **{_column(metric): metric.values(returns) for metric in metrics if metric.name not in _ALWAYS},
     }
+    for metric in metrics:
+        if metric is METRICS.get(metric.name) and metric.name in _ALWAYS:
+            continue
+        if _column(metric) in table:
+            raise InputError(f"--metric: {metric.name!r} is the name of another column; give the function another name")
+        table[_column(metric)] = metric.values(returns)
+    return table
 
 
 def metrics_of(asked: ScoreOptions) -> list[Metric]:

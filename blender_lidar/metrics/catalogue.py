@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
-from ..errors import unknown_name
+import numpy as np
+
+from ..errors import InputError, unknown_name
+from ..plugins import METRICS_OF_OTHERS, called, faults_told, is_plugin, load_plugin, plugin_names
 from . import scene_metrics as scene
 from . import vehicle_metrics as vehicle
-from .metric import NEEDS_DISTANCE, NEEDS_POINTS, NEEDS_VIEW, Metric, SceneContext
+from .metric import NEEDS_DISTANCE, NEEDS_POINTS, NEEDS_VIEW, Metric, SceneContext, Score, VehicleReturns
 
 # --- What each tells of a vehicle or a scene, to end a sentence -------------------------------------------------------
 
@@ -85,13 +89,33 @@ METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 
 
 def metric_named(name: str, where: str = "") -> Metric:
-    """The metric of that name.
+    """The metric of that name, or the plug-in: an entry point's, or one in a file, ``FILE.py:NAME``.
 
     Raises
     ------
-    InputError
-        When there is none, with the nearest name; `where` says where the name came from.
+    MissingFileError, InputError
+        When there is none, with the nearest name, or it cannot be loaded; `where` says where the name came from.
     """
-    if name not in METRICS:
-        raise unknown_name(name, METRICS, "metric", where)
-    return METRICS[name]
+    if name in METRICS:
+        return METRICS[name]
+    if not is_plugin(name, METRICS_OF_OTHERS):
+        raise unknown_name(name, (*METRICS, *plugin_names(METRICS_OF_OTHERS)), "metric", where)
+    found = load_plugin(name, METRICS_OF_OTHERS, where)
+    if not isinstance(found, Metric):
+        prefix = f"{where}: " if where else ""
+        raise InputError(f"{prefix}{name}: is a {type(found).__name__}; allowed: a function with @blender_lidar.metric")
+    return replace(found, score=partial(_scored, f"metric {name!r}", found.score))
+
+
+def _scored(what: str, score: Score, returns: VehicleReturns) -> np.ndarray:
+    """The values of a plug-in, checked."""
+    values = called(what, score, returns)
+    with faults_told(what):
+        values = np.asarray(values)
+    if values.dtype.kind not in "fiub":
+        raise InputError(f"{what}: gave {values.dtype} values; allowed: numbers")
+    if values.shape != (len(returns),) or not np.isfinite(values).all():
+        allowed = f"({len(returns)},), one finite number for each vehicle"
+        given = f"shape {values.shape}" if values.shape != (len(returns),) else "what is not finite"
+        raise InputError(f"{what}: gave {given}; allowed: {allowed}")
+    return values.astype(float)

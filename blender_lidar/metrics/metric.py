@@ -1,17 +1,17 @@
 """Metrics: what one is, and what it is given of vehicles and of a scene.
 
 A metric scores all vehicles at once, of one frame or of many, under one mounting or under many: to it they are rows. A
-new one is a function of `VehicleReturns`, and a line in `catalogue`.
+new one is a function of `VehicleReturns`, with a line in `catalogue`, or decorated with `metric` in a file of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, unknown_name
 from ..names import DEFAULT_CELL_M
 from .vgop import occupancy
 
@@ -296,3 +296,53 @@ class Metric:
     def in_unit(self, what: str) -> str:
         """What a column or an axis shows, with the unit in brackets."""
         return f"{what} [{self.unit}]" if self.unit else what
+
+
+def metric(
+    score: Score | None = None,
+    /,
+    *,
+    label: str = "",
+    unit: str = "",
+    tells: str = "",
+    decimals: int = 3,
+    lower_is_better: bool = False,
+    needs: Iterable[str] = (),
+) -> Metric | Callable[[Score], Metric]:
+    """Decorator: a metric of one's own, from a function of `VehicleReturns` that gives (n,) finite values.
+
+    ``--metric own.py:roof`` maximises it, as does an entry point of the group ``blender_lidar.metrics``::
+
+        @blender_lidar.metric(tells="what share of its roof the beams hit")
+        def roof(returns):
+            return returns.occupancy[:, 0]
+
+    Parameters
+    ----------
+    score : callable
+        The function; its name is the metric's.
+    label : str
+        For axes and tables; the name unless said.
+    unit, tells, decimals
+        As the attributes of `Metric`.
+    lower_is_better : bool
+        Whether a low value means that a vehicle is seen well.
+    needs : iterable of str
+        What it needs of `VehicleReturns` beside sizes, counts and occupancies: ``"points"`` (and ``vehicle``),
+        ``"distance_m"``, ``"view"``.
+
+    Raises
+    ------
+    InputError
+        For a need that there is not.
+    """
+    for what in needs:
+        if what not in _MISSING:
+            raise unknown_name(what, _MISSING, "need", "blender_lidar.metric: needs")
+
+    def decorated(score: Score) -> Metric:
+        name = score.__name__
+        told = {"tells": tells, "decimals": decimals}
+        return Metric(name, label or name.replace("_", " "), unit, not lower_is_better, score, frozenset(needs), **told)
+
+    return decorated if score is None else decorated(score)

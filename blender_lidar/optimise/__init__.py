@@ -21,3 +21,4 @@ from .solve import de_pso as de_pso
 from .solve import make_search as make_search
 from .solve import maximise as maximise
 from .solve import run as run
+from .solve import search_named as search_named

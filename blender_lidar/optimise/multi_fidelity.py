@@ -111,6 +111,11 @@ class MultiFidelitySearch:
         return float(self._records[-1].totals.max(initial=-math.inf))
 
     @property
+    def best_screened_x(self) -> np.ndarray:
+        """The best candidate of the screening so far, (d,), which the first batch makes known."""
+        return self._screen.best_x
+
+    @property
     def history(self) -> np.ndarray:
         """One row for each candidate scored at the reference, as `Search.history`; a batch is an iteration."""
         confirmed = self._records[-1]

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import unknown_name
+from ..errors import InputError, unknown_name
 from ..names import ITERATIONS, PARTICLES, SEARCHES
+from ..plugins import SEARCHES_OF_OTHERS, called, faults_told, is_plugin, load_plugin, plugin_names
 from .baselines import GridSearch, RandomSearch, grid_points
 from .de_pso import DePso, DePsoSettings
 from .hardened import Hardened, HardenedSettings
@@ -68,6 +69,68 @@ def run(search: Search, objective: Objective, callback: Callable[[Search], None]
     return SearchResult(search.best_x, search.best_value, search.evaluations, search.history)
 
 
+class OwnSearch(Search):
+    """A search of one's own, an object with `ask` and `tell`, held to the rules of a `Search`.
+
+    ``--search own.py:Climb`` searches with it, as does an entry point of the group ``blender_lidar.searches``. `Climb`
+    is a class, or a function that makes the object, called as ``Climb(lower, upper, seed=seed, budget=budget)`` with
+    bounds (d,). Then by turns ``ask()`` gives the candidates to evaluate next, (s, d) within the bounds, and
+    ``tell(values)`` takes their values, (s,): the higher the better, ``-inf`` for an infeasible one. The last batch is
+    cut to what the budget leaves. Made anew and told the same it has to ask for the same, so that a run can go on.
+
+    Raises
+    ------
+    InputError
+        When its code fails, or asks for something else, in one line.
+    """
+
+    def __init__(
+        self, name: str, make: Callable, lower: np.ndarray, upper: np.ndarray, *, seed: int, budget: int
+    ) -> None:
+        super().__init__(lower, upper, budget=check_whole(budget, 1, "evaluations"))
+        self.name, self._what, self._asked = name, f"search {name!r}", None
+        self._own = called(self._what, make, self.lower.copy(), self.upper.copy(), seed=seed, budget=self.budget)
+        for method in ("ask", "tell"):
+            if not callable(getattr(self._own, method, None)):
+                raise InputError(f"{self._what}: has no {method}(); allowed: an object with ask() and tell(values)")
+
+    def _candidates(self) -> np.ndarray:
+        if self._asked is None:
+            asked = called(self._what, self._own.ask)
+            with faults_told(f"{self._what}: ask()"):
+                asked = np.array(asked)
+            form = f"(s, {self.lower.size}), s at least 1, finite numbers"
+            if asked.ndim != 2 or asked.shape[1] != self.lower.size or not len(asked) or asked.dtype.kind not in "fiu":
+                raise InputError(f"{self._what}: ask() gave {asked.dtype} {asked.shape}; allowed: {form}")
+            outside = ~((asked >= self.lower) & (asked <= self.upper)).all(axis=1)  # as is what is NaN
+            if outside.any():
+                first, box = asked[outside][0].tolist(), f"{self.lower.tolist()} to {self.upper.tolist()}"
+                raise InputError(f"{self._what}: ask() gave {first}; allowed: {box}")
+            self._asked = asked[: self.budget - self.evaluations].astype(float)
+        return self._asked
+
+    def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
+        self._asked = None
+        called(self._what, self._own.tell, values.copy())
+
+
+def search_named(name: str, where: str = "") -> Callable:
+    """What makes the search of a plug-in: an entry point's, or one in a file, ``FILE.py:NAME``.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        When there is none, with the nearest name, or it cannot be loaded; `where` says where the name came from.
+    """
+    if not is_plugin(name, SEARCHES_OF_OTHERS):
+        raise unknown_name(name, (*SEARCHES, *plugin_names(SEARCHES_OF_OTHERS)), "search", where)
+    found = load_plugin(name, SEARCHES_OF_OTHERS, where)
+    if not callable(found):
+        prefix = f"{where}: " if where else ""
+        raise InputError(f"{prefix}{name}: is a {type(found).__name__}; allowed: a class, or a function that makes one")
+    return found
+
+
 def make_search(
     name: str, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int = 2000, **settings: object
 ) -> Search:
@@ -76,7 +139,7 @@ def make_search(
     Parameters
     ----------
     name : str
-        One of `SEARCHES`.
+        One of `SEARCHES`, or a plug-in: see `OwnSearch`.
     lower, upper : array_like, (d,)
         Bounds of each variable.
     seed : int
@@ -91,9 +154,9 @@ def make_search(
     InputError
         If the name is unknown or an argument cannot be used.
     """
-    if name not in SEARCHES:
-        raise unknown_name(name, SEARCHES, "search")
     lower, upper = check_bounds(lower, upper)
+    if name not in SEARCHES:
+        return OwnSearch(name, search_named(name), lower, upper, seed=seed, budget=evaluations)
     if name == GridSearch.name:
         return GridSearch(lower, upper, points=grid_points(evaluations, lower.size), **settings)
     if name == RandomSearch.name:
@@ -171,7 +234,8 @@ def maximise(
         Same seed, same answer.
     evaluations : int
         The budget, never exceeded; a grid, or a swarm in whole iterations, may use less.
-    search : {"hardened", "de-pso", "grid", "random"}
+    search : {"hardened", "de-pso", "grid", "random"} or str
+        Or a plug-in's name: see `OwnSearch`.
 
     Returns
     -------

@@ -74,7 +74,7 @@ def draw_charts(site: Site, run: Outcome) -> list[str]:
 
 def _about(result: Mapping) -> str:
     """The line below a chart's title: sensor, range gate, vehicles, and the metric where it is not the default."""
-    metric = "" if result["metric"] == PE_VGOP.name else f", metric {result['metric']}"
+    metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
     return (
         f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
         f"{result['vehicles']} vehicles in {result['frames']} frames{metric}"

@@ -26,7 +26,7 @@ from ..files import (
     write_columns,
     write_text,
 )
-from ..metrics.catalogue import METRICS, PE_VGOP
+from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import READINGS
 from ..scene.provenance import check_identity
 from ..scene.settings import COORDINATES, Scenario
@@ -174,9 +174,9 @@ class RunFolder:
         if result.get("schema") != RUN_SCHEMA:
             raise InputError(f"{where}: schema is not {RUN_SCHEMA}, the one that this version writes")
         with refused_by_name(where):
-            for key, known in (("metric", METRICS), ("reading", READINGS)):
-                if result[key] not in known:
-                    raise InputError(f"{where}: {key}: is {result[key]!r}; allowed: {', '.join(known)}")
+            metric_named(result["metric"], f"{where}: metric")
+            if result["reading"] not in READINGS:
+                raise InputError(f"{where}: reading: is {result['reading']!r}; allowed: {', '.join(READINGS)}")
             for mount in (result["deployment"], result["baseline"]["deployment"]):
                 if not all(np.isfinite(float(mount[key])) for key in COORDINATES):
                     raise InputError(f"{where}: deployment: is no mounting")

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
 
+from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..optimise import DePso, DePsoSettings, Hardened, Search, make_search
 from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
+from ..plugins import short_name
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario, pose_at
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
-from .folder import HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
+from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
 from .verdict import (
@@ -74,6 +76,24 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
             mountings["optimised"] = best_over_tolerance(evaluator, [found[ROBUST], found[NOMINAL]], tolerance)
             mountings[NOMINAL] = found[NOMINAL]
         return _conclude(site, folder, evaluator, started, mountings, searches, score_map)
+
+
+def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -> dict | None:
+    """The result of the search that has ended in a folder that a run goes on in; None where there is more to search.
+
+    `note` is told where nothing is stored there to go on with.
+
+    Raises
+    ------
+    InputError
+        When the folder holds a run with other settings, or the evaluation of one mounting.
+    """
+    result = folder.read_result(site.identity)
+    if result is not None and result.get("search") is None:
+        raise InputError(f"--resume: {folder.path}: holds one mounting's evaluation, not a search; give another --out")
+    if result is None and not folder.file(CHECKPOINT).exists():
+        note(f"{folder.path}: nothing is stored there to go on with; the search starts from its beginning")
+    return result
 
 
 def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float]) -> dict:
@@ -206,11 +226,11 @@ def _conclude(
         "scenery": scenery_counts(site),
         "caster": site.observation.caster,
         "detail": site.observation.detail,
-        "metric": metric.name,
+        "metric": site.scoring.metric,
         "metric_unit": metric.unit,
         "metric_higher_is_better": metric.higher_is_better,
         "reading": scenario.objective.reading,
-        "search": scenario.search.method if searches else None,
+        "search": short_name(scenario.search.method) if searches else None,
         "seed": seed,
         "evaluations": sum(evaluations.values()) or 1,
         "fidelity": scenario.search.fidelity if searches else "full",

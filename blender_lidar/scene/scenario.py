@@ -12,8 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import InputError, MissingFileError, unknown_name
-from ..metrics.catalogue import PE_VGOP
-from ..optimise import DePso, DePsoSettings, GridSearch
+from ..metrics.catalogue import PE_VGOP, metric_named
+from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
 from ..road import RoadFrame
 from ..sensors.model import LidarModel, load_model, unit_of
 from ..toml_table import TomlTable, checked, read_toml, settings_of
@@ -50,8 +50,8 @@ Overrides = Mapping[tuple[str, str], tuple[object, str]]
 def shipped_scenes() -> dict[str, Path]:
     """The scene files that come with the package, by name: inside it, or beside it in a checkout."""
     package = Path(__file__).parents[1]
-    folder = next((place for place in (package / "scenes", package.parent / "scenes") if place.is_dir()), package)
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    folder = next((place for place in (package / "scenes", package.parent / "scenes") if place.is_dir()), None)
+    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
 def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scenario:
@@ -72,7 +72,8 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
         Naming the file, the table and the key.
     """
     shipped = shipped_scenes()
-    path = Path(path) if os.path.exists(path) else shipped.get(str(path), Path(path))  # noqa: PTH110 - of any length
+    is_file = os.path.isfile(path)  # noqa: PTH113 - of any length
+    path = Path(path) if is_file else shipped.get(str(path), Path(path))
     try:
         tables = _tables(path, overrides or {})
     except MissingFileError as error:
@@ -182,6 +183,7 @@ def _model_named(table: TomlTable, key: str, name: str) -> tuple[str, LidarModel
 
 def _objective(table: TomlTable) -> ObjectiveSettings:
     objective = table.read_as(ObjectiveSettings)
+    metric_named(objective.metric, table.where("metric"))
     if objective.tolerance is not None and not objective.tolerance.half_widths:
         keys = ", ".join(key for key in settings_of(Tolerance) if key != "aim")
         where = table.table("tolerance").name
@@ -193,6 +195,8 @@ def _objective(table: TomlTable) -> ObjectiveSettings:
 
 def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
     search = table.read_as(SearchSettings)
+    if search.method not in SEARCHES:
+        search_named(search.method, table.where("method"))
     given = [key for key in _DE_PSO_ALONE if getattr(search, key) is not None]
     if search.method == DePso.name:
         paper = DePsoSettings()

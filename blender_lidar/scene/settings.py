@@ -30,6 +30,7 @@ from ..names import (
     TRAFFIC_FORMATS,
     VIEWS,
 )
+from ..plugins import METRICS_OF_OTHERS, SEARCHES_OF_OTHERS
 from ..road import RoadFrame
 from ..toml_table import setting, settings_of
 
@@ -299,7 +300,9 @@ class ObjectiveSettings:
         aim=mean or aim=low; none: it hangs as planned.
     """
 
-    metric: str = setting(METRIC_NAMES[0], allowed=METRIC_NAMES, option="--metric", metavar="METRIC")
+    metric: str = setting(
+        METRIC_NAMES[0], allowed=METRIC_NAMES, plugins=METRICS_OF_OTHERS, option="--metric", metavar="METRIC"
+    )
     reading: str = setting("corrected", allowed=READINGS, option="--reading")
     cell_m: float = setting(DEFAULT_CELL_M, low=0.005, high=1.0)
     threshold: float = setting(0.005, low=0.0, high=1.0)
@@ -329,7 +332,9 @@ class SearchSettings:
         DE-PSO's coefficients, see `optimise.de_pso.DePsoSettings`.
     """
 
-    method: str = setting(SEARCHES[0], allowed=SEARCHES, option="--search")
+    method: str = setting(
+        SEARCHES[0], allowed=SEARCHES, plugins=SEARCHES_OF_OTHERS, option="--search", metavar="SEARCH"
+    )
     fidelity: str = setting("full", allowed=("full", "auto"), option="--fidelity")
     seed: int = setting(1, low=0, option="--seed")
     particles: int = setting(PARTICLES, low=3, high=10_000, option="--particles")

@@ -47,7 +47,7 @@ def study_head(site: Site, schema: int, effort) -> dict[str, object]:
         "sensor": site.model.name,
         "caster": site.observation.caster,
         "detail": site.observation.detail,
-        "metric": metric.name,
+        "metric": site.scoring.metric,
         "metric_unit": metric.unit,
         "seed": site.scenario.search.seed,
         "frames": len(site.search),

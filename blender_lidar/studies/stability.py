@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
+from ..plugins import short_name
 from ..run.optimise import fresh_search
 from ..run.tolerance import installed, losses_over_tolerance, objective_over, tolerance_text
 from ..run.verdict import AXES, vehicle_table
@@ -187,7 +188,7 @@ def study_stability(
     return {
         **study_head(site, STABILITY_SCHEMA, effort),
         "reading": scene.objective.reading,
-        "search": scene.search.method,
+        "search": short_name(scene.search.method),
         "answered_frames": len(whole.search),
         "varied_frames": len(few.search),
         "judged_on": judging,

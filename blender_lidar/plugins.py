@@ -1,0 +1,156 @@
+"""Plug-ins: metrics and searches of one's own, named by an entry point or as ``FILE.py:NAME``.
+
+Such a name means the same in every process, so that workers find the plug-in too. Whatever its code raises is told in
+one line, with the line of the file.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib.util import find_spec
+from inspect import getsourcefile
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from .errors import InputError
+from .files import read_file, reading
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+METRICS_OF_OTHERS, SEARCHES_OF_OTHERS = "blender_lidar.metrics", "blender_lidar.searches"  # groups of entry points
+IN_A_FILE = "FILE.py:NAME"
+_IN_A_FILE = re.compile(r"(?P<path>.+\.py):(?P<name>[^\W\d]\w*)")
+_LARGEST = 1 << 20  # bytes of a file
+
+
+def plugin_names(group: str) -> tuple[str, ...]:
+    """Names of the installed entry points of a group, and the form of those in files; none where there is no group."""
+    return (*sorted(_installed(group)), IN_A_FILE) if group else ()
+
+
+def is_plugin(name: object, group: str) -> bool:
+    """Whether a name is that of a plug-in, which may still fail to load."""
+    return (
+        bool(group) and isinstance(name, str) and (_IN_A_FILE.fullmatch(name) is not None or name in _installed(group))
+    )
+
+
+def located(name: str, folder: Path = Path()) -> str:
+    """The name of a plug-in as it holds in any working folder: a file's path, absolute, that started from `folder`."""
+    found = _IN_A_FILE.fullmatch(name)
+    return f"{(folder / found['path']).resolve()}:{found['name']}" if found else name
+
+
+def short_name(name: str) -> str:
+    """The name of a plug-in without the folder of its file."""
+    found = _IN_A_FILE.fullmatch(name)
+    return f"{Path(found['path']).name}:{found['name']}" if found else name
+
+
+def name_in_file(code: Callable) -> str:
+    """The name under which every process finds a function or class.
+
+    Raises
+    ------
+    InputError
+        When it is defined in no file, as in a cell of a notebook.
+    """
+    try:
+        path = Path(getsourcefile(code) or "")
+    except TypeError:  # a class of a notebook, or no function
+        path = Path()
+    name = getattr(code, "__qualname__", "")
+    if not (path.suffix == ".py" and path.is_file() and name.isidentifier()):
+        raise InputError(
+            f"{name or code!r}: is defined in no file, from which worker processes could load it; allowed: a function "
+            "or class at the top level of a .py file (in a notebook: %%writefile own.py)"
+        )
+    return f"{path.resolve()}:{name}"
+
+
+def plugin_file(name: str, group: str) -> Path:
+    """The file that holds the code of a plug-in."""
+    found = _IN_A_FILE.fullmatch(name)
+    if found:
+        return Path(found["path"])
+    with faults_told(f"entry point {name!r}"):
+        return Path(find_spec(_installed(group)[name].module).origin)
+
+
+def load_plugin(name: str, group: str, where: str = "") -> Any:
+    """What a plug-in's name stands for; `where` says where the name came from.
+
+    A file is run anew in each process, and again when it has changed, with another ``__name__`` than ``"__main__"``.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        When there is no such file or name in it, or its code fails, with the line.
+    """
+    prefix, found = f"{where}: " if where else "", _IN_A_FILE.fullmatch(name)
+    if not found:
+        with faults_told(f"{prefix}entry point {name!r}"):
+            return _installed(group)[name].load()
+    path = found["path"]
+    with reading(path, "a Python file"):
+        source = read_file(path, _LARGEST)
+    with faults_told(f"{prefix}{path}", path):
+        module = _module(path, source)
+    if not hasattr(module, found["name"]):
+        raise InputError(f"{prefix}{path}: defines no {found['name']!r}")
+    return getattr(module, found["name"])
+
+
+@contextmanager
+def faults_told(what: str, path: str | None = None) -> Iterator[None]:
+    """Tell what the code of others raises in one line: `what` failed, the line of its file, and the error.
+
+    Raises
+    ------
+    InputError
+        In place of any exception of the block but Ctrl-C.
+    """
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SyntaxError) and error.filename == path:
+            lines = [error.lineno]
+        else:
+            lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == path]
+        line = f", line {lines[-1]}" if lines else ""
+        said = error.msg if isinstance(error, SyntaxError) else error
+        raise InputError(f"{what}{line}: {type(error).__name__}: {said}") from error
+
+
+def called(what: str, code: Callable, *given: object, **settings: object) -> Any:
+    """What a function of others returns; what it raises is told in one line."""
+    with faults_told(what, getattr(sys.modules.get(code.__module__), "__file__", None)):
+        return code(*given, **settings)
+
+
+@cache
+def _module(path: str, source: bytes) -> ModuleType:
+    """A file's content, run; like a script it can import what lies beside it."""
+    folder, module = str(Path(path).parent), ModuleType(f"blender_lidar_plugin_{Path(path).stem}")
+    module.__file__ = path
+    sys.modules[module.__name__] = module  # which dataclasses look up
+    sys.path.insert(0, folder)
+    try:
+        exec(compile(source, path, "exec"), vars(module))
+    finally:
+        sys.path.remove(folder)
+    return module
+
+
+@cache
+def _installed(group: str) -> dict[str, EntryPoint]:
+    from importlib.metadata import entry_points  # takes longer than help may
+
+    return {entry.name: entry for entry in entry_points(group=group)}

@@ -1,0 +1,214 @@
+"""What the Python interface returns: runs, scores and scans, with their tables and pictures."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from .clouds.files import write_cloud
+from .clouds.scan import PointCloud, class_names
+from .commands.report import outcome_text
+from .errors import InputError
+from .files import write_bytes
+from .report.summary import answer, key_figures
+from .run.folder import Outcome
+from .scene.site import Site
+from .traffic.vehicles import Vehicles
+
+
+def table_of(columns: Mapping[str, np.ndarray]):
+    """A DataFrame where pandas is installed, else the dictionary."""
+    try:
+        from pandas import DataFrame
+    except ImportError:
+        return dict(columns)
+    return DataFrame(dict(columns))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """What a run came to; as text it is the sentence of its report, in a notebook that and its key figures.
+
+    Attributes
+    ----------
+    outcome : Outcome
+        Its folder and its vehicle tables.
+    complete : bool
+        False where the run was stopped: its best mounting so far is judged.
+    site : Site
+        What the mounting was judged on.
+    """
+
+    outcome: Outcome
+    complete: bool
+    site: Site
+
+    @property
+    def result(self) -> dict[str, Any]:
+        """The content of result.json."""
+        return self.outcome.result
+
+    @property
+    def mounting(self) -> dict[str, float]:
+        """The six coordinates [m, degrees]."""
+        return dict(self.result["deployment"])
+
+    @property
+    def vehicles(self):
+        """What the mounting sees of each vehicle in each frame: a table in the columns of vehicles.csv."""
+        return table_of(self.outcome.optimised)
+
+    @property
+    def baseline_vehicles(self):
+        """The same vehicles under the baseline."""
+        return table_of(self.outcome.baseline)
+
+    @property
+    def history(self):
+        """Every evaluation of the search, a table in the columns of history.csv; None for a given mounting."""
+        if self.result["search"] is None:
+            return None
+        rows, variables = self.outcome.folder.read_history(), self.site.scenario.deployment.variables
+        names = ("evaluation", "iteration", "particle", *variables, "objective", "best")
+        return table_of(dict(zip(names, rows.T, strict=True)))
+
+    @property
+    def score_map(self):
+        """Objective and detectable share over heights and tilts, a table; None where the run has no map."""
+        if self.result["map"] is None:
+            return None
+        found = self.outcome.folder.read_score_map()
+        height, tilt = np.meshgrid(found.height_m, found.tilt_deg, indexing="ij")
+        scores = {"objective_per_vehicle": found.per_vehicle, "detectable_share": found.detectable_share}
+        columns = {"height_m": height, "tilt_x_deg": tilt, **scores}
+        return table_of({name: values.ravel() for name, values in columns.items()})
+
+    @property
+    def plot(self) -> Plots:
+        """Its pictures, each drawn when it is called."""
+        return Plots(self)
+
+    def report(self) -> str:
+        """What the command line prints of it: the answer, what its words mean, tables, and what to be wary of."""
+        return outcome_text(self.outcome, "")
+
+    def __repr__(self) -> str:
+        return f"<Run: {self}>"
+
+    def __str__(self) -> str:
+        return answer(self.result)
+
+    def _repr_html_(self) -> str:
+        figures = "".join(
+            f"<tr><th>{html.escape(what)}</th><td>{html.escape(figure)}</td></tr>"
+            for what, figure in key_figures(self.result)
+        )
+        stopped = "" if self.complete else "<p>The run was stopped; this is its best so far.</p>"
+        return f"<p>{html.escape(str(self))}</p>{stopped}<table>{figures}</table>"
+
+
+class Picture(bytes):
+    """A picture as PNG, which a notebook shows."""
+
+    def _repr_png_(self) -> bytes:
+        return bytes(self)
+
+    def write(self, path: str | Path) -> None:
+        """Write it, whole or not at all."""
+        write_bytes(path, bytes(self))
+
+
+@dataclass(frozen=True)
+class Plots:
+    """The pictures of a run; they need matplotlib (the extra "plots")."""
+
+    run: Run
+
+    def score_map(self) -> Picture:
+        """Objective over height and tilt, with the optimum and the baseline."""
+        if self.run.result["map"] is None:
+            raise InputError("score_map: the run has none: it was no full search, or it was stopped")
+        return self._drawn("plot_score_map", score_map=self.run.outcome.folder.read_score_map())
+
+    def search(self) -> Picture:
+        """How the best objective rose with the number of mountings tried."""
+        if self.run.result["search"] is None:
+            raise InputError("search: the run has no history: its mounting was given, or it was stopped")
+        return self._drawn("plot_convergence", history=self.run.outcome.folder.read_history())
+
+    def by_distance(self) -> Picture:
+        """Scores and detectable shares by distance, before and after."""
+        return self._drawn("plot_by_distance")
+
+    def blind_zones(self) -> Picture:
+        """Where on the road vehicles are not detectable, before and after."""
+        return self._drawn("plot_blind_zones", road=self.run.site.scenario.road)
+
+    def _drawn(self, name: str, **settings) -> Picture:
+        from .report import run_figures
+
+        with TemporaryDirectory() as folder:
+            path = Path(folder, "picture.png")
+            getattr(run_figures, name)(path, run=self.run.outcome, **settings)
+            return Picture(path.read_bytes())
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What a mounting comes to on a site's frames.
+
+    Attributes
+    ----------
+    mounting : dict of str to float
+        The six coordinates [m, degrees].
+    objective, objective_per_vehicle : float
+        Eq. 10, in the metric's unit: its sum, and its mean over the vehicles.
+    detectable_share : float
+        Share of the vehicles at or above the threshold.
+    vehicles : DataFrame or dict of ndarray
+        What it sees of each vehicle in each frame, in the columns of vehicles.csv.
+    """
+
+    mounting: dict[str, float]
+    objective: float
+    objective_per_vehicle: float
+    detectable_share: float
+    vehicles: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One revolution over a frame.
+
+    Attributes
+    ----------
+    cloud : PointCloud
+        The returns, ground included [m, road frame].
+    vehicles : Vehicles
+        The boxes of the frame.
+    header : dict
+        Sensor, pose and settings, as files of clouds keep them.
+    """
+
+    cloud: PointCloud
+    vehicles: Vehicles
+    header: dict[str, object]
+
+    @property
+    def points(self):
+        """A row for each return: x, y, z and range [m], ring, time [s], vehicle, class and intensity."""
+        cloud = self.cloud
+        columns = dict(zip(("x_m", "y_m", "z_m"), cloud.xyz.T, strict=True))
+        columns |= {"range_m": cloud.range_m, "ring": cloud.ring, "time_s": cloud.time_s}
+        columns |= {"vehicle_id": cloud.vehicle_id, "class": class_names(cloud.class_index)}
+        return table_of({**columns, "intensity": cloud.intensity})
+
+    def write(self, path: str | Path) -> None:
+        """Write it as the suffix says: .npz, .pcd, .ply, .bin, .las or .laz."""
+        write_cloud(path, self.cloud, self.header)
