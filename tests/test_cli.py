@@ -63,6 +63,8 @@ def test_every_verb_has_help_that_explains_every_option(capsys, verb):
         if line.startswith("  --"):
             explained = len(line.split("  ")) > 2 or lines[number + 1].startswith(" " * 20)
             assert explained, line
+    headings = [line for line in lines if re.fullmatch(r"[^ ].*:", line)]
+    assert len({*headings}) == len(headings)
 
 
 def test_python_m_is_the_command_line():
@@ -190,6 +192,16 @@ def test_the_words_of_the_solver_are_kept_for_verbose(tmp_path, capsys):
     out, _ = done(capsys, "optimise", write_scene(tmp_path), "--verbose", "--out", "run")
     titles = [line.split()[0] for line in out.partition("\n\n")[0].splitlines() if not line.startswith(" ")]
     assert titles == ["Sensor", "Traffic", "Searched", "Held", "Casting", "Searching"]
+
+
+def test_rows_that_were_not_used_are_told_without_being_asked(tmp_path, capsys):
+    scene = write_scene(tmp_path)
+    out, _ = done(capsys, "optimise", scene, "--out", "whole")
+    assert "rows used" not in out
+    with (tmp_path / "traffic.csv").open("a") as traffic:
+        traffic.write((tmp_path / "traffic.csv").read_text().splitlines()[-1] + "\n")
+    out, _ = done(capsys, "optimise", scene, "--out", "repeated")
+    assert re.search(r"\n +[\d,]+ of [\d,]+ rows used\n +1 duplicate row dropped\n", out)
 
 
 def test_a_printed_mounting_is_that_of_the_result_with_units(tmp_path, capsys):

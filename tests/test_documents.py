@@ -44,8 +44,8 @@ def test_a_shipped_scene_is_found_by_its_name_from_any_folder(tmp_path, monkeypa
         load_scenario("scenes/i80.toml")
     (tmp_path / "i80").mkdir()  # a folder of results called so hides no scene
     assert Path(load_scenario("i80").traffic.path).is_file()
+    (tmp_path / "results").mkdir()
     with pytest.raises(InputError, match="results: is a folder"):
-        (tmp_path / "results").mkdir()
         load_scenario("results")
 
 

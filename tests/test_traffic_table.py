@@ -200,6 +200,8 @@ def test_what_was_read_is_told_in_singular_and_plural():
         "1 box interpolated in gaps of at most 0.5 s",
         "1 pair of overlapping boxes in 1 frame looked at",
     ]
+    assert one.lines(losses=True) == ["1 of 1 row used", "1 duplicate row dropped"]
+    assert RepairReport(rows_read=1, rows_used=1, interpolated=1).lines(losses=True) == []
     many = RepairReport(rows_read=1200, rows_used=1, duplicates=2, interpolated=3, overlaps=1000, overlap_frames=2)
     assert many.lines() == [
         "1 of 1,200 rows used",

@@ -52,6 +52,7 @@ def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),
         ("Traffic", f"{scenario.traffic.path}: {len(site.search)} frames with {vehicles:,} vehicles{held_out}"),
+        *(("", line) for line in site.recording.report.lines(losses=True)),
         ("Tolerance", _tolerance_text(scenario, searched)),
         ("Searched", _ranges(scenario) if searched else ""),
         ("Casting", f"{site.observation.caster}, detail {site.observation.detail}, {workplace_of(scenario.model)}"),

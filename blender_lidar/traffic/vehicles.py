@@ -68,28 +68,38 @@ class RepairReport:
     overlap_frames: int = 0
     notes: tuple[str, ...] = ()
 
-    def lines(self) -> list[str]:
-        """A few lines for a person: only what happened; names from the file are made printable."""
-        happened = [
+    def lines(self, *, losses: bool = False) -> list[str]:
+        """A few lines for a person: only what happened; names from the file are made printable.
+
+        With `losses` they are those of rows that were not used and of sizes that were made up, if there are any.
+        """
+        lost = [
             (self.duplicates, "duplicate row", "dropped"),
             (self.repeated, "row", "dropped: vehicle already in that frame"),
             (self.off_map, "row", "dropped: off the map"),
             (self.left_out, "row", "left out: no vehicle on a road"),
+        ]
+        changed = [
             (self.interpolated, "box", "interpolated in gaps of at most 0.5 s"),
             (self.tracks_split, "longer gap", "left open"),
-            (self.sizes_repaired, "vehicle", "with a missing or absurd size repaired"),
+        ]
+        sizes = [(self.sizes_repaired, "vehicle", "with a missing or absurd size repaired")]
+        headings = [
             (self.headings_held, "heading", "held (slower than 2 m/s, or no neighbour in time)"),
             (self.headings_clamped, "heading", "limited"),
         ]
         chosen = [f"location {self.location}"] if len(self.locations) > 1 else []
         chosen += [f"period {self.period}"] if len(self.periods) > 1 else []
         of_what = f" ({', '.join(chosen)})" if chosen else ""
-        lines = [f"{self.rows_used:,} of {_counted(self.rows_read, 'row')} used{of_what}"]
-        lines += [f"{_counted(count, noun)} {outcome}" for count, noun, outcome in happened if count]
+        used = f"{self.rows_used:,} of {_counted(self.rows_read, 'row')} used{of_what}"
+        happened = [*lost, *sizes] if losses else [*lost, *changed, *sizes, *headings]
+        lines = [f"{_counted(count, noun)} {outcome}" for count, noun, outcome in happened if count]
+        if losses:
+            return [printable(line) for line in (used, *lines)] if lines or self.rows_used < self.rows_read else []
         if self.overlaps:
             pairs, frames = _counted(self.overlaps, "pair"), _counted(self.overlap_frames, "frame")
             lines.append(f"{pairs} of overlapping boxes in {frames} looked at")
-        return [printable(line) for line in (*lines, *self.notes)]
+        return [printable(line) for line in (used, *lines, *self.notes)]
 
     def as_dict(self) -> dict[str, object]:
         """All counts, for a result file."""
