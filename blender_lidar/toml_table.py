@@ -176,11 +176,10 @@ def _is_a(kind, value):
 
 def _within(value, kind, declared, where):
     """The number as its kind, if it is within its limits."""
-    low, high = declared.low, declared.high
-    if kind is int:
-        low, high = max(low, -_LARGEST_WHOLE), min(high, _LARGEST_WHOLE)
-    if not (low <= value <= high and declared.above < value < declared.below):
-        raise _refused(where, value, limits_text(dataclasses.replace(declared, low=low, high=high), kind))
+    if not (declared.low <= value <= declared.high and declared.above < value < declared.below):
+        raise _refused(where, value, limits_text(declared, kind))
+    if kind is int and abs(value) > _LARGEST_WHOLE:
+        raise _refused(where, value, f"{-_LARGEST_WHOLE} to {_LARGEST_WHOLE}")
     return kind(value)
 
 

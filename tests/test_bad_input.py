@@ -138,7 +138,7 @@ BAD_OPTIONS = {
         ("--sens RS-16", "unrecognized arguments: --sens RS-16"),
     ],
     RUN_VERBS: [
-        ("--frames 0", "--frames: is 0; allowed: 1 to "),
+        ("--frames 0", "--frames: is 0; allowed: at least 1"),
         ("--frames many", "--frames: is 'many'; allowed: a whole number"),
         ("--frame-ids 999", "no frame 999"),
         ("--frame-ids 9,x", "--frame-ids: 'x'; allowed: frame numbers such as 100,150 or 100:160:5"),
@@ -150,7 +150,7 @@ BAD_OPTIONS = {
         ("--frame-ids 9 --frames 3", "--frame-ids: lists the frames that --frames spreads evenly"),
         ("--metric voxel-entrop-0.1", "--metric: unknown metric 'voxel-entrop-0.1'; did you mean 'voxel-entropy-0.1'?"),
         ("--reading literal", "argument --reading: invalid choice"),
-        ("--seed -1", "--seed: is -1; allowed: 0 to "),
+        ("--seed -1", "--seed: is -1; allowed: at least 0"),
         ("--workers -1", "--workers: is -1; allowed: 0 to 256"),
     ],
     ("optimise",): [

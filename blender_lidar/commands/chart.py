@@ -6,7 +6,7 @@ import argparse
 import math
 import sys
 
-from ..errors import InputError
+from ..errors import InputError, MissingFileError
 from ..report.chart import CHART_REPORT
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
@@ -55,6 +55,10 @@ def _other_site(args: argparse.Namespace, scenario: Scenario) -> Site | None:
     if asked == NO_SENSOR:
         return None
     name = next(other for other in OTHER_SENSORS if other != own) if asked is None else asked
+    try:
+        load_model(name)
+    except (InputError, MissingFileError) as error:
+        raise type(error)(f"--other-sensor: {error}") from error
     try:
         other = scenario_from(argparse.Namespace(**{**vars(args), "sensor": name}))
         if load_model(other.sensor.name).name == own:

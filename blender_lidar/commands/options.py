@@ -64,7 +64,7 @@ def _described(declared: Setting, key: str, default: object) -> str:
     allowed = (*declared.allowed, *([IN_A_FILE] if declared.plugins else []))
     names = ", ".join(allowed) if allowed and declared.metavar else ""
     told = declared.help + (f": {names}" if names else "") + (f" [{amount}]" if amount else "")
-    if default not in (None, ..., False, ()):
+    if not (default is None or default is ... or default is False or default == ()):
         told += f" (default {default:g})" if isinstance(default, float) else f" (default {default})"
     return told.replace("%", "%%")
 

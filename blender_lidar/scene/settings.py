@@ -114,7 +114,7 @@ class TrafficSettings:
     lanes : tuple of int or None
         Lanes whose vehicles are read; all unless said.
     frames : int or None
-        Number of searched frames, spread evenly.
+        Number of searched frames, spread evenly; 30 unless they are said in another way.
     frame_ids : tuple of int or None
         The searched frames: 100,150 or 100:160:5, its end included.
     spacing_s : float or None

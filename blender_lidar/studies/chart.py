@@ -15,7 +15,7 @@ import numpy as np
 
 from ..casting import CASTERS, is_available
 from ..errors import InputError
-from ..files import read_text
+from ..files import read_text, reading
 from ..scene.site import Site
 from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
 from .ablations import OFFSETS, Compared, ablation_rows, ablations
@@ -254,8 +254,10 @@ def read_paired(path: str | Path) -> dict:
     """
     path = Path(path)
     path = path / RESULT if path.is_dir() else path
+    with reading(path, f"{RESULT} of blender-lidar compare --paired, or its folder"):
+        content = read_text(path)
     try:
-        sets = json.loads(read_text(path))["sets"]
+        sets = json.loads(content)["sets"]
         name, variants = judging(sets), []
         for one in sets[name]["variants"]:
             error = one["absolute_error_bits"]
