@@ -12,7 +12,7 @@ import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.commands.chart import parse_share
-from blender_lidar.errors import InputError
+from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scoring.fidelity import Fidelity
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies import chart as study
@@ -233,6 +233,11 @@ def test_what_is_no_paired_comparison_is_refused(tmp_path):
         (tmp_path / "paired.json").write_text(text)
         with pytest.raises(InputError, match=r"is no paired.json"):
             read_paired(tmp_path)
+    (tmp_path / "paired.json").write_bytes(b"\xa2")
+    with pytest.raises(InputError, match=r"--paired-errors: .*is no paired.json"):
+        read_paired(tmp_path)
+    with pytest.raises(MissingFileError, match="nothing: there is no such file"):
+        read_paired(tmp_path / "nothing")
 
 
 @pytest.mark.parametrize(("text", "share"), [("1%", 0.01), ("0.5 %", 0.005), ("0.02", 0.02), ("100%", 1.0)])

@@ -235,8 +235,6 @@ def within_tolerance(share: float | None, interval: tuple[float, float] | None, 
 
 # --- beside a real LiDAR ----------------------------------------------------------------------------------------------
 
-OPTION = "--paired"
-
 
 def read_paired(path: str | Path) -> dict:
     """The errors of a paired comparison, from its `paired.json` or the folder that holds it.
@@ -254,10 +252,9 @@ def read_paired(path: str | Path) -> dict:
     """
     path = Path(path)
     path = path / RESULT if path.is_dir() else path
-    with reading(path, f"{RESULT} of blender-lidar compare --paired, or its folder"):
-        content = read_text(path)
     try:
-        sets = json.loads(content)["sets"]
+        with reading(path, RESULT):
+            sets = json.loads(read_text(path))["sets"]
         name, variants = judging(sets), []
         for one in sets[name]["variants"]:
             error = one["absolute_error_bits"]
@@ -266,4 +263,4 @@ def read_paired(path: str | Path) -> dict:
             variants.append({**told, "error_bits": float(error["median"]), "interval_90": interval})
         return {"file": path.name, "set": name, "cars": int(sets[name]["cars"]), "variants": variants}
     except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"{OPTION}: {path}: is no {RESULT} of blender-lidar compare --paired") from error
+        raise InputError(f"--paired-errors: {path}: is no {RESULT} of blender-lidar compare --paired") from error
