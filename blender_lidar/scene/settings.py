@@ -328,8 +328,10 @@ class SearchSettings:
         Particles of the swarm, hardened or DE-PSO's.
     iterations : int
         Every search gets particles x iterations evaluations.
-    inertia, differential_weight, cognitive, social, differential_threshold : float or None
-        DE-PSO's coefficients, see `optimise.de_pso.DePsoSettings`.
+    inertia, differential_weight, cognitive, social : float or None
+        DE-PSO's weights w1, w2, a1 and a2 of the paper's Eqs. 12 and 14.
+    differential_threshold : float or None
+        DE-PSO's gamma, the chance per particle and iteration of a differential jump; not the threshold delta.
     """
 
     method: str = setting(
