@@ -413,7 +413,7 @@ def test_a_table_that_does_not_belong_to_the_sweeps_is_refused_in_one_line(sampl
     ("words", "told"),
     [
         (["--block-frames", "0"], "--block-frames: is 0; allowed: 1 to"),
-        (["--seed", "-1"], "--seed: is -1; allowed: 0 to "),
+        (["--seed", "-1"], "--seed: is -1; allowed: at least 0"),
         (["--class", " "], "--class: is empty"),
         (["--ground-clearance", "nan"], "--ground-clearance: is nan; allowed: a number"),
         (["--metrics", "pe_vgop"], "--metrics: unknown metric 'pe_vgop'; did you mean 'pe-vgop'?"),

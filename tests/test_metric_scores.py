@@ -51,7 +51,7 @@ def test_score_adds_the_metrics_that_are_asked_for(cloud, capsys, tmp_path):
 
 def test_score_offers_the_metrics_that_it_can_make_and_no_others(capsys):
     out, _ = done(capsys, "score", "--help")
-    offered = "".join(out.split()).split("orall:")[1].split("output:")[0]
+    offered = "".join(out.split()).split("orof")[1].split("output:")[0]
     assert offered.split(",") == WITHOUT_MEMORY
 
 
