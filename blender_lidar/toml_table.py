@@ -155,7 +155,8 @@ def _of_kind(value, kind, declared, where):
     if get_origin(kind) is tuple:
         count = None if ... in parts else len(parts)
         if not is_list or not value or (count and len(value) != count):
-            raise _refused(where, value, f"a list of {count} numbers" if count else f"a list, each {_KINDS[parts[0]]}")
+            each = _KINDS.get(parts[0], "a list")
+            raise _refused(where, value, f"a list of {count} numbers" if count else f"a list, each {each}")
         return tuple(_of_kind(entry, parts[0], declared, where) for entry in value)
     if declared.word and value == declared.word:
         return value

@@ -28,6 +28,7 @@ SETTINGS: dict[str, dict[str, object]] = {
     "search": {"particles": 4, "iterations": 3, "seed": 1},
     "model": {"caster": CASTER, "workers": 1},
 }
+REGION: dict[str, dict[str, object]] = {"region": {"centre_m": [0.0, 0.0], "radius_m": GATE_M}}
 MAPPED: dict[str, dict[str, object]] = {"deployment": {"tilt_x_deg": [0.0, 25.0]}}
 
 

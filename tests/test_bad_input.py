@@ -112,8 +112,8 @@ def test_traffic_far_from_the_mount(tmp_path, capsys, verb):
     rows = [[*row[:3], row[3] + 5000.0, *row[4:]] for row in traffic_rows()]
     write_table(tmp_path / "traffic.csv", rows)
     line = refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
-    assert "no vehicle within 20 m of the mount at x 0 m, y 0 m" in line
-    assert "[road] and [deployment]" in line
+    assert "no vehicle in the region, within 20 m of x 0 m, y 0 m" in line
+    assert "[road] and [region]" in line
 
 
 def test_a_pole_in_a_lane_or_in_a_vehicle(tmp_path, capsys, verb):

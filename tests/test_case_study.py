@@ -228,7 +228,7 @@ def test_what_the_paper_reports_is_carried_over():
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return str(write_scene(tmp_path_factory.mktemp("scene"), MAPPED))
+    return str(write_scene(tmp_path_factory.mktemp("scene"), {**MAPPED, "region": {"radius_m": "gate"}}))
 
 
 def study(scene, out, resume=False):

@@ -162,7 +162,7 @@ def kind_text(declared) -> str:
     if get_origin(kind) is UnionType:
         return "number, or a pair of bounds"
     if get_origin(kind) is tuple:
-        first = names.get(parts[0], "table")
+        first = names.get(parts[0], "list" if get_origin(parts[0]) is tuple else "table")
         return f"list of {first}s" if ... in parts else f"list of {len(parts)} {first}s"
     return names.get(kind, "table")
 

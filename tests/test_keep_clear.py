@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.scene.observation import Region
+from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import check_mount_is_clear, footprints_meet
 from tests.sample_traffic import dense_traffic, one_vehicle

@@ -32,8 +32,11 @@ def test_a_scene_needs_no_more_than_its_traffic(tmp_path):
     assert scenario.traffic.frames >= 30
 
 
+CIRCLE = "[region]\ncentre_m = [3.0, 4.0]\nradius_m = 40.0\n"
+
+
 def test_a_number_fixes_a_coordinate_and_a_pair_has_it_searched(tmp_path):
-    text = MINIMAL + "[deployment]\nx_m = [-4.0, 6.0]\ny_m = -1.5\nheight_m = 3\nyaw_deg = [-10, 10]\n"
+    text = MINIMAL + "[deployment]\nx_m = [-4.0, 6.0]\ny_m = -1.5\nheight_m = 3\nyaw_deg = [-10, 10]\n" + CIRCLE
     deployment = load_scenario(scene(tmp_path, text)).deployment
     assert deployment.variables == ("x_m", "tilt_x_deg", "yaw_deg")
     assert deployment.lower == (-4.0, 0.0, -10.0)
@@ -46,9 +49,11 @@ def test_a_number_fixes_a_coordinate_and_a_pair_has_it_searched(tmp_path):
     assert pose.yaw == pytest.approx(math.radians(5.0))
 
 
-def test_the_baseline_stands_at_the_nominal_place_unless_said(tmp_path):
-    deployment = "[deployment]\nx_m = [10.0, 20.0]\ny_m = -2.0\n"
-    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline["x_m"] == 15.0
+def test_the_baseline_stands_at_the_mounts_place_or_the_regions_middle_unless_said(tmp_path):
+    deployment = "[deployment]\nx_m = 7.0\ny_m = -2.0\n"
+    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline["x_m"] == 7.0
+    deployment = CIRCLE + "[deployment]\nx_m = [10.0, 20.0]\ny_m = -2.0\n"
+    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline["x_m"] == 3.0
     said = load_scenario(scene(tmp_path, MINIMAL + deployment + "[baseline]\nx_m = 0.0\nheight_m = 5\n")).baseline
     assert (said["x_m"], said["y_m"], said["height_m"]) == (0.0, -2.0, 5.0)
 
@@ -186,6 +191,11 @@ KEYS = [
     ("deployment", "tilt_x_deg", '["a", "b"]', "[0, 91]"),
     ("deployment", "tilt_y_deg", "true", "-91"),
     ("deployment", "yaw_deg", "nan", "400"),
+    ("region", "centre_m", "3", "[1, 2, 3]"),
+    ("region", "radius_m", '"range"', "0"),
+    ("region", "polygon_m", "[1, 2]", "[[0, 0], [1, 0], [1, 1e9]]"),
+    ("region", "stretches", "3", '"all"'),
+    ("region", "keep_out", "[[1, 2]]", "[[[0, 0], [1, 1]]]"),
     ("baseline", "x_m", "[1, 2]", "1e9"),
     ("baseline", "y_m", '"a"', "-1e9"),
     ("baseline", "height_m", "[2.0, 4.5]", "0"),
@@ -334,6 +344,7 @@ FULL = {
         "block_s": 7.0,
         "height_m": {"car": 1.4, "bus": 3.1},
     },
+    "region": {"centre_m": [1.0, 2.0], "radius_m": 30.0, "keep_out": [[[0.0, 0.0], [4.0, 0.0], [0.0, 5.0]]]},
     "deployment": {"x_m": [-5.0, 5.0], "y_m": -0.5, "yaw_deg": [-1.0, 1.0]},
     "baseline": {"height_m": 3.0, "tilt_x_deg": 5.0},
     "sensor": {

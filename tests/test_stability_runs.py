@@ -23,7 +23,7 @@ from blender_lidar.studies.findings import mountings_about
 from blender_lidar.studies.stability import StabilityEffort
 from blender_lidar.studies.variations import TRAFFIC, metric_variations, sensor_variations, traffic_variations
 from tests.refusals import refused
-from tests.small_scene import CASTER, MAPPED, cli, done, traffic_rows, without_charts, write_scene, write_table
+from tests.small_scene import CASTER, MAPPED, REGION, cli, done, traffic_rows, without_charts, write_scene, write_table
 
 TINY = StabilityEffort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
 
@@ -284,7 +284,7 @@ def test_fewer_frames_are_not_so_few_that_they_are_empty(site):
 
 
 def test_a_scene_that_fixes_height_and_tilt_is_refused_in_one_line(tmp_path, capsys):
-    scene = write_scene(tmp_path, {"deployment": {"height_m": 4.0, "y_m": [-1.0, 0.0]}})
+    scene = write_scene(tmp_path, {"deployment": {"height_m": 4.0, "y_m": [-1.0, 0.0]}, **REGION})
     line = refused(capsys, tmp_path, "stability", scene, "--quick", "--out", tmp_path / "run")
     assert "fixes height_m and tilt_x_deg" in line
 

@@ -222,6 +222,7 @@ def _conclude(
         "scene": Path(scenario.source).name,
         "sensor": site.model.name,
         "range_gate_m": scenario.sensor.range_gate_m,
+        "region": scenario.as_tables()["region"],
         "imperfections": scenario.sensor.imperfections_as_table(),
         "scenery": scenery_counts(site),
         "caster": site.observation.caster,

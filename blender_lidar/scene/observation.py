@@ -1,4 +1,4 @@
-"""What a mounting is judged by: an observation, the counted frames of a region, and how they are scored."""
+"""What a mounting is judged by: an observation, the frames with the vehicles that count, how they are scored."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from ..road import RoadFrame
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..traffic.vehicles import Vehicles
+from .region import Region
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,22 +59,6 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
-    """The region of interest: a disc about the nominal mount, the same for every mounting that is tried."""
-
-    centre_xy: tuple[float, float]
-    radius_m: float
-
-    def distance(self, vehicles: Vehicles) -> np.ndarray:
-        """Horizontal distance of each box centre from the middle, (n,) [m]."""
-        return np.hypot(*(vehicles.centre_m[:, :2] - self.centre_xy).T)
-
-    def holds(self, vehicles: Vehicles) -> np.ndarray:
-        """Which box centres lie inside, (n,) bool."""
-        return self.distance(vehicles) <= self.radius_m
-
-
-@dataclass(frozen=True, slots=True)
 class CountedFrame:
     """A frame, and which of its vehicles count; the others hide and are not scored."""
 
@@ -103,10 +88,8 @@ class Scoring:
     field: Field | None = None
 
 
-def scene_field(
-    metric: str, road: RoadFrame, centre_xy_m: tuple[float, float], radius_m: float, searched: Sequence[CountedFrame]
-) -> Field | None:
-    """Where a metric with a memory looks, the carriageway within a region; None for any other metric.
+def scene_field(metric: str, road: RoadFrame, region: Region, searched: Sequence[CountedFrame]) -> Field | None:
+    """Where a metric with a memory looks, the carriageway within the region's circle; None for any other metric.
 
     Raises
     ------
@@ -122,4 +105,4 @@ def scene_field(
             f"metric {metric!r} looks at the carriageway of [road], y {low:g} to {high:g} m, where no vehicle of the "
             "searched frames is; check [road] and [traffic]"
         )
-    return Field(centre_xy_m, radius_m, (low, high))
+    return Field(region.centre_xy, region.radius_m, (low, high))

@@ -18,16 +18,19 @@ from ..road import RoadFrame
 from ..sensors.model import LidarModel, load_model, unit_of
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
+from .region import check_polygon, region_of
 from .settings import (
     COORDINATE_LIMITS,
     COORDINATES,
     DATASHEET,
     DECLARED,
     DEPLOYMENT,
+    GATE,
     MOUNTING,
     Deployment,
     ModelSettings,
     ObjectiveSettings,
+    RegionSettings,
     Scenario,
     SearchSettings,
     SensorSettings,
@@ -78,10 +81,12 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
         tables = _tables(path, overrides or {})
     except MissingFileError as error:
         raise MissingFileError(f"{error}; scenes that ship with the package: {', '.join(shipped)}") from error
-    bounds = tables["deployment"].read(DEPLOYMENT)
-    searched = {key: value for key, value in bounds.items() if isinstance(value, tuple)}
-    deployment = Deployment({key: value for key, value in bounds.items() if key not in searched}, searched)
+    deployment, sensor = _deployment(tables["deployment"]), _sensor(tables["sensor"])
+    region = _region(tables["region"], sensor, _tables(path, {}), overrides or {})
+    road = tables["road"].read_as(RoadFrame)
     nominal = dict(zip(("x_m", "y_m"), deployment.nominal_xy, strict=True))
+    if "x_m" in deployment.bounds:  # so that the baseline, too, is the same whatever is searched
+        nominal["x_m"] = region_of(region, road.carriageway_y).centre_xy[0]
     baseline = {key: replace(one, default=nominal.get(key, one.default)) for key, one in MOUNTING.items()}
     objective, search = _objective(tables["objective"]), _search(tables["search"], deployment)
     if search.fidelity == "auto" and objective.tolerance is not None:
@@ -92,10 +97,11 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     return Scenario(
         source=str(path),
         traffic=_traffic(tables["traffic"]),
-        road=tables["road"].read_as(RoadFrame),
+        road=road,
         world=_world(tables["world"]),
-        sensor=_sensor(tables["sensor"]),
+        sensor=sensor,
         deployment=deployment,
+        region=region,
         baseline=tables["baseline"].read(baseline),
         objective=objective,
         search=search,
@@ -121,6 +127,48 @@ def _tables(path: Path, overrides: Overrides) -> dict[str, TomlTable]:
         origins = {key: option for key, (_, option) in given.items()}
         tables[name] = TomlTable(content, f"{path}: [{name}]", origins, path.parent)
     return tables
+
+
+def _deployment(table: TomlTable) -> Deployment:
+    bounds = table.read(DEPLOYMENT)
+    searched = {key: value for key, value in bounds.items() if isinstance(value, tuple)}
+    return Deployment({key: value for key, value in bounds.items() if key not in searched}, searched)
+
+
+def _region(
+    table: TomlTable, sensor: SensorSettings, of_file: Mapping[str, TomlTable], overrides: Overrides
+) -> RegionSettings:
+    """[region], resolved: a circle has its middle and radius, which depend on nothing that an option may change.
+
+    `of_file` are the scene file's tables without options: where it leaves something open its own mount and sensor say.
+    """
+    region = table.read_as(RegionSettings)
+    forms = [key for key in ("polygon_m", "stretches") if getattr(region, key)]
+    if forms:
+        both = [*forms, *(key for key in ("centre_m", "radius_m") if getattr(region, key) is not None)]
+        if len(both) > 1:
+            raise InputError(f"{table.name}: has {both[0]} and {both[1]}; allowed: a circle, a polygon or stretches")
+    for key, polygons in {"polygon_m": [region.polygon_m or ()], "keep_out": region.keep_out or ()}.items():
+        for polygon in filter(None, polygons):
+            check_polygon(polygon, table.where(key))
+    if forms:
+        return region
+    centre, radius = region.centre_m, region.radius_m
+    if centre is None:
+        deployment = _deployment(of_file["deployment"])
+        if searched := [key for key in ("x_m", "y_m") if key in deployment.bounds]:
+            middle = ", ".join(f"{place:g}" for place in deployment.nominal_xy)
+            raise InputError(
+                f"{of_file['deployment'].where(searched[0])}: is searched, so that [region] must say where vehicles "
+                f"count; such as: [region] centre_m = [{middle}], radius_m = {sensor.range_gate_m:g}"
+            )
+        centre = deployment.nominal_xy
+    if radius == GATE:
+        radius = sensor.range_gate_m
+    elif radius is None:
+        changed = any(place[0] == "sensor" for place in overrides)
+        radius = (_sensor(of_file["sensor"]) if changed else sensor).range_gate_m
+    return replace(region, centre_m=centre, radius_m=radius)
 
 
 def _traffic(table: TomlTable) -> TrafficSettings:

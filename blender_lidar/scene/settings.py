@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from ..sensors.pose import Pose
 
 DATASHEET = "datasheet"  # in place of a number: the model's own
+GATE = "gate"  # in place of a radius: the sensor's range gate
 _LARGEST_ORIGIN_M = 1e9  # of a place in a net; sums and squares stay finite
 _FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
 _REACH = {"low": -_FARTHEST_M, "high": _FARTHEST_M}
@@ -243,7 +244,7 @@ class Deployment:
 
     @property
     def nominal_xy(self) -> tuple[float, float]:
-        """Where the region of interest is centred [m]: the mount's place, or the middle of where it may be."""
+        """The mount's place [m], or the middle of where it may be."""
         return tuple(0.5 * sum(self.bounds[key]) if key in self.bounds else self.fixed[key] for key in ("x_m", "y_m"))
 
     def coordinates(self, x) -> dict[str, float]:
@@ -254,6 +255,42 @@ class Deployment:
     def pose(self, x) -> Pose:
         """The mounting at the point `x` (d,) of the search space."""
         return pose_at(self.coordinates(x))
+
+
+@dataclass(frozen=True, slots=True)
+class StretchSettings:
+    """An entry of [[region.stretches]]: a stretch of the carriageway, or of some of the recording's lanes."""
+
+    x_m: tuple[float, float] = setting(
+        **_REACH, fits=lambda x: x[0] < x[1], form="a pair [from, to], to more than from"
+    )
+    lanes: tuple[int, ...] | None = setting(None)
+
+
+@dataclass(frozen=True, slots=True)
+class RegionSettings:
+    """[region]: where vehicles count, by their box centres: in a circle, a polygon, or on stretches of lanes.
+
+    Attributes
+    ----------
+    centre_m : (float, float) or None
+        Middle of the circle [m]; the mount's place unless said.
+    radius_m : float
+        Its radius [m]; the range gate of the scene's sensor unless said, which another sensor does not change. "gate"
+        is that of the sensor in use.
+    polygon_m : polygon or None
+        Corners of the outline [m], instead of a circle.
+    stretches : tuple
+        Stretches of the carriageway or of lanes, instead of a circle.
+    keep_out : polygons or None
+        Vehicles within do not count [m].
+    """
+
+    centre_m: tuple[float, float] | None = setting(None, **_REACH)
+    radius_m: float = setting(None, above=0.0, high=_FARTHEST_M, word=GATE)
+    polygon_m: tuple[tuple[float, float], ...] | None = setting(None, **_REACH)
+    stretches: tuple[StretchSettings, ...] = setting(())
+    keep_out: tuple[tuple[tuple[float, float], ...], ...] | None = setting(None, **_REACH)
 
 
 @dataclass(frozen=True, slots=True)
@@ -447,6 +484,7 @@ class Scenario:
     world: WorldSettings
     sensor: SensorSettings
     deployment: Deployment
+    region: RegionSettings
     baseline: Mapping[str, float]
     objective: ObjectiveSettings
     search: SearchSettings

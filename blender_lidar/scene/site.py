@@ -17,8 +17,9 @@ from ..traffic import FramePlan, Recording, Vehicles, plan_frames, read_traffic
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
-from .observation import CountedFrame, Observation, Region, Scoring, scene_field
+from .observation import CountedFrame, Observation, Scoring, scene_field
 from .provenance import run_identity, unchanged_inputs
+from .region import Region, region_of
 from .scenario import Scenario
 from .settings import BarrierSettings, BoxSettings, SensorSettings, WorldSettings
 
@@ -183,7 +184,7 @@ class Site:
     @property
     def region(self) -> Region:
         """Where vehicles count."""
-        return Region(self.scenario.deployment.nominal_xy, self.scenario.sensor.range_gate_m)
+        return region_of(self.scenario.region, self.scenario.road.carriageway_y)
 
     @property
     def reach_m(self) -> float:
@@ -217,7 +218,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         lattice, recording = lattice_of(sensor), read_recording(scenario)
         scenery = standing_scenery(scenario, caster, mount)
         identity = run_identity(scenario, caster, scenery and scenery.scenery.digest)
-    region = Region(scenario.deployment.nominal_xy, sensor.range_gate_m)
+    region = region_of(scenario.region, scenario.road.carriageway_y)
     plan = plan_frames(
         recording,
         region.holds,
@@ -237,8 +238,8 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     if not any(frame.counted.any() for frame in searched):
         x, y = region.centre_xy
         raise InputError(
-            f"{recording.source}: no vehicle within {region.radius_m:g} m of the mount at x {x:g} m, y {y:g} m in the "
-            f"{len(plan.search)} searched frames; check [traffic] origin_m, [road] and [deployment]"
+            f"{recording.source}: no vehicle in the region, within {region.radius_m:g} m of x {x:g} m, y {y:g} m, in "
+            f"the {len(plan.search)} searched frames; check [traffic] origin_m, [road] and [region]"
         )
     observation = Observation(
         lattice=lattice,
@@ -251,7 +252,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         scenery=scenery,
         imperfections=sensor.imperfections,
     )
-    field = scene_field(objective.metric, scenario.road, region.centre_xy, region.radius_m, searched)
+    field = scene_field(objective.metric, scenario.road, region, searched)
     scoring = Scoring(objective.threshold, objective.view, objective.loss, objective.reading, objective.metric, field)
     return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
 
@@ -267,7 +268,8 @@ def standing_scenery(scenario: Scenario, caster: str, mount: Mapping[str, float]
     if not scenario.world.has_scenery:
         return None
     sensor = scenario.sensor
-    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount)
+    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m
+    reach += _travel(scenario, mount, scenario.deployment.nominal_xy)
     return StandingScenery(read_scenery(scenario, reach), caster)
 
 
@@ -315,14 +317,17 @@ def _counted(vehicles, region, reach, not_counted=()) -> CountedFrame:
 
 
 def reach_of(scenario: Scenario, mount: Mapping[str, float] | None) -> float:
-    """How far from the nominal place vehicles matter to a mounting [m]."""
-    return scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, mount)
+    """How far from the middle of the region vehicles count, or matter to a mounting [m]."""
+    region = region_of(scenario.region, scenario.road.carriageway_y)
+    seen = scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, mount, region.centre_xy)
+    return max(seen, region.radius_m)
 
 
-def _travel(scenario: Scenario, mount: Mapping[str, float] | None) -> float:
-    """How far a searched mount, the baseline or a given one may be from the nominal place [m]."""
-    far = 0.0
-    for key, middle in zip(("x_m", "y_m"), scenario.deployment.nominal_xy, strict=True):
-        places = [*scenario.deployment.bounds.get(key, ()), scenario.baseline[key], *([mount[key]] if mount else ())]
+def _travel(scenario: Scenario, mount: Mapping[str, float] | None, centre: tuple[float, float]) -> float:
+    """How far a searched mount, the baseline or a given one may be from a place [m]."""
+    far, deployment = 0.0, scenario.deployment
+    for key, middle in zip(("x_m", "y_m"), centre, strict=True):
+        searched = deployment.bounds.get(key) or (deployment.fixed[key],)
+        places = [*searched, scenario.baseline[key], *([mount[key]] if mount else ())]
         far = max(far, *(abs(place - middle) for place in places))
     return far * np.sqrt(2.0)

@@ -225,8 +225,7 @@ def _with_scoring(site: Site, **settings) -> Site:
 
 def _with_metric(site: Site, name: str) -> Site:
     """The site with another metric and, as a scene has it that says nothing else, no loss for a missed vehicle."""
-    scenario = site.scenario
-    field = scene_field(name, scenario.road, scenario.deployment.nominal_xy, scenario.sensor.range_gate_m, site.search)
+    field = scene_field(name, site.scenario.road, site.region, site.search)
     return _with_scoring(site, metric=name, loss=None, field=field)
 
 

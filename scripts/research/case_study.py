@@ -17,8 +17,9 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import PE_VGOP
 from blender_lidar.optimise import DePso
 from blender_lidar.run.verdict import AXES
-from blender_lidar.scene.observation import CountedFrame, Region
+from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.provenance import file_digest
+from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import Scenario, load_scenario
 from blender_lidar.scene.site import Site, prepare
 from blender_lidar.sensors.beams import beam_lattice
@@ -234,7 +235,7 @@ def _turned(site: Site, share: float) -> Site:
 
 def _within(site: Site, radius_m: float) -> Site:
     """The site with only the vehicles within a radius counted; the others hide them as before."""
-    region = Region(site.scenario.deployment.nominal_xy, radius_m)
+    region = Region(site.region.centre_xy, radius_m)
     search, holdout = (
         tuple(CountedFrame(frame.vehicles, frame.counted & region.holds(frame.vehicles)) for frame in frames)
         for frames in (site.search, site.holdout)
