@@ -170,11 +170,16 @@ def variants(scenario: Scenario) -> list[Variant]:
     def vary(what: str, value: str, table: str, key: str, given: object) -> None:
         found.append(Variant(what, value, {(table, key): (given, f"case study, {what}")}))
 
+    def move(what: str, value: str, place: tuple[float, float]) -> None:
+        """To another place, and the region with it."""
+        given = {("deployment", "x_m"): place[0], ("deployment", "y_m"): place[1], ("region", "centre_m"): place}
+        found.append(Variant(what, value, {key: (one, f"case study, {what}") for key, one in given.items()}))
+
     for value in SETBACKS_M:  # the mount moves, the traffic stays
         if value != setback_m - y_m:
-            vary("setback", f"{value:g} m", "deployment", "y_m", setback_m - value)
+            move("setback", f"{value:g} m", (x_m, setback_m - value))
     for shift in STATIONS_M:
-        vary("place along the road", f"{shift:+g} m", "deployment", "x_m", x_m + shift)
+        move("place along the road", f"{shift:+g} m", (x_m + shift, y_m))
     found.append(Variant("region", f"within {radius_m:g} m", change=lambda site: _within(site, radius_m)))
     for value in GATES_M:
         if model.range_min_m < value <= model.range_max_m:  # its own too, so that all three stand beside each other
