@@ -15,7 +15,7 @@ import os
 import secrets
 import stat
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -97,6 +97,24 @@ def check_folder(path: Path, option: str) -> None:
     if not there.is_dir():
         what = "is a file" if there.exists() else "is a link that leads nowhere"
         raise OutputError(f"{option}: {path}: the folder cannot be made: {there} {what}")
+
+
+def check_unused(folder: Path, option: str, by: str, ours: Callable[[Path], object] = lambda path: False) -> None:
+    """Refuse early a folder that holds foreign files, but for hidden ones and what is `ours`.
+
+    `option` says what gave it, `by` who would have written what may be there: ``"run"``.
+
+    Raises
+    ------
+    InputError
+        Naming the first of them.
+    """
+    if folder.is_dir():
+        for path in sorted(folder.iterdir()):
+            if not (path.name.startswith(".") or ours(path)):
+                what = "folder" if path.is_dir() else "file"
+                told = f"holds a {what} {path.name} that no {by} has written; give another folder"
+                raise InputError(f"{option}: {folder}: {told}")
 
 
 def make_folder(path: Path, option: str) -> None:

@@ -215,7 +215,18 @@ def read_toml(path: str | Path) -> dict:
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:  # no UTF-8 too, and a number of thousands of digits
-        raise InputError(f"{path}: is not TOML: {str(error).splitlines()[0]}") from error
+        told = str(error).splitlines()[0]
+        raise InputError(f"{path}: is not TOML: {told}{_backslash_hint(content, told)}") from error
+
+
+_OF_PATHS = "in double quotes a backslash begins an escape: write paths in single quotes or with forward slashes"
+
+
+def _backslash_hint(content: bytes, told: str) -> str:
+    """What to do about a backslash in double quotes in the line that an error tells of, as in paths of Windows."""
+    line = re.search(r"at line (\d+)", told)
+    text = content.decode(errors="replace").splitlines()[int(line[1]) - 1 :][:1] if line else []
+    return f"; {_OF_PATHS}" if text and re.search(r'"[^"]*\\', text[0]) else ""
 
 
 class TomlTable:
@@ -295,6 +306,8 @@ class TomlTable:
             tables = (TomlTable(one, f"{self.where(key)} {at}", folder=self.folder) for at, one in places)
             return tuple(table.read_as(entry) for table in tables)
         found = checked(value, declared, self.where(key))
+        if declared.is_path and key not in self.origins and re.search(r"[\b\t\n\f\r]", found):
+            raise InputError(f"{self.where(key)}: is {shown(found)}, no path; {_OF_PATHS}")
         if declared.plugins:
             return located(found, Path() if key in self.origins else self.folder)
         return self.path(key, found) if declared.is_path else found

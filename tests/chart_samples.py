@@ -81,6 +81,7 @@ def outcome(*, metric: str = "pe-vgop", **changes: object) -> Outcome:
         "search": "de-pso",
         "seed": 1,
         "reading": "corrected",
+        "holdout": None,
         **scores(0.8, 4.0, 20.0),
         "baseline": scores(0.2, 2.0, 0.0),
     }

@@ -11,7 +11,7 @@ import pytest
 
 from tests.refusals import BAD_CELLS, changed, files, refused
 from tests.scene_texts import MINIMAL
-from tests.small_scene import HEADER, traffic_rows, write_scene, write_table
+from tests.small_scene import HEADER, done, traffic_rows, write_scene, write_table
 from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.usefixtures("quick")
@@ -259,11 +259,39 @@ def test_a_run_folder_that_cannot_be_made(tmp_path, capsys, verb, out):
     assert f"--out: {out}: the folder cannot be made: " in line
 
 
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc, a folder that nobody can write to")
 @pytest.mark.parametrize("verb", RUN_VERBS)
 def test_a_run_folder_that_is_there_but_cannot_be_written(tmp_path, capsys, verb):
-    line = refused(capsys, tmp_path, verb, write_scene(tmp_path), "--out", "/proc/self")
-    assert "--out: /proc/self: cannot be written: " in line
+    (tmp_path / "run" / ".lock").mkdir(parents=True)
+    line = refused(capsys, tmp_path, verb, write_scene(tmp_path), "--out", tmp_path / "run")
+    assert f"--out: {tmp_path / 'run'}: cannot be written: " in line
+
+
+@pytest.mark.parametrize("name", ["thesis.docx", "photos/site.jpg", "convergence.png", "study.json", "lidar.pcd"])
+@pytest.mark.parametrize(
+    "words", ["optimise", "optimise --resume", "evaluate", "stability", "chart", "scan --frame-ids 20,30"]
+)
+def test_a_folder_that_holds_foreign_files_is_not_written_to(tmp_path, capsys, words, name):
+    if name == "study.json" and words in ("stability", "chart"):
+        return  # which one of ours would be
+    scene, mine = write_scene(tmp_path), tmp_path / "thesis" / name
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    verb, *more = words.split()
+    line = refused(capsys, tmp_path, verb, scene, *more, "--out", tmp_path / "thesis")
+    assert f" {name.partition('/')[0]} that no " in line
+    assert line.endswith(" has written; give another folder")
+    assert [path for path in (tmp_path / "thesis").rglob("*") if path.is_file()] == [mine]
+
+
+def test_sweeps_of_kittis_own_are_not_scanned_over_but_clouds_of_an_earlier_scan_are(tmp_path, capsys):
+    scan = ["scan", write_scene(tmp_path), "--frame-ids", "20,30", "--out", tmp_path / "clouds"]
+    (tmp_path / "clouds").mkdir()
+    (tmp_path / "clouds" / "000020.bin").write_text("mine")
+    line = refused(capsys, tmp_path, *scan, "--format", "bin")
+    assert "holds a file 000020.bin that no scan has written" in line
+    (tmp_path / "clouds" / "000020.bin").unlink()
+    for one in ("bin", "bin", "pcd", "sustechpoints", "sustechpoints"):
+        done(capsys, *scan, "--format", one)
 
 
 @pytest.mark.parametrize("out", ["file/cloud.npz", "none/cloud.pcd", "folder.npz", "/proc/none.npz"])

@@ -45,6 +45,13 @@ def piped(*words: object, reads: int) -> tuple[int, str]:
         return child.wait(), error
 
 
+def test_optimize_is_optimise(capsys, tmp_path):
+    scene = write_scene(tmp_path)
+    folders = [tmp_path / verb for verb in ("optimise", "optimize")]
+    results = [json.loads(done(capsys, path.name, scene, "--out", path, "--json")[0]) for path in folders]
+    assert without_times(results[0]) == without_times(results[1])
+
+
 # --- help and versions ------------------------------------------------------------------------------------------------
 
 

@@ -289,10 +289,13 @@ def test_a_folder_that_holds_a_run_is_not_written_again(tmp_path, capsys, verb):
     assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
 
 
-def test_a_folder_with_other_files_may_be_used_and_keeps_them(tmp_path, capsys):
+def test_a_folder_with_hidden_files_may_be_used_and_a_run_with_notes_in_it_resumed(tmp_path, capsys):
     (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".DS_Store").write_text("the system's")
+    scene = write_scene(tmp_path)
+    optimise(capsys, scene, tmp_path / "run")
     (tmp_path / "run" / "notes.txt").write_text("mine")
-    optimise(capsys, write_scene(tmp_path), tmp_path / "run")
+    done(capsys, "optimise", scene, "--out", tmp_path / "run", "--resume")
     assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
 
 

@@ -64,7 +64,7 @@ def test_resuming_where_nothing_is_stored_starts_from_the_beginning(tmp_path):
 @pytest.mark.parametrize("name", ["report.md", STAGES])
 def test_files_that_no_study_has_written_are_not_written_over(tmp_path, name):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(InputError, match="which no study has written"):
+    with pytest.raises(InputError, match=f"holds a file {name} that no study has written"):
         StudyFolder(tmp_path, SETTINGS, ["report.md"]).check(resume=True)
     assert (tmp_path / name).read_text() == "mine"
 

@@ -291,3 +291,27 @@ def test_none_is_left_out_and_numpy_numbers_and_tuples_are_written_plainly():
 @pytest.mark.parametrize("value", [object(), "\ud800", b"x"])
 def test_what_toml_has_no_place_for_is_refused(value):
     assert "has no place in a TOML file" in refusal(lambda: to_toml({"a": {"b": value}}))
+
+
+# --- paths of Windows -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", [r"C:\data\x.csv", r"C:\Users\me\x.csv", r"..\x.csv", r"\\server\x.csv"])
+def test_a_path_with_backslashes_in_double_quotes_is_told_what_to_write_instead(tmp_path, path):
+    (tmp_path / "own.toml").write_text(f'[traffic]\nformat = "table"\npath = "{path}"\n')
+    told = refusal(lambda: read_toml(tmp_path / "own.toml"))
+    assert "is not TOML: " in told
+    assert "write paths in single quotes or with forward slashes" in told
+    (tmp_path / "own.toml").write_text(f"[traffic]\npath = '{path}'\n")
+    assert read_toml(tmp_path / "own.toml")["traffic"]["path"] == path
+
+
+@pytest.mark.parametrize("path", [r"C:\temp\new.csv", r"data\flow.csv", r"C:\rows\before.csv"])
+def test_a_path_whose_backslashes_make_escapes_is_told_so_too(path):
+    told = refused(f'"{path}"', str, is_path=True)
+    assert "no path; in double quotes a backslash begins an escape: write paths in single quotes" in told
+
+
+def test_what_is_wrong_elsewhere_gets_no_hint_of_paths(tmp_path):
+    (tmp_path / "own.toml").write_text("[traffic]\npath = 'C:\\data\\x.csv'\nframes = [1 2]\n")
+    assert "single quotes" not in refusal(lambda: read_toml(tmp_path / "own.toml"))

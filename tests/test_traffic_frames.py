@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -163,8 +165,26 @@ def test_a_short_recording_holds_nothing_out_and_says_so():
     assert len(plan.holdout) == 0
     assert times(short, plan.search)[-1] > 55, "then all of it is searched"
     assert plan.notes == (
-        "nothing is held out: the recording has 60 s, 82 s are needed (blocks of 11 s, longer than a transit)",
+        "nothing is held out: the recording has 60 s, 82 s are needed (blocks of 11 s, longer than a transit); "
+        "[traffic] holdout = 0.55 or block_s = 8 (with intervals that may be too narrow) would do",
     )
+
+
+@pytest.mark.parametrize("ids", [None, [0, 10]])
+def test_settings_that_a_short_recording_is_told_hold_something_out(ids):
+    short = stream(np.arange(0, 45 if ids is None else 30, 0.5))
+    (note,) = plan_frames(short, counted, ids=ids).notes
+    told = {name: float(value) for name, value in re.findall(r"(holdout|block_s) = ([0-9.]+)", note)}
+    assert "block_s" in told
+    assert ("holdout" in told) == (ids is None)
+    for name, value in told.items():
+        assert len(plan_frames(short, counted, ids=ids, **{name: value}).holdout)
+
+
+def test_where_no_setting_would_hold_anything_out_none_is_told():
+    one = stream(np.arange(0, 0.5, 0.5))
+    assert plan_frames(one, counted).notes[0].endswith("; no [traffic] holdout or block_s would do")
+    assert not plan_frames(one, counted, holdout=0.0).notes
 
 
 def test_a_single_coarse_frame_is_no_holdout():

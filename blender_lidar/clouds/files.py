@@ -250,6 +250,7 @@ def levelled(xyz: np.ndarray, pose: dict[str, float]) -> np.ndarray:
 # --- Folders of SUSTechPOINTS, the annotation tool of the paper: https://github.com/naurril/SUSTechPOINTS -
 
 # Names of the tool's own object types, in the order of `traffic.vehicles.CLASSES`.
+SUSTECHPOINTS_PARTS = ("lidar", "label")
 OBJECT_TYPES = ("Car", "Van", "Truck", "Bus", "Motorcycle")
 
 
@@ -265,7 +266,7 @@ def write_sustechpoints(folder: str | Path, cloud: PointCloud, vehicles: Vehicle
         If a file cannot be written.
     """
     folder = Path(folder)
-    for part in ("lidar", "label"):
+    for part in SUSTECHPOINTS_PARTS:
         make_folder(folder / part, "--out")
     pose = header["pose"]
     seen = np.flatnonzero(np.isin(vehicles.vehicle_id, cloud.vehicle_id))

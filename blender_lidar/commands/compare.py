@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..casting import resolve
 from ..errors import InputError, MissingExtraError, unknown_name
-from ..files import check_folder, make_folder, to_csv, write_columns, write_text
+from ..files import check_folder, check_unused, make_folder, to_csv, write_columns, write_text
 from ..report.compare_figures import draw_detections, draw_paired
 from ..report.compare_text import findings_text, paired_text
 from ..scene.provenance import file_digest, versions
@@ -55,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
     for file in (name, *others):  # nothing is mixed with what another comparison left
         if (folder / file).exists():
             raise InputError(f"--out: {folder}: holds {file} already; give another folder")
+    check_unused(folder, "--out", "comparison")
     result, tables, draw, text = _paired(args) if args.paired else _beside_detectors(args)
     make_folder(folder, "--out")
     for file, write in tables.items():

@@ -30,7 +30,8 @@ def _verb(subparsers, name, place, must, what, description, *examples) -> argpar
     usage = f"%(prog)s {must} [options]".replace("  ", " ")
     lines = "".join(f"\n  blender-lidar {name} {words}" for words in examples)
     epilog = f"examples:{lines}" if examples else ""
-    parser = subparsers.add_parser(name, help=what, usage=usage, description=description, epilog=epilog)
+    also = ["optimize"] if name == "optimise" else []
+    parser = subparsers.add_parser(name, aliases=also, help=what, usage=usage, description=description, epilog=epilog)
     parser.set_defaults(run=place)
     return parser
 

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..clouds.files import check_cloud_name, write_cloud, write_sustechpoints
+from ..clouds.files import SUSTECHPOINTS_PARTS, check_cloud_name, write_cloud, write_sustechpoints
 from ..clouds.snapshot import MountedSensor, mounted_sensor
 from ..errors import InputError
-from ..files import check_place, make_folder
+from ..files import check_place, check_unused, make_folder
+from ..names import CLOUD_SUFFIXES
 from ..report.page import RENDER_VIEWS, render_file, write_report
 from ..run.folder import SCENE, Outcome, RunFolder
 from ..scene.provenance import check_same_inputs
@@ -89,9 +90,18 @@ def _paths(args: argparse.Namespace, numbers: list[int]) -> list[Path]:
         raise InputError("--frame-ids: names a frame twice")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out: {folder}: is a file; allowed: a folder for the clouds of --frame-ids")
+    check_unused(folder, "--out", "scan", _is_of_a_scan)
     if args.format == SUSTECHPOINTS:
         return [folder] * len(numbers)
     return [folder / f"{number:06d}.{args.format or 'npz'}" for number in numbers]
+
+
+def _is_of_a_scan(path: Path) -> bool:
+    """Whether an earlier scan of many frames may have written that; KITTI's own sweeps have no labels beside."""
+    if path.suffix == ".bin" and not path.with_suffix(".label").exists():
+        return False
+    suffixes = (*CLOUD_SUFFIXES, ".label")
+    return path.name in SUSTECHPOINTS_PARTS or (path.stem.isdecimal() and path.suffix in suffixes)
 
 
 # --- A .blend file ----------------------------------------------------------------------------------------

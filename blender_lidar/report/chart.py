@@ -225,11 +225,11 @@ def _rung(row: Mapping, result: Mapping) -> tuple[str, ...]:
 
 def _asked(result: Mapping) -> str:
     asked = [row["name"] for row in result["rungs"] if row["asked"] and row["name"] != result["reference"]]
+    sure = f": where held-out frames judge, with {100 * result['sure']:g} % none that passes loses more than that"
     return (
         "Near enough is asked of each level of detail from all beams to the fewest, up to the first fidelity that "
         f"cannot be shown to be: here of {len(asked)} ({', '.join(asked)}), by upper bounds of regret at "
-        f"{100 * result['bound_level']:.1f} %: where held-out frames judge, with {100 * result['sure']:g} % none that "
-        "passes loses more than the tolerance"
+        f"{100 * result['bound_level']:.1f} %{sure if result['judged_on'] == 'held out' else ''}"
     )
 
 

@@ -72,12 +72,16 @@ def draw_charts(site: Site, run: Outcome) -> list[str]:
     return list(charts)
 
 
-def _about(result: Mapping) -> str:
-    """The line below a chart's title: sensor, range gate, vehicles, and the metric where it is not the default."""
+def _about(result: Mapping, *, judged: bool = False) -> str:
+    """The line below a chart's title: sensor, range gate, vehicles, and the metric where it is not the default.
+
+    It is `judged` if the chart shows held-out frames too, where there are any.
+    """
     metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
     return (
         f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
         f"{result['vehicles']} vehicles in {result['frames']} frames{metric}"
+        f"{', and held-out frames' if judged and result['holdout'] else ''}"
     )
 
 
@@ -196,7 +200,7 @@ def plot_by_distance(path: str | Path, run: Outcome) -> None:
     edges_m = BAND_M * np.arange(np.concatenate(distances).max(initial=0.0) // BAND_M + 2.0)
     centre_m = edges_m[:-1] + 0.5 * BAND_M
     counts = [np.histogram(distance, edges_m)[0] for distance in distances]
-    title, about = "What is seen, by distance", f"{_about(result)}, and held-out frames"
+    title, about = "What is seen, by distance", _about(result, judged=True)
     unit = ", ".join(filter(None, [metric.unit, "" if metric.higher_is_better else "lower is better"]))
     with sheet(path, 140.0, title, about) as figure:
         share, score, count = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.4))
@@ -285,7 +289,7 @@ def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame) -> None:
     y = np.concatenate([*(table["y_m"] for table in tables), [low + 0.5 * lane_m, high - 0.5 * lane_m]])
     x_edges = covering_edges(x.min(), x.max(), _CELL_LENGTH_M)
     y_edges = covering_edges(y.min(), y.max(), lane_m, low)  # more lanes where vehicles drive beside the carriageway
-    title, about = "Where vehicles stay below the threshold", f"{_about(run.result)}, and held-out frames"
+    title, about = "Where vehicles stay below the threshold", _about(run.result, judged=True)
     with sheet(path, 120.0, title, about) as figure:
         panels = figure.subplots(2, 1, sharex=True, sharey=True)
         for axes, table, (name, mount) in zip(panels, tables, mountings, strict=True):

@@ -19,6 +19,7 @@ from .. import __version__
 from ..errors import BlenderLidarError, InputError, MissingFileError
 from ..files import (
     check_folder,
+    check_unused,
     folder_lock,
     open_file,
     read_text,
@@ -92,17 +93,13 @@ class RunFolder:
         OutputError
             When there can be no folder.
         InputError
-            When it holds a run and `resume` is False, or files of the same names that no run has written.
+            When it holds a run and `resume` is False, or files but no run.
         """
         check_folder(self.path, "--out")
         present = [name for name in _FILES if self.file(name).exists()]
-        if not present:
-            return
         if not self._is_ours():
-            raise InputError(
-                f"--out: {self.path}: holds a file {present[0]} that no run has written; give another folder"
-            )
-        if not resume:
+            check_unused(self.path, "--out", "run")
+        if present and not resume:
             raise InputError(
                 f"--out: {self.path}: holds a run already; give another folder, or go on with it: optimise --resume"
             )

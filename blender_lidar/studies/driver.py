@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..files import check_folder, folder_lock, make_folder, read_text, sweep, write_text
+from ..files import check_folder, check_unused, folder_lock, make_folder, read_text, sweep, write_text
 from ..metrics.catalogue import metric_named
 from ..metrics.vgop import occupancy
 from ..scene.observation import CountedFrame, Observation
@@ -95,18 +95,13 @@ class StudyFolder:
         OutputError
             When there can be no folder.
         InputError
-            When it holds a study and `resume` is False, one with other settings, or files of the same names that no
-            study has written.
+            When it holds a study and `resume` is False, one with other settings, or files but no study.
         """
         check_folder(self.path, "--out")
         if not self.file(IDENTITY).exists():
-            stages = self.file(STAGES)
-            there = [name for name in self._results if self.file(name).exists()]
-            if stages.is_file() or any(stages.glob("*")):  # `locked` makes an empty one
-                there.insert(0, STAGES)
-            if there:
-                what = f"holds {there[0]}, which no study has written"
-                raise InputError(f"--out: {self.path}: {what}; give another folder")
+            stages = self.file(STAGES)  # which `locked` makes first, empty
+            empty = stages.is_dir() and not any(stages.iterdir())
+            check_unused(self.path, "--out", "study", lambda path: empty and path == stages)
             return
         stored = _read_json(self.file(IDENTITY))
         if not resume:

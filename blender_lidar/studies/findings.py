@@ -299,7 +299,8 @@ def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric:
         (reference, baseline), vehicles = judged.select([REFERENCE, BASELINE]).blocks(block)
         interval = ratio_interval_90(reference - baseline, vehicles, seed)
     if interval is None:
-        return Finding(TRAFFIC, what, "", UNDECIDED, "too little traffic is held out for an interval")
+        held_out = "nothing is held out" if judged is None else "too little traffic is held out for an interval"
+        return Finding(TRAFFIC, what, "", UNDECIDED, held_out)
     values, (low, high) = judged.per_vehicle(), interval
     gain = float(values[REFERENCE] - values[BASELINE])
     decided = FAILS if low <= 0.0 else STABLE if low >= _SURE_SHARE * gain else FRAGILE

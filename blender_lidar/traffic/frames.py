@@ -132,17 +132,22 @@ def plan_frames(
     candidates = _Frames.of(recording, well_populated_frames(recording, whole))
     if block_s is None:
         block_s = _transit_block_s(recording, candidates, counted)
-    notes: list[str] = []
-    if ids is None:
-        notes += _skipped(recording, whole, candidates)
-        searched, rest = _divided(candidates, holdout, block_s)
-        search = _spread(searched, count, spacing_s, notes)
-    else:
-        searched = search = _Frames.of(recording, ids, candidates.spacing_s)
-        rest = _beside(searched, candidates, block_s) if holdout else None
-    judged = None if rest is None else _judging(rest, search, searched, holdout, block_s)
+    notes: list[str] = [] if ids is not None else _skipped(recording, whole, candidates)
+    listed = None if ids is None else _Frames.of(recording, ids, candidates.spacing_s)
+
+    def halves(holdout: float, block_s: float, notes: list[str]) -> tuple[_Frames, _Frames, _Frames | None, _Frames]:
+        """What is searched, its frames, what is held out and its frames, None where that would be too short."""
+        if listed is None:
+            searched, rest = _divided(candidates, holdout, block_s)
+            search = _spread(searched, count, spacing_s, notes)
+        else:
+            searched = search = listed
+            rest = _beside(searched, candidates, block_s) if holdout else None
+        return searched, search, rest, None if rest is None else _judging(rest, search, searched, holdout, block_s)
+
+    searched, search, rest, judged = halves(holdout, block_s, notes)
     if judged is None and holdout:
-        notes.append(_too_short(candidates, holdout, block_s, ids is not None))
+        notes.append(_too_short(candidates, holdout, block_s, listed is not None, lambda *to: halves(*to, [])[3]))
     return FramePlan(
         search=search.frames,
         holdout=judged.frames if judged else np.zeros(0, dtype=np.int64),
@@ -278,8 +283,19 @@ def _skipped(recording: Recording, whole: np.ndarray, candidates: _Frames) -> li
     return [f"the first {first:.0f} s and the last {last:.0f} s are skipped: less than half the median traffic"]
 
 
-def _too_short(candidates: _Frames, holdout: float, block_s: float, listed: bool) -> str:
+def _too_short(
+    candidates: _Frames, holdout: float, block_s: float, listed: bool, held_out: Callable[[float, float], object]
+) -> str:
+    """Why nothing is held out, and which settings would do; `held_out` tells what some other ones hold out."""
     needed_s = (1 + _FEWEST_HOLDOUT_BLOCKS) * block_s / (1.0 if listed else holdout)
     needed = f"{needed_s:.0f} s{' after or before the given frames' if listed else ''} are needed"
     has = f"the recording has {candidates.length_s:.0f} s"
-    return f"nothing is held out: {has}, {needed} (blocks of {block_s:.0f} s, longer than a transit)"
+    shares = [] if listed else (share / 20 for share in range(int(20 * holdout) + 1, 19))
+    share = next((share for share in shares if held_out(share, block_s)), None)
+    longest = int(min(block_s, candidates.length_s * (1.0 if listed else holdout) / (1 + _FEWEST_HOLDOUT_BLOCKS)))
+    shorter_s = (block for block in range(longest, 0, -max(longest // 20, 1)) if block < block_s)
+    shorter = next((block for block in shorter_s if held_out(holdout, block)), None)
+    would_do = [] if share is None else [f"holdout = {share:g}"]
+    would_do += [] if shorter is None else [f"block_s = {shorter} (with intervals that may be too narrow)"]
+    told = f"[traffic] {' or '.join(would_do)} would do" if would_do else "no [traffic] holdout or block_s would do"
+    return f"nothing is held out: {has}, {needed} (blocks of {block_s:.0f} s, longer than a transit); {told}"
