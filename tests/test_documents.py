@@ -148,10 +148,10 @@ def options_table() -> str:
     for group in groups:
         rows = option_rows(one for one in group._group_actions if shared & set(one.option_strings))
         parts += [f"**{group.title}**", "", "| option | meaning |", "|---|---|", *rows, ""] if rows else []
-    for name, verb in verbs.items():
+    for verb in dict.fromkeys(verbs.values()):  # once, though it may have two names
         has_scene = any(action.dest == "scene" for action in verb._actions)
         rows = option_rows(one for one in verb._actions if not (has_scene and shared & set(one.option_strings)))
-        parts += [f"### {name}", "", f"`{verb.format_usage().removeprefix('usage: ').strip()}`", ""]
+        parts += [f"### {verb.prog.split()[-1]}", "", f"`{verb.format_usage().removeprefix('usage: ').strip()}`", ""]
         parts += [verb.description, ""] + (["| option | meaning |", "|---|---|", *rows, ""] if rows else [])
     return "\n".join(parts)
 
