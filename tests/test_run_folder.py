@@ -255,7 +255,8 @@ def test_the_scene_in_the_folder_spells_out_what_the_scene_left_out(tmp_path, ca
     assert text.startswith("# The scene as blender_lidar ")
     assert written["traffic"]["path"] == str((tmp_path / "traffic.csv").resolve())
     words = {"metric": "pe-vgop", "reading": "corrected", "view": "mean"}
-    assert written["objective"] == words | {"cell_m": 0.05, "threshold": 0.005, "loss": -1.0}
+    plain = {"cell_m": 0.05, "threshold": 0.005, "loss": -1.0, "class_weights": {}, "zones": []}
+    assert written["objective"] == words | plain
 
 
 def test_own_sensors_go_into_the_folders_scene_with_their_whole_path(tmp_path, capsys, monkeypatch):

@@ -36,7 +36,7 @@ class Hill:
         self.asked += poses
         values = np.array([self.value(pose.height_m, np.degrees(pose.tilt_x)) for pose in poses])
         found = np.round(self.vehicles * np.clip(values, 0.0, 1.0)).astype(int)
-        return Totals(values * self.vehicles, found, self.vehicles)
+        return Totals(values * self.vehicles, found, self.vehicles, self.vehicles)
 
 
 def tops_about(height, tilt, spread, frames, seed=0):

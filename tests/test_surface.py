@@ -69,6 +69,7 @@ BESIDE = {
     "objective.tolerance": {"tilt_deg": 1.0},
     "world.boxes": {"centre_m": [0.0, 9.0, 1.0], "size_m": [1.0, 1.0, 1.0]},
     "world.barriers": {"kind": "concrete", "y_m": 1.0},
+    "objective.zones": {"name": "merge", "polygon_m": [[0.0, 0.0], [9.0, 0.0], [9.0, 9.0]], "weight": 2.0},
 }
 OF_THE_TEST = ("sensor.name", "model.caster")
 DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
@@ -239,7 +240,7 @@ def scene_text(key: str, value: object, name: str | None = None) -> str:
     entry = {**BESIDE.get(table, {}), name or key: value}
     if key in DE_PSO_ALONE:
         entry["method"] = "de-pso"
-    if inner in ("boxes", "barriers"):
+    if inner in ("boxes", "barriers", "zones"):
         entry = {inner: [entry]}
     elif inner:
         entry = {inner: entry}

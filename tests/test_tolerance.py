@@ -39,13 +39,14 @@ class Landscape:
     """In place of an evaluator: one frame of one vehicle, whose score is a function of the six coordinates."""
 
     def __init__(self, function):
-        self.function, self.vehicles, self.asked = function, np.array([1]), []
+        self.function, self.asked = function, []
+        self.vehicles = self.weight = np.array([1])
 
     def totals(self, poses):
         self.asked += poses
         table = np.array([[p.x_m, p.y_m, p.height_m, *np.degrees([p.tilt_x, p.tilt_y, p.yaw])] for p in poses])
         values = self.function(dict(zip(COORDINATES, table.T, strict=True)))
-        return Totals(values[:, None], (values > 0)[:, None].astype(int), self.vehicles)
+        return Totals(values[:, None], (values > 0)[:, None].astype(int), self.vehicles, self.vehicles)
 
 
 def dense(function, plan, tolerance, points=31):
@@ -245,8 +246,8 @@ def test_counting_each_block_once_changes_nothing(site, losses):
 
 def test_the_interval_of_a_mean_is_that_of_the_mean_mounting(losses):
     mean = block_sums(losses.installed.totals.objective, losses.installed.block).mean(axis=0)
-    found = statistic_interval_90(losses.installed.per_vehicle_under, losses.installed.block_vehicles, 3)
-    assert found == pytest.approx(ratio_interval_90(mean, losses.installed.block_vehicles, 3))
+    found = statistic_interval_90(losses.installed.per_vehicle_under, losses.installed.block_weight, 3)
+    assert found == pytest.approx(ratio_interval_90(mean, losses.installed.block_weight, 3))
 
 
 def test_what_is_kept_is_a_share_of_the_gain_and_needs_one(losses):

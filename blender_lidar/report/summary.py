@@ -15,7 +15,7 @@ from ..metrics.metric import Metric
 from ..optimise import vehicle_score
 from ..run.folder import Outcome
 from ..run.tolerance import tolerance_text
-from ..run.verdict import distance_bands, lanes, metric_values
+from ..run.verdict import distance_bands, lanes, metric_values, vehicle_weight
 
 COORDINATE_NAMES = {
     "height_m": ("height", "m"),
@@ -134,6 +134,16 @@ def objective_text(result: Mapping) -> str:
     return f"{merit} of every detectable vehicle, less {f'{abs(loss):g} {unit}'.rstrip()} for every other one"
 
 
+def weights_text(result: Mapping) -> str:
+    """How much vehicles count in the objective, in a few words; empty where all count the same."""
+    identity = result["identity"]
+    classes = identity.get("[objective] class_weights") or {}
+    zones = identity.get("[objective] zones") or []  # neither is in the results of earlier versions
+    told = [f"{name} {weight:g}" for name, weight in classes.items()]
+    told += [f"in {zone['name']} x {zone['weight']:g}" for zone in zones]
+    return ", ".join(told)
+
+
 def definitions(result: Mapping) -> dict[str, str]:
     """What the objective, and with it its unit, and "detectable" mean in this run, a sentence or two each."""
     metric, identity = metric_named(result["metric"]), result["identity"]
@@ -143,6 +153,11 @@ def definitions(result: Mapping) -> dict[str, str]:
         "detectable": f"occupancy ({identity['[objective] view']} of the three views) of at least "
         f"{identity['[objective] threshold']:g}: a threshold on the metric, not a detector.",
     }
+    if weights := weights_text(result):
+        words["objective"] += (
+            f" Each counts by its weight ({weights}; others 1): the objective per vehicle is the weighted mean. The "
+            "detectable share counts every vehicle once."
+        )
     if metric.tells:
         what = "the scene" if metric.of_scene else "each vehicle"
         direction = "" if metric.higher_is_better else "; lower is better"
@@ -337,15 +352,15 @@ def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarra
         vehicle_score(metric.merit(metric_values(table)), table["detectable"], loss, result["reading"])
         for table in tables
     ]
-    names = {"search": frames_word(result), "holdout": "held out"}
+    weight, names = vehicle_weight(run.baseline), {"search": frames_word(result), "holdout": "held out"}
     splits = [split for split in names if (run.baseline["split"] == split).any()]
     rows = []
     for group, chosen in groups(run.baseline):
         cells = []
         for split in splits:
             of = chosen & (run.baseline["split"] == split)
-            scored = of.any() and not metric.of_scene
-            cells += [metric.number(score[of].mean()) if scored else "-" for score in scores]
+            scored = weight[of].any() and not metric.of_scene
+            cells += [metric.number(np.average(score[of], weights=weight[of])) if scored else "-" for score in scores]
             cells += [f"{100 * table['detectable'][of].mean():.1f}" if of.any() else "-" for table in tables]
         rows.append((group, *cells, f"{chosen.sum():,}"))
     measures = [(metric.unit or "objective", 2), ("detectable %", 2)]

@@ -32,7 +32,7 @@ from ..optimise import READINGS
 from ..scene.provenance import check_identity
 from ..scene.settings import COORDINATES, Scenario
 from ..toml_table import to_toml
-from .verdict import ScoreMap, columns_for
+from .verdict import WEIGHT, ScoreMap, columns_for
 
 RUN_SCHEMA = 1
 RESULT, CHECKPOINT, SCENE = "result.json", "checkpoint.json", "scene.toml"
@@ -209,7 +209,9 @@ class RunFolder:
             "objective_per_vehicle": score_map.per_vehicle.ravel(),
             "detectable_share": score_map.detectable_share.ravel(),
         }
-        objective, vehicles = score_map.block_objective, score_map.block_vehicles.astype(int)
+        objective, vehicles = score_map.block_objective, score_map.block_vehicles
+        if (vehicles % 1.0 == 0.0).all():  # as they are unless weighted
+            vehicles = vehicles.astype(int)
         blocks = range(len(vehicles))
         columns |= {f"{_BLOCK_OBJECTIVE}{block}": objective[..., block].ravel() for block in blocks}
         columns |= {f"{_BLOCK_VEHICLES}{block}": np.full(height.size, vehicles[block]) for block in blocks}
@@ -223,7 +225,7 @@ class RunFolder:
     def read_vehicles(self, name: str, metric: str = PE_VGOP.name) -> dict[str, np.ndarray]:
         """The vehicle table of a run with a metric; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
         with _columns_of(self.file(name)) as columns:
-            table = {key: columns[key] for key in columns_for(metric)}
+            table = {key: columns[key] for key in columns_for(metric, WEIGHT in columns)}
             for key, values in table.items():
                 if _KINDS.get(key) is not str and not np.isfinite(values).all():
                     raise ValueError(f"column {key} holds what is no finite number")

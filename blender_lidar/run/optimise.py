@@ -124,8 +124,8 @@ def fresh_auto_search(site: Site) -> MultiFidelitySearch:
     use, deployment, block = site.scenario.search, site.scenario.deployment, site.plan.search_block
     variables = len(deployment.variables)
     screened = min(use.particles * use.iterations, max(screening(variables), use.particles, 2**variables))
-    vehicles = [int(frame.counted.sum()) for frame in site.search]
-    rungs = make_rungs(site.observation, block, vehicles, variables)
+    weight = [float(frame.counted_weight.sum()) for frame in site.search]
+    rungs = make_rungs(site.observation, block, weight, variables)
     screen = fresh_search(site.scenario, screened)
     return MultiFidelitySearch(screen, rungs, block, seed=use.seed)
 

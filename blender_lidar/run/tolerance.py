@@ -135,14 +135,14 @@ class Judged:
         return float(aimed(self.totals.per_vehicle(), self.aim))
 
     @property
-    def block_vehicles(self) -> np.ndarray:
-        """Vehicles of each block of time, (b,)."""
-        return block_sums(self.totals.vehicles, self.block)
+    def block_weight(self) -> np.ndarray:
+        """Weight of the vehicles of each block of time, (b,): their number where all weigh one."""
+        return block_sums(self.totals.weight, self.block)
 
     def per_vehicle_under(self, weights: np.ndarray) -> np.ndarray:
         """`per_vehicle` with each block of time counted `weights` (r, b) times, (r,)."""
         objective = weights @ block_sums(self.totals.objective, self.block).T
-        return aimed(objective / (weights @ self.block_vehicles)[:, None], self.aim)
+        return aimed(objective / (weights @ self.block_weight)[:, None], self.aim)
 
     def scores(self) -> dict[str, float]:
         """Objective per vehicle and share of vehicles at or above the threshold, as result.json has them."""
@@ -155,13 +155,14 @@ class Judged:
         def gain(weights: np.ndarray) -> np.ndarray:
             return self.per_vehicle_under(weights) - other.per_vehicle_under(weights)
 
-        interval = statistic_interval_90(gain, self.block_vehicles, seed)
+        interval = statistic_interval_90(gain, self.block_weight, seed)
         return {called: self.per_vehicle - other.per_vehicle, "interval_90": interval and list(interval)}
 
 
 def judged_rows(totals: Totals, rows: slice, block: Sequence[int], aim: str = "mean") -> Judged:
     """Some rows of totals as the scores of one mounting."""
-    return Judged(Totals(totals.objective[rows], totals.detectable[rows], totals.vehicles), np.asarray(block), aim)
+    of_rows = totals._replace(objective=totals.objective[rows], detectable=totals.detectable[rows])
+    return Judged(of_rows, np.asarray(block), aim)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from ..metrics.catalogue import PE_VGOP
 from ..metrics.vgop import entropy
 from ..scene.scenario import Deployment, pose_at
 from ..scene.site import Site
-from ..scoring.evaluation import Evaluator, Totals
+from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
 from ..sensors.pose import Pose
 from ..statistics import FEWEST_BLOCKS, block_sums, interval_90, resampled_weights
@@ -55,7 +55,7 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
 
     searched, held_out = _on_both_splits(site, evaluator, planned)
     vehicles, block = evaluator.held_out.vehicles, site.plan.holdout_block
-    blocks = int((block_sums(vehicles, block) > 0).sum())  # an empty one tells nothing
+    blocks = int((block_sums(evaluator.held_out.weight, block) > 0).sum())  # an empty one tells nothing
     size = {"vehicles": int(vehicles.sum()), "frames": len(vehicles), "blocks": blocks}
     verdict = {}
     for name, found in searched.items():
@@ -98,7 +98,7 @@ def judge_over_tolerance(
     searched, held_out = _on_both_splits(site, evaluator, losses)
     verdict = {}
     for name, found in searched.items():
-        objective = found.installed.per_vehicle * int(evaluator.vehicles.sum())
+        objective = found.installed.per_vehicle * evaluator.weight.sum().item()
         verdict[name] = {"objective": objective, **scores(searched, name), "holdout": None}
         if held_out:
             gain = held_out[name].installed.gain_over(held_out[BASELINE_NAME].planned, seed)
@@ -115,7 +115,7 @@ def judge_over_tolerance(
 def _on_both_splits(site: Site, evaluator: Evaluator, judged: Callable[[Evaluator, Sequence[int]], dict]) -> list[dict]:
     """What becomes of the searched and of the held-out frames, by name; nothing where no vehicle was held out."""
     splits = (evaluator, site.plan.search_block), (evaluator.held_out, site.plan.holdout_block)
-    return [judged(scorer, block) if scorer.vehicles.sum() else {} for scorer, block in splits]
+    return [judged(scorer, block) if scorer.weight.sum() else {} for scorer, block in splits]
 
 
 # --- The objective over height and tilt: a picture of the whole landscape, and how certain its top is -----
@@ -138,7 +138,7 @@ class ScoreMap:
     block_objective : ndarray, (h, t, b)
         Objective summed over each block of time that has vehicles.
     block_vehicles : ndarray, (b,)
-        Vehicles of each block.
+        Vehicles of each block, or the sum of their weights.
     """
 
     height_m: np.ndarray
@@ -209,9 +209,9 @@ def map_scores(
     for h in height.tolist():
         parts.append(evaluator.totals([pose_at({**optimum, AXES[0]: h, AXES[1]: t}) for t in tilt.tolist()]))
         progress(len(tilt))
-    objective, detectable, _ = zip(*parts, strict=True)
-    totals = Totals(np.concatenate(objective), np.concatenate(detectable), evaluator.vehicles)
-    block_vehicles = block_sums(evaluator.vehicles, block)
+    objective, detectable, *_ = zip(*parts, strict=True)
+    totals = parts[0]._replace(objective=np.concatenate(objective), detectable=np.concatenate(detectable))
+    block_vehicles = block_sums(totals.weight, block)
     filled = block_vehicles > 0  # an empty block prefers no mounting
     return ScoreMap(
         height_m=height,
@@ -280,14 +280,23 @@ METRIC_VALUE = "metric_value"
 """The column of the chosen metric, in its own unit, where that is another than PE-VGOP: that one is `entropy_bits`."""
 
 
-def columns_for(metric: str) -> tuple[str, ...]:
-    """The columns of the table of a run with a metric."""
-    return VEHICLE_COLUMNS if metric == PE_VGOP.name else (*VEHICLE_COLUMNS, METRIC_VALUE)
+WEIGHT = "weight"
+"""The column of how much a vehicle counts in the objective, where the scene has weights."""
+
+
+def columns_for(metric: str, weighted: bool = False) -> tuple[str, ...]:
+    """The columns of the table of a run with a metric, of a scene with weights or without."""
+    return VEHICLE_COLUMNS + (METRIC_VALUE,) * (metric != PE_VGOP.name) + (WEIGHT,) * weighted
 
 
 def metric_values(table: Mapping[str, np.ndarray]) -> np.ndarray:
     """The chosen metric of each vehicle of a table, in its own unit, (n,)."""
     return table[METRIC_VALUE] if METRIC_VALUE in table else table["entropy_bits"]
+
+
+def vehicle_weight(table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """How much each vehicle of a table counts in the objective, (n,)."""
+    return table[WEIGHT] if WEIGHT in table else np.ones(len(table["frame"]))
 
 
 def vehicle_table(pose: Pose, **splits: Evaluator) -> dict[str, np.ndarray]:
@@ -305,13 +314,14 @@ def vehicle_table(pose: Pose, **splits: Evaluator) -> dict[str, np.ndarray]:
         The columns of `columns_for` the metric; `distance_m` is horizontal, from the mount.
     """
     tables = [
-        _frame_table(frame.vehicles.select(frame.counted), pose, scored, split)
+        _frame_table(frame.vehicles.select(frame.counted), pose, scored, split) | {WEIGHT: frame.counted_weight}
         for split, evaluator in splits.items()
         for frame, scored in zip(evaluator.frames, evaluator.by_vehicle([pose]), strict=True)
         if frame.counted.any()
     ]
     metric = next(iter(splits.values())).metric
-    return {name: np.concatenate([table[name] for table in tables]) for name in columns_for(metric)}
+    weighted = any(frame.weight is not None for evaluator in splits.values() for frame in evaluator.frames)
+    return {name: np.concatenate([table[name] for table in tables]) for name in columns_for(metric, weighted)}
 
 
 def _frame_table(vehicles: Vehicles, pose: Pose, scored: Scored, split: str) -> dict[str, np.ndarray]:

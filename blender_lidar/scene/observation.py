@@ -15,7 +15,8 @@ from ..road import RoadFrame
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..traffic.vehicles import Vehicles
-from .region import Region
+from .region import Region, polygon_holds
+from .settings import ObjectiveSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +61,26 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class CountedFrame:
-    """A frame, and which of its vehicles count; the others hide and are not scored."""
+    """A frame, and which of its vehicles count; the others hide and are not scored.
+
+    Attributes
+    ----------
+    vehicles : Vehicles
+        All v of them.
+    counted : ndarray of bool, (v,)
+        Those that are scored.
+    weight : ndarray, (v,), or None
+        How much each counts in the objective; None where all weigh one.
+    """
 
     vehicles: Vehicles
     counted: np.ndarray
+    weight: np.ndarray | None = None
+
+    @property
+    def counted_weight(self) -> np.ndarray:
+        """Weights of the vehicles that count, (n,): whole numbers where all weigh one."""
+        return (np.ones_like(self.counted, dtype=np.int64) if self.weight is None else self.weight)[self.counted]
 
     @property
     def boxes(self) -> FrameBoxes:
@@ -86,6 +103,45 @@ class Scoring:
     reading: str
     metric: str = PE_VGOP.name
     field: Field | None = None
+
+
+def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray | None:
+    """How much each vehicle counts in the objective, (n,): its class's weight times that of the first zone that holds
+    its box centre. None where the scene gives no weights.
+    """
+    if not objective.class_weights and not objective.zones:
+        return None
+    weight = np.array([objective.class_weights.get(name, 1.0) for name in vehicles.class_name.tolist()])
+    free = np.ones(len(vehicles), dtype=bool)
+    for zone in objective.zones:
+        inside = free & polygon_holds(zone.polygon_m, vehicles.centre_m[:, :2])
+        weight[inside] *= zone.weight
+        free &= ~inside
+    return weight
+
+
+def check_weights(objective: ObjectiveSettings, searched: Sequence[CountedFrame], where: str) -> None:
+    """Refuse a zone without any counted vehicle of the searched frames, and weights that leave none of them a weight.
+
+    Raises
+    ------
+    InputError
+        Naming `where` the weights came from.
+    """
+    xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
+    for number, zone in enumerate(objective.zones, start=1):
+        if not polygon_holds(zone.polygon_m, xy).any():
+            (left, right), (x, y) = xy.min(axis=0), xy.max(axis=0)
+            raise InputError(
+                f"{where} zones {number}: no vehicle of the searched frames is in {zone.name!r}; "
+                f"those that count are at x {left:.1f} to {x:.1f} m, y {right:.1f} to {y:.1f} m"
+            )
+    if not any(frame.counted_weight.any() for frame in searched):
+        classes = np.unique(np.concatenate([frame.vehicles.class_name[frame.counted] for frame in searched]))
+        raise InputError(
+            f"{where} class_weights, zones: leave no vehicle of the searched frames a weight above 0; "
+            f"their classes are {', '.join(classes.tolist())}"
+        )
 
 
 def scene_field(metric: str, road: RoadFrame, region: Region, searched: Sequence[CountedFrame]) -> Field | None:

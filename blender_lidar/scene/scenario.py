@@ -236,6 +236,8 @@ def _objective(table: TomlTable) -> ObjectiveSettings:
         keys = ", ".join(key for key in settings_of(Tolerance) if key != "aim")
         where = table.table("tolerance").name
         raise InputError(f"{where}: leaves every coordinate exact; allowed: at least one of {keys} above 0")
+    for number, zone in enumerate(objective.zones, start=1):
+        check_polygon(zone.polygon_m, f"{table.where('zones')} {number} polygon_m")
     if objective.loss is None and objective.metric == PE_VGOP.name:
         return replace(objective, loss=_PAPERS_LOSS)
     return objective

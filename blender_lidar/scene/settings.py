@@ -44,6 +44,7 @@ _LARGEST_ORIGIN_M = 1e9  # of a place in a net; sums and squares stay finite
 _FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
 _REACH = {"low": -_FARTHEST_M, "high": _FARTHEST_M}
 _LONGEST_BARRIER_M = 10_000.0
+_LARGEST_WEIGHT = 1e6
 _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
 _HEADING = {"low": -360.0, "high": 360.0}
@@ -316,6 +317,15 @@ class Tolerance:
 
 
 @dataclass(frozen=True, slots=True)
+class ZoneSettings:
+    """An entry of [[objective.zones]]: vehicles whose box centres lie in a polygon [m, road frame] have its weight."""
+
+    name: str = setting()
+    polygon_m: tuple[tuple[float, float], ...] = setting(**_REACH)
+    weight: float = setting(low=0.0, high=_LARGEST_WEIGHT)
+
+
+@dataclass(frozen=True, slots=True)
 class ObjectiveSettings:
     """[objective]: what is maximised.
 
@@ -335,6 +345,10 @@ class ObjectiveSettings:
     tolerance : Tolerance or None
         How far off its plan the mounting may end up, as half-widths: tilt_deg=1,height_m=0.05; also yaw_deg, and
         aim=mean or aim=low; none: it hangs as planned.
+    class_weights : mapping
+        How much a vehicle of a class counts in the objective; 1 unless said.
+    zones : tuple
+        Places where vehicles count more or less in the objective; the first that holds a vehicle has it.
     """
 
     metric: str = setting(
@@ -346,6 +360,10 @@ class ObjectiveSettings:
     view: str = setting("mean", allowed=VIEWS)
     loss: float | None = setting(None, low=-_MOST_LOSS, high=_MOST_LOSS)
     tolerance: Tolerance | None = setting(None, option="--tolerance")
+    class_weights: Mapping[str, float] = setting(
+        allowed=("car", "van", "truck", "bus", "motorcycle"), low=0.0, high=_LARGEST_WEIGHT
+    )
+    zones: tuple[ZoneSettings, ...] = setting(())
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,11 +17,11 @@ from ..traffic import FramePlan, Recording, Vehicles, plan_frames, read_traffic
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
-from .observation import CountedFrame, Observation, Scoring, scene_field
+from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .scenario import Scenario
-from .settings import BarrierSettings, BoxSettings, SensorSettings, WorldSettings
+from .settings import BarrierSettings, BoxSettings, ObjectiveSettings, SensorSettings, WorldSettings
 
 # --- The scenery that a scene's [world] describes: files that Blender reads, boxes and barriers, in the road frame -
 
@@ -193,7 +193,7 @@ class Site:
 
     def counted(self, vehicles: Vehicles) -> CountedFrame:
         """A frame of other traffic at this site: those within reach, and which of them count."""
-        return _counted(vehicles, self.region, self.reach_m)
+        return _counted(vehicles, self.region, self.reach_m, self.scenario.objective)
 
 
 def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Site:
@@ -233,14 +233,17 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     if mount is not None:
         check_mount_is_clear(scenario, frames, {"--x, --y": mount})
     reach = reach_of(scenario, mount)
-    searched = tuple(_counted(frame, region, reach) for frame in frames[: len(plan.search)])
-    held_out = tuple(_counted(frame, region, reach, plan.searched_ids) for frame in frames[len(plan.search) :])
+    searched = tuple(_counted(frame, region, reach, objective) for frame in frames[: len(plan.search)])
+    held_out = tuple(
+        _counted(frame, region, reach, objective, plan.searched_ids) for frame in frames[len(plan.search) :]
+    )
     if not any(frame.counted.any() for frame in searched):
         x, y = region.centre_xy
         raise InputError(
             f"{recording.source}: no vehicle in the region, within {region.radius_m:g} m of x {x:g} m, y {y:g} m, in "
             f"the {len(plan.search)} searched frames; check [traffic] origin_m, [road] and [region]"
         )
+    check_weights(objective, searched, f"{scenario.source}: [objective]")
     observation = Observation(
         lattice=lattice,
         max_range_m=sensor.range_gate_m,
@@ -310,10 +313,10 @@ def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:
     return recording.vehicles(frame)
 
 
-def _counted(vehicles, region, reach, not_counted=()) -> CountedFrame:
+def _counted(vehicles, region, reach, objective: ObjectiveSettings, not_counted=()) -> CountedFrame:
     near = vehicles.select(region.distance(vehicles) <= reach)
     counted = region.holds(near) & ~np.isin(near.vehicle_id, not_counted)
-    return CountedFrame(near, counted)
+    return CountedFrame(near, counted, vehicle_weights(near, objective))
 
 
 def reach_of(scenario: Scenario, mount: Mapping[str, float] | None) -> float:

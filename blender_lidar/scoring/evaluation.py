@@ -84,18 +84,21 @@ class Totals(NamedTuple):
         Vehicles at or above the threshold.
     vehicles : ndarray of int64, (f,)
         Vehicles that count.
+    weight : ndarray, (f,)
+        Sum of their weights.
     """
 
     objective: np.ndarray
     detectable: np.ndarray
     vehicles: np.ndarray
+    weight: np.ndarray
 
     def per_vehicle(self) -> np.ndarray:
-        """Objective per counted vehicle over all frames, (s,), in the metric's unit."""
-        return self.objective.sum(axis=1) / self.vehicles.sum()
+        """Objective per counted vehicle over all frames, a weighted mean, (s,), in the metric's unit."""
+        return self.objective.sum(axis=1) / self.weight.sum()
 
     def detectable_share(self) -> np.ndarray:
-        """Share of counted vehicles at or above the threshold over all frames, (s,)."""
+        """Share of counted vehicles at or above the threshold over all frames, whatever they weigh, (s,)."""
         return self.detectable.sum(axis=1) / self.vehicles.sum()
 
 
@@ -157,6 +160,11 @@ class Evaluator:
         return np.array([frame.counted.sum() for frame in self.frames], dtype=np.int64)
 
     @property
+    def weight(self) -> np.ndarray:
+        """Sum of their weights, (f,): their number where all weigh one."""
+        return np.array([frame.counted_weight.sum() for frame in self.frames])
+
+    @property
     def held_out(self) -> Evaluator:
         """Scores the held-out frames in the same processes; a metric with a memory learns from those alone."""
         other = copy(self)
@@ -179,7 +187,7 @@ class Evaluator:
         chosen = np.arange(len(self.frames)) if frames is None else np.array(frames, dtype=int)
         sums = np.array(self._carried_out(_sums, chosen, poses, fidelity)).reshape(len(chosen), 2, len(poses))
         objective, found = np.moveaxis(sums, 0, -1).copy()
-        return Totals(objective, found.astype(np.int64), self.vehicles[chosen])
+        return Totals(objective, found.astype(np.int64), self.vehicles[chosen], self.weight[chosen])
 
     def by_vehicle(self, poses: Sequence[Pose]) -> list[Scored]:
         """What s mountings make of each counted vehicle, for each frame; without the returns themselves."""

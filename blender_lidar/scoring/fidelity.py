@@ -105,7 +105,7 @@ def with_fewer_frames(site: Site, frames: int | None) -> Site:
         return site
     kept = evenly_spread(len(site.search), frames)
     search = tuple(site.search[row] for row in kept)
-    if not any(frame.counted.any() for frame in search):
+    if not any(frame.counted_weight.any() for frame in search):
         return site
     plan = replace(site.plan, search=site.plan.search[kept], search_block=site.plan.search_block[kept])
     return replace(site, plan=plan, search=search)
@@ -151,7 +151,7 @@ def coarsest_stride(observation: Observation) -> int:
 
 
 def make_rungs(
-    observation: Observation, block: Sequence[int], vehicles: Sequence[int], variables: int
+    observation: Observation, block: Sequence[int], vehicles: Sequence[float], variables: int
 ) -> tuple[Rung, ...]:
     """The rungs from the cheapest to the reference, which is the last: the scene's own detail, beams and frames.
 
@@ -163,8 +163,8 @@ def make_rungs(
         The scene's.
     block : sequence of int, (f,)
         Block of time of each searched frame.
-    vehicles : sequence of int, (f,)
-        Vehicles that count in each.
+    vehicles : sequence of float, (f,)
+        Vehicles that count in each, or their weights.
     variables : int
         Searched coordinates.
     """
@@ -181,7 +181,7 @@ def make_rungs(
     )
 
 
-def spread_order(block: Sequence[int], vehicles: Sequence[int]) -> tuple[int, ...]:
+def spread_order(block: Sequence[int], vehicles: Sequence[float]) -> tuple[int, ...]:
     """Places of frames in an order of which every beginning is spread evenly over the blocks of time.
 
     Blocks take turns, a frame each, and come in an order in which neighbours in time come far apart; so do the frames

@@ -27,7 +27,7 @@ class Scored(NamedTuple):
     detectable : ndarray of bool, (s, n)
         Eq. 11.
     objective : ndarray, (s, n)
-        What each vehicle adds to the objective (Eq. 10).
+        What each vehicle adds to the objective (Eq. 10), times its weight.
     """
 
     seen: Seen
@@ -63,7 +63,7 @@ class VehicleScores:
         noticed = detectable(seen.occupancy, scoring.threshold, scoring.view)
         values = metric.values(_rows(metric, frame, scorer, seen, mountings)).reshape(noticed.shape)
         objective = vehicle_score(metric.merit(values), noticed, scoring.loss, scoring.reading)
-        return Scored(seen, values, noticed, objective)
+        return Scored(seen, values, noticed, objective * frame.counted_weight)
 
 
 def mountings_of(poses: Sequence[Pose]) -> Mountings:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -169,7 +169,7 @@ class StudyFolder:
                 closing(landscapes(site, missing, shown.advance)) as found,  # a stop ends its processes
             ):
                 for job, one in zip(missing, found, strict=True):
-                    told = one if isinstance(one, str) else [one.objective.tolist(), one.vehicles.tolist()]
+                    told = one if isinstance(one, str) else [each.tolist() for each in astuple(one)]
                     self.store(job.stage, told)
         every = (self.stored(job.stage) for job in jobs)
         return [one if isinstance(one, str) else Landscape(*map(np.array, one)) for one in every]
@@ -263,7 +263,7 @@ def split_of(site: Site, split: str) -> tuple[tuple[CountedFrame, ...], np.ndarr
 
 def judging_split(site: Site) -> str:
     """The held-out frames, or the searched ones where nothing is held out."""
-    return HELD_OUT if any(frame.counted.any() for frame in site.holdout) else SEARCHED
+    return HELD_OUT if any(frame.counted_weight.any() for frame in site.holdout) else SEARCHED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -276,22 +276,29 @@ class Landscape:
         Sum over the counted vehicles of each frame, in the metric's unit.
     vehicles : ndarray of int64, (f,)
         Vehicles that count.
+    weight : ndarray, (f,)
+        Sum of their weights; unless given they weigh one.
     """
 
     objective: np.ndarray
     vehicles: np.ndarray
+    weight: np.ndarray = None
+
+    def __post_init__(self) -> None:
+        if self.weight is None:
+            object.__setattr__(self, "weight", self.vehicles)
 
     def per_vehicle(self) -> np.ndarray:
-        """Objective per counted vehicle of each mounting, (m,)."""
-        return self.objective.sum(axis=1) / self.vehicles.sum()
+        """Objective per counted vehicle of each mounting, a weighted mean, (m,)."""
+        return self.objective.sum(axis=1) / self.weight.sum()
 
     def select(self, rows: Sequence[int]) -> Landscape:
         """Some of its mountings."""
-        return Landscape(self.objective[list(rows)], self.vehicles)
+        return replace(self, objective=self.objective[list(rows)])
 
     def blocks(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Objective (m, b) and vehicles (b,) of each block of time; `block` (f,) labels the frames."""
-        return block_sums(self.objective, block), block_sums(self.vehicles, block)
+        """Objective (m, b) and weight of the vehicles (b,) of each block of time; `block` (f,) labels the frames."""
+        return block_sums(self.objective, block), block_sums(self.weight, block)
 
 
 # --- scoring ----------------------------------------------------------------------------------------------------------
@@ -331,12 +338,12 @@ def landscapes(
         workers.close()
 
 
-def _joined(columns: Sequence[tuple[np.ndarray, int] | str]) -> Landscape | str:
+def _joined(columns: Sequence[tuple[np.ndarray, int, float] | str]) -> Landscape | str:
     if isinstance(columns[0], str):
         return columns[0]
-    objective, vehicles = zip(*columns, strict=True)
-    landscape = Landscape(np.stack(objective, axis=1), np.array(vehicles, dtype=np.int64))
-    return landscape if landscape.vehicles.sum() else "no vehicle is left in the region"
+    objective, vehicles, weight = zip(*columns, strict=True)
+    landscape = Landscape(np.stack(objective, axis=1), np.array(vehicles, dtype=np.int64), np.array(weight))
+    return landscape if landscape.weight.sum() else "no vehicle is left in the region"
 
 
 class _FrameOfCast:
@@ -346,8 +353,9 @@ class _FrameOfCast:
         self._site, self._casts = site, casts
         self._number, self._changed = -1, []
 
-    def score(self, number: int, frame: int) -> list[tuple[np.ndarray, int] | str]:
-        """Of each job the objective of its mountings, (m,), and the counted vehicles; or why there is no such site.
+    def score(self, number: int, frame: int) -> list[tuple[np.ndarray, int, float] | str]:
+        """Of each job the objective of its mountings, (m,), the counted vehicles and their weight; or why there is no
+        such site.
 
         What is cast is the site as it is where several jobs share that, else the only job's site.
         """
@@ -371,8 +379,9 @@ class _FrameOfCast:
                     seen = scorer if cast is None else cast.on_cells_of(changed[0].observation)
                     scored = changed[1].of(chosen, seen, some, mountings_of(some))
                     of.update(zip(some, scored.objective.sum(axis=1).tolist(), strict=True))
+        size = len(scorer), chosen.counted_weight.sum().item()
         return [
-            changed if isinstance(changed, str) else (np.array([of[pose] for pose in job.poses]), len(scorer))
+            changed if isinstance(changed, str) else (np.array([of[pose] for pose in job.poses]), *size)
             for job, changed, of in zip(jobs, self._changed, found, strict=True)
         ]
 

@@ -177,7 +177,7 @@ def chosen_shares(landscape: Landscape, weights: np.ndarray, frames: np.ndarray 
     Resamples that leave no vehicle on those frames choose nothing and do not count.
     """
     weights = weights[:, frames]
-    weights = weights[weights @ landscape.vehicles[frames] > 0.0]
+    weights = weights[weights @ landscape.weight[frames] > 0.0]
     if not len(weights):
         weights = np.ones((1, weights.shape[1]))
     best = np.argmax(landscape.objective[FIRST:, frames] @ weights.T, axis=0)  # vehicles are the same for all
@@ -308,9 +308,7 @@ def accuracy(
         `BOUND_LEVEL`. None for what cannot be known.
     """
     truth, gain = reference.searched.per_vehicle()[FIRST:], reference.gain
-    values = [
-        phase.objective[FIRST:, frames].sum(axis=1) / max(int(phase.vehicles[frames].sum()), 1) for phase in phases
-    ]
+    values = [phase.objective[FIRST:, frames].sum(axis=1) / (phase.weight[frames].sum() or 1) for phase in phases]
     bias, errors, tau = np.array([agreement(each, truth) for each in values]).T
     error = float(np.sqrt(np.mean(errors**2)))
     error = 0.0 if error <= _ROUNDING * float(np.abs(truth).max()) else error
@@ -391,7 +389,7 @@ class AblationDraw:
     without, having : ndarray, (k, b)
         Objective of each candidate in each block that chooses.
     vehicles : ndarray, (b,)
-        In those blocks; none is empty.
+        In those blocks, or the sum of their weights; none is empty.
     judged : ndarray, (1 + k, j)
         Objective with the thing of the baseline and the candidates in each block that judges; candidates that neither
         side chooses may be NaN.
@@ -438,7 +436,8 @@ def _left_out_of_searched(draw: AblationDraw) -> np.ndarray:
     """Bias, score, error and tau, of all blocks and without each of them, (1 + b, 4)."""
     blocks = len(draw.vehicles)
     kept = np.concatenate([np.ones((1, blocks)), 1.0 - np.eye(blocks)])
-    vehicles = np.maximum(kept @ draw.vehicles, 1.0)  # none is left where the only block is left out
+    vehicles = kept @ draw.vehicles
+    vehicles[vehicles == 0.0] = 1.0  # none is left where the only block is left out
     rows = []
     for without, having in zip(*((kept @ of.T) / vehicles[:, None] for of in (draw.without, draw.having)), strict=True):
         bias, error, tau = agreement(without, having)

@@ -163,7 +163,8 @@ def study_stability(
     findings = [gain_finding(held_out, site.plan.holdout_block, seed, metric_named(site.scoring.metric)), optimum]
     if TILT in scene.deployment.bounds:  # else there is no best tilt to be certain of
         of_blocks = [one.blocks(split_of(site, split)[1]) for split, one in zip(splits, as_it_is, strict=True)]
-        every = (np.concatenate(parts, axis=-1) for parts in zip(*of_blocks, strict=True))
+        for_each = sum(one.vehicles.sum() for one in as_it_is) / sum(one.weight.sum() for one in as_it_is)
+        every = (for_each * np.concatenate(parts, axis=-1) for parts in zip(*of_blocks, strict=True))
         findings.append(sample_size_finding(sample_size(*every, fine.tilt_deg, seed)))
     if site.scoring.metric == PE_VGOP.name:  # other metrics have no such peak
         findings.append(saturation_finding(folder.stage("views", lambda: _views_beyond_the_peak(site, reference))))
@@ -180,7 +181,7 @@ def study_stability(
     for change, draws in _draws(folder, few, varied, coarse, judging).items():
         findings.append(finding_of(change, draws, coarse, intervals, judged_block if judging == HELD_OUT else None))
     looked_at = np.isin(site.plan.search, whole.plan.search)
-    searched = Landscape(as_it_is[0].objective[:, looked_at], as_it_is[0].vehicles[looked_at]).per_vehicle()
+    searched = Landscape(as_it_is[0].objective[:, looked_at], as_it_is[0].weight[looked_at]).per_vehicle()
     best, baseline = float(searched[CANDIDATES:].max()), float(searched[BASELINE])
     findings += search_findings(answers, best, baseline, _judged_answers(folder, site, judging, answers))
     findings.sort(key=lambda finding: SECTIONS.index(finding.section))  # which keeps their order within a section
@@ -283,7 +284,7 @@ def _installation(
         profiles = _profiles(judge, plan, planned, baseline)
         shown.advance(1)
         losses = losses_over_tolerance(judge, plan, tolerance, block)
-        over = objective_over(judge, [plan, robust], tolerance) / judge.vehicles.sum()
+        over = objective_over(judge, [plan, robust], tolerance) / judge.weight.sum()
         nominal, best = (over - baseline).tolist()
         shown.advance(1)
     off_plan = {"gain": planned - baseline, "kept": losses.kept(baseline), "limits": losses.limit_losses}

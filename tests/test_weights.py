@@ -1,0 +1,167 @@
+"""Weights by class and zone: a whole weight is the vehicle counted that often, wherever vehicles are counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blender_lidar.cli import main
+from blender_lidar.errors import InputError
+from blender_lidar.report.summary import definitions, group_tables
+from blender_lidar.run.folder import RunFolder
+from blender_lidar.scene.observation import Observation, Scoring, vehicle_weights
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.settings import ObjectiveSettings, ZoneSettings
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.statistics import ratio_interval_90
+from tests.sample_traffic import counted_frames, joined, one_vehicle
+from tests.small_scene import MAPPED, without_charts, write_scene
+
+SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
+SCORING = Scoring(0.005, "mean", -1.0, "corrected")
+POSES = [Pose(height_m=2.0), Pose(height_m=4.1, tilt_x=0.33)]
+FRAMES = counted_frames(3)
+CLASSES = {"car": 1.0, "van": 2.0, "truck": 3.0}
+ZONES = [{"name": "left lane", "polygon_m": [[-20.0, 5.5], [20.0, 5.5], [20.0, 9.0], [-20.0, 9.0]], "weight": 2.0}]
+
+
+def weighed(frame):
+    """The frame with weights from 0 to 3."""
+    return replace(frame, weight=np.arange(len(frame.vehicles)) % 4.0)
+
+
+def test_a_whole_weight_is_the_vehicle_counted_that_often():
+    with Evaluator(FRAMES, SEEN, SCORING) as evaluator:
+        single = evaluator.by_vehicle(POSES)
+    with Evaluator([weighed(frame) for frame in FRAMES], SEEN, SCORING) as evaluator:
+        found = evaluator.totals(POSES)
+    assert found.weight.sum() != found.vehicles.sum()
+    for row in range(len(POSES)):
+        rows, detected, vehicles = [], 0, 0
+        for frame, scored in zip(FRAMES, single, strict=True):
+            times = weighed(frame).weight[frame.counted].astype(int).tolist()
+            for value, often, noticed in zip(scored.objective[row], times, scored.detectable[row], strict=True):
+                rows += [float(value)] * often
+                detected, vehicles = detected + bool(noticed), vehicles + 1
+        assert found.objective[row].sum() == pytest.approx(sum(rows), rel=1e-12)
+        assert found.per_vehicle()[row] == pytest.approx(sum(rows) / len(rows), rel=1e-12)
+        assert found.detectable_share()[row] == detected / vehicles  # whatever they weigh
+
+
+def test_weights_that_are_all_one_change_no_digit():
+    ones = [replace(frame, weight=np.ones(len(frame.vehicles))) for frame in FRAMES]
+    found = []
+    for frames in (FRAMES, ones):
+        with Evaluator(frames, SEEN, SCORING) as evaluator:
+            totals = evaluator.totals(POSES)
+        found.append([totals.objective.tobytes(), totals.per_vehicle().tobytes(), totals.detectable_share().tobytes()])
+    assert found[0] == found[1]
+
+
+def test_a_vehicle_weighs_its_class_times_the_first_zone_that_holds_its_centre():
+    square = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
+    larger = tuple((3.0 * x, 3.0 * y) for x, y in square)
+    zones = tuple(
+        ZoneSettings(name=str(weight), polygon_m=polygon, weight=weight)
+        for polygon, weight in ((square, 5.0), (larger, 0.5))
+    )
+    places = {(0.0, 0.0): 5.0, (1.0, 0.3): 5.0, (1.1, 0.3): 0.5, (3.0, 3.0): 0.5, (3.1, 0.0): 1.0}
+    for name, of_class in {"car": 1.0, "truck": 4.0, "bus": 0.0}.items():
+        vehicles = joined(*(one_vehicle(name, centre=place) for place in places))
+        found = vehicle_weights(vehicles, ObjectiveSettings(class_weights={"truck": 4.0, "bus": 0.0}, zones=zones))
+        assert found.tolist() == [of_class * of_zone for of_zone in places.values()]
+    assert vehicle_weights(vehicles, ObjectiveSettings(class_weights={})) is None
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run with weights, and its site."""
+    folder = tmp_path_factory.mktemp("weights")
+    objective = {"class_weights": CLASSES, "zones": ZONES}
+    scene = write_scene(folder, {"objective": objective, "traffic": {"holdout": 0.5, "block_s": 8.0}, **MAPPED})
+    with pytest.MonkeyPatch.context() as patch:
+        without_charts(patch)
+        assert main(["optimise", str(scene), "--out", str(folder / "run"), "--tolerance", "tilt_deg=1"]) == 0
+    return RunFolder(folder / "run").read_outcome(), prepare(load_scenario(scene))
+
+
+def scores(table, chosen):
+    """Each chosen vehicle's score as often as it weighs, from its row alone."""
+    rows = []
+    for row in np.flatnonzero(chosen):
+        on_left = -20.0 <= table["x_m"][row] <= 20.0 and 5.5 <= table["y_m"][row] <= 9.0
+        often = int(CLASSES[table["class"][row]] * (2 if on_left else 1))
+        assert often == table["weight"][row]
+        rows += [table["entropy_bits"][row] if table["detectable"][row] else -1.0] * often
+    return rows
+
+
+def test_a_run_judges_as_if_heavy_vehicles_were_there_several_times(run):
+    outcome, site = run
+    result, plan = outcome.result, site.plan
+    for table, told in ((outcome.baseline, result["baseline"]), (outcome.optimised, result)):
+        for split, found in (("search", told), ("holdout", told["holdout"])):
+            slow = scores(table, table["split"] == split)
+            assert found["objective_per_vehicle"] == pytest.approx(np.mean(slow), abs=1e-5)  # as the table is rounded
+            assert found["detectable_share"] == table["detectable"][table["split"] == split].mean()
+        assert told["objective"] == pytest.approx(sum(scores(table, table["split"] == "search")), abs=1e-2)
+    gained, weight = [], []
+    for block in np.unique(plan.holdout_block):
+        of = np.isin(outcome.baseline["frame"], plan.holdout[plan.holdout_block == block])
+        of &= outcome.baseline["split"] == "holdout"
+        before, after = scores(outcome.baseline, of), scores(outcome.optimised, of)
+        gained.append(sum(after) - sum(before))
+        weight.append(len(after))
+    interval = ratio_interval_90(np.array(gained), np.array(weight), result["seed"])
+    assert result["holdout"]["interval_90"] == pytest.approx(interval, abs=1e-4)
+    assert result["tolerance"]["sharp"]["holdout"]["vehicles"] == (outcome.baseline["split"] == "holdout").sum()
+
+
+def test_the_score_map_and_the_tables_by_group_weigh_too(run):
+    outcome, _ = run
+    score_map = outcome.folder.read_score_map()
+    assert score_map.block_vehicles.sum() == len(scores(outcome.baseline, outcome.baseline["split"] == "search"))
+    whole = score_map.block_objective.sum(axis=-1) / score_map.block_vehicles.sum()
+    np.testing.assert_allclose(score_map.per_vehicle, whole, rtol=1e-9)
+    ((_, rows),) = group_tables(outcome)[0].sections
+    name, first, *_ = rows[0]
+    near = (outcome.baseline["distance_m"] < float(name.split("-")[1].split()[0])) & (
+        outcome.baseline["split"] == "search"
+    )
+    assert float(first) == pytest.approx(np.mean(scores(outcome.baseline, near)), abs=1e-3)
+
+
+def test_a_result_tells_its_weights(run):
+    outcome, _ = run
+    assert outcome.result["identity"]["[objective] class_weights"] == CLASSES
+    assert "van 2, truck 3, in left lane x 2" in definitions(outcome.result)["objective"]
+    plain = outcome.result["identity"] | {"[objective] class_weights": {}, "[objective] zones": []}
+    assert "weight" not in definitions(outcome.result | {"identity": plain})["objective"]
+
+
+@pytest.mark.parametrize(
+    ("objective", "told"),
+    [
+        (
+            {"zones": [{"name": "far", "polygon_m": [[900.0, 0.0], [990.0, 0.0], [990.0, 9.0]], "weight": 2.0}]},
+            ("zones 1", "'far'", "those that count are at x"),
+        ),
+        ({"class_weights": dict.fromkeys(("car", "van", "truck"), 0.0)}, ("above 0", "car, truck, van")),
+        ({"class_weights": {"lorry": 2.0}}, ("lorry", "truck")),
+        ({"class_weights": {"car": -1.0}}, ("class_weights] car", "0 to 1e+06")),
+        ({"zones": [{**ZONES[0], "polygon_m": [[0.0, 0.0], [1.0, 1.0]]}]}, ("zones 1 polygon_m", "3 or more")),
+        ({"zones": [{"name": "no weight", "polygon_m": ZONES[0]["polygon_m"]}]}, ("zones 1 weight", "missing")),
+    ],
+)
+def test_weights_that_cannot_be_are_refused_in_one_line(tmp_path, objective, told):
+    scene = write_scene(tmp_path, {"objective": objective})
+    with pytest.raises(InputError) as error:
+        prepare(load_scenario(scene))
+    assert all(text in str(error.value) for text in told), error.value
+    assert "\n" not in str(error.value)
