@@ -213,6 +213,8 @@ KEYS = [
     ("objective.tolerance", "tilt_deg", "[0, 1]", "11"),
     ("objective.tolerance", "yaw_deg", "true", "10.5"),
     ("objective.tolerance", "aim", "1", '"median"'),
+    ("objective.class_weights", "car", '"a"', "-1"),
+    ("objective", "zones", "3", '"all"'),
     ("search", "method", "1", '"pso"'),
     ("search", "fidelity", "1", '"half"'),
     ("search", "seed", "1.5", "-1"),
@@ -244,6 +246,7 @@ def test_every_key_of_a_scene_is_among_those_tested(tmp_path):
     known = {(table, key) for table, content in written.items() for key in content} - {
         ("traffic", "height_m"),
         ("objective", "tolerance"),
+        ("objective", "class_weights"),
     }
     assert known <= {(table, key) for table, key, *_ in KEYS}
 
@@ -366,6 +369,12 @@ ROUND_TRIPS = {
     "small": {},
     "every kind of value": FULL,
     "a tolerance": {"objective": {"tolerance": {"yaw_deg": 2.5, "aim": "low"}}},
+    "weights": {
+        "objective": {
+            "class_weights": {"truck": 3.0},
+            "zones": [{"name": "merge", "polygon_m": [[0.0, 2.0], [9.0, 2.0], [9.0, 6.0]], "weight": 0.0}],
+        }
+    },
     "a cluster": {"model": {"workers": None, "cluster": "tcp://host:8786"}},
     **{method: {"search": {"method": method, "particles": 7}} for method in ("hardened", "random", "de-pso")},
 }
