@@ -56,3 +56,14 @@ def test_a_climb_to_a_wall_along_an_edge_or_into_a_corner_arrives(best):
         assert (tried[:, walls] == best[walls]).all(axis=1).any()
         missed.append((np.abs(tried - best) @ slope).min())
     assert np.median(missed) < 1e-4
+
+
+def test_a_climb_on_a_circle_goes_through_the_wall_and_the_other_variables_stop_there():
+    climb = CovarianceAdaptation(generator(0), np.array([0.99, 0.99]), 0.05, 40, periodic=np.array([True, False]))
+    climb.move()
+    around, stopped = climb.candidates.T
+    assert (around < 0.2).any()
+    assert (around > 0.8).any()
+    assert not np.isin(around, (0.0, 1.0)).any()
+    assert stopped.min() > 0.5
+    assert (stopped == 1.0).any()

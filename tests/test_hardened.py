@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.optimise import Hardened, HardenedSettings, maximise, run
+from blender_lidar.optimise import Hardened, HardenedSettings, make_search, maximise, run
 from tests.search_landscapes import (
     LOWER,
     OPTIMUM,
@@ -236,3 +236,37 @@ def test_few_candidates_lie_on_the_bounds_where_the_best_is_inside():
 def test_unusable_settings_are_refused(setting, message):
     with pytest.raises(InputError, match=message):
         HardenedSettings(**setting)
+
+
+@pytest.mark.parametrize("name", ["hardened", "de-pso", "grid", "random"])
+def test_on_a_circle_the_bounds_are_one_place(name):
+    """The top lies just beyond the bound at which a climb comes up, and no candidate leaves the box."""
+
+    def objective(x):
+        return np.cos(np.radians(x[:, 0] + 3.0)) - 0.1 * np.square(x[:, 1] - 0.4)
+
+    for seed in range(5):
+        search = make_search(name, [0.0, 0.0], [360.0, 1.0], seed=seed, evaluations=400, periodic=[True, False])
+        found = run(search, objective)
+        assert (found.history[:, 3] >= 0.0).all()
+        assert (found.history[:, 3] <= 360.0).all()
+        off = abs((found.x[0] - 357.0 + 180.0) % 360.0 - 180.0)
+        assert off < {"hardened": 0.01, "de-pso": 3.0, "grid": 10.0, "random": 30.0}[name]
+
+
+@pytest.mark.parametrize("turned", [0.25, 0.5, 0.9])
+def test_a_search_on_a_circle_finds_as_much_wherever_the_circle_is_cut(turned):
+    def objective(x):
+        u = x[:, 0] + turned
+        return np.cos(2.0 * np.pi * u) + 0.5 * np.cos(6.0 * np.pi * u) - np.square(x[:, 1] - 0.5)
+
+    reached = [
+        run(make_search("hardened", [0.0, 0.0], [1.0, 1.0], seed=s, evaluations=300, periodic=[True, False]), objective)
+        for s in range(5)
+    ]
+    assert min(found.value for found in reached) > 1.5 - 1e-6
+
+
+def test_circles_must_be_said_for_every_variable():
+    with pytest.raises(InputError, match="one per variable"):
+        make_search("hardened", [0.0, 0.0], [1.0, 1.0], seed=1, periodic=[True])

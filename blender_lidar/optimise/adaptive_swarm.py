@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from .search import distinct_donors, latin_hypercube
+from .search import distinct_donors, latin_hypercube, wrapped
 
 CONSTRICTION = 0.7298  # Clerc and Kennedy (2002)
 ATTRACTION = 1.49618  # each of both: 0.7298 * 4.1 / 2
@@ -46,6 +46,8 @@ class AdaptiveSwarm:
         Share of the personal bests that count as the swarm's better ones; two of them at least.
     turned : float
         Chance of a jump that is crossed over along eigenvectors, 0 to 1.
+    periodic : ndarray of bool, (variables,), optional
+        Which variables are circles: there particles go through the walls, and the short way.
 
     Attributes
     ----------
@@ -56,9 +58,18 @@ class AdaptiveSwarm:
     """
 
     def __init__(
-        self, rng: np.random.Generator, particles: int, variables: int, *, flights: float, greed: float, turned: float
+        self,
+        rng: np.random.Generator,
+        particles: int,
+        variables: int,
+        *,
+        flights: float,
+        greed: float,
+        turned: float,
+        periodic: np.ndarray | None = None,
     ) -> None:
         self._rng = rng
+        self._periodic = np.zeros(variables, dtype=bool) if periodic is None else periodic
         self._flights, self._turned = flights, turned
         self._greedy = max(2, round(greed * particles))
         self._position = latin_hypercube(rng, particles, np.zeros(variables), np.ones(variables))
@@ -81,13 +92,21 @@ class AdaptiveSwarm:
     def shape(self) -> np.ndarray:
         """Covariance of the better half of the personal bests, (variables, variables)."""
         variables = self.best.shape[1]
-        better = self.best[self.order[: max(2, len(self.best) // 2)]]
+        better = self._together()[self.order[: max(2, len(self.best) // 2)]]
         return np.cov(better.T).reshape(variables, variables)
 
     @property
     def exhausted(self) -> bool:
         """Whether the swarm has collapsed, or has long found nothing better."""
-        return bool(self._idle >= SWARM_PATIENCE or np.ptp(self.best, axis=0).max() < COLLAPSED)
+        return bool(self._idle >= SWARM_PATIENCE or np.ptp(self._together(), axis=0).max() < COLLAPSED)
+
+    def _together(self) -> np.ndarray:
+        """The personal bests, those of a circle cut open opposite the best of them."""
+        best = self.best[self.order[0]]
+        return np.where(self._periodic, best + self._step(best, self.best), self.best)
+
+    def _step(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        return wrapped(end - start, self._periodic)
 
     def tell(self, values: np.ndarray) -> None:
         """Take the values, (particles,), of `candidates`, and keep what is at least as good."""
@@ -114,13 +133,14 @@ class AdaptiveSwarm:
         self._flown = self._rng.random(particles) < self._flights
         own, social = self._rng.random((2, particles, variables))
         flight = CONSTRICTION * self._velocity
-        flight += ATTRACTION * own * (self.best - self._position)
-        flight += ATTRACTION * social * (guide - self._position)
+        flight += ATTRACTION * own * self._step(self._position, self.best)
+        flight += ATTRACTION * social * self._step(self._position, guide)
         flown = self._flown[:, None]
         velocity = np.where(flown, flight, target - self.best)
         target = np.where(flown, self._position + flight, target)
-        self.candidates = reflected(target)
-        self._next_velocity = np.where((target < 0.0) | (target > 1.0), -0.5 * velocity, velocity)
+        self.candidates = np.where(self._periodic, np.mod(target, 1.0), reflected(target))
+        hits_wall = ((target < 0.0) | (target > 1.0)) & ~self._periodic
+        self._next_velocity = np.where(hits_wall, -0.5 * velocity, velocity)
 
     def _jumps(self, guide: np.ndarray) -> np.ndarray:
         """Steps of current-to-pbest/1 from the personal bests, crossed over."""
@@ -129,12 +149,17 @@ class AdaptiveSwarm:
         i, pool = np.arange(particles), np.concatenate([self.best, self._replaced])
         others, left = (self._rng.integers(count, size=particles) for count in (particles - 1, len(pool) - 2))
         j, k = distinct_donors(i, others, left)
-        step = self._scale[:, None] * (guide - self.best + self.best[j] - pool[k])
+        step = self._scale[:, None] * self._jump(guide, self.best[j], pool[k])
         crossed = self._rng.random((particles, variables)) < self._crossover[:, None]
         crossed[i, self._rng.integers(variables, size=particles)] = True
         _, axes = np.linalg.eigh(self.shape())
         turned = (self._rng.random(particles) < self._turned)[:, None]
         return np.where(turned, np.where(crossed, step @ axes, 0.0) @ axes.T, np.where(crossed, step, 0.0))
+
+    def _jump(self, guide: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:
+        """From the personal bests to the guide, and from there to here; circles the short way."""
+        straight = guide - self.best + here - there
+        return np.where(self._periodic, self._step(self.best, guide) + self._step(there, here), straight)
 
     def _draw_rates(self) -> None:
         """Scale factors (Cauchy, redrawn by reflection above 0) and crossover rates (normal) about the memory."""

@@ -36,6 +36,8 @@ class GridSearch(_ListSearch):
     points : sequence of int, (d,)
         Nodes along each variable, 2 or more: ``(26, 26)`` is 0.1 m by 1 degree on the paper's bounds. See
         `grid_points` for the finest grid within a budget.
+    periodic : sequence of bool, (d,), optional
+        Which variables are circles.
 
     Raises
     ------
@@ -45,16 +47,18 @@ class GridSearch(_ListSearch):
 
     name: ClassVar[str] = "grid"
 
-    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, points: Sequence[int]) -> None:
+    def __init__(
+        self, lower: np.ndarray, upper: np.ndarray, *, points: Sequence[int], periodic: Sequence[bool] | None = None
+    ) -> None:
         if np.shape(points) != (np.size(lower),):
             allowed = f"one whole number for each of the {np.size(lower)} variables"
             raise InputError(f"grid points: {points!r}; allowed: {allowed}")
         self._points = tuple(check_whole(count, 2, "grid points") for count in points)
-        super().__init__(lower, upper, budget=math.prod(self._points))
+        super().__init__(lower, upper, budget=math.prod(self._points), periodic=periodic)
 
     def _rows(self, start: int, stop: int) -> np.ndarray:
         node = np.column_stack(np.unravel_index(np.arange(start, stop), self._points))
-        last = np.array(self._points) - 1
+        last = np.array(self._points) - ~self.periodic  # a circle's upper bound is its lower one
         x = node * ((self.upper - self.lower) / last) + self.lower  # as NumPy's linspace, which may not fit memory
         return np.where(node == last, self.upper, x)
 

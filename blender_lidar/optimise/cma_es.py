@@ -41,6 +41,8 @@ class CovarianceAdaptation:
         Candidates to a generation, 4 or more.
     covariance : ndarray, (d, d), optional
         The shape it starts with, about 1 in the mean of its diagonal; round when left out.
+    periodic : ndarray of bool, (d,), optional
+        Which variables are circles: they have no walls.
 
     Attributes
     ----------
@@ -61,8 +63,10 @@ class CovarianceAdaptation:
         step: float,
         samples: int,
         covariance: np.ndarray | None = None,
+        periodic: np.ndarray | None = None,
     ) -> None:
         d = mean.size
+        self._periodic = np.zeros(d, dtype=bool) if periodic is None else periodic
         self._rng = rng
         self._mean, self._step = mean.copy(), float(step)
         self.samples = samples
@@ -77,12 +81,20 @@ class CovarianceAdaptation:
 
     @property
     def candidates(self) -> np.ndarray:
-        return np.clip(self._drawn, 0.0, 1.0)
+        return self._in_box(self._drawn)
+
+    @property
+    def width(self) -> float:
+        """Of the candidates, in the variable in which they are widest apart."""
+        return float(np.ptp(np.where(self._periodic, self._drawn, self.candidates), axis=0).max())
 
     @property
     def mean(self) -> np.ndarray:
         """Where it stands, (d,), in the box."""
-        return np.clip(self._mean, 0.0, 1.0)
+        return self._in_box(self._mean)
+
+    def _in_box(self, points: np.ndarray) -> np.ndarray:
+        return np.where(self._periodic, np.mod(points, 1.0), np.clip(points, 0.0, 1.0))
 
     @property
     def exhausted(self) -> bool:
@@ -108,7 +120,8 @@ class CovarianceAdaptation:
         parents = self.samples // 2
         mean_step = weights[:parents] @ steps[:parents]
         beyond = BEYOND * self._step * np.sqrt(np.square(self._axes * self._lengths).sum(axis=1))
-        self._mean = np.clip(self._mean + self._step * mean_step, -beyond, 1.0 + beyond)
+        mean = self._mean + self._step * mean_step
+        self._mean = np.where(self._periodic, mean, np.clip(mean, -beyond, 1.0 + beyond))
         whitened = self._axes @ ((mean_step @ self._axes) / self._lengths)
         self._step_path = (1.0 - use.c_step) * self._step_path
         self._step_path += math.sqrt(use.c_step * (2.0 - use.c_step) * use.mass) * whitened

@@ -15,6 +15,7 @@ reading does not depend on origin or scale; the literal Eq. 14 depends on the or
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from ..metrics.view_grids import check_reading
 from ..names import ITERATIONS, PARTICLES
-from .search import Search, check_number, check_whole, distinct_donors, generator, latin_hypercube
+from .search import Search, check_number, check_whole, distinct_donors, generator, latin_hypercube, wrapped
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,8 @@ class DePso(Search):
     seed : int
         Same seed, same candidates.
     settings : DePsoSettings
+    periodic : sequence of bool, (d,), optional
+        Which variables are circles: Eq. 15 wraps there, and differences go the short way.
 
     Raises
     ------
@@ -88,11 +91,18 @@ class DePso(Search):
     name: ClassVar[str] = "de-pso"
 
     def __init__(
-        self, lower: np.ndarray, upper: np.ndarray, *, seed: int, settings: DePsoSettings | None = None
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        seed: int,
+        settings: DePsoSettings | None = None,
+        periodic: Sequence[bool] | None = None,
     ) -> None:
         self.settings = settings or DePsoSettings()
         particles = self.settings.particles
-        super().__init__(lower, upper, budget=particles * self.settings.iterations, per_iteration=particles)
+        budget = particles * self.settings.iterations
+        super().__init__(lower, upper, budget=budget, per_iteration=particles, periodic=periodic)
         self._rng = generator(seed)
         self._position = latin_hypercube(self._rng, particles, self.lower, self.upper)  # Algorithm 1, line 1
         self._velocity = np.zeros_like(self._position)  # Algorithm 1, line 1
@@ -127,15 +137,19 @@ class DePso(Search):
         j, k = self._partners(i, draws[:, 3], draws[:, 4])
         position = self._position[i]
         velocity = use.inertia * self._velocity[i]  # Eq. 12
-        velocity += use.cognitive * r1 * (self._personal_best[i] - position)  # Eq. 12
-        velocity += use.social * r2 * (self.best_x - position)  # Eq. 12
-        jump = use.differential_weight * (self._position[j] - self._position[k])  # Eq. 14
+        velocity += use.cognitive * r1 * self._step(position, self._personal_best[i])  # Eq. 12
+        velocity += use.social * r2 * self._step(position, self.best_x)  # Eq. 12
+        jump = use.differential_weight * self._step(self._position[k], self._position[j])  # Eq. 14
         if use.reading == "paper":
             jump = position + jump  # Eq. 14 as printed: Eq. 13 then adds the position a second time
         velocity = np.where(r3 < use.differential_threshold, jump, velocity)  # Algorithm 1, line 7
         position = position + velocity  # Eq. 13
-        self._position[i] = np.clip(position, self.lower, self.upper)  # Eq. 15
+        turned = self.lower + np.mod(position - self.lower, self.upper - self.lower)
+        self._position[i] = np.where(self.periodic, turned, np.clip(position, self.lower, self.upper))  # Eq. 15
         self._velocity[i] = velocity
+
+    def _step(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        return wrapped(end - start, self.periodic, self.upper - self.lower)
 
     def _partners(self, i: np.ndarray, u_j: np.ndarray, u_k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Particles j and k of Eq. 14 from uniform draws: distinct, and in the corrected reading neither is i."""

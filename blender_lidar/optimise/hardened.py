@@ -13,6 +13,7 @@ of a variable, nor on anything that raises all values in order. How it was chose
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -21,7 +22,7 @@ import numpy as np
 from ..names import PARTICLES
 from .adaptive_swarm import AdaptiveSwarm
 from .cma_es import NARROW, CovarianceAdaptation
-from .search import Search, check_whole, generator, in_box
+from .search import Search, check_whole, generator, in_box, wrapped
 
 # --- Where else a landscape may have a maximum, told from points that were evaluated ----------------------
 # A point whose nearest better one is far tops a basin, as far as anybody knows; on a slope the nearest better one is
@@ -40,9 +41,12 @@ class Basins:
     Parameters
     ----------
     variables : int
+    periodic : ndarray of bool, (variables,), optional
+        Which of them are circles.
     """
 
-    def __init__(self, variables: int) -> None:
+    def __init__(self, variables: int, periodic: np.ndarray | None = None) -> None:
+        self._periodic = np.zeros(variables, dtype=bool) if periodic is None else periodic
         self._points = np.empty((0, variables))  # this and the others from the best point to the worst
         self._values = np.empty(0)
         self._nearest = np.empty(0)
@@ -57,7 +61,7 @@ class Basins:
         is_new = best >= known
         self._points, self._values, self._nearest = points[best], values[best], nearest[best]
         for place in np.flatnonzero(is_new):
-            distances = _distances(self._points, self._points[place])
+            distances = self._distances(self._points, self._points[place])
             self._nearest[place] = distances[:place].min(initial=math.inf)
             self._nearest[place + 1 :] = np.minimum(self._nearest[place + 1 :], distances[place + 1 :])
 
@@ -82,13 +86,12 @@ class Basins:
             return None
         near = self._nearest[1:].mean()
         for place in np.flatnonzero(self._nearest > near):
-            if _distances(climbed, self._points[place]).min() > near:
+            if self._distances(climbed, self._points[place]).min() > near:
                 return self._points[place], float(self._nearest[place])
         return None
 
-
-def _distances(points: np.ndarray, point: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.square(points - point).mean(axis=1))
+    def _distances(self, points: np.ndarray, point: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.square(wrapped(points - point, self._periodic)).mean(axis=1))
 
 
 # --- The search, round after round ------------------------------------------------------------------------------------
@@ -157,6 +160,8 @@ class Hardened(Search):
     seed : int
         Same seed, same candidates.
     settings : HardenedSettings
+    periodic : sequence of bool, (d,), optional
+        Which variables are circles.
 
     Raises
     ------
@@ -167,20 +172,27 @@ class Hardened(Search):
     name: ClassVar[str] = "hardened"
 
     def __init__(
-        self, lower: np.ndarray, upper: np.ndarray, *, seed: int, settings: HardenedSettings | None = None
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        seed: int,
+        settings: HardenedSettings | None = None,
+        periodic: Sequence[bool] | None = None,
     ) -> None:
         self.settings = settings or HardenedSettings()
-        super().__init__(lower, upper, budget=self.settings.evaluations)
+        super().__init__(lower, upper, budget=self.settings.evaluations, periodic=periodic)
         self._rng = generator(seed)
         self._begin_anew()
         self._climb: CovarianceAdaptation | None = None  # whose candidates are asked for, else the swarm's
-        self._basins = Basins(self.lower.size)
+        self._basins = Basins(self.lower.size, self.periodic)
         self._climbed: list[np.ndarray] = []  # where climbs began and ended, in shares of the box
 
     def _begin_anew(self) -> None:
         use = self.settings
         size = use.swarm, self.lower.size
-        self._swarm = AdaptiveSwarm(self._rng, *size, flights=use.flights, greed=use.greed, turned=use.turned)
+        rates = {"flights": use.flights, "greed": use.greed, "turned": use.turned}
+        self._swarm = AdaptiveSwarm(self._rng, *size, **rates, periodic=self.periodic)
         self._began = self.evaluations
         self._followed = False  # whether a climb has started from its best
 
@@ -206,7 +218,7 @@ class Hardened(Search):
     def _over(self) -> bool:
         """Whether the climb has ended, has become one point, or will hardly reach the best that is known."""
         climb = self._climb
-        width = np.ptp(climb.candidates, axis=0).max()
+        width = climb.width
         collapsed = width < NARROW and climb.idle > _HOPE
         hopeless = width < _HOPELESS and climb.generation > _HOPE and climb.reached < self.best_value
         return bool(climb.exhausted or collapsed or hopeless)
@@ -241,5 +253,5 @@ class Hardened(Search):
 
     def _start_climb(self, start: np.ndarray, step: float, shape: np.ndarray | None = None) -> None:
         samples = _FEWEST + int(3.0 * math.log(self.lower.size))
-        self._climb = CovarianceAdaptation(self._rng, start, min(step, _WIDEST), samples, shape)
+        self._climb = CovarianceAdaptation(self._rng, start, min(step, _WIDEST), samples, shape, self.periodic)
         self._climbed.append(start.copy())

@@ -80,7 +80,7 @@ class MultiFidelitySearch:
 
     def __init__(self, screen: Search, rungs: Sequence[Rung], block: Sequence[int], *, seed: int) -> None:
         self._screen, self.rungs, self._block = screen, tuple(rungs), np.asarray(block)
-        self._lower, self._upper = screen.lower, screen.upper
+        self._lower, self._upper, self._periodic = screen.lower, screen.upper, screen.periodic
         self._seed = seed
         self._level, self._work = 0, "screen"  # the rung that is at work, and at what
         self._records = [RungRecord(self._lower.size, rung.frames) for rung in self.rungs]
@@ -208,7 +208,7 @@ class MultiFidelitySearch:
         for number, start in enumerate(starts):
             generations = max(1, (wanted // samples + len(starts) - 1 - number) // len(starts))
             rng = generator(self._seed + self._level + number * len(self.rungs))
-            climbs.append((CovarianceAdaptation(rng, start, step, samples), generations))
+            climbs.append((CovarianceAdaptation(rng, start, step, samples, None, self._periodic), generations))
         while going := [climb for climb, last in climbs if climb.generation < last and not climb.exhausted]:
             for climb in going:
                 climb.move()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -87,6 +88,14 @@ def _numbers(values: np.ndarray, what: str) -> np.ndarray:
         raise InputError(f"{what}: {values!r}; allowed: numbers") from None
 
 
+# --- Periodic variables: circles, on which neither bound is an end ------------------------------------------
+
+
+def wrapped(step: np.ndarray, periodic: np.ndarray, period: np.ndarray | float = 1.0) -> np.ndarray:
+    """Steps (..., d), the short way round where a variable is `periodic` (d,); the others as they are."""
+    return np.where(periodic, step - period * np.round(step / period), step)
+
+
 # --- Random points in a box -------------------------------------------------------------------------------
 
 
@@ -140,14 +149,28 @@ class Search(ABC):
         What users call it.
     lower, upper : ndarray, (d,)
         The box.
+    periodic : ndarray of bool, (d,)
+        Which variables are circles, their lower bound the same as their upper: a search wraps there. None of them
+        unless said.
     budget : int
         Evaluations that the whole search makes.
     """
 
     name: ClassVar[str]
 
-    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, budget: int, per_iteration: int = 1) -> None:
+    def __init__(
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        budget: int,
+        per_iteration: int = 1,
+        periodic: Sequence[bool] | None = None,
+    ) -> None:
         self.lower, self.upper = check_bounds(lower, upper)
+        self.periodic = np.zeros(self.lower.size, dtype=bool) if periodic is None else np.array(periodic, dtype=bool)
+        if self.periodic.shape != self.lower.shape:
+            raise InputError(f"periodic: shape {self.periodic.shape}; allowed: {self.lower.shape}, one per variable")
         self.budget = budget
         self._per_iteration = per_iteration  # evaluations, at least; a batch is never divided
         self._x: list[list[float]] = []

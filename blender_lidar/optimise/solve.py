@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -132,7 +132,14 @@ def search_named(name: str, where: str = "") -> Callable:
 
 
 def make_search(
-    name: str, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int = 2000, **settings: object
+    name: str,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    seed: int,
+    evaluations: int = 2000,
+    periodic: Sequence[bool] | None = None,
+    **settings: object,
 ) -> Search:
     """A search by its name, before its first evaluation.
 
@@ -146,6 +153,8 @@ def make_search(
         Same seed, same candidates; a grid has no use for it.
     evaluations : int
         The budget, never exceeded: DE-PSO makes as many whole iterations as fit, a grid is as fine as fits.
+    periodic : sequence of bool, (d,), optional
+        Which variables are circles, their bounds one and the same place. A plug-in is not told: to it they are ends.
     **settings
         The method's own: fields of `HardenedSettings` or `DePsoSettings` but for the budget; grid and random have none.
 
@@ -158,14 +167,16 @@ def make_search(
     if name not in SEARCHES:
         return OwnSearch(name, search_named(name), lower, upper, seed=seed, budget=evaluations)
     if name == GridSearch.name:
-        return GridSearch(lower, upper, points=grid_points(evaluations, lower.size), **settings)
+        return GridSearch(lower, upper, points=grid_points(evaluations, lower.size), periodic=periodic, **settings)
     if name == RandomSearch.name:
         return RandomSearch(lower, upper, seed=seed, evaluations=evaluations, **settings)
     if name == Hardened.name:
-        return Hardened(lower, upper, seed=seed, settings=HardenedSettings(evaluations=evaluations, **settings))
+        own = HardenedSettings(evaluations=evaluations, **settings)
+        return Hardened(lower, upper, seed=seed, settings=own, periodic=periodic)
     use = DePsoSettings(**settings)
     evaluations = check_whole(evaluations, use.particles, f"evaluations with {use.particles} particles")
-    return DePso(lower, upper, seed=seed, settings=replace(use, iterations=evaluations // use.particles))
+    use = replace(use, iterations=evaluations // use.particles)
+    return DePso(lower, upper, seed=seed, settings=use, periodic=periodic)
 
 
 def de_pso(
