@@ -1,8 +1,9 @@
 """The Python interface: scenes, mountings, clouds and their scores, as `import blender_lidar as bl` gives them.
 
-Coordinates of a mounting are keywords in metres and degrees: ``x_m, y_m, height_m, tilt_x_deg, tilt_y_deg, yaw_deg``;
-what is left out is the scene's baseline. Tables are pandas DataFrames where pandas is installed, else dictionaries of
-arrays. What cannot be used raises a `BlenderLidarError`, with what was given and what is allowed.
+Coordinates of a mounting are keywords in metres and degrees: ``x_m, y_m, height_m, tilt_x_deg, tilt_y_deg, yaw_deg``,
+or ``lean_deg, lean_direction_deg, spin_deg`` in place of the angles; what is left out is the scene's baseline. Tables
+are pandas DataFrames where pandas is installed, else dictionaries of arrays. What cannot be used raises a
+`BlenderLidarError`, with what was given and what is allowed.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.verdict import POINTS, vehicle_table
 from .scene.provenance import check_same_inputs
 from .scene.scenario import load_scenario, pose_at
-from .scene.settings import DECLARED, MOUNTING
+from .scene.settings import DECLARED, MOUNTING, MOUNTING_OR_LEAN, six_coordinates
 from .scene.site import Site, check_mount_is_clear, frame_of, prepare, reach_of
 from .scoring.evaluation import Evaluator, site_evaluator
 from .toml_table import checked, settings_of
@@ -293,10 +294,10 @@ def _rows(table) -> list[Mapping]:
 def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -> dict[str, float]:
     """The six coordinates: those given, checked, and the baseline's."""
     for name in given:
-        if name not in MOUNTING:
-            raise unknown_name(name, MOUNTING, "coordinate", where)
-    numbers = {key: checked(_plain(one), MOUNTING[key], f"{where}: {key}") for key, one in given.items()}
-    return {**site.scenario.baseline, **numbers}
+        if name not in MOUNTING_OR_LEAN:
+            raise unknown_name(name, MOUNTING_OR_LEAN, "coordinate", where)
+    numbers = {key: checked(_plain(one), MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, one in given.items()}
+    return six_coordinates(numbers, site.scenario.baseline, where)
 
 
 def _reaching(site: Site, mounts: Sequence[Mapping[str, float]]) -> Site:

@@ -18,6 +18,7 @@ from .errors import InputError
 from .files import write_bytes
 from .report.summary import answer, key_figures
 from .run.folder import Outcome
+from .scene.settings import COORDINATES
 from .scene.site import Site
 from .traffic.vehicles import Vehicles
 
@@ -57,7 +58,7 @@ class Run:
     @property
     def mounting(self) -> dict[str, float]:
         """The six coordinates [m, degrees]."""
-        return dict(self.result["deployment"])
+        return {key: self.result["deployment"][key] for key in COORDINATES}
 
     @property
     def vehicles(self):

@@ -158,7 +158,15 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, finished, key, ca
         {"traffic": {"frames": 2, "holdout": 0.0}},
         {"traffic": {"frames": None, "frame_ids": [9, 15, 21, 22, 23, 24, 25, 26, 27, 28]}},
         {"deployment": {"tilt_x_deg": 15.0}},
-        {"deployment": {"tilt_y_deg": [-5.0, 5.0], "yaw_deg": [-5.0, 5.0], "x_m": [-2.0, 2.0]}, **REGION},
+        {"deployment": {"tilt_y_deg": [-5.0, 5.0], "x_m": [-2.0, 2.0]}, **REGION},
+        {
+            "deployment": {
+                "tilt_x_deg": None,
+                "lean_deg": [0.0, 25.0],
+                "lean_direction_deg": [0.0, 360.0],
+                "spin_deg": [0.0, 30.0],
+            }
+        },
         {"world": {"detail": "box"}},
         {"world": {"boxes": [{"centre_m": [4.0, 1.0, 1.0], "size_m": [0.5, 0.5, 2.0]}]}},
         {"sensor": {"range_noise_m": 0.02, "dropout": 0.1}},

@@ -177,7 +177,13 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
 def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
     described, told, meant, *tables, where = out.rstrip().split("\n\n")
-    assert [line.split()[0] for line in described.splitlines()] == ["Sensor", "Traffic", "Searched", "Casting"]
+    assert [line.split()[0] for line in described.splitlines()] == [
+        "Sensor",
+        "Traffic",
+        "Region",
+        "Searched",
+        "Casting",
+    ]
     assert " ".join(told.split()) == answer(json.loads(Path("run/result.json").read_text()))
     assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
     assert tables[0].startswith("Mounting ")
@@ -198,7 +204,7 @@ def test_warnings_of_plan_and_traffic_come_last_and_once(tmp_path, capsys):
 def test_the_words_of_the_solver_are_kept_for_verbose(tmp_path, capsys):
     out, _ = done(capsys, "optimise", write_scene(tmp_path), "--verbose", "--out", "run")
     titles = [line.split()[0] for line in out.partition("\n\n")[0].splitlines() if not line.startswith(" ")]
-    assert titles == ["Sensor", "Traffic", "Searched", "Held", "Casting", "Searching"]
+    assert titles == ["Sensor", "Traffic", "Region", "Searched", "Held", "Casting", "Searching"]
 
 
 def test_rows_that_were_not_used_are_told_without_being_asked(tmp_path, capsys):

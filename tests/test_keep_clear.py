@@ -15,7 +15,7 @@ from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import check_mount_is_clear, footprints_meet
 from tests.sample_traffic import dense_traffic, one_vehicle
-from tests.small_scene import write_scene
+from tests.small_scene import REGION, write_scene
 
 LENGTHS = st.floats(0.2, 8.0)
 PLACES = st.floats(-6.0, 6.0)
@@ -79,7 +79,7 @@ def test_each_vehicle_is_judged_by_itself():
 def scene(tmp_path):
     def load(**deployment):
         baseline = deployment.pop("baseline", {})
-        return load_scenario(write_scene(tmp_path, {"deployment": deployment, "baseline": baseline}))
+        return load_scenario(write_scene(tmp_path, {"deployment": deployment, "baseline": baseline, **REGION}))
 
     return load
 

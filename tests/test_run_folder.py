@@ -18,6 +18,7 @@ from blender_lidar.errors import InputError, OutputError
 from blender_lidar.files import write_text
 from blender_lidar.report.summary import cautions
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.scene.settings import MOUNTING_OR_LEAN
 from tests.refusals import refused
 from tests.small_scene import (
     CASTER,
@@ -90,7 +91,7 @@ def test_the_page_holds_every_chart_as_it_is(mapped_run):
 def test_the_result_has_every_key_of_the_contract(mapped_run):
     result = result_of(mapped_run[0])
     assert set(result) >= RESULT_KEYS
-    assert set(result["deployment"]) == {"x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"}
+    assert set(result["deployment"]) == {*MOUNTING_OR_LEAN}
     assert SCORES | {"gain_over_baseline", "interval_90"} <= set(result["holdout"])
     base = result["baseline"]
     assert {"deployment", "objective", "holdout"} | SCORES <= set(base)

@@ -44,6 +44,7 @@ REMOVED: dict[str, str] = {
     "optimise: page parts: th: pandas": "nothing in the package imports it",
     "evaluate, every key set: page parts: h3: Expected, on the traffic that chose": "none chose a given mounting",
     "options of chart: chart --tolerance": "is --max-regret: a tolerance is an installer's error",
+    "scene keys: deployment.yaw_deg accepted: [-360.0, 360.0]": "a full circle is 360 degrees",
     **{f"scene keys: deployment.{key} accepted: [-100000.0, 100000.0]": "needs a [region]" for key in ("x_m", "y_m")},
     "options of chart: chart --paired": "is --paired-errors: --paired is a flag of compare",
 }

@@ -69,7 +69,7 @@ def test_vehicle_types_start_from_the_scenes_folder_and_the_options_from_the_wor
 def test_traffic_far_from_the_mount_is_refused_with_the_keys_to_look_at(scene, tmp_path, capsys):
     far = write_scene(tmp_path, {"traffic": {"path": "run.fcd.xml", "origin_m": [5000.0, 0.0]}})
     line = refused(capsys, tmp_path, "optimise", far, "--out", tmp_path / "far")
-    assert "check [traffic] origin_m, [road] and [deployment]" in line
+    assert "check [traffic] origin_m, [road] and [region]" in line
 
 
 def test_a_road_frame_that_misses_the_carriageway_is_told(scene, tmp_path, capsys):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from ..errors import InputError, MissingExtraError
 from ..plugins import IN_A_FILE
-from ..scene.settings import DECLARED, MOUNTING
+from ..scene.settings import DECLARED, MOUNTING_OR_LEAN, six_coordinates
 from ..toml_table import Setting, checked, limits_text
 
 if TYPE_CHECKING:
@@ -133,9 +133,9 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
 
 
 def add_pose(parser: argparse.ArgumentParser) -> None:
-    """The six coordinates of one mounting."""
+    """The coordinates of one mounting: the orientation by tilts and yaw, or by its lean."""
     group = parser.add_argument_group("mounting", "what is left out is the scene's baseline")
-    for key, declared in MOUNTING.items():
+    for key, declared in MOUNTING_OR_LEAN.items():
         add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), key)
 
 
@@ -159,7 +159,7 @@ def scene_settings() -> dict[str, tuple[str, str]]:
 
 def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, float]:
     """The mounting that the options name, in metres and degrees."""
-    return {**scenario.baseline, **given_options(args, MOUNTING)}
+    return six_coordinates(given_options(args, MOUNTING_OR_LEAN), scenario.baseline, "mounting")
 
 
 # --- Options that are written in another way than a scene's settings --------------------------------------

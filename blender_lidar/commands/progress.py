@@ -11,7 +11,7 @@ from ..metrics.metric import Metric
 from ..optimise import Search
 from ..optimise.multi_fidelity import MultiFidelitySearch
 from ..run.verdict import POINTS
-from ..scene.settings import MOUNTING
+from ..scene.settings import MOUNTING_OR_LEAN
 
 _BAR = "{desc} {percentage:3.0f}% |{bar:8}| {remaining} left{postfix}"  # with the best so far it fits 80 columns
 
@@ -62,7 +62,7 @@ class RunProgress:
 
     def __init__(self, variables: Sequence[str], metric: Metric = PE_VGOP) -> None:
         self._metric = metric
-        self._names = [MOUNTING[key].option.removeprefix("--") for key in variables]
+        self._names = [MOUNTING_OR_LEAN[key].option.removeprefix("--") for key in variables]
         self._searched: Search | MultiFidelitySearch | None = None
         self._evaluations, self._mapping = 0, False
         self._shown: Progress | None = None

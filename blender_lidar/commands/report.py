@@ -24,6 +24,7 @@ from ..report.summary import (
     definitions,
     group_tables,
     imperfections_text,
+    region_text,
     scenery_text,
 )
 from ..run.folder import Outcome, RunFolder
@@ -53,6 +54,7 @@ def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
         ("Scenery", scenery_text(scenery_counts(site))),
         ("Traffic", f"{scenario.traffic.path}: {len(site.search)} frames with {vehicles:,} vehicles{held_out}"),
         *(("", line) for line in site.recording.report.lines(losses=True)),
+        ("Region", f"vehicles count {region_text(asdict(scenario.region))}"),
         ("Tolerance", _tolerance_text(scenario, searched)),
         ("Searched", _ranges(scenario) if searched else ""),
         ("Casting", f"{site.observation.caster}, detail {site.observation.detail}, {workplace_of(scenario.model)}"),
@@ -73,6 +75,7 @@ def _all_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
             f"{np.median(site.recording.counts):.0f} vehicles in the median one",
         ),
         *(("", line) for line in site.recording.report.lines()),
+        ("Region", f"vehicles count {region_text(asdict(scenario.region))}"),
         (
             "Searched" if searched else "Scored",
             f"{_frames(site.search, plan.search_block)} of {plan.block_s:g} s; a vehicle counts in every frame",

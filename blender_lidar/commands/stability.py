@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..report.stability import STABILITY_REPORT
-from ..scene.settings import MOUNTING
+from ..scene.settings import MOUNTING_OR_LEAN
 from ..scene.site import prepare
 from ..studies.driver import StudyFolder
 from ..studies.findings import check_searched
@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     check_resume(args)
     scenario = scenario_from(args)
     check_searched(scenario)
-    mounting = mounting_from(args, scenario) if given_options(args, MOUNTING) else None
+    mounting = mounting_from(args, scenario) if given_options(args, MOUNTING_OR_LEAN) else None
     effort, site = effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, mounting)
 
     def study(folder: StudyFolder) -> dict:

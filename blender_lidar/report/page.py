@@ -30,6 +30,7 @@ from .summary import (
     minus,
     mounting_name,
     mounting_text,
+    region_text,
     sides,
     was_searched,
 )
@@ -231,6 +232,7 @@ def _heading(run: Outcome):
         element("p", f"{'Best' if was_searched(result) else 'A'} mounting of a roadside LiDAR", class_="kind"),
         element("h1", _name(run), " ", element("span", result["sensor"])),
         element("p", f"Range gate {result['range_gate_m']:g} m · traffic {traffic} · {frames}", class_="facts"),
+        element("p", f"Vehicles count {region_text(result['region'])}", class_="facts") if "region" in result else "",
         *(element("p", f"{text[0].upper()}{text[1:]}", class_="facts") for text in conditions(result)),
         element("p", answer(result), class_="answer"),
         element("dl", *figures, class_="figures"),

@@ -126,6 +126,12 @@ def _line(look: Mapping) -> dict:
 # --- Score map: the objective over mounting height and tilt, with the near-best region --------------------------------
 
 
+_TILT_LABELS = {
+    "tilt_x_deg": "Tilt across the road, positive down towards +y [deg]",
+    "lean_deg": "Lean, in the direction of the optimum [deg]",
+}
+
+
 def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
     """Draw the objective over the grid of heights and tilts, the optimum, the baseline and the near-best region.
 
@@ -139,9 +145,7 @@ def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
         marks[:1] = [("sharp", sharp, "*", 13.0), ("robust", result, "D", 7.0)]
     grid, values = (score_map.tilt_deg, score_map.height_m), score_map.per_vehicle
     with sheet(path, 115.0, "Objective over height and tilt", _about(result)) as figure:
-        axes = figure.add_subplot(
-            xlabel="Tilt across the road, positive down towards +y [deg]", ylabel="Mounting height above the road [m]"
-        )
+        axes = figure.add_subplot(xlabel=_TILT_LABELS[score_map.tilt], ylabel="Mounting height above the road [m]")
         mesh = axes.pcolormesh(*grid, values, cmap=colours(SCORE_COLOURS), shading="gouraud")
         figure.colorbar(mesh, ax=axes, label=metric.in_unit("Objective per vehicle"), pad=0.02)
         if values.min() < values.max():
@@ -160,9 +164,10 @@ def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
 
 def _mark(axes: Axes, score_map: ScoreMap, mount: Mapping, name: str, amount: str, look: Mapping) -> Line2D:
     """A marker at a mounting or, with an arrow leading out of the map, at the edge nearest to it."""
-    at, grid = np.array([mount["tilt_x_deg"], mount["height_m"]]), (score_map.tilt_deg, score_map.height_m)
+    tilt, grid = mount[score_map.tilt], (score_map.tilt_deg, score_map.height_m)
+    at = np.array([tilt, mount["height_m"]])
     edge = np.clip(at, [axis[0] for axis in grid], [axis[-1] for axis in grid])
-    label = f"{name}: {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f}°"
+    label = f"{name}: {mount['height_m']:.2f} m, {tilt:.1f}°"
     if (edge != at).any():
         label += ", off the map"
         arrow = {"arrowstyle": "->", "color": INK, "linewidth": 1.2, "shrinkB": 6.0}

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -22,10 +23,14 @@ COORDINATE_NAMES = {
     "tilt_x_deg": ("tilt across the road", "deg"),
     "tilt_y_deg": ("tilt along the road", "deg"),
     "yaw_deg": ("yaw", "deg"),
+    "lean_deg": ("lean", "deg"),
+    "lean_direction_deg": ("direction of the lean", "deg"),
+    "spin_deg": ("spin", "deg"),
     "x_m": ("x along the road", "m"),
     "y_m": ("y across the road", "m"),
 }
 _LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
+_TILTS, _LEAN = ("tilt_x_deg", "tilt_y_deg", "yaw_deg"), ("lean_deg", "lean_direction_deg", "spin_deg")
 
 # --- What a run is about: its mountings, what judges them, and what the scores hold under -----------------------------
 
@@ -52,6 +57,11 @@ def sides(result: Mapping) -> list[tuple[str, Mapping[str, float]]]:
     return [("Baseline", result["baseline"]["deployment"]), (mounting_name(result).capitalize(), result["deployment"])]
 
 
+def leans(result: Mapping) -> bool:
+    """Whether a run speaks of a lean and its direction, as its scene does, and not of tilts and yaw."""
+    return result["identity"].get("[deployment] lean_deg") is not None
+
+
 def mounting_text(mount: Mapping[str, float]) -> str:
     """A mounting in a few words."""
     parts = [f"height {mount['height_m']:.2f} m", f"tilt {mount['tilt_x_deg']:.1f}°"]
@@ -59,8 +69,30 @@ def mounting_text(mount: Mapping[str, float]) -> str:
     return ", ".join([*parts, *(f"{name} {angle:.1f}°" for name, angle in more.items() if angle)])
 
 
-def place_text(mount: Mapping[str, float]) -> str:
-    """A mounting in words that a sentence can hold, without the coordinates that are nought."""
+def direction_text(direction_deg: float) -> str:
+    """Which way a sensor leans, for a person on the road: 0 towards +y, counter-clockwise."""
+    ways = {0.0: "across the road (+y)", 90.0: "against the traffic (-x)"}
+    ways |= {180.0: "away from the road (-y)", -90.0: "with the traffic (+x)"}
+    nearest = min(ways, key=lambda way: abs(math.remainder(direction_deg - way, 360.0)))
+    off = math.remainder(direction_deg - nearest, 360.0)
+    turned = f"{abs(off):.0f}° {'counter-' if off > 0 else ''}clockwise of "
+    return ways[nearest] if abs(off) < 0.5 else turned + ways[nearest]
+
+
+def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
+    """A mounting in words that a sentence can hold, without the coordinates that are nought.
+
+    `leans` says whether its orientation is told as a lean, which a mounting of result.json has besides its tilts.
+    """
+    if leans:
+        parts = [f"{mount['height_m']:.2f} m above the road", "level"]
+        if mount["lean_deg"] >= _LEVEL_DEG:
+            parts[1] = f"leaning {mount['lean_deg']:.1f}°, {direction_text(mount['lean_direction_deg'])}"
+        if abs(mount["spin_deg"]) >= _LEVEL_DEG:
+            parts.append(f"turned {mount['spin_deg']:.1f}° about its axis")
+        if mount["x_m"] or mount["y_m"]:
+            parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
+        return ", ".join(parts)
     tilts = {"tilt_x_deg": "across it", "tilt_y_deg": "along it"}
     leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= _LEVEL_DEG]
     parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
@@ -91,6 +123,21 @@ def conditions(result: Mapping) -> list[str]:
         "simulated with scenery": scenery_text(result.get("scenery")),
     }
     return [f"{what}: {text}" for what, text in told.items() if text]
+
+
+def region_text(region: Mapping) -> str:
+    """Where vehicles count, in a few words; `region` is what result.json has of `RegionSettings`."""
+    if region["polygon_m"]:
+        text = f"in a polygon of {len(region['polygon_m'])} corners"
+    elif region["stretches"]:
+        spans = (" to ".join(f"{x:g}" for x in one["x_m"]) for one in region["stretches"])
+        text = f"on the carriageway from x {' and '.join(spans)} m"
+        if any(one["lanes"] for one in region["stretches"]):
+            text = text.replace("the carriageway", "chosen lanes")
+    else:
+        x, y = region["centre_m"]
+        text = f"within {region['radius_m']:g} m of x {x:g} m, y {y:g} m"
+    return text + (f", less {len(region['keep_out'])} that are kept out" if region["keep_out"] else "")
 
 
 def imperfections_text(imperfections: Mapping[str, float | None]) -> str:
@@ -211,16 +258,25 @@ def key_figures(result: Mapping) -> list[tuple[str, str]]:
         gain += f" (90 %: {minus(span(metric, found['interval_90']))})"
     figures = {
         "height above the road": f"{mount['height_m']:.2f} m",
-        "tilt across the road": minus(f"{mount['tilt_x_deg']:.1f}°"),
+        **_orientation(result),
         f"detectable on {on}": f"{100 * base['detectable_share']:.1f} \N{RIGHTWARDS ARROW} {_percent(found)}",
         gain: minus(metric.amount(_gain(found, base), sign="+")),
     }
     return list(figures.items())
 
 
+def _orientation(result):
+    """The angle that a run is about, and what it is."""
+    mount = result["deployment"]
+    if not leans(result):
+        return {"tilt across the road": minus(f"{mount['tilt_x_deg']:.1f}°")}
+    way = "" if mount["lean_direction_deg"] is None else f", {direction_text(mount['lean_direction_deg'])}"
+    return {f"lean{way}": f"{mount['lean_deg']:.1f}°"}
+
+
 def _what_to_do(result):
     """The sentence's beginning: hang it there, or that nothing tried is better than the baseline."""
-    sensor, place = result["sensor"], place_text(result["deployment"])
+    sensor, place = result["sensor"], place_text(result["deployment"], leans=leans(result))
     if not was_searched(result):
         return f"The {sensor} {place}"
     if not better_than_baseline(result):
@@ -256,8 +312,6 @@ def _interval(result, metric, gain):
 
 # --- Tables: the mountings of a run side by side, and scores of groups of vehicles ------------------------------------
 
-_ALWAYS_SHOWN = ("height_m", "tilt_x_deg")
-
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
@@ -282,10 +336,12 @@ def comparison_table(result: Mapping) -> TextTable:
     compared = {"baseline": result["baseline"], "sharp": sharp_of(result), mounting_name(result): result}
     compared = {name: scores for name, scores in compared.items() if scores is not None}
     mounts = [scores["deployment"] for scores in compared.values()]
+    shown = COORDINATE_NAMES.keys() - (_TILTS if leans(result) else _LEAN)
+    always = ("height_m", "lean_deg" if leans(result) else "tilt_x_deg")
     mounting = [
-        (f"{name} [{unit}]", *(f"{mount[key]:.2f}" for mount in mounts))
+        (f"{name} [{unit}]", *("-" if mount[key] is None else f"{mount[key]:.2f}" for mount in mounts))
         for key, (name, unit) in COORDINATE_NAMES.items()
-        if key in _ALWAYS_SHOWN or any(mount[key] for mount in mounts)
+        if key in shown and (key in always or any(mount[key] for mount in mounts))
     ]
     sections = [("", mounting), *_score_sections(result, list(compared.values()))]
     if (block := result.get("tolerance")) is not None:
@@ -387,12 +443,17 @@ def cautions(result: Mapping) -> list[str]:
         return found
     if not better_than_baseline(result):
         found.append("No mounting that was tried is better than the baseline.")
-    for key, (name, _) in COORDINATE_NAMES.items():
-        bounds = result["identity"][f"[deployment] {key}"]
-        if not isinstance(bounds, list):
+    for key, (name, unit) in COORDINATE_NAMES.items():
+        bounds, place = result["identity"].get(f"[deployment] {key}"), result["deployment"].get(key)
+        if not isinstance(bounds, list) or place is None:
             continue
-        slack = _ON_A_BOUND * (bounds[1] - bounds[0])
-        if not bounds[0] + slack < result["deployment"][key] < bounds[1] - slack:
+        low, high = bounds
+        if unit == "deg" and high - low == 360.0:  # a full circle has no bound
+            continue
+        if key == "lean_direction_deg":  # told from -180 to 180 degrees, wherever it was searched
+            place = low + (place - low) % 360.0
+        slack = _ON_A_BOUND * (high - low)
+        if not low + slack < place < high - slack:
             found.append(f"The best {name} lies on a bound of [deployment]; beyond may be better.")
     if result.get("rungs"):
         tried = sum(rung["candidates"] for rung in result["rungs"])
@@ -473,13 +534,14 @@ def _map_notes(score_map, mounting):
     """What the score map says of the search and the optimum: what was missed, how flat and how certain the top is."""
     grid = f"a grid of {score_map['points'][0]} x {score_map['points'][1]} heights and tilts"
     shortfall, best = score_map["search_shortfall"], score_map["best"]
+    tilt = best["lean_deg"] if "lean_deg" in best else best["tilt_x_deg"]
     found = []
     if shortfall == 0:
         found.append(f"No point of {grid} is better than the {mounting}.")
     elif shortfall is not None and shortfall < _SMALL_SHORTFALL:
         found.append(f"The search found all but {100 * shortfall:.2f} % of the gain that {grid} offers.")
     elif shortfall is not None:
-        where = f"{best['height_m']:.2f} m and {best['tilt_x_deg']:.1f} deg"
+        where = f"{best['height_m']:.2f} m and {tilt:.1f} deg"
         found.append(
             f"The search missed {100 * shortfall:.1f} % of the gain that {grid} offers, at {where}: "
             "give it more --particles or --iterations."
@@ -498,8 +560,8 @@ def optimum_text(score_map: Mapping) -> str:
     intervals = score_map.get("optimum_interval_90")
     if not intervals:
         return ""
-    height, tilt = intervals["height_m"], intervals["tilt_x_deg"]
+    (height, tilt), what = intervals.values(), "lean" if "lean_deg" in intervals else "tilt"
     return (
         f"other traffic of this kind would put the best height between {height[0]:.1f} and {height[1]:.1f} m and "
-        f"the best tilt between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time)"
+        f"the best {what} between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time)"
     )

@@ -30,7 +30,7 @@ from ..files import (
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import READINGS
 from ..scene.provenance import check_identity
-from ..scene.settings import COORDINATES, Scenario
+from ..scene.settings import COORDINATES, LEANS, Scenario
 from ..toml_table import to_toml
 from .verdict import WEIGHT, ScoreMap, columns_for
 
@@ -175,7 +175,8 @@ class RunFolder:
             if result["reading"] not in READINGS:
                 raise InputError(f"{where}: reading: is {result['reading']!r}; allowed: {', '.join(READINGS)}")
             for mount in (result["deployment"], result["baseline"]["deployment"]):
-                if not all(np.isfinite(float(mount[key])) for key in COORDINATES):
+                leans = (mount[key] for key in LEANS if mount.get(key) is not None)  # not in earlier versions' results
+                if not all(np.isfinite(float(number)) for number in (*(mount[key] for key in COORDINATES), *leans)):
                     raise InputError(f"{where}: deployment: is no mounting")
         optimised, baseline = (self.read_vehicles(name, result["metric"]) for name in (VEHICLES, VEHICLES_BASELINE))
         if any(not np.array_equal(optimised[key], baseline[key]) for key in ("frame", "vehicle_id", "split")):
@@ -205,7 +206,7 @@ class RunFolder:
         height, tilt = np.meshgrid(score_map.height_m, score_map.tilt_deg, indexing="ij")
         columns = {
             "height_m": height.ravel().round(9),
-            "tilt_x_deg": tilt.ravel().round(9),
+            score_map.tilt: tilt.ravel().round(9),
             "objective_per_vehicle": score_map.per_vehicle.ravel(),
             "detectable_share": score_map.detectable_share.ravel(),
         }
@@ -236,7 +237,8 @@ class RunFolder:
         if not self.file(SCORE_MAP).exists():
             return None
         with _columns_of(self.file(SCORE_MAP)) as columns:
-            height, tilt = (np.unique(columns[key]) for key in ("height_m", "tilt_x_deg"))
+            axis = next(key for key in ("lean_deg", "tilt_x_deg") if key in columns)
+            height, tilt = np.unique(columns["height_m"]), np.unique(columns[axis])
             shape = (len(height), len(tilt))
             objective = [values for name, values in columns.items() if name.startswith(_BLOCK_OBJECTIVE)]
             vehicles = [values[0] for name, values in columns.items() if name.startswith(_BLOCK_VEHICLES)]
@@ -247,6 +249,7 @@ class RunFolder:
                 detectable_share=columns["detectable_share"].reshape(shape),
                 block_objective=np.column_stack(objective).reshape(*shape, -1),
                 block_vehicles=np.array(vehicles),
+                tilt=axis,
             )
 
     def read_text(self, name: str) -> str:

@@ -16,6 +16,7 @@ from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
 from ..plugins import short_name
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario, pose_at
+from ..scene.settings import with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
@@ -116,7 +117,7 @@ def fresh_search(scenario: Scenario, evaluations: int | None = None) -> Search:
         settings = {"particles": use.particles}
     box = np.array(deployment.lower), np.array(deployment.upper)
     budget = evaluations or use.particles * use.iterations
-    return make_search(use.method, *box, seed=use.seed, evaluations=budget, **settings)
+    return make_search(use.method, *box, seed=use.seed, evaluations=budget, periodic=deployment.periodic, **settings)
 
 
 def fresh_auto_search(site: Site) -> MultiFidelitySearch:
@@ -213,7 +214,7 @@ def _conclude(
             "judged_errors": JUDGED_BASE**2,
             "evaluations": evaluations or None,
             "robust": judge_over_tolerance(site, mountings, evaluator, seed),
-            "sharp": {"deployment": dict(mountings[NOMINAL]), **verdict[NOMINAL]} if searches else None,
+            "sharp": {"deployment": with_lean(mountings[NOMINAL]), **verdict[NOMINAL]} if searches else None,
         }
     )
     rungs = [rung_costs(search) for search in searches.values() if isinstance(search, MultiFidelitySearch)]
@@ -242,9 +243,9 @@ def _conclude(
         "holdout_frame_ids": [int(frame) for frame in site.plan.holdout],
         "block_s": site.plan.block_s,
         "vehicles": int(evaluator.vehicles.sum()),
-        "deployment": dict(mountings["optimised"]),
+        "deployment": with_lean(mountings["optimised"]),
         **verdict["optimised"],
-        "baseline": {"deployment": dict(scenario.baseline), **verdict[BASELINE_NAME]},
+        "baseline": {"deployment": with_lean(scenario.baseline), **verdict[BASELINE_NAME]},
         "tolerance": over_tolerance,
         "notes": list(site.plan.notes),
         "traffic_report": site.recording.report.as_dict(),

@@ -14,6 +14,7 @@ import numpy as np
 from ..metrics.catalogue import PE_VGOP
 from ..metrics.vgop import entropy
 from ..scene.scenario import Deployment, pose_at
+from ..scene.settings import leaning
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
@@ -126,7 +127,7 @@ POINTS = (11, 26)  # a quarter metre by 1 degree over the paper's ranges: enough
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoreMap:
-    """The objective on a grid of heights and tilts, the other coordinates fixed.
+    """The objective on a grid of heights and tilts, or leans, the other coordinates fixed.
 
     Attributes
     ----------
@@ -139,6 +140,8 @@ class ScoreMap:
         Objective summed over each block of time that has vehicles.
     block_vehicles : ndarray, (b,)
         Vehicles of each block, or the sum of their weights.
+    tilt : str
+        The coordinate that `tilt_deg` is: the tilt across the road, or the lean.
     """
 
     height_m: np.ndarray
@@ -147,6 +150,12 @@ class ScoreMap:
     detectable_share: np.ndarray
     block_objective: np.ndarray
     block_vehicles: np.ndarray
+    tilt: str = AXES[1]
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """The coordinates that the grid spans."""
+        return AXES[0], self.tilt
 
     @property
     def best(self) -> tuple[float, float, float]:
@@ -156,7 +165,7 @@ class ScoreMap:
 
     def best_coordinates(self, others: dict[str, float]) -> dict[str, float]:
         """The six coordinates of the best grid point; `others` fixes those that the grid does not span."""
-        return {**others, **dict(zip(AXES, self.best, strict=False))}
+        return leaning(others, **dict(zip(self.axes, self.best, strict=False)))
 
     def best_under(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Height [m] and tilt [deg] of the best grid point, (r,) each, with each block counted `weights` (r, b) times.
@@ -174,7 +183,7 @@ class ScoreMap:
         if blocks < FEWEST_BLOCKS:
             return None
         resampled = self.best_under(resampled_weights(blocks, np.random.default_rng(seed)))
-        return {axis: interval_90(values) for axis, values in zip(AXES, resampled, strict=True)}
+        return {axis: interval_90(values) for axis, values in zip(self.axes, resampled, strict=True)}
 
 
 def map_scores(
@@ -202,12 +211,14 @@ def map_scores(
     grid : (int, int)
         Number of heights and of tilts.
     """
-    if not all(axis in deployment.bounds for axis in AXES):
+    axes = deployment.axes
+    if not all(axis in deployment.bounds for axis in axes):
         return None
-    height, tilt = (np.linspace(*deployment.bounds[axis], points) for axis, points in zip(AXES, grid, strict=True))
+    height, tilt = (np.linspace(*deployment.bounds[axis], points) for axis, points in zip(axes, grid, strict=True))
     parts = []
     for h in height.tolist():
-        parts.append(evaluator.totals([pose_at({**optimum, AXES[0]: h, AXES[1]: t}) for t in tilt.tolist()]))
+        places = (leaning(optimum, **dict(zip(axes, (h, t), strict=True))) for t in tilt.tolist())
+        parts.append(evaluator.totals([pose_at(place) for place in places]))
         progress(len(tilt))
     objective, detectable, *_ = zip(*parts, strict=True)
     totals = parts[0]._replace(objective=np.concatenate(objective), detectable=np.concatenate(detectable))
@@ -220,6 +231,7 @@ def map_scores(
         detectable_share=totals.detectable_share().reshape(grid),
         block_objective=block_sums(totals.objective, block)[:, filled].reshape(*grid, -1),
         block_vehicles=block_vehicles[filled],
+        tilt=axes[1],
     )
 
 
@@ -241,7 +253,7 @@ def map_verdict(score_map: ScoreMap, verdict: Mapping[str, dict], found: str, se
     intervals = score_map.optimum_intervals_90(seed)
     return {
         "points": list(score_map.per_vehicle.shape),
-        "best": {"height_m": height, "tilt_x_deg": tilt, "objective_per_vehicle": value},
+        "best": {"height_m": height, score_map.tilt: tilt, "objective_per_vehicle": value},
         "search_shortfall": (best - reached) / (best - base) if gains else None,
         "holdout_regret": _regret(*(verdict[name]["holdout"] for name in ("best_of_map", found))),
         "optimum_interval_90": None if intervals is None else {key: list(pair) for key, pair in intervals.items()},

@@ -20,13 +20,16 @@ from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
 from .region import check_polygon, region_of
 from .settings import (
+    ANGLES,
     COORDINATE_LIMITS,
     COORDINATES,
     DATASHEET,
     DECLARED,
     DEPLOYMENT,
     GATE,
+    LEAN,
     MOUNTING,
+    MOUNTING_OR_LEAN,
     Deployment,
     ModelSettings,
     ObjectiveSettings,
@@ -37,8 +40,10 @@ from .settings import (
     Tolerance,
     TrafficSettings,
     WorldSettings,
+    has_lean,
     is_sensor_file,
     pose_at,
+    six_coordinates,
 )
 
 __all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_scenario", "pose_at"]
@@ -87,7 +92,9 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     nominal = dict(zip(("x_m", "y_m"), deployment.nominal_xy, strict=True))
     if "x_m" in deployment.bounds:  # so that the baseline, too, is the same whatever is searched
         nominal["x_m"] = region_of(region, road.carriageway_y).centre_xy[0]
-    baseline = {key: replace(one, default=nominal.get(key, one.default)) for key, one in MOUNTING.items()}
+    baseline = tables["baseline"].read(MOUNTING_OR_LEAN)
+    baseline = {key: value for key, value in baseline.items() if key in tables["baseline"].values}
+    usual = {key: nominal.get(key, one.default) for key, one in MOUNTING.items()}
     objective, search = _objective(tables["objective"]), _search(tables["search"], deployment)
     if search.fidelity == "auto" and objective.tolerance is not None:
         raise InputError(
@@ -102,7 +109,7 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
         sensor=sensor,
         deployment=deployment,
         region=region,
-        baseline=tables["baseline"].read(baseline),
+        baseline=six_coordinates(baseline, usual, tables["baseline"].name),
         objective=objective,
         search=search,
         model=_model(tables["model"]),
@@ -130,9 +137,36 @@ def _tables(path: Path, overrides: Overrides) -> dict[str, TomlTable]:
 
 
 def _deployment(table: TomlTable) -> Deployment:
-    bounds = table.read(DEPLOYMENT)
-    searched = {key: value for key, value in bounds.items() if isinstance(value, tuple)}
-    return Deployment({key: value for key, value in bounds.items() if key not in searched}, searched)
+    found = table.read(DEPLOYMENT)
+    given = {key: found[key] for key in DEPLOYMENT if key in table.values}
+    if has_lean(given, table.name):
+        found = {key: found[key] for key in DEPLOYMENT if key not in ANGLES} | dict.fromkeys(LEAN, 0.0) | given
+    else:
+        found = {key: found[key] for key in MOUNTING}
+    searched = {key: found[key] for key in DEPLOYMENT if isinstance(found.get(key), tuple)}
+    _check_angles(table, searched)
+    return Deployment({key: value for key, value in found.items() if key not in searched}, searched)
+
+
+def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse to search angles that say the same orientation in more than one way."""
+    width = {key: high - low for key, (low, high) in searched.items()}
+    for key in ("yaw_deg", *LEAN):
+        if width.get(key, 0.0) > 360.0:
+            raise InputError(f"{table.where(key)}: is {width[key]:g} degrees wide; allowed: at most 360, a full circle")
+    both = [key for key in ANGLES if key in searched]
+    instead = "search lean_deg and lean_direction_deg instead, which say each lean once"
+    if len(both) == len(ANGLES):
+        raise InputError(
+            f"{table.name}: {', '.join(both)}: are searched together, but yaw turns one lean into another; {instead}"
+        )
+    for key in both:
+        low, high = searched[key]
+        if key != "yaw_deg" and low < 0.0 < high and width.get("yaw_deg", 0.0) > 180.0:
+            raise InputError(
+                f"{table.where(key)}: is searched on both sides of 0 with more than 180 degrees of yaw_deg, so that "
+                f"each lean is there twice; {instead}, or one side of 0"
+            )
 
 
 def _region(

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_type_hints
 
+from ..errors import InputError
 from ..names import (
     BARRIERS,
     CASTERS,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 
 DATASHEET = "datasheet"  # in place of a number: the model's own
 GATE = "gate"  # in place of a radius: the sensor's range gate
+_NO_LEAN_DEG = 1e-6
 _LARGEST_ORIGIN_M = 1e9  # of a place in a net; sums and squares stay finite
 _FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
 _REACH = {"low": -_FARTHEST_M, "high": _FARTHEST_M}
@@ -49,6 +51,9 @@ _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
 _HEADING = {"low": -360.0, "high": 360.0}
 _STATED_RANGE = dict(zip(("low", "high"), STATED_RANGE_LIMITS_M, strict=True))
+ANGLES = ("tilt_x_deg", "tilt_y_deg", "yaw_deg")
+LEANS = ("lean_deg", "lean_direction_deg", "spin_deg")
+_TURNS = ("yaw_deg", "lean_direction_deg", "spin_deg")  # of which 360 degrees are a full circle
 _FILES = (("traffic", "path"), ("traffic", "vehicle_types"), ("world", "blend"), ("world", "mesh"))
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
@@ -76,19 +81,41 @@ class MountingSettings:
     x_m: float = setting(0.0, low=-1e5, high=1e5, option="--x")
     y_m: float = setting(0.0, low=-1e5, high=1e5, option="--y")
     height_m: float = setting(2.0, low=0.1, high=100.0, option="--height")
-    tilt_x_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-x")
-    tilt_y_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-y")
-    yaw_deg: float = setting(0.0, option="--yaw", **_HEADING)
+    tilt_x_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-x", rivals=LEANS)
+    tilt_y_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-y", rivals=LEANS)
+    yaw_deg: float = setting(0.0, option="--yaw", rivals=LEANS, **_HEADING)
+
+
+@dataclass(frozen=True, slots=True)
+class LeanSettings:
+    """The same orientation as both tilts and yaw, and in their place: see `sensors.pose.lean_matrix`.
+
+    Attributes
+    ----------
+    lean_deg : float or None
+        How far it leans from upright.
+    lean_direction_deg : float
+        Which way it leans and looks down, counter-clockwise seen from above, 0 towards +y.
+    spin_deg : float
+        Turn about its own axis, counter-clockwise; it matters to a sensor whose columns are uneven.
+    """
+
+    lean_deg: float | None = setting(None, low=0.0, high=90.0, option="--lean", rivals=ANGLES)
+    lean_direction_deg: float | None = setting(None, option="--lean-direction", rivals=ANGLES, **_HEADING)
+    spin_deg: float | None = setting(None, option="--spin", rivals=ANGLES, **_HEADING)
 
 
 MOUNTING = settings_of(MountingSettings)
+LEAN = settings_of(LeanSettings)
+MOUNTING_OR_LEAN = MOUNTING | LEAN
+"""All coordinates by which a mounting can be given."""
 COORDINATES = tuple(MOUNTING)
 COORDINATE_LIMITS = {key: (declared.low, declared.high) for key, declared in MOUNTING.items()}
 SEARCHED = {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
 """What [deployment] searches unless said: the paper's ranges, section V.A."""
 DEPLOYMENT = {
-    key: replace(declared, kind=float | tuple[float, float], default=SEARCHED.get(key, 0.0))
-    for key, declared in MOUNTING.items()
+    key: replace(declared, kind=float | tuple[float, float], default=SEARCHED.get(key, declared.default))
+    for key, declared in MOUNTING_OR_LEAN.items()
 }
 """[deployment]: a number fixes a coordinate, a pair [low, high] has it searched."""
 
@@ -222,9 +249,9 @@ class Deployment:
     Attributes
     ----------
     fixed : mapping of str to float
-        Coordinates of `COORDINATES` that stay.
+        Coordinates that stay; those of the orientation are tilts and yaw, or lean, direction and spin.
     bounds : mapping of str to (float, float)
-        The others, in the order of `COORDINATES`; metres and degrees.
+        The others, in the order of `MOUNTING_OR_LEAN`; metres and degrees.
     """
 
     fixed: Mapping[str, float]
@@ -244,14 +271,24 @@ class Deployment:
         return tuple(high for _, high in self.bounds.values())
 
     @property
+    def periodic(self) -> tuple[bool, ...]:
+        """Which searched coordinates are full circles, on which neither bound is an end."""
+        return tuple(key in _TURNS and high - low == 360.0 for key, (low, high) in self.bounds.items())
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """The height, and what the sensor looks down by: its lean, or the tilt across the road."""
+        leans = "lean_deg" in self.fixed or "lean_deg" in self.bounds
+        return "height_m", "lean_deg" if leans else "tilt_x_deg"
+
+    @property
     def nominal_xy(self) -> tuple[float, float]:
         """The mount's place [m], or the middle of where it may be."""
         return tuple(0.5 * sum(self.bounds[key]) if key in self.bounds else self.fixed[key] for key in ("x_m", "y_m"))
 
     def coordinates(self, x) -> dict[str, float]:
         """All six coordinates (metres, degrees) at the point `x` (d,) of the search space."""
-        free = dict(zip(self.variables, map(float, x), strict=True))
-        return {key: free[key] if key in free else self.fixed[key] for key in COORDINATES}
+        return six_coordinates({**self.fixed, **dict(zip(self.variables, map(float, x), strict=True))})
 
     def pose(self, x) -> Pose:
         """The mounting at the point `x` (d,) of the search space."""
@@ -529,13 +566,74 @@ class Scenario:
 
 
 DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}
-DECLARED |= {"deployment": DEPLOYMENT, "baseline": MOUNTING}
+DECLARED |= {"deployment": DEPLOYMENT, "baseline": MOUNTING_OR_LEAN}
 """The settings of each table of a scene file."""
 
 
 def is_sensor_file(name: str) -> bool:
     """Whether `name` is the path of a beam table, not the name of a model."""
     return name.lower().endswith(SENSOR_SUFFIXES)
+
+
+def has_lean(given: Mapping[str, object], where: str) -> bool:
+    """Whether an orientation is given by its lean; not by tilts or yaw too, nor without saying how far it leans."""
+    leans, angles = ([key for key in keys if key in given] for keys in (LEANS, ANGLES))
+    if leans and angles:
+        raise InputError(f"{where}: has {leans[0]} and {angles[0]}; allowed: a lean, or tilts and yaw")
+    if leans and "lean_deg" not in leans:
+        raise InputError(f"{where}: has {leans[0]} without lean_deg, which says how far it leans")
+    return bool(leans)
+
+
+def six_coordinates(
+    given: Mapping[str, float], others: Mapping[str, float] | None = None, where: str = "mounting"
+) -> dict[str, float]:
+    """The coordinates of `COORDINATES` of a mounting that is given by them, or by its lean [m, degrees].
+
+    Parameters
+    ----------
+    given : mapping of str to float
+        Some of `MOUNTING_OR_LEAN`; lean direction and spin are 0 where they are left out.
+    others : mapping of str to float, optional
+        The six coordinates in place of those that are left out.
+    where : str
+        Where it was given, for errors.
+
+    Raises
+    ------
+    InputError
+        When it has tilts or yaw and a lean, or a direction or spin without a lean.
+    """
+    leans = has_lean(given, where)
+    six = {key: given[key] if key in given else (others or {})[key] for key in COORDINATES if key in given or others}
+    if not leans:
+        return six
+    from ..sensors.pose import lean_matrix, tilts_of
+
+    tilts = tilts_of(lean_matrix(*(math.radians(given.get(key, 0.0)) for key in LEANS)))
+    six |= dict(zip(ANGLES, map(math.degrees, tilts), strict=True))
+    return {key: six[key] for key in COORDINATES}
+
+
+def with_lean(coordinates: Mapping[str, float]) -> dict[str, float | None]:
+    """The six coordinates, and the same orientation as lean, its direction and spin [m, degrees].
+
+    What leans by less than a millionth of a degree has no direction: None.
+    """
+    from ..sensors.pose import lean_of
+
+    lean, *turns = (math.degrees(angle) + 0.0 for angle in lean_of(pose_at(coordinates).rotation))
+    if lean < _NO_LEAN_DEG:
+        lean, turns = 0.0, [None, coordinates["yaw_deg"]]
+    return {**coordinates, **dict(zip(LEANS, (lean, *turns), strict=True))}
+
+
+def leaning(coordinates: Mapping[str, float], **changes: float) -> dict[str, float]:
+    """The six coordinates of a mounting with some of `MOUNTING_OR_LEAN` changed; a lean keeps direction and spin."""
+    if not changes.keys() & set(LEANS):
+        return {**coordinates, **changes}
+    kept = {key: value for key, value in with_lean(coordinates).items() if key in LEANS and value is not None}
+    return six_coordinates({**kept, **changes}, coordinates)
 
 
 def pose_at(coordinates: Mapping[str, float]) -> Pose:

@@ -29,13 +29,62 @@ def rotation_matrix(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
         ``Rx(tilt_x) @ Ry(tilt_y) @ Rz(yaw)``: Eq. 2c, and the yaw that the paper leaves out because it matters only
         to a tilted sensor.
     """
-    cx, sx = math.cos(tilt_x), math.sin(tilt_x)
     cy, sy = math.cos(tilt_y), math.sin(tilt_y)
-    cz, sz = math.cos(yaw), math.sin(yaw)
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])  # Eq. 2a
     about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])  # Eq. 2b
-    about_z = np.array([[cz, sz, 0.0], [-sz, cz, 0.0], [0.0, 0.0, 1.0]])
-    return about_x @ about_y @ about_z  # Eq. 2c
+    return _about_x(tilt_x) @ about_y @ _about_z(yaw)  # Eq. 2c
+
+
+def _about_x(angle: float) -> np.ndarray:
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])  # Eq. 2a
+
+
+def _about_z(angle: float) -> np.ndarray:
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+# --- Axis and angle: how far the sensor leans, and which way. Tilts and yaw say one lean in many ways ---------------
+
+
+def lean_matrix(lean: float, direction: float, spin: float) -> np.ndarray:
+    """The orientation of a sensor that leans, for row vectors: ``world = sensor @ R``.
+
+    Parameters
+    ----------
+    lean : float
+        Between the sensor's upright axis and the vertical [rad], 0 or more.
+    direction : float
+        Which way the axis leans, and the beams look down [rad]: counter-clockwise seen from above, 0 towards +y.
+    spin : float
+        Turn of the sensor about its own axis [rad], counter-clockwise seen from above.
+
+    Returns
+    -------
+    ndarray, (3, 3)
+        ``Rz(spin) @ Rz(-direction) @ Rx(lean) @ Rz(direction)``: without a lean all directions are the same.
+    """
+    return _about_z(spin - direction) @ _about_x(lean) @ _about_z(direction)
+
+
+def lean_of(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Lean, its direction and the spin [rad] of an orientation (3, 3), as `lean_matrix` takes them.
+
+    The direction is from -pi to pi; without a lean it is 0.
+    """
+    x, y, z = rotation[2].tolist()  # the sensor's upright axis
+    lean = math.atan2(math.hypot(x, y), z)
+    direction = math.atan2(-x, y) if lean else 0.0
+    turned = rotation @ lean_matrix(lean, direction, 0.0).T
+    return lean, direction, math.atan2(turned[0, 1] - turned[1, 0], turned[0, 0] + turned[1, 1])
+
+
+def tilts_of(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Tilts and yaw [rad] of an orientation (3, 3), as `rotation_matrix` takes them."""
+    upright = float(rotation[0, 2]), math.hypot(rotation[1, 2], rotation[2, 2])
+    tilt_x = math.atan2(-rotation[1, 2], rotation[2, 2])
+    level = _about_x(tilt_x).T @ rotation
+    return tilt_x, math.atan2(*upright), math.atan2(-level[1, 0], level[1, 1])
 
 
 @lru_cache(maxsize=1024)  # more than a swarm, which meets frame after frame

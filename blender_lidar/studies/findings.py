@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..metrics.metric import Metric
 from ..run.verdict import AXES
 from ..scene.scenario import Scenario, pose_at
+from ..scene.settings import leaning, with_lean
 from ..sensors.pose import Pose
 from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90, ratio_interval_90
 from .driver import Landscape, percent
@@ -103,18 +104,21 @@ class MountingGrid:
     baseline : Pose
     height_m, tilt_deg : ndarray, (k,)
         Of each candidate.
+    axes : (str, str)
+        What these two are: see `Deployment.axes`.
     """
 
     reference: dict[str, float]
     baseline: Pose
     height_m: np.ndarray
     tilt_deg: np.ndarray
+    axes: tuple[str, str] = AXES
 
     @property
     def grid(self) -> list[dict[str, float]]:
         """The six coordinates of each candidate, (k)."""
         return [
-            {**self.reference, AXES[0]: height, AXES[1]: tilt}
+            leaning(self.reference, **dict(zip(self.axes, (height, tilt), strict=True)))
             for height, tilt in zip(self.height_m.tolist(), self.tilt_deg.tolist(), strict=True)
         ]
 
@@ -132,23 +136,25 @@ class MountingGrid:
 
 def check_searched(scenario: Scenario) -> None:
     """Refuse a scene that fixes both height and tilt: there is no optimum whose place could be uncertain."""
-    if not any(axis in scenario.deployment.bounds for axis in AXES):
+    axes = scenario.deployment.axes
+    if not any(axis in scenario.deployment.bounds for axis in axes):
         raise InputError(
-            f"{scenario.source}: [deployment] fixes height_m and tilt_x_deg; allowed: at least one a pair [low, high]"
+            f"{scenario.source}: [deployment] fixes {' and '.join(axes)}; allowed: at least one a pair [low, high]"
         )
 
 
 def mountings_about(scenario: Scenario, reference: Mapping[str, float], heights: int, tilts: int) -> MountingGrid:
     """Candidates over the searched ones of height and tilt, the other coordinates as in `reference`."""
-    counts = dict(zip(AXES, (heights, tilts), strict=True))
+    names = scenario.deployment.axes
+    counts, place = dict(zip(names, (heights, tilts), strict=True)), with_lean(reference)
     axes: list[Sequence[float]] = [
         np.linspace(*scenario.deployment.bounds[axis], counts[axis]).round(9)  # 4.3, not 4.30...01
         if axis in scenario.deployment.bounds
-        else np.array([reference[axis]])
-        for axis in AXES
+        else np.array([place[axis]])
+        for axis in names
     ]
     height, tilt = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
-    return MountingGrid(dict(reference), scenario.baseline_pose, height, tilt)
+    return MountingGrid(dict(reference), scenario.baseline_pose, height, tilt, names)
 
 
 # --- losses -----------------------------------------------------------------------------------------------------------

@@ -17,9 +17,9 @@ from ..metrics.catalogue import PE_VGOP, metric_named
 from ..plugins import short_name
 from ..run.optimise import fresh_search
 from ..run.tolerance import installed, losses_over_tolerance, objective_over, tolerance_text
-from ..run.verdict import AXES, vehicle_table
+from ..run.verdict import vehicle_table
 from ..scene.scenario import pose_at
-from ..scene.settings import COORDINATES, Tolerance
+from ..scene.settings import ANGLES, COORDINATES, Tolerance, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import with_fewer_frames
@@ -70,7 +70,6 @@ from .variations import (
 )
 
 STABILITY_SCHEMA = 1  # of the stages and of the result
-TILT = AXES[1]
 USUAL = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=2.0, aim="mean")
 PROFILES = {"height_m": 0.5, "tilt_x_deg": 5.0, "tilt_y_deg": 5.0, "yaw_deg": 10.0}  # how far off each is drawn
 _STEPS = 10  # of a profile, to each side
@@ -153,7 +152,8 @@ def study_stability(
     reference = dict(answers[0]["mounting"] if mounting is None else mounting)
     tolerance = scene.objective.tolerance or USUAL
 
-    lowest, highest = scene.deployment.bounds.get(TILT, (0.0, 0.0))
+    _, tilt = scene.deployment.axes
+    lowest, highest = scene.deployment.bounds.get(tilt, (0.0, 0.0))
     fine_tilts = max(effort.fine_tilts, math.ceil((highest - lowest) / ASKED_DEG) + 1)
     fine = mountings_about(scene, reference, effort.heights, fine_tilts)
     splits = tuple(dict.fromkeys((SEARCHED, judging)))
@@ -161,7 +161,7 @@ def study_stability(
     held_out = as_it_is[1] if judging == HELD_OUT else None
     optimum, intervals = optimum_finding(as_it_is[0], fine, site.plan.search_block, seed)
     findings = [gain_finding(held_out, site.plan.holdout_block, seed, metric_named(site.scoring.metric)), optimum]
-    if TILT in scene.deployment.bounds:  # else there is no best tilt to be certain of
+    if tilt in scene.deployment.bounds:  # else there is no best tilt to be certain of
         of_blocks = [one.blocks(split_of(site, split)[1]) for split, one in zip(splits, as_it_is, strict=True)]
         for_each = sum(one.vehicles.sum() for one in as_it_is) / sum(one.weight.sum() for one in as_it_is)
         every = (for_each * np.concatenate(parts, axis=-1) for parts in zip(*of_blocks, strict=True))
@@ -183,7 +183,8 @@ def study_stability(
     looked_at = np.isin(site.plan.search, whole.plan.search)
     searched = Landscape(as_it_is[0].objective[:, looked_at], as_it_is[0].weight[looked_at]).per_vehicle()
     best, baseline = float(searched[CANDIDATES:].max()), float(searched[BASELINE])
-    findings += search_findings(answers, best, baseline, _judged_answers(folder, site, judging, answers))
+    judged = _judged_answers(folder, site, judging, answers)
+    findings += search_findings(answers, best, baseline, judged, leans=tilt == "lean_deg")
     findings.sort(key=lambda finding: SECTIONS.index(finding.section))  # which keeps their order within a section
     values = as_it_is[0].per_vehicle()
     return {
@@ -340,6 +341,9 @@ _NAMES = {  # name, unit, digits
     "y_m": ("y", "m", 2),
     "tilt_y_deg": ("tilt along the road", "deg", 1),
     "yaw_deg": ("yaw", "deg", 1),
+    "lean_deg": ("lean", "deg", 1),
+    "lean_direction_deg": ("direction of the lean", "deg", 1),
+    "spin_deg": ("spin", "deg", 1),
 }
 
 
@@ -375,7 +379,9 @@ def _robust(found: Mapping) -> Finding:
 # --- the search: do other seeds find the same, and as good? -----------------------------------------------------------
 
 
-def search_findings(answers: Sequence[dict], best: float, baseline: float, judged: Sequence[float]) -> list[Finding]:
+def search_findings(
+    answers: Sequence[dict], best: float, baseline: float, judged: Sequence[float], *, leans: bool = False
+) -> list[Finding]:
     """What the answers of several seeds leave to the best known mounting, and how far apart they lie.
 
     Parameters
@@ -386,6 +392,8 @@ def search_findings(answers: Sequence[dict], best: float, baseline: float, judge
         Objective per vehicle of the best grid point and of the baseline, on the frames of the search.
     judged : sequence of float
         Objective per vehicle of the baseline and of each answer, on the frames that judge.
+    leans : bool
+        Whether orientations are told by their lean, not by tilts and yaw.
     """
     value = f"{len(answers)} seeds of {answers[0]['evaluations']:,} evaluations"
     values = np.array([answer["per_vehicle"] for answer in answers])
@@ -395,15 +403,22 @@ def search_findings(answers: Sequence[dict], best: float, baseline: float, judge
     left = (best - values) / (best - baseline)
     text = f"median {percent(float(np.median(left)))}, worst {percent(float(left.max()))} of the gain"
     regret = Finding(SEARCH, "regret", value, by_loss(float(left.max())), text, {"regrets": left.tolist()})
-    return [regret, _spread(answers, value, judged)]
+    return [regret, _spread(answers, value, judged, leans)]
 
 
-def _spread(answers: Sequence[dict], value: str, judged: Sequence[float]) -> Finding:
+def _spread(answers: Sequence[dict], value: str, judged: Sequence[float], leans: bool) -> Finding:
     """How far apart answers lie, judged by what the least of them loses to the best on other traffic."""
+    mountings = [with_lean(answer["mounting"]) if leans else answer["mounting"] for answer in answers]
     places, texts = {}, []
     for key, (name, unit, digits) in _NAMES.items():
-        found = [answer["mounting"][key] for answer in answers]
-        if key in AXES or len(set(found)) > 1:  # of the others nothing is told that all answers share
+        found = [mounting[key] for mounting in mountings if mounting.get(key) is not None]
+        if not found or (leans and key in ANGLES):
+            continue
+        if key == "lean_direction_deg":  # on the circle, told about the first
+            found = [found[0] + math.remainder(angle - found[0], 360.0) for angle in found]
+        if (
+            key in ("height_m", "tilt_x_deg", "lean_deg") or len(set(found)) > 1
+        ):  # of the others nothing is told that all answers share
             places[key] = found
             texts.append(f"{name.removesuffix(_ACROSS)} {min(found):.{digits}f} to {max(found):.{digits}f} {unit}")
     gains = np.array(judged[1:]) - judged[0]

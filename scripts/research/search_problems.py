@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import Objective
-from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.scenario import COORDINATES, Deployment, load_scenario
 from blender_lidar.scene.site import prepare, read_recording
 from blender_lidar.scoring.evaluation import site_evaluator
 
@@ -86,13 +86,16 @@ def scene_problem(
     if len(recording.frames) < INSTANCES:
         raise InputError(f"{recording.source}: {len(recording.frames)} frames; the study needs {INSTANCES} or more")
     frames = recording.frames[instance % INSTANCES :: INSTANCES][:FRAMES]
-    settings: dict[tuple[str, str], object] = {("deployment", key): pair for key, pair in CASES[case].items()}
-    settings["traffic", "frame_ids"] = frames.tolist()
-    settings["traffic", "holdout"] = 0.0
+    settings: dict[tuple[str, str], object] = {("traffic", "frame_ids"): frames.tolist(), ("traffic", "holdout"): 0.0}
     settings["model", "workers"] = 1
+    usual = load_scenario(scene, with_traffic).deployment
+    # As it was judged: in 5-D all three angles, which a scene is refused, and vehicles about the middle of the places.
+    bounds = {key: CASES[case][key] for key in COORDINATES if key in CASES[case]}
+    deployment = Deployment({**dict.fromkeys(COORDINATES, 0.0), **usual.fixed}, bounds)
+    settings["region", "centre_m"] = x_m, y_m = deployment.nominal_xy
+    settings |= {("baseline", "x_m"): x_m, ("baseline", "y_m"): y_m}
     given = {key: (value, "search study") for key, value in settings.items()}
-    site = prepare(load_scenario(scene, {**with_traffic, **given}))
-    deployment = site.scenario.deployment
+    site = prepare(replace(load_scenario(scene, {**with_traffic, **given}), deployment=deployment))
     with site_evaluator(site, site.search) as evaluator:
 
         def objective(candidates: np.ndarray) -> np.ndarray:

@@ -1,0 +1,174 @@
+"""A lean, its direction and the spin: the same orientations as tilts and yaw, each said once."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from blender_lidar.errors import InputError
+from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.settings import leaning, six_coordinates, with_lean
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.sensors.pose import lean_matrix, lean_of, rotation_matrix, tilts_of
+from tests.refusals import refused
+from tests.small_scene import cli, write_scene
+
+PLACE = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0}
+half, whole = (st.floats(-limit, limit) for limit in (math.pi / 2, 2.0 * math.pi))
+
+
+def about_z(angle):
+    return rotation_matrix(0.0, 0.0, angle)
+
+
+@given(half, half, whole)
+@example(0.0, 0.0, 1.0)
+@example(0.3, math.pi / 2, 0.7)
+@example(1e-9, -1e-9, 2.0)
+@example(math.pi / 2, math.pi / 2, 0.2)
+def test_tilts_and_yaw_are_a_lean_with_the_same_matrix(tilt_x, tilt_y, yaw):
+    rotation = rotation_matrix(tilt_x, tilt_y, yaw)
+    lean, direction, spin = lean_of(rotation)
+    np.testing.assert_allclose(lean_matrix(lean, direction, spin), rotation, rtol=0.0, atol=1e-12)
+    assert math.cos(lean) == pytest.approx(math.cos(tilt_x) * math.cos(tilt_y), abs=1e-12)
+    if math.sin(lean) > 1e-6:
+        expected = math.atan2(math.cos(tilt_x) * math.sin(tilt_y), math.sin(tilt_x)) + yaw
+        assert math.remainder(direction - expected, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(st.floats(0.0, math.pi / 2), whole, whole)
+@example(math.pi / 2, math.pi / 2, 0.0)
+@example(math.pi / 2, 0.0, 1.0)
+@example(0.0, 1.0, 2.0)
+def test_a_lean_is_tilts_and_yaw_with_the_same_matrix(lean, direction, spin):
+    rotation = lean_matrix(lean, direction, spin)
+    parts = about_z(spin) @ about_z(-direction) @ rotation_matrix(lean, 0.0, 0.0) @ about_z(direction)
+    np.testing.assert_allclose(rotation, parts, rtol=0.0, atol=1e-12)
+    tilt_x, tilt_y, yaw = tilts_of(rotation)
+    assert abs(tilt_x) <= math.pi / 2 + 1e-12
+    np.testing.assert_allclose(rotation_matrix(tilt_x, tilt_y, yaw), rotation, rtol=0.0, atol=1e-12)
+    sin, cos = math.sin(lean), math.cos(lean)
+    axis = [-sin * math.sin(direction), sin * math.cos(direction), cos]
+    np.testing.assert_allclose(rotation[2], axis, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("tilts", "direction"),
+    [((20.0, 0.0, 0.0), 0.0), ((0.0, 20.0, 0.0), 90.0), ((-20.0, 0.0, 0.0), 180.0), ((20.0, 0.0, 35.0), 35.0)],
+)
+def test_a_tilt_across_leans_towards_the_road_and_one_along_against_the_traffic(tilts, direction):
+    found = with_lean({**PLACE, **dict(zip(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), tilts, strict=True))})
+    assert found["lean_deg"] == pytest.approx(20.0)
+    assert abs(found["lean_direction_deg"]) == pytest.approx(abs(direction))
+
+
+def test_without_a_lean_there_is_no_direction_and_all_turns_are_spin():
+    found = with_lean({**PLACE, "tilt_x_deg": 0.0, "tilt_y_deg": 0.0, "yaw_deg": 40.0})
+    assert (found["lean_deg"], found["lean_direction_deg"], found["spin_deg"]) == (0.0, None, 40.0)
+    near, upright = (six_coordinates({**PLACE, "lean_deg": lean, "lean_direction_deg": 70.0}) for lean in (1e-9, 0.0))
+    np.testing.assert_allclose(pose_at(near).rotation, pose_at(upright).rotation, atol=1e-10)
+
+
+def test_another_lean_keeps_direction_spin_and_place():
+    start = six_coordinates({**PLACE, "lean_deg": 20.0, "lean_direction_deg": 70.0, "spin_deg": 15.0})
+    found = with_lean(leaning(start, lean_deg=8.0, height_m=5.0))
+    assert found["height_m"] == 5.0
+    told = [found[key] for key in ("lean_deg", "lean_direction_deg", "spin_deg")]
+    assert told == pytest.approx([8.0, 70.0, 15.0])
+    assert leaning(start, tilt_x_deg=3.0) == {**start, "tilt_x_deg": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("deployment", "fault"),
+    [
+        ({"lean_deg": 20.0, "yaw_deg": 3.0}, "has lean_deg and yaw_deg; allowed: a lean, or tilts and yaw"),
+        ({"lean_direction_deg": [0.0, 90.0]}, "has lean_direction_deg without lean_deg"),
+        ({"lean_deg": 10.0, "lean_direction_deg": [-200.0, 200.0]}, "is 400 degrees wide; allowed: at most 360"),
+        (
+            {"tilt_x_deg": [0.0, 25.0], "tilt_y_deg": [-5.0, 5.0], "yaw_deg": [-10.0, 10.0]},
+            "[deployment]: tilt_x_deg, tilt_y_deg, yaw_deg: are searched together",
+        ),
+        (
+            {"tilt_x_deg": [-25.0, 25.0], "yaw_deg": [-100.0, 100.0]},
+            "[deployment] tilt_x_deg: is searched on both sides of 0 with more than 180 degrees of yaw_deg",
+        ),
+    ],
+)
+def test_angles_that_say_a_lean_in_more_than_one_way_are_refused(tmp_path, capsys, deployment, fault):
+    text = write_scene(tmp_path, {"deployment": {"tilt_x_deg": None, **deployment}})
+    assert fault in refused(capsys, tmp_path, "optimise", text, "--out", "run")
+
+
+@pytest.mark.parametrize(
+    "deployment",
+    [
+        {"tilt_x_deg": [0.0, 25.0], "yaw_deg": [-180.0, 180.0]},
+        {"tilt_x_deg": [-25.0, 25.0], "yaw_deg": [-90.0, 90.0]},
+        {"tilt_x_deg": [0.0, 25.0], "tilt_y_deg": [-5.0, 5.0]},
+    ],
+)
+def test_angles_that_say_each_lean_once_are_searched(tmp_path, deployment):
+    assert load_scenario(write_scene(tmp_path, {"deployment": deployment})).deployment.variables
+
+
+def test_a_lean_in_an_option_takes_the_place_of_tilts_in_the_scene(tmp_path, capsys):
+    scene = write_scene(tmp_path, {"baseline": {"tilt_x_deg": 3.0}})
+    words = ("--height", 4, "--lean", 20, "--lean-direction", 30, "--json")
+    code, out, err = cli(capsys, "evaluate", scene, *words, "--out", tmp_path / "run")
+    assert code == 0, err
+    mount = json.loads(out)["deployment"]
+    assert (mount["lean_deg"], mount["lean_direction_deg"]) == pytest.approx((20.0, 30.0))
+    assert pose_at(mount).rotation == pytest.approx(lean_matrix(math.radians(20.0), math.radians(30.0), 0.0))
+    line = refused(capsys, tmp_path, "evaluate", scene, "--lean", 3, "--yaw", 3, "--out", tmp_path / "both", begun=True)
+    assert "has lean_deg and yaw_deg" in line
+
+
+def test_a_scene_of_leans_is_written_searched_and_told_as_such(tmp_path, capsys):
+    lean = {"lean_deg": [0.0, 25.0], "lean_direction_deg": [-180.0, 180.0], "tilt_x_deg": None}
+    changes = {"deployment": lean, "baseline": {"lean_deg": 2.0}, "search": {"particles": 6, "iterations": 10}}
+    scene = write_scene(tmp_path, changes)
+    scenario = load_scenario(scene)
+    assert scenario.deployment.periodic == (False, False, True)
+    assert scenario.deployment.axes == ("height_m", "lean_deg")
+    code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run")
+    assert code == 0, err
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    mount = result["deployment"]
+    assert "leaning" in out or "level" in out
+    assert "tilt across the road" not in out
+    assert pose_at(mount).rotation == pytest.approx(
+        lean_matrix(*(math.radians(mount[key] or 0.0) for key in ("lean_deg", "lean_direction_deg", "spin_deg")))
+    )
+    assert set(result["map"]["best"]) == {"height_m", "lean_deg", "objective_per_vehicle"}
+    assert load_scenario(tmp_path / "run" / "scene.toml").deployment == scenario.deployment
+    header = (tmp_path / "run" / "history.csv").read_text().splitlines()[0]
+    assert "lean_deg,lean_direction_deg" in header
+
+
+def test_spin_moves_scores_by_no_more_than_the_phase_of_the_columns_does(tmp_path):
+    """Of a sensor with even columns: turned by whole steps nothing changes, by parts of one only what samples."""
+    site = prepare(load_scenario(write_scene(tmp_path)))
+    step = math.degrees(site.observation.lattice.step_rad)
+    leans = {**PLACE, "lean_deg": 15.0, "lean_direction_deg": 10.0}
+
+    def scores(spins):
+        poses = [pose_at(six_coordinates({**leans, "spin_deg": spin})) for spin in spins]
+        return Evaluator(site.search, site.observation, site.scoring).totals(poses).per_vehicle()
+
+    phases = scores(step * np.arange(8) / 8.0)
+    whole_steps = scores(step * np.array([1.0, 10.0, 100.0]))
+    far = scores([33.3, 91.7, 180.1, -120.6])
+    np.testing.assert_allclose(whole_steps, phases[0], rtol=1e-6)
+    assert np.ptp(phases) > 0.0
+    assert abs(far - phases.mean()).max() <= 2.0 * np.ptp(phases)
+
+
+def test_what_was_given_is_named_where_it_cannot_be():
+    with pytest.raises(InputError, match="row 3: has spin_deg and tilt_y_deg"):
+        six_coordinates({"spin_deg": 1.0, "tilt_y_deg": 2.0}, where="row 3")
