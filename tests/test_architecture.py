@@ -25,6 +25,7 @@ PACKAGE = Path(blender_lidar.__file__).parent
 ROOT = PACKAGE.parent
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 VERBS = (
+    "init",
     "optimise",
     "evaluate",
     "stability",

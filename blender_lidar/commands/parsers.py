@@ -9,6 +9,7 @@ import argparse
 from dataclasses import dataclass
 
 from ..names import CASTERS, CLOUD_SUFFIXES, DEFAULT_CELL_M, DETAILS, VEHICLE_METRICS, VIEWS
+from ..scene.settings import TrafficSettings
 from ..studies.compare import FRAMES_FILE, LABEL_MARGIN_M, MEASURED_LOSSES, OURS
 from ..toml_table import setting, settings_of
 from .options import SEARCH_OPTIONS, Renamed, add_moments, add_option, add_pose, add_scene
@@ -21,7 +22,20 @@ _CLOUD_FORMATS = [*(suffix.removeprefix(".") for suffix in CLOUD_SUFFIXES), SUST
 
 def add_verbs(subparsers) -> None:
     """Describe all verbs to argparse."""
-    for add in (_optimise, _evaluate, _stability, _chart, _scan, _build, _render, _score, _compare, _sensors, _doctor):
+    for add in (
+        _init,
+        _optimise,
+        _evaluate,
+        _stability,
+        _chart,
+        _scan,
+        _build,
+        _render,
+        _score,
+        _compare,
+        _sensors,
+        _doctor,
+    ):
         add(subparsers)
 
 
@@ -47,6 +61,28 @@ def _output(parser: argparse.ArgumentParser, *, verbose: bool = True, resumed: s
         add("--resume", action="store_true", help=f"go on with the {resumed} in --out DIR that was stopped")
     if quick:
         add("--quick", action="store_true", help=quick)
+
+
+# --- A scene of one's own ---------------------------------------------------------------------------------------------
+
+
+def _init(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "init", "init.run", "FOLDER --from FORMAT [FILE]", "propose a scene for a recording of your own"),
+        "Write FOLDER/scene.toml for a recording: road, lanes, region and a place for the pole, proposed from where "
+        "vehicles drive, with a picture to check by eye, FOLDER/scene.png.",
+        "my_site --from sumo run.fcd.xml --vehicle-types cars.rou.xml",
+        "my_site trajectories.csv",
+        "my_site --from example",
+    )
+    add = parser.add_argument
+    add("folder", metavar="FOLDER", help="a new folder, or one that holds the recording alone; nothing is overwritten")
+    add("file", nargs="?", metavar="FILE", help="the recording, where it does not follow --from")
+    kinds = "ngsim, sumo, table, or auto, which looks at the file; example is the shipped sample, without a FILE"
+    add("--from", dest="source", nargs="+", metavar=("FORMAT", "FILE"), help=kinds)
+    settings = settings_of(TrafficSettings)
+    for key in ("period", "location", "vehicle_types"):
+        add_option(parser, settings[key], key)
 
 
 # --- One mounting, or the best one ------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ __all__ = [
     "RepairReport",
     "RoadFrame",
     "Vehicles",
+    "format_of",
     "instants",
     "overlapping_pairs",
     "plan_frames",
@@ -64,7 +65,7 @@ def read_traffic(
     if format not in TRAFFIC_FORMATS:
         raise unknown_name(format, TRAFFIC_FORMATS, "traffic format")
     if format == "auto":
-        format = _sniff(path)
+        format = format_of(path)
     read = _READERS[format]
     given = {name: value for name, value in settings.items() if value is not None and value != {}}
     for name, value in given.items():
@@ -75,7 +76,8 @@ def read_traffic(
     return read(path, **given)
 
 
-def _sniff(path: str | Path) -> str:
+def format_of(path: str | Path) -> str:
+    """The format of a recording, ``"ngsim"``, ``"sumo"`` or ``"table"``, by the file's beginning."""
     if kind_of_fcd(path):
         return "sumo"
     return "table" if is_table_header(fields_of(first_lines(path)[0][1])) else "ngsim"

@@ -1,0 +1,219 @@
+"""``blender-lidar init``: a scene for a recording of one's own, proposed from where its vehicles drive."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import shlex
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError, MissingExtraError, unknown_name
+from ..files import check_folder, check_unused, make_folder, write_text
+from ..names import TRAFFIC_FORMATS
+from ..report.site_plan import plot_site_plan
+from ..road import RoadFrame
+from ..scene.scenario import shipped_scenes
+from ..scene.settings import TrafficSettings
+from ..toml_table import settings_of, to_toml
+from ..traffic import Recording, format_of, read_traffic
+from ..traffic.layout import SETBACK_M, RoadLayout, propose_layout
+from .options import given_options
+
+SCENE, PICTURE = "scene.toml", "scene.png"
+EXAMPLE = "example"
+OPTIONS = ("period", "location", "vehicle_types")
+_SAMPLE = "i80_sample.csv.gz"
+_AXES = {
+    "ngsim": ("Local_Y", "-Local_X"),
+    "sumo": ("x of the net", "y of the net"),
+    "table": ("x_m", "y_m"),
+}
+_GATE_STEP_M = 5.0
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read the traffic, propose a road, write the scene and its picture; returns the exit code."""
+    folder = Path(args.folder)
+    kind, path = _source(args)
+    settings = settings_of(TrafficSettings)
+    given = given_options(args, {key: settings[key] for key in OPTIONS})
+    _check(folder, [path, *(Path(given[key]) for key in ("vehicle_types",) if key in given)])
+    kind = format_of(path) if kind == TRAFFIC_FORMATS[0] else kind
+    unplaced = RoadFrame(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
+    recording = read_traffic(path, format=kind, road=unplaced, **given)
+    layout = propose_layout(recording, follows_x=kind == "ngsim")
+    make_folder(folder, "FOLDER")
+    text = scene_text(recording, layout, kind, {"path": path, **given}, folder)
+    write_text(folder / SCENE, text)
+    written = [str(folder / SCENE)]
+    try:
+        plot_site_plan(recording, layout, folder / PICTURE, _AXES[kind])
+        written.append(str(folder / PICTURE))
+    except MissingExtraError as error:
+        print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
+    print(_told(recording, layout, kind, written))
+    return 0
+
+
+def _source(args: argparse.Namespace) -> tuple[str, Path]:
+    """The format, perhaps ``"auto"``, and the file."""
+    words = [*(args.source or ()), *([args.file] if args.file is not None else ())]
+    kinds = (*TRAFFIC_FORMATS, EXAMPLE)
+    kind = words.pop(0) if words and args.source and words[0] in kinds else TRAFFIC_FORMATS[0]
+    if kind == EXAMPLE and not words:
+        return "ngsim", shipped_scenes()["i80"].with_name(_SAMPLE)
+    if len(words) == 1 and kind != EXAMPLE:
+        return kind, Path(words[0])
+    if len(words) > 1 and args.source and kind == TRAFFIC_FORMATS[0]:
+        raise unknown_name(words[0], kinds, "format", "--from")
+    wanted = "no FILE" if kind == EXAMPLE else "one FILE of trajectories, or --from example"
+    raise InputError(f"init: {len(words)} files given; allowed: {wanted}")
+
+
+def _check(folder: Path, inputs: list[Path]) -> None:
+    """Refuse a folder with a scene, or with anything but the files that the scene will name."""
+    check_folder(folder, "FOLDER")
+    if (folder / SCENE).exists():
+        raise InputError(f"FOLDER: {folder}: holds a {SCENE} already, and nothing is overwritten; give another folder")
+    parts = [Path(os.path.relpath(path.absolute(), folder.absolute())).parts[0] for path in inputs]
+    check_unused(folder, "FOLDER", "init", lambda path: path.name in parts)
+
+
+# --- The scene as text ------------------------------------------------------------------------------------------------
+
+
+def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[str, object], folder: Path) -> str:
+    """A scene file with a comment for each proposed number: what it came from, and how to change it."""
+    low, high = math.floor(layout.stretch_m[0]), math.ceil(layout.stretch_m[1])
+    widths = np.diff(layout.lane_y)
+    centres = ", ".join(f"{one:.1f}" for one in layout.lane_y)
+    numbers = f", the file's lanes {', '.join(map(str, layout.lane_numbers))}" if layout.lane_numbers else ""
+    apart = (
+        f"from lane centres {widths.min():.2f} to {widths.max():.2f} m apart"
+        if len(widths)
+        else "usual; one lane tells none"
+    )
+    corner = max(math.hypot(along, layout.carriageway_y[1]) for along in (low, high))
+    gate = _GATE_STEP_M * math.ceil((corner + 1.0) / _GATE_STEP_M)
+    setback = "measure yours" if layout.setback_m == SETBACK_M else f"at {SETBACK_M:g} m it would stand in traffic"
+    if kind == "ngsim":
+        for key, known in (("period", recording.report.periods), ("location", recording.report.locations)):
+            if len(known) > 1:
+                given.setdefault(key, getattr(recording.report, key))
+    said = {
+        key: _path(value, folder) if key in ("path", "vehicle_types") else _text(value) for key, value in given.items()
+    }
+    lines = [
+        f"# Where should a LiDAR hang beside this road? Proposed from {layout.vehicles:,} vehicles that pass the pole.",
+        f"# Check it by eye: {PICTURE} shows it. Any number may be changed; docs/reference/scene_file.md explains all.",
+        *(f"# Note: {note}" for note in layout.notes),
+        "# Road frame: x in the direction of travel, y to the left, metres; the pole stands at x = 0, y = 0.",
+        "",
+        "[traffic]",
+        *(f"{key} = {value}" for key, value in said.items()),
+        f'format = "{kind}"',
+        *([] if kind == "ngsim" else _placing_lines(layout)),
+        "# frames = 30    # searched, spread over the first part of the recording",
+        "# holdout = 0.4  # share of the recording, at its end, that judges",
+        "",
+        "[road]",
+        *(_station_lines(layout) if kind == "ngsim" else []),
+        f"setback_m = {layout.setback_m}  # from the pole to the carriageway's right edge: {setback}",
+        f"lanes = {layout.lanes}  # centres measured at y {centres} m{numbers}; add those that nobody used",
+        f"lane_width_m = {layout.lane_width_m}  # {apart}",
+        "",
+        "# Where vehicles count, the same for every mounting: the carriageway from x to x. Instead of it a circle,",
+        "# centre_m = [0.0, 0.0] with radius_m = 50.0, or an outline, polygon_m = [[x, y], [x, y], [x, y]].",
+        "[region]",
+        f"stretches = [{{ x_m = [{low}.0, {high}.0] }}]",
+        "",
+        "[sensor]",
+        'name = "RS-16"  # `blender-lidar sensors` lists the others',
+        f"range_gate_m = {gate}  # how far it is asked to see: the region's farthest corner is {corner:.0f} m away",
+        "",
+        "# A number fixes a coordinate, a pair [low, high] has it searched.",
+        "[deployment]",
+        "x_m = 0.0",
+        "y_m = 0.0",
+        "height_m = [2.0, 4.5]  # what your pole allows",
+        "tilt_x_deg = [0.0, 25.0]",
+        "",
+        "# What gains are measured against.",
+        "[baseline]",
+        "height_m = 2.0",
+        "",
+        "[search]",
+        "seed = 1",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _placing_lines(layout: RoadLayout) -> list[str]:
+    return [
+        "# The pole's foot, in the file's own metres: right of the densest stretch, away from ends and from crossings.",
+        f"# The file follows this carriageway {_extent(layout)}.",
+        f"origin_m = [{', '.join(map(str, layout.placing.origin_m))}]",
+        "# Direction of travel in the file, counter-clockwise from its x axis: the one in which lanes are sharpest.",
+        f"heading_deg = {layout.placing.heading_deg}",
+    ]
+
+
+def _station_lines(layout: RoadLayout) -> list[str]:
+    road = layout.road()
+    return [
+        "# Local_Y of the pole, in metres: the densest stretch, away from its ends.",
+        f"# The file follows this carriageway {_extent(layout)}.",
+        f"station_m = {road.station_m}",
+        f"right_edge_m = {road.right_edge_m}  # Local_X, in metres: half a lane beyond the rightmost lane's centre",
+    ]
+
+
+def _extent(layout: RoadLayout) -> str:
+    return "from x {:.0f} to {:.0f} m".format(*layout.extent_m)
+
+
+def _path(path: object, folder: Path) -> str:
+    """A path as the scene has it: from its folder where it lies below, else absolute."""
+    path, folder = Path(os.path.abspath(path)), Path(os.path.abspath(folder))  # noqa: PTH100 - links stay links
+    below = path.is_relative_to(folder)
+    return _text(path.relative_to(folder).as_posix() if below else str(path))
+
+
+def _text(text: str) -> str:
+    """A text in TOML; backslashes, of Windows, in literal quotes, where they mean themselves."""
+    if "\\" in text and "'" not in text and text.isprintable():
+        return f"'{text}'"
+    return to_toml({"t": {"t": text}}).partition(" = ")[2].rstrip("\n")
+
+
+# --- What is said -----------------------------------------------------------------------------------------------------
+
+
+def _told(recording: Recording, layout: RoadLayout, kind: str, written: list[str]) -> str:
+    x, y = layout.placing.origin_m
+    seconds = float(np.ptp(recording.frame_time_s))
+    of_file = {"ngsim": f"Local_Y {x:.0f} m", "sumo": f"x {x:.1f}, y {y:.1f} m of the net"}
+    lanes = "1 lane" if layout.lanes == 1 else f"{layout.lanes} lanes"
+    heading = "" if kind == "ngsim" else f", heading {layout.placing.heading_deg:g} deg"
+    low, high = layout.stretch_m
+    lines = [
+        ("Traffic", f"{recording.source}: {kind}, {len(recording.frames):,} frames in {seconds:.0f} s"),
+        ("Road", f"{lanes} of {layout.lane_width_m:g} m{heading}, from {layout.vehicles:,} vehicles"),
+        (
+            "Pole",
+            f"at {of_file.get(kind, f'x {x:.1f}, y {y:.1f} m of the table')}, {layout.setback_m:g} m to the right",
+        ),
+        ("Region", f"x {low:.0f} to {high:.0f} m of the carriageway"),
+        *(("Note", note) for note in layout.notes),
+        ("Written", ", ".join(written)),
+    ]
+    scene = shlex.quote(written[0])
+    told = [f"{name:<10} {text}" for name, text in lines]
+    check = f"Look at {written[1]}, then:" if len(written) > 1 else "Next:"
+    commands = [f"  blender-lidar evaluate {scene} --height 4 --tilt-x 15", f"  blender-lidar optimise {scene}"]
+    return "\n".join([*told, "", check, *commands])

@@ -1,0 +1,137 @@
+"""The site plan of a proposed scene: trajectories from above, with lanes, region and pole, to be checked by eye."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from ..traffic.layout import HALF_STRETCH_M, RoadLayout
+from ..traffic.vehicles import Recording
+from .figure import INK, TRAVEL_LABEL, mark_sensor, sheet
+
+_MOST_POINTS = 60_000
+_ROUND_M = 20.0  # shown around the region
+_EDGE_LOOK = {"color": INK, "linewidth": 1.2}
+_LANE_LOOK = {"color": "#173f70", "linewidth": 0.8, "linestyle": (0, (6, 4))}
+_REGION_LOOK = {"facecolor": "#cf7f1b", "alpha": 0.22, "edgecolor": "none", "zorder": 0.5}
+_ALONG, _OTHER = "#4b86c2", "#a35c00"  # driven along the carriageway, or any other way
+_WITHIN_RAD = math.radians(30.0)
+
+
+def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, axis_names: tuple[str, str]) -> None:
+    """Draw all trajectories from above, the proposed road about its pole, and where across it vehicles drive.
+
+    Parameters
+    ----------
+    recording : Recording
+        In the file's own plane [m].
+    layout : RoadLayout
+        What is proposed.
+    path : path
+        The PNG to write; an existing file is replaced.
+    axis_names : (str, str)
+        What the file calls the axes of its plane.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    OutputError
+        If the file cannot be written.
+    """
+    xy = recording.centre_m[:, :2]
+    turned = recording.heading_rad - math.radians(layout.placing.heading_deg)
+    along = np.abs(np.arctan2(np.sin(turned), np.cos(turned))) <= _WITHIN_RAD
+    lanes = "1 lane" if layout.lanes == 1 else f"{layout.lanes} lanes of {layout.lane_width_m:g} m"
+    subtitle = (
+        f"{Path(recording.source).name}: {layout.vehicles:,} vehicles on {lanes}; pole {layout.setback_m:g} m to the "
+        "right of the carriageway. Check it by eye."
+    )
+    with sheet(path, 190.0, "Proposed site", subtitle) as figure:
+        how = {"height_ratios": (1.0, 1.0), "width_ratios": (5.0, 1.0)}
+        axes = figure.subplot_mosaic([["all", "all"], ["near", "across"]], **how)
+        _draw_all(axes["all"], xy, along, layout, axis_names)
+        road = layout.placing.points(xy)
+        _draw_near(axes["near"], road, along, layout)
+        _draw_across(axes["across"], road, along, layout)
+        axes["across"].set_ylim(axes["near"].get_ylim())
+        figure.legend(handles=_handles(), loc="outside lower center", ncols=3, handlelength=2.4)
+
+
+def _draw_points(axes, xy, along, size):
+    thin = slice(None, None, max(1, -(-len(xy) // _MOST_POINTS)))
+    xy, along = xy[thin], along[thin]
+    for which, colour in ((~along, _OTHER), (along, _ALONG)):
+        axes.plot(*xy[which].T, ".", color=colour, markersize=size, markeredgewidth=0.0, alpha=0.6, zorder=1.0)
+
+
+def _draw_all(axes, xy, along, layout, names):
+    """The whole recording in the file's plane, and where the road frame lies in it."""
+    _draw_points(axes, xy, along, 1.0)
+    turn = math.radians(layout.placing.heading_deg)
+    axes_of_road = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])  # rows: x and y
+    (first, last), (right, left) = layout.stretch_m, layout.carriageway_y
+    outline = np.array([[first, right], [last, right], [last, left], [first, left], [first, right]])
+    outline = layout.placing.origin_m + outline @ axes_of_road
+    axes.fill(*outline.T, **_REGION_LOOK)
+    axes.plot(*outline.T, **_EDGE_LOOK)
+    mark_sensor(axes, dict(zip(("x_m", "y_m"), layout.placing.origin_m, strict=True)))
+    size = 0.03 * float(np.ptp(xy, axis=0).max())
+    _arrow(axes, *(layout.placing.origin_m + np.array([[0.0, -size], [4.0 * size, -size]]) @ axes_of_road))
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(title="All trajectories, in the file's own frame", xlabel=f"{names[0]} [m]", ylabel=f"{names[1]} [m]")
+    axes.grid()
+
+
+def _arrow(axes, start, end):
+    look = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.4, "mutation_scale": 12.0}
+    axes.annotate("", end, start, arrowprops=look, zorder=4)
+
+
+def _draw_near(axes, road, along, layout):
+    """The road frame about the pole."""
+    low, high = layout.stretch_m[0] - _ROUND_M, layout.stretch_m[1] + _ROUND_M
+    bottom, top = -8.0, layout.carriageway_y[1] + 8.0
+    shown = (road[:, 0] > low) & (road[:, 0] < high)
+    _draw_points(axes, road[shown], along[shown], 2.2)
+    axes.fill_between(layout.stretch_m, *layout.carriageway_y, **_REGION_LOOK)
+    for y in layout.carriageway_y:
+        axes.plot((low, high), (y, y), **_EDGE_LOOK)
+    right, width = layout.setback_m, layout.lane_width_m
+    for number in range(layout.lanes):
+        y = right + (number + 0.5) * width
+        axes.plot((low, high), (y, y), **_LANE_LOOK)
+    _arrow(axes, (-0.3 * HALF_STRETCH_M, -4.0), (0.3 * HALF_STRETCH_M, -4.0))
+    mark_sensor(axes, {"x_m": 0.0, "y_m": 0.0})
+    axes.set(xlim=(low, high), ylim=(bottom, top), xlabel=TRAVEL_LABEL, ylabel="Across, y [m], to the left")
+    axes.set_title("The proposed road frame (y stretched)")
+    axes.grid()
+
+
+def _draw_across(axes, road, along, layout):
+    """How often vehicles drive where across the road, beside the proposed lanes."""
+    near = along & (road[:, 0] >= layout.stretch_m[0]) & (road[:, 0] <= layout.stretch_m[1])
+    counts, edges = np.histogram(road[near, 1], np.arange(-8.0, layout.carriageway_y[1] + 8.25, 0.25))
+    axes.barh(edges[:-1], counts, height=0.25, align="edge", color=_ALONG)
+    for y in layout.carriageway_y:
+        axes.axhline(y, **_EDGE_LOOK)
+    for number in range(layout.lanes):
+        axes.axhline(layout.setback_m + (number + 0.5) * layout.lane_width_m, **_LANE_LOOK)
+    axes.set(xlabel="Boxes", title="Driven where", yticklabels=[])
+
+
+def _handles():
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    dots = {"linestyle": "none", "marker": "o", "markersize": 3.0}
+    return [
+        Line2D([], [], color=_ALONG, label="driven along the road", **dots),
+        Line2D([], [], color=_OTHER, label="driven any other way", **dots),
+        Line2D([], [], label="carriageway's edges", **_EDGE_LOOK),
+        Line2D([], [], label="lane centres", **_LANE_LOOK),
+        Patch(label="region, the arrow points in the direction of travel", **_REGION_LOOK),
+        Line2D([], [], linestyle="none", marker="^", markerfacecolor="white", markeredgecolor="black", label="LiDAR"),
+    ]

@@ -1,0 +1,461 @@
+"""Estimating a road's layout from trajectories: its direction, lane centres, lane width, edges, and a place for a pole.
+
+Kernel density estimates of where vehicles drive across the road give its lanes, or the lanes that the recording itself
+names; what lies where nobody drives cannot be seen. Positions are those of `Recording`, read with no placing of its
+own: the file's plane.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..road import RoadFrame
+from .tracks import held_heading
+from .vehicles import Placing, Recording
+
+HALF_STRETCH_M = 50.0
+_ALONG_RAD, _CROSSING_RAD = np.radians([15.0, 30.0])  # of the road: who drives on it, and who across it
+_MOST_SAMPLES = 200_000
+_FEWEST_VEHICLES = 3
+_FEW = 0.02  # share of the traffic that makes no lane, and no crossing
+_LANE_WIDTHS_M = (2.4, 5.2)
+_USUAL_LANE_M = 3.5
+SETBACK_M = 2.0
+_SETBACKS_M = (SETBACK_M, 3.0, 4.0, 6.0, 8.0, 10.0)
+_CLEAR_M = 1.0  # about the pole
+_BIN_M = 5.0  # along the road
+_MOST_BINS = 2000
+_BEND_DEG = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadLayout:
+    """A carriageway as vehicles drive on it, and a place beside it for a pole.
+
+    Attributes
+    ----------
+    placing : Placing
+        Where the road frame lies in the file's plane.
+    setback_m, lane_width_m, lanes
+        As in `RoadFrame`.
+    lane_y : ndarray, (k,)
+        Measured lane centres, from the right, in the road frame [m]; a lane that nobody uses has none.
+    lane_numbers : tuple of int
+        The recording's numbers of these lanes; empty where its lanes were not used.
+    stretch_m : (float, float)
+        The x around the pole that the region may span [m].
+    extent_m : (float, float)
+        The x between which the recording follows this carriageway [m].
+    vehicles : int
+        Different ones that come to the pole.
+    notes : tuple of str
+        What else there is, and what to check, as sentences.
+    """
+
+    placing: Placing
+    setback_m: float
+    lane_width_m: float
+    lanes: int
+    lane_y: np.ndarray
+    lane_numbers: tuple[int, ...]
+    stretch_m: tuple[float, float]
+    extent_m: tuple[float, float]
+    vehicles: int
+    notes: tuple[str, ...]
+
+    @property
+    def carriageway_y(self) -> tuple[float, float]:
+        """The y [m] of the carriageway's right and left edge."""
+        return self.setback_m, self.setback_m + self.lanes * self.lane_width_m
+
+    def road(self) -> RoadFrame:
+        """[road] of an NGSIM recording, whose plane is (Local_Y, -Local_X) [m]."""
+        x, y = self.placing.origin_m
+        edge = round(-y - self.setback_m, 2)
+        return RoadFrame(
+            station_m=round(x, 2),
+            right_edge_m=edge,
+            setback_m=self.setback_m,
+            lanes=self.lanes,
+            lane_width_m=self.lane_width_m,
+        )
+
+
+def propose_layout(recording: Recording, *, follows_x: bool = False) -> RoadLayout:
+    """Estimate the layout of the busiest carriageway, or of the busiest approach of an intersection.
+
+    Parameters
+    ----------
+    recording : Recording
+        In the file's own plane [m].
+    follows_x : bool
+        Whether the road can only follow +x, as in NGSIM, whose files know no other direction.
+
+    Raises
+    ------
+    InputError
+        If there are too few vehicles that move, none that drive one way, or no place for a pole beside them.
+    """
+    samples = _Samples.of(recording)
+    directions = np.zeros(1) if follows_x else _directions(samples)
+    found = [each for direction in directions if (each := _carriageway(samples, float(direction), follows_x))]
+    if not found:
+        way = "along Local_Y" if follows_x else "one way on a stretch that no others cross"
+        raise InputError(
+            f"{recording.source}: no road can be proposed: fewer than {_FEWEST_VEHICLES} vehicles drive {way}, with "
+            "room for a pole beside them"
+        )
+    found.sort(key=lambda each: -each.vehicles)
+    return _with_others(found)
+
+
+def _with_others(found: list[RoadLayout]) -> RoadLayout:
+    best, *others = found
+    notes = list(best.notes)
+    for other in others:
+        (x, y), heading = other.placing.origin_m, other.placing.heading_deg
+        lanes = "1 lane" if other.lanes == 1 else f"{other.lanes} lanes"
+        notes.append(
+            f"also {other.vehicles:,} vehicles on {lanes} with heading {heading:.0f} deg about x {x:.0f}, y {y:.0f} m"
+        )
+    return replace(best, notes=tuple(notes))
+
+
+# --- Motion: positions, headings and speeds of all rows ---------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """Rows with their motion; `xy` (n, 2) [m], `heading` [rad] (NaN: never moves), `speed` [m/s], `size` (n, 2)."""
+
+    vehicle: np.ndarray
+    xy: np.ndarray
+    heading: np.ndarray
+    speed: np.ndarray
+    size: np.ndarray
+    lane: np.ndarray
+
+    @classmethod
+    def of(cls, recording: Recording) -> _Samples:
+        """Motion by central differences over about two seconds; where a vehicle stands its heading is held."""
+        order = np.lexsort((recording.frame, recording.vehicle_id))
+        vehicle = np.unique(recording.vehicle_id[order], return_inverse=True)[1].reshape(-1)
+        time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[order])]
+        time_s = time_s - time_s.min()
+        xy = recording.centre_m[order, :2]
+        steps_s = np.diff(time_s)[np.diff(vehicle) == 0]
+        if not len(steps_s):
+            raise InputError(f"{recording.source}: no road can be proposed: no vehicle is in more than one frame")
+        half_s = max(1.0, 1.01 * float(np.median(steps_s)))
+        key = vehicle * (time_s.max() + 4.0 * half_s) + time_s
+        first = np.searchsorted(key, key - half_s - 1e-6, side="left")
+        last = np.searchsorted(key, key + half_s + 1e-6, side="right") - 1
+        with np.errstate(invalid="ignore", divide="ignore"):
+            velocity = (xy[last] - xy[first]) / (time_s[last] - time_s[first])[:, None]
+        heading, held = held_heading(vehicle, velocity, np.nan)
+        if np.isnan(heading).all():
+            raise InputError(f"{recording.source}: no road can be proposed: every vehicle stands")
+        speed = np.where(held, 0.0, np.hypot(*velocity.T))
+        return cls(vehicle, xy, heading, speed, recording.size_m[order, :2], recording.lane[order])
+
+    def where(self, which: np.ndarray | slice) -> _Samples:
+        return _Samples(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def thinned(self) -> _Samples:
+        """At most `_MOST_SAMPLES` of them."""
+        return self.where(slice(None, None, -(-len(self.xy) // _MOST_SAMPLES)))
+
+    def off(self, direction: float) -> np.ndarray:
+        """Angle between each heading and a direction, (n,) [rad], without sign; NaN where there is no heading."""
+        return np.abs(_within_half_turn(self.heading - direction))
+
+
+def _within_half_turn(angle):
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def _turned(xy: np.ndarray, direction: float) -> tuple[np.ndarray, np.ndarray]:
+    """Along a direction, and across it to the left [m]."""
+    cos, sin = math.cos(direction), math.sin(direction)
+    return xy[:, 0] * cos + xy[:, 1] * sin, xy[:, 1] * cos - xy[:, 0] * sin
+
+
+def _directions(samples: _Samples) -> np.ndarray:
+    """The directions that most is driven in, the busiest first [rad]: peaks of a circular histogram."""
+    moving = samples.speed > 0.0
+    weight = np.histogram(
+        np.degrees(samples.heading[moving]) % 360.0, 360, (0.0, 360.0), weights=samples.speed[moving]
+    )[0]
+    kernel = np.exp(-0.5 * (np.arange(-12, 13) / 4.0) ** 2)
+    smooth = np.convolve(np.concatenate([weight[-12:], weight, weight[:12]]), kernel / kernel.sum(), "valid")
+    found, left = [], smooth.copy()
+    while len(found) < 8 and left.max() > 0.1 * smooth.max():
+        peak = int(left.argmax())
+        if smooth[peak] >= max(smooth[peak - 1], smooth[(peak + 1) % 360]):
+            found.append(math.radians(peak + 0.5))
+        left[np.arange(peak - 20, peak + 21) % 360] = 0.0
+    return np.array(found)
+
+
+# --- A carriageway in one direction -----------------------------------------------------------------------
+
+
+def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> RoadLayout | None:
+    """The busiest carriageway in about a direction, or None where there is no stretch of one."""
+    along = everything.where(everything.off(direction) <= _ALONG_RAD).thinned()
+    if not len(along.xy):
+        return None
+    middle = along.xy.mean(axis=0)
+    u, v = _turned(along.xy - middle, direction)
+    place = middle + _unturned(*_busiest(u, v, along.speed), direction)
+    for _ in range(2):  # the lanes where most drive, and then those where the pole stands
+        near = _near(everything, place, direction, (2.0 if follows_x else 1.0) * HALF_STRETCH_M)
+        if not follows_x:
+            direction = _sharpest(near, place, direction)
+        u, v = _turned(near.xy - place, direction)
+        lanes = _lanes(v, near)
+        if lanes is None:
+            return None
+        found = _station(everything, place, direction, lanes)
+        if found is None:
+            return None
+        place = place + _unturned(found.station, 0.0, direction)
+    return _layout(found, lanes, place, direction)
+
+
+def _unturned(along: float, across: float, direction: float) -> np.ndarray:
+    cos, sin = math.cos(direction), math.sin(direction)
+    return np.array([along * cos - across * sin, along * sin + across * cos])
+
+
+def _busiest(u: np.ndarray, v: np.ndarray, speed: np.ndarray) -> tuple[float, float]:
+    """Middle of the 100 m by 20 m through which most drive, along and across [m]."""
+    edges = []
+    for values, step in ((u, 10.0), (v, 4.0)):
+        low, high = values.min(), values.max()
+        edges.append(np.linspace(low, high + step, 1 + min(_MOST_BINS, math.ceil((high - low + step) / step))))
+    flow = np.histogram2d(u, v, edges, weights=speed)[0]
+    for axis, window in enumerate((10, 5)):
+        flow = _windowed(flow, window, axis)
+    at = np.unravel_index(flow.argmax(), flow.shape)
+    u0, v0 = (0.5 * (edge[i] + edge[i + 1]) for edge, i in zip(edges, at, strict=True))
+    return u0, v0
+
+
+def _windowed(values: np.ndarray, window: int, axis: int = 0) -> np.ndarray:
+    """Moving sums over a window about each place; beyond the ends there is nothing."""
+    running = np.insert(np.cumsum(values, axis=axis), 0, 0.0, axis=axis)
+    here = np.arange(values.shape[axis])
+    high = np.minimum(here + window // 2 + 1, len(here))
+    return np.take(running, high, axis) - np.take(running, np.maximum(here - window // 2, 0), axis)
+
+
+def _near(everything: _Samples, place: np.ndarray, direction: float, half_m: float) -> _Samples:
+    """Those that drive along the stretch about a place; a longer one where the file follows the road's bends."""
+    u, v = _turned(everything.xy - place, direction)
+    here = (np.abs(u) <= half_m) & (np.abs(v) <= 25.0) & (everything.off(direction) <= _ALONG_RAD)
+    return everything.where(here & (everything.speed > 0.0)).thinned()
+
+
+def _sharpest(near: _Samples, place: np.ndarray, direction: float) -> float:
+    """The direction along which lanes are sharpest: where a histogram of what lies across has the largest squares."""
+    for reach_deg, step_deg in ((8.0, 0.5), (0.5, 0.05)):
+        candidates = direction + np.radians(np.arange(-reach_deg, reach_deg + step_deg / 2, step_deg))
+        sharpness = []
+        for candidate in candidates:
+            across = _turned(near.xy - place, candidate)[1]
+            counts = np.bincount(((across + 60.0) / 0.3).astype(int), weights=near.speed)
+            sharpness.append((np.convolve(counts, [0.25, 0.5, 0.25]) ** 2).sum())
+        best = np.array(sharpness)
+        direction = float(candidates[best >= best.max() * (1.0 - 1e-9)].mean())
+    return math.radians(round(math.degrees(_within_half_turn(direction)), 2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lanes:
+    centres: np.ndarray  # across, from the right [m]
+    numbers: tuple[int, ...]
+    width_m: float
+    right_m: float
+    count: int
+
+    @property
+    def left_m(self) -> float:
+        return self.right_m + self.count * self.width_m
+
+
+def _lanes(v: np.ndarray, near: _Samples) -> _Lanes | None:
+    """Lanes from where vehicles drive across the road, `v` (n,) [m]; None where they are too few."""
+    if len(np.unique(near.vehicle)) < _FEWEST_VEHICLES:
+        return None
+    peaks = _density_peaks(v, near.speed)
+    recorded = _recorded_lanes(v, near)
+    centres, numbers = recorded if recorded and len(recorded[0]) >= len(_neighbours(peaks)) else (peaks, ())
+    kept = _neighbours(centres)
+    numbers = tuple(number for centre, number in sorted(zip(centres, numbers, strict=False)) if centre in kept)
+    centres = np.sort(kept)
+    if len(centres) == 1:
+        width, first = _USUAL_LANE_M, centres[0]
+        count = 1
+    else:  # by least squares, as one width is all that a scene has
+        apart = np.diff(centres)
+        usual = float(np.median(apart[apart <= 1.5 * apart.min()]))
+        usual = usual if usual <= _LANE_WIDTHS_M[1] else usual / 2.0  # with an unused lane between
+        place = np.concatenate([[0], np.cumsum(np.maximum(np.rint(apart / usual), 1))])
+        width, first = np.polyfit(place, centres, 1)
+        count = int(place[-1]) + 1
+    width = round(float(width), 2)
+    return _Lanes(centres, numbers, width, float(first) - 0.5 * width, count)
+
+
+def _density_peaks(v: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Peaks of a kernel density estimate with a lane's depth of valley between them, the highest first [m]."""
+    step, sigma = 0.05, 0.4
+    low = v.min() - 3.0
+    counts = np.bincount(((v - low) / step).astype(int), weights=weight, minlength=int((v.max() + 3.0 - low) / step))
+    reach = np.arange(-40, 41) * step
+    density = np.convolve(counts, np.exp(-0.5 * (reach / sigma) ** 2), "same")
+    inner = density[1:-1]
+    tops = 1 + np.flatnonzero((inner > density[:-2]) & (inner >= density[2:]) & (inner >= _FEW * density.max()))
+    kept: list[int] = []
+    for top in tops[np.argsort(-density[tops], kind="stable")]:
+        between = (density[min(top, other) : max(top, other) + 1].min() for other in kept)
+        apart = all(abs(top - other) * step >= _LANE_WIDTHS_M[0] for other in kept)
+        if apart and all(valley <= 0.8 * density[top] for valley in between):
+            kept.append(int(top))
+    return low + (np.array(kept) + 0.5) * step
+
+
+def _recorded_lanes(v: np.ndarray, near: _Samples) -> tuple[np.ndarray, tuple[int, ...]] | None:
+    """Medians of the lanes that the recording names, the busiest first [m], and their numbers; None if they are none.
+
+    Numbers that mean different lanes on different edges, as SUMO's may, spread over more than a lane.
+    """
+    numbers = np.unique(near.lane[near.lane != 0])
+    weights = np.array([near.speed[near.lane == number].sum() for number in numbers])
+    used = weights >= _FEW * weights.sum()
+    if not used.any():
+        return None
+    order = np.argsort(-weights[used], kind="stable")
+    numbers = numbers[used][order]
+    across = [v[near.lane == number] for number in numbers]
+    centres = np.array([np.median(one) for one in across])
+    spread = max(float(np.median(np.abs(one - centre))) for one, centre in zip(across, centres, strict=True))
+    apart = np.diff(np.sort(centres))
+    if spread > 0.25 * _LANE_WIDTHS_M[1] or (apart < _LANE_WIDTHS_M[0]).any():
+        return None
+    return centres, tuple(numbers.tolist())
+
+
+def _neighbours(centres: np.ndarray) -> np.ndarray:
+    """The lanes of one carriageway: the first, and those at most an unused lane from the next."""
+    kept, rest = [centres[0]], list(centres[1:])
+    while near := [one for one in rest if min(abs(one - other) for other in kept) <= 2.1 * _USUAL_LANE_M]:
+        kept += near
+        rest = [one for one in rest if one not in near]
+    return np.array(kept)
+
+
+# --- Where a pole may stand beside it ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Station:
+    station: float  # along, from the place that was looked about [m]
+    setback_m: float
+    extent: tuple[float, float]
+    stretch: tuple[float, float]
+    vehicles: int
+    notes: tuple[str, ...]
+
+
+def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _Lanes) -> _Station | None:
+    """The densest stretch of a carriageway, away from its ends and from where others cross it; None where none is."""
+    u, v = _turned(everything.xy - place, direction)
+    off = everything.off(direction)
+    on_road = (v >= lanes.right_m) & (v <= lanes.left_m)
+    along = on_road & (off <= _CROSSING_RAD)
+    across = on_road & (off > _CROSSING_RAD) & (everything.speed > 0.0)
+    if not along.any():
+        return None
+    reach = min(2000.0, float(np.abs(u[along]).max()) + _BIN_M)
+    edges = np.arange(-reach, reach + _BIN_M, _BIN_M)
+    presence = np.histogram(u[along], edges)[0]
+    here = int(np.abs(edges + 0.5 * _BIN_M).argmin())
+    followed = _windowed(presence, 6) > 0
+    gaps = np.flatnonzero(~followed)
+    low, high = gaps[gaps < here].max(initial=-1) + 1, gaps[gaps > here].min(initial=len(presence)) - 1
+    used = np.flatnonzero(presence[low : high + 1]) + low
+    if not len(used):
+        return None
+    extent = float(edges[used[0]]), float(edges[used[-1] + 1])
+    crossed = np.histogram(u[across], edges)[0] > np.maximum(_FEW * presence, 1)
+    near_crossing = _windowed(crossed, 4) > 0
+    middles = edges[:-1] + 0.5 * _BIN_M
+    inside = (middles > extent[0]) & (middles < extent[1]) & ~near_crossing[: len(middles)]
+    crossings = np.flatnonzero(crossed & (middles > extent[0]) & (middles < extent[1]))
+    if len(crossings):  # an approach, not a way out
+        upstream = inside & (middles < middles[crossings[-1]])
+        inside = upstream if upstream.any() else inside
+    for setback in _SETBACKS_M:
+        free = inside & _clear(everything, u, v, direction, lanes.right_m - setback, edges)
+        if free.any():
+            break
+    else:
+        return None
+    dense = _windowed(presence, 2 * int(HALF_STRETCH_M / _BIN_M))
+    free &= dense >= 0.9 * dense[free].max()
+    margin = np.minimum(middles - extent[0], extent[1] - middles)
+    chosen = float(middles[np.flatnonzero(free)[margin[free].argmax()]])
+    stretch = max(extent[0], chosen - HALF_STRETCH_M) - chosen, min(extent[1], chosen + HALF_STRETCH_M) - chosen
+    coming = along & (u >= chosen + stretch[0]) & (u <= chosen + _BIN_M)  # not those that join beyond a crossing
+    vehicles = len(np.unique(everything.vehicle[coming]))
+    if vehicles < _FEWEST_VEHICLES:
+        return None
+    notes = []
+    if len(crossings):
+        first, last = middles[crossings[[0, -1]]] - chosen
+        notes.append(f"others cross this carriageway between x {first:.0f} and {last:.0f} m: an intersection?")
+    turn = _within_half_turn(everything.heading - direction)
+    halves = [turn[along & (everything.speed > 0.0) & (np.abs(u - chosen - shift) < 25.0)] for shift in (-25.0, 25.0)]
+    if all(map(len, halves)):
+        bend = math.degrees(abs(np.median(halves[1]) - np.median(halves[0])))
+        if bend > _BEND_DEG:
+            notes.append(
+                f"the road bends by {bend:.0f} deg within 50 m, and a scene's is straight: keep the region short"
+            )
+    return _Station(chosen, setback, (extent[0] - chosen, extent[1] - chosen), stretch, vehicles, tuple(notes))
+
+
+def _clear(everything: _Samples, u, v, direction: float, line: float, edges: np.ndarray) -> np.ndarray:
+    """Bins along the road in which no vehicle ever comes near a pole at `line` across it, (b,) bool."""
+    off = np.nan_to_num(everything.off(direction), nan=0.5 * np.pi)
+    cos, sin = np.abs(np.cos(off)), np.sin(off)
+    length, width = 0.5 * everything.size.T
+    near = np.abs(v - line) <= length * sin + width * cos + _CLEAR_M
+    reach = (length * cos + width * sin)[near] + _CLEAR_M + 0.5 * _BIN_M  # a pole may stand anywhere in its bin
+    blocked = np.zeros(len(edges) + 1)
+    for ends, step in ((u[near] - reach, 1.0), (u[near] + reach, -1.0)):
+        np.add.at(blocked, np.searchsorted(edges + 0.5 * _BIN_M, ends), step)
+    return np.cumsum(blocked)[: len(edges) - 1] == 0
+
+
+def _layout(found: _Station, lanes: _Lanes, place: np.ndarray, direction: float) -> RoadLayout:
+    shift = lanes.right_m - found.setback_m  # across, of the line y = 0
+    origin = place + _unturned(0.0, shift, direction)
+    return RoadLayout(
+        placing=Placing(tuple(np.round(origin, 2).tolist()), round(math.degrees(direction), 2)),
+        setback_m=found.setback_m,
+        lane_width_m=lanes.width_m,
+        lanes=lanes.count,
+        lane_y=lanes.centres - shift,
+        lane_numbers=lanes.numbers,
+        stretch_m=found.stretch,
+        extent_m=found.extent,
+        vehicles=found.vehicles,
+        notes=found.notes,
+    )

@@ -1,0 +1,263 @@
+"""`blender-lidar init`: the proposed road is the one that was driven on, and the scene that is written runs at once."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar.cli import main
+from blender_lidar.commands.init import _path, _text
+from blender_lidar.errors import InputError
+from blender_lidar.road import RoadFrame
+from blender_lidar.scene.scenario import load_scenario, shipped_scenes
+from blender_lidar.traffic import read_traffic
+from blender_lidar.traffic.layout import propose_layout
+from tests import sumo_samples
+from tests.small_scene import traffic_rows, without_charts, write_table
+
+FOOT_M = 0.3048
+NGSIM = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
+UNPLACED = RoadFrame(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
+QUICK = ("--frames", 3, "--particles", 3, "--iterations", 2)
+
+
+def proposed(path, **settings):
+    recording = read_traffic(path, road=UNPLACED)
+    return propose_layout(recording, **settings)
+
+
+def run(*words) -> int:
+    return main([str(word) for word in words])
+
+
+# --- Roads whose lanes are known --------------------------------------------------------------------------------------
+
+
+def rows_on(
+    heading_deg: float, across_m, *, ends_m=(-150.0, 150.0), every_s=6.0, until_s=60.0, at=(500.0, -200.0), seed=1
+):
+    """Cars at 12 m/s on lanes a given way to the left of a line through `at`, wandering, one now and then changing."""
+    rng = np.random.default_rng(seed)
+    turn = math.radians(heading_deg)
+    forward, left = np.array([math.cos(turn), math.sin(turn)]), np.array([-math.sin(turn), math.cos(turn)])
+    rows = []
+    for lane, across in enumerate(across_m):
+        for number, start_s in enumerate(np.arange(-20.0, until_s, every_s)):
+            off, changes = rng.normal(0.0, 0.25), number % 7 == 0
+            for time in np.arange(0.0, until_s, 0.5):
+                x = ends_m[0] + 12.0 * (time - start_s - 0.7 * lane)
+                if ends_m[0] <= x <= ends_m[1]:
+                    y = across + off + 0.15 * math.sin(x / 20.0)
+                    if changes and len(across_m) > 1:
+                        y += (across_m[lane - 1] - across) / (1.0 + math.exp(-x / 10.0))
+                    place = np.array(at) + x * forward + y * left
+                    given = {"id": f"{heading_deg:g}.{lane}.{number}", "angle": (90.0 - heading_deg) % 360.0}
+                    given |= {"x": round(place[0], 2), "y": round(place[1], 2), "lane": f"road_{lane}"}
+                    rows.append(sumo_samples.row(time, **given))
+    return rows
+
+
+def write_rows(path: Path, rows) -> Path:
+    path.write_text(sumo_samples.xml(sorted(rows, key=lambda row: float(row["time"]))))
+    return path
+
+
+def across_of(layout, heading_deg, at=(500.0, -200.0)):
+    """The right edge and the lane centres that a layout says, measured to the left of a line through `at`."""
+    turn = math.radians(heading_deg)
+    left = np.array([-math.sin(turn), math.cos(turn)])
+    line = float((np.array(layout.placing.origin_m) - at) @ left)
+    edge = line + layout.setback_m
+    return edge, edge + layout.lane_width_m * (np.arange(layout.lanes) + 0.5)
+
+
+@pytest.mark.parametrize("heading", [0.0, 33.0, 118.0, -160.0])
+def test_lanes_and_edge_of_a_straight_road_are_found_whatever_its_heading(tmp_path, heading):
+    lanes = [3.5 * (number + 0.5) for number in range(3)]
+    layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows_on(heading, lanes)))
+    assert layout.placing.heading_deg == pytest.approx(heading, abs=0.5)
+    edge, centres = across_of(layout, heading)
+    assert edge == pytest.approx(0.0, abs=1.0)
+    assert centres == pytest.approx(lanes, abs=0.5)
+    assert layout.lane_numbers == (1, 2, 3)
+    assert abs(layout.placing.origin_m[0] - 500.0) < 100.0
+
+
+def test_lanes_are_found_without_lane_numbers_and_one_that_nobody_uses_counts(tmp_path):
+    lanes = [1.6, 4.8, 11.2]
+    rows = [{**row, "lane": ""} for row in rows_on(20.0, lanes)]
+    layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows))
+    edge, centres = across_of(layout, 20.0)
+    assert layout.lane_numbers == ()
+    assert edge == pytest.approx(0.0, abs=1.0)
+    assert centres == pytest.approx([1.6, 4.8, 8.0, 11.2], abs=0.5)
+
+
+def test_at_an_intersection_the_busiest_approach_is_proposed_and_the_others_are_told(tmp_path):
+    rows = []
+    for heading, every_s in ((10.0, 2.0), (190.0, 8.0), (100.0, 5.0), (280.0, 9.0)):
+        rows += rows_on(heading, (-5.25, -1.75), every_s=every_s, seed=int(heading))
+    layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows))
+    assert layout.placing.heading_deg == pytest.approx(10.0, abs=0.5)
+    edge, centres = across_of(layout, 10.0)
+    assert edge == pytest.approx(-7.0, abs=1.0)
+    assert centres == pytest.approx([-5.25, -1.75], abs=0.5)
+    along = (np.array(layout.placing.origin_m) - (500.0, -200.0)) @ (math.cos(0.1745), math.sin(0.1745))
+    assert -60.0 < along < -7.0  # before the crossing, and not on it
+    told = " ".join(layout.notes)
+    assert "an intersection?" in told
+    assert all(f"heading {heading}" in told for heading in ("-170", "100", "-80"))
+
+
+def test_the_shipped_samples_lanes_and_edge_are_found():
+    layout = proposed(shipped_scenes()["i80"].with_name("i80_sample.csv.gz"), follows_x=True)
+    road = layout.road()
+    assert layout.lanes == 6
+    assert road.right_edge_m == pytest.approx(72 * FOOT_M, abs=1.0)
+    centres = road.right_edge_m - layout.lane_width_m * (np.arange(6) + 0.5)  # Local_X, lane 6 first
+    assert centres == pytest.approx(12 * FOOT_M * np.array([5.5, 4.5, 3.5, 2.5, 1.5, 0.5]), abs=0.5)
+    assert layout.lane_numbers == (6, 5, 4, 3, 2, 1)
+    assert 202.3 < road.station_m < 450.0  # past the on-ramp
+
+
+@pytest.mark.parametrize(
+    ("name", "lanes"),
+    [
+        ("SYNTHETIC_sumo_i80_60s_ngsim18.txt.gz", 6),
+        ("i80_0400-0415_lanes1-3_partial_18col.csv.gz", 3),
+        ("i80_0400-0415_lanes1-3_partial_120s.csv", 3),
+    ],
+)
+def test_lanes_and_edge_of_i80_are_found(name, lanes):
+    if not (NGSIM / name).exists():
+        pytest.skip("needs the shared recordings")
+    layout = proposed(NGSIM / name, follows_x=True)
+    road = layout.road()
+    assert layout.lanes == lanes
+    assert road.right_edge_m == pytest.approx(12 * FOOT_M * lanes, abs=1.0)
+    centres = road.right_edge_m - layout.lane_width_m * (np.arange(lanes) + 0.5)
+    assert centres == pytest.approx(12 * FOOT_M * (lanes - np.arange(lanes) - 0.5), abs=0.5)
+
+
+# --- Where the pole stands --------------------------------------------------------------------------------------------
+
+
+def test_a_pole_never_stands_where_a_vehicle_is(tmp_path):
+    """Parked cars along the right edge of all but 20 m move the pole there, or away from the road."""
+    rows = rows_on(0.0, (1.75, 5.25))
+    for number, x in enumerate([*range(350, 500, 6), *range(520, 650, 6)]):
+        for time in np.arange(0.0, 60.0, 0.5):
+            rows.append(sumo_samples.row(time, id=f"parked.{number}", x=x, y=-202.0, lane="road_9"))
+    layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows))
+    x, y = layout.placing.origin_m
+    assert 497.0 < x < 516.0 or y < -204.5
+    assert across_of(layout, 0.0)[0] == pytest.approx(0.0, abs=1.0)
+
+
+# --- What cannot be proposed ------------------------------------------------------------------------------------------
+
+
+def refused(path):
+    with pytest.raises(InputError) as caught:
+        proposed(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_what_cannot_be_proposed_is_said_in_one_line(tmp_path):
+    path = tmp_path / "run.fcd.xml"
+    one = [sumo_samples.row(t, x=10.0 * t) for t in range(20)]
+    assert "fewer than 3 vehicles" in refused(write_rows(path, one))
+    standing = [sumo_samples.row(t, id=f"v{n}", x=8.0 * n) for t in range(9) for n in range(9)]
+    assert "every vehicle stands" in refused(write_rows(path, standing))
+    assert "more than one frame" in refused(write_rows(path, standing[:9]))
+    rng = np.random.default_rng(1)
+    anywhere = [
+        sumo_samples.row(t, id=f"v{n}", x=50 * x + 9 * t * math.cos(turn), y=50 * y + 9 * t * math.sin(turn))
+        for n, (x, y, turn) in enumerate(rng.uniform(0, 2 * math.pi, (60, 3)))
+        for t in range(9)
+    ]
+    assert "no road can be proposed" in refused(write_rows(path, anywhere))
+
+
+# --- The verb ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_scene_from_a_table_loads_and_runs_at_once(tmp_path, monkeypatch, capsys):
+    without_charts(monkeypatch)
+    folder = tmp_path / "my site"
+    folder.mkdir()
+    write_table(folder / "traffic.csv", traffic_rows())
+    assert run("init", folder, folder / "traffic.csv") == 0
+    told = capsys.readouterr()
+    assert "blender-lidar optimise " in told.out
+    assert "no picture" in told.err
+    scenario = load_scenario(folder / "scene.toml")
+    assert 'path = "traffic.csv"' in (folder / "scene.toml").read_text()
+    assert scenario.road.lanes == 2
+    assert scenario.road.lane_width_m == pytest.approx(3.5, abs=0.1)
+    assert scenario.traffic.origin_m[1] == pytest.approx(0.0, abs=1.0)
+    assert run("optimise", folder / "scene.toml", *QUICK, "--out", tmp_path / "run") == 0
+    assert run("evaluate", folder / "scene.toml", "--height", 4, "--frames", 3, "--out", tmp_path / "given") == 0
+    assert (tmp_path / "run" / "report.html").exists()
+    assert run("init", folder, folder / "traffic.csv") == 2
+    assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_the_example_runs_and_the_pictures_are_drawn(tmp_path):
+    pytest.importorskip("matplotlib")
+    assert run("init", tmp_path / "ex", "--from", "example") == 0
+    assert (tmp_path / "ex" / "scene.png").stat().st_size > 20_000
+    assert load_scenario(tmp_path / "ex" / "scene.toml").road.lanes == 6
+
+
+def test_a_sumo_scene_holds_the_files_that_were_given(tmp_path, monkeypatch):
+    without_charts(monkeypatch)
+    run_xml = write_rows(tmp_path / "run.fcd.xml", rows_on(33.0, [1.75, 5.25]))
+    types = tmp_path / "cars.rou.xml"
+    types.write_text('<routes><vType id="car" vClass="passenger"/></routes>')
+    assert run("init", tmp_path / "site", "--from", "sumo", run_xml, "--vehicle-types", types) == 0
+    scenario = load_scenario(tmp_path / "site" / "scene.toml")
+    assert Path(scenario.traffic.path) == run_xml
+    assert Path(scenario.traffic.vehicle_types) == types
+    assert scenario.region.stretches[0].x_m == (-50.0, 50.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "0 files given"),
+        (("--from", "ngsim"), "0 files given"),
+        (("--from", "example", "run.csv"), "allowed: no FILE"),
+        (("--from", "ngsmi", "run.csv"), "did you mean 'ngsim'"),
+        (("run.csv",), "there is no such file"),
+        (("--from", "sumo", "run.csv", "--period", "1"), "does not apply"),
+    ],
+)
+def test_wrong_words_are_told_and_leave_nothing(tmp_path, capsys, words, told):
+    assert run("init", tmp_path / "site", *words) == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "site").exists()
+
+
+def test_a_folder_with_foreign_files_is_refused(tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    write_table(tmp_path / "traffic.csv", traffic_rows())
+    assert run("init", tmp_path, tmp_path / "traffic.csv") == 2
+    assert "notes.txt" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "traffic.csv"]
+
+
+@pytest.mark.parametrize("text", [r"C:\traffic\new\run.csv", "it's \\ odd", 'a "quoted" name', "tab\there", "café.csv"])
+def test_a_path_is_valid_toml_whatever_it_holds(text):
+    assert tomllib.loads(f"path = {_text(text)}")["path"] == text
+    assert ("'" in _text(text)) or "\\" not in text or text.startswith("it's") or "\t" in text
+
+
+def test_a_path_below_the_folder_is_relative_to_it(tmp_path):
+    assert _path(tmp_path / "site" / "data" / "run.csv", tmp_path / "site") == '"data/run.csv"'
+    assert tomllib.loads(f"p = {_path(tmp_path / 'run.csv', tmp_path / 'site')}")["p"] == str(tmp_path / "run.csv")
