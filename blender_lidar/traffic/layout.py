@@ -29,7 +29,8 @@ _SETBACKS_M = (SETBACK_M, 3.0, 4.0, 6.0, 8.0, 10.0)
 _CLEAR_M = 1.0  # about the pole
 _BIN_M = 5.0  # along the road
 _MOST_BINS = 2000
-_BEND_DEG = 2.0
+_BEND_RAD = math.radians(2.0)
+_MANY_VEHICLES = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,18 +213,20 @@ def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> Roa
     middle = along.xy.mean(axis=0)
     u, v = _turned(along.xy - middle, direction)
     place = middle + _unturned(*_busiest(u, v, along.speed), direction)
-    for _ in range(2):  # the lanes where most drive, and then those where the pole stands
-        near = _near(everything, place, direction, (2.0 if follows_x else 1.0) * HALF_STRETCH_M)
+    half_m = HALF_STRETCH_M
+    for look in range(3):  # the lanes where most drive, those where the pole stands, and again as far as it is straight
+        near = _near(everything, place, direction, 2.0 * HALF_STRETCH_M if follows_x else half_m)
         if not follows_x:
             direction = _sharpest(near, place, direction)
         u, v = _turned(near.xy - place, direction)
         lanes = _lanes(v, near)
         if lanes is None:
             return None
-        found = _station(everything, place, direction, lanes)
+        found = _station(everything, place, direction, lanes, stays=look > 0)
         if found is None:
             return None
         place = place + _unturned(found.station, 0.0, direction)
+        half_m = found.half_m
     return _layout(found, lanes, place, direction)
 
 
@@ -369,12 +372,16 @@ class _Station:
     setback_m: float
     extent: tuple[float, float]
     stretch: tuple[float, float]
+    half_m: float  # for which the road is straight enough
     vehicles: int
     notes: tuple[str, ...]
 
 
-def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _Lanes) -> _Station | None:
-    """The densest stretch of a carriageway, away from its ends and from where others cross it; None where none is."""
+def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _Lanes, stays: bool) -> _Station | None:
+    """The densest stretch of a carriageway, away from its ends and from where others cross it; None where none is.
+
+    Where it `stays` it is the nearest place that is free.
+    """
     u, v = _turned(everything.xy - place, direction)
     off = everything.off(direction)
     on_road = (v >= lanes.right_m) & (v <= lanes.left_m)
@@ -407,28 +414,33 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _
             break
     else:
         return None
-    dense = _windowed(presence, 2 * int(HALF_STRETCH_M / _BIN_M))
-    free &= dense >= 0.9 * dense[free].max()
-    margin = np.minimum(middles - extent[0], extent[1] - middles)
-    chosen = float(middles[np.flatnonzero(free)[margin[free].argmax()]])
-    stretch = max(extent[0], chosen - HALF_STRETCH_M) - chosen, min(extent[1], chosen + HALF_STRETCH_M) - chosen
+    if stays:
+        merit = -np.abs(middles)
+    else:
+        dense = _windowed(presence, 2 * int(HALF_STRETCH_M / _BIN_M))
+        free &= dense >= 0.9 * dense[free].max()
+        merit = np.minimum(middles - extent[0], extent[1] - middles)
+    chosen = float(middles[free][merit[free].argmax()])
+    turn = _within_half_turn(everything.heading - direction)
+    halves = [turn[along & (everything.speed > 0.0) & (np.abs(u - chosen - shift) < 25.0)] for shift in (-25.0, 25.0)]
+    bend = abs(np.median(halves[1]) - np.median(halves[0])) if all(map(len, halves)) else 0.0
+    half, notes = HALF_STRETCH_M, []
+    if bend > _BEND_RAD:  # as far as the road stays within a metre of its tangent
+        half = max(10.0, min(half, math.floor(math.sqrt(2.0 / (bend / 50.0)))))
+        notes.append(f"the road bends by {math.degrees(bend):.0f} deg within 50 m, and a scene's is straight")
+    stretch = max(extent[0], chosen - half) - chosen, min(extent[1], chosen + half) - chosen
     coming = along & (u >= chosen + stretch[0]) & (u <= chosen + _BIN_M)  # not those that join beyond a crossing
     vehicles = len(np.unique(everything.vehicle[coming]))
     if vehicles < _FEWEST_VEHICLES:
         return None
-    notes = []
+    if vehicles < _MANY_VEHICLES:
+        notes.append(f"only {vehicles} vehicles: little to go by")
     if len(crossings):
-        first, last = middles[crossings[[0, -1]]] - chosen
+        groups = np.split(crossings, 1 + np.flatnonzero(np.diff(crossings) > 2))
+        nearest = min(groups, key=lambda group: np.abs(middles[group] - chosen).min())
+        first, last = edges[nearest[0]] - chosen, edges[nearest[-1] + 1] - chosen
         notes.append(f"others cross this carriageway between x {first:.0f} and {last:.0f} m: an intersection?")
-    turn = _within_half_turn(everything.heading - direction)
-    halves = [turn[along & (everything.speed > 0.0) & (np.abs(u - chosen - shift) < 25.0)] for shift in (-25.0, 25.0)]
-    if all(map(len, halves)):
-        bend = math.degrees(abs(np.median(halves[1]) - np.median(halves[0])))
-        if bend > _BEND_DEG:
-            notes.append(
-                f"the road bends by {bend:.0f} deg within 50 m, and a scene's is straight: keep the region short"
-            )
-    return _Station(chosen, setback, (extent[0] - chosen, extent[1] - chosen), stretch, vehicles, tuple(notes))
+    return _Station(chosen, setback, (extent[0] - chosen, extent[1] - chosen), stretch, half, vehicles, tuple(notes))
 
 
 def _clear(everything: _Samples, u, v, direction: float, line: float, edges: np.ndarray) -> np.ndarray:
