@@ -99,7 +99,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
     )
     corner = max(math.hypot(along, layout.carriageway_y[1]) for along in (low, high))
     gate = _GATE_STEP_M * math.ceil((corner + 1.0) / _GATE_STEP_M)
-    setback = "measure yours" if layout.setback_m == SETBACK_M else f"at {SETBACK_M:g} m it would stand in traffic"
+    why = "usual" if layout.setback_m == SETBACK_M else f"at {SETBACK_M:g} m the pole would stand in traffic"
     if kind == "ngsim":
         for key, known in (("period", recording.report.periods), ("location", recording.report.locations)):
             if len(known) > 1:
@@ -122,7 +122,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "",
         "[road]",
         *(_station_lines(layout) if kind == "ngsim" else []),
-        f"setback_m = {layout.setback_m}  # from the pole to the carriageway's right edge: {setback}",
+        f"setback_m = {layout.setback_m}  # from y = 0 to the carriageway's right edge: {why}; yours is [deployment] y_m",
         f"lanes = {layout.lanes}  # centres measured at y {centres} m{numbers}; add those that nobody used",
         f"lane_width_m = {layout.lane_width_m}  # {apart}",
         "",
@@ -137,8 +137,8 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "",
         "# A number fixes a coordinate, a pair [low, high] has it searched.",
         "[deployment]",
-        "x_m = 0.0",
-        "y_m = 0.0",
+        "x_m = 0.0  # along the road",
+        "y_m = 0.0  # -1.0: a metre farther from the carriageway",
         "height_m = [2.0, 4.5]  # what your pole allows",
         "tilt_x_deg = [0.0, 25.0]",
         "",

@@ -119,9 +119,9 @@ def _with_others(found: list[RoadLayout]) -> RoadLayout:
     notes = list(best.notes)
     for other in others:
         (x, y), heading = other.placing.origin_m, other.placing.heading_deg
-        lanes = "1 lane" if other.lanes == 1 else f"{other.lanes} lanes"
         notes.append(
-            f"also {other.vehicles:,} vehicles on {lanes} with heading {heading:.0f} deg about x {x:.0f}, y {y:.0f} m"
+            f"also {other.vehicles:,} vehicles where origin_m = [{x:.2f}, {y:.2f}], heading_deg = {heading:g}, "
+            f"setback_m = {other.setback_m:g}, lanes = {other.lanes}, lane_width_m = {other.lane_width_m:g}"
         )
     return replace(best, notes=tuple(notes))
 
