@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.refusals import BAD_CELLS, changed, refused
-from tests.small_scene import traffic_rows, write_table
+from tests.small_scene import cli, traffic_rows, write_table
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -85,6 +85,13 @@ def test_a_cloud_without_vehicle_ids_asks_for_assignment_by_box(tmp_path, capsys
     np.savez(tmp_path / "bare.npz", xyz=np.zeros((2, 3)))
     line = refused(capsys, tmp_path, "score", "--points", tmp_path / "bare.npz", "--boxes", boxes)
     assert "does not say which vehicle a point belongs to; use --assign box" in line
+
+
+def test_boxes_with_texts_for_ids_ask_for_assignment_by_box(tmp_path, capsys, points):
+    rows = [[0, "veh_7", "car", 0.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0]]
+    words = ["score", "--points", points, "--boxes", write_table(tmp_path / "boxes.csv", rows)]
+    assert "boxes.csv: vehicle_id are texts, and a cloud's are numbers" in refused(capsys, tmp_path, *words)
+    assert cli(capsys, *words, "--assign", "box")[0] == 0
 
 
 def test_boxes_of_several_frames_need_a_frame(tmp_path, capsys, points):

@@ -47,12 +47,19 @@ def test_an_empty_file(tmp_path, content):
     ("content", "text"),
     [
         (bytes(range(256)) * 40, "not a text file"),
-        (b"\0" * 1000, "FILE:1: no column Vehicle_ID"),
-        ("1 2 3\n".encode("utf-16"), "not a text file"),
+        (b"\0" * 1000, "FILE:1: no traffic that is known: it begins with '\\x00"),
+        ("1 2 3\n".encode("utf-16"), "FILE:1: 3 fields; NGSIM rows have 18 or 24"),
+        (b"PK\x03\x04\x14\0\x06\0[Content_Types].xml", "FILE: a workbook of a spreadsheet; save the sheet as CSV"),
         (b"PK\x03\x04" + bytes(100), "zip archive"),
-        (b"x" * 200_000, "FILE:1: no column Vehicle_ID"),
+        (b"x" * 200_000, "FILE:1: no traffic that is known: it begins with 'xxx"),
         (b"# nothing else\n", "no rows"),
-        (b"hello world\n", "no column Vehicle_ID"),
+        (
+            b"hello world\n",
+            "FILE:1: no traffic that is known: it begins with 'hello world'; allowed: NGSIM's text or CSV (Vehicle_ID, "
+            "Frame_ID, Global_Time, Local_X, Local_Y, v_Length, v_Width, v_Class, Lane_ID), SUMO's floating car data "
+            "(time, id, x, y, angle), or a table of boxes (frame, vehicle_id, class, x_m, y_m, length_m, width_m, "
+            "height_m, heading_deg)",
+        ),
         (b"1 2 3\n", "FILE:1: 3 fields; NGSIM rows have 18 or 24"),
     ],
 )

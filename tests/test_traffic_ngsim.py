@@ -268,3 +268,21 @@ def test_lines_parsed_by_numpy_and_rows_of_texts_give_the_same(tmp_path, monkeyp
         np.testing.assert_equal(fast, rows(path))
         assert sum(found is not None for found in chunks) >= 3
         assert place is not None or all(found is not None for found in chunks)
+
+
+@pytest.mark.parametrize("comma", [False, True])
+@pytest.mark.parametrize("mark", [" ", "\t", ";"])
+@pytest.mark.parametrize("dialect", [samples.native, samples.api])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_ngsim_is_read_as_spreadsheets_write_it(tmp_path, columns, dialect, mark, comma, encoding):
+    if dialect is samples.api and mark == " ":
+        return  # whose header is not read so
+    text = dialect(columns)
+    expected = read_traffic(samples.write(tmp_path, text))
+    fields = [line.split("," if dialect is samples.api else None) for line in text.splitlines()]
+    text = "\r\n".join(mark.join(line) for line in fields) + "\r\n"
+    path = tmp_path / "sheet.csv"
+    path.write_bytes((text.replace(".", ",") if comma else text).encode(encoding))
+    recording = read_traffic(path)
+    for name in ("frame", "vehicle_id", "class_index", "size_m", "lane", "frame_time_s", "centre_m", "heading_rad"):
+        np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name), err_msg=name)

@@ -381,3 +381,15 @@ def test_settings_of_other_formats_are_refused(tmp_path):
     for setting in ({"period": 2}, {"time_step_s": 0.1}, {"height_m": {"car": 1.5}}):
         with pytest.raises(InputError, match=r"does not apply to traffic of format 'sumo'"):
             read_traffic(path, **setting)
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_csv_that_a_spreadsheet_has_saved_again_is_read(tmp_path, mark):
+    text = samples.csv(samples.driving(4, 12))
+    path = tmp_path / "sheet.csv"
+    path.write_text(text, encoding="utf-8")
+    expected = read_sumo(path)
+    path.write_bytes(text.replace(".", ",").replace(";", mark).replace("\n", "\r\n").encode("utf-16"))
+    recording = read_traffic(path)
+    for name in ("frame", "centre_m", "size_m", "heading_rad", "frame_time_s"):
+        np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name), err_msg=name)

@@ -198,7 +198,7 @@ def test_a_damaged_parquet_file(tmp_path):
     whole = samples.write_parquet(tmp_path / "whole.parquet", ROWS).read_bytes()
     for damaged in (whole[: len(whole) // 2], b"PAR1", b"PAR1" + bytes(200), whole[:40] + b"\xff" * 80 + whole[120:]):
         assert refused(write(tmp_path, damaged)).startswith("FILE: truncated or damaged Parquet file (")
-    assert refused(write(tmp_path, gzip.compress(whole))) == "FILE: not a text file (UTF-8)"
+    assert refused(write(tmp_path, gzip.compress(whole))) == "FILE: not a text file (UTF-8, UTF-16 or Windows-1252)"
     rng = random.Random(1)
     for _ in range(60):
         flipped = bytearray(whole)

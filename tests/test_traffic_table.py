@@ -209,3 +209,179 @@ def test_what_was_read_is_told_in_singular_and_plural():
         "3 boxes interpolated in gaps of at most 0.5 s",
         "1,000 pairs of overlapping boxes in 2 frames looked at",
     ]
+
+
+# --- as spreadsheets and people write them ----------------------------------------------------------------------------
+
+TEN = [
+    f"{10 + 2 * row // 3},{row % 3},car,{1234.5 * row - 7:g},{0.125 * row + 6:g},0.75,4.5,1.9,1.5,{row:g}"
+    for row in range(9)
+]
+COLUMNS = ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "frame_time_s", "lane")
+
+
+def same(recording, expected):
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name), err_msg=name)
+
+
+def sheet(tmp_path, *, mark=",", comma=False, encoding="utf-8", end="\n", head="", header=HEADER, rows=TEN, tail=""):
+    """The rows as a program would write them, with `mark` between columns and perhaps decimal commas."""
+    lines = [header.replace(",", mark)]
+    for row in rows:
+        fields = [field.replace(".", ",") if comma else field for field in row.split(",")]
+        lines.append(mark.join(f'"{field}"' if mark in field else field for field in fields))
+    path = tmp_path / "sheet.csv"
+    path.write_bytes((head + end.join(lines) + end + tail).encode(encoding))
+    return path
+
+
+SHEETS = {
+    "German Excel": {"mark": ";", "comma": True, "encoding": "cp1252", "end": "\r\n"},
+    "German Excel, UTF-8": {"mark": ";", "comma": True, "encoding": "utf-8-sig", "end": "\r\n"},
+    "French Excel, Unicode text": {"mark": "\t", "comma": True, "encoding": "utf-16", "end": "\r\n"},
+    "Excel for Mac": {"mark": ";", "comma": True, "end": "\r"},
+    "English Excel, Unicode text": {"mark": "\t", "encoding": "utf-16", "end": "\r\n"},
+    "UTF-16 without its mark": {"encoding": "utf-16-le"},
+    "UTF-16, big end first": {"encoding": "utf-16-be", "mark": ";"},
+    "sep": {"mark": ";", "comma": True, "head": "sep=;\r\n", "end": "\r\n"},
+    "sep after a mark": {"mark": "\t", "encoding": "utf-8-sig", "head": "SEP=\t\r\n", "end": "\r\n"},
+    "a comment saved again": {"mark": ";", "comma": True, "head": '"# made up; by hand";;\n# more\n;;;\n'},
+    "bars": {"mark": "|"},
+    "blanks": {"mark": " "},
+    "blanks and decimal commas": {"mark": "  ", "comma": True},
+    "quoted header": {"header": ",".join(f'"{name}"' for name in HEADER.split(",")), "mark": ";"},
+    "header of capitals and blanks": {"header": HEADER.upper().replace("_", " "), "mark": ";"},
+    "header with units": {
+        "header": "Frame,Vehicle ID,Class,x [m],y [m],z (m),Length (m),Width (m),Height (m),Heading [°]",
+        "encoding": "cp1252",
+    },
+    "camels": {"header": "Frame,VehicleId,Class,X_m,Y_m,Z_m,LengthM,WidthM,HeightM,HeadingDeg"},
+    "empty columns and rows behind": {
+        "header": HEADER + ",,", "rows": [row + ",," for row in TEN], "tail": ",,,,,,,,,,,\n,,,,,,,,,,,\n\n",
+    },
+    "empty columns in rows alone": {"rows": [row + ",," for row in TEN], "mark": ";"},
+    "empty columns in the header alone": {"header": HEADER + ",,"},
+    "a city in Windows-1252": {
+        "header": HEADER + ",Straße", "rows": [row + ",Königsallee" for row in TEN], "encoding": "cp1252", "mark": ";",
+        "comma": True,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("chunk", [2, 5000])
+@pytest.mark.parametrize("case", SHEETS)
+def test_a_table_is_read_as_spreadsheets_write_it(tmp_path, monkeypatch, case, chunk, packed):
+    expected = read_table(write(tmp_path, rows=TEN))
+    monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", chunk)
+    path = sheet(tmp_path, **SHEETS[case])
+    if packed:
+        path.write_bytes(gzip.compress(path.read_bytes()))
+    recording = read_traffic(path)
+    same(recording, expected)
+    assert recording.report.rows_read == len(TEN)
+
+
+def small(value="12,345", frame="1", mark=";", more="4,5"):
+    fields = (frame, "7", "car", value, "6", "0", more, "2", "2", "0")
+    return [mark.join(f'"{field}"' if mark in field else field for field in fields)]
+
+
+def plain(tmp_path, rows, mark):
+    return write(tmp_path, HEADER.replace(",", mark), rows)
+
+
+def test_a_decimal_comma_is_told_from_thousands_or_refused(tmp_path):
+    """Each reading is right, or there is none: semicolons come with decimal commas, other separators with either."""
+    for mark, more in ((";", "4"), (";", "4,5"), ("\t", "4,5"), ("|", "0,500"), (" ", "4,5000")):
+        assert read_table(plain(tmp_path, small(mark=mark, more=more), mark)).centre_m[0, 0] == 12.345
+    either = "'12,345' and its like may have a decimal comma or divide thousands; write decimal points"
+    for mark in ("\t", "|", " ", ","):
+        assert refused(plain(tmp_path, small(mark=mark, more="4"), mark)) == f"FILE: {either}"
+    assert read_table(plain(tmp_path, small(mark=",", more="4.5"), ",")).centre_m[0, 0] == 12345.0
+    assert read_table(plain(tmp_path, small("1,234,567", mark=",", more="4"), ",")).centre_m[0, 0] == 1234567.0
+    assert refused(plain(tmp_path, small("1,5", mark=",", more="4.5"), ",")).startswith("FILE:2: x_m is '1,5'; allowed")
+    for value in ("1,5", "1,234", "1,234.5", "1.234,5"):
+        for mark in (";", "\t"):
+            told = refused(plain(tmp_path, small(value, mark=mark, more="4.5"), mark))
+            assert told.startswith(f"FILE:2: x_m is '{value}'; allowed")
+    assert "x_m is '1.234.567'" in refused(plain(tmp_path, small("1.234.567"), ";"))
+
+
+@pytest.mark.parametrize("first", ["4,5", "4.5"])
+def test_commas_and_points_in_one_file_are_refused_however_far_apart(tmp_path, monkeypatch, first):
+    monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 1)
+    other = first.translate({ord(","): ".", ord("."): ","})
+    rows = [*small("1", more=first), *small("2", "2", more="4"), *small("3", "3", more=other)]
+    told = refused(plain(tmp_path, rows, ";"))
+    both = "FILE: has numbers with a decimal comma and with a point; allowed: one of them"
+    assert told in (both, "FILE:4: length_m is '4,5'; allowed: more than 0, 0.001 to 1000")
+
+
+# --- columns that are nearly right ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        (
+            "frame,id,type,x,y,length,width,height,heading",
+            "no column vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg; needed: frame, "
+            "vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg; it has frame, id, type, x, y, "
+            "length, width, height, heading; nearest: id to vehicle_id, type to class, x to x_m, y to y_m, "
+            "length to length_m, "
+            "width to width_m, height to height_m, heading to heading_deg",
+        ),
+        ("frame,vehicle_id,class,x_m,y_m,lenght_m,width_m,height_m,yaw", "nearest: lenght_m to length_m, yaw to"),
+        (
+            "frame_id,track_id,category,pos_x,pos_y,l,w,h,angle",
+            "frame_id to frame, track_id to vehicle_id, category to",
+        ),
+        ("time,id,class,x,y,length,width,height,heading", "no column frame, vehicle_id"),
+        ("frame,vehicle_id,class,x_ft,y_ft,length_ft,width_ft,height_ft,heading_rad", "x_ft to x_m, y_ft to y_m"),
+    ],
+)
+def test_a_table_whose_columns_are_nearly_right_is_known_and_the_missing_ones_are_named(tmp_path, header, told, mark):
+    path = write(tmp_path, header.replace(",", mark), ["1,2,car,3,4,4.5,2,1.5,0".replace(",", mark)])
+    line = refused(path)
+    assert line.startswith("FILE:1: no column ")
+    assert told in line
+
+
+# --- ids that are texts -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 5000])
+@pytest.mark.parametrize(("mark", "comma"), [(",", False), (";", True), ("\t", True)])
+@pytest.mark.parametrize("ids", [["veh_12", "flow.3", "12"], ["12", "bus,7", "Käfer"], ["7", "07", "a" * 40]])
+def test_ids_that_are_texts_are_numbered_as_they_appear(tmp_path, monkeypatch, ids, mark, comma, chunk):
+    if mark in "".join(ids):
+        ids = [name.replace(mark, "-") for name in ids]
+    expected = read_table(write(tmp_path, rows=TEN))
+    monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", chunk)
+    path = sheet(tmp_path, mark=mark, comma=comma)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for place, line in enumerate(lines[1:], start=1):
+        fields = line.split(mark)
+        fields[1] = ids[int(fields[1])]
+        lines[place] = mark.join(fields)
+    path.write_text("\n".join(lines), encoding="utf-8")
+    recording = read_traffic(path)
+    same(recording, expected)  # as each appears in the order of its number
+    assert f"vehicles are numbered from 0 by first appearance: {', '.join(ids[:2])}" in recording.report.notes[-1]
+
+
+@pytest.mark.parametrize("bad", ["", "nan", "-1", "1.5", "inf", "NULL"])
+def test_what_is_no_id_is_refused_beside_texts_too(tmp_path, bad):
+    rows = [ROWS[0].replace("10,1", "10,veh_1"), ROWS[1].replace("10,2", f"10,{bad}")]
+    told = refused(write(tmp_path, rows=rows))
+    assert told == f"FILE: vehicle_id is {bad!r}; allowed: a whole number of at least 0, or a text"
+
+
+def test_ids_that_the_encoding_garbles_are_not_taken_for_one_another(tmp_path):
+    rows = [ROWS[0]] * 4000 + [ROWS[1].replace("10,2", "10,Käfer")]
+    path = write(tmp_path, HEADER, rows)
+    path.write_bytes(path.read_text(encoding="utf-8").encode("cp1252"))
+    assert "in another encoding than the file's beginning; save it as UTF-8" in refused(path)

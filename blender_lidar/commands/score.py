@@ -20,6 +20,7 @@ from ..metrics.vgop import entropy, to_vehicle_frame
 from ..optimise import detectable
 from ..toml_table import settings_of
 from ..traffic import read_table
+from ..traffic.source import NUMBERED
 from ..traffic.vehicles import Vehicles
 from .options import given_options
 from .parsers import ScoreOptions
@@ -101,6 +102,8 @@ def _column(metric: Metric) -> str:
 def boxes_of(asked: ScoreOptions) -> Vehicles:
     """The boxes that are named, of the frame that is."""
     recording = read_table(asked.boxes)
+    if asked.assign == "id" and any(note.startswith(NUMBERED) for note in recording.report.notes):
+        raise InputError(f"{asked.boxes}: vehicle_id are texts, and a cloud's are numbers; allowed: --assign box")
     frames = recording.frames
     if asked.frame is None and len(frames) > 1:
         raise InputError(f"{asked.boxes}: holds frames {frames[0]} to {frames[-1]}; name one with --frame")

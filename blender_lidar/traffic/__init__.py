@@ -12,10 +12,12 @@ from ..errors import InputError, unknown_name
 from ..names import TRAFFIC_FORMATS
 from ..road import RoadFrame
 from .frames import FramePlan, instants, plan_frames, well_populated_frames
-from .ngsim import read_ngsim
-from .source import fields_of, first_lines
-from .sumo import kind_of_fcd, read_sumo
-from .table import is_table_header, read_table
+from .ngsim import NGSIM_COLUMNS, read_ngsim
+from .ngsim import likeness as ngsim_likeness
+from .source import first_lines, quoted
+from .sumo import FCD_NEEDED, kind_of_fcd, read_sumo
+from .table import BOX_NEEDED, read_table
+from .table import likeness as table_likeness
 from .vehicles import CLASSES, Recording, RepairReport, Vehicles, overlapping_pairs
 
 __all__ = [
@@ -76,8 +78,31 @@ def read_traffic(
     return read(path, **given)
 
 
+_FEWEST_ALIKE = 4  # columns of a table that tell it
+_MOST_OF_SUMO = 6  # columns of a table that SUMO's own files have or have something like
+
+
 def format_of(path: str | Path) -> str:
-    """The format of a recording, ``"ngsim"``, ``"sumo"`` or ``"table"``, by the file's beginning."""
-    if kind_of_fcd(path):
+    """The format of a recording, ``"ngsim"``, ``"sumo"`` or ``"table"``, by the file's beginning.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If it cannot be read, or is of none of them.
+    """
+    kind = kind_of_fcd(path)
+    if kind in ("xml", "parquet"):
         return "sumo"
-    return "table" if is_table_header(fields_of(first_lines(path)[0][1])) else "ngsim"
+    line, header = first_lines(path)[0]
+    if kind == "csv" and table_likeness(header) <= _MOST_OF_SUMO:
+        return "sumo"
+    ngsim, table = ngsim_likeness(header), table_likeness(header)
+    if ngsim >= max(table, _FEWEST_ALIKE):
+        return "ngsim"
+    if table >= _FEWEST_ALIKE:
+        return "table"
+    raise InputError(
+        f"{path}:{line}: no traffic that is known: it begins with {quoted(header)}; allowed: NGSIM's text or CSV "
+        f"({', '.join(NGSIM_COLUMNS)}), SUMO's floating car data ({', '.join(FCD_NEEDED)}), or a table of boxes "
+        f"({', '.join(BOX_NEEDED)})"
+    )

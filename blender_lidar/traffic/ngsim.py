@@ -201,6 +201,27 @@ _WITHOUT_HEADER = {
 }
 
 
+def _divided(line: str) -> tuple[str | None, list[str]]:
+    """What divides the fields of the first line, None being white space, and those fields."""
+    delimiter = max(";", ",", key=line.count) if {";", ","} & set(line) else None
+    words = line.split()
+    if _is_row(words) and len(words) in _WITHOUT_HEADER and all(word == word.strip(",;") for word in words):
+        delimiter = None  # where commas are decimal
+    return delimiter, fields_of(line, delimiter)
+
+
+def _is_row(fields: Sequence[str]) -> bool:
+    """Whether a first line is a row of numbers already."""
+    return bool(fields) and not np.isnan(number(fields[0].replace(",", "")))
+
+
+def likeness(line: str) -> float:
+    """How many of the needed columns a header has; endless for a row without a header, as only NGSIM has."""
+    fields = _divided(line)[1]
+    names = {field.lower().replace(" ", "_") for field in fields}
+    return np.inf if _is_row(fields) else len(names & {name.lower() for name in NGSIM_COLUMNS})
+
+
 def sniff_layout(path: str | Path) -> TableLayout:
     """Find the dialect of a file of NGSIM trajectories; lines before the table that are blank or comments are skipped.
 
@@ -214,13 +235,13 @@ def sniff_layout(path: str | Path) -> TableLayout:
     """
     lines = first_lines(path)
     line, text = lines[0]
-    delimiter = next((mark for mark in (",", ";") if mark in text), None)
-    fields = fields_of(text, delimiter)
-    if not np.isnan(number(fields[0].replace(",", ""))):
+    delimiter, fields = _divided(text)
+    if _is_row(fields):
         trailing = [""] if fields[-1] == "" else []  # a delimiter at the line's end
         columns = _WITHOUT_HEADER.get(len(fields) - len(trailing))
         if columns is None:
-            raise InputError(f"{path}:{line}: {len(fields)} fields; NGSIM rows have 18 or 24, the portal's 25")
+            told = "NGSIM rows have 18 or 24, the portal's 25; other traffic needs a first line with its columns' names"
+            raise InputError(f"{path}:{line}: {len(fields)} fields; {told}")
         return TableLayout((*columns, *trailing), delimiter, line)
     if delimiter is None and "\t" in text:
         delimiter = "\t"  # under a header, cells may be empty: every tab counts

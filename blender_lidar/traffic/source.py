@@ -1,8 +1,10 @@
-"""Reading text tables of traffic, plain or gzip: opening, header, rows in chunks, and what columns may hold."""
+"""Reading text tables of traffic, plain or gzip: encoding, header, rows in chunks, and what columns may hold."""
 
 from __future__ import annotations
 
+import codecs
 import csv
+import difflib
 import gzip
 import io
 import re
@@ -16,7 +18,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, printable
 from ..files import number, open_file, reading
 
 MAX_ROWS = 20_000_000
@@ -27,6 +29,8 @@ _HEAD_BYTES = 2**17
 _CHUNK_ROWS = 5_000  # more fill the processor's cache with short strings
 _TEXT = 24  # characters that the fast parser takes; longer texts are read as rows
 _LONGEST_SHOWN = 40
+_NAMES_SHOWN = 3
+NUMBERED = "vehicles are numbered from 0 by first appearance"
 _LARGEST = 2.0**53  # whole numbers are exact up to here
 
 # --- Opening a file, its first lines ----------------------------------------------------------------------
@@ -51,26 +55,54 @@ def open_bytes(path: str | Path, *, unpack: bool = True) -> Iterator[BinaryIO]:
             raise InputError(f"{path}: truncated or damaged gzip file ({error})") from error
 
 
+_WORKBOOKS = (b"[Content_Types].xml", b"vnd.oasis.opendocument", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
+_MARKED = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+_NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")
+_LINE_END = re.compile(r"\r\n?|\n")
+_NAMES_SEPARATOR = re.compile(r'"?sep=.?"?[;,\t|]*\s*', re.IGNORECASE)  # a first line of Excel's
+
+
+def _beginning(path: str | Path) -> tuple[str, str]:
+    """The first lines of a file as one text, and the encoding that spreadsheets or others wrote it in.
+
+    By its byte order mark UTF-8 or UTF-16; without one UTF-8, UTF-16 if every other byte is nought, or Windows-1252.
+    """
+    with open_bytes(path) as stream:
+        head = stream.read(_HEAD_BYTES)
+    if any(mark in head[:1024] for mark in _WORKBOOKS):
+        raise InputError(f"{path}: a workbook of a spreadsheet; save the sheet as CSV")
+    if head.startswith(b"PK\x03\x04"):
+        raise InputError(f"{path}: a zip archive; unpack it and give the .txt or .csv file inside")
+    marked = next((encoding for mark, encoding in _MARKED.items() if head.startswith(mark)), None)
+    halves = {"utf-16-le": head[1::2], "utf-16-be": head[::2]}
+    zeros = [encoding for encoding, half in halves.items() if any(head) and half and not any(half)]
+    for encoding in [marked] if marked else zeros or ["utf-8", "cp1252"]:
+        try:
+            text = codecs.getincrementaldecoder(encoding)().decode(head, final=len(head) < _HEAD_BYTES)
+        except UnicodeDecodeError:
+            continue
+        if encoding == "cp1252" and _NO_TEXT.search(text):
+            break
+        if len(head) == _HEAD_BYTES and (ends := list(_LINE_END.finditer(text))):
+            text = text[: ends[-1].end()]
+        return text, encoding
+    raise InputError(f"{path}: not a text file (UTF-8, UTF-16 or Windows-1252)")
+
+
 def first_lines(path: str | Path) -> list[tuple[int, str]]:
-    """The first lines of a text and their numbers from 1, without blank lines and comments that start with ``#``.
+    """The first lines of a text and their numbers from 1, without blank lines, comments, and Excel's ``sep=;``.
+
+    Comments start with ``#``.
 
     Raises
     ------
     MissingFileError, InputError
         As `open_bytes`; and if there is no such line, or the file is not text.
     """
-    with open_bytes(path) as stream:
-        head = stream.read(_HEAD_BYTES)
-    if head.startswith(b"PK\x03\x04"):
-        raise InputError(f"{path}: a zip archive; unpack it and give the .txt or .csv file inside")
-    if len(head) == _HEAD_BYTES and b"\n" in head:
-        head = head[: head.rfind(b"\n") + 1]
-    try:
-        text = head.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file (UTF-8)") from error
-    lines = [(number, line.rstrip("\r")) for number, line in enumerate(text.split("\n"), start=1)]
-    lines = [(number, line) for number, line in lines if line.strip() and not line.startswith("#")]
+    lines = list(enumerate(_LINE_END.split(_beginning(path)[0]), start=1))
+    if _NAMES_SEPARATOR.fullmatch(lines[0][1]):
+        del lines[0]
+    lines = [(number, line) for number, line in lines if line.strip(" \t;,") and not line.lstrip('"').startswith("#")]
     if not lines:
         raise InputError(f"{path}: no rows; a file of vehicles is needed")
     return lines
@@ -81,6 +113,46 @@ def fields_of(line: str, delimiter: str | None = ",") -> list[str]:
     if delimiter is None:
         return line.split()
     return [field.strip() for field in next(csv.reader([line.replace("\r", " ")], delimiter=delimiter), [])]
+
+
+def delimiter_of(header: str, known: Collection[str]) -> str | None:
+    """What divides the names of a header: comma, semicolon, tab, bar or, as None, any run of white space.
+
+    It is the one by which most of the names are `known`.
+    """
+
+    def found(mark: str | None) -> tuple[int, bool, int]:
+        names = known_names(fields_of(header, mark), known)
+        return len(set(names) & set(known)), mark is not None, header.count(mark or " ")
+
+    return max((",", ";", "\t", "|", None), key=found)
+
+
+def known_names(names: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Names of columns in small letters, spelt as the `known` ones: ``"X [m]"`` as ``"x_m"``."""
+    spelt = {_letters(name): name for name in known}
+    return [spelt.get(_letters(name), name.strip().lower()) for name in names]
+
+
+def _letters(name: str) -> str:
+    return re.sub(r"[\W_]+", "", name.lower().replace("°", "deg"))
+
+
+def nearest_names(
+    wanted: Iterable[str], present: Iterable[str], words: Mapping[str, Collection[str]]
+) -> dict[str, str]:
+    """Which of the `present` names of columns may be meant by those that are `wanted`, each for one at most.
+
+    One is if it has one of the `words` for a name in it, or is spelt much alike.
+    """
+    left, found = [name for name in present if name], {}
+    for name in wanted:
+        of_words = (one for one in left if words.get(name, set()) & set(re.split(r"[\W_]+", one.lower())))
+        near = next(of_words, None) or next(iter(difflib.get_close_matches(name, left, 1, 0.75)), None)
+        if near is not None:
+            found[name] = near
+            left.remove(near)
+    return found
 
 
 class TableLayout(NamedTuple):
@@ -100,8 +172,16 @@ class TableLayout(NamedTuple):
     delimiter: str | None
     first_line: int
 
-    def check(self, needed: Iterable[str], optional: Iterable[str], where: str) -> list[str]:
+    def check(
+        self,
+        needed: Iterable[str],
+        optional: Iterable[str],
+        where: str,
+        words: Mapping[str, Collection[str]] | None = None,
+    ) -> list[str]:
         """The columns that are used: the needed ones, and the optional ones that are there.
+
+        With `words` for them an error tells which ones may be meant; see `nearest_names`.
 
         Raises
         ------
@@ -111,7 +191,10 @@ class TableLayout(NamedTuple):
         needed = list(needed)
         missing = [name for name in needed if name not in self.columns]
         if missing:
-            listed = f"needed: {', '.join(needed)}; it has {', '.join(self.columns)}"
+            names = [printable(name, _LONGEST_SHOWN) for name in self.columns if name]
+            listed = f"needed: {', '.join(needed)}; it has {', '.join(names)}"
+            near = nearest_names(missing, [name for name in names if name not in needed], words or {})
+            listed += f"; nearest: {', '.join(f'{one} to {name}' for name, one in near.items())}" if near else ""
             raise InputError(f"{where}: no column {', '.join(missing)}; {listed}")
         used = [*needed, *(name for name in optional if name in self.columns)]
         for name in used:
@@ -216,6 +299,24 @@ def numbers(values: np.ndarray) -> np.ndarray:
     return np.array([number(str(value)) for value in values])
 
 
+def codes(rows: Rows, name: str, index: dict[str, int]) -> np.ndarray:
+    """Places of the texts of a column in `index`, which grows, (n,) int64; what is missing is the empty text."""
+    given = rows.columns.get(name)
+    texts = [""] * len(rows) if given is None else ["" if text is None else str(text) for text in given.tolist()]
+    return np.array([index.setdefault(text, len(index)) for text in texts], dtype=np.int64)
+
+
+def numbered(names: Sequence[str]) -> str:
+    """The note on vehicles whose ids are texts: numbers count `names`."""
+    return f"{NUMBERED}: {listed(names)}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Some names from a file, and how many more there are."""
+    more = f" and {len(names) - _NAMES_SHOWN:,} more" if len(names) > _NAMES_SHOWN else ""
+    return ", ".join(printable(name, _LONGEST_SHOWN) for name in names[:_NAMES_SHOWN]) + more
+
+
 def quoted(text: str) -> str:
     """A text from a file as an error shows it, cut where it is long."""
     return repr(text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "...")
@@ -223,11 +324,17 @@ def quoted(text: str) -> str:
 
 # --- Rows in chunks, parsed in C where they are clean -----------------------------------------------------
 
+# Numbers with commas. In a table with commas one stands in quotes and divides thousands; between semicolons, tabs, bars
+# or blanks it is decimal, in a file without decimal points. Where all of a file's could be either, it is refused.
+_THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]*)?")
+_EITHER = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
+_WITH_POINT = re.compile(r'(?:^|[\s;|,"])[+-]?[0-9]*\.[0-9]*(?:[eE][+-]?[0-9]+)?(?=[\s;|,"]|$)', re.MULTILINE)
+
 
 def read_rows(
     path: str | Path, layout: TableLayout, columns: Mapping[str, Column], texts: Collection[str] = ()
 ) -> Iterator[Rows]:
-    """The rows of a table that are not blank, a chunk at a time; quoted numbers lose their separators of thousands.
+    """The rows of a table that are not blank, a chunk at a time, with their decimal commas and thousands read.
 
     Parameters
     ----------
@@ -247,30 +354,62 @@ def read_rows(
     Raises
     ------
     InputError
-        If a row has not as many fields as the others, or there are more than `MAX_ROWS`.
+        If a row has not as many fields as the others, there are more than `MAX_ROWS`, or commas in numbers may mean
+        decimals or thousands.
     """
     used = {name: layout.columns.index(name) for name in (*columns, *texts) if name in layout.columns}
+    encoding = _beginning(path)[1]
     with (
         open_bytes(path) as stream,
-        io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="") as text,
+        io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="") as text,
     ):
+        points, commas, sure, doubtful = False, False, layout.delimiter == ";", ""
         below = islice(text, layout.first_line - 1, None)
         first = layout.first_line
         while chunk := list(islice(below, _CHUNK_ROWS)):
             if first + len(chunk) > layout.first_line + MAX_ROWS:
                 raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
+            joined, lines = "".join(chunk), range(first, first + len(chunk))
+            points = points or bool(_WITH_POINT.search(joined))
+            if points and commas:
+                raise InputError(f"{path}: has numbers with a decimal comma and with a point; allowed: one of them")
             if layout.delimiter == ",":
                 chunk = _unquoted(chunk)
-            found = _parsed(chunk, layout, used, columns.keys())
-            lines = range(first, first + len(chunk))
+                found = _parsed(chunk, layout, used, columns.keys())
+                within = [] if points or sure else joined.split('"')[1::2]
+                sure = sure or any(text.count(",") > 1 and _THOUSANDS.fullmatch(text) for text in within)
+                doubtful = next(filter(_EITHER.fullmatch, within), doubtful)
+            elif "," not in joined:
+                found = _parsed(chunk, layout, used, columns.keys())
+            else:  # once commas are known to be decimal, chunks may be clean but for them
+                plain = [line.replace(",", ".") for line in chunk]
+                found = _parsed(plain, layout, used, columns.keys()) if commas and sure else None
+                if found and any("." in text for name in texts if name in found for text in found[name].tolist()):
+                    found = None
             first += len(chunk)
             if found is None:
                 lines, found, first = _split(chain(chunk, below), str(path), layout, used, lines)
-                for name in columns if layout.delimiter == "," else ():
-                    if name in found:
-                        found[name] = np.array([text.replace(",", "") for text in found[name]], dtype=object)
+                numeric = [name for name in columns if name in found]
+                cells = [text.strip() for name in numeric for text in found[name] if "," in text]
+                if cells and layout.delimiter != "," and not points:
+                    commas, doubtful = True, cells[0]
+                    sure = sure or not all(map(_EITHER.fullmatch, cells))
+                if commas or (cells and layout.delimiter == ","):
+                    plain_text = _with_point if commas else _without_thousands
+                    found |= {name: np.array(list(map(plain_text, found[name])), dtype=object) for name in numeric}
             if len(lines):
                 yield Rows(found, lines, f"{path}:")
+        if doubtful and not (sure or points):
+            told = "may have a decimal comma or divide thousands; write decimal points"
+            raise InputError(f"{path}: {doubtful!r} and its like {told}")
+
+
+def _with_point(text: str) -> str:
+    return text.replace(",", ".")
+
+
+def _without_thousands(text: str) -> str:
+    return text.replace(",", "") if _THOUSANDS.fullmatch(text.strip()) else text
 
 
 def _unquoted(lines: list[str]) -> list[str]:
@@ -278,6 +417,8 @@ def _unquoted(lines: list[str]) -> list[str]:
     pieces = "".join(lines).split('"')
     within = "\0".join(pieces[1::2])
     if len(pieces) < 2 or len(pieces) % 2 == 0 or not re.fullmatch(r"[0-9.,+\0-]*", within):
+        return lines
+    if any("," in text and not _THOUSANDS.fullmatch(text) for text in pieces[1::2]):
         return lines
     pieces[1::2] = within.replace(",", "").split("\0")
     return list(io.StringIO("".join(pieces), newline=""))
@@ -319,13 +460,18 @@ def _split(
     A quoted field may go on in `lines` beyond the chunk, whose lines have these `numbers`.
     """
     width, line, rows, begin = len(layout.columns), numbers[0], [], []
+    least = max((place for place, name in enumerate(layout.columns, start=1) if name), default=0)
     reader = csv.reader(lines, delimiter=layout.delimiter) if layout.delimiter else map(str.split, lines)
     try:
         while line in numbers and (row := next(reader, None)) is not None:
-            if len(row) == width:
+            if least <= len(row) and not "".join(row[width:]).strip():  # as spreadsheets end rows
+                row = [*row, *[""] * (width - len(row))][:width]
+            if not "".join(row).strip():
+                pass
+            elif len(row) == width:
                 rows.append(row)
                 begin.append(line)
-            elif len(row) > 1 or "".join(row).strip():
+            else:
                 raise InputError(f"{path}:{line}: {len(row)} fields; the first line has {width}")
             line = numbers[0] + reader.line_num if layout.delimiter else line + 1
     except csv.Error as error:

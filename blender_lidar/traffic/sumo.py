@@ -18,7 +18,19 @@ from xml.parsers import expat
 import numpy as np
 
 from ..errors import InputError, MissingExtraError, printable, unknown_name
-from .source import MAX_ROWS, Column, Rows, TableLayout, fields_of, first_lines, open_bytes, read_rows
+from .source import (
+    MAX_ROWS,
+    Column,
+    Rows,
+    TableLayout,
+    codes,
+    fields_of,
+    first_lines,
+    listed,
+    numbered,
+    open_bytes,
+    read_rows,
+)
 from .tracks import drop_repeats
 from .vehicles import CLASSES, HEIGHTS_M, VAN_LONGER_THAN_M, Placing, Recording, RepairReport, with_overlaps_reported
 
@@ -27,7 +39,6 @@ _LANE = re.compile(".*_([0-9]{1,5})", re.DOTALL)
 _LARGEST_LANE = 2**15 - 2
 _FLAT_WITHIN_M = 0.1
 _WITHIN_DEGREES = 1.0  # 111 km: no scene is as large; in metres, no traffic is as small
-_NAMES_SHOWN = 3
 _LONGEST_SHOWN = 40
 
 
@@ -81,7 +92,7 @@ def read_sumo(
     if all(_WHOLE.fullmatch(name) for name in names["id"]):
         vehicle_id = np.array(names["id"], dtype=np.int64)
     else:
-        notes.append(f"vehicles are numbered from 0 by first appearance: {_listed(names['id'])}")
+        notes.append(numbered(names["id"]))
     z = rows["z"][~np.isnan(rows["z"])]
     if len(z) and np.ptp(z) > _FLAT_WITHIN_M:
         notes.append(f"z from {z.min():.1f} to {z.max():.1f} m is left aside: all vehicles stand on a flat road")
@@ -140,11 +151,6 @@ def _lane_number(lane: str) -> int:
     return int(found[1]) + 1 if found and int(found[1]) <= _LARGEST_LANE else 0
 
 
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _NAMES_SHOWN:,} more" if len(names) > _NAMES_SHOWN else ""
-    return ", ".join(map(_short, names[:_NAMES_SHOWN])) + more
-
-
 def _short(name: str) -> str:
     return printable(name, _LONGEST_SHOWN)
 
@@ -186,7 +192,9 @@ def _collected(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, list[
         if not vehicle.any():
             continue
         rows = rows if vehicle.all() else rows.select(vehicle)
-        part = {name: _codes(rows, name, index) for name, index in known.items()}
+        part = {name: codes(rows, name, index) for name, index in known.items()}
+        if "" in known["id"]:
+            raise InputError(f"{rows.where(int((part['id'] == known['id']['']).argmax()))}: id is missing")
         part |= {name: rows.numbers(name, column) for name, column in FCD_COLUMNS.items()}
         part["time"] = np.rint(1000.0 * part["time"]).astype(np.int64)
         early = np.flatnonzero(np.diff(part["time"], prepend=latest_ms) < 0)
@@ -208,15 +216,6 @@ def _collected(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, list[
         )
     report = RepairReport(rows_read=rows_read, left_out=left_out, off_map=int((~somewhere).sum()))
     return columns, {name: list(index) for name, index in known.items()}, report
-
-
-def _codes(rows: Rows, name: str, index: dict[str, int]) -> np.ndarray:
-    """Places of texts in `index`, which grows, (n,) int64."""
-    given = rows.columns.get(name)
-    texts = [""] * len(rows) if given is None else ["" if text is None else str(text) for text in given.tolist()]
-    if name == "id" and "" in texts:
-        raise InputError(f"{rows.where(texts.index(''))}: id is missing")
-    return np.array([index.setdefault(text, len(index)) for text in texts], dtype=np.int64)
 
 
 # --- XML: the start tags, streamed: nothing is built, so that memory does not grow with the file ----------
@@ -462,7 +461,7 @@ def _types(
     found = [known.get(name) or known.get(name.split("@", 1)[0]) for name in names]
     unknown = [name for name, kind in zip(names, found, strict=True) if kind is None]
     if defined is None:
-        cars = f", a passenger car's for {_listed([name or 'no type' for name in unknown])}" if unknown else ""
+        cars = f", a passenger car's for {listed([name or 'no type' for name in unknown])}" if unknown else ""
         note = f"no vehicle_types: sizes are SUMO's defaults for the type's vehicle class{cars}"
         return [kind or DEFAULT_TYPES["passenger"] for kind in found], [note]
     if "" in unknown:

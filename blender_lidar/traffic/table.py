@@ -4,7 +4,7 @@ One row per vehicle and frame under a header; columns in any order, further ones
 
 =========================  ==========================================================
 ``frame``                  whole number
-``vehicle_id``             whole number, 0 or more; the same vehicle in every frame
+``vehicle_id``             whole number, 0 or more, or a text; the same vehicle in every frame
 ``class``                  car, van, truck, bus or motorcycle
 ``x_m``, ``y_m``           box centre [m]
 ``length_m``, ``width_m``  box size [m], more than 0
@@ -16,6 +16,7 @@ One row per vehicle and frame under a header; columns in any order, further ones
 =========================  ==========================================================
 
 ``vehicles.csv`` of a run is such a table. It may be packed with gzip, and begin with lines that start with ``#``.
+Spreadsheets may have written it: with semicolons, tabs and decimal commas, as UTF-8, UTF-16 or Windows-1252.
 """
 
 from __future__ import annotations
@@ -25,7 +26,22 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
+from .source import (
+    EMPTY,
+    Column,
+    Rows,
+    TableLayout,
+    codes,
+    delimiter_of,
+    fields_of,
+    first_lines,
+    known_names,
+    nearest_names,
+    numbered,
+    numbers,
+    quoted,
+    read_rows,
+)
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Placing, Recording, RepairReport, with_overlaps_reported
 
@@ -41,6 +57,18 @@ BOX_COLUMNS = {
     "lane": Column("a whole number", 1 - 2**15, 2**15 - 1, whole=True),
 }
 BOX_NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
+_WORDS = {
+    "frame": {"frame"},
+    "vehicle_id": {"id", "vehicle", "veh", "track"},
+    "class": {"class", "type", "category", "kind"},
+    "x_m": {"x"},
+    "y_m": {"y"},
+    "length_m": {"length", "len", "l"},
+    "width_m": {"width", "w"},
+    "height_m": {"height", "h"},
+    "heading_deg": {"heading", "yaw", "angle", "orientation", "course"},
+}
+"""What a column may be called that is meant."""
 _TIME_STEP_LIMITS_S = (1e-3, 1e6)
 _SAME_TIME_S = 1e-6
 _ASSUMED_TIME_STEP_S = 0.1
@@ -74,7 +102,7 @@ def read_table(
     low, high = _TIME_STEP_LIMITS_S
     if time_step_s is not None and not low <= time_step_s <= high:
         raise InputError(f"time_step_s is {time_step_s}; allowed: {low:g} to {high:g}")
-    columns = _columns(path)
+    columns, numbering = _columns(path)
     rows_read = len(columns["frame"])
     values = np.column_stack([column for name, column in columns.items() if name not in ("frame", "vehicle_id")])
     kept, duplicates, repeated = drop_repeats(columns["vehicle_id"], columns["frame"], values)
@@ -92,29 +120,74 @@ def read_table(
         lane=columns.get("lane", np.zeros(len(kept))),
         time_step_s=step_s,
         source=str(path),
-        report=RepairReport(rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=notes),
+        report=RepairReport(rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=notes + numbering),
     )
     return with_overlaps_reported(recording)
 
 
-def is_table_header(fields: list[str]) -> bool:
-    """Whether a file's first fields are those of a table of boxes, complete or not."""
-    return len({field.lower() for field in fields} & {"x_m", "y_m", "heading_deg", "length_m"}) > 1
+def likeness(header: str) -> int:
+    """How many of the needed columns a header has, or has something like."""
+    names = _names(header)[0]
+    return len(nearest_names(BOX_NEEDED, names, _WORDS))
 
 
-def _columns(path: str | Path) -> dict[str, np.ndarray]:
-    """The columns that are used, by name: classes as indices, the others as float64."""
+def _names(header: str) -> tuple[list[str], str | None]:
+    """The columns of a header, known ones as they are spelt here, and what divides them."""
+    known = (*BOX_NEEDED, *OPTIONAL)
+    delimiter = delimiter_of(header, known)
+    return known_names(fields_of(header, delimiter), known), delimiter
+
+
+def _columns(path: str | Path, *, texts: bool = False) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """The columns that are used, by name, classes as indices, the others as float64; and a note if ids are `texts`."""
     line, text = first_lines(path)[0]
-    layout = TableLayout([field.lower() for field in fields_of(text)], ",", line + 1)
-    layout.check(BOX_NEEDED, OPTIONAL, f"{path}:{line}")
-    parts = [
-        {name: rows.numbers(name, BOX_COLUMNS[name]) for name in rows.columns if name != "class"}
-        | {"class": _class_indices(rows)}
-        for rows in read_rows(path, layout, BOX_COLUMNS, ["class"])
-    ]
+    names, delimiter = _names(text)
+    layout = TableLayout(names, delimiter, line + 1)
+    layout.check(BOX_NEEDED, OPTIONAL, f"{path}:{line}", _WORDS)
+    numeric = {name: column for name, column in BOX_COLUMNS.items() if not (texts and name == "vehicle_id")}
+    parts, ids = [], {}
+    for rows in read_rows(path, layout, numeric, ["class", "vehicle_id"] if texts else ["class"]):
+        if texts:
+            vehicle_id = codes(rows, "vehicle_id", ids)
+        elif _has_texts(rows.columns["vehicle_id"]):
+            return _columns(path, texts=True)
+        else:
+            vehicle_id = rows.numbers("vehicle_id", BOX_COLUMNS["vehicle_id"])
+        part = {name: rows.numbers(name, numeric[name]) for name in rows.columns if name in numeric}
+        parts.append(part | {"vehicle_id": vehicle_id, "class": _class_indices(rows)})
     if not parts:
         raise InputError(f"{path}: no rows below the header in line {line}")
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    _check_ids(path, list(ids))
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return columns, (numbered(list(ids)),) if texts else ()
+
+
+def _has_texts(ids: np.ndarray) -> bool:
+    """Whether some ids are neither numbers nor missing."""
+    return ids.dtype == object and any(
+        text.strip() not in EMPTY and not _is_number(text) for text in ids[np.isnan(numbers(ids))].tolist()
+    )
+
+
+def _is_number(text: str) -> bool:
+    """Whether Python takes a text for a number, not to be a vehicle's name: ``nan`` too."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_ids(path: str | Path, ids: list[str]) -> None:
+    """Refuse what cannot be the name of a vehicle."""
+    for text in ids:
+        if "\ufffd" in text:
+            told = "in another encoding than the file's beginning; save it as UTF-8"
+            raise InputError(f"{path}: vehicle_id is {quoted(text)}, {told}")
+        if text.strip() in EMPTY or (
+            _is_number(text) and not BOX_COLUMNS["vehicle_id"].accepts(np.array([float(text)]))[0]
+        ):
+            raise InputError(f"{path}: vehicle_id is {quoted(text)}; allowed: a whole number of at least 0, or a text")
 
 
 def _class_indices(rows: Rows) -> np.ndarray:
