@@ -122,7 +122,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "",
         "[road]",
         *(_station_lines(layout) if kind == "ngsim" else []),
-        f"setback_m = {layout.setback_m}  # from y = 0 to the carriageway's right edge: {why}; yours is [deployment] y_m",
+        f"setback_m = {layout.setback_m}  # to the carriageway's right edge: {why}; for yours see [deployment] y_m",
         f"lanes = {layout.lanes}  # centres measured at y {centres} m{numbers}; add those that nobody used",
         f"lane_width_m = {layout.lane_width_m}  # {apart}",
         "",
