@@ -16,7 +16,7 @@ from .clouds.scan import PointCloud, class_names
 from .commands.report import outcome_text
 from .errors import InputError
 from .files import write_bytes
-from .report.summary import answer, key_figures
+from .report.summary import answer, key_figures, warnings_text
 from .run.folder import Outcome
 from .scene.settings import COORDINATES
 from .scene.site import Site
@@ -103,7 +103,7 @@ class Run:
         return f"<Run: {self}>"
 
     def __str__(self) -> str:
-        return answer(self.result)
+        return " ".join([*warnings_text(self.result), answer(self.result)])
 
     def _repr_html_(self) -> str:
         figures = "".join(

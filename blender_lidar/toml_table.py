@@ -135,9 +135,10 @@ def checked(value: object, declared: Setting, where: str) -> Any:
         When it is something else, with what is allowed.
     """
     found = _of_kind(value, declared.kind, declared, where)
-    if declared.allowed and found not in declared.allowed and not is_plugin(found, declared.plugins):
-        known = (*declared.allowed, *plugin_names(declared.plugins))
-        raise unknown_name(found, known, where.rpartition(" ")[2].lstrip("-"), where)
+    for one in found if isinstance(found, tuple) and declared.allowed else (found,):
+        if declared.allowed and one not in declared.allowed and not is_plugin(one, declared.plugins):
+            known = (*declared.allowed, *plugin_names(declared.plugins))
+            raise unknown_name(one, known, where.rpartition(" ")[2].lstrip("-"), where)
     if declared.fits is not None and not declared.fits(found):
         raise _refused(where, value, declared.form)
     return found

@@ -26,6 +26,7 @@ from ..report.summary import (
     imperfections_text,
     region_text,
     scenery_text,
+    warnings_text,
 )
 from ..run.folder import Outcome, RunFolder
 from ..run.optimise import AUTO, scenery_counts
@@ -104,7 +105,7 @@ def outcome_text(run: Outcome, where: str) -> str:
     meant = [f"Objective{unit}: {words['objective']}", f"Detectable: {words['detectable']}"]
     tables = [table_text(table) for table in (comparison_table(result), *group_tables(run))]
     warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
-    parts = [_filled([answer(result)]), _filled(meant), *tables, where, _filled(warnings)]
+    parts = [_filled([*warnings_text(result), answer(result)]), _filled(meant), *tables, where, _filled(warnings)]
     return "\n\n".join(part for part in parts if part)
 
 

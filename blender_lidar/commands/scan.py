@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..files import check_place, check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
 from ..report.page import RENDER_VIEWS, render_file, write_report
+from ..report.summary import warnings_text
 from ..run.folder import SCENE, Outcome, RunFolder
 from ..scene.provenance import check_same_inputs
 from ..scene.scenario import load_scenario
@@ -40,9 +41,16 @@ def _asked(args: argparse.Namespace, numbers: list[int]) -> tuple[MountedSensor,
     mount = mounting_from(args, scenario)
     sensor, recording = mounted_sensor(scenario, mount), read_recording(scenario)
     option = "--frame" if args.sequence is None else "--frame-ids"
+    _say_warnings(recording)
     frames = [frame_of(recording, number, option) for number in numbers]
     check_mount_is_clear(scenario, frames, {"--x, --y": mount})
     return sensor, recording, frames
+
+
+def _say_warnings(recording: Recording) -> None:
+    """Print what cannot be true of the traffic and was accepted."""
+    for text in warnings_text({"warnings": recording.report.warnings_as_dicts()}):
+        print(text, flush=True)
 
 
 # --- Clouds -----------------------------------------------------------------------------------------------
@@ -136,6 +144,7 @@ def run_render(args: argparse.Namespace) -> int:
     scenario = load_scenario(folder.file(SCENE))
     check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)
+    _say_warnings(recording)
     number = _fullest_frame(run) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
     mounts = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}

@@ -11,7 +11,7 @@ import numpy as np
 from ..run.tolerance import tolerance_text
 from ..scene.scenario import pose_at
 from ..scene.site import Site
-from .summary import conditions, costliest_text, judged, kept_text, optimum_text, worth
+from .summary import conditions, costliest_text, judged, kept_text, optimum_text, warnings_text, worth
 
 _WIDTH = 110
 _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
@@ -28,6 +28,7 @@ def installation_text(site: Site, result: Mapping) -> str:
     lines = [
         f"Installation of one {result['sensor']} LiDAR",
         "",
+        *_accepted(result),
         f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor",
         f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
         f"             {_beside(site, mount['y_m'])}",
@@ -50,6 +51,14 @@ def installation_text(site: Site, result: Mapping) -> str:
         *_errors(result),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _accepted(result):
+    """What cannot be true of the traffic that it was planned with."""
+    lines = []
+    for text in warnings_text(result):
+        lines += textwrap.wrap(text, _WIDTH, initial_indent="- ", subsequent_indent="  ")
+    return [*lines, ""] if lines else []
 
 
 def _beside(site, y_m):

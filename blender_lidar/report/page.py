@@ -32,6 +32,7 @@ from .summary import (
     mounting_text,
     region_text,
     sides,
+    warnings_text,
     was_searched,
 )
 
@@ -234,6 +235,7 @@ def _heading(run: Outcome):
         element("p", f"Range gate {result['range_gate_m']:g} m · traffic {traffic} · {frames}", class_="facts"),
         element("p", f"Vehicles count {region_text(result['region'])}", class_="facts") if "region" in result else "",
         *(element("p", f"{text[0].upper()}{text[1:]}", class_="facts") for text in conditions(result)),
+        *(element("p", text, class_="warning") for text in warnings_text(result)),
         element("p", answer(result), class_="answer"),
         element("dl", *figures, class_="figures"),
     )

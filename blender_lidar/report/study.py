@@ -12,6 +12,7 @@ from typing import NamedTuple
 from ..errors import MissingExtraError
 from ..files import to_csv, write_text
 from ..studies.driver import StudyFolder
+from .summary import warnings_text
 
 PAGE = "report.md"
 WIDTH = 120  # of texts for a terminal
@@ -78,14 +79,16 @@ class StudyReport:
     def text(self, result: Mapping) -> str:
         """The report for a terminal, the answer first."""
         parts = []
-        for heading, table, lines in (Section("", (), self.answer(result)), *self.sections(result)):
+        first = Section("", (), [*warnings_text(result), *self.answer(result)])
+        for heading, table, lines in (first, *self.sections(result)):
             told = (textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
             parts.append("\n".join([*filter(None, [heading]), *text_table(table), *told]))
         return "\n\n".join(parts)
 
     def markdown(self, result: Mapping, pictures: Sequence[str]) -> str:
         """The report as a page of Markdown, the answer first."""
-        parts = [f"# {self.title}", "", *(f"- **{line}**" for line in self.answer(result)), ""]
+        first = (*warnings_text(result), *self.answer(result))
+        parts = [f"# {self.title}", "", *(f"- **{line}**" for line in first), ""]
         for heading, table, lines in self.sections(result):
             parts += [f"## {heading}", ""] if heading else []
             parts += [*markdown_table(table), ""] if table else []

@@ -115,6 +115,11 @@ def frames_word(result: Mapping) -> str:
     return "searched" if was_searched(result) else "scored"
 
 
+def warnings_text(result: Mapping) -> list[str]:
+    """What cannot be true of the traffic and was accepted, each as a sentence: the first lines of all that is told."""
+    return [f"Warning, accepted ({one['name']}): {one['text']}." for one in result.get("warnings", ())]
+
+
 def conditions(result: Mapping) -> list[str]:
     """What the scores hold under besides the mounting: an imperfect sensor, scenery; earlier versions may not say."""
     imperfect = imperfections_text(result["imperfections"]) if "imperfections" in result else ""

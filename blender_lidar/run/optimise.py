@@ -247,6 +247,7 @@ def _conclude(
         **verdict["optimised"],
         "baseline": {"deployment": with_lean(scenario.baseline), **verdict[BASELINE_NAME]},
         "tolerance": over_tolerance,
+        "warnings": site.recording.report.warnings_as_dicts(),
         "notes": list(site.plan.notes),
         "traffic_report": site.recording.report.as_dict(),
         "identity": site.identity,

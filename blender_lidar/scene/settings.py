@@ -30,6 +30,7 @@ from ..names import (
     STATED_RANGE_LIMITS_M,
     TRAFFIC_FORMATS,
     VIEWS,
+    WARNINGS,
 )
 from ..plugins import METRICS_OF_OTHERS, SEARCHES_OF_OTHERS
 from ..road import RoadFrame
@@ -154,6 +155,8 @@ class TrafficSettings:
         Length of these blocks [s]; longer than a transit of the site unless said.
     height_m : mapping
         Heights by class [m], of vehicles in recordings that give none.
+    accept : tuple of str or None
+        What seems impossible of the traffic and is true all the same; again for more.
     """
 
     path: str = setting(is_path=True, option="--traffic")
@@ -175,6 +178,7 @@ class TrafficSettings:
     height_m: Mapping[str, float] = setting(
         allowed=("car", "van", "truck", "long_truck", "bus", "motorcycle"), above=0.0, high=10.0
     )
+    accept: tuple[str, ...] | None = setting(None, allowed=WARNINGS, option="--accept", metavar="NAME")
 
 
 @dataclass(frozen=True, slots=True)

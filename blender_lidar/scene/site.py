@@ -18,6 +18,7 @@ from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
+from .plausibility import checked_recording, nobody_there
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .scenario import Scenario
@@ -144,7 +145,6 @@ def _box_around(barrier: BarrierSettings) -> BoxSettings:
 
 _OF_FORMATS = ("time_step_s", "period", "location", "height_m", "origin_m", "heading_deg", "vehicle_types")
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
-_FEWEST_ON_ROAD = 0.1  # share; at an intersection, or with both directions in one recording, many drive elsewhere
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,11 +238,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         _counted(frame, region, reach, objective, plan.searched_ids) for frame in frames[len(plan.search) :]
     )
     if not any(frame.counted.any() for frame in searched):
-        x, y = region.centre_xy
-        raise InputError(
-            f"{recording.source}: no vehicle in the region, within {region.radius_m:g} m of x {x:g} m, y {y:g} m, in "
-            f"the {len(plan.search)} searched frames; check [traffic] origin_m, [road] and [region]"
-        )
+        raise nobody_there(recording, region, len(plan.search), scenario)
     check_weights(objective, searched, f"{scenario.source}: [objective]")
     observation = Observation(
         lattice=lattice,
@@ -281,29 +277,13 @@ def read_recording(scenario: Scenario) -> Recording:
     settings = scenario.traffic
     given = {key: getattr(settings, key) for key in _OF_FORMATS}
     recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
-    recording = _with_place_told(recording, scenario)
     if settings.lanes is None:
-        return recording
+        return checked_recording(recording, scenario)
     in_lanes = np.isin(recording.lane, settings.lanes)
     if not in_lanes.any():
         present = ", ".join(map(str, np.unique(recording.lane)))
         raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
-    return recording.where(in_lanes)
-
-
-def _with_place_told(recording: Recording, scenario: Scenario) -> Recording:
-    """The same recording; its report tells if next to no vehicle near the mount is on the carriageway."""
-    x, y = scenario.deployment.nominal_xy
-    near = np.hypot(recording.centre_m[:, 0] - x, recording.centre_m[:, 1] - y) <= scenario.sensor.range_gate_m
-    low, high = scenario.road.carriageway_y
-    on_road = (recording.centre_m[near, 1] >= low) & (recording.centre_m[near, 1] <= high)
-    if not near.any() or on_road.mean() >= _FEWEST_ON_ROAD:
-        return recording
-    note = (
-        f"{100 * on_road.mean():.0f} % of the boxes near the mount lie on the carriageway of [road], "
-        f"y {low:g} to {high:g} m; check [traffic] and [road]"
-    )
-    return replace(recording, report=replace(recording.report, notes=(*recording.report.notes, note)))
+    return checked_recording(recording.where(in_lanes), scenario)
 
 
 def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:

@@ -52,6 +52,7 @@ def study_head(site: Site, schema: int, effort) -> dict[str, object]:
         "seed": site.scenario.search.seed,
         "frames": len(site.search),
         "effort": asdict(effort),
+        "warnings": site.recording.report.warnings_as_dicts(),
         "notes": list(site.plan.notes),
         "versions": versions(site.observation.caster),
     }

@@ -47,6 +47,8 @@ class RepairReport:
         Pairs of overlapping boxes, and the number of frames looked at.
     notes : tuple of str
         Choices made for want of a setting, as sentences.
+    warnings : tuple of (str, str)
+        What cannot be true and was accepted: its name, and what was seen.
     """
 
     rows_read: int = 0
@@ -67,6 +69,7 @@ class RepairReport:
     overlaps: int = 0
     overlap_frames: int = 0
     notes: tuple[str, ...] = ()
+    warnings: tuple[tuple[str, str], ...] = ()
 
     def lines(self, *, losses: bool = False) -> list[str]:
         """A few lines for a person: only what happened; names from the file are made printable.
@@ -102,8 +105,14 @@ class RepairReport:
         return [printable(line) for line in (used, *lines, *self.notes)]
 
     def as_dict(self) -> dict[str, object]:
-        """All counts, for a result file."""
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        """All counts, for a result file, which holds the warnings by themselves."""
+        found = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        del found["warnings"]
+        return found
+
+    def warnings_as_dicts(self) -> list[dict[str, str]]:
+        """What cannot be true and was accepted, for a result file."""
+        return [{"name": name, "text": text} for name, text in self.warnings]
 
 
 def _counted(count: int, noun: str) -> str:

@@ -1,0 +1,273 @@
+"""What cannot be true of traffic stops a run, by name; what is real or generated does not; what is accepted is told."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import InputError
+from blender_lidar.names import WARNINGS
+from blender_lidar.scene.plausibility import _CHECKS, checked_recording
+from blender_lidar.scene.scenario import load_scenario, shipped_scenes
+from blender_lidar.scene.site import prepare, read_recording
+from blender_lidar.traffic import read_traffic
+from tests import sumo_samples
+from tests import traffic_samples as ngsim
+from tests.refusals import refused
+from tests.small_scene import HEADER, cli, done, traffic_rows, without_charts, write_scene, write_table
+
+NGSIM = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
+COLUMN = {name: place for place, name in enumerate(HEADER)}
+
+
+def table(**changes):
+    """The usual rows with columns changed: each by a function of the row as a mapping."""
+    rows = traffic_rows()
+    for row in rows:
+        given = dict(zip(HEADER, row, strict=True))
+        for name, change in changes.items():
+            row[COLUMN[name]] = change(given)
+    return rows
+
+
+def times(factor, *names):
+    return {name: lambda row, name=name: row[name] * factor for name in names}
+
+
+def turned(row, by_deg):
+    """A place turned about the road's middle at 5.5 m."""
+    angle = math.radians(by_deg)
+    x, y = row["x_m"], row["y_m"] - 5.5
+    return x * math.cos(angle) - y * math.sin(angle), 5.5 + x * math.sin(angle) + y * math.cos(angle)
+
+
+def scene_of(folder, rows, changes=None):
+    folder.mkdir(parents=True, exist_ok=True)
+    write_table(folder / "traffic.csv", rows)
+    return write_scene(folder, changes)
+
+
+SIZES = ("length_m", "width_m", "height_m")
+ACROSS = {"x_m": lambda row: turned(row, 50)[0], "y_m": lambda row: turned(row, 50)[1]}
+TABLES = {  # by name: the rows, what warns and what it takes them for
+    "sizes in feet": (table(**times(3.28084, *SIZES)), "sizes", "probably feet for metres"),
+    "sizes in centimetres": (table(**times(100.0, *SIZES[1:])), "sizes", "impossible sizes"),
+    "half sizes": (table(**times(0.5, *SIZES)), "sizes", "probably half lengths for metres"),
+    "heights of nothing": (table(height_m=lambda row: 0.01), "sizes", "impossible sizes"),
+    "length and width swapped": (
+        table(length_m=lambda row: row["width_m"], width_m=lambda row: row["length_m"]),
+        "sizes",
+        "columns swapped: width_m holds the length, length_m holds the width",
+    ),
+    "half a turn": (table(heading_deg=lambda row: 180.0), "headings", "probably reversed, by half a turn"),
+    "a compass": (table(heading_deg=lambda row: 90.0), "headings", "probably clockwise from north"),
+    "radians": (table(heading_deg=lambda row: math.radians(50), **ACROSS), "headings", "probably radians for degrees"),
+    "clockwise": (table(heading_deg=lambda row: -50.0, **ACROSS), "headings", "probably clockwise, or y mirrored"),
+    "milliseconds": (table(**times(1000.0, "time_s")), "time-step", "probably milliseconds for seconds"),
+    "frame numbers for seconds": (table(**times(25.0, "time_s")), "time-step", "probably frame numbers for seconds"),
+    "a tenth of the time": (table(**times(0.1, "time_s")), "time-step", "probably frames are further apart"),
+    "the other side": (table(y_m=lambda row: -row["y_m"]), "carriageway", "y is mirrored"),
+    "vehicles there twice": (
+        [
+            [*row[:1], row[1] + 100 * again, *row[2:3], row[3] + 0.3 * again, *row[4:]]
+            for row in table()
+            for again in (0, 1)
+        ],
+        "overlaps",
+        "vehicles are there twice under other ids",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", TABLES)
+def test_what_cannot_be_true_of_a_table_stops_with_its_name_and_what_is_probably_meant(case, tmp_path, capsys):
+    rows, name, meant = TABLES[case]
+    scene = scene_of(tmp_path, rows)
+    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run")
+    assert meant in line
+    assert line.endswith(f"to go on all the same: --accept {name}")
+    warnings = read_recording(load_scenario(write_scene(tmp_path, {"traffic": {"accept": [name]}}))).report.warnings
+    assert [warning for warning, _ in warnings] == [name]
+
+
+def test_vehicles_that_are_numbered_anew_in_each_frame_are_told(tmp_path):
+    rng = np.random.default_rng(3)
+    rows = table(x_m=lambda row: rng.uniform(-400.0, 400.0))
+    with pytest.raises(InputError, match=r"numbered anew in each frame.*--accept time-step"):
+        prepare(load_scenario(scene_of(tmp_path, rows)))
+
+
+def i80(folder, *, metres=False):
+    """A made-up I-80 in NGSIM's feet, or in metres."""
+    given = ngsim.columns(vehicles=40, frames=60)
+    given["Local_Y"] = given["Local_Y"] + 600.0
+    if metres:
+        given |= {name: given[name] * 0.3048 for name in ("Local_X", "Local_Y", "v_Length", "v_Width")}
+    return ngsim.write(folder, ngsim.native(given))
+
+
+def test_ngsim_in_metres_stops(tmp_path):
+    for metres in (False, True):
+        i80(tmp_path, metres=metres)
+        scene = load_scenario(write_scene(tmp_path, {"traffic": {"path": "recording.txt"}, "road": {"lanes": 6}}))
+        if not metres:
+            assert read_recording(scene).report.warnings == ()
+    with pytest.raises(InputError, match=r"lanes lie 1.1 m apart.*probably metres.*--accept units"):
+        read_recording(scene)
+
+
+def test_a_right_edge_in_feet_stops_and_names_the_metres(tmp_path):
+    with pytest.raises(InputError, match=r"right_edge_m = 72 is in feet: 21.95 m.*--accept carriageway"):
+        prepare(load_scenario("i80", {("road", "right_edge_m"): (72.0, "x"), ("sensor", "name"): ("RS-80", "x")}))
+
+
+def test_a_region_where_nobody_drives_says_where_vehicles_are(tmp_path):
+    with pytest.raises(InputError, match="right_edge_m = 72 is in feet"):
+        prepare(load_scenario("i80", {("road", "right_edge_m"): (72.0, "x")}))
+    with pytest.raises(InputError) as caught:
+        prepare(load_scenario("i80", {("road", "station_m"): (1650.0, "x")}))
+    text = str(caught.value)
+    assert "in the road frame vehicles drive at x -1630 to -1174 m, y 3 to 22 m" in text
+    assert "check [road] station_m (such as 226)" in text
+    assert "--accept" not in text  # there is nothing to judge
+
+
+def test_wrong_places_are_not_told_where_both_directions_or_another_street_are_recorded(tmp_path):
+    """A third drives against x on the other side, a third on a street across; all are pointed as they drive."""
+    rows = []
+    for row in traffic_rows():
+        given = dict(zip(HEADER, row, strict=True))
+        kind = row[COLUMN["vehicle_id"]] % 3
+        if kind == 1:
+            row[COLUMN["x_m"]], row[COLUMN["y_m"]], row[COLUMN["heading_deg"]] = -given["x_m"], 22 - given["y_m"], 180.0
+        if kind == 2:
+            row[COLUMN["x_m"]], row[COLUMN["y_m"]], row[COLUMN["heading_deg"]] = given["y_m"] + 3, given["x_m"], 90.0
+        rows.append(row)
+    assert read_recording(load_scenario(scene_of(tmp_path, rows))).report.warnings == ()
+
+
+# --- No stop without a cause ----------------------------------------------------------------------------------------
+
+
+def all_checks(path, changes=None, folder=None, **settings):
+    """The names of what all checks find in a file, under the default [road] unless said."""
+    scene = folder / "scene.toml"
+    given = write_scene(folder, {"traffic": {"path": str(path), **settings}, **(changes or {})})
+    assert given == scene
+    return [name for name, _ in checked_recording(*_read(scene)).report.warnings]
+
+
+def _read(scene):
+    scenario = load_scenario(scene, {("traffic", "accept"): (list(WARNINGS), "x")})
+    given = {"origin_m": scenario.traffic.origin_m, "heading_deg": scenario.traffic.heading_deg}
+    recording = read_traffic(scenario.traffic.path, road=scenario.road, **{k: v for k, v in given.items() if v})
+    return recording, scenario
+
+
+def test_real_and_shipped_recordings_are_believed(tmp_path):
+    paths = sorted(path for path in NGSIM.glob("*.*") if path.is_file())
+    if not paths:
+        pytest.skip("the NGSIM excerpts of ../shared/data are not here")
+    for path in paths:
+        assert all_checks(path, {"road": {"lanes": 6}, "sensor": {"range_gate_m": 100.0}}, tmp_path) == [], path
+
+
+@pytest.mark.parametrize("name", shipped_scenes())
+def test_shipped_scenes_are_believed(name):
+    report = read_recording(load_scenario(name)).report
+    assert report.warnings == ()
+    assert not any("carriageway" in note for note in report.notes)
+
+
+def crossing(kinds):
+    """An intersection: streams along the net's four directions, some of which turn, with stops at the red light."""
+    rows = []
+    for step in range(0, 800, 2):
+        for number in range(24):
+            way, kind = number % 4, kinds[number % len(kinds)]
+            wait = 8.0 if step > 300 and number % 3 == 0 else 0.0
+            driven = max(0.0, 0.1 * step * 10.0 - 10.0 * wait - 35.0 * (number // 4) - 90.0 * way)
+            angle = math.radians(90.0 * way)
+            along, across, heading = driven - 120.0, -2.0, angle
+            if driven == 0.0:
+                continue
+            if number % 6 == 0 and along > 0.0:  # turns left on a circle of 12 m
+                turn = min(along / 12.0, math.pi / 2)
+                rest = max(along - 6.0 * math.pi, 0.0)
+                along, across = 12.0 * math.sin(turn), -2.0 + 12.0 * (1.0 - math.cos(turn)) + rest
+                heading = angle + turn
+            x = along * math.cos(angle) - across * math.sin(angle)
+            y = along * math.sin(angle) + across * math.cos(angle)
+            row = {"x": round(500 + x, 2), "y": round(500 + y, 2), "angle": (90.0 - math.degrees(heading)) % 360.0}
+            rows.append(sumo_samples.row(0.1 * step, id=f"{way}.{number}", type=kind, lane=f"e{way}_0", **row))
+    return rows
+
+
+@pytest.mark.parametrize("kinds", [("car",), ("motorcycle", "bicycle"), ("passenger", "bus", "truck", "tram")])
+def test_intersections_and_motorcycles_are_believed(kinds, tmp_path):
+    (tmp_path / "run.fcd.xml").write_text(sumo_samples.xml(crossing(kinds)), encoding="utf-8")
+    road = {"road": {"lanes": 2}, "sensor": {"range_gate_m": 80.0}}
+    assert all_checks("run.fcd.xml", road, tmp_path, origin_m=[500.0, 492.0]) == []
+
+
+def test_a_jam_that_stands_and_a_single_frame_are_believed(tmp_path):
+    standing = table(x_m=lambda row: 15.0 * row["vehicle_id"] - 300.0)
+    for rows in (standing, [row for row in traffic_rows() if row[0] == 30]):
+        found = read_recording(load_scenario(scene_of(tmp_path, rows))).report.warnings
+        assert found == ()
+
+
+def test_labelled_sweeps_whose_frames_are_unrelated_are_believed(tmp_path):
+    """As of KITTI: other vehicles in each frame, that point anywhere, under ids of their own."""
+    rng = np.random.default_rng(5)
+    rows = [
+        [frame, 50 * frame + number, "car", x, y, 3.9, 1.6, 1.5, rng.uniform(-180, 180), 0.1 * frame]
+        for frame in range(30)
+        for number, (x, y) in enumerate(rng.uniform([-40, 2], [40, 40], (12, 2)).tolist())
+    ]
+    assert read_recording(load_scenario(scene_of(tmp_path, rows))).report.warnings == ()
+
+
+# --- Accepting -------------------------------------------------------------------------------------------------------
+
+
+def test_every_name_is_a_check_and_an_unknown_one_is_refused(tmp_path, capsys):
+    assert tuple(_CHECKS) == WARNINGS
+    scene = scene_of(tmp_path, traffic_rows())
+    line = refused(capsys, tmp_path, "optimise", scene, "--accept", "heading", "--out", tmp_path / "run")
+    assert "--accept" in line
+    assert "headings" in line
+
+
+@pytest.mark.parametrize("how", ["option", "scene key"])
+def test_what_is_accepted_stands_first_in_all_that_a_run_leaves(how, tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    accepted = {"traffic": {"accept": ["carriageway", "sizes"]}} if how == "scene key" else {}
+    rows = table(y_m=lambda row: -row["y_m"] - 9.0, **times(3.28084, *SIZES))
+    scene = scene_of(tmp_path, rows, accepted)
+    words = ("--accept", "carriageway", "--accept", "sizes") if how == "option" else ()
+    out, _ = done(capsys, "evaluate", scene, "--height", 4, *words, "--out", tmp_path / "run")
+    text = " ".join(out.split())
+    first = [f"Warning, accepted ({name}): " for name in ("sizes", "carriageway")]
+    told = text[text.index(first[0]) :]
+    assert told.index(first[1]) < told.index("The RS-16 4.00 m above the road")
+    result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
+    assert [one["name"] for one in result["warnings"]] == ["sizes", "carriageway"]
+    sheet = (tmp_path / "run" / "installation.txt").read_text(encoding="utf-8")
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    for start in first:
+        assert sheet.index(start) < sheet.index("Height")
+        assert page.index(start) < page.index("The RS-16 4.00 m above the road")
+    again, _ = done(capsys, "evaluate", tmp_path / "run" / "scene.toml", "--height", 4, "--json")
+    assert json.loads(again)["warnings"] == result["warnings"]
+
+
+def test_scans_stop_too_and_tell_what_is_accepted(tmp_path, capsys):
+    scene = scene_of(tmp_path, TABLES["half a turn"][0])
+    words = "scan", scene, "--frame", 3, "--out", tmp_path / "cloud.npz"
+    assert cli(capsys, *words)[0] == 2
+    assert done(capsys, *words, "--accept", "headings")[0].startswith("Warning, accepted (headings): ")
