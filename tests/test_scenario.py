@@ -151,6 +151,7 @@ KEYS = [
     ("traffic", "time_step_s", '"fast"', "0"),
     ("traffic", "vehicle_types", "3", None),
     ("traffic", "lanes", '"1"', None),
+    ("traffic", "accept", '"sizes"', '["none"]'),
     ("traffic", "frames", "2.5", "0"),
     ("traffic", "frame_ids", "[1.5]", f"[{10**20}]"),
     ("traffic", "spacing_s", "[1]", "0"),

@@ -281,7 +281,8 @@ def test_frames_in_which_nothing_counts_have_no_values():
 
 
 def test_traffic_beside_the_carriageway_is_refused_in_one_line(tmp_path, capsys):
-    scene = write_scene(tmp_path, {"road": {"setback_m": 12.0}, "deployment": {"y_m": 10.5}, "traffic": {"frames": 3}})
+    traffic = {"frames": 3, "accept": ["carriageway"]}
+    scene = write_scene(tmp_path, {"road": {"setback_m": 12.0}, "deployment": {"y_m": 10.5}, "traffic": traffic})
     line = refused(capsys, tmp_path, "optimise", scene, "--metric", "s-mig", "--out", tmp_path / "run")
     assert "metric 's-mig' looks at the carriageway of [road], y 12 to 19 m" in line
     assert not (tmp_path / "run" / "result.json").exists()
