@@ -113,7 +113,7 @@ def test_traffic_far_from_the_mount(tmp_path, capsys, verb):
     write_table(tmp_path / "traffic.csv", rows)
     line = refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
     assert "no vehicle in the region, within 20 m of x 0 m, y 0 m" in line
-    assert "vehicles drive at x 4964 to 5036 m, y 4 to 7 m; check [traffic] origin_m and heading_deg, and [region]" in line
+    assert "drive at x 4964 to 5036 m, y 4 to 7 m; check [traffic] origin_m and heading_deg, and [region]" in line
 
 
 def test_a_pole_in_a_lane_or_in_a_vehicle(tmp_path, capsys, verb):
