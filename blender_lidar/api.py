@@ -126,7 +126,7 @@ class _Heard:
         elif isinstance(search, MultiFidelitySearch) and search.evaluations:
             self.best_x = search.best_screened_x
         if self._told is not None:
-            self._told(search.evaluations, search.budget, self._metric.amount(search.best_value) if known else "")
+            self._told(search.evaluations, search.budget, self._metric.total(search.best_value) if known else "")
 
     def mapping(self, points: int) -> None:
         self._points += points

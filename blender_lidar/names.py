@@ -16,6 +16,7 @@ READINGS = ("corrected", "paper")
 SEARCHES = ("hardened", "de-pso", "grid", "random")  # the first unless said
 VEHICLE_METRICS = (  # of single vehicles in a cloud
     "pe-vgop",
+    "detectable",
     "view-coverage",
     "sum-of-views",
     "points",

@@ -16,6 +16,7 @@ from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.metrics.metric import NEEDS_VIEW, Field, Metric, vehicle_returns
+from blender_lidar.metrics.vehicle_metrics import TIE_BREAKER
 from blender_lidar.report.html import escaped
 from blender_lidar.report.summary import answer, group_table, objective_text
 from blender_lidar.run.folder import RunFolder
@@ -61,6 +62,7 @@ def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_m
             points, vehicle = scorer.vehicle_points(pose)
             distance = np.array([math.dist((x, y), (pose.x_m, pose.y_m)) for x, y, _ in counted.centre_m.tolist()])
             returns = vehicle_returns(points, vehicle, counted.size_m, distance)
+            returns = replace(returns, detectable=np.array([sum(p) / 3.0 >= 0.005 for p in returns.occupancy.tolist()]))
             expected = 0.0
             for value, shares in zip(metric.values(returns).tolist(), returns.occupancy.tolist(), strict=True):
                 missed = loss is not None and sum(shares) / 3.0 < 0.005
@@ -103,6 +105,42 @@ def test_the_vehicle_table_has_a_column_for_another_metric_and_none_for_pe_vgop(
     assert set(other) == {*plain, METRIC_VALUE}
     np.testing.assert_allclose(other[METRIC_VALUE], other["distance_m"], rtol=1e-12)
     np.testing.assert_array_equal(other["entropy_bits"], plain["entropy_bits"])
+
+
+# --- the detectable share ---------------------------------------------------------------------------------------------
+
+GRID = [
+    Pose(height_m=height, tilt_x=tilt) for height in (2.0, 2.5, 3.0, 3.5, 4.0) for tilt in np.linspace(0.0, 0.4, 12)
+]
+
+
+@pytest.mark.parametrize(("threshold", "view"), [(0.005, "mean"), (0.02, "max"), (0.002, "min"), (0.0, "mean")])
+def test_the_most_detectable_vehicles_are_the_best_and_bits_break_ties(threshold, view):
+    found = {}
+    for name in ("detectable", "pe-vgop"):
+        with Evaluator(FRAMES, SEEN, Scoring(threshold, view, None, "corrected", name)) as evaluator:
+            found[name] = evaluator.totals(GRID)
+    vehicles, bits = (found[name].objective.sum(axis=1).tolist() for name in ("detectable", "pe-vgop"))
+    share = found["detectable"].detectable.sum(axis=1).tolist()
+    ranked = sorted(range(len(GRID)), key=lambda row: (share[row], bits[row]))
+    assert sorted(range(len(GRID)), key=lambda row: vehicles[row]) == ranked
+    assert len(set(share)) < len(GRID), "no tie was there to break"
+    assert found["detectable"].per_vehicle() == pytest.approx(found["detectable"].detectable_share(), abs=2e-8)
+
+
+def test_all_bits_of_a_run_are_worth_less_than_a_vehicle():
+    most = 3.0 * math.log2(math.e) / math.e  # each view's -P log2 P peaks at P = 1/e
+    assert 60e6 * most * TIE_BREAKER < 1.0
+    vehicles = 100_000
+    assert vehicles + 2e-3 * TIE_BREAKER > vehicles
+
+
+def test_a_share_is_told_in_per_cent_its_differences_in_points_its_sum_in_vehicles():
+    share = METRICS["detectable"]
+    assert (share.amount(0.6325), share.in_unit("score"), share.unit) == ("63.2 %", "score [%]", "")
+    assert share.difference(-0.0625, sign="+") == "-6.2 percentage points"
+    assert share.total(117.0000012) == "117 vehicles"
+    assert share.told(np.array([0.5])).tolist() == [50.0]
 
 
 # --- whole runs -------------------------------------------------------------------------------------------------------
@@ -149,7 +187,9 @@ def test_what_is_told_of_a_run_has_the_metrics_unit_and_no_other(runs, name):
     assert page_of(RunFolder(folder)) == page
     assert metric.in_unit("objective per vehicle") in page
     assert metric.tells in page
-    assert metric.amount(abs(result_of(folder)["holdout"]["gain_over_baseline"])) in " ".join(sheet.split())
+    gain = result_of(folder)["holdout"]["gain_over_baseline"]
+    amount = f"{metric.number(abs(gain))} {'more' if gain >= 0.0 else 'fewer'} of 100 vehicles"
+    assert (amount if metric.of_share else metric.amount(abs(gain))) in " ".join(sheet.split())
     assert escaped(objective_text(result_of(folder))) in page
     if metric.unit != "bits":
         assert "bits" not in page
@@ -232,6 +272,8 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
         ("pe-vgop", -1.0, "paper", "Eq. 10 of the paper as printed"),
         ("points", None, "paper", "the number of returns of every vehicle, detectable or not"),
         ("distance", None, "corrected", "minus the distance of every vehicle, detectable or not"),
+        ("detectable", None, "corrected", "1 for every detectable vehicle, 0 for every other one"),
+        ("detectable", -0.5, "corrected", "1 for every detectable vehicle, less 0.5 for every other one"),
         ("s-mig", None, "corrected", "the S-MIG, of the scene of each frame, once for every vehicle in it"),
         (
             "points",

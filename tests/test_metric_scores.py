@@ -49,6 +49,16 @@ def test_score_adds_the_metrics_that_are_asked_for(cloud, capsys, tmp_path):
     assert "distance: 27.500 m per vehicle" in lines
 
 
+def test_score_tells_the_detectable_share_in_per_cent(cloud, capsys):
+    out, _ = done(capsys, *cloud, "--metric", "detectable", "--json")
+    scores = json.loads(out)
+    assert scores["metrics"] == {
+        "detectable": {"column": "detectable", "unit": "", "per_vehicle": scores["detectable_share"]}
+    }
+    out, _ = done(capsys, *cloud, "--metric", "detectable")
+    assert f"detectable: {100.0 * scores['detectable_share']:.2f} %\n" in out
+
+
 def test_score_offers_the_metrics_that_it_can_make_and_no_others(capsys):
     out, _ = done(capsys, "score", "--help")
     offered = "".join(out.split()).split("orof")[1].split("output:")[0]

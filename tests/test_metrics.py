@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS, metric_named
-from blender_lidar.metrics.metric import vehicle_returns
+from blender_lidar.metrics.metric import NEEDS_POINTS, vehicle_returns
 from blender_lidar.metrics.vehicle_metrics import expected_precision, voxel_entropy, voxel_occupancy
 from blender_lidar.metrics.vgop import pe_vgop, to_vehicle_frame
 
-OF_RETURNS = [name for name in METRICS if name != "distance" and METRICS[name].learn is None]
+OF_RETURNS = [name for name in METRICS if METRICS[name].learn is None and METRICS[name].needs <= {NEEDS_POINTS}]
 """Metrics of a vehicle's returns alone."""
 GROW_WITH_POINTS = (
     *("view-coverage", "sum-of-views", "points", "log-points"),

@@ -97,7 +97,7 @@ class RunProgress:
         if isinstance(search, MultiFidelitySearch) and search.best_value == -math.inf:
             return search.stage
         mount = ", ".join(f"{name} {value:.2f}" for name, value in zip(self._names, search.best_x, strict=True))
-        return f"best {self._metric.amount(search.best_value, -2)} at {mount}"
+        return f"best {self._metric.total(search.best_value, -2)} at {mount}"
 
 
 def _terminal_bar(total, what, done):

@@ -7,6 +7,7 @@ import json
 import sys
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ..errors import InputError
 from ..files import write_columns
 from ..metrics.assignment import NO_BOX, points_in_boxes
 from ..metrics.catalogue import METRICS, metric_named
-from ..metrics.metric import NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
+from ..metrics.metric import NEEDS_DETECTABLE, NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
 from ..metrics.vgop import entropy, to_vehicle_frame
 from ..optimise import detectable
 from ..toml_table import settings_of
@@ -26,7 +27,8 @@ from .options import given_options
 from .parsers import ScoreOptions
 
 _ALL = "all"
-_ALWAYS = {"pe-vgop": "entropy_bits", "points": "points"}  # columns of metrics that the table has anyway
+# Columns of metrics that the table has anyway:
+_ALWAYS = {"pe-vgop": "entropy_bits", "points": "points", "detectable": "detectable"}
 _SHARES = ("p_top", "p_side", "p_front")
 _HEADING = "vehicle  class       points   p_top  p_side p_front  entropy  detectable"
 _ROW = "{vehicle_id:<8} {class:<10} {points:>7} {p_top:7.4f} {p_side:7.4f} {p_front:7.4f} {entropy_bits:8.4f}"
@@ -59,6 +61,7 @@ def score_table(
     away = None if asked.lidar_xy is None else np.hypot(*(vehicles.centre_m[:, :2] - asked.lidar_xy).T)
     returns = vehicle_returns(local, row[mine], vehicles.size_m, away, asked.cell_m)
     shares = returns.occupancy
+    returns = replace(returns, detectable=detectable(shares, asked.threshold, asked.view))
     table = {
         "frame": np.full(len(vehicles), vehicles.frame),
         "vehicle_id": vehicles.vehicle_id,
@@ -66,7 +69,7 @@ def score_table(
         "points": returns.count,
         **dict(zip(_SHARES, shares.T, strict=True)),
         "entropy_bits": entropy(shares).sum(axis=1),
-        "detectable": detectable(shares, asked.threshold, asked.view),
+        "detectable": returns.detectable,
     }
     for metric in metrics:
         if metric is METRICS.get(metric.name) and metric.name in _ALWAYS:
@@ -80,7 +83,7 @@ def score_table(
 def metrics_of(asked: ScoreOptions) -> list[Metric]:
     """The metrics that were asked for beside PE-VGOP, each once."""
     found: dict[str, Metric] = {}
-    known = {NEEDS_POINTS} if asked.lidar_xy is None else {NEEDS_POINTS, NEEDS_DISTANCE}
+    known = {NEEDS_POINTS, NEEDS_DETECTABLE} | ({NEEDS_DISTANCE} if asked.lidar_xy is not None else set())
     for name in asked.metrics or ():
         if name == _ALL:
             can_be = {key: metric for key, metric in _OF_CLOUD.items() if metric.needs <= known}
@@ -152,7 +155,7 @@ def _print(table, points, metrics):
         values = "".join(f"  {metric.number(row[_column(metric)], 1):>{len(metric.name)}}" for metric in added)
         print(f"{text:<{len(_HEADING)}}{values}".rstrip())
     for metric in metrics:
-        print(f"{metric.name}: {metric.amount(float(np.mean(table[_column(metric)])), 1)} per vehicle")
+        print(f"{metric.name}: {metric.amount(float(np.mean(table[_column(metric)])), 1)}{metric.per_vehicle}")
     number = len(table["points"])
     print(
         f"{number} vehicle{'s' * (number != 1)}, {points} points: {table['entropy_bits'].mean():.4f} bits per vehicle, "

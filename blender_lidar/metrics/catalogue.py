@@ -11,7 +11,16 @@ from ..errors import InputError, unknown_name
 from ..plugins import METRICS_OF_OTHERS, called, faults_told, is_plugin, load_plugin, plugin_names
 from . import scene_metrics as scene
 from . import vehicle_metrics as vehicle
-from .metric import NEEDS_DISTANCE, NEEDS_POINTS, NEEDS_VIEW, Metric, SceneContext, Score, VehicleReturns
+from .metric import (
+    NEEDS_DETECTABLE,
+    NEEDS_DISTANCE,
+    NEEDS_POINTS,
+    NEEDS_VIEW,
+    Metric,
+    SceneContext,
+    Score,
+    VehicleReturns,
+)
 
 # --- What each tells of a vehicle or a scene, to end a sentence -------------------------------------------------------
 
@@ -53,11 +62,16 @@ def _itself(context: SceneContext) -> SceneContext:
 
 
 _of_ground = partial(_of_scene, prepare=_itself)
+_ENOUGH = f"whether enough {_HIT} to reach the threshold; PE-VGOP breaks ties"
 _VIEWS, _NUC = "sum of the views' occupancies", "non-uniformity of ground returns (NUC)"
 PE_VGOP = _of_vehicle("pe-vgop", "PE-VGOP", "bits", vehicle.view_entropy, f"how much {_HIT}")
 VIEW_COVERAGE = _of_points("view-coverage", "view coverage", "", vehicle.view_coverage, f"how much {_HIT}, from 0 to 1")
+_DETECTABLE = _of_vehicle(
+    *("detectable", "detectable share", "", vehicle.detectable_share, _ENOUGH, 1), needs=[NEEDS_DETECTABLE]
+)
 _ALL = (
     PE_VGOP,
+    replace(_DETECTABLE, of_share=True),
     VIEW_COVERAGE,
     _of_vehicle("sum-of-views", _VIEWS, "", vehicle.sum_of_views, f"what shares {_HIT}", 4),
     _of_vehicle("points", "number of returns", "points", vehicle.points, _BEAMS, 1),

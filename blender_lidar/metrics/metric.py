@@ -132,11 +132,12 @@ class SceneContext:
 
 # --- What a metric is, and what it is given: the returns from vehicles, each in its vehicle's own frame ---
 
-NEEDS_POINTS, NEEDS_DISTANCE, NEEDS_VIEW = "points", "distance_m", "view"
+NEEDS_POINTS, NEEDS_DISTANCE, NEEDS_VIEW, NEEDS_DETECTABLE = "points", "distance_m", "view", "detectable"
 _MISSING = {
     NEEDS_POINTS: "the points themselves, not their number alone",
     NEEDS_DISTANCE: "the place of the LiDAR",
     NEEDS_VIEW: "the mountings and the frame's boxes",
+    NEEDS_DETECTABLE: "which vehicles are detectable",
 }
 
 
@@ -160,6 +161,8 @@ class VehicleReturns:
         Row of the vehicle that each return belongs to.
     view : View or None
         From where the vehicles were looked at, for metrics that learn from a scene.
+    detectable : ndarray of bool, (n,), or None
+        Whether enough of each is seen (Eq. 11); None where no threshold is known.
     """
 
     size_m: np.ndarray
@@ -169,6 +172,7 @@ class VehicleReturns:
     points: np.ndarray | None = None
     vehicle: np.ndarray | None = None
     view: View | None = None
+    detectable: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.size_m)
@@ -230,8 +234,8 @@ class Metric:
     score : callable or None
         Makes (n,) values of `VehicleReturns`; None for a metric that must learn from a scene first.
     needs : frozenset of str
-        Of `VehicleReturns`, what it needs beside sizes, counts and occupancies: of `NEEDS_POINTS`, `NEEDS_DISTANCE` and
-        `NEEDS_VIEW`.
+        Of `VehicleReturns`, what it needs beside sizes, counts and occupancies: of `NEEDS_POINTS`, `NEEDS_DISTANCE`,
+        `NEEDS_VIEW` and `NEEDS_DETECTABLE`.
     learn : callable or None
         For a metric with a memory, such as a prior of where vehicles drive: makes the score of a `SceneContext`.
     tells : str
@@ -240,6 +244,9 @@ class Metric:
         Digits after the point that matter in a vehicle's value.
     of_scene : bool
         Whether it scores a frame as a whole, whose vehicles then all have the same value.
+    of_share : bool
+        Whether its mean is the share of vehicles of which something is true: told in per cent, its differences in
+        percentage points, its sum as a number of vehicles. `decimals` are then those of the per cent.
     """
 
     name: str
@@ -252,6 +259,7 @@ class Metric:
     tells: str = ""
     decimals: int = 3
     of_scene: bool = False
+    of_share: bool = False
 
     def learnt(self, context: SceneContext | None) -> Metric:
         """The metric made ready to score: itself, or what it becomes once it has learnt from a scene.
@@ -285,17 +293,39 @@ class Metric:
         """Values with their sign turned where lower is better, so that of two merits the greater one is the better."""
         return values if self.higher_is_better else -values
 
+    @property
+    def told_unit(self) -> str:
+        """Unit of values as they are told: that of its values, or per cent."""
+        return "%" if self.of_share else self.unit
+
+    @property
+    def per_vehicle(self) -> str:
+        """What stands behind a mean: nothing behind a share."""
+        return "" if self.of_share else " per vehicle"
+
+    def told(self, value):
+        """A value, or an array of some, as it is told: itself, or in per cent."""
+        return 100.0 * value if self.of_share else value
+
     def number(self, value: float, more: int = 0, sign: str = "-") -> str:
         """A value, or a mean or sum of some, as text with `more` digits than a vehicle's has; `sign` as in a format."""
-        return f"{value:{sign}.{max(self.decimals + more, 0)}f}"
+        return f"{self.told(value):{sign}.{max(self.decimals + more, 0)}f}"
 
     def amount(self, value: float, more: int = 0, sign: str = "-") -> str:
         """The same with the unit behind it."""
-        return f"{self.number(value, more, sign)} {self.unit}".rstrip()
+        return f"{self.number(value, more, sign)} {self.told_unit}".rstrip()
+
+    def difference(self, value: float, sign: str = "-") -> str:
+        """A difference of values with its unit."""
+        return f"{self.number(value, 0, sign)} percentage points" if self.of_share else self.amount(value, 0, sign)
+
+    def total(self, value: float, more: int = 0) -> str:
+        """A sum over vehicles with its unit."""
+        return f"{value:.0f} vehicles" if self.of_share else self.amount(value, more)
 
     def in_unit(self, what: str) -> str:
         """What a column or an axis shows, with the unit in brackets."""
-        return f"{what} [{self.unit}]" if self.unit else what
+        return f"{what} [{self.told_unit}]" if self.told_unit else what
 
 
 def metric(
@@ -329,7 +359,7 @@ def metric(
         Whether a low value means that a vehicle is seen well.
     needs : iterable of str
         What it needs of `VehicleReturns` beside sizes, counts and occupancies: ``"points"`` (and ``vehicle``),
-        ``"distance_m"``, ``"view"``.
+        ``"distance_m"``, ``"view"``, ``"detectable"``.
 
     Raises
     ------

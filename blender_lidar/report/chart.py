@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..metrics.catalogue import metric_named
 from ..studies.ablations import ABOVE, BELOW, JUDGED, UNTOLD
 from ..studies.driver import percent
 from ..studies.ladder import milliseconds
@@ -191,15 +192,17 @@ def _sections(result: Mapping) -> list[Section]:
 
 
 def _head(result: Mapping) -> list[str]:
-    unit = result["metric_unit"] or "1"
+    unit = f"{result['metric_unit'] or '1'} per vehicle"
+    if metric_named(result["metric"]).of_share:
+        unit = "of the vehicles"
     judge = "judge" if result["judged_on"] == "held out" else "chose them, as none is held out"
     lines = [
         f"{result['sensor']}, range gate {result['range_gate_m']:g} m, {result['caster']}; {result['frames']} searched "
         f"frames in {result['blocks']} blocks choose, {result['judged_frames']} {result['judged_on']} ones in "
         f"{result['judged_blocks']} blocks judge; {result['mountings']} mountings of Sobol's sequence",
-        f"Reference: {result['rungs'][0]['text']}; the best mounting gains {result['gain_per_vehicle']:.4f} {unit} per "
-        f"vehicle over the baseline",
-        f"Errors and biases are in {unit} per vehicle, errors after one affine calibration fitted on the other half of "
+        f"Reference: {result['rungs'][0]['text']}; the best mounting gains {result['gain_per_vehicle']:.4f} {unit} "
+        "over the baseline",
+        f"Errors and biases are in {unit}, errors after one affine calibration fitted on the other half of "
         "the mountings; tau weighs the best mountings most; regret is what choices on resampled traffic lose to the "
         f"reference's on frames that {judge}, as a share of the gain, with its 90 % interval",
         f"Noise ceiling, the reference on one half of the blocks against the other: {_halves(result['noise'])}",

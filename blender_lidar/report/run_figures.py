@@ -13,7 +13,7 @@ import numpy as np
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..road import RoadFrame
 from ..run.folder import Outcome
-from ..run.verdict import METRIC_VALUE, REGION_SHARE, ScoreMap, near_best_threshold
+from ..run.verdict import METRIC_VALUE, REGION_SHARE, WEIGHT, ScoreMap, near_best_threshold
 from ..scene.site import Site
 from .cloud_figures import draw_clouds, draw_occupancy
 from .figure import (
@@ -98,8 +98,10 @@ def plot_convergence(path: str | Path, run: Outcome, history: np.ndarray) -> Non
     over = "" if sharp_of(result) is None else " over the tolerance"
     base = result["tolerance"]["robust"]["baseline"] if over else result["baseline"]
     baseline = base["objective_per_vehicle"]
-    evaluation = history[:, 0]
-    value, best = history[:, -2:].T / result["vehicles"]
+    evaluation, vehicles = history[:, 0], result["vehicles"]
+    if WEIGHT in run.baseline:
+        vehicles = run.baseline[WEIGHT][run.baseline["split"] == "search"].sum()
+    value, best = history[:, -2:].T / vehicles
     title = f"Search{over}: {result['search']}, seed {result['seed']}, {result['reading']} reading"
     with sheet(path, 90.0, title, _about(result)) as figure:
         axes = figure.add_subplot(
@@ -108,10 +110,12 @@ def plot_convergence(path: str | Path, run: Outcome, history: np.ndarray) -> Non
             xlim=(0.0, 1.02 * evaluation.max()),
         )
         known = np.isfinite(value)
-        dots = axes.plot(evaluation[known], value[known], ".", color=FAINT, markersize=2.5, label="one candidate")
+        look = {"color": FAINT, "markersize": 2.5, "label": "one candidate"}
+        dots = axes.plot(evaluation[known], metric.told(value[known]), ".", **look)
         look, label = _line(OPTIMISED_LOOK), f"best so far (at the end {metric.amount(best[-1])})"
-        line = axes.step(evaluation, best, where="post", label=label, **look)
-        level = axes.axhline(baseline, label=f"baseline mounting ({metric.amount(baseline)})", **_line(BASELINE_LOOK))
+        line = axes.step(evaluation, metric.told(best), where="post", label=label, **look)
+        label = f"baseline mounting ({metric.amount(baseline)})"
+        level = axes.axhline(metric.told(baseline), label=label, **_line(BASELINE_LOOK))
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.grid(visible=True)
@@ -143,7 +147,7 @@ def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
     marks = [("optimum", result, "*", 13.0), ("baseline", result["baseline"], "s", 7.0)]
     if sharp is not None:
         marks[:1] = [("sharp", sharp, "*", 13.0), ("robust", result, "D", 7.0)]
-    grid, values = (score_map.tilt_deg, score_map.height_m), score_map.per_vehicle
+    grid, values = (score_map.tilt_deg, score_map.height_m), metric.told(score_map.per_vehicle)
     with sheet(path, 115.0, "Objective over height and tilt", _about(result)) as figure:
         axes = figure.add_subplot(xlabel=_TILT_LABELS[score_map.tilt], ylabel="Mounting height above the road [m]")
         mesh = axes.pcolormesh(*grid, values, cmap=colours(SCORE_COLOURS), shading="gouraud")
@@ -156,7 +160,7 @@ def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
             look = {"marker": marker, "markersize": size}
             amount = metric.amount(scores["objective_per_vehicle"])
             handles.append(_mark(axes, score_map, scores["deployment"], name, amount, look))
-        best = max(marks[0][1]["objective_per_vehicle"], values.max())
+        best = max(marks[0][1]["objective_per_vehicle"], score_map.per_vehicle.max())
         least = near_best_threshold(best, result["baseline"]["objective_per_vehicle"], REGION_SHARE)
         handles.append(_draw_region(axes, score_map, least))
         legend_below(figure, handles, columns=len(handles))
@@ -198,7 +202,7 @@ def _draw_region(axes: Axes, score_map: ScoreMap, threshold: float) -> Line2D:
 def plot_by_distance(path: str | Path, run: Outcome) -> None:
     """Draw the detectable share, the mean score and the number of vehicles by distance band, before and after."""
     result, metric = run.result, metric_named(run.result["metric"])
-    if metric.of_scene:  # the value of a scene is no vehicle's
+    if metric.of_scene or metric.of_share:  # the value of a scene is no vehicle's, and the share is drawn anyway
         metric = PE_VGOP
     column = "entropy_bits" if metric is PE_VGOP else METRIC_VALUE
     distances = [table["distance_m"] for table in (run.baseline, run.optimised)]

@@ -175,15 +175,18 @@ def objective_text(result: Mapping) -> str:
     """What the objective of a run adds up."""
     metric, loss = metric_named(result["metric"]), result["identity"]["[objective] loss"]
     merit = f"{'' if metric.higher_is_better else 'minus '}the {metric.label}"
+    merit_of = "1 for" if metric.of_share else f"{merit} of"
     if loss is not None and result["reading"] != "corrected":
         instead = "" if metric is PE_VGOP else f", with {merit} in place of the entropy"
         return f"Eq. 10 of the paper as printed{instead}"
     if loss is None and metric.of_scene:
         return f"{merit}, of the scene of each frame, once for every vehicle in it"
+    if loss is None and metric.of_share:
+        return f"{merit_of} every detectable vehicle, 0 for every other one"
     if loss is None:
-        return f"{merit} of every vehicle, detectable or not"
+        return f"{merit_of} every vehicle, detectable or not"
     unit = metric.unit.removesuffix("s") if abs(loss) == 1 else metric.unit
-    return f"{merit} of every detectable vehicle, less {f'{abs(loss):g} {unit}'.rstrip()} for every other one"
+    return f"{merit_of} every detectable vehicle, less {f'{abs(loss):g} {unit}'.rstrip()} for every other one"
 
 
 def weights_text(result: Mapping) -> str:
@@ -258,14 +261,14 @@ def answer(result: Mapping) -> str:
 def key_figures(result: Mapping) -> list[tuple[str, str]]:
     """The few figures that matter, each with what it is."""
     mount, (found, base, on), metric = result["deployment"], judged(result), metric_named(result["metric"])
-    gain = "gain per vehicle"
+    gain = f"gain{metric.per_vehicle}"
     if found.get("interval_90"):
         gain += f" (90 %: {minus(span(metric, found['interval_90']))})"
     figures = {
         "height above the road": f"{mount['height_m']:.2f} m",
         **_orientation(result),
         f"detectable on {on}": f"{100 * base['detectable_share']:.1f} \N{RIGHTWARDS ARROW} {_percent(found)}",
-        gain: minus(metric.amount(_gain(found, base), sign="+")),
+        gain: minus(metric.difference(_gain(found, base), sign="+")),
     }
     return list(figures.items())
 
@@ -293,11 +296,14 @@ def worth(result: Mapping) -> str:
     """What the mounting is worth against the baseline where both are judged, on held-out frames if there are any."""
     found, base, _ = judged(result)
     gain, metric = _gain(found, base), metric_named(result["metric"])
-    amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.amount(abs(gain))}"
+    amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.difference(abs(gain))}"
     # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better, and what
     # a scene gains is not a vehicle's.
     of_vehicles = metric.higher_is_better and not metric.of_scene
     gained = f"a vehicle {amount}" if of_vehicles else f"the objective {amount} per vehicle"
+    if metric.of_share:
+        weighted = "by their weights " if weights_text(result) else ""
+        gained = f"{weighted}that is {metric.number(abs(gain))} {'more' if gain >= 0.0 else 'fewer'} of 100 vehicles"
     return (
         f"{_percent(found)} of the vehicles are detectable instead of {_percent(base)} under the baseline, and "
         f"{gained}{_interval(result, metric, gain)}"
@@ -371,13 +377,14 @@ def _score_rows(result, compared, over):
     """Scores of each mounting, as far as there are any; the first is the baseline, which gains nothing over itself."""
     metric, others = metric_named(result["metric"]), compared[1:]
     rows = []
-    if "objective" in compared[0] and not over:
+    if "objective" in compared[0] and not over and not metric.of_share:
         rows.append((metric.in_unit("objective"), *(metric.number(each["objective"], -2) for each in compared)))
     values = (metric.number(each["objective_per_vehicle"], 1) for each in compared)
     rows.append((metric.in_unit("objective per vehicle"), *values))
     rows.append(("detectable share [%]", *(f"{100 * each['detectable_share']:.1f}" for each in compared)))
     if "gain_over_baseline" in compared[0]:
-        gain = metric.in_unit("gain over the baseline as planned" if over else "gain per vehicle")
+        gain = "gain over the baseline as planned" if over else f"gain{metric.per_vehicle}"
+        gain = f"{gain} [percentage points]" if metric.of_share else metric.in_unit(gain)
         rows.append((gain, "", *(metric.number(each["gain_over_baseline"], 1, "+") for each in others)))
     if compared[-1].get("interval_90"):
         spans = (span(metric, each["interval_90"], 1, "+") for each in others)
@@ -424,7 +431,8 @@ def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarra
             cells += [metric.number(np.average(score[of], weights=weight[of])) if scored else "-" for score in scores]
             cells += [f"{100 * table['detectable'][of].mean():.1f}" if of.any() else "-" for table in tables]
         rows.append((group, *cells, f"{chosen.sum():,}"))
-    measures = [(metric.unit or "objective", 2), ("detectable %", 2)]
+    unit = "objective %" if metric.of_share else metric.unit or "objective"
+    measures = [(unit, 2), ("detectable %", 2)]
     head = [
         [("", 1), *((names[split], 4) for split in splits), ("", 1)],
         [("", 1), *measures * len(splits), ("", 1)],
@@ -503,8 +511,9 @@ def costliest_text(result: Mapping) -> str:
     if loss <= 0.0:
         return ""
     (name, unit), width = COORDINATE_NAMES[key], result["tolerance"]["settings"][_WIDTHS[key]]
-    lost = metric_named(result["metric"]).amount(loss)
-    return f"of the single errors {name} {sign}{width:g} {unit} costs most: {lost} per vehicle ({where})"
+    metric = metric_named(result["metric"])
+    lost = f"{metric.difference(loss)}{metric.per_vehicle}"
+    return f"of the single errors {name} {sign}{width:g} {unit} costs most: {lost} ({where})"
 
 
 def _against_sharp(result):
@@ -517,7 +526,7 @@ def _against_sharp(result):
     beside = (result["tolerance"]["robust"]["optimised"]["holdout"] or {}).get("over_sharp", {})
     parts = []
     for name, difference in beside.items():
-        told = metric.amount(difference["objective_per_vehicle"], sign="+")
+        told = metric.difference(difference["objective_per_vehicle"], sign="+")
         if difference["interval_90"]:
             told += f" (90 %: {span(metric, difference['interval_90'], 0, '+')})"
         parts.append(f"{'as planned' if name == 'as_planned' else 'over the tolerance'} {told}")

@@ -61,7 +61,8 @@ class VehicleScores:
         scoring, metric = self._scoring, self._metric
         seen = scorer.see(poses, keep_returns=NEEDS_POINTS in metric.needs)
         noticed = detectable(seen.occupancy, scoring.threshold, scoring.view)
-        values = metric.values(_rows(metric, frame, scorer, seen, mountings)).reshape(noticed.shape)
+        rows = _rows(metric, frame, scorer, seen, mountings, noticed)
+        values = metric.values(rows).reshape(noticed.shape)
         objective = vehicle_score(metric.merit(values), noticed, scoring.loss, scoring.reading)
         return Scored(seen, values, noticed, objective * frame.counted_weight)
 
@@ -74,7 +75,7 @@ def mountings_of(poses: Sequence[Pose]) -> Mountings:
     )
 
 
-def _rows(metric, frame, scorer, seen: Seen, mountings) -> VehicleReturns:
+def _rows(metric, frame, scorer, seen: Seen, mountings, noticed) -> VehicleReturns:
     """What a metric is given: one row for each mounting and vehicle, mounting after mounting."""
     vehicles = scorer.vehicles
     away = vehicles.centre_m[:, :2] - mountings.origin_m[:, None, :2]
@@ -87,4 +88,5 @@ def _rows(metric, frame, scorer, seen: Seen, mountings) -> VehicleReturns:
         points=points,
         vehicle=owner,
         view=View(mountings, frame.boxes) if NEEDS_VIEW in metric.needs else None,
+        detectable=noticed.reshape(-1),
     )

@@ -310,7 +310,7 @@ def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric:
     values, (low, high) = judged.per_vehicle(), interval
     gain = float(values[REFERENCE] - values[BASELINE])
     decided = FAILS if low <= 0.0 else STABLE if low >= _SURE_SHARE * gain else FRAGILE
-    text = f"{metric.amount(gain)} per vehicle, 90 % interval {metric.number(low)} to {metric.number(high)}"
+    text = f"{metric.difference(gain)}{metric.per_vehicle}, 90 % interval {metric.number(low)} to {metric.number(high)}"
     numbers = {"gain_over_baseline": gain, "interval_90": [low, high]}
     numbers |= {"vehicles": int(judged.vehicles.sum()), "blocks": int((vehicles > 0).sum())}
     return Finding(TRAFFIC, what, "", decided, text, numbers)

@@ -13,7 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from ..metrics.catalogue import METRICS
+from ..metrics.catalogue import METRICS, metric_named
+from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
 from ..road import RoadFrame
 from ..scene.observation import CountedFrame, scene_field
@@ -194,20 +195,23 @@ MISS_COSTS = (0.0, 0.5, 1.0, 2.0, 4.0)  # abs(C), in the metric's unit
 def metric_variations(site: Site) -> list[Variation]:
     """Cell size, view, delta and C of the scene's objective, and every other metric in its place.
 
-    Without a C the objective asks for neither view nor delta.
+    Without a C the objective asks for neither view nor delta, unless its metric does.
     """
     scoring, cell_m = site.scoring, site.observation.cell_m
-    settings = [
-        ("view of Eq. 11", "view", {view: view for view in VIEWS}),
-        ("delta of Eq. 11", "threshold", {f"{value:g}": value for value in THRESHOLDS}),
-        ("abs(C) of Eq. 10", "loss", {f"{value:g}": -value for value in MISS_COSTS}),
-    ]
+    settings = []
+    if scoring.loss is not None or NEEDS_DETECTABLE in metric_named(scoring.metric).needs:
+        settings += [
+            ("view of Eq. 11", "view", {view: view for view in VIEWS}),
+            ("delta of Eq. 11", "threshold", {f"{value:g}": value for value in THRESHOLDS}),
+        ]
+    if scoring.loss is not None:
+        settings.append(("abs(C) of Eq. 10", "loss", {f"{value:g}": -value for value in MISS_COSTS}))
     changes = [
         ("cell size", f"{100 * side:g} cm", partial(_with_cells, cell_m=side)) for side in CELLS_M if side != cell_m
     ]
     changes += [
         (what, text, partial(_with_scoring, **{key: value}))
-        for what, key, values in (settings if scoring.loss is not None else ())
+        for what, key, values in settings
         for text, value in values.items()
         if value != (-abs(scoring.loss) if key == "loss" else getattr(scoring, key))
     ]

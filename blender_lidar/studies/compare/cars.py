@@ -18,6 +18,7 @@ from ...errors import InputError, unknown_name
 from ...metrics.assignment import NO_BOX, points_in_boxes
 from ...metrics.catalogue import METRICS
 from ...metrics.metric import (
+    NEEDS_DETECTABLE,
     NEEDS_POINTS,
     NEEDS_VIEW,
     FrameBoxes,
@@ -67,7 +68,8 @@ LEARNED = {
 
 def comparable() -> dict[str, Metric]:
     """Metrics of single cars, by name: those that learn from a scene's traffic are left out."""
-    of_cars = {name: one for name, one in METRICS.items() if one.learn is None and NEEDS_VIEW not in one.needs}
+    others = {NEEDS_VIEW, NEEDS_DETECTABLE}  # neither a moment's traffic nor a threshold is a single car's
+    of_cars = {name: one for name, one in METRICS.items() if one.learn is None and not others & one.needs}
     first = {name: of_cars.pop(name) for name in (OURS, PAPERS)}
     return {**first, LOG_PE_VGOP.name: LOG_PE_VGOP, **of_cars, **LEARNED}
 
