@@ -18,7 +18,7 @@ from blender_lidar.scene.scenario import load_scenario, shipped_scenes
 from blender_lidar.traffic import read_traffic
 from blender_lidar.traffic.layout import propose_layout
 from tests import sumo_samples
-from tests.small_scene import CASTER, traffic_rows, without_charts, write_table
+from tests.small_scene import CASTER, HEADER, traffic_rows, without_charts, write_table
 
 FOOT_M = 0.3048
 NGSIM = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
@@ -210,6 +210,16 @@ def test_a_scene_from_a_table_loads_and_runs_at_once(tmp_path, monkeypatch, caps
         assert (tmp_path / "run" / "report.html").exists()
     assert run("init", folder, folder / "traffic.csv") == 2
     assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_what_would_stop_a_run_is_told_at_once(tmp_path, monkeypatch, capsys):
+    without_charts(monkeypatch)
+    at = HEADER.index("length_m")
+    in_feet = [[*row[:at], *(value / FOOT_M for value in row[at : at + 3]), *row[at + 3 :]] for row in traffic_rows()]
+    write_table(tmp_path / "traffic.csv", in_feet)
+    assert run("init", tmp_path / "site", tmp_path / "traffic.csv") == 0
+    assert "a run will stop: " in (told := capsys.readouterr().err)
+    assert "--accept sizes" in told
 
 
 def test_the_example_runs_and_the_pictures_are_drawn(tmp_path):

@@ -7,16 +7,18 @@ import math
 import os
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, MissingExtraError, unknown_name
+from ..errors import InputError, MissingExtraError, one_line, unknown_name
 from ..files import check_folder, check_unused, make_folder, write_text
 from ..names import TRAFFIC_FORMATS
 from ..report.site_plan import plot_site_plan
 from ..road import RoadFrame
-from ..scene.scenario import shipped_scenes
+from ..scene.plausibility import checked_recording
+from ..scene.scenario import load_scenario, shipped_scenes
 from ..scene.settings import TrafficSettings
 from ..toml_table import settings_of, to_toml
 from ..traffic import Recording, format_of, read_traffic
@@ -56,7 +58,19 @@ def run(args: argparse.Namespace) -> int:
     except MissingExtraError as error:
         print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
     print(_told(recording, layout, kind, written))
+    _check_plausible(recording, layout, folder / SCENE)
     return 0
+
+
+def _check_plausible(recording: Recording, layout: RoadLayout, scene: Path) -> None:
+    """Say, while it is the file's turn to be put right, what would stop a run of the scene."""
+    centre = recording.centre_m.copy()
+    centre[:, :2] = layout.placing.points(centre[:, :2])
+    placed = replace(recording, centre_m=centre, heading_rad=layout.placing.headings(recording.heading_rad))
+    try:
+        checked_recording(placed, load_scenario(scene))
+    except InputError as error:
+        print(f"blender-lidar: note: a run will stop: {one_line(str(error))}", file=sys.stderr)
 
 
 def _source(args: argparse.Namespace) -> tuple[str, Path]:
