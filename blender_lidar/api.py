@@ -111,6 +111,7 @@ class _Heard:
 
     def __init__(self, site: Site, told: Progress | None) -> None:
         self._metric, self._told, self._points = metric_named(site.scoring.metric), told, 0
+        self._best, self._of_last = -np.inf, site.scenario.objective.tolerance is not None  # whose search comes last
         self.best_x: np.ndarray | None = None
 
     def __enter__(self) -> _Heard:
@@ -121,8 +122,8 @@ class _Heard:
 
     def searching(self, search: Search | MultiFidelitySearch) -> None:
         known = np.isfinite(search.best_value)
-        if known:
-            self.best_x = search.best_x
+        if known and (self._of_last or search.best_value > self._best):
+            self.best_x, self._best = search.best_x, search.best_value
         elif isinstance(search, MultiFidelitySearch) and search.evaluations:
             self.best_x = search.best_screened_x
         if self._told is not None:

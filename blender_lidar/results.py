@@ -87,7 +87,7 @@ class Run:
         found = self.outcome.folder.read_score_map()
         height, tilt = np.meshgrid(found.height_m, found.tilt_deg, indexing="ij")
         scores = {"objective_per_vehicle": found.per_vehicle, "detectable_share": found.detectable_share}
-        columns = {"height_m": height, "tilt_x_deg": tilt, **scores}
+        columns = {"height_m": height, found.tilt: tilt, **scores}
         return table_of({name: values.ravel() for name, values in columns.items()})
 
     @property

@@ -123,7 +123,7 @@ def test_a_search_that_is_stopped_before_its_first_batch_is_stopped(site):
 
 
 def test_the_best_so_far_is_that_of_the_last_search_that_found_any(tmp_path):
-    scene = write_scene(tmp_path, MAPPED)
+    scene = write_scene(tmp_path)
     site = bl.load_scene(scene, particles=4, iterations=2, workers=1, tolerance="tilt_deg=1")
     told, known = [], []
 

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import Hardened, HardenedSettings, make_search, maximise, run
+from blender_lidar.optimise.hardened import Polish
+from blender_lidar.optimise.search import joined_history
 from tests.search_landscapes import (
     LOWER,
     OPTIMUM,
@@ -270,3 +272,24 @@ def test_a_search_on_a_circle_finds_as_much_wherever_the_circle_is_cut(turned):
 def test_circles_must_be_said_for_every_variable():
     with pytest.raises(InputError, match="one per variable"):
         make_search("hardened", [0.0, 0.0], [1.0, 1.0], seed=1, periodic=[True])
+
+
+def test_polishing_begins_with_its_point_and_comes_to_the_top_beside_it_within_its_budget():
+    top = np.array([0.31, 0.62])
+    objective = lambda x: -np.square(x - top).sum(axis=1)  # noqa: E731
+    search = Polish([0.0, 0.0], [1.0, 1.0], start=top + 0.02, seed=1, evaluations=120)
+    found = run(search, objective)
+    np.testing.assert_allclose(found.history[0, 3:5], top + 0.02)
+    np.testing.assert_allclose(found.x, top, atol=1e-3)
+    assert found.evaluations <= 120
+    ended = run(Polish([0.0], [1.0], start=[0.5], seed=1, evaluations=10**5), lambda x: -np.abs(x[:, 0] - 0.5))
+    assert ended.evaluations < 10**4  # it ends where it has arrived
+
+
+def test_histories_of_searches_one_after_the_other_are_numbered_through():
+    parts = [run(make_search("random", [0.0], [1.0], seed=seed, evaluations=30), sphere).history for seed in (1, 2)]
+    joined = joined_history(parts)
+    assert joined[:, 0].tolist() == list(range(1, 61))
+    assert (np.diff(joined[:, 1]) >= 0).all()
+    assert joined[30, 1] == joined[29, 1] + 1
+    assert joined[:, -1].tolist() == np.maximum.accumulate(np.concatenate([part[:, -2] for part in parts])).tolist()

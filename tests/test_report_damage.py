@@ -86,7 +86,7 @@ def test_whatever_stands_in_a_result_gives_a_page_or_one_line_that_names_the_fil
             if told is not None:
                 assert "result.json: " in told
                 refused.add(keys)
-    assert {("sensor",), ("deployment", "height_m"), ("holdout", "interval_90"), ("map", "best", "height_m")} <= refused
+    assert {("sensor",), ("deployment", "height_m"), ("holdout", "interval_90"), ("map", "points")} <= refused
     assert len(refused) > 0.8 * len(places)
 
 

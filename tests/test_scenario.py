@@ -227,6 +227,7 @@ KEYS = [
     ("search", "seed", "1.5", "-1"),
     ("search", "particles", '"20"', "2"),
     ("search", "iterations", "true", "0"),
+    ("search", "seeds", "1.5", "0"),
     ("search", "inertia", '"a"', "-0.1"),
     ("search", "differential_weight", "[1]", "1e300"),
     ("search", "cognitive", "true", "-1"),

@@ -78,8 +78,7 @@ class RunProgress:
         if search is self._searched:
             self._shown.advance(search.evaluations - self._evaluations, self._best(search))
         else:
-            what = "search" if self._searched is None else "search over the tolerance"
-            self._show(Progress(search.budget, what, search.evaluations))
+            self._show(Progress(search.budget, search.label, search.evaluations))
         self._searched, self._evaluations = search, search.evaluations
 
     def mapping(self, points: int) -> None:

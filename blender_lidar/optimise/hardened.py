@@ -150,6 +150,60 @@ class HardenedSettings:
         return max(_FEWEST, min(self.particles, self.evaluations // 10))
 
 
+class Polish(Search):
+    """Local search by CMA-ES from a point that is known to be good; see `Search` for the methods.
+
+    Parameters
+    ----------
+    lower, upper : array_like, (d,)
+        Bounds of each variable, in any unit.
+    start : ndarray, (d,)
+        The point, which is evaluated first.
+    seed : int
+        Same seed, same candidates.
+    evaluations : int
+        The most that it makes; it ends earlier where it has arrived.
+    step : float
+        Step size that the climb starts with, in shares of the box.
+    periodic : sequence of bool, (d,), optional
+        Which variables are circles.
+    """
+
+    name: ClassVar[str] = "polish"
+    label = "polish"
+
+    def __init__(
+        self,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        start: np.ndarray,
+        seed: int,
+        evaluations: int,
+        step: float = 0.03,
+        periodic: Sequence[bool] | None = None,
+    ) -> None:
+        super().__init__(lower, upper, budget=evaluations, periodic=periodic)
+        shares = (np.asarray(start, dtype=float) - self.lower) / (self.upper - self.lower)
+        self._start = np.clip(shares, 0.0, 1.0)
+        samples = _FEWEST + int(3.0 * math.log(self.lower.size))
+        self._climb = CovarianceAdaptation(generator(seed), self._start, step, samples, None, self.periodic)
+
+    def _candidates(self) -> np.ndarray:
+        shares = self._climb.candidates[: self.budget - self.evaluations] if self.evaluations else self._start[None]
+        return in_box(shares, self.lower, self.upper)
+
+    def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
+        if self.evaluations > 1 and not self.evaluations >= self.budget:
+            self._climb.tell(values)
+        self._climb.move()
+
+    @property
+    def done(self) -> bool:
+        """Whether the budget is spent, or the climb has ended."""
+        return super().done or (self.evaluations > 1 and self._climb.exhausted)
+
+
 class Hardened(Search):
     """The hardened search as an ask/tell search; see `Search` for the methods.
 

@@ -6,6 +6,7 @@ import math
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -128,6 +129,18 @@ def in_box(unit: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray
     return np.clip(lower + unit * (upper - lower), lower, upper)
 
 
+def joined_history(histories: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of `Search.history` of searches that were carried out one after the other, numbered through."""
+    if len(histories) == 1:
+        return histories[0]
+    rows = [history.copy() for history in histories]
+    for before, after in pairwise(rows):
+        after[:, :2] += before[-1, :2]
+    joined = np.concatenate(rows)
+    joined[:, -1] = np.maximum.accumulate(joined[:, -2])
+    return joined
+
+
 # --- Ask and tell -----------------------------------------------------------------------------------------
 
 
@@ -157,6 +170,7 @@ class Search(ABC):
     """
 
     name: ClassVar[str]
+    label = "search"  # what a run calls it where it has several
 
     def __init__(
         self,

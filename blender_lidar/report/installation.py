@@ -97,7 +97,7 @@ def _expected(result):
     """What to expect, on the frames that did not choose the mounting where there are any."""
     *_, on = judged(result)
     lines = [f"Expected, on {on}"]
-    for text in filter(None, (worth(result), optimum_text(result["map"] or {}))):
+    for text in filter(None, (worth(result), optimum_text(result))):
         lines += textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")
     return [*lines, *(f"- as {condition}" for condition in conditions(result))]
 

@@ -476,8 +476,27 @@ def cautions(result: Mapping) -> list[str]:
             "draws it."
         )
     if result["map"]:
-        found += _map_notes(result["map"], "mounting found" if sharp_of(result) is None else "sharp mounting")
-    return found
+        found += _map_notes(result, "mounting found" if sharp_of(result) is None else "sharp mounting")
+    return [*found, *(as_sentence(text) for text in (seeds_text(result), optimum_text(result)) if text)]
+
+
+def seeds_text(result: Mapping) -> str:
+    """How far apart the searches with several seeds ended; empty where there was one."""
+    spread = result.get("spread")  # not in the results of earlier versions
+    if spread is None or len(spread["seeds"]) < 2:
+        return ""
+    places = []
+    for key in spread["searched"]:
+        name, unit = COORDINATE_NAMES[key]
+        found = [one["deployment"][key] for one in spread["seeds"] if one["deployment"][key] is not None]
+        if found and key == "lean_direction_deg":  # on the circle, told about the first
+            found = [found[0] + math.remainder(angle - found[0], 360.0) for angle in found]
+        if found:
+            places.append(f"{name} {min(found):.{_DIGITS[unit]}f} to {max(found):.{_DIGITS[unit]}f} {unit}")
+    values = [one["objective_per_vehicle"] for one in spread["seeds"]]
+    base, best = result["baseline"]["objective_per_vehicle"], max(values)
+    lacks = f", the least of them with {100 * (best - min(values)) / (best - base):.1f} % less of the gain"
+    return f"{len(values)} searches with other seeds ended at {', '.join(places)}{lacks if best > base else ''}"
 
 
 def better_than_baseline(result: Mapping) -> bool:
@@ -544,13 +563,22 @@ def _judged_over_tolerance(result):
     return scores, f"{frames_word(result)} frames"
 
 
-def _map_notes(score_map, mounting):
+_DIGITS = {"m": 2, "deg": 1}
+
+
+def _map_notes(result, mounting):
     """What the score map says of the search and the optimum: what was missed, how flat and how certain the top is."""
-    grid = f"a grid of {score_map['points'][0]} x {score_map['points'][1]} heights and tilts"
+    score_map = result["map"]
+    tilts = "leans" if "lean_deg" in score_map["best"] else "tilts"
+    grid = f"a grid of {score_map['points'][0]} x {score_map['points'][1]} heights and {tilts}"
+    if result.get("spread"):
+        grid += ", the other coordinates as the search had found them,"
     shortfall, best = score_map["search_shortfall"], score_map["best"]
     tilt = best["lean_deg"] if "lean_deg" in best else best["tilt_x_deg"]
     found = []
-    if shortfall == 0:
+    if score_map.get("polished"):
+        found.append(f"A point of {grid} was better than what the search had found: from there a local search went on.")
+    elif shortfall == 0:
         found.append(f"No point of {grid} is better than the {mounting}.")
     elif shortfall is not None and shortfall < _SMALL_SHORTFALL:
         found.append(f"The search found all but {100 * shortfall:.2f} % of the gain that {grid} offers.")
@@ -564,18 +592,30 @@ def _map_notes(score_map, mounting):
     if regret is not None and regret > _SMALL_SHORTFALL:
         lacks = f"lacks {100 * regret:.1f} % of the gain that the best point of that grid has there"
         found.append(f"On the held-out frames the {mounting} {lacks}.")
-    if text := optimum_text(score_map):
-        found.append(as_sentence(text))
     return found
 
 
-def optimum_text(score_map: Mapping) -> str:
-    """Between what heights and tilts the optimum lies with other traffic; empty where no interval is known."""
-    intervals = score_map.get("optimum_interval_90")
+def optimum_text(result: Mapping) -> str:
+    """Between what coordinates the optimum lies with other traffic; empty where no interval is known.
+
+    With two coordinates the map tells, with more the mountings that were tried: all coordinates may differ together.
+    """
+    spread, score_map = result.get("spread"), result["map"] or {}
+    intervals = (score_map if spread is None else spread).get("optimum_interval_90")
     if not intervals:
         return ""
-    (height, tilt), what = intervals.values(), "lean" if "lean_deg" in intervals else "tilt"
-    return (
-        f"other traffic of this kind would put the best height between {height[0]:.1f} and {height[1]:.1f} m and "
-        f"the best {what} between {tilt[0]:.0f} and {tilt[1]:.0f} deg (90 % of resampled blocks of time)"
-    )
+    if spread is None:
+        (height, tilt), what = intervals.values(), "lean" if "lean_deg" in intervals else "tilt"
+        places = [f"height between {height[0]:.1f} and {height[1]:.1f} m"]
+        places.append(f"the best {what} between {tilt[0]:.0f} and {tilt[1]:.0f} deg")
+        among = ""
+    else:
+        named = ((*COORDINATE_NAMES[key], *ends) for key, ends in intervals.items())
+        places = [
+            f"{name} between {low:.{_DIGITS[unit] - 1}f} and {high:.{_DIGITS[unit] - 1}f} {unit}"
+            for name, unit, low, high in named
+        ]
+        among = f", among the {spread['mountings']:,} mountings that were tried"
+    *others, last = places
+    listed = f"{', '.join(others)} and {last}" if others else last
+    return f"other traffic of this kind would put the best {listed} (90 % of resampled blocks of time{among})"

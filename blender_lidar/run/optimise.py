@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,9 @@ import numpy as np
 from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..optimise import DePso, DePsoSettings, Hardened, Search, make_search
+from ..optimise.hardened import Polish
 from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
+from ..optimise.search import joined_history
 from ..plugins import short_name
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario, pose_at
@@ -20,14 +22,17 @@ from ..scene.settings import with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
+from ..statistics import block_sums
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
 from .verdict import (
+    AXES,
     BASELINE_NAME,
     NOMINAL,
     ROBUST,
     ScoreMap,
+    best_intervals_90,
     judge,
     judge_over_tolerance,
     map_scores,
@@ -35,6 +40,9 @@ from .verdict import (
     vehicle_table,
 )
 
+_BATCH = 100  # mountings of a record that are scored again together
+_EQUAL = 1e-9  # of the objective: values nearer to one another differ by rounding
+_POLISH = 60  # evaluations for each coordinate
 AUTO = "auto"  # the [search] fidelity of a search over several fidelities
 
 
@@ -68,15 +76,35 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     replay = Replay(folder, site.identity, resume=resume)
     folder.write_scene(scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        searches = _searched(site, evaluator, replay, listener)
-        found = {name: deployment.coordinates(search.best_x) for name, search in searches.items()}
+        objective = _SearchedObjective(site, evaluator)
+        seeds = [
+            _seeded(site, seed) for seed in range(scenario.search.seed, scenario.search.seed + scenario.search.seeds)
+        ]
+        for search in seeds:
+            replay.carry_out(search, objective, listener)
+        best = max(seeds, key=lambda search: search.best_value)  # the first of equals
+        found = deployment.coordinates(best.best_x)
         if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
-            score_map = map_scores(evaluator, deployment, found[NOMINAL], site.plan.search_block, listener.mapping)
-        mountings = {"optimised": found[NOMINAL], BASELINE_NAME: scenario.baseline}
+            score_map = map_scores(evaluator, deployment, found, site.plan.search_block, listener.mapping)
+        polish = _polish(site, score_map, best)
+        if polish is not None:
+            replay.carry_out(polish, objective, listener)
+        searches = {NOMINAL: [*seeds, *([] if polish is None else [polish])]}
+        answer = (best if polish is None else polish).best_x
+        sharp = deployment.coordinates(answer)
+        mountings = {"optimised": sharp, BASELINE_NAME: scenario.baseline}
+        spread = None
+        if len(deployment.variables) > len(AXES) and scenario.search.fidelity != AUTO:
+            spread = _spread(site, seeds, objective.by_block(searches[NOMINAL]), evaluator.weight, answer)
         if tolerance is not None:
-            mountings["optimised"] = best_over_tolerance(evaluator, [found[ROBUST], found[NOMINAL]], tolerance)
-            mountings[NOMINAL] = found[NOMINAL]
-        return _conclude(site, folder, evaluator, started, mountings, searches, score_map)
+            robust = fresh_search(scenario)
+            robust.label = "search over the tolerance"
+            replay.carry_out(robust, objective.over_tolerance, listener)
+            plans = [deployment.coordinates(robust.best_x), sharp]
+            mountings["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
+            mountings[NOMINAL], searches[ROBUST] = sharp, [robust]
+        on_map = None if score_map is None else (score_map, score_map.best_coordinates(found))
+        return _conclude(site, folder, evaluator, started, mountings, searches, on_map, spread, polish is not None)
 
 
 def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -> dict | None:
@@ -160,26 +188,89 @@ def scenery_counts(site: Site) -> dict[str, int] | None:
     return {"objects": len(np.unique(standing.scenery.owner)), "triangles": len(standing.scenery)}
 
 
-def _searched(
-    site: Site, evaluator: Evaluator, replay: Replay, listener: Listener
-) -> dict[str, Search | MultiFidelitySearch]:
-    """The searches of a run, brought to their ends: of mountings as planned, and over the scene's tolerance."""
-    scenario, deployment, tolerance = site.scenario, site.scenario.deployment, site.scenario.objective.tolerance
+class _SearchedObjective:
+    """The objective of mountings on the searched frames, and of those scored as planned the sums over each block."""
 
-    def as_planned(asked: np.ndarray | Asked) -> np.ndarray:
+    def __init__(self, site: Site, evaluator: Evaluator) -> None:
+        self._site, self._evaluator = site, evaluator
+        self._deployment = site.scenario.deployment
+        self._blocks: dict[bytes, np.ndarray] = {}
+
+    def __call__(self, asked: np.ndarray | Asked) -> np.ndarray:
+        """Of mountings as planned: (s,), or (s, frames) where a search over several fidelities asks."""
         if isinstance(asked, Asked):
-            return asked_objective(site, evaluator, asked)
-        return evaluator.totals([deployment.pose(row) for row in asked]).objective.sum(axis=1)
+            return asked_objective(self._site, self._evaluator, asked)
+        objective = self._evaluator.totals([self._deployment.pose(row) for row in asked]).objective
+        blocks = block_sums(objective, self._site.plan.search_block)
+        self._blocks |= {row.tobytes(): sums for row, sums in zip(asked, blocks, strict=True)}
+        return objective.sum(axis=1)
 
-    def over_tolerance(x: np.ndarray) -> np.ndarray:
-        return objective_over(evaluator, [deployment.coordinates(row) for row in x], tolerance)
+    def over_tolerance(self, x: np.ndarray) -> np.ndarray:
+        """Over the scene's tolerance, (s,)."""
+        plans = [self._deployment.coordinates(row) for row in x]
+        return objective_over(self._evaluator, plans, self._site.scenario.objective.tolerance)
 
-    searches = {}
-    for name, score in {NOMINAL: as_planned, ROBUST: over_tolerance}.items():
-        if name == NOMINAL or tolerance is not None:
-            searches[name] = fresh_auto_search(site) if scenario.search.fidelity == AUTO else fresh_search(scenario)
-            replay.carry_out(searches[name], score, listener)
-    return searches
+    def by_block(self, searches: Sequence[Search]) -> tuple[np.ndarray, np.ndarray]:
+        """All mountings that were tried, (n, d), and their objective in each block, (n, b)."""
+        x = np.concatenate([search.history[:, 3:-2] for search in searches])
+        unknown = np.array(
+            [row.tobytes() not in self._blocks for row in x]
+        )  # those of a run that this one goes on with
+        for start in range(0, int(unknown.sum()), _BATCH):
+            self(x[unknown][start : start + _BATCH])
+        return x, np.array([self._blocks[row.tobytes()] for row in x])
+
+
+def _seeded(site: Site, seed: int) -> Search | MultiFidelitySearch:
+    """The search of a seed, before its first evaluation."""
+    use = site.scenario.search
+    scenario = replace(site.scenario, search=replace(use, seed=seed))
+    search = fresh_auto_search(site) if use.fidelity == AUTO else fresh_search(scenario)
+    if use.seeds > 1:
+        search.label = f"search with seed {seed}"
+    return search
+
+
+def _polish(site: Site, score_map: ScoreMap | None, search: Search | MultiFidelitySearch) -> Polish | None:
+    """The local search from a point of the map that beats what the hardened search has found; None without one."""
+    if score_map is None or site.scenario.search.method != Hardened.name:
+        return None
+    *place, _ = score_map.best
+    reached = float(score_map.block_objective.sum(axis=-1).max())
+    if reached - search.best_value <= _EQUAL * abs(reached):
+        return None
+    deployment = site.scenario.deployment
+    better = dict(zip(score_map.axes, place, strict=True))
+    x = zip(deployment.variables, search.best_x.tolist(), strict=True)
+    start = np.array([better.get(key, value) for key, value in x])
+    box = np.array(deployment.lower), np.array(deployment.upper)
+    budget = min(_POLISH * len(start), site.scenario.search.particles * site.scenario.search.iterations)
+    return Polish(*box, start=start, seed=site.scenario.search.seed, evaluations=budget, periodic=deployment.periodic)
+
+
+def _spread(
+    site: Site, seeds: Sequence[Search], tried: tuple[np.ndarray, np.ndarray], weight: np.ndarray, answer: np.ndarray
+) -> dict:
+    """How far apart the answers of several seeds lie, and between what coordinates other traffic would put the best."""
+    deployment = site.scenario.deployment
+    answers = [
+        {
+            "seed": site.scenario.search.seed + number,
+            "deployment": with_lean(deployment.coordinates(search.best_x)),
+            "objective_per_vehicle": search.best_value / float(weight.sum()),
+        }
+        for number, search in enumerate(seeds)
+    ]
+    weights, seed = block_sums(weight, site.plan.search_block), site.scenario.search.seed
+    intervals = best_intervals_90(*tried, weights, answer, deployment.periodic, seed)
+    return {
+        "searched": list(deployment.variables),
+        "seeds": answers,
+        "mountings": len(tried[0]),
+        "optimum_interval_90": None
+        if intervals is None
+        else {key: list(pair) for key, pair in zip(deployment.variables, intervals, strict=True)},
+    }
 
 
 def _conclude(
@@ -188,22 +279,29 @@ def _conclude(
     evaluator: Evaluator,
     started: float,
     mountings: Mapping[str, Mapping[str, float]],
-    searches: Mapping[str, Search | MultiFidelitySearch],
-    score_map: ScoreMap | None,
+    searches: Mapping[str, Sequence[Search | MultiFidelitySearch]],
+    on_map: tuple[ScoreMap, Mapping[str, float]] | None,
+    spread: Mapping | None = None,
+    polished: bool = False,
 ) -> dict:
-    """Judge the mountings and write all that a run leaves, last of all its result, which is returned."""
+    """Judge the mountings and write all that a run leaves, last of all its result, which is returned.
+
+    `searches` are those of the mountings as planned, and over the tolerance; `on_map` is the score map and its best
+    mounting; `spread` what several coordinates came to; `polished` says whether a point of the map is the answer.
+    """
     scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
-    for name, search in zip((HISTORY, HISTORY_NOMINAL), reversed(searches.values()), strict=False):
-        folder.write_history(name, search.history, scenario.deployment.variables)
+    for name, parts in zip((HISTORY, HISTORY_NOMINAL), reversed(searches.values()), strict=False):
+        history = joined_history([search.history for search in parts])
+        folder.write_history(name, history, scenario.deployment.variables)
     poses = {name: pose_at(coordinates) for name, coordinates in mountings.items()}
     planned = NOMINAL if NOMINAL in mountings else "optimised"
-    if score_map is not None:
-        folder.write_score_map(score_map)
-        poses["best_of_map"] = pose_at(score_map.best_coordinates(mountings[planned]))
+    if on_map is not None:
+        folder.write_score_map(on_map[0])
+        poses["best_of_map"] = pose_at(on_map[1])
     for file, name in {VEHICLES: "optimised", VEHICLES_BASELINE: BASELINE_NAME}.items():
         folder.write_vehicles(file, vehicle_table(poses[name], search=evaluator, holdout=evaluator.held_out))
     verdict = judge(site, poses, evaluator, seed)
-    evaluations = {name: len(search.history) for name, search in searches.items()}
+    evaluations = {name: sum(len(search.history) for search in parts) for name, parts in searches.items()}
     tolerance = scenario.objective.tolerance
     over_tolerance = (
         None
@@ -217,7 +315,8 @@ def _conclude(
             "sharp": {"deployment": with_lean(mountings[NOMINAL]), **verdict[NOMINAL]} if searches else None,
         }
     )
-    rungs = [rung_costs(search) for search in searches.values() if isinstance(search, MultiFidelitySearch)]
+    every = (search for parts in searches.values() for search in parts)
+    rungs = [rung_costs(search) for search in every if isinstance(search, MultiFidelitySearch)]
     result = {
         "schema": RUN_SCHEMA,
         "scene": Path(scenario.source).name,
@@ -237,7 +336,8 @@ def _conclude(
         "evaluations": sum(evaluations.values()) or 1,
         "fidelity": scenario.search.fidelity if searches else "full",
         "rungs": rungs[0] if rungs else None,
-        "map": None if score_map is None else map_verdict(score_map, verdict, planned, seed),
+        "map": None if on_map is None else {**map_verdict(on_map[0], verdict, planned, seed), "polished": polished},
+        "spread": spread,
         "frames": len(site.search),
         "frame_ids": [int(frame) for frame in site.plan.search],
         "holdout_frame_ids": [int(frame) for frame in site.plan.holdout],

@@ -23,6 +23,7 @@ from ..statistics import FEWEST_BLOCKS, block_sums, interval_90, resampled_weigh
 from ..traffic.vehicles import Vehicles
 from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
 
+_RESAMPLES_AT_ONCE = 100  # of many mountings: all at once may fill the memory
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
 BASELINE_NAME = "baseline"
 NOMINAL, ROBUST = "sharp", "robust"  # mountings and their searches, as planned and over a tolerance, in result.json
@@ -233,6 +234,47 @@ def map_scores(
         block_vehicles=block_vehicles[filled],
         tilt=axes[1],
     )
+
+
+def best_intervals_90(
+    x: np.ndarray,
+    block_objective: np.ndarray,
+    block_weight: np.ndarray,
+    answer: np.ndarray,
+    periodic: Sequence[bool],
+    seed: int,
+) -> list[tuple[float, float]] | None:
+    """90 % interval of each coordinate of the best mounting of those that were tried, under block resampling.
+
+    Parameters
+    ----------
+    x : ndarray, (n, d)
+        What was tried.
+    block_objective : ndarray, (n, b)
+        Objective of each in each block of time.
+    block_weight : ndarray, (b,)
+        Vehicles of each block, or the sum of their weights.
+    answer : ndarray, (d,)
+        About which a coordinate that is a full circle is told, `periodic` (d,).
+    seed : int
+        For the resampling of blocks.
+
+    Returns
+    -------
+    list of (float, float), d
+        None for too few blocks that have vehicles.
+    """
+    filled = block_weight > 0
+    if filled.sum() < FEWEST_BLOCKS:
+        return None
+    weights = resampled_weights(int(filled.sum()), np.random.default_rng(seed))
+    per_block, best = block_objective[:, filled].T, np.empty(len(weights), dtype=int)
+    for start in range(0, len(weights), _RESAMPLES_AT_ONCE):  # each divides all by the same vehicles
+        part = slice(start, start + _RESAMPLES_AT_ONCE)
+        best[part] = np.argmax(weights[part] @ per_block, axis=1)
+    found = x[best]
+    turned = answer + np.mod(found - answer + 180.0, 360.0) - 180.0
+    return [interval_90(values) for values in np.where(periodic, turned, found).T]
 
 
 def map_verdict(score_map: ScoreMap, verdict: Mapping[str, dict], found: str, seed: int) -> dict:

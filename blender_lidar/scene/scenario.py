@@ -48,6 +48,7 @@ from .settings import (
 
 __all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_scenario", "pose_at"]
 
+_FEW_COORDINATES, _SEEDS = 2, 3  # with more of them so many searches: one alone may end anywhere
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
@@ -95,7 +96,8 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     baseline = tables["baseline"].read(MOUNTING_OR_LEAN)
     baseline = {key: value for key, value in baseline.items() if key in tables["baseline"].values}
     usual = {key: nominal.get(key, one.default) for key, one in MOUNTING.items()}
-    objective, search = _objective(tables["objective"]), _search(tables["search"], deployment)
+    objective = _objective(tables["objective"])
+    search = _search(tables["search"], deployment, several=objective.tolerance is None)
     if search.fidelity == "auto" and objective.tolerance is not None:
         raise InputError(
             f'{tables["search"].where("fidelity")}: "auto" searches mountings that hang as planned, but '
@@ -277,8 +279,17 @@ def _objective(table: TomlTable) -> ObjectiveSettings:
     return objective
 
 
-def _search(table: TomlTable, deployment: Deployment) -> SearchSettings:
+def _search(table: TomlTable, deployment: Deployment, *, several: bool) -> SearchSettings:
+    """[search]; `several` says whether nothing else speaks against several searches with their own seeds."""
     search = table.read_as(SearchSettings)
+    several &= search.fidelity == "full" and search.method != GridSearch.name
+    if (search.seeds or 1) > 1 and not several:
+        raise InputError(
+            f"{table.where('seeds')}: is {search.seeds}; allowed: 1 with a tolerance, with fidelity = "
+            '"auto", and with a grid, which draws nothing'
+        )
+    usual = _SEEDS if several and len(deployment.bounds) > _FEW_COORDINATES else 1
+    search = replace(search, seeds=search.seeds or usual)
     if search.method not in SEARCHES:
         search_named(search.method, table.where("method"))
     given = [key for key in _DE_PSO_ALONE if getattr(search, key) is not None]

@@ -424,6 +424,9 @@ class SearchSettings:
         Particles of the swarm, hardened or DE-PSO's.
     iterations : int
         Every search gets particles x iterations evaluations.
+    seeds : int
+        Searches, one after the other, each with its own seed, of which the best answers; 3 where more than two
+        coordinates are searched, else 1.
     inertia, differential_weight, cognitive, social : float or None
         DE-PSO's weights w1, w2, a1 and a2 of the paper's Eqs. 12 and 14.
     differential_threshold : float or None
@@ -437,6 +440,7 @@ class SearchSettings:
     seed: int = setting(1, low=0, option="--seed")
     particles: int = setting(PARTICLES, low=3, high=10_000, option="--particles")
     iterations: int = setting(ITERATIONS, low=1, high=1_000_000, option="--iterations")
+    seeds: int | None = setting(None, low=1, high=20, option="--seeds")
     inertia: float | None = setting(None, **_COEFFICIENT)
     differential_weight: float | None = setting(None, **_COEFFICIENT)
     cognitive: float | None = setting(None, **_COEFFICIENT)
@@ -626,7 +630,7 @@ def with_lean(coordinates: Mapping[str, float]) -> dict[str, float | None]:
     """
     from ..sensors.pose import lean_of
 
-    lean, *turns = (math.degrees(angle) + 0.0 for angle in lean_of(pose_at(coordinates).rotation))
+    lean, *turns = (round(math.degrees(angle), 12) + 0.0 for angle in lean_of(pose_at(coordinates).rotation))
     if lean < _NO_LEAN_DEG:
         lean, turns = 0.0, [None, coordinates["yaw_deg"]]
     return {**coordinates, **dict(zip(LEANS, (lean, *turns), strict=True))}
