@@ -322,7 +322,7 @@ def test_commas_and_points_in_one_file_are_refused_however_far_apart(tmp_path, m
 # --- columns that are nearly right ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mark", [",", ";", "\t"])
+@pytest.mark.parametrize("mark", [",", ";", "\t", "|", " "])
 @pytest.mark.parametrize(
     ("header", "told"),
     [
@@ -339,6 +339,7 @@ def test_commas_and_points_in_one_file_are_refused_however_far_apart(tmp_path, m
             "frame_id,track_id,category,pos_x,pos_y,l,w,h,angle",
             "frame_id to frame, track_id to vehicle_id, category to",
         ),
+        ("id,type,x,y,length,width", "no column frame, vehicle_id"),
         ("time,id,class,x,y,length,width,height,heading", "no column frame, vehicle_id"),
         ("frame,vehicle_id,class,x_ft,y_ft,length_ft,width_ft,height_ft,heading_rad", "x_ft to x_m, y_ft to y_m"),
     ],

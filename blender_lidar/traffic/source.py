@@ -121,9 +121,9 @@ def delimiter_of(header: str, known: Collection[str]) -> str | None:
     It is the one by which most of the names are `known`.
     """
 
-    def found(mark: str | None) -> tuple[int, bool, int]:
-        names = known_names(fields_of(header, mark), known)
-        return len(set(names) & set(known)), mark is not None, header.count(mark or " ")
+    def found(mark: str | None) -> tuple[int, bool, bool, int]:
+        names, count = known_names(fields_of(header, mark), known), header.count(mark or " ")
+        return len(set(names) & set(known)), count > 0, mark is not None, count
 
     return max((",", ";", "\t", "|", None), key=found)
 
