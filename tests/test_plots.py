@@ -235,6 +235,21 @@ def test_charts_of_scores_say_the_metric_and_its_unit_and_have_room_for_it(name,
     assert metric.in_unit("Objective per vehicle") in {axes.get_ylabel() for axes in landscape.axes}
 
 
+def test_a_share_is_drawn_in_per_cent_and_weighed(tmp_path, figures):
+    split = np.where(np.arange(200) < 150, "search", "holdout")
+    weighed = table(1) | {"metric_value": np.ones(200), "weight": np.full(200, 2.0), "split": split}
+    run, rows = with_tables(weighed, metric="detectable"), history()
+    plot_by_distance(tmp_path / "d.png", run)
+    plot_convergence(tmp_path / "c.png", run, rows)
+    plot_score_map(tmp_path / "m.png", run, score_map())
+    by_distance, convergence, landscape = figures
+    assert by_distance.axes[1].get_ylabel() == "Mean PE-VGOP\n[bits]"
+    assert convergence.axes[0].get_ylabel() == "Objective per vehicle [%]"
+    assert convergence.axes[0].lines[1].get_ydata()[-1] == pytest.approx(100.0 * rows[-1, -1] / 300.0)
+    values = landscape.axes[0].collections[0].get_array()
+    assert values.max() == pytest.approx(100.0 * score_map().per_vehicle.max())
+
+
 def test_a_metric_of_the_scene_leaves_the_vehicles_their_entropy(tmp_path, figures):
     plot_by_distance(tmp_path / "d.png", outcome(metric="m-sog"))
     assert figures[0].axes[1].get_ylabel() == "Mean PE-VGOP\n[bits]"

@@ -11,15 +11,17 @@ from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.report.summary import definitions, group_tables
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.optimise import fresh_auto_search
 from blender_lidar.scene.observation import Observation, Scoring, vehicle_weights
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import ObjectiveSettings, ZoneSettings
 from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.statistics import ratio_interval_90
+from blender_lidar.studies.driver import AS_IT_IS, Job, landscapes
 from tests.sample_traffic import counted_frames, joined, one_vehicle
 from tests.small_scene import MAPPED, without_charts, write_scene
 
@@ -137,6 +139,18 @@ def test_the_score_map_and_the_tables_by_group_weigh_too(run):
     assert float(first) == pytest.approx(np.mean(scores(outcome.baseline, near)), abs=1e-3)
 
 
+def test_studies_and_rungs_of_a_search_see_the_same_weights(run):
+    _, site = run
+    with site_evaluator(site, site.search) as evaluator:
+        totals = evaluator.totals(POSES)
+    (found,) = landscapes(site, [Job(AS_IT_IS, tuple(POSES))])
+    assert found.per_vehicle() == pytest.approx(totals.per_vehicle(), rel=1e-12)
+    assert found.blocks(site.plan.search_block)[1].sum() == totals.weight.sum() != found.vehicles.sum()
+    only_last = [replace(frame, weight=np.zeros(len(frame.vehicles))) for frame in site.search[:-1]]
+    rungs = fresh_auto_search(replace(site, search=(*only_last, site.search[-1]))).rungs
+    assert rungs[0].frames[0] == len(site.search) - 1  # frames without a weight are looked at last
+
+
 def test_a_result_tells_its_weights(run):
     outcome, _ = run
     assert outcome.result["identity"]["[objective] class_weights"] == CLASSES
@@ -152,6 +166,7 @@ def test_a_result_tells_its_weights(run):
             {"zones": [{"name": "far", "polygon_m": [[900.0, 0.0], [990.0, 0.0], [990.0, 9.0]], "weight": 2.0}]},
             ("zones 1", "'far'", "those that count are at x"),
         ),
+        ({"zones": [*ZONES, {**ZONES[0], "name": "again"}]}, ("zones 2", "'again'", "put the smaller zone first")),
         ({"class_weights": dict.fromkeys(("car", "van", "truck"), 0.0)}, ("above 0", "car, truck, van")),
         ({"class_weights": {"lorry": 2.0}}, ("lorry", "truck")),
         ({"class_weights": {"car": -1.0}}, ("class_weights] car", "0 to 1e+06")),

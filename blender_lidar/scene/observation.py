@@ -121,7 +121,7 @@ def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndar
 
 
 def check_weights(objective: ObjectiveSettings, searched: Sequence[CountedFrame], where: str) -> None:
-    """Refuse a zone without any counted vehicle of the searched frames, and weights that leave none of them a weight.
+    """Refuse a zone that weighs no counted vehicle of the searched frames, and weights that leave none a weight.
 
     Raises
     ------
@@ -129,8 +129,16 @@ def check_weights(objective: ObjectiveSettings, searched: Sequence[CountedFrame]
         Naming `where` the weights came from.
     """
     xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
+    free = np.ones(len(xy), dtype=bool)
     for number, zone in enumerate(objective.zones, start=1):
-        if not polygon_holds(zone.polygon_m, xy).any():
+        inside = polygon_holds(zone.polygon_m, xy)
+        if inside.any() and not (inside & free).any():
+            raise InputError(
+                f"{where} zones {number}: an earlier zone holds every vehicle of the searched frames that is in "
+                f"{zone.name!r}, and the first that holds one counts; put the smaller zone first"
+            )
+        free &= ~inside
+        if not inside.any():
             (left, right), (x, y) = xy.min(axis=0), xy.max(axis=0)
             raise InputError(
                 f"{where} zones {number}: no vehicle of the searched frames is in {zone.name!r}; "
