@@ -30,7 +30,7 @@ _CLEAR_M = 1.0  # about the pole
 _BIN_M = 5.0  # along the road
 _MOST_BINS = 2000
 _BEND_RAD = math.radians(2.0)
-_MANY_VEHICLES = 20
+_MANY_VEHICLES = 12  # on each lane
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -433,8 +433,8 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _
     vehicles = len(np.unique(everything.vehicle[coming]))
     if vehicles < _FEWEST_VEHICLES:
         return None
-    if vehicles < _MANY_VEHICLES:
-        notes.append(f"only {vehicles} vehicles: little to go by")
+    if vehicles < _MANY_VEHICLES * max(lanes.count, 2):
+        notes.append(f"only {vehicles} vehicles: little to go by, and a lane that none of them used cannot be seen")
     if len(crossings):
         groups = np.split(crossings, 1 + np.flatnonzero(np.diff(crossings) > 2))
         nearest = min(groups, key=lambda group: np.abs(middles[group] - chosen).min())
