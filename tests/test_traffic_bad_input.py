@@ -49,6 +49,7 @@ def test_an_empty_file(tmp_path, content):
         (bytes(range(256)) * 40, "not a text file"),
         (b"\0" * 1000, "FILE:1: no traffic that is known: it begins with '\\x00"),
         ("1 2 3\n".encode("utf-16"), "FILE:1: 3 fields; NGSIM rows have 18 or 24"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(100), "FILE: a workbook of a spreadsheet"),
         (b"PK\x03\x04\x14\0\x06\0[Content_Types].xml", "FILE: a workbook of a spreadsheet; save the sheet as CSV"),
         (b"PK\x03\x04" + bytes(100), "zip archive"),
         (b"x" * 200_000, "FILE:1: no traffic that is known: it begins with 'xxx"),

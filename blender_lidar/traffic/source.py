@@ -55,7 +55,8 @@ def open_bytes(path: str | Path, *, unpack: bool = True) -> Iterator[BinaryIO]:
             raise InputError(f"{path}: truncated or damaged gzip file ({error})") from error
 
 
-_WORKBOOKS = (b"[Content_Types].xml", b"vnd.oasis.opendocument", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")
+_ZIP, _OLD_WORKBOOK = b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
+_OF_WORKBOOKS = (b"[Content_Types].xml", b"docProps/", b"vnd.oasis.opendocument")
 _MARKED = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")
 _LINE_END = re.compile(r"\r\n?|\n")
@@ -69,9 +70,10 @@ def _beginning(path: str | Path) -> tuple[str, str]:
     """
     with open_bytes(path) as stream:
         head = stream.read(_HEAD_BYTES)
-    if any(mark in head[:1024] for mark in _WORKBOOKS):
+    zipped = head.startswith(_ZIP)
+    if head.startswith(_OLD_WORKBOOK) or (zipped and any(mark in head for mark in _OF_WORKBOOKS)):
         raise InputError(f"{path}: a workbook of a spreadsheet; save the sheet as CSV")
-    if head.startswith(b"PK\x03\x04"):
+    if zipped:
         raise InputError(f"{path}: a zip archive; unpack it and give the .txt or .csv file inside")
     marked = next((encoding for mark, encoding in _MARKED.items() if head.startswith(mark)), None)
     halves = {"utf-16-le": head[1::2], "utf-16-be": head[::2]}
