@@ -85,7 +85,9 @@ def printable(text: str, longest: int | None = None) -> str:
     return "".join(sign if sign.isprintable() else sign.encode("unicode_escape").decode() for sign in cut)
 
 
-def unknown_name(given: object, allowed: Iterable[str], what: str, where: str = "") -> InputError:
+def unknown_name(
+    given: object, allowed: Iterable[str], what: str, where: str = "", alike: Iterable[str] | None = None
+) -> InputError:
     """An error for a name that is not one of `allowed`, with the nearest known one.
 
     Parameters
@@ -98,9 +100,11 @@ def unknown_name(given: object, allowed: Iterable[str], what: str, where: str = 
         The kind of thing named: ``"sensor"``, ``"key"``.
     where : str
         ``file:key`` or the option it came from; left out when empty.
+    alike : iterable of str, optional
+        Those of `allowed` that may be proposed; any unless said.
     """
     names = [str(name) for name in allowed]
-    by_lower = {name.lower(): name for name in names}
+    by_lower = {name.lower(): name for name in (names if alike is None else alike)}
     near = difflib.get_close_matches(str(given).lower()[:_LONGEST_NAME], list(by_lower), n=1, cutoff=0.5)
     hint = f"did you mean {by_lower[near[0]]!r}? " if near else ""
     prefix = f"{where}: " if where else ""

@@ -173,6 +173,7 @@ KEYS = [
     ("world", "barriers", "true", '"median"'),
     ("sensor", "name", "16", '"RS-17"'),
     ("sensor", "rotation_hz", '"10"', "0"),
+    ("sensor", "columns", "512.5", "0"),
     ("sensor", "range_gate_m", '"50"', "-1"),
     ("sensor", "range_noise_m", '"data sheet"', "-0.01"),
     ("sensor", "range_noise_m", "nan", "11"),

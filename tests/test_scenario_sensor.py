@@ -6,6 +6,7 @@ import pytest
 
 from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import lattice_of
 from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from tests.scene_texts import MINIMAL, own_sensor, refusal, scene
@@ -51,6 +52,39 @@ def test_a_rotation_rate_that_the_sensor_lacks_is_refused_with_those_it_has(tmp_
     text = refusal(tmp_path, MINIMAL + "[sensor]\nrotation_hz = 7\n")
     assert text.startswith("[sensor] rotation_hz: RS-16 does not turn at 7")
     assert "allowed: 5, 10, 20" in text
+
+
+def test_an_ousters_columns_are_those_of_the_scene_its_table_or_the_option(tmp_path):
+    def columns(text, overrides=None):
+        sensor = load_scenario(scene(tmp_path, MINIMAL + text), overrides).sensor
+        lattice = lattice_of(sensor)
+        assert lattice.columns == sensor.columns
+        return lattice.columns
+
+    ouster = '[sensor]\nname = "OS1-128"\n'
+    assert columns(ouster) == 1024
+    assert columns(ouster + "columns = 512\n") == 512
+    assert columns(ouster + "columns = 512\n[sensor.OS1-128]\ncolumns = 2048\n") == 2048
+    assert columns(ouster + "columns = 512\n", {("sensor", "columns"): (2048, "--columns")}) == 2048
+    assert load_scenario(scene(tmp_path, MINIMAL)).sensor.columns is None  # an RS-16 has no choice
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            'name = "OS1-64"\ncolumns = 1000\n',
+            "columns: OS1-64 cannot be set to 1000 columns a turn; allowed: 512",
+        ),
+        ("columns = 1024\n", "columns: RS-16 cannot be set to 1024 columns a turn; allowed: what rate and block time"),
+        (
+            'name = "OS1-64"\ncolumns = 2048\nrotation_hz = 20\n',
+            "rotation_hz: OS1-64 does not turn at 20.0 Hz with 2048 columns; allowed: 10",
+        ),
+    ],
+)
+def test_columns_that_a_sensor_does_not_have_are_refused_where_they_stand(tmp_path, text, said):
+    assert refusal(tmp_path, MINIMAL + "[sensor]\n" + text).startswith(f"[sensor] {said}")
 
 
 def test_an_unknown_sensor_is_refused_with_the_nearest_wherever_it_is_named(tmp_path):

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError
+from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.files import MAX_RINGS
-from blender_lidar.sensors.model import DATA_FOLDER, load_model, model_names
+from blender_lidar.sensors.model import DATA_FOLDER, load_model, model_names, with_columns
 from tests.waiting import WAIT_S
 
 BEAM_TABLES = Path(__file__).parents[2] / "shared" / "reference" / "beams"
 VELODYNE_TURNS_THE_OTHER_WAY = -1.0
-# Model: table of beams, whether its firing times are known, sign of its azimuth offsets.
+# Model: table of beams, whether its firing times are known (None: not from there), sign of its azimuth offsets.
 TABLE_OF = {
     "RS-16": ("rs16", True, 1.0),
     "RS-32": ("rs_helios_1615", True, 1.0),
@@ -32,7 +33,26 @@ TABLE_OF = {
     "VLP-16": ("velodyne_vlp16", True, VELODYNE_TURNS_THE_OTHER_WAY),
     "HDL-64E-S2": ("velodyne_hdl64e_s2", False, VELODYNE_TURNS_THE_OTHER_WAY),
     "HDL-64E-S3": ("velodyne_hdl64e_s3", False, VELODYNE_TURNS_THE_OTHER_WAY),
+    "HDL-32E": ("velodyne_hdl32e", None, VELODYNE_TURNS_THE_OTHER_WAY),
+    "VLP-32C": ("velodyne_vlp32c", None, VELODYNE_TURNS_THE_OTHER_WAY),
+    "VLS-128": ("velodyne_vls128", None, VELODYNE_TURNS_THE_OTHER_WAY),
+    "QT64": ("hesai_qt64", None, 1.0),
+    "OS0-128": ("ouster_os0_128_unit", None, 1.0),
+    "OS1-128": ("ouster_os1_128_unit", None, 1.0),
+    "OS1-32": ("ouster_os1_32_unit", None, 1.0),
 }
+# Nominal model: one of its calibrated units, and how far that lies from it in elevation and azimuth offset [degrees].
+UNIT_OF = {
+    "XT32": ("hesai_xt32", 0.09, 0.13),
+    "Pandar40P": ("hesai_pandar40p", 0.21, 0.0),
+    "Pandar64": ("hesai_pandar64", 0.02, 0.0),
+    "Pandar128": ("hesai_pandar128e4x", 0.17, 0.22),
+    "OS0-32": ("ouster_os0_32_unit", 0.45, 0.0),
+    "OS1-64": ("ouster_os1_64_unit", 0.16, 0.0),
+    "OS2-128": ("ouster_os2_128_unit", 0.06, 0.0),
+    "OS2-32": ("ouster_os2_32_unit", 0.1, 0.0),
+}
+OUSTERS = [name for name in (*TABLE_OF, *UNIT_OF) if name.startswith("OS")]
 THREE_BEAMS = "beams = [[0, -2.0, 1.5, 0.0], [1, -1.0, 0.0, 2.5], [2, 0.0, -1.5, nan]]\n"
 
 
@@ -47,10 +67,10 @@ def elevation_deg(name: str) -> np.ndarray:
 
 
 def test_the_models_of_the_paper_and_the_reference_sensors_are_there():
-    assert sorted(model_names()) == sorted(TABLE_OF)
+    assert sorted(model_names()) == sorted((*TABLE_OF, *UNIT_OF))
 
 
-@pytest.mark.parametrize("name", TABLE_OF)
+@pytest.mark.parametrize("name", model_names())
 def test_every_model_says_where_its_numbers_come_from_and_is_complete(name):
     model = load_model(name)
     assert model.name == name
@@ -73,14 +93,15 @@ def test_every_beam_equals_the_reference_table(name):
     if not BEAM_TABLES.is_dir():
         pytest.skip(f"no reference beam tables at {BEAM_TABLES}")
     table, timed, sign = TABLE_OF[name]
-    with (BEAM_TABLES / f"{table}.csv").open() as file:
-        beams = {int(row["ring"]): row for row in csv.DictReader(file)}
+    beams = reference(table)
     model = load_model(name)
     assert sorted(beams) == list(range(model.rings))
     for ring, row in beams.items():
         assert math.degrees(model.elevation_rad[ring]) == pytest.approx(float(row["elevation_deg"]), abs=1e-9)
         expected = sign * float(row["azimuth_offset_deg"])
         assert math.degrees(model.azimuth_offset_rad[ring]) == pytest.approx(expected, abs=1e-9)
+    if timed is None:
+        return
     if not timed:
         assert np.all(np.isnan(model.fire_time_s))
         return
@@ -89,6 +110,111 @@ def test_every_beam_equals_the_reference_table(name):
     assert sorted(times) == list(range(model.rings))
     for ring, time_us in times.items():
         assert model.fire_time_s[ring] * 1e6 == pytest.approx(time_us, abs=1e-9)
+
+
+def reference(table: str) -> dict[int, dict[str, str]]:
+    with (BEAM_TABLES / f"{table}.csv").open() as file:
+        return {int(row["ring"]): row for row in csv.DictReader(file)}
+
+
+@pytest.mark.parametrize("name", UNIT_OF)
+def test_a_nominal_ladder_lies_as_near_its_calibrated_unit_as_its_source_says(name):
+    if not BEAM_TABLES.is_dir():
+        pytest.skip(f"no reference beam tables at {BEAM_TABLES}")
+    table, *most = UNIT_OF[name]
+    beams, model = reference(table), load_model(name)
+    assert sorted(beams) == list(range(model.rings))
+    unit = [[float(beams[ring][key]) for ring in sorted(beams)] for key in ("elevation_deg", "azimuth_offset_deg")]
+    away = np.abs(np.degrees([model.elevation_rad, model.azimuth_offset_rad]) - unit).max(axis=1)
+    assert (away <= np.add(most, 1e-9)).all()
+    assert (away >= np.array(most) - 0.011).all()  # the bound is no wider than it needs to be
+
+
+@pytest.mark.parametrize(
+    ("name", "rings", "lowest", "highest"),
+    [
+        ("XT32", 32, -16.0, 15.0),
+        ("Pandar40P", 40, -25.0, 15.0),
+        ("Pandar64", 64, -25.0, 15.0),
+        ("Pandar128", 128, -25.0, 15.0),
+        ("QT64", 64, -52.1, 52.1),
+        ("OS0-32", 32, -45.4, 43.9),
+        ("OS0-128", 128, -46.3, 45.8),
+        ("OS1-32", 32, -15.3, 12.75),
+        ("OS1-64", 64, -16.7, 16.5),
+        ("OS1-128", 128, -21.8, 21.0),
+        ("OS2-32", 32, -10.5, 10.9),
+        ("OS2-128", 128, -11.1, 10.8),
+        ("HDL-32E", 32, -30.67, 10.67),
+        ("VLP-32C", 32, -25.0, 15.0),
+        ("VLS-128", 128, -25.0, 15.0),
+    ],
+)
+def test_field_of_view_and_rings_are_those_of_the_datasheet(name, rings, lowest, highest):
+    elevation = elevation_deg(name)
+    assert (np.diff(elevation) > 0.0).all()
+    assert len(elevation) == rings
+    np.testing.assert_allclose(elevation[[0, -1]], [lowest, highest], atol=0.25)
+
+
+@pytest.mark.parametrize(
+    ("name", "step_deg"),
+    [("XT32", 1.0), ("HDL-32E", 4 / 3), ("OS0-32", 2.88), ("OS1-64", 0.527), ("OS2-128", 0.172), ("OS2-32", 0.689)],
+)
+def test_even_ladders_are_even(name, step_deg):
+    np.testing.assert_allclose(np.diff(elevation_deg(name)), step_deg, atol=0.011)
+
+
+def test_the_ouster_os1_32_is_the_gradient_model_and_no_ladder():
+    elevation = elevation_deg("OS1-32")
+    assert np.abs(elevation - np.linspace(elevation[0], elevation[-1], 32)).max() > 5.0
+
+
+@pytest.mark.parametrize(
+    ("name", "together", "first"),
+    [("HDL-32E", 1, -30.67), ("VLP-32C", 2, -25.0), ("VLS-128", 8, -11.742), ("XT32", 1, 15.0), ("QT64", 1, -52.121)],
+)
+def test_as_many_lasers_fire_together_as_the_maker_says_and_the_first_is_his(name, together, first):
+    model = load_model(name)
+    times, counts = np.unique(model.fire_time_s, return_counts=True)
+    assert times[0] == 0.0
+    assert (counts == together).all()
+    assert np.degrees(model.elevation_rad[model.fire_time_s == 0.0]).round(3).min() == pytest.approx(first)
+
+
+@pytest.mark.parametrize("name", OUSTERS)
+def test_all_beams_of_an_ousters_column_fire_together(name):
+    np.testing.assert_array_equal(load_model(name).fire_time_s, 0.0)
+
+
+@pytest.mark.parametrize("name", OUSTERS)
+def test_an_ouster_has_1024_columns_or_as_many_as_it_is_set_to(name):
+    model = load_model(name)
+    assert [model.columns(rate) for rate in (10, 20)] == [1024, 1024]
+    for columns, rates in {512: (10, 20), 1024: (10, 20), 2048: (10,)}.items():
+        chosen = with_columns(model, columns)
+        assert (chosen.columns(), chosen.rotation_hz) == (columns, rates)
+        lattice = beam_lattice(chosen)
+        assert (lattice.columns, lattice.step_rad) == (columns, pytest.approx(math.tau / columns))
+    assert with_columns(model, None) is model
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "said"),
+    [
+        ("OS1-128", 1000, "OS1-128 cannot be set to 1000 columns a turn; allowed: 512, 1024, 2048"),
+        ("RS-16", 1024, "RS-16 cannot be set to 1024 columns a turn; allowed: what rate and block time make, 1802"),
+    ],
+)
+def test_columns_that_the_sensor_does_not_have_are_refused(name, columns, said):
+    with pytest.raises(InputError) as refused:
+        with_columns(load_model(name), columns)
+    assert str(refused.value) == said
+
+
+def test_a_rate_at_which_so_many_columns_do_not_fit_is_refused():
+    with pytest.raises(InputError, match="OS1-128 does not turn at 20 Hz with 2048 columns; allowed: 10"):
+        with_columns(load_model("OS1-128"), 2048).columns(20)
 
 
 def test_rs_16_steps_evenly_by_two_degrees():
@@ -124,11 +250,18 @@ def _angles(name: str) -> np.ndarray:
 def test_velodyne_offsets_are_turned_into_clockwise_ones():
     # rot_correction of the S2's lowest laser is -2.053 degrees; its clockwise azimuth is encoder - rot_correction.
     assert math.degrees(load_model("HDL-64E-S2").azimuth_offset_rad[0]) == pytest.approx(+2.053)
+    # The VLP-32C's manual gives its laser 0, at -25 degrees, an azimuth offset of +1.4, clockwise.
+    assert math.degrees(load_model("VLP-32C").azimuth_offset_rad[0]) == pytest.approx(+1.4)
+    assert math.degrees(load_model("VLS-128").azimuth_offset_rad[0]) == pytest.approx(-0.911)
 
 
 @pytest.mark.parametrize(
     ("name", "columns"),
-    [("RS-16", 1802), ("RS-32", 1800), ("RS-80", 1800), ("RS-LiDAR-32", 1801), ("VLP-16", 1808), ("HDL-64E-S2", 2083)],
+    [
+        *[("RS-16", 1802), ("RS-32", 1800), ("RS-80", 1800), ("RS-LiDAR-32", 1801), ("VLP-16", 1808)],
+        *[("HDL-64E-S2", 2083), ("HDL-32E", 2170), ("VLP-32C", 1808), ("VLS-128", 1876), ("XT32", 2000)],
+        *[("Pandar40P", 1800), ("Pandar64", 1800), ("Pandar128", 1800), ("QT64", 600)],
+    ],
 )
 def test_columns_per_turn_are_the_turn_over_the_block_time(name, columns):
     assert load_model(name).columns() == columns
@@ -155,6 +288,10 @@ def test_a_rate_the_sensor_does_not_have_is_refused(rate):
         ("rs-lidar-16", "RS-16"),
         ("RS-Bpearl", "RS-BPearl"),
         ("hdl 64e s3", "HDL-64E-S3"),
+        ("Ouster OS1-128", "OS1-128"),
+        ("Velodyne Ultra Puck", "VLP-32C"),
+        ("OT128", "Pandar128"),
+        ("Hesai PandarXT-32", "XT32"),
     ],
 )
 def test_names_and_aliases_are_found_however_they_are_spelt(given, name):
@@ -170,6 +307,31 @@ def test_no_two_models_share_a_name_or_alias():
 def test_an_unknown_name_is_answered_with_the_nearest():
     with pytest.raises(InputError, match=r"unknown sensor 'RS-Ruby-8OV'; did you mean 'RS-Ruby-80V'\?"):
         load_model("RS-Ruby-8OV")
+
+
+@pytest.mark.parametrize(
+    ("given", "near"),
+    [
+        ("OS1-16", ["OS1-32", "OS1-64", "OS1-128"]),
+        ("OS3-128", ["OS0-128", "OS1-128", "OS2-128"]),
+        ("Pandar90", ["Pandar40P", "Pandar64", "Pandar128"]),
+        ("RS-17", ["RS-16"]),
+        ("VLP-32", ["VLP-32C"]),
+        ("HDL-32", ["HDL-32E"]),
+    ],
+)
+def test_an_unknown_name_is_answered_with_the_nearest_of_its_own_family(given, near):
+    with pytest.raises(InputError, match=r"unknown sensor .*; did you mean '(.*)'\? allowed: ") as refused:
+        load_model(given)
+    assert str(refused.value).split("did you mean '")[1].partition("'")[0] in near
+
+
+@pytest.mark.parametrize("given", ["Livox", "Livox Mid-360", "Blickfeld-128", "M1-128", "AT128", "Velodyne", "16"])
+def test_a_name_of_no_known_family_is_answered_with_the_list_alone(given):
+    with pytest.raises(InputError, match="unknown sensor") as refused:
+        load_model(given)
+    assert "did you mean" not in str(refused.value)
+    assert all(name in str(refused.value) for name in model_names())
 
 
 @pytest.mark.parametrize("given", ["", " ", "no such sensor", "\0", "x" * 5000])
@@ -221,6 +383,31 @@ def test_a_toml_of_beams_alone_takes_the_documented_defaults(tmp_path):
     np.testing.assert_allclose(np.degrees(model.elevation_rad), [-2.0, -1.0, 0.0])
     np.testing.assert_allclose(np.degrees(model.azimuth_offset_rad), [1.5, 0.0, -1.5])
     np.testing.assert_allclose(model.fire_time_s, [0.0, 2.5e-6, np.nan])
+
+
+def test_every_assumption_that_is_made_for_a_file_is_known(tmp_path):
+    csv_file = load_model(written(tmp_path, "ring,elevation_deg\n0,-2\n1,1\n", "own.csv"))
+    assert csv_file.assumptions == {
+        "rotation_hz": "10 turns a second",
+        "block_time_us": "a column every 55.55 us, 1800 a turn at 10 Hz",
+        "range_min_m": "it sees from 0.4 m",
+        "range_max_m": "it sees to 200 m",
+        "range_noise_m": "range noise 0.02 m where asked for",
+        "azimuth_offset_deg": "every beam looks along its column",
+        "fire_offset_us": "all beams of a column fire at once",
+    }
+    some = load_model(written(tmp_path, "range_max_m = 90\nrange_noise_m = 0.01\nrotation_hz = [10]\n" + THREE_BEAMS))
+    assert list(some.assumptions) == ["block_time_us", "range_min_m"]
+    assert all(not load_model(name).assumptions for name in model_names())
+
+
+def test_a_file_may_offer_a_choice_of_columns(tmp_path):
+    text = "rotation_hz = [5, 10]\nblock_time_us = 100\ncolumns_a_turn = [2000, 900]\n" + THREE_BEAMS
+    model = load_model(written(tmp_path, text))
+    assert (model.columns(), model.rotation_hz) == (2000, (5.0,))  # 2000 columns of 100 us take a fifth of a second
+    model = load_model(written(tmp_path, "default_columns = 900\n" + text))
+    assert (model.columns(), model.rotation_hz, model.default_rotation_hz) == (900, (5.0, 10.0), 10.0)
+    assert with_columns(model, 2000).default_rotation_hz == 5.0
 
 
 def test_a_toml_keeps_every_setting(tmp_path):
@@ -311,6 +498,19 @@ BAD_TOML = {
     "no block time": ("block_time_us = 0\n" + THREE_BEAMS, "OWN:block_time_us: is 0; allowed: 0.01 to "),
     "block longer than the turn": ("block_time_us = 1e6\n" + THREE_BEAMS, "OWN:block_time_us: 1e+06 us at 10 Hz"),
     "far too many beams": ("block_time_us = 0.01\n" + THREE_BEAMS, "OWN:block_time_us: 0.01 us at 10 Hz make"),
+    "columns that do not fit": (
+        "columns_a_turn = [1000, 1801]\n" + THREE_BEAMS,
+        "OWN:columns_a_turn: 1801 columns a turn need less than block_time_us, 55.55, between two at any rate; allowed",
+    ),
+    "half a column": ("columns_a_turn = [0.5]\n" + THREE_BEAMS, "OWN:columns_a_turn: is 0.5; allowed: a whole number"),
+    "no such columns": (
+        "columns_a_turn = [100, 200]\ndefault_columns = 300\n" + THREE_BEAMS,
+        "OWN:default_columns: is 300; allowed: 100, 200",
+    ),
+    "columns without a choice": (
+        "default_columns = 300\n" + THREE_BEAMS,
+        "OWN:default_columns: is 300; allowed: none without columns_a_turn",
+    ),
     "negative range": ("range_min_m = -1\n" + THREE_BEAMS, "OWN:range_min_m: is -1; allowed: 0 to 1"),
     "ranges upside down": (
         "range_min_m = 9\nrange_max_m = 8\n" + THREE_BEAMS,

@@ -59,6 +59,28 @@ def test_the_list_fits_100_columns(capsys):
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 100
 
 
+def test_a_page_tells_the_columns_that_an_ouster_may_be_set_to(capsys):
+    run("OS1-128")
+    told = " ".join(capsys.readouterr().out.split())
+    assert "512 at 10 or 20 Hz, 1024 at 10 or 20 Hz, 2048 at 10 Hz (1024 at 10 Hz is the default)" in told
+    run("OS1-128", "--json")
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["columns"], facts["columns_a_turn"]) == (1024, [512, 1024, 2048])
+
+
+def test_every_assumption_made_for_a_users_own_table_is_told(tmp_path, capsys):
+    path = own_sensor(tmp_path, "0,-10\n1,-5\n")
+    run(path)
+    told = " ".join(capsys.readouterr().out.split())
+    run(path, "--json")
+    assumed = json.loads(capsys.readouterr().out)["assumed"]
+    keys = ["rotation_hz", "block_time_us", "range_min_m", "range_max_m", "range_noise_m"]
+    assert list(assumed) == [*keys, "azimuth_offset_deg", "fire_offset_us"]
+    assert all(f"{text} ({key})" in told for key, text in assumed.items())
+    run("RS-16")
+    assert "assumed" not in capsys.readouterr().out
+
+
 def test_unknown_firing_times_are_shown_as_unknown(capsys):
     run("HDL-64E-S2")
     assert " ? " in capsys.readouterr().out

@@ -58,6 +58,8 @@ OWN_SENSOR = {
     "rotation_hz": [10.0, 20.0],
     "default_rotation_hz": 20.0,
     "block_time_us": 500.0,
+    "columns_a_turn": [100, 200],
+    "default_columns": 100,
     "range_min_m": 0.4,
     "range_max_m": 25.0,
     "range_noise_m": 0.02,
@@ -100,6 +102,7 @@ EVERY_KEY = {
     "sensor": {
         "name": "own.toml",
         "rotation_hz": 20.0,
+        "columns": 100,
         "range_gate_m": 20.0,
         "range_noise_m": 0.01,
         "dropout": 0.1,

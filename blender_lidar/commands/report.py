@@ -48,9 +48,11 @@ def describe_site(site: Site, *, searched: bool = True, verbose: bool = False) -
 
 def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
     scenario, vehicles = site.scenario, sum(int(frame.counted.sum()) for frame in site.search)
+    columns = f" with {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
     held_out = f"; {len(site.holdout)} held-out ones judge" if len(site.holdout) else "; none is held out"
     return [
-        ("Sensor", f"{site.model.name}, range gate {site.observation.max_range_m:g} m"),
+        ("Sensor", f"{site.model.name}{columns}, range gate {site.observation.max_range_m:g} m"),
+        ("", _assumed_text(site)),
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),
         ("Traffic", f"{scenario.traffic.path}: {len(site.search)} frames with {vehicles:,} vehicles{held_out}"),
@@ -68,6 +70,7 @@ def _all_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
     sensor = f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz"
     return [
         ("Sensor", f"{sensor}, range gate {observation.max_range_m:g} m"),
+        ("", _assumed_text(site)),
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),
         (
@@ -92,6 +95,12 @@ def _all_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
         ("Casting", f"{observation.caster}, detail {observation.detail}, {workplace_of(scenario.model)}"),
         ("Searching", _search_text(scenario) if searched else ""),
     ]
+
+
+def _assumed_text(site: Site) -> str:
+    """What the beam table of a user's own leaves open and is assumed; empty where it says all."""
+    assumed = site.model.assumptions.values()
+    return f"Assumed, as its file does not say: {'; '.join(assumed)}" if assumed else ""
 
 
 def outcome_text(run: Outcome, where: str) -> str:

@@ -16,12 +16,13 @@ import numpy as np
 from ..errors import InputError
 from ..report.beam_fan import MOUNT_HEIGHT_M, fan_text, ground_distance_m, plot_beam_fan
 from ..report.study import text_table
-from ..sensors.model import LidarModel, load_model, model_names
+from ..sensors.model import LidarModel, load_model, model_names, with_columns
 
 _WIDTH = 100
 _BEAM = ("ring", "elevation_deg", "azimuth_offset_deg", "fire_offset_us")
 _LISTING_NOTES = """
-Elevation in degrees; columns and points at the default rotation rate, one return per beam.
+Elevation in degrees; columns and points at the default rotation rate, one return per beam. An
+Ouster's columns are a choice: --columns 512, 1024 (the default) or 2048.
 blender-lidar sensors NAME shows one in full; NAME may also be the path of your own .toml or .csv."""
 
 
@@ -79,9 +80,11 @@ def _facts(model: LidarModel) -> dict[str, Any]:
         "source": model.source,
         "rotation_hz": list(model.rotation_hz),
         "columns_by_rotation_hz": {f"{rate:g}": model.columns(rate) for rate in model.rotation_hz},
+        "columns_a_turn": list(model.columns_a_turn),
         "block_time_us": round(model.block_time_us, 6),
         "range_noise_m": model.range_noise_m,
         "range_at_10_percent_m": model.range_at_10_percent_m,
+        "assumed": model.assumptions,
         "beams": [dict(zip(_BEAM, beam, strict=True)) for beam in beams],
     }
 
@@ -113,17 +116,23 @@ def _portrait(model: LidarModel) -> str:
     of = _facts(model)
     columns = ", ".join(f"{count} at {rate} Hz" for rate, count in of["columns_by_rotation_hz"].items())
     default = f"{model.default_rotation_hz:g} Hz"
+    usual = f"{default} is the default"
+    if model.columns_a_turn:
+        settings = [with_columns(model, count) for count in model.columns_a_turn]
+        columns = ", ".join(f"{one.columns()} at {_listed(one.rotation_hz)} Hz" for one in settings)
+        usual = f"{model.columns()} at {usual}"
     dark_m = model.range_at_10_percent_m
     told = {
         "also called": ", ".join(model.aliases),
         "rings": f"{model.rings}, {of['elevation_min_deg']:+.4g} to {of['elevation_max_deg']:+.4g} degrees",
-        "columns a turn": f"{columns} ({default} is the default)",
+        "columns a turn": f"{columns} ({usual})",
         "points a second": f"{of['points_per_second']:,} at {default}, one return per beam",
-        "column every": f"{model.block_time_us:g} us",
+        "column every": f"{model.block_time_us:g} us" + (" at least" if model.columns_a_turn else ""),
         "range": f"{model.range_min_m:g} to {model.range_max_m:g} m, noise {model.range_noise_m:g} m (1 sigma)",
         "10 % target": "" if dark_m is None else f"seen to {dark_m:g} m",
         "confidence": model.confidence,
         "source": model.source,
+        "assumed": "; ".join(f"{text} ({key})" for key, text in model.assumptions.items()),
     }
     lines = textwrap.wrap(f"{model.name}: {model.description}" if model.description else model.name, _WIDTH)
     lines.append("")
@@ -132,6 +141,10 @@ def _portrait(model: LidarModel) -> str:
             lines += textwrap.wrap(f"{name:<17}{text}", _WIDTH, subsequent_indent=" " * 17, break_on_hyphens=False)
     level = f"Level at {MOUNT_HEIGHT_M:g} m, from the side, heights stretched; below it how many rings meet the road"
     return "\n".join([*lines, "", level, "", fan_text(model), "", *_ring_table(model, of["beams"])])
+
+
+def _listed(rates: Sequence[float]) -> str:
+    return " or ".join(f"{rate:g}" for rate in rates)
 
 
 def _ring_table(model: LidarModel, beams: Sequence[dict[str, Any]]) -> list[str]:

@@ -15,7 +15,7 @@ from ..errors import InputError, MissingFileError, unknown_name
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
 from ..road import RoadFrame
-from ..sensors.model import LidarModel, load_model, unit_of
+from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
 from .region import check_polygon, region_of
@@ -246,8 +246,10 @@ def _sensor(table: TomlTable) -> SensorSettings:
     if not model.range_min_m < gate <= model.range_max_m:
         allowed = f"more than {model.range_min_m:g}, at most {model.range_max_m:g}"
         raise InputError(f"{table.where('range_gate_m')}: is {gate}; allowed for {model.name}: {allowed}")
-    key = "rotation_hz"
+    key = "columns"
     try:
+        model = with_columns(model, found[key])
+        found[key], key = model.default_columns, "rotation_hz"
         found[key] = model.rotation_rate(found[key])
         key = "unit_spread_deg"
         unit_of(model, found[key], found["unit"])

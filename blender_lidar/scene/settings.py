@@ -193,6 +193,8 @@ class SensorSettings:
         Sensor model or the path of a beam table; see `blender-lidar sensors`.
     rotation_hz : float
         Turns per second; the model's own unless said.
+    columns : int
+        Columns a turn, of a model whose number is chosen, as an Ouster's; the model's own unless said.
     range_gate_m : float
         Range within which it is asked to see [m]; the model's own unless said.
     range_noise_m : float
@@ -213,6 +215,7 @@ class SensorSettings:
 
     name: str = setting("RS-16", option="--sensor")
     rotation_hz: float = setting(None, above=0.0)
+    columns: int | None = setting(None, low=1, option="--columns")
     range_gate_m: float = setting(None, above=0.0)
     range_noise_m: float = setting(0.0, low=0.0, high=MOST_RANGE_NOISE_M, word=DATASHEET, option="--range-noise")
     dropout: float = setting(0.0, low=0.0, below=1.0, option="--dropout")

@@ -12,7 +12,7 @@ from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..sensors.beams import BeamLattice, beam_lattice
-from ..sensors.model import LidarModel, load_model, unit_of
+from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..traffic import FramePlan, Recording, Vehicles, plan_frames, read_traffic
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.needs_blender import blender_room
@@ -258,7 +258,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
 
 def lattice_of(sensor: SensorSettings) -> BeamLattice:
     """The beams of the unit that a scene names."""
-    model = unit_of(load_model(sensor.name), sensor.unit_spread_deg, sensor.unit)
+    model = unit_of(with_columns(load_model(sensor.name), sensor.columns), sensor.unit_spread_deg, sensor.unit)
     return beam_lattice(model, sensor.rotation_hz)
 
 

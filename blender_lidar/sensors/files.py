@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,9 @@ _BEAM = {
 }
 _LAYOUT = f"[{', '.join(_BEAM)}]"
 
+ASSUMED = ("rotation_hz", "block_time_us", "range_min_m", "range_max_m", "range_noise_m", *list(_BEAM)[2:])
+"""Keys of which something is assumed where a file leaves them out."""
+
 Row = tuple[str, dict[str, object]]
 """Where a beam stands (``file:line`` or ``file:beams[i]``), and its values by the keys of `_BEAM`."""
 
@@ -45,13 +48,19 @@ class Datasheet:
     default_rotation_hz : float
         The one used when none is asked for; when not given 10 if the sensor has it, else the first.
     block_time_us : float
-        Time between firing columns [us].
+        Time between firing columns [us]; the shortest one where their number is chosen.
+    columns_a_turn : tuple of int
+        Numbers of columns that the sensor may be set to; none where rate and block time make the number.
+    default_columns : int or None
+        The one used when none is asked for; when not given the first.
     range_min_m, range_max_m : float
         Distances that the sensor reports [m].
     range_noise_m : float
         Standard deviation of a measured range [m].
     range_at_10_percent_m : float or None
         Farthest range at which it sees a target of 10 % reflectivity [m]; None where no source gives it.
+    assumed : tuple of str
+        Keys that its file leaves out and of which something is assumed; those of its beams too.
     """
 
     name: str = setting("")
@@ -62,10 +71,13 @@ class Datasheet:
     rotation_hz: tuple[float, ...] = setting((10.0,), low=0.01, high=1000.0)
     default_rotation_hz: float = setting(None)
     block_time_us: float = setting(55.55, low=0.01, high=1e6)
+    columns_a_turn: tuple[int, ...] = setting((), low=1, high=10_000_000)
+    default_columns: int | None = setting(None, low=1)
     range_min_m: float = setting(0.4, low=0.0, high=1e5)
     range_max_m: float = setting(200.0, high=1e5)
     range_noise_m: float = setting(0.02, low=0.0, high=1e3)
     range_at_10_percent_m: float | None = setting(None, low=STATED_RANGE_LIMITS_M[0], high=STATED_RANGE_LIMITS_M[1])
+    assumed: tuple[str, ...] = field(default=(), kw_only=True)
 
 
 def read_sensor_file(path: Path) -> tuple[dict[str, Any], np.ndarray]:
@@ -91,9 +103,12 @@ def read_sensor_file(path: Path) -> tuple[dict[str, Any], np.ndarray]:
         raise InputError(f"{path}: a sensor file ends in {' or '.join(SENSOR_SUFFIXES)}")
     settings = _checked_settings({"beams": _csv_rows(path)} if suffix == ".csv" else read_toml(path), path)
     rows = settings.pop("beams")
-    beams = _checked_beams(rows if suffix == ".csv" else _toml_rows(rows, path), path)
+    rows = rows if suffix == ".csv" else _toml_rows(rows, path)
+    given = {key for _, row in rows for key in row}
+    settings["assumed"] += tuple(key for key in ("azimuth_offset_deg", "fire_offset_us") if key not in given)
+    beams = _checked_beams(rows, path)
     for rate in settings["rotation_hz"]:
-        columns = round(1e6 / (rate * settings["block_time_us"]))
+        columns = max(settings["columns_a_turn"], default=round(1e6 / (rate * settings["block_time_us"])))
         if not 1 <= columns <= _MOST_BEAMS_PER_TURN // len(beams):
             raise InputError(
                 f"{path}:block_time_us: {settings['block_time_us']:g} us at {rate:g} Hz make {columns} columns of "
@@ -118,7 +133,25 @@ def _checked_settings(table: dict[str, Any], path: Path) -> dict[str, Any]:
     elif default not in rates:
         allowed = ", ".join(f"{rate:g}" for rate in rates)
         raise InputError(f"{path}:default_rotation_hz: is {default:g}; allowed: one of rotation_hz, {allowed}")
+    for columns in found["columns_a_turn"]:
+        if not rates_with(columns, rates, found["block_time_us"]):
+            raise InputError(
+                f"{path}:columns_a_turn: {columns} columns a turn need less than block_time_us, "
+                f"{found['block_time_us']:g}, between two at any rate; allowed: at most "
+                f"{math.floor(1e6 / (min(rates) * found['block_time_us']))}"
+            )
+    if found["default_columns"] is None and found["columns_a_turn"]:
+        found["default_columns"] = found["columns_a_turn"][0]
+    elif found["default_columns"] not in (found["columns_a_turn"] or [None]):
+        allowed = ", ".join(map(str, found["columns_a_turn"])) or "none without columns_a_turn"
+        raise InputError(f"{path}:default_columns: is {found['default_columns']}; allowed: {allowed}")
+    found["assumed"] = tuple(key for key in ASSUMED if key in settings_of(Datasheet) and key not in given)
     return found
+
+
+def rates_with(columns: int, rates: tuple[float, ...], block_time_us: float) -> tuple[float, ...]:
+    """Rotation rates [Hz] at which so many columns a turn lie no less than the block time apart."""
+    return tuple(rate for rate in rates if rate * columns * block_time_us <= 1e6 * (1.0 + 1e-9))
 
 
 def _csv_rows(path: Path) -> list[Row]:

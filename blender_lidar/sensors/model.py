@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,9 +12,10 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..names import MOST_SPREAD_DEG, SENSOR_SUFFIXES
-from .files import Datasheet, read_sensor_file
+from .files import Datasheet, rates_with, read_sensor_file
 
 DATA_FOLDER = Path(__file__).parent / "data"
+_MAKERS = ("robosense", "hesai", "ouster", "velodyne")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +43,7 @@ class LidarModel(Datasheet):
 
     @property
     def block_time_s(self) -> float:
-        """Time between firing columns [s]."""
+        """Time between firing columns [s]; the shortest one where their number is chosen."""
         return self.block_time_us * 1e-6
 
     @property
@@ -63,17 +65,34 @@ class LidarModel(Datasheet):
             if math.isclose(rate, rotation_hz):
                 return rate
         allowed = ", ".join(f"{rate:g}" for rate in self.rotation_hz)
-        raise InputError(f"{self.name} does not turn at {rotation_hz} Hz; allowed: {allowed}")
+        columns = f" with {self.default_columns} columns" if self.default_columns else ""
+        raise InputError(f"{self.name} does not turn at {rotation_hz} Hz{columns}; allowed: {allowed}")
 
     def columns(self, rotation_hz: float | None = None) -> int:
-        """Firing columns in one turn: ``round(T_rev / T_block)``.
+        """Firing columns in one turn: ``round(T_rev / T_block)``, or as many as the sensor is set to.
 
         Raises
         ------
         InputError
             The sensor does not have that rate.
         """
-        return round(1.0 / (self.rotation_rate(rotation_hz) * self.block_time_s))
+        rate = self.rotation_rate(rotation_hz)
+        return self.default_columns or round(1.0 / (rate * self.block_time_s))
+
+    @property
+    def assumptions(self) -> dict[str, str]:
+        """What is assumed where a user's own file does not say, in words, by the key that would say it."""
+        rate, columns = self.default_rotation_hz, self.columns()
+        words = {
+            "rotation_hz": f"{rate:g} turns a second",
+            "block_time_us": f"a column every {self.block_time_us:g} us, {columns} a turn at {rate:g} Hz",
+            "range_min_m": f"it sees from {self.range_min_m:g} m",
+            "range_max_m": f"it sees to {self.range_max_m:g} m",
+            "range_noise_m": f"range noise {self.range_noise_m:g} m where asked for",
+            "azimuth_offset_deg": "every beam looks along its column",
+            "fire_offset_us": "all beams of a column fire at once",
+        }
+        return {key: words[key] for key in self.assumed}
 
 
 def model_names() -> list[str]:
@@ -90,7 +109,7 @@ def load_model(name_or_path: str | Path) -> LidarModel:
         A name from `model_names` or an alias (capitals, hyphens, underscores and spaces do not matter), or the path of
         a TOML file laid out as those in ``sensors/data``, or of a CSV file with columns ``ring, elevation_deg`` and
         perhaps ``azimuth_offset_deg, fire_offset_us``. What a file leaves out is taken as in `files.Datasheet`:
-        10 Hz, 55.55 us, 0.4 to 200 m, noise 0.02 m.
+        10 Hz, 55.55 us, 0.4 to 200 m, noise 0.02 m; `LidarModel.assumptions` says which of these were.
 
     Raises
     ------
@@ -106,7 +125,9 @@ def load_model(name_or_path: str | Path) -> LidarModel:
         path = Path(name_or_path)
         if path.suffix.lower() not in SENSOR_SUFFIXES and path.name == name_or_path:
             names = [name for model in _shipped() for name in (model.name, *model.aliases)]
-            raise InputError(f"{unknown_name(name_or_path, names, 'sensor')}, or the path of a .toml or .csv file")
+            alike = [name for name in names if _family(name) == _family(name_or_path)]
+            unknown = unknown_name(name_or_path, names, "sensor", alike=alike)
+            raise InputError(f"{unknown}, or the path of a .toml or .csv file")
     return _model(Path(name_or_path))
 
 
@@ -116,18 +137,51 @@ def _shipped() -> tuple[LidarModel, ...]:
 
 
 def _plain(name: str) -> str:
-    return "".join(letter for letter in name.casefold() if letter not in "-_ ")
+    plain = "".join(letter for letter in name.casefold() if letter not in "-_ ")
+    return next((plain.removeprefix(maker) for maker in _MAKERS if plain.startswith(maker)), plain)
+
+
+def _family(name: str) -> str:
+    """What a name begins with, two letters or more: only names of one family are mistaken for one another."""
+    letters = re.match("[a-z]*", _plain(name))[0]
+    return next((family for family in ("pandar", "rs", "os") if letters.startswith(family)), letters)
 
 
 def _model(path: Path) -> LidarModel:
     settings, beams = read_sensor_file(path)
     _, elevation_deg, azimuth_offset_deg, fire_offset_us = beams.T
-    return LidarModel(
+    model = LidarModel(
         **settings,
         elevation_rad=_frozen(np.radians(elevation_deg)),
         azimuth_offset_rad=_frozen(np.radians(azimuth_offset_deg)),
         fire_time_s=_frozen(fire_offset_us * 1e-6),
     )
+    return with_columns(model, model.default_columns)
+
+
+def with_columns(model: LidarModel, columns: int | None) -> LidarModel:
+    """A model set to a number of columns a turn, and to the rotation rates at which it fires so many.
+
+    Parameters
+    ----------
+    model : LidarModel
+        The sensor.
+    columns : int or None
+        One of its `columns_a_turn`; with None the model itself is returned.
+
+    Raises
+    ------
+    InputError
+        The sensor cannot be set to so many.
+    """
+    if columns is None:
+        return model
+    if columns not in model.columns_a_turn:
+        allowed = ", ".join(map(str, model.columns_a_turn)) or f"what rate and block time make, {model.columns()}"
+        raise InputError(f"{model.name} cannot be set to {columns} columns a turn; allowed: {allowed}")
+    rates = rates_with(columns, model.rotation_hz, model.block_time_us)
+    default = model.default_rotation_hz if model.default_rotation_hz in rates else rates[0]
+    return replace(model, default_columns=columns, rotation_hz=rates, default_rotation_hz=default)
 
 
 def _frozen(values: np.ndarray) -> np.ndarray:
