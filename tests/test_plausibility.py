@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import blender_lidar as bl
 from blender_lidar.errors import InputError
 from blender_lidar.names import WARNINGS
+from blender_lidar.report.study import StudyReport
 from blender_lidar.scene.plausibility import _CHECKS, checked_recording
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
 from blender_lidar.scene.site import prepare, read_recording
@@ -19,6 +23,7 @@ from tests import sumo_samples
 from tests import traffic_samples as ngsim
 from tests.refusals import refused
 from tests.small_scene import HEADER, cli, done, traffic_rows, without_charts, write_scene, write_table
+from tests.waiting import WAIT_S
 
 NGSIM = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
 COLUMN = {name: place for place, name in enumerate(HEADER)}
@@ -66,6 +71,14 @@ TABLES = {  # by name: the rows, what warns and what it takes them for
     "half a turn": (table(heading_deg=lambda row: 180.0), "headings", "probably reversed, by half a turn"),
     "a compass": (table(heading_deg=lambda row: 90.0), "headings", "probably clockwise from north"),
     "radians": (table(heading_deg=lambda row: math.radians(50), **ACROSS), "headings", "probably radians for degrees"),
+    "radians on both carriageways": (
+        table(
+            x_m=lambda row: row["x_m"] * (-1) ** row["vehicle_id"],
+            heading_deg=lambda row: math.pi * (row["vehicle_id"] % 2),
+        ),
+        "headings",
+        "probably radians for degrees",
+    ),
     "clockwise": (table(heading_deg=lambda row: -50.0, **ACROSS), "headings", "probably clockwise, or y mirrored"),
     "milliseconds": (table(**times(1000.0, "time_s")), "time-step", "probably milliseconds for seconds"),
     "frame numbers for seconds": (table(**times(25.0, "time_s")), "time-step", "probably frame numbers for seconds"),
@@ -101,23 +114,23 @@ def test_vehicles_that_are_numbered_anew_in_each_frame_are_told(tmp_path):
         prepare(load_scenario(scene_of(tmp_path, rows)))
 
 
-def i80(folder, *, metres=False):
-    """A made-up I-80 in NGSIM's feet, or in metres."""
+@pytest.mark.parametrize(
+    ("metres", "told"),
+    [
+        ((), None),
+        (("Local_X", "Local_Y", "v_Length", "v_Width"), r"lanes lie 1\.1 m apart.*probably metres.*--accept units"),
+        (("v_Length", "v_Width"), r"v_Length and v_Width in metres, where NGSIM has feet.*--accept sizes"),
+    ],
+)
+def test_ngsim_with_metres_where_it_has_feet_stops(metres, told, tmp_path):
     given = ngsim.columns(vehicles=40, frames=60)
-    given["Local_Y"] = given["Local_Y"] + 600.0
-    if metres:
-        given |= {name: given[name] * 0.3048 for name in ("Local_X", "Local_Y", "v_Length", "v_Width")}
-    return ngsim.write(folder, ngsim.native(given))
-
-
-def test_ngsim_in_metres_stops(tmp_path):
-    for metres in (False, True):
-        i80(tmp_path, metres=metres)
-        scene = load_scenario(write_scene(tmp_path, {"traffic": {"path": "recording.txt"}, "road": {"lanes": 6}}))
-        if not metres:
-            assert read_recording(scene).report.warnings == ()
-    with pytest.raises(InputError, match=r"lanes lie 1.1 m apart.*probably metres.*--accept units"):
-        read_recording(scene)
+    ngsim.write(tmp_path, ngsim.native(given | {name: (given[name] * 0.3048).round(3) for name in metres}))
+    scene = load_scenario(write_scene(tmp_path, {"traffic": {"path": "recording.txt"}, "road": {"lanes": 6}}))
+    if told is None:
+        assert read_recording(scene).report.warnings == ()
+    else:
+        with pytest.raises(InputError, match=told):
+            read_recording(scene)
 
 
 def test_a_right_edge_in_feet_stops_and_names_the_metres(tmp_path):
@@ -164,6 +177,7 @@ def all_checks(path, changes=None, folder=None, **settings):
 def _read(scene):
     scenario = load_scenario(scene, {("traffic", "accept"): (list(WARNINGS), "x")})
     given = {"origin_m": scenario.traffic.origin_m, "heading_deg": scenario.traffic.heading_deg}
+    given["vehicle_types"] = scenario.traffic.vehicle_types
     recording = read_traffic(scenario.traffic.path, road=scenario.road, **{k: v for k, v in given.items() if v})
     return recording, scenario
 
@@ -212,6 +226,44 @@ def test_intersections_and_motorcycles_are_believed(kinds, tmp_path):
     (tmp_path / "run.fcd.xml").write_text(sumo_samples.xml(crossing(kinds)), encoding="utf-8")
     road = {"road": {"lanes": 2}, "sensor": {"range_gate_m": 80.0}}
     assert all_checks("run.fcd.xml", road, tmp_path, origin_m=[500.0, 492.0]) == []
+
+
+@pytest.mark.parametrize("kinds", [("passenger", "bus", "truck"), ("motorcycle", "bicycle")])
+def test_what_sumo_writes_of_a_town_is_believed(kinds, tmp_path):
+    """Crossings with traffic lights and turning vehicles, a second from frame to frame."""
+    home = Path(pytest.importorskip("sumo", reason="SUMO is not installed").SUMO_HOME)
+    environment = os.environ | {"SUMO_HOME": str(home)}
+
+    def run(program, *options):
+        command = [str(home / "bin" / program), *options, "--xml-validation", "never"]
+        subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, timeout=WAIT_S, check=True)
+
+    net = "--grid --grid.number 3 --grid.length 120 --default.lanenumber 2 --tls.guess --output-file net.xml"
+    run("netgenerate", *net.split())
+    ends = ("A0A1", "A1B1", "B2C2", "C1B1", "C2C1", "B1B0", "A2B2", "C0B0")
+    trips = (
+        f'<trip id="{number}" type="{kinds[number % len(kinds)]}" depart="{number}" from="{ends[number % 8]}" '
+        f'to="{ends[(3 * number + 1 + number // 8) % 8]}"/>'
+        for number in range(120)
+    )
+    types = "".join(f'<vType id="{kind}" vClass="{kind}"/>' for kind in kinds)
+    (tmp_path / "r.xml").write_text(f"<routes>{types}{''.join(trips)}</routes>", encoding="utf-8")
+    run(
+        "sumo",
+        *[
+            "--net-file",
+            "net.xml",
+            "--route-files",
+            "r.xml",
+            "--fcd-output",
+            "run.xml",
+            "--end",
+            "180",
+            "--no-step-log",
+        ],
+    )
+    road = {"road": {"lanes": 2}, "sensor": {"range_gate_m": 80.0}}
+    assert all_checks("run.xml", road, tmp_path, origin_m=[60.0, 110.0], vehicle_types="r.xml") == []
 
 
 def test_a_jam_that_stands_and_a_single_frame_are_believed(tmp_path):
@@ -264,6 +316,25 @@ def test_what_is_accepted_stands_first_in_all_that_a_run_leaves(how, tmp_path, c
         assert page.index(start) < page.index("The RS-16 4.00 m above the road")
     again, _ = done(capsys, "evaluate", tmp_path / "run" / "scene.toml", "--height", 4, "--json")
     assert json.loads(again)["warnings"] == result["warnings"]
+
+
+def test_python_accepts_and_tells_too(tmp_path):
+    scene = scene_of(tmp_path, TABLES["half a turn"][0])
+    with pytest.raises(InputError, match="--accept headings"):
+        bl.load_scene(scene)
+    run = bl.judge_mounting(bl.load_scene(scene, accept=["headings"]), height_m=4.0)
+    assert str(run).startswith("Warning, accepted (headings): ")
+    assert run.report().startswith("Warning, accepted (headings): ")
+
+
+def test_studies_tell_what_is_accepted_first(tmp_path):
+    report = StudyReport("A study", "study.json", {}, {}, lambda result: [], lambda result: ["All is well."])
+    result = {"warnings": [{"name": "sizes", "text": "too large"}]}
+    assert report.text(result).splitlines() == ["Warning, accepted (sizes): too large.", "All is well."]
+    assert report.markdown(result, []).splitlines()[2:4] == [
+        "- **Warning, accepted (sizes): too large.**",
+        "- **All is well.**",
+    ]
 
 
 def test_scans_stop_too_and_tell_what_is_accepted(tmp_path, capsys):

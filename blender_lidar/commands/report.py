@@ -43,7 +43,8 @@ def describe_site(site: Site, *, searched: bool = True, verbose: bool = False) -
     `searched` is False where a mounting is given.
     """
     lines = _all_lines(site, searched) if verbose else _few_lines(site, searched)
-    return "\n".join(f"{name:<10} {text}" for name, text in lines if text)
+    told = warnings_text({"warnings": site.recording.report.warnings_as_dicts()})
+    return "\n".join([*told, *(f"{name:<10} {text}" for name, text in lines if text)])
 
 
 def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:

@@ -140,7 +140,7 @@ def _units(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
 
 
 _SIZES_M = {  # least and largest length, width and height
-    "car": ((2.0, 8.0), (1.1, 2.8), (0.9, 2.8)),
+    "car": ((2.6, 8.0), (1.1, 2.8), (0.9, 2.8)),
     "van": ((2.5, 20.0), (1.1, 3.0), (1.0, 4.5)),
     "truck": ((3.0, 40.0), (1.3, 3.6), (1.2, 5.0)),
     "bus": ((4.0, 60.0), (1.5, 3.6), (1.8, 5.0)),
@@ -175,6 +175,8 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
                     if columns[one] != f"{name}_m"
                 )
             )
+    if recording.report.periods:  # whose sizes have been repaired, to the least where they were metres
+        names = ["v_Length and v_Width in metres, where NGSIM has feet"]
     low, high = zip(*_SIZES_M[CLASSES[usual]], strict=True)
     return (
         f"{100 * share:.0f} % of the boxes have impossible sizes for their class: a median {CLASSES[usual]} is {size} "
@@ -183,7 +185,8 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
     )
 
 
-_SPEEDS_M_S = (1.0, 70.0)  # nine of ten that move at all are slower than the one, or one of ten faster than the other
+_SPEEDS_M_S = (1.5, 70.0)  # nine of ten that move at all are slower than the one, or one of ten faster than the other
+_LONGEST_CRAWL_S = 60.0
 _ASTRAY_RAD = math.radians(30.0)
 _MOST_ASTRAY = 0.25  # share of ways
 
@@ -194,7 +197,7 @@ def _time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Sc
         return None
     usual, fast = np.quantile(ways.speed_m_s, [0.5, 0.9])
     low, high = _SPEEDS_M_S
-    if low <= fast <= high:
+    if low <= fast <= high or (fast < low and np.ptp(recording.frame_time_s) <= _LONGEST_CRAWL_S):
         return None
     step = np.median(np.diff(recording.frame_time_s))
     seen = f"moving vehicles drive {usual:.2g} m/s (usual: 2 to 40) with frames {step:.3g} s apart"
@@ -299,10 +302,12 @@ def _overlaps(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
     boxes = report.overlap_frames * len(recording) / len(recording.frames)
     if boxes < _FEWEST or report.overlaps <= _MOST_OVERLAPS * boxes:
         return None
-    return (
-        f"{report.overlaps:,} pairs of boxes overlap among {boxes:,.0f} (usual: none, or a few in a hundred); probably "
-        "vehicles are there twice under other ids, or x_m and y_m are not the boxes' centres"
-    )
+    if any("no vehicle_types" in note for note in report.notes):
+        meant = "vehicles are smaller than SUMO's defaults: give their [traffic] vehicle_types"
+    else:
+        meant = "vehicles are there twice under other ids, or x_m and y_m are not the boxes' centres"
+    seen = f"{report.overlaps:,} pairs of boxes overlap among {boxes:,.0f}"
+    return f"{seen} (usual: none, or a few in a hundred); probably {meant}"
 
 
 _Check = Callable[[Recording, Recording, Ways, Scenario], str | None]
