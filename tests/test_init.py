@@ -97,6 +97,14 @@ def test_lanes_are_found_without_lane_numbers_and_one_that_nobody_uses_counts(tm
     assert centres == pytest.approx([1.6, 4.8, 8.0, 11.2], abs=0.5)
 
 
+def test_a_vehicle_far_astray_does_not_hide_the_road(tmp_path):
+    rows = rows_on(33.0, [1.75, 5.25])
+    rows += [sumo_samples.row(time, id="astray", x=4e8 + 5.0 * time, y=-9e7 + 3.25 * time) for time in range(60)]
+    edge, centres = across_of(proposed(write_rows(tmp_path / "run.fcd.xml", rows)), 33.0)
+    assert edge == pytest.approx(0.0, abs=1.0)
+    assert centres == pytest.approx([1.75, 5.25], abs=0.5)
+
+
 def test_at_an_intersection_the_busiest_approach_is_proposed_and_the_others_are_told(tmp_path):
     rows = []
     for heading, every_s in ((10.0, 2.0), (190.0, 8.0), (100.0, 5.0), (280.0, 9.0)):

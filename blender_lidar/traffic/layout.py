@@ -216,7 +216,7 @@ def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> Roa
     half_m = HALF_STRETCH_M
     for look in range(3):  # the lanes where most drive, those where the pole stands, and again as far as it is straight
         near = _near(everything, place, direction, 2.0 * HALF_STRETCH_M if follows_x else half_m)
-        if not follows_x:
+        if len(near.xy) and not follows_x:
             direction = _sharpest(near, place, direction)
         u, v = _turned(near.xy - place, direction)
         lanes = _lanes(v, near)
@@ -236,17 +236,21 @@ def _unturned(along: float, across: float, direction: float) -> np.ndarray:
 
 
 def _busiest(u: np.ndarray, v: np.ndarray, speed: np.ndarray) -> tuple[float, float]:
-    """Middle of the 100 m by 20 m through which most drive, along and across [m]."""
-    edges = []
-    for values, step in ((u, 10.0), (v, 4.0)):
-        low, high = values.min(), values.max()
-        edges.append(np.linspace(low, high + step, 1 + min(_MOST_BINS, math.ceil((high - low + step) / step))))
-    flow = np.histogram2d(u, v, edges, weights=speed)[0]
-    for axis, window in enumerate((10, 5)):
-        flow = _windowed(flow, window, axis)
-    at = np.unravel_index(flow.argmax(), flow.shape)
-    u0, v0 = (0.5 * (edge[i] + edge[i + 1]) for edge, i in zip(edges, at, strict=True))
-    return u0, v0
+    """Middle of the 100 m by 20 m through which most drive, along and across [m]; found coarsely first where far."""
+    steps, windows = np.array([10.0, 4.0]), (10, 5)
+    while True:
+        low, high = np.array([u.min(), v.min()]), np.array([u.max(), v.max()])
+        counts = np.minimum(_MOST_BINS, np.ceil((high - low) / steps) + 1).astype(int)
+        size = np.maximum(steps, (high - low) * (1.0 + 1e-9) / counts)
+        flow = np.histogram2d(u, v, counts, np.transpose([low, low + counts * size]), weights=speed)[0]
+        for axis, window in enumerate(windows):
+            flow = _windowed(flow, window, axis)
+        u0, v0 = low + (np.array(np.unravel_index(flow.argmax(), flow.shape)) + 0.5) * size
+        if (size == steps).all():
+            return float(u0), float(v0)
+        reach = 0.5 * (np.array(windows) + 1) * size
+        inside = (np.abs(u - u0) <= reach[0]) & (np.abs(v - v0) <= reach[1])
+        u, v, speed = u[inside], v[inside], speed[inside]
 
 
 def _windowed(values: np.ndarray, window: int, axis: int = 0) -> np.ndarray:
