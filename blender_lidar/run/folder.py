@@ -237,7 +237,7 @@ class RunFolder:
         if not self.file(SCORE_MAP).exists():
             return None
         with _columns_of(self.file(SCORE_MAP)) as columns:
-            axis = next(key for key in ("lean_deg", "tilt_x_deg") if key in columns)
+            axis = "lean_deg" if "lean_deg" in columns else "tilt_x_deg"
             height, tilt = np.unique(columns["height_m"]), np.unique(columns[axis])
             shape = (len(height), len(tilt))
             objective = [values for name, values in columns.items() if name.startswith(_BLOCK_OBJECTIVE)]
