@@ -390,16 +390,18 @@ def of_clouds(folder: Path) -> dict[str, list[str]]:
 
 
 def of_the_rest(folder: Path) -> dict[str, list[str]]:
-    """What `sensors`, `doctor` and `build` say and write, and the door for Python."""
+    """What `sensors`, `init`, `doctor` and `build` say and write, and the door for Python."""
     models = json.loads(done("sensors", "--json"))
     if find_spec("matplotlib"):
         done("sensors", "RS-16", "--out", folder / "fan.png")
+    done("init", folder / "proposed", folder / "traffic.csv")
     own = json.loads(done("sensors", folder / "own.toml", "--json"))
     found = {
         "sensors: names": [name for model in models for name in (model["name"], *model["aliases"])],
         "sensors --json: keys": sorted(keys(models)),
         "sensors NAME --json: keys": sorted(keys(own)),
         "sensors: files": sorted(path.name for path in folder.glob("fan.*")),
+        "init: files": sorted(path.name for path in (folder / "proposed").iterdir()),
         "doctor: lines": re.findall(r"^(?:  |caster )[\w-]+", ask("doctor")[1], re.MULTILINE),
     }
     assert all(own[key] == OWN_SENSOR[key] for key in own.keys() & OWN_SENSOR.keys() - {"beams"})
