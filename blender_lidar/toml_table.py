@@ -148,7 +148,9 @@ def _of_kind(value, kind, declared, where):
     is_list, parts = isinstance(value, list | tuple), get_args(kind)
     if get_origin(kind) is UnionType:
         if is_list and len(value) != 2:
-            raise _refused(where, value, "a number, or a pair [low, high]")
+            raise _refused(
+                where, value, "a number, or a pair [low, high]" + (f"; {declared.form}" if declared.form else "")
+            )
         found = _of_kind(value, parts[is_list], declared, where)
         if is_list and not found[0] < found[1]:
             raise _refused(where, value, "the lower bound first, below the upper")

@@ -115,3 +115,26 @@ def test_a_turned_sensor_is_not_said_to_lean_the_way_it_would_unturned(sheet, y_
     low = pose_at(MOUNT | {"yaw_deg": yaw}).to_world(np.array([[0.0, 1.0, 0.0]]))[0]
     assert low[1] < 0.1  # down is not towards +y
     assert "down towards +y" not in text
+
+
+@pytest.mark.parametrize(
+    ("yaw", "faces", "behind"),
+    [
+        (0.0, "+y, left of the direction of travel", "-y, right of the direction of travel"),
+        (90.0, "back, against the direction of travel", "ahead, in the direction of travel"),
+        (
+            30.0,
+            "+y, left of the direction of travel, 30 deg counter-clockwise",
+            "-y, right of the direction of travel, 30",
+        ),
+    ],
+)
+def test_the_sheet_says_where_zero_azimuth_and_the_cable_opposite_it_face(sheet, yaw, faces, behind):
+    text = " ".join(sheet(yaw_deg=yaw).split())
+    assert f"zero azimuth faces {faces}" in text
+    assert f"spinning sensors have it, faces {behind}" in text
+
+
+def test_the_sheet_names_the_region_that_the_mounting_was_planned_for(sheet):
+    assert "vehicles within 20 m of x 0 m, y 0 m" in sheet()
+    assert "within 12 m of x 1 m, y 5 m" in sheet({"region": {"centre_m": [1.0, 5.0], "radius_m": 12.0}})

@@ -140,3 +140,12 @@ def test_the_region_is_a_disc_about_the_nominal_mount_level_with_the_road():
     assert region.holds(vehicles).tolist() == expected
     assert 0 < sum(expected) < 60
     assert region.holds(one_vehicle("car", centre=(10.0, 39.0))).tolist() == [True]  # the rim belongs to it
+
+
+def test_a_mount_among_vehicles_is_told_where_they_drive(scene):
+    lane = [one_vehicle("car", centre=(x, y)) for x, y in ((0.5, 0.4), (10.0, -1.0), (200.0, -30.0))]
+    with pytest.raises(InputError) as refusal:
+        check_mount_is_clear(scene(), lane)
+    half = 0.5 * lane[0].size_m[0, 1]
+    assert f"vehicles drive there between y {-1.0 - half:.1f} and {0.4 + half:.1f} m" in str(refusal.value)
+    assert "frame_ids" not in str(refusal.value)

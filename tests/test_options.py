@@ -22,6 +22,7 @@ from blender_lidar.commands.options import (
 from blender_lidar.errors import InputError
 from blender_lidar.scene.settings import COORDINATES, MOUNTING
 from blender_lidar.world.shapes import DETAILS
+from tests.refusals import refused
 from tests.small_scene import cli, done, without_times, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick")
@@ -231,3 +232,9 @@ def test_auto_names_the_caster_that_it_took(tmp_path, capsys, monkeypatch):
     code, _, err = cli(capsys, "evaluate", scene, "--caster", "auto")
     assert (code, err.count("\n")) == (2, 1)
     assert all(f'"blender_lidar[{extra}]"' in err for extra in ("fast", "blender"))
+
+
+@pytest.mark.parametrize("words", [("--traffic", "a.csv", "--traffic", "b.csv"), ("--seed", "1", "--seed", "2")])
+def test_an_option_that_is_given_twice_is_refused(tmp_path, capsys, words):
+    line = refused(capsys, tmp_path, "optimise", write_scene(tmp_path), *words, "--out", "run")
+    assert f"argument {words[0]}: is given twice; allowed: once" in line

@@ -56,6 +56,15 @@ class Renamed(argparse.Action):
         parser.error(f"argument {option_string}: {self._told}")
 
 
+class Once(argparse.Action):
+    """An option that takes effect once: given again it is refused, not dropped."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if getattr(namespace, self.dest) is not self.default:
+            parser.error(f"argument {option_string}: is given twice; allowed: once")
+        setattr(namespace, self.dest, values)
+
+
 def _described(declared: Setting, key: str, default: object) -> str:
     """The help of a setting's option: what it is, its limits and unit in brackets, its default."""
     unit = _UNITS.get(key.rpartition("_")[2], "")
@@ -85,6 +94,7 @@ def add_option(parser, declared: Setting, key: str, default: object = None, *, o
         how["metavar"] = declared.metavar or ("FILE" if declared.is_path else declared.option[2:].upper())
     if parts and declared.option not in _READ_AS:
         how |= {"action": "append"} if ... in parts else {"nargs": len(parts)}
+    how.setdefault("action", Once)
     parser.add_argument(declared.option, required=default is ..., **how)
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping
+from dataclasses import asdict
 
 import numpy as np
 
 from ..run.tolerance import tolerance_text
 from ..scene.scenario import pose_at
 from ..scene.site import Site
-from .summary import conditions, costliest_text, judged, kept_text, optimum_text, warnings_text, worth
+from .summary import conditions, costliest_text, judged, kept_text, optimum_text, region_text, warnings_text, worth
 
 _WIDTH = 110
 _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
@@ -29,13 +30,17 @@ def installation_text(site: Site, result: Mapping) -> str:
         f"Installation of one {result['sensor']} LiDAR",
         "",
         *_accepted(result),
-        f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor",
+        f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor; from the pole's",
+        "             foot so much more as that lies below the road, less as it lies above",
         f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
         f"             {_beside(site, mount['y_m'])}",
         f"Lean         {_lean(up)}",
         f"             (before yaw: {mount['tilt_x_deg']:.1f} deg across, {mount['tilt_y_deg']:.1f} deg along it)",
         f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the zero azimuth of the",
         "             sensor faces across the road, +y: to the left of the direction of travel",
+        f"Cable        zero azimuth faces {_bearing(ahead)}; an outlet on the opposite side, as most",
+        f"             spinning sensors have it, faces {_bearing(-ahead)} (see its drawing)",
+        f"Planned for  vehicles {region_text(asdict(site.scenario.region))}, in the frame of the position above",
         "",
         "Check on site",
         f"- Inclinometer on the sensor's base: a fall of {falls[0]} towards zero azimuth and of",
@@ -74,13 +79,18 @@ def _lean(axis):
     angle = math.degrees(math.acos(min(axis[2], 1.0)))
     if angle < _UPRIGHT_DEG:
         return "none: the sensor stands upright"
+    return f"{angle:.1f} deg forward and down towards {_bearing(axis)}"
+
+
+def _bearing(axis):
+    """Where an axis (3,) points, seen from above, for people on the road."""
     bearing = math.degrees(math.atan2(axis[1], axis[0]))
     names = {0: "ahead, in the direction of travel", 90: "+y, left of the direction of travel"}
     names |= {180: "back, against the direction of travel", -90: "-y, right of the direction of travel"}
     nearest = min(names, key=lambda name: abs(math.remainder(bearing - name, 360.0)))
     off = math.remainder(bearing - nearest, 360.0)
     turned = "" if abs(off) < 0.5 else f", {abs(off):.0f} deg {'counter-' if off > 0 else ''}clockwise of it"
-    return f"{angle:.1f} deg forward and down towards {names[nearest]}{turned}"
+    return f"{names[nearest]}{turned}"
 
 
 def _lowest_beam(site, pose):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,6 +72,7 @@ def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m:
 # --- A pole stands beside the traffic, never in it, and no LiDAR hangs inside a box or a barrier ----------
 
 _PLACE = ("x_m", "y_m", "height_m")
+_ABREAST_M = 20.0  # along the road: what passes a pole has been or will be there
 _TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
 
 
@@ -118,8 +119,19 @@ def check_mount_is_clear(
             if len(inside):
                 raise InputError(
                     f"{where}: the mount at x {along} m, y {across} m stands inside vehicle {inside[0]} of frame "
-                    f"{vehicles.frame}; move it, or leave that frame out with [traffic] frame_ids"
+                    f"{vehicles.frame}; {_driven_over(frames, low, high)}"
                 )
+
+
+def _driven_over(frames: Sequence[Vehicles], low: np.ndarray, high: np.ndarray) -> str:
+    """Between which y vehicles drive past the places from `low` to `high`, as advice."""
+    xy, size, heading = (
+        np.concatenate([getattr(vehicles, key) for vehicles in frames]) for key in ("centre_m", "size_m", "heading_rad")
+    )
+    near = (xy[:, 0] >= low[0] - _ABREAST_M) & (xy[:, 0] <= high[0] + _ABREAST_M)
+    half = 0.5 * (size[:, 0] * np.abs(np.sin(heading)) + size[:, 1] * np.abs(np.cos(heading)))
+    first, last = (xy[:, 1] - half)[near].min(), (xy[:, 1] + half)[near].max()
+    return f"vehicles drive there between y {first:.1f} and {last:.1f} m: move it beside them"
 
 
 def footprints_meet(
