@@ -132,7 +132,7 @@ def test_a_turned_sensor_is_not_said_to_lean_the_way_it_would_unturned(sheet, y_
 def test_the_sheet_says_where_zero_azimuth_and_the_cable_opposite_it_face(sheet, yaw, faces, behind):
     text = " ".join(sheet(yaw_deg=yaw).split())
     assert f"zero azimuth faces {faces}" in text
-    assert f"spinning sensors have it, faces {behind}" in text
+    assert f"(see the drawing), faces {behind}" in text
 
 
 def test_the_sheet_names_the_region_that_the_mounting_was_planned_for(sheet):
