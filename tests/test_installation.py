@@ -40,6 +40,12 @@ def sheet(tmp_path):
     return write
 
 
+def test_the_columns_that_an_ouster_was_planned_with_are_told(sheet):
+    ouster = {"sensor": {"name": "OS1-32", "rotation_hz": None, "columns": 512}}
+    assert "- Rotation rate 10 Hz, 512 columns a turn.\n" in sheet(ouster)
+    assert "- Rotation rate 20 Hz.\n" in sheet()
+
+
 def number_in(text, pattern):
     return float(re.search(pattern, text)[1])
 

@@ -26,6 +26,7 @@ def installation_text(site: Site, result: Mapping) -> str:
     falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
     standing = site.observation.scenery
     modelled = standing is not None and len(standing.scenery) > 0
+    columns = f", {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
     lines = [
         f"Installation of one {result['sensor']} LiDAR",
         "",
@@ -47,7 +48,7 @@ def installation_text(site: Site, result: Mapping) -> str:
         f"- Inclinometer on the sensor's base: a fall of {falls[0]} towards zero azimuth and of",
         f"  {falls[1]} a quarter turn clockwise from it (a negative fall is a rise).",
         f"- {_lowest_beam(site, pose)}",
-        f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz.",
+        f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz{columns}.",
         "- Look for poles, signs, trees and barriers between the sensor and the lanes that the scene does not have."
         if modelled
         else "- Poles, signs, trees and barriers between the sensor and the lanes are not in the model: look for them.",
