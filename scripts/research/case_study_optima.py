@@ -48,13 +48,13 @@ class Landscape:
 
     def as_dict(self) -> dict:
         """As JSON holds it."""
-        columns = {name: values.tolist() for name, values in asdict(self.map).items()}
+        columns = {name: np.asarray(values).tolist() for name, values in asdict(self.map).items()}
         return {"map": columns, "filled": self.filled.tolist(), "baseline": self.baseline}
 
     @classmethod
     def from_dict(cls, stored: Mapping) -> Landscape:
         """The landscape that `as_dict` came from."""
-        columns = {name: np.array(values) for name, values in stored["map"].items()}
+        columns = {key: one if isinstance(one, str) else np.array(one) for key, one in stored["map"].items()}
         return cls(ScoreMap(**columns), np.array(stored["filled"], dtype=bool), dict(stored["baseline"]))
 
 
