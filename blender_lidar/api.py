@@ -121,7 +121,7 @@ class _Heard:
         pass
 
     def searching(self, search: Search | MultiFidelitySearch) -> None:
-        known = np.isfinite(search.best_value)
+        self._points, known = 0, np.isfinite(search.best_value)
         if known and (self._of_last or search.best_value > self._best):
             self.best_x, self._best = search.best_x, search.best_value
         elif isinstance(search, MultiFidelitySearch) and search.evaluations:
@@ -190,7 +190,7 @@ def best_mounting(
                 optimise_site(site, folder, listener, resume=resume)
             return _run_in(folder, site, keeps=out is not None)
     except KeyboardInterrupt:
-        if listener.best_x is None:
+        if listener.best_x is None or site.scenario.deployment.poles:  # whose searches speak of one place each
             raise
         return replace(judge_mounting(site, **site.scenario.deployment.coordinates(listener.best_x)), complete=False)
 

@@ -75,7 +75,7 @@ class Run:
         """Every evaluation of the search, a table in the columns of history.csv; None for a given mounting."""
         if self.result["search"] is None:
             return None
-        rows, variables = self.outcome.folder.read_history(), self.site.scenario.deployment.variables
+        rows, variables = self.outcome.folder.read_history(), self.result["bounds"]
         names = ("evaluation", "iteration", "particle", *variables, "objective", "best")
         return table_of(dict(zip(names, rows.T, strict=True)))
 

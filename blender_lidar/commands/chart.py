@@ -14,6 +14,7 @@ from ..sensors.model import load_model
 from ..studies.chart import chart_identity, chart_study, read_paired
 from ..studies.driver import StudyFolder
 from ..studies.effects import candidates
+from ..studies.findings import check_one_place
 from ..studies.ladder import FULL_CHART, QUICK_CHART
 from .optimise import check_resume
 from .options import check_scipy, scenario_from
@@ -27,6 +28,7 @@ def run(args: argparse.Namespace) -> int:
     tolerance = parse_share(args.max_regret, "--max-regret")
     check_scipy("chart")
     scenario = scenario_from(args)
+    check_one_place(scenario)
     candidates(scenario, 2)  # refuses a scene that searches nothing
     paired = None if args.paired_errors is None else read_paired(args.paired_errors)
     effort, site, other = effort_of(args, FULL_CHART, QUICK_CHART), prepare(scenario), _other_site(args, scenario)

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from ..errors import InputError, MissingExtraError
+from ..errors import InputError, MissingExtraError, shown, unknown_name
 from ..plugins import IN_A_FILE
 from ..scene.settings import DECLARED, MOUNTING_OR_LEAN, six_coordinates
 from ..toml_table import Setting, checked, limits_text
@@ -145,6 +145,7 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
 def add_pose(parser: argparse.ArgumentParser) -> None:
     """The coordinates of one mounting: the orientation by tilts and yaw, or by its lean."""
     group = parser.add_argument_group("mounting", "what is left out is the scene's baseline")
+    group.add_argument("--pole", metavar="NAME", help="on this of the scene's candidate poles: its x and y")
     for key, declared in MOUNTING_OR_LEAN.items():
         add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), key)
 
@@ -169,7 +170,17 @@ def scene_settings() -> dict[str, tuple[str, str]]:
 
 def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, float]:
     """The mounting that the options name, in metres and degrees."""
-    return six_coordinates(given_options(args, MOUNTING_OR_LEAN), scenario.baseline, "mounting")
+    given = given_options(args, MOUNTING_OR_LEAN)
+    if args.pole is not None:
+        poles = {pole.name: pole for pole in scenario.deployment.poles}
+        if args.pole not in poles:
+            raise (
+                unknown_name(args.pole, poles, "pole", "--pole")
+                if poles
+                else InputError(f"--pole: is {shown(args.pole)}, but the scene has no [deployment] poles")
+            )
+        given = {"x_m": poles[args.pole].x_m, "y_m": poles[args.pole].y_m, **given}
+    return six_coordinates(given, scenario.baseline, "mounting")
 
 
 # --- Options that are written in another way than a scene's settings --------------------------------------

@@ -79,6 +79,7 @@ class RunProgress:
             self._shown.advance(search.evaluations - self._evaluations, self._best(search))
         else:
             self._show(Progress(search.budget, search.label, search.evaluations))
+            self._mapping = False
         self._searched, self._evaluations = search, search.evaluations
 
     def mapping(self, points: int) -> None:

@@ -24,6 +24,7 @@ from ..report.summary import (
     definitions,
     group_tables,
     imperfections_text,
+    poles_table,
     region_text,
     scenery_text,
     warnings_text,
@@ -113,7 +114,8 @@ def outcome_text(run: Outcome, where: str) -> str:
     unit = f", in {metric.unit}" if metric.unit else ""
     words = definitions(result)
     meant = [f"Objective{unit}: {words['objective']}", f"Detectable: {words['detectable']}"]
-    tables = [table_text(table) for table in (comparison_table(result), *group_tables(run))]
+    every = (poles_table(result), comparison_table(result), *group_tables(run))
+    tables = [table_text(table) for table in every if table is not None]
     warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
     parts = [_filled([*warnings_text(result), answer(result)]), _filled(meant), *tables, where, _filled(warnings)]
     return "\n\n".join(part for part in parts if part)
@@ -176,8 +178,8 @@ def _search_text(scenario):
 
 def _ranges(scenario):
     """The searched coordinates, each with its bounds."""
-    bounds = scenario.deployment.bounds
-    return ", ".join(
+    bounds, poles = scenario.deployment.bounds, len(scenario.deployment.poles)
+    return (f"{poles} poles, on each " if poles else "") + ", ".join(
         f"{name} {bounds[key][0]:g} to {bounds[key][1]:g} {unit}"
         for key, (name, unit) in COORDINATE_NAMES.items()
         if key in bounds

@@ -8,7 +8,7 @@ from ..report.stability import STABILITY_REPORT
 from ..scene.settings import MOUNTING_OR_LEAN
 from ..scene.site import prepare
 from ..studies.driver import StudyFolder
-from ..studies.findings import check_searched
+from ..studies.findings import check_one_place, check_searched
 from ..studies.stability import FULL_STABILITY, QUICK_STABILITY, study_identity, study_stability
 from .optimise import check_resume
 from .options import given_options, mounting_from, scenario_from
@@ -20,6 +20,7 @@ def run(args: argparse.Namespace) -> int:
     check_resume(args)
     scenario = scenario_from(args)
     check_searched(scenario)
+    check_one_place(scenario)
     mounting = mounting_from(args, scenario) if given_options(args, MOUNTING_OR_LEAN) else None
     effort, site = effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, mounting)
 

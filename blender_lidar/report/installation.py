@@ -32,7 +32,7 @@ def installation_text(site: Site, result: Mapping) -> str:
         "",
         *_accepted(result),
         f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor;",
-        "             from the pole's foot so much more as it lies below the road, less as it lies above",
+        _above_foot(result),
         f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
         f"             {_beside(site, mount['y_m'])}",
         f"Lean         {_lean(up)}",
@@ -66,6 +66,14 @@ def _accepted(result):
     for text in warnings_text(result):
         lines += textwrap.wrap(text, _WIDTH, initial_indent="- ", subsequent_indent="  ")
     return [*lines, ""] if lines else []
+
+
+def _above_foot(result):
+    """How high above the pole's foot, where that is known."""
+    if not result.get("poles"):
+        return "             from the pole's foot so much more as it lies below the road, less as it lies above"
+    pole = result["poles"][0]
+    return f"             {pole['height_on_pole_m']:.2f} m from the foot of pole {pole['name']}"
 
 
 def _beside(site, y_m):

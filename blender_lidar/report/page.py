@@ -30,6 +30,7 @@ from .summary import (
     minus,
     mounting_name,
     mounting_text,
+    poles_table,
     region_text,
     sides,
     warnings_text,
@@ -257,7 +258,9 @@ def _scores(run: Outcome):
             "90 % interval": f"from resampling blocks of {result['block_s']:g} s, because frames close in time "
             "show the same vehicles.",
         }
-    return _section("Mounting and scores", table_markup(comparison_table(result)), terms(words.items()))
+    ranked = poles_table(result)
+    poles = [] if ranked is None else [table_markup(ranked)]
+    return _section("Mounting and scores", *poles, table_markup(comparison_table(result)), terms(words.items()))
 
 
 def _notes(run: Outcome):

@@ -29,6 +29,7 @@ COORDINATE_NAMES = {
     "x_m": ("x along the road", "m"),
     "y_m": ("y across the road", "m"),
 }
+_MOST_NAMED = 5
 _LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
 _TILTS, _LEAN = ("tilt_x_deg", "tilt_y_deg", "yaw_deg"), ("lean_deg", "lean_direction_deg", "spin_deg")
 
@@ -282,6 +283,45 @@ def _orientation(result):
     return {f"lean{way}": f"{mount['lean_deg']:.1f}°"}
 
 
+def poles_table(result: Mapping) -> TextTable | None:
+    """Candidate poles side by side, the best first; None where the scene has none."""
+    poles = result.get("poles")  # not in the results of earlier versions
+    if not poles:
+        return None
+    metric, held = metric_named(result["metric"]), poles[0]["holdout"] is not None
+    rows = []
+    for pole in poles:
+        scores = pole["holdout"] or pole
+        cells = [f"{pole['height_on_pole_m']:.2f}", metric.number(scores["objective_per_vehicle"], 1), _percent(scores)]
+        if held:
+            ends, apart = scores["interval_90"], scores["told_apart"]
+            cells += [metric.number(scores["difference_to_best"], 1, "+") if pole["rank"] > 1 else ""]
+            cells += ["" if ends is None else span(metric, ends, 1, "+"), {None: "", True: "yes", False: "no"}[apart]]
+        cells += [
+            "" if pole["cost"] is None else f"{pole['cost']:g}",
+            {None: "", True: "yes", False: "no"}[pole["existing"]],
+        ]
+        rows.append((pole["name"], *cells))
+    judged_on = "held-out frames" if held else f"{frames_word(result)} frames"
+    head = ["pole, best first", "height on it [m]", metric.in_unit("objective per vehicle"), "detectable"]
+    head += ["difference", "90 %, all together", "told apart"] * held + ["cost", "existing"]
+    return TextTable(f"Candidate poles, on {judged_on}", [[(text, 1) for text in head]], [("", rows)])
+
+
+def poles_text(result: Mapping) -> str:
+    """Which poles cannot be told apart from the best; empty without candidate poles or held-out frames."""
+    poles = result.get("poles") or []
+    if len(poles) < 2 or poles[0]["holdout"] is None:
+        return ""
+    best, alike = poles[0]["name"], [pole["name"] for pole in poles[1:] if pole["holdout"]["told_apart"] is False]
+    if poles[1]["holdout"]["told_apart"] is None:
+        return "there are too few blocks of held-out time to tell poles apart"
+    if not alike:
+        return f"pole {best} is told apart from all others on held-out traffic"
+    which = f"{len(alike)} of the {len(poles) - 1} others" if len(alike) > _MOST_NAMED else " and ".join(alike)
+    return f"on held-out traffic {which} cannot be told apart from pole {best}, the best on the searched frames"
+
+
 def _what_to_do(result):
     """The sentence's beginning: hang it there, or that nothing tried is better than the baseline."""
     sensor, place = result["sensor"], place_text(result["deployment"], leans=leans(result))
@@ -289,6 +329,8 @@ def _what_to_do(result):
         return f"The {sensor} {place}"
     if not better_than_baseline(result):
         return f"No mounting that was tried is better than the baseline; the best of them has the {sensor} {place}"
+    if result.get("poles"):
+        return f"Hang the {sensor} on pole {result['poles'][0]['name']}, {place}"
     return f"Hang the {sensor} {place}"
 
 
@@ -457,7 +499,7 @@ def cautions(result: Mapping) -> list[str]:
     if not better_than_baseline(result):
         found.append("No mounting that was tried is better than the baseline.")
     for key, (name, unit) in COORDINATE_NAMES.items():
-        bounds, place = result["identity"].get(f"[deployment] {key}"), result["deployment"].get(key)
+        bounds, place = _bounds(result, key), result["deployment"].get(key)
         if not isinstance(bounds, list) or place is None:
             continue
         low, high = bounds
@@ -477,7 +519,16 @@ def cautions(result: Mapping) -> list[str]:
         )
     if result["map"]:
         found += _map_notes(result, "mounting found" if sharp_of(result) is None else "sharp mounting")
-    return [*found, *(as_sentence(text) for text in (seeds_text(result), optimum_text(result)) if text)]
+    return [
+        *found,
+        *(as_sentence(text) for text in (poles_text(result), seeds_text(result), optimum_text(result)) if text),
+    ]
+
+
+def _bounds(result, key):
+    """Between what a coordinate was searched, or the number that fixed it; on a pole with heights of its own these."""
+    searched = result.get("bounds") or {}  # not in the results of earlier versions
+    return searched.get(key, result["identity"].get(f"[deployment] {key}"))
 
 
 def seeds_text(result: Mapping) -> str:

@@ -38,6 +38,7 @@ RUN_SCHEMA = 1
 RESULT, CHECKPOINT, SCENE = "result.json", "checkpoint.json", "scene.toml"
 HISTORY, HISTORY_NOMINAL = "history.csv", "history_sharp.csv"
 VEHICLES, VEHICLES_BASELINE, SCORE_MAP = "vehicles.csv", "vehicles_baseline.csv", "score_map.csv"
+RANKING = "ranking.csv"
 INSTALLATION, REPORT = "installation.txt", "report.html"
 _FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, HISTORY_NOMINAL)
 _FILES += (VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION, REPORT)
@@ -200,6 +201,20 @@ class RunFolder:
     def write_vehicles(self, name: str, table: Mapping[str, np.ndarray]) -> None:
         """Write a vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
         write_columns(self.file(name), table, _DECIMALS)
+
+    def write_ranking(self, poles: Sequence[Mapping]) -> None:
+        """Write candidate poles, the best first, one row for each."""
+        rows = [
+            {**row, **row["deployment"]} | {f"holdout_{k}": v for k, v in (row["holdout"] or {}).items()}
+            for row in poles
+        ]
+        for row in rows:
+            row["holdout_low_90"], row["holdout_high_90"] = row.pop("holdout_interval_90", None) or (None, None)
+        names = [
+            key for key in dict.fromkeys(key for row in rows for key in row) if key not in ("deployment", "holdout")
+        ]
+        texts = {key: ["" if row.get(key) is None else str(row[key]) for row in rows] for key in names}
+        write_columns(self.file(RANKING), {key: np.array(column, dtype=object) for key, column in texts.items()})
 
     def write_score_map(self, score_map: ScoreMap) -> None:
         """Write the objective over height and tilt, one row for each grid point."""

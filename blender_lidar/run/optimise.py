@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from .verdict import (
     judge_over_tolerance,
     map_scores,
     map_verdict,
+    rank_poles,
     vehicle_table,
 )
 
@@ -72,39 +74,77 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     """
     started = time.perf_counter()
     scenario, deployment = site.scenario, site.scenario.deployment
-    tolerance, score_map = scenario.objective.tolerance, None
     replay = Replay(folder, site.identity, resume=resume)
     folder.write_scene(scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        objective = _SearchedObjective(site, evaluator)
-        seeds = [
-            _seeded(site, seed) for seed in range(scenario.search.seed, scenario.search.seed + scenario.search.seeds)
-        ]
-        for search in seeds:
-            replay.carry_out(search, objective, listener)
-        best = max(seeds, key=lambda search: search.best_value)  # the first of equals
-        found = deployment.coordinates(best.best_x)
-        if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
-            score_map = map_scores(evaluator, deployment, found, site.plan.search_block, listener.mapping)
-        polish = _polish(site, score_map, best)
-        if polish is not None:
-            replay.carry_out(polish, objective, listener)
-        searches = {NOMINAL: [*seeds, *([] if polish is None else [polish])]}
-        answer = (best if polish is None else polish).best_x
-        sharp = deployment.coordinates(answer)
-        mountings = {"optimised": sharp, BASELINE_NAME: scenario.baseline}
-        spread = None
-        if len(deployment.variables) > len(AXES) and scenario.search.fidelity != AUTO:
-            spread = _spread(site, seeds, objective.by_block(searches[NOMINAL]), evaluator.weight, answer)
-        if tolerance is not None:
-            robust = fresh_search(scenario)
-            robust.label = "search over the tolerance"
-            replay.carry_out(robust, objective.over_tolerance, listener)
-            plans = [deployment.coordinates(robust.best_x), sharp]
-            mountings["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
-            mountings[NOMINAL], searches[ROBUST] = sharp, [robust]
-        on_map = None if score_map is None else (score_map, score_map.best_coordinates(found))
-        return _conclude(site, folder, evaluator, started, mountings, searches, on_map, spread, polish is not None)
+        places = [replace(scenario, deployment=deployment.at(pole)) for pole in deployment.poles] or [scenario]
+        sites = [replace(site, scenario=place) for place in places]
+        every = []
+        for number, place in enumerate(sites):
+            label = f"pole {deployment.poles[number].name}" if deployment.poles else ""
+            every.append(_search_place(place, evaluator, replay, listener, label))
+        poles, best = None, 0
+        if deployment.poles:
+            plans = [found.mountings["optimised"] for found in every]
+            poles, best = rank_poles(site, evaluator, deployment.poles, plans)
+        return _conclude(sites[best], folder, evaluator, started, every[best], poles)
+
+
+class _Found(NamedTuple):
+    """What the searches at one place have come to.
+
+    Attributes
+    ----------
+    mountings : dict of str to coordinates
+        The answer, the baseline and, over a tolerance, the best that hangs as planned.
+    searches : dict of str to searches
+        Of mountings as planned and over the tolerance, one after the other.
+    on_map : (ScoreMap, coordinates) or None
+        The score map and its best mounting.
+    spread : dict or None
+        What several coordinates came to.
+    polished : bool
+        Whether a point of the map is where the answer was found.
+    """
+
+    mountings: Mapping[str, Mapping[str, float]]
+    searches: Mapping[str, Sequence[Search | MultiFidelitySearch]]
+    on_map: tuple[ScoreMap, Mapping[str, float]] | None = None
+    spread: Mapping | None = None
+    polished: bool = False
+
+
+def _search_place(site: Site, evaluator: Evaluator, replay: Replay, listener: Listener, label: str) -> _Found:
+    """Search the best mounting at one place, called `label` where there are several."""
+    scenario, deployment = site.scenario, site.scenario.deployment
+    tolerance, score_map = scenario.objective.tolerance, None
+    objective, first = _SearchedObjective(site, evaluator), scenario.search.seed
+    seeds = [_seeded(site, seed, label) for seed in range(first, first + scenario.search.seeds)]
+    for search in seeds:
+        replay.carry_out(search, objective, listener)
+    best = max(seeds, key=lambda search: search.best_value)  # the first of equals
+    found = deployment.coordinates(best.best_x)
+    if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
+        score_map = map_scores(evaluator, deployment, found, site.plan.search_block, listener.mapping)
+    polish = _polish(site, score_map, best)
+    if polish is not None:
+        replay.carry_out(polish, objective, listener)
+    searches = {NOMINAL: [*seeds, *([] if polish is None else [polish])]}
+    answer = (best if polish is None else polish).best_x
+    sharp = deployment.coordinates(answer)
+    mountings = {"optimised": sharp, BASELINE_NAME: scenario.baseline}
+    spread = None
+    if len(deployment.variables) > len(AXES) and scenario.search.fidelity != AUTO:
+        spread = _spread(site, seeds, objective.by_block(searches[NOMINAL]), evaluator.weight, answer)
+    if tolerance is not None:
+        robust = fresh_search(scenario)
+        robust.label = "search over the tolerance"
+        replay.carry_out(robust, objective.over_tolerance, listener)
+        plans = [deployment.coordinates(robust.best_x), sharp]
+        mountings["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
+        mountings[NOMINAL], searches[ROBUST] = sharp, [robust]
+    on_map = None if score_map is None else (score_map, score_map.best_coordinates(found))
+    return _Found(mountings, searches, on_map, spread, polish is not None)
 
 
 def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -> dict | None:
@@ -131,7 +171,7 @@ def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float
     folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
         mountings = {"optimised": coordinates, BASELINE_NAME: site.scenario.baseline}
-        return _conclude(site, folder, evaluator, started, mountings, {}, None)
+        return _conclude(site, folder, evaluator, started, _Found(mountings, {}))
 
 
 def fresh_search(scenario: Scenario, evaluations: int | None = None) -> Search:
@@ -221,13 +261,13 @@ class _SearchedObjective:
         return x, np.array([self._blocks[row.tobytes()] for row in x])
 
 
-def _seeded(site: Site, seed: int) -> Search | MultiFidelitySearch:
-    """The search of a seed, before its first evaluation."""
+def _seeded(site: Site, seed: int, label: str) -> Search | MultiFidelitySearch:
+    """The search of a seed, before its first evaluation; `label` names its place where there are several."""
     use = site.scenario.search
     scenario = replace(site.scenario, search=replace(use, seed=seed))
     search = fresh_auto_search(site) if use.fidelity == AUTO else fresh_search(scenario)
-    if use.seeds > 1:
-        search.label = f"search with seed {seed}"
+    if use.seeds > 1 or label:
+        search.label = ", ".join(filter(None, [label, f"seed {seed}" if use.seeds > 1 else ""]))
     return search
 
 
@@ -278,17 +318,14 @@ def _conclude(
     folder: RunFolder,
     evaluator: Evaluator,
     started: float,
-    mountings: Mapping[str, Mapping[str, float]],
-    searches: Mapping[str, Sequence[Search | MultiFidelitySearch]],
-    on_map: tuple[ScoreMap, Mapping[str, float]] | None,
-    spread: Mapping | None = None,
-    polished: bool = False,
+    found: _Found,
+    poles: Sequence[Mapping] | None = None,
 ) -> dict:
     """Judge the mountings and write all that a run leaves, last of all its result, which is returned.
 
-    `searches` are those of the mountings as planned, and over the tolerance; `on_map` is the score map and its best
-    mounting; `spread` what several coordinates came to; `polished` says whether a point of the map is the answer.
+    `poles` are all candidate places, ranked, of which `found` is the first.
     """
+    mountings, searches, on_map, spread, polished = found
     scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
     for name, parts in zip((HISTORY, HISTORY_NOMINAL), reversed(searches.values()), strict=False):
         history = joined_history([search.history for search in parts])
@@ -298,6 +335,8 @@ def _conclude(
     if on_map is not None:
         folder.write_score_map(on_map[0])
         poses["best_of_map"] = pose_at(on_map[1])
+    if poles is not None:
+        folder.write_ranking(poles)
     for file, name in {VEHICLES: "optimised", VEHICLES_BASELINE: BASELINE_NAME}.items():
         folder.write_vehicles(file, vehicle_table(poses[name], search=evaluator, holdout=evaluator.held_out))
     verdict = judge(site, poses, evaluator, seed)
@@ -338,6 +377,8 @@ def _conclude(
         "rungs": rungs[0] if rungs else None,
         "map": None if on_map is None else {**map_verdict(on_map[0], verdict, planned, seed), "polished": polished},
         "spread": spread,
+        "poles": None if poles is None else list(poles),
+        "bounds": {key: list(pair) for key, pair in scenario.deployment.bounds.items()} if searches else None,
         "frames": len(site.search),
         "frame_ids": [int(frame) for frame in site.plan.search],
         "holdout_frame_ids": [int(frame) for frame in site.plan.holdout],

@@ -14,12 +14,12 @@ import numpy as np
 from ..metrics.catalogue import PE_VGOP
 from ..metrics.vgop import entropy
 from ..scene.scenario import Deployment, pose_at
-from ..scene.settings import leaning
+from ..scene.settings import Pole, leaning, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
 from ..sensors.pose import Pose
-from ..statistics import FEWEST_BLOCKS, block_sums, interval_90, resampled_weights
+from ..statistics import FEWEST_BLOCKS, block_sums, interval_90, many_to_one_reach_90, resampled_weights
 from ..traffic.vehicles import Vehicles
 from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
 
@@ -118,6 +118,66 @@ def _on_both_splits(site: Site, evaluator: Evaluator, judged: Callable[[Evaluato
     """What becomes of the searched and of the held-out frames, by name; nothing where no vehicle was held out."""
     splits = (evaluator, site.plan.search_block), (evaluator.held_out, site.plan.holdout_block)
     return [judged(scorer, block) if scorer.weight.sum() else {} for scorer, block in splits]
+
+
+# --- Candidate places, all on the same frames ------------------------------------------------------------------------
+
+
+def rank_poles(
+    site: Site, evaluator: Evaluator, poles: Sequence[Pole], plans: Sequence[Mapping[str, float]]
+) -> tuple[list[dict], int]:
+    """The best mountings of candidate poles side by side, the best on the searched frames first.
+
+    Parameters
+    ----------
+    poles : sequence of Pole, k
+    plans : sequence of coordinates, k
+        The mounting found on each [m, degrees].
+
+    Returns
+    -------
+    rows : list of dict, k
+        Of each pole its table's values, ``deployment``, ``height_on_pole_m`` above its foot, scores on the searched
+        frames and in ``holdout``, there with ``difference_to_best``, its ``interval_90``, which hold for all poles
+        together (see `many_to_one_reach_90`), and whether that leaves nought out, ``told_apart``. ``holdout`` is None
+        where nothing was held out, the interval and ``told_apart`` where there are too few blocks, and for the best.
+    best : int
+        Which of the poles is the first row.
+    """
+    poses = [pose_at(plan) for plan in plans]
+    searched = evaluator.totals(poses)
+    order = np.argsort(-searched.objective.sum(axis=1), kind="stable")
+    held_out = evaluator.held_out.totals(poses) if evaluator.held_out.weight.sum() else None
+    reach = None
+    if held_out is not None:
+        blocks = (
+            block_sums(values, site.plan.holdout_block) for values in (held_out.objective[order], held_out.weight)
+        )
+        reach = many_to_one_reach_90(*blocks, site.scenario.search.seed)
+        values, shares = held_out.per_vehicle(), held_out.detectable_share()
+    rows = []
+    for place, number in enumerate(order.tolist()):
+        pole, plan = poles[number], plans[number]
+        row = {
+            **{"rank": place + 1, "name": pole.name, "foot_z_m": pole.foot_z_m, "cost": pole.cost},
+            "existing": pole.existing,
+            "deployment": with_lean(plan),
+            "height_on_pole_m": plan["height_m"] - pole.foot_z_m,
+            "objective_per_vehicle": float(searched.per_vehicle()[number]),
+            "detectable_share": float(searched.detectable_share()[number]),
+            "holdout": None,
+        }
+        if held_out is not None:
+            less, off = float(values[number] - values[order[0]]), None if reach is None or not place else reach[place]
+            row["holdout"] = {
+                "objective_per_vehicle": float(values[number]),
+                "detectable_share": float(shares[number]),
+                "difference_to_best": less,
+                "interval_90": None if off is None else [less - float(off), less + float(off)],
+                "told_apart": None if off is None else bool(abs(less) > off),
+            }
+        rows.append(row)
+    return rows, int(order[0])
 
 
 # --- The objective over height and tilt: a picture of the whole landscape, and how certain its top is -----

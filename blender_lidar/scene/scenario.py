@@ -18,6 +18,7 @@ from ..road import RoadFrame
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
+from .poles import read_poles
 from .region import check_polygon, region_of
 from .settings import (
     ANGLES,
@@ -30,6 +31,7 @@ from .settings import (
     LEAN,
     MOUNTING,
     MOUNTING_OR_LEAN,
+    POLES,
     Deployment,
     ModelSettings,
     ObjectiveSettings,
@@ -90,13 +92,17 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     deployment, sensor = _deployment(tables["deployment"]), _sensor(tables["sensor"])
     region = _region(tables["region"], sensor, _tables(path, {}), overrides or {})
     road = tables["road"].read_as(RoadFrame)
-    nominal = dict(zip(("x_m", "y_m"), deployment.nominal_xy, strict=True))
+    first = (deployment.at(pole) for pole in deployment.poles[:1])
+    nominal = dict(zip(("x_m", "y_m"), next(first, deployment).nominal_xy, strict=True))
     if "x_m" in deployment.bounds:  # so that the baseline, too, is the same whatever is searched
         nominal["x_m"] = region_of(region, road.carriageway_y).centre_xy[0]
     baseline = tables["baseline"].read(MOUNTING_OR_LEAN)
     baseline = {key: value for key, value in baseline.items() if key in tables["baseline"].values}
     usual = {key: nominal.get(key, one.default) for key, one in MOUNTING.items()}
     objective = _objective(tables["objective"])
+    if deployment.poles and objective.tolerance is not None:
+        where = tables["objective"].where("tolerance")
+        raise InputError(f"{where}: is given beside [deployment] poles; allowed: candidate places that hang as planned")
     search = _search(tables["search"], deployment, several=objective.tolerance is None)
     if search.fidelity == "auto" and objective.tolerance is not None:
         raise InputError(
@@ -139,7 +145,8 @@ def _tables(path: Path, overrides: Overrides) -> dict[str, TomlTable]:
 
 
 def _deployment(table: TomlTable) -> Deployment:
-    found = table.read(DEPLOYMENT)
+    found = table.read(DEPLOYMENT | POLES)
+    poles = found.pop("poles")
     given = {key: found[key] for key in DEPLOYMENT if key in table.values}
     if has_lean(given, table.name):
         found = {key: found[key] for key in DEPLOYMENT if key not in ANGLES} | dict.fromkeys(LEAN, 0.0) | given
@@ -147,7 +154,24 @@ def _deployment(table: TomlTable) -> Deployment:
         found = {key: found[key] for key in MOUNTING}
     searched = {key: found[key] for key in DEPLOYMENT if isinstance(found.get(key), tuple)}
     _check_angles(table, searched)
-    return Deployment({key: value for key, value in found.items() if key not in searched}, searched)
+    deployment = Deployment({key: value for key, value in found.items() if key not in searched}, searched)
+    if poles is None:
+        return deployment
+    if places := [key for key in ("x_m", "y_m") if key in given]:
+        raise InputError(f"{table.name}: has poles and {places[0]}; allowed: a table of places, or one place")
+    deployment = replace(deployment, poles=read_poles(poles), poles_file=poles)
+    for pole in deployment.poles:
+        (low, high), limits = _heights(deployment.at(pole)), COORDINATE_LIMITS["height_m"]
+        if not limits[0] <= low <= high <= limits[1]:
+            raise InputError(
+                f"{poles}: pole {pole.name!r}: its heights are {low:g} to {high:g} m above the road; "
+                f"allowed: {limits[0]:g} to {limits[1]:g} m, the lower first"
+            )
+    return deployment
+
+
+def _heights(deployment: Deployment) -> tuple[float, float]:
+    return deployment.bounds.get("height_m") or (deployment.fixed["height_m"],) * 2
 
 
 def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]]) -> None:
@@ -192,11 +216,14 @@ def _region(
     centre, radius = region.centre_m, region.radius_m
     if centre is None:
         deployment = _deployment(of_file["deployment"])
-        if searched := [key for key in ("x_m", "y_m") if key in deployment.bounds]:
+        searched = ["poles"] if deployment.poles else [key for key in ("x_m", "y_m") if key in deployment.bounds]
+        if searched:
             middle = ", ".join(f"{place:g}" for place in deployment.nominal_xy)
+            several = "has several places" if deployment.poles else "is searched"
+            where = f"{of_file['deployment'].where(searched[0])}: {several}"
             raise InputError(
-                f"{of_file['deployment'].where(searched[0])}: is searched, so that [region] must say where vehicles "
-                f"count; such as: [region] centre_m = [{middle}], radius_m = {sensor.range_gate_m:g}"
+                f"{where}, so that [region] must say where vehicles count; such as: [region] "
+                f"centre_m = [{middle}], radius_m = {sensor.range_gate_m:g}"
             )
         centre = deployment.nominal_xy
     if radius == GATE:

@@ -34,7 +34,7 @@ from ..names import (
 )
 from ..plugins import METRICS_OF_OTHERS, SEARCHES_OF_OTHERS
 from ..road import RoadFrame
-from ..toml_table import setting, settings_of
+from ..toml_table import Setting, setting, settings_of
 
 if TYPE_CHECKING:
     from ..sensors.imperfections import Imperfections
@@ -119,6 +119,8 @@ DEPLOYMENT = {
     for key, declared in MOUNTING_OR_LEAN.items()
 }
 """[deployment]: a number fixes a coordinate, a pair [low, high] has it searched."""
+for _key in ("x_m", "y_m"):
+    DEPLOYMENT[_key] = replace(DEPLOYMENT[_key], form='several places are a table of poles: poles = "poles.csv"')
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +252,34 @@ class SensorSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Pole:
+    """A candidate place: a row of the table of [deployment] poles.
+
+    Attributes
+    ----------
+    name : str
+    x_m, y_m : float
+        Where it stands [m, road frame].
+    foot_z_m : float
+        Its foot above the road plane [m].
+    height_min_m, height_max_m : float or None
+        Between what heights above its foot a LiDAR can hang [m]; those of [deployment] unless said.
+    cost : float or None
+    existing : bool or None
+        Whether it stands already.
+    """
+
+    name: str
+    x_m: float
+    y_m: float
+    foot_z_m: float = 0.0
+    height_min_m: float | None = None
+    height_max_m: float | None = None
+    cost: float | None = None
+    existing: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Deployment:
     """[deployment]: which coordinates of the mounting are fixed, and between what bounds the others are searched.
 
@@ -259,10 +289,30 @@ class Deployment:
         Coordinates that stay; those of the orientation are tilts and yaw, or lean, direction and spin.
     bounds : mapping of str to (float, float)
         The others, in the order of `MOUNTING_OR_LEAN`; metres and degrees.
+    poles : tuple of Pole
+        Candidate places, each searched by itself; none where x and y say the place.
+    poles_file : str or None
+        The table that they come from.
     """
 
     fixed: Mapping[str, float]
     bounds: Mapping[str, tuple[float, float]]
+    poles: tuple[Pole, ...] = ()
+    poles_file: str | None = None
+
+    def at(self, pole: Pole) -> Deployment:
+        """The same search on one pole: its place, and its heights where it has its own, above the road plane."""
+        height = self.bounds.get("height_m") or (self.fixed["height_m"],) * 2
+        own = pole.height_min_m, pole.height_max_m
+        low, high = (usual if end is None else pole.foot_z_m + end for usual, end in zip(height, own, strict=True))
+        fixed = {**self.fixed, "x_m": pole.x_m, "y_m": pole.y_m, "height_m": low}
+        if low == high:
+            return Deployment(fixed, self.bounds)
+        bounds = {**self.bounds, "height_m": (low, high)}
+        return Deployment(
+            {key: value for key, value in fixed.items() if key != "height_m"},
+            {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds},
+        )
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -291,6 +341,9 @@ class Deployment:
     @property
     def nominal_xy(self) -> tuple[float, float]:
         """The mount's place [m], or the middle of where it may be."""
+        if self.poles:
+            places = [[pole.x_m for pole in self.poles], [pole.y_m for pole in self.poles]]
+            return tuple(0.5 * (min(one) + max(one)) for one in places)
         return tuple(0.5 * sum(self.bounds[key]) if key in self.bounds else self.fixed[key] for key in ("x_m", "y_m"))
 
     def coordinates(self, x) -> dict[str, float]:
@@ -564,6 +617,7 @@ class Scenario:
     def files(self) -> dict[tuple[str, str], str]:
         """The files that it names, by table and key."""
         named = {(table, key): getattr(getattr(self, table), key) for table, key in _FILES}
+        named["deployment", "poles"] = self.deployment.poles_file
         if self.sensor.is_file:
             named["sensor", "name"] = self.sensor.name
         return {place: path for place, path in named.items() if path is not None}
@@ -572,12 +626,19 @@ class Scenario:
         """The scene as used, in the layout of a scene file: reading it again gives this scene."""
         tables = asdict(self)
         del tables["source"]
-        tables["deployment"] = {**tables["deployment"]["fixed"], **tables["deployment"]["bounds"]}
+        tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
+        if self.deployment.poles:
+            for key in ("x_m", "y_m"):
+                del tables["deployment"][key]
+            tables["deployment"]["poles"] = self.deployment.poles_file
         return tables
 
 
 DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}
-DECLARED |= {"deployment": DEPLOYMENT, "baseline": MOUNTING_OR_LEAN}
+POLES = {
+    "poles": Setting(kind=str, default=None, is_path=True, help="table of candidate places, in place of x_m and y_m")
+}
+DECLARED |= {"deployment": DEPLOYMENT | POLES, "baseline": MOUNTING_OR_LEAN}
 """The settings of each table of a scene file."""
 
 

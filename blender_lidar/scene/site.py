@@ -99,6 +99,12 @@ def check_mount_is_clear(
         searched = {**scenario.deployment.fixed, **scenario.deployment.bounds}
         of_scene = {"deployment": searched, "baseline": scenario.baseline}
         mounts = {f"{scenario.source}: [{table}] x_m, y_m": mount for table, mount in of_scene.items()}
+        if poles := scenario.deployment.poles:
+            at = ((pole.name, scenario.deployment.at(pole)) for pole in poles)
+            mounts = {
+                f"{scenario.deployment.poles_file}: pole {name!r}": {**one.fixed, **one.bounds} for name, one in at
+            }
+            mounts[f"{scenario.source}: [baseline] x_m, y_m"] = scenario.baseline
     right, left = scenario.road.carriageway_y
     solids = [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]
     frames = list(frames)
@@ -322,7 +328,8 @@ def _travel(scenario: Scenario, mount: Mapping[str, float] | None, centre: tuple
     """How far a searched mount, the baseline or a given one may be from a place [m]."""
     far, deployment = 0.0, scenario.deployment
     for key, middle in zip(("x_m", "y_m"), centre, strict=True):
-        searched = deployment.bounds.get(key) or (deployment.fixed[key],)
+        searched = [getattr(pole, key) for pole in deployment.poles] or deployment.bounds.get(key)
+        searched = searched or (deployment.fixed[key],)
         places = [*searched, scenario.baseline[key], *([mount[key]] if mount else ())]
         far = max(far, *(abs(place - middle) for place in places))
     return far * np.sqrt(2.0)

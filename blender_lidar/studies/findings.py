@@ -143,6 +143,14 @@ def check_searched(scenario: Scenario) -> None:
         )
 
 
+def check_one_place(scenario: Scenario) -> None:
+    """Refuse candidate poles: a study is about one place."""
+    if scenario.deployment.poles:
+        raise InputError(
+            f"{scenario.source}: [deployment] poles: are for optimise; a study is about one place: x_m and y_m"
+        )
+
+
 def mountings_about(scenario: Scenario, reference: Mapping[str, float], heights: int, tilts: int) -> MountingGrid:
     """Candidates over the searched ones of height and tilt, the other coordinates as in `reference`."""
     names = scenario.deployment.axes

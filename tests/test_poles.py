@@ -1,0 +1,222 @@
+"""Candidate poles: each is searched, all are judged on the same frames, and intervals hold for all of them together."""
+
+from __future__ import annotations
+
+import csv
+import json
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import InputError
+from blender_lidar.scene.poles import read_poles
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.settings import Pole
+from blender_lidar.statistics import many_to_one_reach_90, resampled_weights, student_t
+from tests.refusals import refused
+from tests.small_scene import REGION, cli, done, without_charts, without_times, write_scene
+
+HEADER = "name,x_m,y_m,foot_z_m,height_min_m,height_max_m,cost,existing\n"
+ROWS = "lamp,0,0,0.5,2,3,,yes\ngantry,-6,-1,,,,1500,no\nfar mast,60,-40,0,2,6,,\n"
+CHANGES = {**REGION, "deployment": {"poles": "poles.csv"}, "traffic": {"block_s": 10.0}}
+WORDS = ("--workers", 1, "--json")
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    without_charts(monkeypatch)
+
+
+def scene_with(folder, rows=ROWS, header=HEADER, changes=CHANGES):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "poles.csv").write_text(header + rows, encoding="utf-8")
+    return write_scene(folder, changes)
+
+
+def test_a_table_of_poles_is_read_with_what_it_leaves_out(tmp_path):
+    deployment = load_scenario(scene_with(tmp_path)).deployment
+    assert deployment.poles == (
+        Pole("lamp", 0.0, 0.0, 0.5, 2.0, 3.0, None, True),
+        Pole("gantry", -6.0, -1.0, 0.0, None, None, 1500.0, False),
+        Pole("far mast", 60.0, -40.0, 0.0, 2.0, 6.0),
+    )
+    on = [deployment.at(pole) for pole in deployment.poles]
+    assert [one.bounds["height_m"] for one in on] == [
+        (2.5, 3.5),
+        (2.0, 4.5),
+        (2.0, 6.0),
+    ]  # above the road, not the foot
+    assert [(one.fixed["x_m"], one.fixed["y_m"]) for one in on] == [(0.0, 0.0), (-6.0, -1.0), (60.0, -40.0)]
+
+
+def test_a_table_as_a_spreadsheet_writes_it_is_the_same(tmp_path):
+    plain, sheet = tmp_path / "a.csv", tmp_path / "b.csv"
+    plain.write_text(HEADER + ROWS, encoding="utf-8")
+    sheet.write_bytes((HEADER + ROWS).replace(",", ";").replace(".", ",").replace("\n", "\r\n").encode("utf-8-sig"))
+    assert read_poles(sheet) == read_poles(plain)
+
+
+@pytest.mark.parametrize(
+    ("rows", "fault"),
+    [
+        ("", "has 0 poles"),
+        ("lamp,0,0,,,,,\nlamp,1,0,,,,,\n", "poles.csv:3: name is 'lamp', as in a line before"),
+        ("lamp,0,0,,4,3,,\n", "poles.csv:2: height_min_m is 4, height_max_m 3"),
+        ("lamp,0,zero,,,,,\n", "poles.csv:2: y_m is 'zero'"),
+        (",0,0,,,,,\n", "poles.csv:2: name is nothing"),
+        ("lamp,0,0,,,,,maybe\n", "existing is 'maybe'; allowed: yes, no or nothing"),
+        ("lamp,0,0,-5,2,4,,\n", "its heights are -3 to -1 m above the road"),
+        ("lamp,0,4,,,,,\n", "pole 'lamp': the mount at y 4 m stands on the carriageway"),
+    ],
+)
+def test_a_table_that_cannot_be_used_is_one_line(tmp_path, capsys, rows, fault):
+    assert fault in refused(capsys, tmp_path, "optimise", scene_with(tmp_path, rows), "--out", "run")
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"deployment": {"poles": "poles.csv"}}, "[region] centre_m = [27, -20], radius_m = 20"),
+        ({**CHANGES, "deployment": {"poles": "poles.csv", "x_m": 3.0}}, "has poles and x_m"),
+        ({**CHANGES, "objective": {"tolerance": {"tilt_deg": 1.0}}}, "is given beside [deployment] poles"),
+        ({**REGION, "deployment": {"x_m": [0.0, 20.0, 40.0]}}, "several places are a table of poles"),
+        ({**CHANGES, "deployment": {"poles": "no.csv"}}, "no.csv"),
+    ],
+)
+def test_a_scene_that_cannot_have_poles_is_told_why(tmp_path, capsys, changes, fault):
+    scene = scene_with(tmp_path, changes=changes)
+    assert fault in refused(capsys, tmp_path, "optimise", scene, "--out", "run")
+
+
+@pytest.mark.parametrize("verb", ["stability", "chart"])
+def test_a_study_is_about_one_place(tmp_path, capsys, verb):
+    scene = scene_with(tmp_path, changes={**CHANGES, "deployment": {"poles": "poles.csv", "tilt_x_deg": [0.0, 20.0]}})
+    assert "[deployment] poles: are for optimise" in refused(capsys, tmp_path, verb, scene, "--out", "run")
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("poles")
+    with pytest.MonkeyPatch.context() as patched:
+        without_charts(patched)
+        yield folder, scene_with(folder)
+
+
+def test_each_pole_is_searched_as_it_would_be_alone_and_judged_on_the_same_frames(ran, capsys):
+    folder, scene = ran
+    out, _ = done(capsys, "optimise", scene, "--out", folder / "run", *WORDS)
+    result = json.loads(out)
+    poles = {pole["name"]: pole for pole in result["poles"]}
+    assert [pole["rank"] for pole in result["poles"]] == [1, 2, 3]
+    assert result["deployment"] == result["poles"][0]["deployment"]
+    assert result["objective_per_vehicle"] == result["poles"][0]["objective_per_vehicle"]
+    searched = [pole["objective_per_vehicle"] for pole in result["poles"]]
+    assert searched == sorted(searched, reverse=True)
+    for name, place in {"gantry": {"x_m": -6.0, "y_m": -1.0}, "lamp": {"height_m": [2.5, 3.5]}}.items():
+        alone = write_scene(folder / "alone" / name.replace(" ", "_"), {**CHANGES, "deployment": place})
+        out, _ = done(capsys, "optimise", alone, "--out", folder / "alone" / f"{name}_run", *WORDS)
+        one = json.loads(out)
+        assert poles[name]["deployment"] == one["deployment"]
+        assert poles[name]["holdout"]["objective_per_vehicle"] == one["holdout"]["objective_per_vehicle"]
+        assert one["vehicles"] == result["vehicles"]
+    assert poles["lamp"]["height_on_pole_m"] == poles["lamp"]["deployment"]["height_m"] - 0.5
+    best = result["poles"][0]["holdout"]
+    for pole in result["poles"][1:]:
+        held = pole["holdout"]
+        assert held["difference_to_best"] == pytest.approx(
+            held["objective_per_vehicle"] - best["objective_per_vehicle"]
+        )
+        low, high = held["interval_90"]
+        assert held["told_apart"] == (low > 0.0 or high < 0.0)
+    with (folder / "run" / "ranking.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["name"] for row in rows] == [pole["name"] for pole in result["poles"]]
+    assert load_scenario(folder / "run" / "scene.toml").deployment == load_scenario(scene).deployment
+
+
+def test_the_answer_names_its_pole_and_those_that_cannot_be_told_apart(tmp_path, capsys):
+    rows = "left,0,0,,,,,\nright,0.001,0,,,,,\nfar mast,60,-40,0,2,6,,\n"
+    code, out, err = cli(capsys, "optimise", scene_with(tmp_path, rows), "--workers", 1, "--out", tmp_path / "run")
+    assert code == 0, err
+    text = " ".join(out.split())
+    assert "Hang the RS-16 on pole " in text
+    assert "cannot be told apart from pole" in text
+    assert "pole, best first" in text
+    sheet = (tmp_path / "run" / "installation.txt").read_text()
+    assert " m from the foot of pole " in sheet
+    assert "pole, best first" in (tmp_path / "run" / "report.html").read_text()
+
+
+def test_a_run_over_poles_that_was_stopped_goes_on_to_the_same_ranking(ran, tmp_path, capsys, monkeypatch):
+    _, scene = ran
+    whole, _ = done(capsys, "optimise", scene, "--out", tmp_path / "whole", *WORDS)
+    from blender_lidar.run import replay
+
+    told, tells = replay._tell, []
+    monkeypatch.setattr(replay, "_STORE_EVERY_S", 0.0)
+
+    def interrupted(*given):
+        tells.append(1)
+        if len(tells) == 5:  # on the second pole
+            raise KeyboardInterrupt
+        told(*given)
+
+    monkeypatch.setattr(replay, "_tell", interrupted)
+    assert cli(capsys, "optimise", scene, "--out", tmp_path / "cut", *WORDS)[0] == 1
+    monkeypatch.setattr(replay, "_tell", told)
+    again, _ = done(capsys, "optimise", scene, "--out", tmp_path / "cut", *WORDS, "--resume")
+    assert without_times(json.loads(again)) == without_times(json.loads(whole))
+
+
+def test_a_mounting_is_put_on_a_pole_by_its_name(ran, tmp_path, capsys):
+    _, scene = ran
+    out, _ = done(capsys, "evaluate", scene, "--pole", "gantry", "--height", 3, "--out", tmp_path / "run", *WORDS)
+    assert [json.loads(out)["deployment"][key] for key in ("x_m", "y_m", "height_m")] == [-6.0, -1.0, 3.0]
+    line = refused(capsys, tmp_path, "evaluate", scene, "--pole", "gantri", "--out", "x", begun=True)
+    assert "gantry" in line
+
+
+# --- intervals that hold for all poles together -----------------------------------------------------------------------
+
+
+def test_simultaneous_intervals_are_those_of_a_loop_over_resamples():
+    rng = np.random.default_rng(3)
+    objective, weight = rng.normal(2.0, 1.0, (4, 6)) * 5.0, np.array([5.0, 4.0, 0.0, 6.0, 5.0, 7.0])
+    objective[:, 2] = 0.0
+    filled = weight > 0
+    means = objective.sum(axis=1) / weight.sum()
+    offs = []
+    for counts in resampled_weights(5, np.random.default_rng(8)):
+        again = [(counts @ row[filled]) / (counts @ weight[filled]) for row in objective]
+        offs.append([(value - again[0]) - (mean - means[0]) for value, mean in zip(again, means, strict=True)])
+    errors = np.std(offs, axis=0)
+    largest = [max(abs(off[k]) / errors[k] for k in (1, 2, 3)) for off in offs]
+    expected = student_t(NormalDist().cdf(np.quantile(largest, 0.9)), 4) * errors
+    np.testing.assert_allclose(many_to_one_reach_90(objective, weight, 8), expected, rtol=1e-9, atol=1e-12)
+    assert many_to_one_reach_90(objective[:, :2], weight[:2], 8) is None
+
+
+@pytest.mark.parametrize(("blocks", "mountings"), [(6, 3), (12, 8)])
+def test_all_intervals_hold_together_in_nine_cases_of_ten(blocks, mountings):
+    rng, held, cases = np.random.default_rng(1), 0, 300
+    true = np.linspace(0.0, -0.3, mountings)
+    weight = np.full(blocks, 20.0)
+    for case in range(cases):
+        shared, own = rng.normal(0.0, 0.3, blocks), rng.normal(0.0, 0.1, (mountings, blocks))
+        objective = weight * (true[:, None] + shared + own)
+        means = objective.sum(axis=1) / weight.sum()
+        reach = many_to_one_reach_90(objective, weight, case)
+        held += bool((np.abs(means - means[0] - (true - true[0])) <= reach + 1e-12).all())
+    assert 0.85 <= held / cases <= 0.99
+
+
+def test_poles_without_a_name_are_not_asked_for(tmp_path, capsys):
+    line = refused(capsys, tmp_path, "evaluate", write_scene(tmp_path), "--pole", "lamp", "--out", "run")
+    assert "--pole: is 'lamp', but the scene has no [deployment] poles" in line
+
+
+def test_a_table_without_its_columns_names_them(tmp_path):
+    (tmp_path / "poles.csv").write_text("pole,x,y\nlamp,0,0\n")
+    with pytest.raises(InputError, match="no column name"):
+        read_poles(tmp_path / "poles.csv")
