@@ -11,8 +11,8 @@ from ..errors import InputError, shown
 from ..traffic.source import Column, TableLayout, delimiter_of, fields_of, first_lines, known_names, read_rows
 from .settings import COORDINATE_LIMITS, Pole
 
-NEEDED = ("name", "x_m", "y_m")
-OPTIONAL = ("foot_z_m", "height_min_m", "height_max_m", "cost", "existing")
+_NEEDED = ("name", "x_m", "y_m")
+_OPTIONAL = ("foot_z_m", "height_min_m", "height_max_m", "cost", "existing")
 _PLACE = Column("a number, -100000 to 100000", *COORDINATE_LIMITS["x_m"])
 _HEIGHT = Column("0 to 100", 0.0, 100.0, optional=True)
 _NUMBERS = {
@@ -28,7 +28,7 @@ _MOST = 1000
 
 
 def read_poles(path: str | Path) -> tuple[Pole, ...]:
-    """Read a table of candidate poles, with a header: `NEEDED` columns, and as many of `OPTIONAL` as there are.
+    """Read a table of candidate poles, with a header: name, x_m and y_m, and further columns as far as there are any.
 
     Raises
     ------
@@ -36,10 +36,10 @@ def read_poles(path: str | Path) -> tuple[Pole, ...]:
         When the file cannot be used; the text names the line and the column.
     """
     line, header = first_lines(path)[0]
-    known = (*NEEDED, *OPTIONAL)
+    known = (*_NEEDED, *_OPTIONAL)
     delimiter = delimiter_of(header, known)
     layout = TableLayout(known_names(fields_of(header, delimiter), known), delimiter, line + 1)
-    layout.check(NEEDED, OPTIONAL, f"{path}:{line}")
+    layout.check(_NEEDED, _OPTIONAL, f"{path}:{line}")
     poles: dict[str, Pole] = {}
     for rows in read_rows(path, layout, _NUMBERS, ["name", "existing"]):
         numbers = {key: rows.numbers(key, column).tolist() for key, column in _NUMBERS.items() if key in rows.columns}
