@@ -27,6 +27,7 @@ from .summary import (
     frames_word,
     group_tables,
     key_figures,
+    leans,
     minus,
     mounting_name,
     mounting_text,
@@ -141,7 +142,7 @@ def render_figures(run: Outcome) -> list[Markup]:
             element(
                 "div",
                 image(path, f"Render: {called}, {name.lower()} mounting"),
-                element("p", element("strong", name), f": {mounting_text(mount)}"),
+                element("p", element("strong", name), f": {mounting_text(mount, leans=leans(run.result))}"),
             )
             for mounting, (name, mount) in zip(("baseline", "optimised"), sides(run.result), strict=True)
             if (path := run.folder.file(render_file(mounting, view))).exists()

@@ -30,7 +30,7 @@ from .figure import (
     say_empty,
     sheet,
 )
-from .summary import mounting_text, sharp_of, sides, was_searched
+from .summary import leans, mounting_text, sharp_of, sides, was_searched
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,7 +148,8 @@ def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
     if sharp is not None:
         marks[:1] = [("sharp", sharp, "*", 13.0), ("robust", result, "D", 7.0)]
     grid, values = (score_map.tilt_deg, score_map.height_m), metric.told(score_map.per_vehicle)
-    with sheet(path, 115.0, "Objective over height and tilt", _about(result)) as figure:
+    what = "lean" if score_map.tilt == "lean_deg" else "tilt"
+    with sheet(path, 115.0, f"Objective over height and {what}", _about(result)) as figure:
         axes = figure.add_subplot(xlabel=_TILT_LABELS[score_map.tilt], ylabel="Mounting height above the road [m]")
         mesh = axes.pcolormesh(*grid, values, cmap=colours(SCORE_COLOURS), shading="gouraud")
         figure.colorbar(mesh, ax=axes, label=metric.in_unit("Objective per vehicle"), pad=0.02)
@@ -308,7 +309,10 @@ def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame) -> None:
             _draw_lanes(axes, np.arange(low, high + 0.5 * lane_m, lane_m))
             marker = mark_sensor(axes, mount)
             found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold" if below.size else _NOBODY
-            axes.set(title=f"{name}: {mounting_text(mount)}\n{found}", ylabel="Across the road, y [m]")
+            axes.set(
+                title=f"{name}: {mounting_text(mount, leans=leans(run.result))}\n{found}",
+                ylabel="Across the road, y [m]",
+            )
             if not below.size:
                 say_empty(axes, _NOBODY)
         across = poles[:, 1]

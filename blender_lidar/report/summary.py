@@ -63,8 +63,11 @@ def leans(result: Mapping) -> bool:
     return result["identity"].get("[deployment] lean_deg") is not None
 
 
-def mounting_text(mount: Mapping[str, float]) -> str:
-    """A mounting in a few words."""
+def mounting_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
+    """A mounting in a few words; `leans` as for `place_text`."""
+    if leans:
+        way = "" if mount["lean_direction_deg"] is None else f" towards {mount['lean_direction_deg']:.0f}°"
+        return f"height {mount['height_m']:.2f} m, lean {mount['lean_deg']:.1f}°{way}"
     parts = [f"height {mount['height_m']:.2f} m", f"tilt {mount['tilt_x_deg']:.1f}°"]
     more = {"along the road": mount["tilt_y_deg"], "yaw": mount["yaw_deg"]}
     return ", ".join([*parts, *(f"{name} {angle:.1f}°" for name, angle in more.items() if angle)])
