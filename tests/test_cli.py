@@ -321,7 +321,7 @@ def test_evaluate_gives_what_optimise_reports_for_the_same_mounting(tmp_path, ca
     assert run(capsys, "evaluate", scene, "--height", height, "--tilt-x", 15, "--out", "given")[0] == 0
     given = json.loads(Path("given/result.json").read_text())
     differ = {key for key in found if without_times(found).get(key) != without_times(given).get(key)}
-    assert differ == {"search", "evaluations"}
+    assert differ == {"search", "evaluations", "bounds"}
     assert (given["search"], given["evaluations"]) == (None, 1)
     for name in ("vehicles.csv", "vehicles_baseline.csv"):
         assert Path("found", name).read_bytes() == Path("given", name).read_bytes()
