@@ -173,8 +173,9 @@ def best_mounting(
     -------
     Run
         Of a run that Ctrl-C stops its best mounting so far, judged, with `complete` False; `out` can then be resumed.
+        With candidate poles, whose searches speak of one place each, it raises KeyboardInterrupt.
     """
-    if not site.scenario.deployment.bounds:
+    if not all(place.bounds for place in site.scenario.deployment.places):
         raise InputError(f"{site.scenario.source}: [deployment] fixes every coordinate; give one a pair [low, high]")
     if resume and out is None:
         raise InputError("best_mounting: resume needs out, the folder of the run that was stopped")

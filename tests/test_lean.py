@@ -172,3 +172,33 @@ def test_spin_moves_scores_by_no_more_than_the_phase_of_the_columns_does(tmp_pat
 def test_what_was_given_is_named_where_it_cannot_be():
     with pytest.raises(InputError, match="row 3: has spin_deg and tilt_y_deg"):
         six_coordinates({"spin_deg": 1.0, "tilt_y_deg": 2.0}, where="row 3")
+
+
+def test_a_lean_of_nought_keeps_the_direction_that_it_was_given(tmp_path, capsys):
+    """The map is drawn the scene's way, away from the road, and the answer is the best of all that was tried."""
+    lean = {"lean_deg": [0.0, 30.0], "lean_direction_deg": 180.0, "tilt_x_deg": None}
+    scene = write_scene(tmp_path, {"deployment": lean, "search": {"particles": 6, "iterations": 8}})
+    code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run", "--json")
+    assert code == 0, err
+    result = json.loads(out)
+    rows = (tmp_path / "run" / "history.csv").read_text().splitlines()
+    objective = [float(row.split(",")[-2]) for row in rows[1:]]
+    assert result["objective"] == pytest.approx(max(objective))
+    if result["deployment"]["lean_deg"] > 1e-6:
+        assert abs(result["deployment"]["lean_direction_deg"]) == pytest.approx(180.0)
+    start = {**PLACE, "lean_deg": 0.0, "lean_direction_deg": 180.0, "spin_deg": 0.0}
+    assert with_lean(leaning(start, lean_deg=5.0))["lean_direction_deg"] == pytest.approx(180.0)
+    best = result["map"]["best"]
+    words = ("--height", best["height_m"], "--lean", best["lean_deg"], "--lean-direction", 180, "--json")
+    _, out, _ = cli(capsys, "evaluate", scene, *words, "--out", tmp_path / "one")
+    assert json.loads(out)["objective_per_vehicle"] == pytest.approx(best["objective_per_vehicle"])
+
+
+def test_a_spin_within_its_bounds_is_on_none_of_them(tmp_path, capsys):
+    spin = {"lean_deg": 10.0, "spin_deg": [190.0, 350.0], "tilt_x_deg": None, "height_m": 3.0}
+    scene = write_scene(tmp_path, {"deployment": spin, "search": {"particles": 4, "iterations": 3}})
+    code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run")
+    assert code == 0, err
+    found = json.loads((tmp_path / "run" / "result.json").read_text())["deployment"]["spin_deg"]
+    assert 192.0 < found % 360.0 < 348.0
+    assert "lies on a bound" not in out

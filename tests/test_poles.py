@@ -220,3 +220,44 @@ def test_a_table_without_its_columns_names_them(tmp_path):
     (tmp_path / "poles.csv").write_text("pole,x,y\nlamp,0,0\n")
     with pytest.raises(InputError, match="no column name"):
         read_poles(tmp_path / "poles.csv")
+
+
+def test_a_pole_with_one_bracket_fixes_its_height_and_others_are_searched(tmp_path, capsys):
+    rows = "bracket,0,0,0.5,4,4,,\nmast,-6,-1,,2,4,,\n"
+    changes = {**CHANGES, "deployment": {"poles": "poles.csv", "height_m": 3.0, "tilt_x_deg": [0.0, 20.0]}}
+    scene = scene_with(tmp_path, rows, changes=changes)
+    bracket, mast = load_scenario(scene).deployment.places
+    assert (bracket.fixed["height_m"], "height_m" in bracket.bounds) == (4.5, False)
+    assert mast.bounds["height_m"] == (2.0, 4.0)
+    code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run", *WORDS)
+    assert code == 0, err
+    heights = {pole["name"]: pole["deployment"]["height_m"] for pole in json.loads(out)["poles"]}
+    assert heights["bracket"] == 4.5
+    fixed = {**CHANGES, "deployment": {"poles": "poles.csv", "height_m": 3.0, "tilt_x_deg": 5.0}}
+    line = refused(
+        capsys, tmp_path, "optimise", scene_with(tmp_path / "fixed", rows, changes=fixed), "--out", "none", begun=True
+    )
+    assert "fixes every coordinate" in line
+    half = scene_with(tmp_path / "half", "mast,0,0,,,4,,\n", changes=fixed)
+    assert "has one end of its heights" in refused(capsys, tmp_path, "optimise", half, "--out", "none", begun=True)
+
+
+def test_a_mounting_beyond_its_pole_is_refused_and_the_sheet_knows_the_foot(ran, tmp_path, capsys):
+    _, scene = ran
+    for words, fault in {
+        ("--height", "9"): "--height: is 9; allowed on pole lamp: 2.5 to 3.5 m",
+        ("--x", "3"): "--x: is given beside --pole",
+    }.items():
+        assert fault in refused(
+            capsys, tmp_path, "evaluate", scene, "--pole", "lamp", *words, "--out", "no", begun=True
+        )
+    done(capsys, "evaluate", scene, "--pole", "lamp", "--height", 3, "--out", tmp_path / "run", *WORDS)
+    assert "2.50 m from the foot of pole lamp" in (tmp_path / "run" / "installation.txt").read_text()
+
+
+def test_the_baseline_is_the_same_whatever_the_order_of_the_poles(tmp_path):
+    one, other = (
+        load_scenario(scene_with(tmp_path / name, "".join(rows))).baseline
+        for name, rows in (("a", ROWS.splitlines(keepends=True)), ("b", ROWS.splitlines(keepends=True)[::-1]))
+    )
+    assert one == other

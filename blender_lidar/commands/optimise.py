@@ -76,7 +76,7 @@ def run_optimise(args: argparse.Namespace) -> int:
     """Search for the best mounting; returns the exit code."""
     check_resume(args)
     scenario = scenario_from(args)
-    if not scenario.deployment.bounds:
+    if not all(place.bounds for place in scenario.deployment.places):
         raise InputError(
             f"{args.scene}: [deployment] fixes every coordinate; give at least one a pair [low, high], or use evaluate"
         )
@@ -106,5 +106,6 @@ def run_evaluate(args: argparse.Namespace) -> int:
     with folder.locked():
         folder.check()  # again: another run may have come first
         say(args, describe_site(site, searched=False, verbose=args.verbose) + "\n")
-        evaluate_site(site, folder, mount)
+        poles = {pole.name: pole for pole in scenario.deployment.poles}
+        evaluate_site(site, folder, mount, poles.get(args.pole))
         return report(args, site, folder)

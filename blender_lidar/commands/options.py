@@ -179,7 +179,16 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, flo
                 if poles
                 else InputError(f"--pole: is {shown(args.pole)}, but the scene has no [deployment] poles")
             )
-        given = {"x_m": poles[args.pole].x_m, "y_m": poles[args.pole].y_m, **given}
+        if place := [key for key in ("x_m", "y_m") if key in given]:
+            raise InputError(f"{MOUNTING_OR_LEAN[place[0]].option}: is given beside --pole; allowed: one of both")
+        pole = poles[args.pole]
+        height, of_pole = given.get("height_m"), scenario.deployment.at(pole)
+        low, high = of_pole.bounds.get("height_m") or (of_pole.fixed["height_m"],) * 2
+        if height is not None and not low <= height <= high and pole.height_max_m is not None:
+            raise InputError(
+                f"--height: is {height:g}; allowed on pole {pole.name}: {low:g} to {high:g} m above the road"
+            )
+        given |= {"x_m": pole.x_m, "y_m": pole.y_m}
     return six_coordinates(given, scenario.baseline, "mounting")
 
 

@@ -96,7 +96,8 @@ class RunProgress:
     def _best(self, search):
         if isinstance(search, MultiFidelitySearch) and search.best_value == -math.inf:
             return search.stage
-        mount = ", ".join(f"{name} {value:.2f}" for name, value in zip(self._names, search.best_x, strict=True))
+        names = search.variables or self._names  # which differ from place to place
+        mount = ", ".join(f"{name} {value:.2f}" for name, value in zip(names, search.best_x, strict=True))
         return f"best {self._metric.total(search.best_value, -2)} at {mount}"
 
 

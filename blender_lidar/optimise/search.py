@@ -171,6 +171,7 @@ class Search(ABC):
 
     name: ClassVar[str]
     label = "search"  # what a run calls it where it has several
+    variables: tuple[str, ...] = ()  # and its variables
 
     def __init__(
         self,

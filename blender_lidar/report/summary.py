@@ -508,11 +508,13 @@ def cautions(result: Mapping) -> list[str]:
         low, high = bounds
         if unit == "deg" and high - low == 360.0:  # a full circle has no bound
             continue
-        if key == "lean_direction_deg":  # told from -180 to 180 degrees, wherever it was searched
+        if key in _LEAN[1:]:  # told from -180 to 180 degrees, wherever it was searched
             place = low + (place - low) % 360.0
         slack = _ON_A_BOUND * (high - low)
-        if not low + slack < place < high - slack:
-            found.append(f"The best {name} lies on a bound of [deployment]; beyond may be better.")
+        upright = key == "lean_deg" and low == 0.0 and place < high - slack  # beyond which nothing lies
+        if not low + slack < place < high - slack and not upright:
+            whose = "its pole" if key == "height_m" and result.get("pole") else "[deployment]"
+            found.append(f"The best {name} lies on a bound of {whose}; beyond may be better.")
     if result.get("rungs"):
         tried = sum(rung["candidates"] for rung in result["rungs"])
         found.append(
@@ -543,9 +545,9 @@ def seeds_text(result: Mapping) -> str:
     for key in spread["searched"]:
         name, unit = COORDINATE_NAMES[key]
         found = [one["deployment"][key] for one in spread["seeds"] if one["deployment"][key] is not None]
-        if found and key == "lean_direction_deg":  # on the circle, told about the first
+        if found and key in _LEAN[1:]:  # on the circle, told about the first
             found = [found[0] + math.remainder(angle - found[0], 360.0) for angle in found]
-        if found:
+        if len(found) == len(spread["seeds"]):  # without a lean there is no direction
             places.append(f"{name} {min(found):.{_DIGITS[unit]}f} to {max(found):.{_DIGITS[unit]}f} {unit}")
     values = [one["objective_per_vehicle"] for one in spread["seeds"]]
     base, best = result["baseline"]["objective_per_vehicle"], max(values)
@@ -669,7 +671,7 @@ def optimum_text(result: Mapping) -> str:
             f"{name} between {low:.{_DIGITS[unit] - 1}f} and {high:.{_DIGITS[unit] - 1}f} {unit}"
             for name, unit, low, high in named
         ]
-        among = f", among the {spread['mountings']:,} mountings that were tried"
+        among = f", among the {spread['mountings']:,} mountings that were tried: wider where these lie far apart"
     *others, last = places
     listed = f"{', '.join(others)} and {last}" if others else last
     return f"other traffic of this kind would put the best {listed} (90 % of resampled blocks of time{among})"

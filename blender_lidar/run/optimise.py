@@ -19,7 +19,7 @@ from ..optimise.search import joined_history
 from ..plugins import short_name
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario, pose_at
-from ..scene.settings import with_lean
+from ..scene.settings import MOUNTING_OR_LEAN, Pole, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
@@ -83,11 +83,15 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
         for number, place in enumerate(sites):
             label = f"pole {deployment.poles[number].name}" if deployment.poles else ""
             every.append(_search_place(place, evaluator, replay, listener, label))
-        poles, best = None, 0
+        poles, best, others = None, 0, 0
         if deployment.poles:
             plans = [found.mountings["optimised"] for found in every]
             poles, best = rank_poles(site, evaluator, deployment.poles, plans)
-        return _conclude(sites[best], folder, evaluator, started, every[best], poles)
+        others = sum(
+            len(search.history) for found in every if found is not every[best] for search in found.searches[NOMINAL]
+        )
+        pole = deployment.poles[best] if deployment.poles else None
+        return _conclude(sites[best], folder, evaluator, started, every[best], poles, pole, others)
 
 
 class _Found(NamedTuple):
@@ -123,14 +127,15 @@ def _search_place(site: Site, evaluator: Evaluator, replay: Replay, listener: Li
     for search in seeds:
         replay.carry_out(search, objective, listener)
     best = max(seeds, key=lambda search: search.best_value)  # the first of equals
-    found = deployment.coordinates(best.best_x)
+    found = deployment.given(best.best_x)
     if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
         score_map = map_scores(evaluator, deployment, found, site.plan.search_block, listener.mapping)
-    polish = _polish(site, score_map, best)
+    polish = _polish(site, score_map, best, label)
     if polish is not None:
         replay.carry_out(polish, objective, listener)
     searches = {NOMINAL: [*seeds, *([] if polish is None else [polish])]}
-    answer = (best if polish is None else polish).best_x
+    polished = polish is not None and polish.best_value > best.best_value
+    answer = (polish if polished else best).best_x
     sharp = deployment.coordinates(answer)
     mountings = {"optimised": sharp, BASELINE_NAME: scenario.baseline}
     spread = None
@@ -144,7 +149,7 @@ def _search_place(site: Site, evaluator: Evaluator, replay: Replay, listener: Li
         mountings["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
         mountings[NOMINAL], searches[ROBUST] = sharp, [robust]
     on_map = None if score_map is None else (score_map, score_map.best_coordinates(found))
-    return _Found(mountings, searches, on_map, spread, polish is not None)
+    return _Found(mountings, searches, on_map, spread, polished)
 
 
 def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -> dict | None:
@@ -165,13 +170,16 @@ def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -
     return result
 
 
-def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float]) -> dict:
-    """Score one mounting, its six `coordinates` in metres and degrees; write and return the result."""
+def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float], pole: Pole | None = None) -> dict:
+    """Score one mounting, its six `coordinates` in metres and degrees; write and return the result.
+
+    `pole` is the candidate pole that it hangs on, if it was named.
+    """
     started = time.perf_counter()
     folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
         mountings = {"optimised": coordinates, BASELINE_NAME: site.scenario.baseline}
-        return _conclude(site, folder, evaluator, started, _Found(mountings, {}))
+        return _conclude(site, folder, evaluator, started, _Found(mountings, {}), pole=pole)
 
 
 def fresh_search(scenario: Scenario, evaluations: int | None = None) -> Search:
@@ -268,10 +276,13 @@ def _seeded(site: Site, seed: int, label: str) -> Search | MultiFidelitySearch:
     search = fresh_auto_search(site) if use.fidelity == AUTO else fresh_search(scenario)
     if use.seeds > 1 or label:
         search.label = ", ".join(filter(None, [label, f"seed {seed}" if use.seeds > 1 else ""]))
+        search.variables = tuple(
+            MOUNTING_OR_LEAN[key].option.removeprefix("--") for key in site.scenario.deployment.variables
+        )
     return search
 
 
-def _polish(site: Site, score_map: ScoreMap | None, search: Search | MultiFidelitySearch) -> Polish | None:
+def _polish(site: Site, score_map: ScoreMap | None, search: Search | MultiFidelitySearch, label: str) -> Polish | None:
     """The local search from a point of the map that beats what the hardened search has found; None without one."""
     if score_map is None or site.scenario.search.method != Hardened.name:
         return None
@@ -285,7 +296,10 @@ def _polish(site: Site, score_map: ScoreMap | None, search: Search | MultiFideli
     start = np.array([better.get(key, value) for key, value in x])
     box = np.array(deployment.lower), np.array(deployment.upper)
     budget = min(_POLISH * len(start), site.scenario.search.particles * site.scenario.search.iterations)
-    return Polish(*box, start=start, seed=site.scenario.search.seed, evaluations=budget, periodic=deployment.periodic)
+    seed = site.scenario.search.seed
+    polish = Polish(*box, start=start, seed=seed, evaluations=budget, periodic=deployment.periodic)
+    polish.label, polish.variables = ", ".join(filter(None, [label, polish.label])), search.variables
+    return polish
 
 
 def _spread(
@@ -320,10 +334,13 @@ def _conclude(
     started: float,
     found: _Found,
     poles: Sequence[Mapping] | None = None,
+    pole: Pole | None = None,
+    others: int = 0,
 ) -> dict:
     """Judge the mountings and write all that a run leaves, last of all its result, which is returned.
 
-    `poles` are all candidate places, ranked, of which `found` is the first.
+    `poles` are all candidate places, ranked, of which `found` is the first, on its `pole`; `others` is how many
+    evaluations were made on the others.
     """
     mountings, searches, on_map, spread, polished = found
     scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
@@ -372,11 +389,12 @@ def _conclude(
         "reading": scenario.objective.reading,
         "search": short_name(scenario.search.method) if searches else None,
         "seed": seed,
-        "evaluations": sum(evaluations.values()) or 1,
+        "evaluations": (sum(evaluations.values()) or 1) + others,
         "fidelity": scenario.search.fidelity if searches else "full",
         "rungs": rungs[0] if rungs else None,
         "map": None if on_map is None else {**map_verdict(on_map[0], verdict, planned, seed), "polished": polished},
         "spread": spread,
+        "pole": None if pole is None else {"name": pole.name, "foot_z_m": pole.foot_z_m},
         "poles": None if poles is None else list(poles),
         "bounds": {key: list(pair) for key, pair in scenario.deployment.bounds.items()} if searches else None,
         "frames": len(site.search),

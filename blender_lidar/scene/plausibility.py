@@ -243,7 +243,7 @@ def _headings(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
 
 
 _FEWEST_ON_ROAD = 0.02  # share; at an intersection, or with both directions in one recording, many drive elsewhere
-_FEW_ON_ROAD = 0.1  # are no cause to stop, but told
+_FEW_ON_ROAD = 0.4  # are no cause to stop, but told
 
 
 def _on_road(y: np.ndarray, scenario: Scenario) -> float:

@@ -63,9 +63,9 @@ def _pole(where: str, values: Mapping[str, float | None], texts: Mapping[str, st
     if existing not in _EXISTS:
         raise InputError(f"{where}: existing is {shown(existing)}; allowed: yes, no or nothing")
     low, high = values.get("height_min_m"), values.get("height_max_m")
-    if low is not None and high is not None and not low < high:
+    if low is not None and high is not None and low > high:
         raise InputError(
-            f"{where}: height_min_m is {low:g}, height_max_m {high:g}; allowed: the first below the second"
+            f"{where}: height_min_m is {low:g}, height_max_m {high:g}; allowed: the first at most the second"
         )
     values = {key: value for key, value in values.items() if value is not None}
     return Pole(texts["name"], existing=_EXISTS[existing], **values)

@@ -92,10 +92,9 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     deployment, sensor = _deployment(tables["deployment"]), _sensor(tables["sensor"])
     region = _region(tables["region"], sensor, _tables(path, {}), overrides or {})
     road = tables["road"].read_as(RoadFrame)
-    first = (deployment.at(pole) for pole in deployment.poles[:1])
-    nominal = dict(zip(("x_m", "y_m"), next(first, deployment).nominal_xy, strict=True))
-    if "x_m" in deployment.bounds:  # so that the baseline, too, is the same whatever is searched
-        nominal["x_m"] = region_of(region, road.carriageway_y).centre_xy[0]
+    nominal = {key: deployment.fixed[key] for key in ("x_m", "y_m") if key in deployment.fixed and not deployment.poles}
+    # Where the place is searched the baseline stays where no bound, pole or order of poles moves it.
+    nominal = {"x_m": region_of(region, road.carriageway_y).centre_xy[0], "y_m": 0.0} | nominal
     baseline = tables["baseline"].read(MOUNTING_OR_LEAN)
     baseline = {key: value for key, value in baseline.items() if key in tables["baseline"].values}
     usual = {key: nominal.get(key, one.default) for key, one in MOUNTING.items()}
@@ -161,6 +160,10 @@ def _deployment(table: TomlTable) -> Deployment:
         raise InputError(f"{table.name}: has poles and {places[0]}; allowed: a table of places, or one place")
     deployment = replace(deployment, poles=read_poles(poles), poles_file=poles)
     for pole in deployment.poles:
+        if "height_m" in deployment.fixed and (pole.height_min_m is None) != (pole.height_max_m is None):
+            raise InputError(
+                f"{poles}: pole {pole.name!r}: has one end of its heights, and {table.where('height_m')} none"
+            )
         (low, high), limits = _heights(deployment.at(pole)), COORDINATE_LIMITS["height_m"]
         if not limits[0] <= low <= high <= limits[1]:
             raise InputError(
@@ -317,7 +320,8 @@ def _search(table: TomlTable, deployment: Deployment, *, several: bool) -> Searc
             f"{table.where('seeds')}: is {search.seeds}; allowed: 1 with a tolerance, with fidelity = "
             '"auto", and with a grid, which draws nothing'
         )
-    usual = _SEEDS if several and len(deployment.bounds) > _FEW_COORDINATES else 1
+    most = max(len(place.bounds) for place in deployment.places)
+    usual = _SEEDS if several and most > _FEW_COORDINATES else 1
     search = replace(search, seeds=search.seeds or usual)
     if search.method not in SEARCHES:
         search_named(search.method, table.where("method"))
@@ -330,11 +334,11 @@ def _search(table: TomlTable, deployment: Deployment, *, several: bool) -> Searc
             f"{table.where(given[0])}: a setting of {DePso.name} alone, but the method is {search.method}; "
             f'allowed: method = "{DePso.name}", or leave it out'
         )
-    corners = 2 ** len(deployment.bounds)
+    corners = 2**most
     if search.method == GridSearch.name and search.particles * search.iterations < corners:
         raise InputError(
             f"{table.where('particles')}: {search.particles} x {search.iterations} iterations are too few "
-            f"evaluations for a grid over {len(deployment.bounds)} coordinates; allowed: {corners} or more"
+            f"evaluations for a grid over {most} coordinates; allowed: {corners} or more"
         )
     return search
 

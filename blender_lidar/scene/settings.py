@@ -306,13 +306,14 @@ class Deployment:
         own = pole.height_min_m, pole.height_max_m
         low, high = (usual if end is None else pole.foot_z_m + end for usual, end in zip(height, own, strict=True))
         fixed = {**self.fixed, "x_m": pole.x_m, "y_m": pole.y_m, "height_m": low}
-        if low == high:
-            return Deployment(fixed, self.bounds)
         bounds = {**self.bounds, "height_m": (low, high)}
-        return Deployment(
-            {key: value for key, value in fixed.items() if key != "height_m"},
-            {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds},
-        )
+        (bounds if low == high else fixed).pop("height_m")
+        return Deployment(fixed, {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds})
+
+    @property
+    def places(self) -> tuple[Deployment, ...]:
+        """What is searched, place by place: on each pole, or itself."""
+        return tuple(map(self.at, self.poles)) or (self,)
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -348,7 +349,11 @@ class Deployment:
 
     def coordinates(self, x) -> dict[str, float]:
         """All six coordinates (metres, degrees) at the point `x` (d,) of the search space."""
-        return six_coordinates({**self.fixed, **dict(zip(self.variables, map(float, x), strict=True))})
+        return six_coordinates(self.given(x))
+
+    def given(self, x) -> dict[str, float]:
+        """The same by the coordinates that are fixed or searched: a lean of 0 keeps its direction."""
+        return {**self.fixed, **dict(zip(self.variables, map(float, x), strict=True))}
 
     def pose(self, x) -> Pose:
         """The mounting at the point `x` (d,) of the search space."""
@@ -701,7 +706,12 @@ def with_lean(coordinates: Mapping[str, float]) -> dict[str, float | None]:
 
 
 def leaning(coordinates: Mapping[str, float], **changes: float) -> dict[str, float]:
-    """The six coordinates of a mounting with some of `MOUNTING_OR_LEAN` changed; a lean keeps direction and spin."""
+    """The six coordinates of a mounting with some of `MOUNTING_OR_LEAN` changed; a lean keeps direction and spin.
+
+    `coordinates` are the six, or those that `Deployment.given` has.
+    """
+    if "lean_deg" in coordinates:
+        return six_coordinates({**coordinates, **changes})
     if not changes.keys() & set(LEANS):
         return {**coordinates, **changes}
     kept = {key: value for key, value in with_lean(coordinates).items() if key in LEANS and value is not None}
