@@ -175,6 +175,8 @@ class RunFolder:
             metric_named(result["metric"], f"{where}: metric")
             if result["reading"] not in READINGS:
                 raise InputError(f"{where}: reading: is {result['reading']!r}; allowed: {', '.join(READINGS)}")
+            if any(not float(low) < float(high) for low, high in (result.get("bounds") or {}).values()):
+                raise InputError(f"{where}: bounds: are upside down")
             for mount in (result["deployment"], result["baseline"]["deployment"]):
                 leans = (mount[key] for key in LEANS if mount.get(key) is not None)  # not in earlier versions' results
                 if not all(np.isfinite(float(number)) for number in (*(mount[key] for key in COORDINATES), *leans)):
