@@ -60,7 +60,7 @@ def sides(result: Mapping) -> list[tuple[str, Mapping[str, float]]]:
 
 def leans(result: Mapping) -> bool:
     """Whether a run speaks of a lean and its direction, as its scene does, and not of tilts and yaw."""
-    return result["identity"].get("[deployment] lean_deg") is not None
+    return result.get("identity", {}).get("[deployment] lean_deg") is not None
 
 
 def mounting_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
