@@ -133,16 +133,21 @@ def test_ngsim_with_metres_where_it_has_feet_stops(metres, told, tmp_path):
             read_recording(scene)
 
 
+EXACT = {("model", "caster"): ("exact", "x")}  # which is there without any extra
+
+
 def test_a_right_edge_in_feet_stops_and_names_the_metres(tmp_path):
     with pytest.raises(InputError, match=r"right_edge_m = 72 is in feet: 21.95 m.*--accept carriageway"):
-        prepare(load_scenario("i80", {("road", "right_edge_m"): (72.0, "x"), ("sensor", "name"): ("RS-80", "x")}))
+        prepare(
+            load_scenario("i80", {**EXACT, ("road", "right_edge_m"): (72.0, "x"), ("sensor", "name"): ("RS-80", "x")})
+        )
 
 
 def test_a_region_where_nobody_drives_says_where_vehicles_are(tmp_path):
     with pytest.raises(InputError, match="right_edge_m = 72 is in feet"):
-        prepare(load_scenario("i80", {("road", "right_edge_m"): (72.0, "x")}))
+        prepare(load_scenario("i80", {**EXACT, ("road", "right_edge_m"): (72.0, "x")}))
     with pytest.raises(InputError) as caught:
-        prepare(load_scenario("i80", {("road", "station_m"): (1650.0, "x")}))
+        prepare(load_scenario("i80", {**EXACT, ("road", "station_m"): (1650.0, "x")}))
     text = str(caught.value)
     assert "in the road frame vehicles drive at x -1630 to -1174 m, y 3 to 22 m" in text
     assert "check [road] station_m (such as 226)" in text

@@ -91,6 +91,7 @@ def test_a_scene_that_cannot_have_poles_is_told_why(tmp_path, capsys, changes, f
 
 @pytest.mark.parametrize("verb", ["stability", "chart"])
 def test_a_study_is_about_one_place(tmp_path, capsys, verb):
+    pytest.importorskip("scipy")
     scene = scene_with(tmp_path, changes={**CHANGES, "deployment": {"poles": "poles.csv", "tilt_x_deg": [0.0, 20.0]}})
     assert "[deployment] poles: are for optimise" in refused(capsys, tmp_path, verb, scene, "--out", "run")
 
