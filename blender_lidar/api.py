@@ -40,7 +40,7 @@ from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.verdict import POINTS, vehicle_table
 from .scene.provenance import check_same_inputs
 from .scene.scenario import load_scenario, pose_at
-from .scene.settings import DECLARED, MOUNTING, MOUNTING_OR_LEAN, six_coordinates
+from .scene.settings import DECLARED, LEANS, MOUNTING, MOUNTING_OR_LEAN, six_coordinates
 from .scene.site import Site, check_mount_is_clear, frame_of, prepare, reach_of
 from .scoring.evaluation import Evaluator, site_evaluator
 from .toml_table import checked, settings_of
@@ -298,7 +298,9 @@ def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -
     for name in given:
         if name not in MOUNTING_OR_LEAN:
             raise unknown_name(name, MOUNTING_OR_LEAN, "coordinate", where)
-    numbers = {key: checked(_plain(one), MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, one in given.items()}
+    told = {key: _plain(one) for key, one in given.items()}
+    told = {key: one for key, one in told.items() if one is not None or key not in LEANS}  # no lean has no direction
+    numbers = {key: checked(one, MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, one in told.items()}
     return six_coordinates(numbers, site.scenario.baseline, where)
 
 

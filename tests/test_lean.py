@@ -10,6 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+import blender_lidar as bl
 from blender_lidar.errors import InputError
 from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.settings import leaning, six_coordinates, with_lean
@@ -202,3 +203,12 @@ def test_a_spin_within_its_bounds_is_on_none_of_them(tmp_path, capsys):
     found = json.loads((tmp_path / "run" / "result.json").read_text())["deployment"]["spin_deg"]
     assert 192.0 < found % 360.0 < 348.0
     assert "lies on a bound" not in out
+
+
+@pytest.mark.parametrize("tilts", [(0.0, 0.0, 0.0), (20.0, -4.0, 30.0)])
+def test_both_forms_of_one_orientation_as_a_result_has_them_are_one(tmp_path, tilts):
+    site = bl.load_scene(write_scene(tmp_path), workers=1)
+    mount = {**PLACE, **dict(zip(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), tilts, strict=True))}
+    assert bl.score_mounting(site, **with_lean(mount)).mounting == mount
+    with pytest.raises(InputError, match="its lean is not that of its tilts and yaw"):
+        bl.score_mounting(site, **{**with_lean(mount), "lean_deg": 7.0})

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 DATASHEET = "datasheet"  # in place of a number: the model's own
 GATE = "gate"  # in place of a radius: the sensor's range gate
 _NO_LEAN_DEG = 1e-6
+_SAME_ROTATION = 1e-6
 _LARGEST_ORIGIN_M = 1e9  # of a place in a net; sums and squares stay finite
 _FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
 _REACH = {"low": -_FARTHEST_M, "high": _FARTHEST_M}
@@ -670,7 +671,8 @@ def six_coordinates(
     Parameters
     ----------
     given : mapping of str to float
-        Some of `MOUNTING_OR_LEAN`; lean direction and spin are 0 where they are left out.
+        Some of `MOUNTING_OR_LEAN`; lean direction and spin are 0 where they are left out. Both forms of one
+        orientation, as result.json has them, are one.
     others : mapping of str to float, optional
         The six coordinates in place of those that are left out.
     where : str
@@ -681,6 +683,11 @@ def six_coordinates(
     InputError
         When it has tilts or yaw and a lean, or a direction or spin without a lean.
     """
+    if "lean_deg" in given and all(key in given for key in ANGLES):
+        by_lean = six_coordinates({key: value for key, value in given.items() if key not in ANGLES}, others, where)
+        given = {key: value for key, value in given.items() if key in MOUNTING}
+        if abs(pose_at(by_lean).rotation - pose_at({**by_lean, **given}).rotation).max() > _SAME_ROTATION:
+            raise InputError(f"{where}: its lean is not that of its tilts and yaw; allowed: one of both")
     leans = has_lean(given, where)
     six = {key: given[key] if key in given else (others or {})[key] for key in COORDINATES if key in given or others}
     if not leans:
