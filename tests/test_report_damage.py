@@ -87,7 +87,7 @@ def test_whatever_stands_in_a_result_gives_a_page_or_one_line_that_names_the_fil
                 assert "result.json: " in told
                 refused.add(keys)
     assert {("sensor",), ("deployment", "height_m"), ("holdout", "interval_90"), ("map", "points")} <= refused
-    assert len(refused) > 0.8 * len(places)
+    assert len(refused) > 0.75 * len(places)  # the page shows most of a result, and programs the rest
 
 
 @pytest.mark.parametrize(
