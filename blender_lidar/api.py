@@ -39,7 +39,7 @@ from .run.folder import RunFolder
 from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.verdict import POINTS, vehicle_table
 from .scene.provenance import check_same_inputs
-from .scene.scenario import load_scenario, pose_at
+from .scene.scenario import load_scenario, pose_at, scenario_of
 from .scene.settings import DECLARED, LEANS, MOUNTING, MOUNTING_OR_LEAN, six_coordinates
 from .scene.site import Site, check_mount_is_clear, frame_of, prepare, reach_of
 from .scoring.evaluation import Evaluator, site_evaluator
@@ -52,13 +52,14 @@ Progress = Callable[[int, int, str], None]
 _SCORES = ("objective", "objective_per_vehicle", "detectable_share")  # what score_mountings adds to a mounting
 
 
-def load_scene(path: str | Path, **settings: object) -> Site:
+def load_scene(path: str | Path | Mapping[str, Mapping], **settings: object) -> Site:
     """A scene file made ready: traffic read, frames chosen and held out, beams made.
 
     Parameters
     ----------
-    path : path
-        The TOML file, or the name of a scene that ships with the package: ``"i80"``.
+    path : path or mapping
+        The TOML file, or the name of a scene that ships with the package: ``"i80"``; or its tables themselves,
+        ``{"traffic": {"path": "i80.csv"}, "sensor": {"name": "RS-80"}}``.
     **settings
         In place of the file's. Called as the command line's options, with an underscore for each hyphen:
         ``sensor="RS-80", frames=10, frame_ids=range(100, 160, 5), tolerance={"tilt_deg": 1.0}``, or as a table of the
@@ -73,14 +74,20 @@ def load_scene(path: str | Path, **settings: object) -> Site:
     known, overrides = scene_settings(), {}
     for name, value in settings.items():
         if name in DECLARED and isinstance(value, Mapping):
-            overrides |= {(name, key): (_plain(one), f"load_scene: {name}: {key}") for key, one in value.items()}
+            overrides |= {(name, key): (_plain(one), _in_tables(name, key)) for key, one in value.items()}
         elif name not in known:
             raise unknown_name(name, [*known, *DECLARED], "setting", "load_scene")
         elif value is not None:
             (table, key), where = known[name], f"load_scene: {name}"
             value = in_words(name, _plain(value), where)
             overrides[table, key] = (_absolute(value) if DECLARED[table][key].is_path else value, where)
+    if isinstance(path, Mapping):
+        return prepare(scenario_of(_plain(path), where=_in_tables, source="load_scene", overrides=overrides))
     return prepare(load_scenario(_absolute(path), overrides))
+
+
+def _in_tables(table: str, key: str) -> str:
+    return f"load_scene: {table}: {key}".removesuffix(": ")
 
 
 def _plain(value: object) -> object:
@@ -176,7 +183,7 @@ def best_mounting(
         With candidate poles, whose searches speak of one place each, it raises KeyboardInterrupt.
     """
     if not all(place.bounds for place in site.scenario.deployment.places):
-        raise InputError(f"{site.scenario.source}: [deployment] fixes every coordinate; give one a pair [low, high]")
+        raise InputError(f"{site.scenario.where('deployment', '')} fixes every coordinate; give one a pair [low, high]")
     if resume and out is None:
         raise InputError("best_mounting: resume needs out, the folder of the run that was stopped")
     if not (isinstance(progress, bool) or callable(progress)):
@@ -320,7 +327,7 @@ def _reaching(site: Site, mounts: Sequence[Mapping[str, float]]) -> Site:
 
 def _frames(site: Site, held_out: bool):
     if held_out and not site.holdout:
-        raise InputError(f"{site.scenario.source}: [traffic] holdout: nothing is held out")
+        raise InputError(f"{site.scenario.where('traffic', 'holdout')}: nothing is held out")
     return site.holdout if held_out else site.search
 
 

@@ -245,6 +245,8 @@ class TomlTable:
         For keys that did not come from the file: where they came from, e.g. ``{"name": "--sensor"}``.
     folder : path, optional
         Where paths in the file start from.
+    called : callable, optional
+        What an error calls a key's value that has no other origin, as a panel's field; `name` and the key unless said.
 
     Raises
     ------
@@ -253,15 +255,21 @@ class TomlTable:
     """
 
     def __init__(
-        self, values: object, name: str, origins: Mapping[str, str] | None = None, folder: Path = Path()
+        self,
+        values: object,
+        name: str,
+        origins: Mapping[str, str] | None = None,
+        folder: Path = Path(),
+        called: Callable[[str], str] | None = None,
     ) -> None:
         if not isinstance(values, Mapping):
             raise _refused(name, values, "a table")
         self.values, self.name, self.origins, self.folder = values, name, origins or {}, folder
+        self.called = called
 
     def where(self, key: str) -> str:
         """Where the value of `key` came from, as an error names it."""
-        return self.origins.get(key, f"{self.name} {key}")
+        return self.origins.get(key) or (self.called(key) if self.called else f"{self.name} {key}")
 
     def path(self, key: str, value: str) -> str:
         """A path that is the value of `key`, from the folder on where it starts."""
@@ -269,7 +277,9 @@ class TomlTable:
 
     def table(self, key: str) -> TomlTable:
         """A table within this one; empty where the key is missing."""
-        name = f"{self.name[:-1]}.{key}]" if self.name.endswith("]") else f"{self.name}: [{key}]"
+        name = self.called(key) if self.called else f"{self.name}: [{key}]"
+        if self.name.endswith("]"):
+            name = f"{self.name[:-1]}.{key}]"
         return TomlTable(self.values.get(key, {}), self.origins.get(key, name), folder=self.folder)
 
     def read(self, declared: Mapping[str, Setting]) -> dict[str, Any]:
@@ -298,7 +308,7 @@ class TomlTable:
             return {name: number for name, number in found.items() if number is not None}
         if value is None:  # which an option may say
             if declared.default is ...:
-                raise InputError(f"{self.name} {key}: is missing")
+                raise InputError(f"{self.where(key)}: is missing")
             return declared.default
         if dataclasses.is_dataclass(kind):
             return self.table(key).read_as(kind)

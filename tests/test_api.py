@@ -16,6 +16,7 @@ import blender_lidar as bl
 from blender_lidar.errors import InputError
 from blender_lidar.report.summary import answer
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import COORDINATES
 from tests.small_scene import CASTER, done, write_scene
 
@@ -179,6 +180,18 @@ def test_settings_may_be_tables_of_the_scene_file_and_values_of_numpy(tmp_path):
     assert not site.holdout
     assert site.scenario.search.seed == 7
     assert [frame.vehicles.frame for frame in site.search] == [10, 20, 30]
+
+
+def test_a_scene_may_be_given_as_its_tables(tmp_path):
+    scene = write_scene(tmp_path, MAPPED)
+    tables = load_scenario(scene).as_tables()
+    tables["deployment"]["height_m"] = np.array([2.0, 3.0])
+    site = bl.load_scene(tables, workers=1)
+    assert site.identity == bl.load_scene(scene, deployment={"height_m": [2.0, 3.0]}, workers=1).identity
+    with pytest.raises(InputError, match=r"^load_scene: deployment: height_m: is \[3, 2\]; allowed: the lower"):
+        bl.load_scene(tables | {"deployment": {"height_m": (3, 2)}})
+    with pytest.raises(InputError, match=r"^load_scene: traffic: path: is missing"):
+        bl.load_scene({})
 
 
 def test_what_is_read_again_is_found_from_another_folder_and_refused_where_it_has_changed(tmp_path, monkeypatch):

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from blender_lidar.scene.scenario import COORDINATES, load_scenario
+from blender_lidar.errors import InputError
+from blender_lidar.scene.scenario import COORDINATES, load_scenario, scenario_of
 from blender_lidar.scene.settings import Tolerance
 from blender_lidar.sensors.model import load_model
 from blender_lidar.toml_table import to_toml
@@ -397,6 +398,48 @@ def test_a_scenario_written_as_a_scene_file_is_read_as_the_same_scenario(tmp_pat
     assert again == dataclasses.replace(first, source=again.source)
     assert to_toml(again.as_tables()) == written
     assert ("inertia" in written) == (first.search.method == "de-pso")
+
+
+@pytest.mark.parametrize("changes", ROUND_TRIPS.values(), ids=ROUND_TRIPS)
+def test_settings_given_as_values_are_those_of_the_file(tmp_path, changes):
+    of_file = load_scenario(write_scene(tmp_path, changes))
+    assert scenario_of(of_file.as_tables(), source=of_file.source) == of_file
+
+
+def field(table, key):
+    """What a panel calls its fields."""
+    return f"panel: {key or 'part'} of {table}"
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"sensor": {"rotation_hz": 7}}, "panel: rotation_hz of sensor: RS-16 does not turn at 7"),
+        ({"sensor": {"range_gate_m": -1.0}}, "panel: range_gate_m of sensor: is -1.0; allowed: more than 0"),
+        ({"sensor": {"RS-16": {"dropout": 2}}}, "panel: RS-16 of sensor dropout: is 2; allowed: "),
+        ({"deployment": {"height_m": [3, 2]}}, "panel: height_m of deployment: is .3, 2.; allowed: the lower bound"),
+        ({"objective": {"tolerance": {"yaw_deg": 90}}}, "panel: tolerance of objective yaw_deg: is 90; allowed: "),
+        ({"objective": {"metric": "speed"}}, "panel: metric of objective: unknown objective .speed.; allowed: pe-vgop"),
+        ({"search": {"particle": 3}}, "panel: part of search: unknown key 'particle'; did you mean 'particles'"),
+        ({"traffic": {"path": None}}, "panel: path of traffic: is missing"),
+        ({"traffics": {}}, "window: unknown table 'traffics'; did you mean 'traffic'"),
+        ({"sensor": 3}, "panel: part of sensor: is 3; allowed: a table"),
+    ],
+)
+def test_what_is_wrong_with_a_value_names_the_panels_field(given, told):
+    given = {"traffic": {"path": "traffic.csv"}, **given}
+    with pytest.raises(InputError, match=told):
+        scenario_of(given, where=field, source="window")
+
+
+def test_values_may_be_left_out_as_none(tmp_path):
+    path = {"path": str(tmp_path / "traffic.csv")}
+    some = {
+        "deployment": {"height_m": None, "yaw_deg": None},
+        "baseline": {"height_m": None},
+        "search": {"seeds": None},
+    }
+    assert scenario_of({"traffic": path, **some}) == scenario_of({"traffic": {"spacing_s": None, **path}})
 
 
 # --- a cluster --------------------------------------------------------------------------------------------------------

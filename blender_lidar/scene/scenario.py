@@ -7,8 +7,9 @@ before they are checked, so both pass the same checks.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ..errors import InputError, MissingFileError, unknown_name
@@ -48,7 +49,7 @@ from .settings import (
     six_coordinates,
 )
 
-__all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_scenario", "pose_at"]
+__all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_scenario", "pose_at", "scenario_of"]
 
 _FEW_COORDINATES, _SEEDS = 2, 3  # with more of them so many searches: one alone may end anywhere
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
@@ -86,11 +87,53 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     is_file = os.path.isfile(path)  # noqa: PTH113 - of any length
     path = Path(path) if is_file else shipped.get(str(path), Path(path))
     try:
-        tables = _tables(path, overrides or {})
+        values = read_toml(path)
     except MissingFileError as error:
         raise MissingFileError(f"{error}; scenes that ship with the package: {', '.join(shipped)}") from error
+    where = partial(_in_file, str(path))
+    return scenario_of(values, where=where, source=str(path), folder=path.parent, overrides=overrides)
+
+
+def _in_file(path: str, table: str, key: str) -> str:
+    return f"{path}: [{table}] {key}".rstrip()
+
+
+def scenario_of(
+    tables: Mapping[str, Mapping[str, object]],
+    *,
+    where: Callable[[str, str], str] | None = None,
+    source: str = "settings",
+    folder: Path = Path(),
+    overrides: Overrides | None = None,
+) -> Scenario:
+    """Settings from values, as a scene file holds them: tables of numbers, texts, lists and tables of those.
+
+    Parameters
+    ----------
+    tables : mapping of str to mappings
+        The values by table and key, ``{"sensor": {"name": "RS-80"}}``; None leaves one out.
+    where : callable, optional
+        What errors call the value of a table's key, such as a panel's field; and the table itself, for an empty key.
+    source : str
+        What the settings are called as a whole: the scene file.
+    folder : path
+        Where relative paths among them start from.
+    overrides : mapping of (table, key) to (value, origin), optional
+        As for `load_scenario`.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        Naming what `where` says.
+    """
+    for name in tables:
+        if name not in DECLARED:
+            raise unknown_name(name, DECLARED, "table", source)
+    where, overrides = where or partial(_in_file, source), overrides or {}
+    of_file = _tables(tables, {}, where, folder)
+    tables = _tables(tables, overrides, where, folder)
     deployment, sensor = _deployment(tables["deployment"]), _sensor(tables["sensor"])
-    region = _region(tables["region"], sensor, _tables(path, {}), overrides or {})
+    region = _region(tables["region"], sensor, of_file, overrides)
     road = tables["road"].read_as(RoadFrame)
     nominal = {key: deployment.fixed[key] for key in ("x_m", "y_m") if key in deployment.fixed and not deployment.poles}
     # Where the place is searched the baseline stays where no bound, pole or order of poles moves it.
@@ -109,7 +152,8 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
             f'{tables["objective"].where("tolerance")} is given; allowed: fidelity = "full", or no tolerance'
         )
     return Scenario(
-        source=str(path),
+        source=source,
+        where=where,
         traffic=_traffic(tables["traffic"]),
         road=road,
         world=_world(tables["world"]),
@@ -123,23 +167,21 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
     )
 
 
-def _tables(path: Path, overrides: Overrides) -> dict[str, TomlTable]:
-    """The tables of a scene file, options in place of the settings that they replace or put out of force."""
-    values = read_toml(path)
-    for name in values:
-        if name not in DECLARED:
-            raise unknown_name(name, DECLARED, "table", str(path))
+def _tables(
+    values: Mapping[str, object], overrides: Overrides, where: Callable[[str, str], str], folder: Path
+) -> dict[str, TomlTable]:
+    """The tables of a scene, options in place of the settings that they replace or put out of force."""
     tables = {}
     for name, declared in DECLARED.items():
         given = {key: option for (table, key), option in overrides.items() if table == name}
         rivals = {rival for key in given if key in declared for rival in declared[key].rivals}
         if name == "search" and given.get("method", (DePso.name,))[0] != DePso.name:
             rivals.update(_DE_PSO_ALONE)  # the file's settings of a search that the option replaces
-        of_file = TomlTable(values.get(name, {}), f"{path}: [{name}]").values
-        content = {key: value for key, value in of_file.items() if key not in rivals}
+        of_file = TomlTable(values.get(name, {}), where(name, "")).values
+        content = {key: value for key, value in of_file.items() if key not in rivals and value is not None}
         content |= {key: value for key, (value, _) in given.items()}
         origins = {key: option for key, (_, option) in given.items()}
-        tables[name] = TomlTable(content, f"{path}: [{name}]", origins, path.parent)
+        tables[name] = TomlTable(content, where(name, ""), origins, folder, partial(where, name))
     return tables
 
 
@@ -257,14 +299,14 @@ def _sensor(table: TomlTable) -> SensorSettings:
     declared = DECLARED["sensor"]
     of_models = {key: table.table(key) for key, value in table.values.items() if isinstance(value, Mapping)}
     general = {key: value for key, value in table.values.items() if key not in of_models}
-    table = TomlTable(general, table.name, table.origins, table.folder)
+    table = TomlTable(general, table.name, table.origins, table.folder, table.called)
     name, model = _model_named(table, "name", table.read(declared)["name"])
     for key, own in of_models.items():
         own.read({key: one for key, one in declared.items() if key not in _OF_ANY_MODEL})
         if _model_named(table, key, key)[1].name == model.name:
             kept = {key: value for key, value in own.values.items() if key not in table.origins}
             origins = {key: own.where(key) for key in kept} | table.origins
-            table = TomlTable({**general, **kept}, table.name, origins, table.folder)
+            table = TomlTable({**general, **kept}, table.name, origins, table.folder, table.called)
     found = table.read(declared)
     for key in ("range_noise_m", "range_at_10_percent_m"):
         if found[key] == DATASHEET:

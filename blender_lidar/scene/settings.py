@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_type_hints
 
@@ -601,7 +601,7 @@ class ModelSettings:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A whole scene, checked."""
+    """A whole scene, checked; `source` is what it came from and `where` what errors call a table's key in it."""
 
     source: str
     traffic: TrafficSettings
@@ -614,6 +614,7 @@ class Scenario:
     objective: ObjectiveSettings
     search: SearchSettings
     model: ModelSettings
+    where: Callable[[str, str], str] = field(repr=False, compare=False)
 
     @property
     def baseline_pose(self) -> Pose:
@@ -631,7 +632,7 @@ class Scenario:
     def as_tables(self) -> dict[str, dict]:
         """The scene as used, in the layout of a scene file: reading it again gives this scene."""
         tables = asdict(self)
-        del tables["source"]
+        del tables["source"], tables["where"]
         tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
         if self.deployment.poles:
             for key in ("x_m", "y_m"):

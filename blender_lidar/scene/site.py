@@ -98,13 +98,13 @@ def check_mount_is_clear(
     if mounts is None:
         searched = {**scenario.deployment.fixed, **scenario.deployment.bounds}
         of_scene = {"deployment": searched, "baseline": scenario.baseline}
-        mounts = {f"{scenario.source}: [{table}] x_m, y_m": mount for table, mount in of_scene.items()}
+        mounts = {scenario.where(table, "x_m, y_m"): mount for table, mount in of_scene.items()}
         if poles := scenario.deployment.poles:
             at = ((pole.name, scenario.deployment.at(pole)) for pole in poles)
             mounts = {
                 f"{scenario.deployment.poles_file}: pole {name!r}": {**one.fixed, **one.bounds} for name, one in at
             }
-            mounts[f"{scenario.source}: [baseline] x_m, y_m"] = scenario.baseline
+            mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
     right, left = scenario.road.carriageway_y
     solids = [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]
     frames = list(frames)
@@ -257,7 +257,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     )
     if not any(frame.counted.any() for frame in searched):
         raise nobody_there(recording, region, len(plan.search), scenario)
-    check_weights(objective, searched, f"{scenario.source}: [objective]")
+    check_weights(objective, searched, scenario.where("objective", ""))
     observation = Observation(
         lattice=lattice,
         max_range_m=sensor.range_gate_m,
