@@ -23,16 +23,39 @@ def block_sums(values: np.ndarray, block: np.ndarray) -> np.ndarray:
     return sums
 
 
-def resampled_weights(blocks: int, rng: np.random.Generator, resamples: int = RESAMPLES) -> np.ndarray:
+def of_blocks(values: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """What all frames of a block share, such as their recording, from values of each frame: (f,) becoming (b,)."""
+    return values[np.unique(block, return_index=True)[1]]
+
+
+def resampled_weights(
+    blocks: int, rng: np.random.Generator, resamples: int = RESAMPLES, stratum: np.ndarray | None = None
+) -> np.ndarray:
     """How often each block is drawn in each resample, (resamples, blocks).
 
     One block fewer is drawn than there are: with few blocks the plain bootstrap is too narrow by the factor sqrt((b -
-    1) / b), and this rescaling (Rao and Wu 1988) mends it.
+    1) / b), and this rescaling (Rao and Wu 1988) mends it. With several strata, `stratum` (blocks,), blocks are drawn
+    within each, and then count for as many as the stratum has.
     """
+    if stratum is not None and (stratum != stratum[0]).any():
+        weights = np.zeros((resamples, blocks))
+        for own in (stratum == label for label in np.unique(stratum)):
+            count = int(own.sum())
+            weights[:, own] = resampled_weights(count, rng, resamples) * (count / (count - 1))
+        return weights
     drawn = rng.integers(blocks, size=(resamples, blocks - 1))
     weights = np.zeros((resamples, blocks))
     np.add.at(weights, (np.arange(resamples)[:, None], drawn), 1.0)
     return weights
+
+
+def degrees_of_freedom(stratum: np.ndarray) -> int:
+    """Degrees of freedom of a mean over blocks, one lost for each stratum; `stratum` (b,) is that of each block.
+
+    0 where no interval is to be had: with fewer than `FEWEST_BLOCKS` blocks, or a stratum that has one alone.
+    """
+    counts = np.unique(stratum, return_counts=True)[1]
+    return 0 if len(stratum) < FEWEST_BLOCKS or counts.min() < 2 else int((counts - 1).sum())
 
 
 def interval_90(values: np.ndarray) -> tuple[float, float]:
@@ -52,26 +75,33 @@ def ratio_interval_90(numerator: np.ndarray, denominator: np.ndarray, seed: int)
 
 
 def statistic_interval_90(
-    statistic: Callable[[np.ndarray], np.ndarray], vehicles: np.ndarray, seed: int
+    statistic: Callable[[np.ndarray], np.ndarray],
+    vehicles: np.ndarray,
+    seed: int,
+    stratum: np.ndarray | None = None,
 ) -> tuple[float, float] | None:
     """90 % interval of a statistic of blocks, of which each has so many vehicles, (b,).
 
-    Student's t with b - 1 degrees of freedom times the resampled standard deviation: with few blocks, percentiles of
-    resamples cover too little (80 % instead of 90 % with five). `statistic` takes how often each block counts, (r, b),
-    and gives its value for each of the r. None for fewer than `FEWEST_BLOCKS` blocks with vehicles.
+    Student's t times the resampled standard deviation: with few blocks, percentiles of resamples cover too little (80 %
+    instead of 90 % with five). `statistic` takes how often each block counts, (r, b), and gives its value for each of
+    the r. `stratum` (b,) is the recording of each block, where there are several. None where `degrees_of_freedom` finds
+    too few blocks with vehicles.
     """
     filled = vehicles > 0
-    blocks = int(filled.sum())
-    if blocks < FEWEST_BLOCKS:
+    strata = np.zeros(int(filled.sum())) if stratum is None else stratum[filled]
+    degrees = degrees_of_freedom(strata)
+    if not degrees:
         return None
     weights = np.zeros((RESAMPLES, len(filled)))
-    weights[:, filled] = resampled_weights(blocks, np.random.default_rng(seed))
-    reach = student_t_95(blocks - 1) * float(np.std(statistic(weights)))
+    weights[:, filled] = resampled_weights(len(strata), np.random.default_rng(seed), stratum=strata)
+    reach = student_t_95(degrees) * float(np.std(statistic(weights)))
     middle = float(statistic(np.ones((1, len(filled))))[0])
     return middle - reach, middle + reach
 
 
-def many_to_one_reach_90(objective: np.ndarray, weight: np.ndarray, seed: int) -> np.ndarray | None:
+def many_to_one_reach_90(
+    objective: np.ndarray, weight: np.ndarray, seed: int, stratum: np.ndarray | None = None
+) -> np.ndarray | None:
     """Simultaneous 90 % intervals of differences to the first of several means, by the bootstrap of the largest t.
 
     Half their widths: with 90 % probability all hold together (many-to-one comparisons as Dunnett's, with the
@@ -86,24 +116,27 @@ def many_to_one_reach_90(objective: np.ndarray, weight: np.ndarray, seed: int) -
         Vehicles of each block, or the sum of their weights.
     seed : int
         For the resampling of blocks, which is the same for all.
+    stratum : ndarray, (b,), optional
+        Recording of each block, where there are several.
 
     Returns
     -------
     ndarray, (k,)
-        The first is 0; None for fewer than `FEWEST_BLOCKS` blocks with vehicles.
+        The first is 0; None where `degrees_of_freedom` finds too few blocks with vehicles.
     """
     filled = weight > 0
-    blocks = int(filled.sum())
-    if blocks < FEWEST_BLOCKS:
+    strata = np.zeros(int(filled.sum())) if stratum is None else stratum[filled]
+    degrees = degrees_of_freedom(strata)
+    if not degrees:
         return None
     objective, weight = objective[:, filled], weight[filled]
-    counts = resampled_weights(blocks, np.random.default_rng(seed))
+    counts = resampled_weights(len(strata), np.random.default_rng(seed), stratum=strata)
     resampled = counts @ objective.T / (counts @ weight)[:, None]
     off = resampled - resampled[:, :1] - (objective - objective[0]).sum(axis=1) / weight.sum()
     error = off.std(axis=0)
     largest = (np.abs(off) / np.where(error > 0.0, error, np.inf)).max(axis=1)
     probability = 0.5 * (1.0 + math.erf(float(np.quantile(largest, 0.9)) / math.sqrt(2.0)))
-    return student_t(min(probability, _LARGEST_PROBABILITY), blocks - 1) * error
+    return student_t(min(probability, _LARGEST_PROBABILITY), degrees) * error
 
 
 def linear_interval_90(middle: float, influence: np.ndarray) -> tuple[float, float] | None:

@@ -15,7 +15,7 @@ import math
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
@@ -326,16 +326,20 @@ class TomlTable:
         return self.path(key, found) if declared.is_path else found
 
 
-def to_toml(tables: Mapping[str, Mapping]) -> str:
-    """Tables of numbers, texts, lists and tables of those as TOML; keys that hold None are left out.
+def to_toml(tables: Mapping[str, Mapping | Sequence[Mapping]]) -> str:
+    """Tables, and lists of tables, of numbers, texts, lists and tables of those as TOML; keys of None are left out.
 
     Raises
     ------
     InputError
         For a value that TOML has no place for.
     """
-    parts = (f"[{_key(name)}]\n" + "".join(f"{line}\n" for line in _lines(table)) for name, table in tables.items())
-    return "\n".join(parts)
+    heads = (
+        (f"[{_key(name)}]" if table is found else f"[[{_key(name)}]]", table)
+        for name, found in tables.items()
+        for table in ([found] if isinstance(found, Mapping) else found)
+    )
+    return "\n".join(f"{head}\n" + "".join(f"{line}\n" for line in _lines(table)) for head, table in heads)
 
 
 def _lines(table):

@@ -393,8 +393,9 @@ def test_distances_and_lanes_sort_every_vehicle_into_one_group():
 
 
 def verdict(holdout, block):
-    plan = SimpleNamespace(search_block=range(len(FRAMES)), holdout_block=np.array(block, dtype=np.int64))
-    site = SimpleNamespace(plan=plan)
+    blocks = {"search_block": np.arange(len(FRAMES)), "holdout_block": np.array(block, dtype=np.int64)}
+    zeros = {name.replace("block", "recording"): np.zeros_like(of) for name, of in blocks.items()}
+    site = SimpleNamespace(plan=SimpleNamespace(**blocks, **zeros), scenario=SimpleNamespace(recordings=("one",)))
     with Evaluator(FRAMES, SEEN, SCORING, held_out=holdout) as evaluator:
         return judge(site, {"optimised": POSES[1], "baseline": POSES[0]}, evaluator, seed=1)
 

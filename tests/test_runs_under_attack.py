@@ -320,7 +320,7 @@ def test_an_evaluation_is_kept_when_its_traffic_vanishes_meanwhile(tmp_path, sce
 
 
 def test_traffic_that_changes_while_it_is_read_is_noticed(scene, monkeypatch):
-    read = site_module.read_recording
+    read = site_module.read_recordings
 
     def read_as_it_grows(scenario):
         recording = read(scenario)
@@ -328,7 +328,7 @@ def test_traffic_that_changes_while_it_is_read_is_noticed(scene, monkeypatch):
             stream.write("\n")
         return recording
 
-    monkeypatch.setattr(site_module, "read_recording", read_as_it_grows)
+    monkeypatch.setattr(site_module, "read_recordings", read_as_it_grows)
     with pytest.raises(InputError, match=r"traffic\.csv: was changed while it was read"):
         prepare(load_scenario(scene))
 

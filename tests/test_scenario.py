@@ -144,6 +144,8 @@ def test_two_options_that_contradict_each_other_are_refused_by_their_names(tmp_p
 # table, key, a value of the wrong type, one out of range (None where nothing is)
 KEYS = [
     ("traffic", "path", "3", None),
+    ("traffic", "name", "3", None),
+    ("traffic", "weight", '"often"', "0"),
     ("traffic", "format", "3", '"xml"'),
     ("traffic", "period", "1", None),
     ("traffic", "location", "true", None),

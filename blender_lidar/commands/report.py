@@ -25,6 +25,7 @@ from ..report.summary import (
     group_tables,
     imperfections_text,
     poles_table,
+    recordings_table,
     region_text,
     scenery_text,
     warnings_text,
@@ -57,7 +58,7 @@ def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
         ("", _assumed_text(site)),
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),
-        ("Traffic", f"{scenario.traffic.path}: {len(site.search)} frames with {vehicles:,} vehicles{held_out}"),
+        ("Traffic", f"{_traffic_text(site)}: {len(site.search)} frames with {vehicles:,} vehicles{held_out}"),
         *(("", line) for line in site.recording.report.lines(losses=True)),
         ("Region", f"vehicles count {region_text(asdict(scenario.region))}"),
         ("Tolerance", _tolerance_text(scenario, searched)),
@@ -77,7 +78,7 @@ def _all_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
         ("Scenery", scenery_text(scenery_counts(site))),
         (
             "Traffic",
-            f"{scenario.traffic.path}: {len(site.recording.frames)} frames, "
+            f"{_traffic_text(site)}: {len(site.recording.frames)} frames, "
             f"{np.median(site.recording.counts):.0f} vehicles in the median one",
         ),
         *(("", line) for line in site.recording.report.lines()),
@@ -99,6 +100,14 @@ def _all_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
     ]
 
 
+def _traffic_text(site: Site) -> str:
+    """Which recording a run is about, or all of several with their weights."""
+    recordings = site.scenario.recordings
+    if len(recordings) == 1:
+        return recordings[0].path
+    return " and ".join(f"{one.name} ({one.path}, weight {one.weight:g})" for one in recordings)
+
+
 def _assumed_text(site: Site) -> str:
     """What the beam table of a user's own leaves open and is assumed; empty where it says all."""
     assumed = site.model.assumptions.values()
@@ -114,7 +123,7 @@ def outcome_text(run: Outcome, where: str) -> str:
     unit = f", in {metric.unit}" if metric.unit else ""
     words = definitions(result)
     meant = [f"Objective{unit}: {words['objective']}", f"Detectable: {words['detectable']}"]
-    every = (poles_table(result), comparison_table(result), *group_tables(run))
+    every = (poles_table(result), comparison_table(result), recordings_table(result), *group_tables(run))
     tables = [table_text(table) for table in every if table is not None]
     warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
     parts = [_filled([*warnings_text(result), answer(result)]), _filled(meant), *tables, where, _filled(warnings)]

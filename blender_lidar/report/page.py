@@ -32,6 +32,7 @@ from .summary import (
     mounting_name,
     mounting_text,
     poles_table,
+    recordings_table,
     region_text,
     sides,
     warnings_text,
@@ -224,7 +225,8 @@ def _heading(run: Outcome):
     """What was asked, the answer in a sentence, and the key figures."""
     result, scene = run.result, run.folder.file(SCENE)
     with refused_by_name(scene):
-        traffic = Path(read_toml(scene)["traffic"]["path"]).name
+        traffic = read_toml(scene)["traffic"]
+        traffic = " and ".join(Path(one["path"]).name for one in (traffic if isinstance(traffic, list) else [traffic]))
     held = result["holdout"]
     frames = f"{result['vehicles']:,} vehicles in {result['frames']} {frames_word(result)} frames"
     if held:
@@ -259,9 +261,9 @@ def _scores(run: Outcome):
             "90 % interval": f"from resampling blocks of {result['block_s']:g} s, because frames close in time "
             "show the same vehicles.",
         }
-    ranked = poles_table(result)
-    poles = [] if ranked is None else [table_markup(ranked)]
-    return _section("Mounting and scores", *poles, table_markup(comparison_table(result)), terms(words.items()))
+    tables = (poles_table(result), comparison_table(result), recordings_table(result))
+    shown = (table_markup(table) for table in tables if table is not None)
+    return _section("Mounting and scores", *shown, terms(words.items()))
 
 
 def _notes(run: Outcome):

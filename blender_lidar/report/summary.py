@@ -325,6 +325,46 @@ def poles_text(result: Mapping) -> str:
     return f"on held-out traffic {which} cannot be told apart from pole {best}, the best on the searched frames"
 
 
+def recordings_table(result: Mapping) -> TextTable | None:
+    """What a mounting is worth on each of several recordings; None where there is one."""
+    recordings = result.get("recordings")  # not in the results of earlier versions
+    if not recordings:
+        return None
+    metric, held = metric_named(result["metric"]), result["holdout"] is not None
+    rows = []
+    for one, base in zip(recordings, result["baseline"]["recordings"], strict=True):
+        scores, before = (one["holdout"], base["holdout"]) if held else (one, base)
+        if scores is None:
+            rows.append((one["name"], f"{one['weight']:g}", "nothing held out", *[""] * (5 if held else 3)))
+            continue
+        cells = [metric.number(side["objective_per_vehicle"], 1) for side in (before, scores)]
+        cells += [f"{100 * side['detectable_share']:.1f}" for side in (before, scores)]
+        if held:
+            cells.append(metric.number(scores["gain_over_baseline"], 1, "+"))
+            cells.append("" if scores["interval_90"] is None else span(metric, scores["interval_90"], 1, "+"))
+        rows.append((one["name"], f"{one['weight']:g}", *cells))
+    measures = [(metric.in_unit("objective per vehicle"), 2), ("detectable [%]", 2)]
+    sides = [("before", 1), ("after", 1)] * 2 + [(text, 1) for text in ("gain", "90 %")] * held
+    head = [[("", 1), ("", 1), *measures, *[("", 1)] * (2 * held)], [("recording", 1), ("weight", 1), *sides]]
+    return TextTable(
+        f"Each recording alone, on {'held-out' if held else frames_word(result)} frames", head, [("", rows)]
+    )
+
+
+def worst_text(result: Mapping) -> str:
+    """Which of several recordings a mounting sees worst; empty where there is one."""
+    recordings = result.get("recordings") or []
+    held = result["holdout"] is not None
+    scored = {one["name"]: one["holdout"] if held else one for one in recordings}
+    scored = {name: scores for name, scores in scored.items() if scores is not None}
+    if len(scored) < 2:
+        return ""
+    metric, whole = metric_named(result["metric"]), result["holdout"] if held else result
+    worst = (min if metric.higher_is_better else max)(scored, key=lambda name: scored[name]["objective_per_vehicle"])
+    values = (metric.amount(scores["objective_per_vehicle"], 1) for scores in (scored[worst], whole))
+    return "of the recordings {} is seen worst: {} per vehicle, {} over all by their weights".format(worst, *values)
+
+
 def _what_to_do(result):
     """The sentence's beginning: hang it there, or that nothing tried is better than the baseline."""
     sensor, place = result["sensor"], place_text(result["deployment"], leans=leans(result))
@@ -495,7 +535,7 @@ _WIDTHS = {"height_m": "height_m", "tilt_x_deg": "tilt_deg", "tilt_y_deg": "tilt
 
 def cautions(result: Mapping) -> list[str]:
     """What tolerance, search and map say about how far to trust the optimum, as sentences."""
-    notes = (kept_text(result), costliest_text(result), _against_sharp(result))
+    notes = (kept_text(result), costliest_text(result), _against_sharp(result), worst_text(result))
     found = [as_sentence(note) for note in notes if note]
     if not was_searched(result):
         return found

@@ -44,7 +44,8 @@ _FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, HISTORY_NOMINAL)
 _FILES += (VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION, REPORT)
 _SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a run has written
 
-_BLOCK_OBJECTIVE, _BLOCK_VEHICLES = "objective_block_", "vehicles_block_"  # columns of the score map
+# Columns of the score map, the last where there are several recordings.
+_BLOCK_OBJECTIVE, _BLOCK_VEHICLES, _BLOCK_RECORDING = "objective_block_", "vehicles_block_", "recording_block_"
 _KINDS = {  # of columns; the others hold floats
     **dict.fromkeys(("class", "split"), str),
     **dict.fromkeys(("frame", "vehicle_id", "points", "detectable", "lane"), np.int64),
@@ -128,6 +129,8 @@ class RunFolder:
         tables = scenario.as_tables()
         for (table, key), path in scenario.files.items():
             tables[table][key] = str(Path(path).resolve())
+        traffic = [tables.pop(name) for name in list(tables) if name.split()[0] == "traffic"]
+        tables = {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
         write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n" + to_toml(tables))
 
     def write_checkpoint(self, identity: Mapping, batches: Sequence[Mapping]) -> None:
@@ -233,6 +236,9 @@ class RunFolder:
         blocks = range(len(vehicles))
         columns |= {f"{_BLOCK_OBJECTIVE}{block}": objective[..., block].ravel() for block in blocks}
         columns |= {f"{_BLOCK_VEHICLES}{block}": np.full(height.size, vehicles[block]) for block in blocks}
+        recording = score_map.block_recording
+        if recording is not None and recording.any():
+            columns |= {f"{_BLOCK_RECORDING}{block}": np.full(height.size, recording[block]) for block in blocks}
         write_columns(self.file(SCORE_MAP), columns)
 
     def read_history(self) -> np.ndarray:
@@ -258,15 +264,19 @@ class RunFolder:
             height, tilt = np.unique(columns["height_m"]), np.unique(columns[axis])
             shape = (len(height), len(tilt))
             objective = [values for name, values in columns.items() if name.startswith(_BLOCK_OBJECTIVE)]
-            vehicles = [values[0] for name, values in columns.items() if name.startswith(_BLOCK_VEHICLES)]
+            vehicles, recording = (
+                np.array([values[0] for name, values in columns.items() if name.startswith(prefix)])
+                for prefix in (_BLOCK_VEHICLES, _BLOCK_RECORDING)
+            )
             return ScoreMap(
                 height_m=height,
                 tilt_deg=tilt,
                 per_vehicle=columns["objective_per_vehicle"].reshape(shape),
                 detectable_share=columns["detectable_share"].reshape(shape),
                 block_objective=np.column_stack(objective).reshape(*shape, -1),
-                block_vehicles=np.array(vehicles),
+                block_vehicles=vehicles,
                 tilt=axis,
+                block_recording=recording if len(recording) else None,
             )
 
     def read_text(self, name: str) -> str:

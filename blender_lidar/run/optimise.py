@@ -23,7 +23,7 @@ from ..scene.settings import MOUNTING_OR_LEAN, Pole, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
-from ..statistics import block_sums
+from ..statistics import block_sums, of_blocks
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
@@ -129,7 +129,8 @@ def _search_place(site: Site, evaluator: Evaluator, replay: Replay, listener: Li
     best = max(seeds, key=lambda search: search.best_value)  # the first of equals
     found = deployment.given(best.best_x)
     if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
-        score_map = map_scores(evaluator, deployment, found, site.plan.search_block, listener.mapping)
+        plan, told = site.plan, listener.mapping
+        score_map = map_scores(evaluator, deployment, found, plan.search_block, told, recording=plan.search_recording)
     polish = _polish(site, score_map, best, label)
     if polish is not None:
         replay.carry_out(polish, objective, listener)
@@ -315,8 +316,9 @@ def _spread(
         }
         for number, search in enumerate(seeds)
     ]
-    weights, seed = block_sums(weight, site.plan.search_block), site.scenario.search.seed
-    intervals = best_intervals_90(*tried, weights, answer, deployment.periodic, seed)
+    plan, seed = site.plan, site.scenario.search.seed
+    weights, strata = block_sums(weight, plan.search_block), of_blocks(plan.search_recording, plan.search_block)
+    intervals = best_intervals_90(*tried, weights, answer, deployment.periodic, seed, strata)
     return {
         "searched": list(deployment.variables),
         "seeds": answers,

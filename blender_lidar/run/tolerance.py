@@ -15,7 +15,7 @@ from ..scene.scenario import COORDINATE_LIMITS, pose_at
 from ..scene.settings import COORDINATES, Tolerance
 from ..scoring.evaluation import Evaluator, Totals
 from ..sensors.pose import Pose
-from ..statistics import block_sums, statistic_interval_90
+from ..statistics import block_sums, of_blocks, statistic_interval_90
 
 # --- Errors of installation, and the objective over them --------------------------------------------------------------
 
@@ -123,11 +123,14 @@ class Judged:
         Block of time of each frame.
     aim : str
         What counts of the m: see `aimed`.
+    recording : ndarray of int, (f,), or None
+        Recording of each frame, where there are several.
     """
 
     totals: Totals
     block: np.ndarray
     aim: str = "mean"
+    recording: np.ndarray | None = None
 
     @property
     def per_vehicle(self) -> float:
@@ -155,14 +158,24 @@ class Judged:
         def gain(weights: np.ndarray) -> np.ndarray:
             return self.per_vehicle_under(weights) - other.per_vehicle_under(weights)
 
-        interval = statistic_interval_90(gain, self.block_weight, seed)
+        strata = None if self.recording is None else of_blocks(self.recording, self.block)
+        interval = statistic_interval_90(gain, self.block_weight, seed, strata)
         return {called: self.per_vehicle - other.per_vehicle, "interval_90": interval and list(interval)}
 
+    def of_recording(self, number: int) -> Judged:
+        """The same on the frames of one recording."""
+        own, totals = self.recording == number, self.totals
+        objective, detectable = totals.objective[:, own], totals.detectable[:, own]
+        kept = Totals(objective, detectable, totals.vehicles[own], totals.weight[own])
+        return Judged(kept, self.block[own], self.aim)
 
-def judged_rows(totals: Totals, rows: slice, block: Sequence[int], aim: str = "mean") -> Judged:
+
+def judged_rows(
+    totals: Totals, rows: slice, block: np.ndarray, recording: np.ndarray | None = None, aim: str = "mean"
+) -> Judged:
     """Some rows of totals as the scores of one mounting."""
     of_rows = totals._replace(objective=totals.objective[rows], detectable=totals.detectable[rows])
-    return Judged(of_rows, np.asarray(block), aim)
+    return Judged(of_rows, np.asarray(block), aim, recording)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,7 +202,11 @@ class ToleranceLosses:
 
 
 def losses_over_tolerance(
-    evaluator: Evaluator, plan: Mapping[str, float], tolerance: Tolerance, block: Sequence[int]
+    evaluator: Evaluator,
+    plan: Mapping[str, float],
+    tolerance: Tolerance,
+    block: np.ndarray,
+    recording: np.ndarray | None = None,
 ) -> ToleranceLosses:
     """Score a mounting as planned, under errors that fill the tolerance, and at the limits of each coordinate.
 
@@ -201,8 +218,10 @@ def losses_over_tolerance(
         The six coordinates of the mounting as planned [m, degrees].
     tolerance : Tolerance
         How far off it may end up.
-    block : sequence of int, (f,)
+    block : ndarray of int, (f,)
         Block of time of each of the evaluator's frames.
+    recording : ndarray of int, (f,), optional
+        Recording of each of them, where there are several.
     """
     errors, widths = installation_errors(tolerance, JUDGED_BASE), tolerance.half_widths
     limits = [
@@ -211,10 +230,10 @@ def losses_over_tolerance(
         for sign in (-1.0, 1.0)
     ]
     totals = evaluator.totals(installed(plan, np.concatenate([np.zeros((1, len(COORDINATES))), errors, limits])))
-    planned = judged_rows(totals, slice(0, 1), block)
+    planned = judged_rows(totals, slice(0, 1), block, recording)
     lost = planned.per_vehicle - totals.per_vehicle()[1 + len(errors) :]
     return ToleranceLosses(
         planned,
-        judged_rows(totals, slice(1, 1 + len(errors)), block, tolerance.aim),
+        judged_rows(totals, slice(1, 1 + len(errors)), block, recording, tolerance.aim),
         dict(zip(widths, lost.reshape(-1, 2).tolist(), strict=True)),
     )

@@ -19,7 +19,14 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
 from ..sensors.pose import Pose
-from ..statistics import FEWEST_BLOCKS, block_sums, interval_90, many_to_one_reach_90, resampled_weights
+from ..statistics import (
+    block_sums,
+    degrees_of_freedom,
+    interval_90,
+    many_to_one_reach_90,
+    of_blocks,
+    resampled_weights,
+)
 from ..traffic.vehicles import Vehicles
 from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
 
@@ -48,12 +55,13 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
     dict
         For each name ``objective`` and ``objective_per_vehicle`` in the metric's unit, ``detectable_share`` and
         ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` and its ``interval_90``. ``holdout`` is
-        None where nothing was held out; ``interval_90`` where there are too few blocks.
+        None where nothing was held out; ``interval_90`` where there are too few blocks. ``recordings`` has the same of
+        each recording alone, where there are several.
     """
 
-    def planned(scorer: Evaluator, block: Sequence[int]) -> dict[str, Judged]:
+    def planned(scorer: Evaluator, block: np.ndarray, recording: np.ndarray) -> dict[str, Judged]:
         totals = scorer.totals(list(mountings.values()))
-        return {name: judged_rows(totals, slice(row, row + 1), block) for row, name in enumerate(mountings)}
+        return {name: judged_rows(totals, slice(row, row + 1), block, recording) for row, name in enumerate(mountings)}
 
     searched, held_out = _on_both_splits(site, evaluator, planned)
     vehicles, block = evaluator.held_out.vehicles, site.plan.holdout_block
@@ -65,7 +73,25 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
         if held_out:
             judged = held_out[name]
             verdict[name]["holdout"] = {**judged.scores(), **judged.gain_over(held_out[BASELINE_NAME], seed), **size}
+        if len(site.scenario.recordings) > 1:
+            verdict[name]["recordings"] = _by_recording(site, name, searched, held_out, seed)
     return verdict
+
+
+def _by_recording(
+    site: Site, name: str, searched: Mapping[str, Judged], held_out: Mapping[str, Judged], seed: int
+) -> list[dict]:
+    """What `judge` says of a mounting on each recording alone."""
+    rows = []
+    for number, settings in enumerate(site.scenario.recordings):
+        scores = searched[name].of_recording(number)
+        row = {"name": settings.name, "weight": settings.weight, **scores.scores(), "holdout": None}
+        if number in site.plan.holdout_recording:
+            own, base = (held_out[one].of_recording(number) for one in (name, BASELINE_NAME))
+            if own.totals.weight.sum():
+                row["holdout"] = {**own.scores(), **own.gain_over(base, seed)}
+        rows.append(row)
+    return rows
 
 
 def judge_over_tolerance(
@@ -90,8 +116,8 @@ def judge_over_tolerance(
     """
     tolerance = site.scenario.objective.tolerance
 
-    def losses(scorer: Evaluator, block: Sequence[int]) -> dict[str, ToleranceLosses]:
-        return {name: losses_over_tolerance(scorer, plan, tolerance, block) for name, plan in mountings.items()}
+    def losses(scorer: Evaluator, *blocks: np.ndarray) -> dict[str, ToleranceLosses]:
+        return {name: losses_over_tolerance(scorer, plan, tolerance, *blocks) for name, plan in mountings.items()}
 
     def scores(split: Mapping[str, ToleranceLosses], name: str) -> dict:
         kept = split[name].kept(split[BASELINE_NAME].planned.per_vehicle)
@@ -114,10 +140,15 @@ def judge_over_tolerance(
     return verdict
 
 
-def _on_both_splits(site: Site, evaluator: Evaluator, judged: Callable[[Evaluator, Sequence[int]], dict]) -> list[dict]:
-    """What becomes of the searched and of the held-out frames, by name; nothing where no vehicle was held out."""
-    splits = (evaluator, site.plan.search_block), (evaluator.held_out, site.plan.holdout_block)
-    return [judged(scorer, block) if scorer.weight.sum() else {} for scorer, block in splits]
+def _on_both_splits(site: Site, evaluator: Evaluator, judged: Callable[..., dict]) -> list[dict]:
+    """What becomes of the searched and of the held-out frames, by name; nothing where no vehicle was held out.
+
+    `judged` takes what scores the frames, their blocks of time and their recordings.
+    """
+    plan = site.plan
+    searched = evaluator, plan.search_block, plan.search_recording
+    held_out = evaluator.held_out, plan.holdout_block, plan.holdout_recording
+    return [judged(scorer, *blocks) if scorer.weight.sum() else {} for scorer, *blocks in (searched, held_out)]
 
 
 # --- Candidate places, all on the same frames ------------------------------------------------------------------------
@@ -153,7 +184,8 @@ def rank_poles(
         blocks = (
             block_sums(values, site.plan.holdout_block) for values in (held_out.objective[order], held_out.weight)
         )
-        reach = many_to_one_reach_90(*blocks, site.scenario.search.seed)
+        strata = of_blocks(site.plan.holdout_recording, site.plan.holdout_block)
+        reach = many_to_one_reach_90(*blocks, site.scenario.search.seed, strata)
         values, shares = held_out.per_vehicle(), held_out.detectable_share()
     rows = []
     for place, number in enumerate(order.tolist()):
@@ -203,6 +235,8 @@ class ScoreMap:
         Vehicles of each block, or the sum of their weights.
     tilt : str
         The coordinate that `tilt_deg` is: the tilt across the road, or the lean.
+    block_recording : ndarray, (b,), or None
+        Recording of each block, counted from 0; None where there is one.
     """
 
     height_m: np.ndarray
@@ -212,6 +246,7 @@ class ScoreMap:
     block_objective: np.ndarray
     block_vehicles: np.ndarray
     tilt: str = AXES[1]
+    block_recording: np.ndarray | None = None
 
     @property
     def axes(self) -> tuple[str, str]:
@@ -240,10 +275,10 @@ class ScoreMap:
 
     def optimum_intervals_90(self, seed: int) -> dict[str, tuple[float, float]] | None:
         """90 % intervals of the best height and tilt under block resampling; None for too few blocks."""
-        blocks = len(self.block_vehicles)
-        if blocks < FEWEST_BLOCKS:
+        blocks, strata = len(self.block_vehicles), self.block_recording
+        if not degrees_of_freedom(np.zeros(blocks) if strata is None else strata):
             return None
-        resampled = self.best_under(resampled_weights(blocks, np.random.default_rng(seed)))
+        resampled = self.best_under(resampled_weights(blocks, np.random.default_rng(seed), stratum=strata))
         return {axis: interval_90(values) for axis, values in zip(self.axes, resampled, strict=True)}
 
 
@@ -254,6 +289,7 @@ def map_scores(
     block: np.ndarray,
     progress: Callable[[int], None] = lambda points: None,
     grid: tuple[int, int] = POINTS,
+    recording: np.ndarray | None = None,
 ) -> ScoreMap | None:
     """Score a grid over the searched heights and tilts through the `optimum`; None unless both are searched.
 
@@ -271,6 +307,8 @@ def map_scores(
         Told how many grid points have been scored since it was last called.
     grid : (int, int)
         Number of heights and of tilts.
+    recording : ndarray of int, (f,), optional
+        Recording of each frame, where there are several.
     """
     axes = deployment.axes
     if not all(axis in deployment.bounds for axis in axes):
@@ -293,6 +331,7 @@ def map_scores(
         block_objective=block_sums(totals.objective, block)[:, filled].reshape(*grid, -1),
         block_vehicles=block_vehicles[filled],
         tilt=axes[1],
+        block_recording=None if recording is None else of_blocks(recording, block)[filled],
     )
 
 
@@ -303,6 +342,7 @@ def best_intervals_90(
     answer: np.ndarray,
     periodic: Sequence[bool],
     seed: int,
+    stratum: np.ndarray | None = None,
 ) -> list[tuple[float, float]] | None:
     """90 % interval of each coordinate of the best mounting of those that were tried, under block resampling.
 
@@ -318,6 +358,8 @@ def best_intervals_90(
         About which a coordinate that is a full circle is told, `periodic` (d,).
     seed : int
         For the resampling of blocks.
+    stratum : ndarray, (b,), optional
+        Recording of each block, where there are several.
 
     Returns
     -------
@@ -325,9 +367,10 @@ def best_intervals_90(
         None for too few blocks that have vehicles.
     """
     filled = block_weight > 0
-    if filled.sum() < FEWEST_BLOCKS:
+    strata = np.zeros(int(filled.sum())) if stratum is None else stratum[filled]
+    if not degrees_of_freedom(strata):
         return None
-    weights = resampled_weights(int(filled.sum()), np.random.default_rng(seed))
+    weights = resampled_weights(len(strata), np.random.default_rng(seed), stratum=strata)
     per_block, best = block_objective[:, filled].T, np.empty(len(weights), dtype=int)
     for start in range(0, len(weights), _RESAMPLES_AT_ONCE):  # each divides all by the same vehicles
         part = slice(start, start + _RESAMPLES_AT_ONCE)

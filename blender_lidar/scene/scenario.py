@@ -7,12 +7,12 @@ before they are checked, so both pass the same checks.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ..errors import InputError, MissingFileError, unknown_name
+from ..errors import InputError, MissingFileError, shown, unknown_name
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
 from ..road import RoadFrame
@@ -54,6 +54,7 @@ __all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_s
 _FEW_COORDINATES, _SEEDS = 2, 3  # with more of them so many searches: one alone may end anywhere
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
+_OF_ONE_RECORDING = ("name", "weight", "path", "vehicle_types", "period", "location", "frame_ids")
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
@@ -95,7 +96,8 @@ def load_scenario(path: str | Path, overrides: Overrides | None = None) -> Scena
 
 
 def _in_file(path: str, table: str, key: str) -> str:
-    return f"{path}: [{table}] {key}".rstrip()
+    name, _, number = table.partition(" ")
+    return f"{path}: [[{name}]] {number} {key}".rstrip() if number else f"{path}: [{name}] {key}".rstrip()
 
 
 def scenario_of(
@@ -132,6 +134,7 @@ def scenario_of(
     where, overrides = where or partial(_in_file, source), overrides or {}
     of_file = _tables(tables, {}, where, folder)
     tables = _tables(tables, overrides, where, folder)
+    traffic, *further = _recordings([table for name, table in tables.items() if name.split()[0] == "traffic"])
     deployment, sensor = _deployment(tables["deployment"]), _sensor(tables["sensor"])
     region = _region(tables["region"], sensor, of_file, overrides)
     road = tables["road"].read_as(RoadFrame)
@@ -154,7 +157,7 @@ def scenario_of(
     return Scenario(
         source=source,
         where=where,
-        traffic=_traffic(tables["traffic"]),
+        traffic=traffic,
         road=road,
         world=_world(tables["world"]),
         sensor=sensor,
@@ -164,25 +167,55 @@ def scenario_of(
         objective=objective,
         search=search,
         model=_model(tables["model"]),
+        further_traffic=tuple(further),
     )
 
 
 def _tables(
     values: Mapping[str, object], overrides: Overrides, where: Callable[[str, str], str], folder: Path
 ) -> dict[str, TomlTable]:
-    """The tables of a scene, options in place of the settings that they replace or put out of force."""
+    """The tables of a scene, options in place of the settings that they replace or put out of force.
+
+    Of several recordings, [[traffic]], the second table is called "traffic 2".
+    """
     tables = {}
-    for name, declared in DECLARED.items():
+    for name in DECLARED:
         given = {key: option for (table, key), option in overrides.items() if table == name}
-        rivals = {rival for key in given if key in declared for rival in declared[key].rivals}
-        if name == "search" and given.get("method", (DePso.name,))[0] != DePso.name:
-            rivals.update(_DE_PSO_ALONE)  # the file's settings of a search that the option replaces
-        of_file = TomlTable(values.get(name, {}), where(name, "")).values
-        content = {key: value for key, value in of_file.items() if key not in rivals and value is not None}
-        content |= {key: value for key, (value, _) in given.items()}
-        origins = {key: option for key, (_, option) in given.items()}
-        tables[name] = TomlTable(content, where(name, ""), origins, folder, partial(where, name))
+        contents = values.get(name, {})
+        several = name == "traffic" and isinstance(contents, list) and len(contents) > 0
+        if several and len(contents) > 1:
+            _check_for_all(given, len(contents))
+        for number, content in enumerate(contents if several else [contents], start=1):
+            called = partial(where, f"{name} {number}" if several else name)
+            tables[name if number == 1 else f"{name} {number}"] = _table(name, content, called, given, folder)
     return tables
+
+
+def _check_for_all(given: Mapping[str, tuple[object, str]], recordings: int) -> None:
+    """Refuse options that are about one recording where there are several."""
+    for key, (_, option) in given.items():
+        if key in _OF_ONE_RECORDING:
+            raise InputError(
+                f"{option}: is of one recording, but the scene has {recordings}; allowed: in their [[traffic]] tables"
+            )
+
+
+def _table(
+    name: str,
+    content: object,
+    where: Callable[[str], str],
+    given: Mapping[str, tuple[object, str]],
+    folder: Path,
+) -> TomlTable:
+    """One table of a scene, with the options `given` in place of its settings; `where` names a key of it."""
+    declared = DECLARED[name]
+    rivals = {rival for key in given if key in declared for rival in declared[key].rivals}
+    if name == "search" and given.get("method", (DePso.name,))[0] != DePso.name:
+        rivals.update(_DE_PSO_ALONE)  # the file's settings of a search that the option replaces
+    of_file = TomlTable(content, where("")).values
+    values = {key: value for key, value in of_file.items() if key not in rivals and value is not None}
+    values |= {key: value for key, (value, _) in given.items()}
+    return TomlTable(values, where(""), {key: option for key, (_, option) in given.items()}, folder, where)
 
 
 def _deployment(table: TomlTable) -> Deployment:
@@ -277,6 +310,21 @@ def _region(
         changed = any(place[0] == "sensor" for place in overrides)
         radius = (_sensor(of_file["sensor"]) if changed else sensor).range_gate_m
     return replace(region, centre_m=centre, radius_m=radius)
+
+
+def _recordings(tables: Sequence[TomlTable]) -> list[TrafficSettings]:
+    """[traffic], or each [[traffic]] with the name that it goes by."""
+    found = [_traffic(table) for table in tables]
+    if len(found) == 1:
+        return found
+    found = [replace(one, name=one.name or Path(one.path).stem) for one in found]
+    names = [one.name for one in found]
+    for number, (table, name) in enumerate(zip(tables, names, strict=True)):
+        if name in names[:number]:
+            raise InputError(
+                f"{table.where('name')}: is {shown(name)}, as of another recording; allowed: a name for each"
+            )
+    return found
 
 
 def _traffic(table: TomlTable) -> TrafficSettings:

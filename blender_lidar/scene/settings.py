@@ -56,7 +56,7 @@ _STATED_RANGE = dict(zip(("low", "high"), STATED_RANGE_LIMITS_M, strict=True))
 ANGLES = ("tilt_x_deg", "tilt_y_deg", "yaw_deg")
 LEANS = ("lean_deg", "lean_direction_deg", "spin_deg")
 _TURNS = ("yaw_deg", "lean_direction_deg", "spin_deg")  # of which 360 degrees are a full circle
-_FILES = (("traffic", "path"), ("traffic", "vehicle_types"), ("world", "blend"), ("world", "mesh"))
+_FILES, _TRAFFIC_FILES = (("world", "blend"), ("world", "mesh")), ("path", "vehicle_types")
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
 
@@ -130,6 +130,10 @@ class TrafficSettings:
 
     Attributes
     ----------
+    name : str or None
+        What it is called among several recordings; the file's unless said.
+    weight : float
+        How much it counts among several recordings, whatever their frames: hours of the day, for instance.
     path : str
         Trajectory file in place of the scene's.
     format : str
@@ -162,6 +166,8 @@ class TrafficSettings:
         What seems impossible of the traffic and is true all the same; again for more.
     """
 
+    name: str | None = setting(None)
+    weight: float = setting(1.0, above=0.0)
     path: str = setting(is_path=True, option="--traffic")
     format: str = setting("auto", allowed=TRAFFIC_FORMATS)
     period: str | None = setting(None, option="--period")
@@ -601,7 +607,19 @@ class ModelSettings:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A whole scene, checked; `source` is what it came from and `where` what errors call a table's key in it."""
+    """A whole scene, checked.
+
+    Attributes
+    ----------
+    source : str
+        What it came from.
+    where : callable
+        What errors call a table's key in it.
+    traffic : TrafficSettings
+        The recording, of several the first.
+    further_traffic : tuple of TrafficSettings
+        The others.
+    """
 
     source: str
     traffic: TrafficSettings
@@ -615,6 +633,12 @@ class Scenario:
     search: SearchSettings
     model: ModelSettings
     where: Callable[[str, str], str] = field(repr=False, compare=False)
+    further_traffic: tuple[TrafficSettings, ...] = ()
+
+    @property
+    def recordings(self) -> tuple[TrafficSettings, ...]:
+        """All recordings."""
+        return self.traffic, *self.further_traffic
 
     @property
     def baseline_pose(self) -> Pose:
@@ -624,14 +648,25 @@ class Scenario:
     def files(self) -> dict[tuple[str, str], str]:
         """The files that it names, by table and key."""
         named = {(table, key): getattr(getattr(self, table), key) for table, key in _FILES}
+        for table, recording in zip(self._traffic_tables, self.recordings, strict=True):
+            named |= {(table, key): getattr(recording, key) for key in _TRAFFIC_FILES}
         named["deployment", "poles"] = self.deployment.poles_file
         if self.sensor.is_file:
             named["sensor", "name"] = self.sensor.name
         return {place: path for place, path in named.items() if path is not None}
 
+    @property
+    def _traffic_tables(self) -> list[str]:
+        return ["traffic", *(f"traffic {number}" for number in range(2, len(self.recordings) + 1))]
+
     def as_tables(self) -> dict[str, dict]:
-        """The scene as used, in the layout of a scene file: reading it again gives this scene."""
+        """The scene as used, in the layout of a scene file: reading it again gives this scene.
+
+        Of several recordings the second table is called "traffic 2".
+        """
         tables = asdict(self)
+        further = zip(self._traffic_tables[1:], tables.pop("further_traffic"), strict=True)
+        tables = {"traffic": tables["traffic"], **dict(further), **tables}
         del tables["source"], tables["where"]
         tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
         if self.deployment.poles:

@@ -13,7 +13,7 @@ from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
-from ..traffic import FramePlan, Recording, Vehicles, plan_frames, read_traffic
+from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
@@ -180,7 +180,7 @@ class Site:
     scoring : Scoring
         The metric and the settings of Eqs. 10 and 11.
     recording : Recording
-        The traffic.
+        The traffic; several recordings as `traffic.joined_recordings` makes them one.
     plan : FramePlan
         Searched and held-out frames.
     search, holdout : tuple of CountedFrame
@@ -230,22 +230,27 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         When a file cannot be read or changes meanwhile, no vehicle is in the region, or the mount would stand in
         traffic.
     """
-    settings, objective, sensor = scenario.traffic, scenario.objective, scenario.sensor
+    objective, sensor = scenario.objective, scenario.sensor
     caster = resolve(scenario.model.caster, "caster")
     with unchanged_inputs(scenario):
-        lattice, recording = lattice_of(sensor), read_recording(scenario)
+        lattice, recordings = lattice_of(sensor), read_recordings(scenario)
         scenery = standing_scenery(scenario, caster, mount)
         identity = run_identity(scenario, caster, scenery and scenery.scenery.digest)
     region = region_of(scenario.region, scenario.road.carriageway_y)
-    plan = plan_frames(
-        recording,
-        region.holds,
-        count=settings.frames,
-        ids=settings.frame_ids,
-        spacing_s=settings.spacing_s,
-        holdout=settings.holdout,
-        block_s=settings.block_s,
-    )
+    plans = [
+        plan_frames(
+            recording,
+            region.holds,
+            count=settings.frames,
+            ids=settings.frame_ids,
+            spacing_s=settings.spacing_s,
+            holdout=settings.holdout,
+            block_s=settings.block_s,
+        )
+        for recording, settings in zip(recordings, scenario.recordings, strict=True)
+    ]
+    names = [one.name or "" for one in scenario.recordings]
+    recording, plan = joined_recordings(recordings, names), joined_plans(plans, recordings, names)
     frames = [recording.vehicles(frame) for frame in (*plan.search, *plan.holdout)]
     check_mount_is_clear(scenario, frames)
     if mount is not None:
@@ -255,8 +260,12 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     held_out = tuple(
         _counted(frame, region, reach, objective, plan.searched_ids) for frame in frames[len(plan.search) :]
     )
-    if not any(frame.counted.any() for frame in searched):
-        raise nobody_there(recording, region, len(plan.search), scenario)
+    for number, own in enumerate(recordings):
+        of_recording = plan.search_recording == number
+        if not any(searched[at].counted.any() for at in np.flatnonzero(of_recording)):
+            raise nobody_there(own, region, int(of_recording.sum()), scenario)
+    searched = _weighted(searched, plan.search_recording, scenario)
+    held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, scenario.where("objective", ""))
     observation = Observation(
         lattice=lattice,
@@ -291,7 +300,16 @@ def standing_scenery(scenario: Scenario, caster: str, mount: Mapping[str, float]
 
 
 def read_recording(scenario: Scenario) -> Recording:
-    """The traffic that a scene names."""
+    """The traffic that a scene names; several recordings as `traffic.joined_recordings` makes them one."""
+    return joined_recordings(read_recordings(scenario), [one.name or "" for one in scenario.recordings])
+
+
+def read_recordings(scenario: Scenario) -> list[Recording]:
+    """The recordings that a scene names, each by itself."""
+    return [_read_one(replace(scenario, traffic=settings)) for settings in scenario.recordings]
+
+
+def _read_one(scenario: Scenario) -> Recording:
     settings = scenario.traffic
     given = {key: getattr(settings, key) for key in _OF_FORMATS}
     recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
@@ -315,6 +333,21 @@ def _counted(vehicles, region, reach, objective: ObjectiveSettings, not_counted=
     near = vehicles.select(region.distance(vehicles) <= reach)
     counted = region.holds(near) & ~np.isin(near.vehicle_id, not_counted)
     return CountedFrame(near, counted, vehicle_weights(near, objective))
+
+
+def _weighted(frames: Sequence[CountedFrame], recording: np.ndarray, scenario: Scenario) -> tuple[CountedFrame, ...]:
+    """Frames of several recordings, all frames of each counting together as its weight says, however many they are."""
+    if not len(frames):
+        return ()
+    numbers, at, counts = np.unique(recording, return_inverse=True, return_counts=True)
+    weights = np.array([scenario.recordings[number].weight for number in numbers])
+    factor = (weights / weights.sum() * len(frames) / counts)[at.reshape(-1)]
+    if (factor == 1.0).all():
+        return tuple(frames)
+    return tuple(
+        replace(frame, weight=own * (np.ones(len(frame.counted)) if frame.weight is None else frame.weight))
+        for frame, own in zip(frames, factor.tolist(), strict=True)
+    )
 
 
 def reach_of(scenario: Scenario, mount: Mapping[str, float] | None) -> float:

@@ -107,7 +107,8 @@ def with_fewer_frames(site: Site, frames: int | None) -> Site:
     search = tuple(site.search[row] for row in kept)
     if not any(frame.counted_weight.any() for frame in search):
         return site
-    plan = replace(site.plan, search=site.plan.search[kept], search_block=site.plan.search_block[kept])
+    names = ("search", "search_block", "search_recording")
+    plan = replace(site.plan, **{name: getattr(site.plan, name)[kept] for name in names})
     return replace(site, plan=plan, search=search)
 
 

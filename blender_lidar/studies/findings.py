@@ -144,7 +144,12 @@ def check_searched(scenario: Scenario) -> None:
 
 
 def check_one_place(scenario: Scenario) -> None:
-    """Refuse candidate poles: a study is about one place."""
+    """Refuse candidate poles and several recordings: a study is about one place and one recording."""
+    if scenario.further_traffic:
+        raise InputError(
+            f"{scenario.source}: [[traffic]]: {len(scenario.recordings)} recordings are for optimise and evaluate; a "
+            "study is about one: [traffic]"
+        )
     if scenario.deployment.poles:
         raise InputError(
             f"{scenario.source}: [deployment] poles: are for optimise; a study is about one place: x_m and y_m"

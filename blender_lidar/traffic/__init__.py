@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import InputError, unknown_name
 from ..names import TRAFFIC_FORMATS
 from ..road import RoadFrame
-from .frames import FramePlan, instants, plan_frames, well_populated_frames
+from .frames import FramePlan, instants, joined_plans, joined_recordings, plan_frames, well_populated_frames
 from .ngsim import NGSIM_COLUMNS, read_ngsim
 from .ngsim import likeness as ngsim_likeness
 from .source import first_lines, quoted
@@ -29,6 +29,8 @@ __all__ = [
     "Vehicles",
     "format_of",
     "instants",
+    "joined_plans",
+    "joined_recordings",
     "overlapping_pairs",
     "plan_frames",
     "read_sumo",

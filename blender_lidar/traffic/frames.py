@@ -1,15 +1,16 @@
-"""Choosing the frames that a mounting is searched on and the later ones that judge it."""
+"""Choosing the frames that a mounting is searched on and the later ones that judge it, of one recording or several."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields
+from itertools import accumulate
 
 import numpy as np
 
 from ..errors import InputError
-from .vehicles import Recording, Vehicles, unknown_frame
+from .vehicles import Recording, RepairReport, Vehicles, unknown_frame
 
 # --- Which frames of a recording are fit to be analysed ---------------------------------------------------
 
@@ -71,8 +72,10 @@ class FramePlan:
         Frame numbers, ascending; `holdout` may be empty.
     search_block, holdout_block : ndarray, (k,) and (m,) int64
         Block of each frame, from 0 without gaps; each half counts its own.
+    search_recording, holdout_recording : ndarray, (k,) and (m,) int64
+        Recording of each frame, counted from 0.
     block_s : float
-        Length of a block [s]; the last one of each half may be longer.
+        Length of a block [s], of several recordings the longest; the last one of each half may be longer.
     searched_ids : ndarray, (j,) int64
         Vehicles that count in any search frame, ascending. What chose a mounting never judges it: leave them out when
         held-out frames are scored.
@@ -84,6 +87,8 @@ class FramePlan:
     holdout: np.ndarray
     search_block: np.ndarray
     holdout_block: np.ndarray
+    search_recording: np.ndarray
+    holdout_recording: np.ndarray
     block_s: float
     searched_ids: np.ndarray
     notes: tuple[str, ...]
@@ -148,11 +153,14 @@ def plan_frames(
     searched, search, rest, judged = halves(holdout, block_s, notes)
     if judged is None and holdout:
         notes.append(_too_short(candidates, holdout, block_s, listed is not None, lambda *to: halves(*to, [])[3]))
+    none = np.zeros(0, dtype=np.int64)
     return FramePlan(
         search=search.frames,
-        holdout=judged.frames if judged else np.zeros(0, dtype=np.int64),
+        holdout=judged.frames if judged else none,
         search_block=_blocks(search, searched, block_s),
-        holdout_block=_blocks(judged, rest, block_s) if judged else np.zeros(0, dtype=np.int64),
+        holdout_block=_blocks(judged, rest, block_s) if judged else none,
+        search_recording=np.zeros(len(search.frames), dtype=np.int64),
+        holdout_recording=np.zeros(len(judged.frames), dtype=np.int64) if judged else none,
         block_s=float(block_s),
         searched_ids=np.unique(np.concatenate(_counted_ids(recording, search.frames, counted))),
         notes=tuple(notes),
@@ -299,3 +307,85 @@ def _too_short(
     would_do += [] if shorter is None else [f"block_s = {shorter} (with intervals that may be too narrow)"]
     told = f"[traffic] {' or '.join(would_do)} would do" if would_do else "no [traffic] holdout or block_s would do"
     return f"nothing is held out: {has}, {needed} (blocks of {block_s:.0f} s, longer than a transit); {told}"
+
+
+# --- Several recordings as one: such as a morning and an evening --------------------------------------------------
+
+
+def joined_recordings(recordings: Sequence[Recording], names: Sequence[str]) -> Recording:
+    """Several recordings as one.
+
+    Frames and vehicles of the second are counted on from a power of ten that no number reaches, of the third from
+    twice that: with 10000, frame 12345 is frame 2345 of the second. Each keeps its own time.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording, r
+    names : sequence of str, r
+        What notes and warnings call them.
+
+    Raises
+    ------
+    InputError
+        Where the numbers of vehicles are too large to be counted on.
+    """
+    if len(recordings) == 1:
+        return recordings[0]
+    step = _steps(recordings)
+    if len(recordings) * step["vehicle_id"] > _LARGEST_NUMBER:
+        largest = max(int(np.abs(one.vehicle_id).max()) for one in recordings)
+        raise InputError(f"{' and '.join(names)}: a vehicle is called {largest}; allowed in several: up to 14 digits")
+
+    def column(name: str) -> np.ndarray:
+        return np.concatenate([getattr(one, name) + at * step.get(name, 0) for at, one in enumerate(recordings)])
+
+    columns = ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
+    return Recording.from_rows(
+        **{name: column(name) for name in columns},
+        time_s=np.concatenate([np.repeat(one.frame_time_s, one.counts) for one in recordings]),
+        time_step_s=recordings[0].time_step_s,
+        source=" and ".join(one.source for one in recordings),
+        report=_joined_reports([one.report for one in recordings], names),
+    )
+
+
+def joined_plans(plans: Sequence[FramePlan], recordings: Sequence[Recording], names: Sequence[str]) -> FramePlan:
+    """The plans of several recordings as that of `joined_recordings`; `names` are those of the recordings."""
+    if len(plans) == 1:
+        return plans[0]
+    step = _steps(recordings)
+
+    def counted_on(name: str, by: Iterable[int]) -> np.ndarray:
+        return np.concatenate([getattr(plan, name) + number for plan, number in zip(plans, by, strict=True)])
+
+    arrays = {"searched_ids": counted_on("searched_ids", (at * step["vehicle_id"] for at in range(len(plans))))}
+    for half in ("search", "holdout"):
+        blocks = [len(np.unique(getattr(plan, f"{half}_block"))) for plan in plans]
+        arrays[half] = counted_on(half, (at * step["frame"] for at in range(len(plans))))
+        arrays[f"{half}_block"] = counted_on(f"{half}_block", accumulate(blocks[:-1], initial=0))
+        arrays[f"{half}_recording"] = counted_on(f"{half}_recording", range(len(plans)))
+    notes = tuple(f"{name}: {note}" for name, plan in zip(names, plans, strict=True) for note in plan.notes)
+    return FramePlan(**arrays, block_s=max(plan.block_s for plan in plans), notes=notes)
+
+
+_LARGEST_NUMBER = 2**53  # what a float still holds exactly
+
+
+def _steps(recordings: Sequence[Recording]) -> dict[str, int]:
+    """Powers of ten above all numbers of frames and of vehicles."""
+    largest = {name: max(int(np.abs(getattr(one, name)).max()) for one in recordings) for name in _COUNTED_ON}
+    return {name: 10 ** len(str(number)) for name, number in largest.items()}
+
+
+_COUNTED_ON = ("frame", "vehicle_id")
+
+
+def _joined_reports(reports: Sequence[RepairReport], names: Sequence[str]) -> RepairReport:
+    """What reading several recordings repaired: counts added up, sentences with the name of theirs."""
+    named = list(zip(names, reports, strict=True))
+    counts = [one.name for one in fields(RepairReport) if isinstance(one.default, int)]
+    return RepairReport(
+        **{count: sum(getattr(report, count) for report in reports) for count in counts},
+        notes=tuple(f"{name}: {note}" for name, report in named for note in report.notes),
+        warnings=tuple((what, f"{name}: {text}") for name, report in named for what, text in report.warnings),
+    )
