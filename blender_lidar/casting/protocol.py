@@ -399,6 +399,24 @@ class StandingScenery:
 
         return self.tree.origin, self.tree.ray_tree.boxes if len(self.tree.rows) else NO_BOXES
 
+    def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
+        """What rays from an `origin` (3,) [m] along unit `directions` (n, 3) meet first within `reach_m` [m].
+
+        Returns
+        -------
+        ray : ndarray of int64, (k,)
+            Rows of those that met something, rising.
+        distance : ndarray, (k,)
+            How far along each [m].
+        surface : ndarray of uint8, (k,)
+            What it is made of, an index into `world.meshes.SURFACES`.
+        cosine : ndarray, (k,)
+            Of the incidence on it.
+        """
+        found = self.tree.meet(origin, directions, reach_m)
+        cosine = np.abs(dot(self.tree.normals(found.triangle).T, directions[found.ray].T))
+        return found.ray, found.distance, self.scenery.surface[found.triangle], cosine
+
     def hides(self, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """Whether something stands nearer than a distance along rays, (n,) bool.
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ..casting import caster_class
 from ..casting.culling import cut_vehicles, revolutions
-from ..casting.protocol import StandingScenery, dot
+from ..casting.protocol import Revolution, StandingScenery, dot
 from ..errors import InputError
+from ..scene.observation import Observation
+from ..scoring.frame_scorer import FrameShapes
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
 from ..world.meshes import GLASS, REFLECTIVITY, ROAD
-from ..world.triangles import STATIC, vehicle_triangles
+from ..world.triangles import STATIC
 
 NO_CLASS = -1
 FULL_INTENSITY_M = 10.0  # up to here a surface that faces the sensor returns its full reflectivity
@@ -61,6 +64,112 @@ class PointCloud:
         return len(self.xyz)
 
 
+class Stands(Protocol):
+    """What stands still and returns: `StandingScenery`, or Blender's own trees of the user's objects."""
+
+    def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
+        """As `StandingScenery.met`."""
+
+
+class Turn(NamedTuple):
+    """What the beams of one revolution met, before anything of it is measured.
+
+    Attributes
+    ----------
+    vehicles : Revolution
+        What they would meet of the vehicles, were there nothing else.
+    directions : ndarray, (b, 3)
+        Unit vectors of all beams [road frame].
+    standing : tuple of (ndarray, ndarray, ndarray, ndarray)
+        What they would meet of each that stands still: as from `StandingScenery.met`.
+    """
+
+    vehicles: Revolution
+    directions: np.ndarray
+    standing: tuple[tuple[np.ndarray, ...], ...]
+
+
+class FrameScan:
+    """One frame of traffic, made ready once, whose point cloud is taken from any number of mountings.
+
+    Parameters
+    ----------
+    shapes : FrameShapes
+        The frame's vehicles as triangles behind a caster.
+    vehicles : Vehicles
+        The frame.
+    observation : Observation
+        Sensor, range gate, scenery and imperfections.
+    ground : bool
+        Whether the road, the plane z = 0, returns.
+    """
+
+    def __init__(
+        self, shapes: FrameShapes, vehicles: Vehicles, observation: Observation, *, ground: bool = True
+    ) -> None:
+        self._shapes, self._vehicles, self._seen, self._ground = shapes, vehicles, observation, ground
+        seen = observation
+        self._pieces = cut_vehicles(vehicles, seen.detail) if seen.culled else None
+        self._reach_m = seen.max_range_m + seen.imperfections.most_noise_m
+        self._model = seen.imperfections.measurement(seen.lattice, vehicles.frame, seen.min_range_m, seen.max_range_m)
+
+    def turn(self, pose: Pose, also: Sequence[Stands] = ()) -> Turn:
+        """Cast one revolution; `also` stands still beside the observation's scenery.
+
+        Raises
+        ------
+        InputError
+            When the sensor is not above the ground.
+        """
+        if self._ground and not pose.height_m > 0.0:
+            raise InputError(f"the LiDAR hangs {pose.height_m} m above the ground; allowed: more than 0 m")
+        lattice = self._seen.lattice
+        (hits,) = revolutions(self._shapes.tree, lattice, [pose], self._reach_m, self._pieces)
+        directions = pose.to_world(lattice.components.reshape(3, -1).T)
+        standing = [*also] if self._seen.scenery is None else [self._seen.scenery, *also]
+        found = (each.met(pose.position, directions, self._reach_m) for each in standing)
+        return Turn(hits, directions, tuple(found))
+
+    def cloud(self, pose: Pose, turn: Turn) -> PointCloud:
+        """What a mounting measures of what its beams met."""
+        seen, shapes, vehicles, directions = self._seen, self._shapes, self._vehicles, turn.directions
+        met = [np.full(len(directions), value) for value in (np.inf, STATIC, ROAD, 1.0)]  # by each beam, so far
+        distance, owner, surface, cosine = met
+
+        def meet(beam, *found):
+            for column, values in zip(met, found, strict=True):
+                column[beam] = values
+
+        hits = turn.vehicles
+        facing = np.abs(dot(shapes.tree.normals(hits.triangle).T, hits.directions))
+        meet(hits.beam, hits.distance, shapes.owner[hits.triangle], shapes.surface[hits.triangle], facing)
+        for beam, away, made_of, facing in turn.standing:
+            first = away < distance[beam]
+            meet(beam[first], away[first], STATIC, made_of[first], facing[first])
+        if self._ground:  # the plane z = 0: exact, where a mesh would leak
+            down = -directions[:, 2]
+            with np.errstate(divide="ignore", over="ignore"):
+                to_ground = np.where(down > 0.0, pose.height_m / down, np.inf)
+            first = (to_ground < distance) & (to_ground <= self._reach_m)
+            meet(first, to_ground[first], STATIC, ROAD, down[first])
+
+        every = np.arange(len(distance))
+        measured = self._model.measured(every, distance, surface == GLASS, REFLECTIVITY[surface], cosine)
+        kept = np.flatnonzero(measured < np.inf)
+        ring, slot = np.divmod(kept, seen.lattice.columns)
+        return PointCloud(
+            xyz=pose.position + measured[kept, None] * directions[kept],  # Eqs. 2 and 3
+            range_m=measured[kept],
+            ring=ring.astype(np.uint16),
+            azimuth_rad=seen.lattice.azimuth_rad(ring, slot),
+            time_s=seen.lattice.time_s(ring, slot),
+            vehicle_id=np.append(vehicles.vehicle_id, STATIC)[owner[kept]],  # the last, where it is no vehicle
+            class_index=np.append(vehicles.class_index, np.int8(NO_CLASS))[owner[kept]],
+            incidence_rad=np.arccos(np.clip(cosine[kept], 0.0, 1.0)),
+            intensity=REFLECTIVITY[surface[kept]] * cosine[kept] * _fall(distance[kept]),
+        )
+
+
 def scan(
     vehicles: Vehicles,
     lattice: BeamLattice,
@@ -74,7 +183,7 @@ def scan(
     scenery: StandingScenery | None = None,
     imperfections: Imperfections = PERFECT,
 ) -> PointCloud:
-    """Cast one revolution over one frame.
+    """Cast one revolution over one frame: `FrameScan` for one mounting alone.
 
     Parameters
     ----------
@@ -103,51 +212,19 @@ def scan(
     InputError
         When the sensor is not above the ground.
     """
-    if ground and not pose.height_m > 0.0:
-        raise InputError(f"the LiDAR hangs {pose.height_m} m above the ground; allowed: more than 0 m")
-    world = vehicle_triangles(vehicles, detail)
-    reach_m = max_range_m + imperfections.most_noise_m
-    tree = caster_class(caster)(world.corners, closed=True)
-    (hits,) = revolutions(tree, lattice, [pose], reach_m, cut_vehicles(vehicles, detail))
-    directions = pose.to_world(lattice.components.reshape(3, -1).T)
-    met = [np.full(len(directions), value) for value in (np.inf, STATIC, ROAD, 1.0)]  # by each beam, so far
-    distance, owner, surface, cosine = met
-
-    def meet(beam, *found):
-        for column, values in zip(met, found, strict=True):
-            column[beam] = values
-
-    facing = np.abs(dot(tree.normals(hits.triangle).T, hits.directions))
-    meet(hits.beam, hits.distance, world.owner[hits.triangle], world.surface[hits.triangle], facing)
-    if scenery is not None:
-        found = scenery.tree.meet(pose.position, directions, reach_m)
-        first = found.distance < distance[found.ray]
-        beam, triangle = found.ray[first], found.triangle[first]
-        facing = np.abs(dot(scenery.tree.normals(triangle).T, directions[beam].T))
-        meet(beam, found.distance[first], STATIC, scenery.scenery.surface[triangle], facing)
-    if ground:  # the plane z = 0: exact, where a mesh would leak
-        down = -directions[:, 2]
-        with np.errstate(divide="ignore", over="ignore"):
-            to_ground = np.where(down > 0.0, pose.height_m / down, np.inf)
-        first = (to_ground < distance) & (to_ground <= reach_m)
-        meet(first, to_ground[first], STATIC, ROAD, down[first])
-
-    model = imperfections.measurement(lattice, vehicles.frame, min_range_m, max_range_m)
-    every = np.arange(len(distance))
-    measured = model.measured(every, distance, surface == GLASS, REFLECTIVITY[surface], cosine)
-    kept = np.flatnonzero(measured < np.inf)
-    ring, slot = np.divmod(kept, lattice.columns)
-    return PointCloud(
-        xyz=pose.position + measured[kept, None] * directions[kept],  # Eqs. 2 and 3
-        range_m=measured[kept],
-        ring=ring.astype(np.uint16),
-        azimuth_rad=lattice.azimuth_rad(ring, slot),
-        time_s=lattice.time_s(ring, slot),
-        vehicle_id=np.append(vehicles.vehicle_id, STATIC)[owner[kept]],  # the last, where it is no vehicle
-        class_index=np.append(vehicles.class_index, np.int8(NO_CLASS))[owner[kept]],
-        incidence_rad=np.arccos(np.clip(cosine[kept], 0.0, 1.0)),
-        intensity=REFLECTIVITY[surface[kept]] * cosine[kept] * _fall(distance[kept]),
+    seen = Observation(
+        lattice,
+        max_range_m,
+        min_range_m,
+        caster,
+        detail,
+        cell_m=np.nan,  # nothing is scored
+        scenery=scenery,
+        imperfections=imperfections,
     )
+    none = np.zeros(len(vehicles), dtype=bool)
+    frame = FrameScan(FrameShapes(vehicles, none, detail, caster), vehicles, seen, ground=ground)
+    return frame.cloud(pose, frame.turn(pose))
 
 
 def class_names(class_index: np.ndarray) -> np.ndarray:

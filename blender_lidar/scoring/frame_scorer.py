@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -46,6 +46,8 @@ class FrameShapes:
         The vehicles that are scored.
     tree : Caster
         Of all triangles.
+    owner : ndarray of int32, (m,)
+        Row of each triangle's vehicle in the frame.
     counted_row : ndarray of int64, (m,)
         Row of each triangle's vehicle among the counted; -1 where it does not count.
     surface : ndarray of uint8, (m,)
@@ -58,7 +60,7 @@ class FrameShapes:
         self.frame, self.detail, self.caster = vehicles.frame, detail, caster
         self.counted = vehicles.select(counted)
         triangles = triangles or vehicle_triangles(vehicles, detail)
-        self.surface = triangles.surface
+        self.owner, self.surface = triangles.owner, triangles.surface
         rows = np.append(np.where(counted, np.cumsum(counted) - 1, -1), -1)  # the last is that of `STATIC`
         self.counted_row = rows[triangles.owner].astype(np.int64)
         self.tree = caster_class(caster)(triangles.corners, closed=True)
@@ -145,11 +147,12 @@ class FrameScorer:
     def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
         """What each of s mountings sees of the n counted vehicles; the returns themselves only where they are kept."""
         if self.compiled is None or keep_returns:
-            return self._see(poses, keep_returns)
+            return self.seen_of(poses, self._revolutions(poses), keep_returns=keep_returns)
         points, cells, undecided = self.compiled.see(poses)
         shares = self.grids.shares(cells)
         for row in undecided.tolist():
-            seen = self._see(poses[row : row + 1])
+            one = poses[row : row + 1]
+            seen = self.seen_of(one, self._revolutions(one))
             points[row], shares[row] = seen.points[0], seen.occupancy[0]
         return Seen(points, shares)
 
@@ -189,11 +192,12 @@ class FrameScorer:
         cosine = np.abs(dot(self.shapes.tree.normals(hits.triangle).T, hits.directions))
         return surface == GLASS, REFLECTIVITY[surface], cosine
 
-    def _see(self, poses, keep_returns=False) -> Seen:
+    def seen_of(self, poses: Sequence[Pose], turns: Iterable[Revolution], *, keep_returns: bool = False) -> Seen:
+        """As `see`, given what the beams of each mounting met, in turn."""
         points = np.zeros((len(poses), len(self)), dtype=np.int64)
         shares = np.zeros((len(poses), len(self), 3))
         kept = [(np.empty((0, 3)), np.empty(0, dtype=np.int64))]
-        for number, (pose, found) in enumerate(zip(poses, self._revolutions(poses), strict=True)):
+        for number, (pose, found) in enumerate(zip(poses, turns, strict=True)):
             local, row = self.returns_of(pose, found)
             points[number] = np.bincount(row, minlength=len(self))
             shares[number] = self.grids.occupancy(local, row)  # Eqs. 6 to 8

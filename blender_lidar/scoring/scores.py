@@ -58,8 +58,16 @@ class VehicleScores:
 
     def of(self, frame: CountedFrame, scorer: FrameScorer, poses: Sequence[Pose], mountings: Mountings) -> Scored:
         """Score s mountings, given as poses and as what `mountings_of` makes of them, on the frame of a scorer."""
+        return self.of_seen(frame, scorer, scorer.see(poses, keep_returns=self.needs_returns), mountings)
+
+    @property
+    def needs_returns(self) -> bool:
+        """Whether the metric asks for the returns themselves."""
+        return NEEDS_POINTS in self._metric.needs
+
+    def of_seen(self, frame: CountedFrame, scorer: FrameScorer, seen: Seen, mountings: Mountings) -> Scored:
+        """As `of`, given what the mountings saw, with the returns where the metric asks for them."""
         scoring, metric = self._scoring, self._metric
-        seen = scorer.see(poses, keep_returns=NEEDS_POINTS in metric.needs)
         noticed = detectable(seen.occupancy, scoring.threshold, scoring.view)
         rows = _rows(metric, frame, scorer, seen, mountings, noticed)
         values = metric.values(rows).reshape(noticed.shape)

@@ -1,0 +1,85 @@
+"""Live preview: one frame kept ready, whose cloud and scores come of one cast from wherever the LiDAR is dragged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..casting.protocol import Revolution
+from ..scene.observation import CountedFrame, Observation, Scoring
+from ..scoring.frame_scorer import FrameScorer, FrameShapes
+from ..scoring.scores import Scored, VehicleScores, mountings_of
+from ..sensors.pose import Pose
+from .scan import FrameScan, PointCloud, Stands
+
+
+class Look(NamedTuple):
+    """What one mounting makes of a frame.
+
+    Attributes
+    ----------
+    cloud : PointCloud
+        As from `scan`.
+    scored : Scored or None
+        Of this one mounting, as from `VehicleScores`; None where nothing is scored.
+    """
+
+    cloud: PointCloud
+    scored: Scored | None
+
+
+class LiveFrame:
+    """Live frame: its triangles, pieces, tree and scorer, kept while the LiDAR moves.
+
+    Cloud and scores are those of `scan` and `FrameScorer`, to the last digit.
+
+    Parameters
+    ----------
+    frame : CountedFrame
+        The frame, and which of its vehicles are scored.
+    observation : Observation
+        Sensor, range gate, caster, detail, scenery and imperfections.
+    scoring : Scoring or None
+        How vehicles are scored; None leaves that out. A metric with a memory learns from this frame alone.
+    ground : bool
+        Whether the road, the plane z = 0, returns. It hides no vehicle from being scored.
+
+    Attributes
+    ----------
+    frame : CountedFrame
+    """
+
+    def __init__(
+        self, frame: CountedFrame, observation: Observation, scoring: Scoring | None, *, ground: bool = True
+    ) -> None:
+        self.frame, vehicles = frame, frame.vehicles
+        shapes = FrameShapes(vehicles, frame.counted, observation.detail, observation.caster)
+        self._scan = FrameScan(shapes, vehicles, observation, ground=ground)
+        self._scores = self._scorer = None
+        if scoring is not None:
+            self._scores = VehicleScores(scoring, observation, [frame])
+            # What scenery hides is left out here, as the cloud needs to know of it too.
+            self._scorer = FrameScorer(vehicles, frame.counted, replace(observation, scenery=None), shapes)
+
+    def look(self, pose: Pose, also: Sequence[Stands] = ()) -> Look:
+        """The cloud and the scores from a mounting; what `also` stands there returns and hides.
+
+        Raises
+        ------
+        InputError
+            When the sensor is not above the ground.
+        """
+        turn = self._scan.turn(pose, also)
+        return Look(self._scan.cloud(pose, turn), None if self._scores is None else self._score(pose, turn))
+
+    def _score(self, pose, turn) -> Scored:
+        hits, nearest = turn.vehicles, np.full(len(turn.directions), np.inf)  # of what stands still, by each beam
+        for beam, distance, *_ in turn.standing:
+            nearest[beam] = np.minimum(nearest[beam], distance)
+        shown = hits.distance <= nearest[hits.beam]
+        hits = Revolution(*(column[..., shown] for column in hits))
+        seen = self._scorer.seen_of([pose], [hits], keep_returns=self._scores.needs_returns)
+        return self._scores.of_seen(self.frame, self._scorer, seen, mountings_of([pose]))
