@@ -96,6 +96,39 @@ def test_one_origin_for_all_rays_and_one_for_each_agree(name):
         np.testing.assert_array_equal(alone.triangle, together.triangle[start : start + 200])
 
 
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("name", EVERY)
+def test_a_tree_made_ready_for_a_region_meets_the_same_and_is_not_made_again_within_it(name, closed, monkeypatch):
+    triangles = vehicle_triangles(dense_traffic(vehicles=30, length_m=120.0)).corners
+    caster, built = caster_class(name)(triangles, closed), []
+    caster.make_ready(np.array([-60.0, -60.0, -50.0]), np.array([60.0, 60.0, 70.0]))
+    if name in ("bvh", "embree"):
+        monkeypatch.setattr(caster, "_build", built.append)
+    rng = np.random.default_rng(5)
+    for origin in (np.array([x, -1.0, 4.0]) for x in (0.0, 25.0, 59.0, -59.0)):
+        rays = unit_rows(rng.uniform([-30, 3, 0], [30, 25, 2], (800, 3)) - origin)
+        found, expected = caster.cast(origin, rays, 60.0), caster_class("exact")(triangles).cast(origin, rays, 60.0)
+        np.testing.assert_allclose(found.distance, expected.distance, rtol=1e-12)
+    assert built == []
+
+
+@pytest.mark.parametrize("name", FAST[1:2])
+def test_a_tree_of_many_triangles_is_that_of_few_and_leaves_blenders_data_as_they_were(name, monkeypatch):
+    """Many go to Blender by way of a mesh."""
+    import bpy
+
+    triangles = vehicle_triangles(dense_traffic(vehicles=30, length_m=120.0)).corners
+    origin = np.array([0.0, 0.0, 4.0])
+    rays = unit_rows(np.random.default_rng(6).uniform([-30, 3, 0], [30, 25, 2], (2000, 3)) - origin)
+    expected = caster_class(name)(triangles).cast(origin, rays, 60.0)
+    before = len(bpy.data.meshes), len(bpy.data.objects)
+    monkeypatch.setattr("blender_lidar.casting.bvh._MANY", 0)
+    found = caster_class(name)(triangles).cast(origin, rays, 60.0)
+    np.testing.assert_array_equal(found.triangle, expected.triangle)
+    np.testing.assert_array_equal(found.distance, expected.distance)
+    assert (len(bpy.data.meshes), len(bpy.data.objects)) == before
+
+
 @pytest.mark.parametrize("name", EVERY)
 def test_permuting_rays_permutes_hits(name):
     caster = caster_class(name)(vehicle_triangles(dense_traffic(vehicles=30, length_m=120.0)).corners)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from itertools import chain, repeat
 from operator import itemgetter
 
-import bpy  # noqa: F401  (makes mathutils importable where Blender is a Python module)
+import bpy  # first: it makes mathutils importable where Blender is a Python module
 import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
@@ -15,6 +15,7 @@ from mathutils.bvhtree import BVHTree
 from .protocol import MISS
 from .tree import TreeCaster
 
+_MANY = 20_000  # triangles: a mesh of fewer takes as long as lists do, and lists leave Blender's data alone
 _triangle_of = itemgetter(2)  # ray_cast returns (location, normal, index, distance)
 
 
@@ -24,6 +25,9 @@ class BvhCaster(TreeCaster):
     name = "bvh"
 
     def _build(self, corners):
+        if len(corners) > _MANY:
+            self._tree = _tree_of_mesh(corners)
+            return
         vertices = corners.reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
         self._tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
@@ -35,6 +39,24 @@ class BvhCaster(TreeCaster):
             rays = zip(*map(memoryview, np.ascontiguousarray(directions.T)), strict=True)
             met = list(map(_triangle_of, map(self._tree.ray_cast, starts, rays, repeat(float(reach)))))
         return np.array([MISS if index is None else index for index in met], dtype=np.int64)
+
+
+def _tree_of_mesh(corners):
+    """The tree of triangles by way of a mesh, which takes arrays: an object for a while, in no scene."""
+    count = len(corners)
+    mesh = bpy.data.meshes.new("Triangles")
+    try:
+        mesh.vertices.add(3 * count)
+        mesh.vertices.foreach_set("co", np.ascontiguousarray(corners, dtype=np.float32).ravel())
+        mesh.loops.add(3 * count)
+        mesh.loops.foreach_set("vertex_index", np.arange(3 * count, dtype=np.int32))
+        mesh.polygons.add(count)
+        mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+        mesh.polygons.foreach_set("loop_total", np.full(count, 3, dtype=np.int32))
+        item, layer = bpy.data.objects.new("Triangles", mesh), bpy.context.view_layer
+        return BVHTree.FromObject(item, layer.depsgraph or bpy.context.evaluated_depsgraph_get(), deform=False)
+    finally:
+        bpy.data.meshes.remove(mesh)  # with its object
 
 
 def _shared_vectors(origins):

@@ -258,6 +258,9 @@ class Caster(ABC):
     def _prepare(self) -> None:  # noqa: B027 (not all have anything to do)
         """Make ready to cast against `_corners` (m, 3, 3): re-centred, all with area, at least one."""
 
+    def make_ready(self, low: np.ndarray, high: np.ndarray) -> None:  # noqa: B027 (not all have anything to do)
+        """Make ready for rays that start between two corners, (3,) [m]: while they do, nothing is made again."""
+
     @abstractmethod
     def _meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float) -> Returns:
         """As `meet`, with at least one ray, and origins and rows in terms of `_corners`."""

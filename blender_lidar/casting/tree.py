@@ -96,6 +96,14 @@ class TreeCaster(Caster):
     def _prepare(self):
         self._margin = _MARGIN if self._closed else _MARGIN_OPEN
         self._low = self._high = None  # of where rays may start; the tree is made at the first cast
+        self._stays = False  # however far from each other they start there
+
+    def make_ready(self, low: np.ndarray, high: np.ndarray) -> None:
+        """As `Caster.make_ready`; the wider the region, the wider are the margins, and the more is left to float64."""
+        if len(self.rows):
+            self._low = None
+            self._make_tree(low - self.origin, high - self.origin)
+            self._stays = True
 
     def first(self, origin: np.ndarray, directions: np.ndarray, max_range: float) -> np.ndarray | None:
         """What the tree alone says: row of the triangle that each ray meets first, or `MISS`; of closed meshes.
@@ -159,12 +167,13 @@ class TreeCaster(Caster):
         if self._low is not None and (low >= self._low).all() and (high <= self._high).all():
             roam = _ROAM * self._far
             widest = max(2.0 * (_REGION * self._far + roam), _MUCH_WIDER * (0.5 * (high - low).max() + roam))
-            if self._reach <= widest:
+            if self._stays or self._reach <= widest:
                 return
         self._make_tree(low, high)
 
     def _make_tree(self, low, high):
         """Make the tree for rays that start between two corners, and where they have started before if that is near."""
+        self._stays = False
         if self._low is not None:
             both = np.minimum(low, self._low), np.maximum(high, self._high)
             if 0.5 * (both[1] - both[0]).max() <= _REGION * self._far:
