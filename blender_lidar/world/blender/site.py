@@ -66,6 +66,7 @@ def visible_triangles(
     scene: bpy.types.Scene,
     skip: Callable[[bpy.types.Object], bool] = lambda item: False,
     keep: Keep = lambda box: True,
+    layer: bpy.types.ViewLayer | None = None,
 ) -> Scenery:
     """Everything that a LiDAR would meet in a scene, with modifiers applied and instances made real.
 
@@ -76,30 +77,29 @@ def visible_triangles(
     Parameters
     ----------
     scene : Scene
-        In its current frame, as its first view layer shows it; its unit scale is applied.
+        In its current frame; its unit scale is applied.
     skip : callable, optional
         Told each object; those for which it is true are left out too.
     keep : callable, optional
         Told the eight corners (8, 3) [m] of each object's and instance's bounding box, in the scene's frame; where it
         is false that one is left out. A forest may have far more triangles than stand within reach.
+    layer : ViewLayer, optional
+        As it shows the scene; the first if left out.
 
     Returns
     -------
     Scenery
         In the scene's own frame [m]; owners are the visible objects, and each instance is an owner of its own.
     """
-    layer = scene.view_layers[0]
+    layer = layer or scene.view_layers[0]
     layer.update()
-    rendered = set(_rendered_objects(scene.collection))
     meshes, parts = {}, []
     unit_m = scene.unit_settings.scale_length
-    for instance in layer.depsgraph.object_instances:
+    for instance in visible_instances(scene, layer.depsgraph, lambda item: not skip(item)):
         item = instance.object
-        if item.type != "MESH" or not _is_seen(instance, rendered) or role(item) in DISPLAY_ONLY or skip(item):
-            continue
         key = item.data.as_pointer()
         if key not in meshes:
-            meshes[key] = _arrays_of(item.data)
+            meshes[key] = arrays_of(item.data)
         vertices, faces, surface, box = meshes[key]
         matrix = np.array(instance.matrix_world, dtype=float)
         turn, move = unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
@@ -110,6 +110,37 @@ def visible_triangles(
         owner = np.zeros(len(faces), np.int32)
         parts.append(Scenery((vertices @ turn + move)[faces], owner, surface, (item.name,)))
     return join(parts)
+
+
+def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, keep: Keep = lambda box: True) -> Scenery:
+    """The visible objects of the user's in a scene that is open, as exact triangles: `visible_triangles` less our own.
+
+    Raises
+    ------
+    InputError
+        If a vertex is not finite.
+    """
+    found = visible_triangles(scene, lambda item: not is_scenery(item), keep, layer)
+    if not np.isfinite(found.corners).all():
+        row = int(np.flatnonzero(~np.isfinite(found.corners).all(axis=(1, 2)))[0])
+        raise InputError(f"{found.names[found.owner[row]]!r}: has a vertex that is not finite")
+    return found
+
+
+def is_scenery(item: bpy.types.Object) -> bool:
+    """Whether an object is the user's own, or scenery of ours: not our road, vehicles, LiDAR or point cloud."""
+    return role(item) not in _NOT_SCENERY
+
+
+def visible_instances(
+    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, wanted: Callable[[bpy.types.Object], bool]
+) -> Iterator[bpy.types.DepsgraphObjectInstance]:
+    """What `visible_triangles` takes of an evaluated scene, one by one; each is gone when the next comes."""
+    rendered = set(_rendered_objects(scene.collection))
+    for instance in depsgraph.object_instances:
+        item = instance.object
+        if item.type == "MESH" and role(item) not in DISPLAY_ONLY and wanted(item) and _is_seen(instance, rendered):
+            yield instance
 
 
 def _rendered_objects(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
@@ -130,15 +161,21 @@ def _is_seen(instance: bpy.types.DepsgraphObjectInstance, rendered: set[bpy.type
     return item.original in rendered and (not item.is_instancer or item.show_instancer_for_render)
 
 
-def _arrays_of(mesh: bpy.types.Mesh) -> tuple[np.ndarray, ...]:
-    """An evaluated mesh: vertices (n, 3), triangles (m, 3), their surface (m,), corners (8, 3) of the bounding box."""
-    mesh.calc_loop_triangles()
-    count = len(mesh.loop_triangles)
-    vertices, faces = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * count, np.int32)
-    slot = np.empty(count, np.int32)
+def arrays_of(mesh: bpy.types.Mesh, *, triangles: bool = True) -> tuple[np.ndarray, ...]:
+    """An evaluated mesh: vertices (n, 3), triangles (m, 3), their surface (m,), corners (8, 3) of the bounding box.
+
+    Without `triangles` there are none, and the surfaces are those of its polygons.
+    """
+    vertices, faces = np.empty(3 * len(mesh.vertices), np.float32), np.empty(0, np.int32)
     mesh.vertices.foreach_get("co", vertices)
-    mesh.loop_triangles.foreach_get("vertices", faces)
-    mesh.loop_triangles.foreach_get("material_index", slot)
+    parts = mesh.polygons
+    if triangles:
+        mesh.calc_loop_triangles()
+        parts = mesh.loop_triangles
+        faces = np.empty(3 * len(parts), np.int32)
+        parts.foreach_get("vertices", faces)
+    slot = np.empty(len(parts), np.int32)
+    parts.foreach_get("material_index", slot)
     known = [_surface_of(material) for material in mesh.materials]
     made_of = np.array(known or [STRUCTURE], dtype=np.uint8)[np.clip(slot, 0, max(0, len(known) - 1))]
     vertices = vertices.reshape(-1, 3).astype(float)
@@ -202,7 +239,7 @@ def read_site(path: str | Path, keep: Keep | None = None) -> Scenery:
     if suffix == ".blend":
         check_version(path)
     with quiet(), _linked_scene(path) if suffix == ".blend" else _imported_scene(path) as scene:
-        found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY, keep or (lambda box: True))
+        found = visible_triangles(scene, lambda item: not is_scenery(item), keep or (lambda box: True))
     if len(found) == 0 and keep is None:
         raise InputError(f"{path}: nothing with faces is visible in it")
     if not np.isfinite(found.corners).all():
