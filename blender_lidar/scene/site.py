@@ -267,20 +267,38 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, scenario.where("objective", ""))
-    observation = Observation(
+    observation, scoring = observation_of(scenario, lattice, caster, scenery), scoring_of(scenario, searched)
+    return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
+
+
+def observation_of(
+    scenario: Scenario, lattice: BeamLattice, caster: str, scenery: StandingScenery | None
+) -> Observation:
+    """How a scene's sensor sees vehicles."""
+    return Observation(
         lattice=lattice,
-        max_range_m=sensor.range_gate_m,
+        max_range_m=scenario.sensor.range_gate_m,
         min_range_m=lattice.model.range_min_m,
         caster=caster,
         detail=scenario.world.detail,
-        cell_m=objective.cell_m,
-        reading=objective.reading,
+        cell_m=scenario.objective.cell_m,
+        reading=scenario.objective.reading,
         scenery=scenery,
-        imperfections=sensor.imperfections,
+        imperfections=scenario.sensor.imperfections,
     )
-    field = scene_field(objective.metric, scenario.road, region, searched)
-    scoring = Scoring(objective.threshold, objective.view, objective.loss, objective.reading, objective.metric, field)
-    return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
+
+
+def scoring_of(scenario: Scenario, searched: Sequence[CountedFrame]) -> Scoring:
+    """What a scene makes of what is seen; metrics with a memory look where the searched frames have vehicles.
+
+    Raises
+    ------
+    InputError
+        When a metric with a memory has nothing to look at.
+    """
+    asked, region = scenario.objective, region_of(scenario.region, scenario.road.carriageway_y)
+    field = scene_field(asked.metric, scenario.road, region, searched)
+    return Scoring(asked.threshold, asked.view, asked.loss, asked.reading, asked.metric, field)
 
 
 def lattice_of(sensor: SensorSettings) -> BeamLattice:

@@ -9,9 +9,10 @@ import bpy
 import numpy as np
 from mathutils import Euler, Matrix
 
+from ...errors import InputError
 from ...road import RoadFrame
 from ...sensors.beams import BeamLattice, beam_directions
-from ...sensors.pose import Pose
+from ...sensors.pose import Pose, tilts_of
 from ..meshes import GLASS, PAINT, ROAD, STRUCTURE, tube
 from ..scenery import Scenery
 
@@ -20,9 +21,10 @@ from ..scenery import Scenery
 KEY = "blender_lidar"  # custom property of our objects and collections
 VEHICLE_ID, SHAPE = "vehicle_id", "shape"  # further ones of vehicles
 VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
-SENSOR, FAN, CLOUD, STAGE = "lidar", "beam fan", "cloud", "stage"
+SENSOR, PART, FAN, CLOUD, STAGE = "lidar", "lidar part", "beam fan", "cloud", "stage"
 # What a LiDAR would not meet: paint, its own pole, what it has measured.
-DISPLAY_ONLY = (MARKING, SENSOR, FAN, CLOUD)
+DISPLAY_ONLY = (MARKING, SENSOR, PART, FAN, CLOUD)
+SETTINGS = "blender_lidar_sensor"  # custom property of a LiDAR that was built without the add-on: its settings as JSON
 
 
 def role(thing: bpy.types.ID) -> str | None:
@@ -43,14 +45,14 @@ def made_once(blocks: Iterable[bpy.types.ID], key: str, make: Callable[[], bpy.t
 
 
 def collection(scene: bpy.types.Scene, name: str, of: str) -> bpy.types.Collection:
-    """The scene's collection for objects of a role; made when it is not there."""
+    """The scene's collection for objects of a role, wherever it is nested; made when it is not there."""
 
     def make():
         made = bpy.data.collections.new(name)
         scene.collection.children.link(made)
         return made
 
-    return made_once(scene.collection.children, of, make)
+    return made_once(scene.collection.children_recursive, of, make)
 
 
 def add_object(
@@ -229,36 +231,96 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
         add_object(into, name, mesh).location = middle
 
 
-# --- The mounted LiDAR: pole, head, and a fan of its beams ------------------------------------------------
+# --- The mounted LiDAR: an empty whose axes are those of the sensor frame; pole, head and fan are its children -------
 
 _HEAD_RADIUS_M, _HEAD_HEIGHT_M, _POLE_RADIUS_M = 0.06, 0.09, 0.07
 _SIDES = 32
+_AXES_M = 0.4
+_PLACE_DIGITS, _ANGLE_DIGITS = 4, 4  # of metres and degrees: single precision keeps these within a kilometre
 _FAN_REACH_M, _BEAM_RADIUS_M = 25.0, 0.006
 _AZIMUTHS_RAD = (-math.pi / 3.0, 0.0, math.pi / 3.0)  # of the fan: across the road and obliquely ahead and back
 
 
 def build_lidar(scene: bpy.types.Scene, lattice: BeamLattice, pose: Pose) -> bpy.types.Object:
-    """Pole, head and beam fan at a mounting, in place of earlier ones.
-
-    Returns
-    -------
-    Object
-        The head, whose axes are those of the sensor frame.
-    """
+    """A LiDAR at a mounting, in place of earlier ones: an empty whose axes are those of the sensor frame."""
     into = collection(scene, "LiDAR", SENSOR)
     clear(into)
+    lidar = new_lidar(into, pose)
+    dress(lidar, lattice)
+    return lidar
+
+
+def new_lidar(into: bpy.types.Collection, pose: Pose) -> bpy.types.Object:
+    """A LiDAR's empty at a mounting, still without pole, head and fan."""
+    lidar = add_object(into, "LiDAR", None, SENSOR)
+    lidar.empty_display_type, lidar.empty_display_size = "ARROWS", _AXES_M
+    lidar.lock_scale = (True, True, True)
+    lidar.rotation_mode = "XYZ"
+    lidar.matrix_world = sensor_matrix(pose)
+    return lidar
+
+
+def dress(lidar: bpy.types.Object, lattice: BeamLattice) -> None:
+    """Give a LiDAR its head, a pole that stays upright and reaches the ground, and a fan of its sensor's beams.
+
+    They are its children, in its collections, and take the place of earlier ones.
+    """
+    worn = [child for child in lidar.children if role(child) in (PART, FAN)]
+    data = {child.data for child in worn}
+    bpy.data.batch_remove(worn)
+    bpy.data.batch_remove([item for item in data if item.users == 0])
+    into, half = lidar.users_collection[0], 0.5 * _HEAD_HEIGHT_M
+    head = add_object(into, "Head", _cylinder("Head", _HEAD_RADIUS_M, -half, half, plain("Head", HEAD)), PART)
     metal = plain("Pole", METAL, roughness=0.4)
-    length = pose.height_m - _HEAD_HEIGHT_M  # up to below the head
-    if length > 0.0:
-        pole = add_object(into, "Pole", _cylinder("Pole", _POLE_RADIUS_M, 0.0, length, metal))
-        pole.location = (pose.x_m, pose.y_m, 0.0)
-    half = 0.5 * _HEAD_HEIGHT_M
-    head = add_object(into, "LiDAR", _cylinder("LiDAR", _HEAD_RADIUS_M, -half, half, plain("Head", HEAD)))
-    head.matrix_world = sensor_matrix(pose)
-    fan = add_object(into, "Beam fan", _fan(lattice, pose), FAN)
-    fan.parent = head
+    pole = add_object(into, "Pole", _cylinder("Pole", _POLE_RADIUS_M, -1.0, 0.0, metal), PART)
+    upright = pole.constraints.new("LIMIT_ROTATION")
+    upright.use_limit_x = upright.use_limit_y = True
+    length = pole.driver_add("scale", 2).driver  # from below the head down to z = 0
+    height = length.variables.new()
+    height.name, height.type = "height", "TRANSFORMS"
+    height.targets[0].id, height.targets[0].transform_type = lidar, "LOC_Z"
+    length.expression = "max(height, 0.001)"
+    fan = add_object(into, "Beam fan", _fan(lattice), FAN)
+    for child in (head, pole, fan):
+        child.parent = lidar
+        child.hide_select = True  # who clicks on one means the LiDAR
     only_for_the_eye(fan)
-    return head
+
+
+def pose_of(lidar: bpy.types.Object) -> Pose:
+    """The mounting that a LiDAR's transform says, rounded to what Blender's single precision holds.
+
+    Raises
+    ------
+    InputError
+        For a LiDAR that is mirrored.
+    """
+    matrix = lidar.matrix_world if lidar.parent or lidar.constraints else lidar.matrix_basis  # always as it is now
+    place, turn, _ = matrix.decompose()
+    if matrix.determinant() < 0.0:
+        raise InputError(f"{lidar.name}: is mirrored; allowed: a LiDAR with positive scale")
+    tilts = tilts_of(np.array(turn.to_matrix()).T)  # for rows
+    x, y, height = (round(value, _PLACE_DIGITS) for value in place)
+    return Pose(x, y, height, *(math.radians(round(math.degrees(angle), _ANGLE_DIGITS)) for angle in tilts))
+
+
+def hang(lidar: bpy.types.Object, pose: Pose) -> None:
+    """Move a LiDAR to a mounting."""
+    if lidar.parent:
+        lidar.matrix_world = sensor_matrix(pose)
+        return
+    lidar.rotation_mode = "XYZ"
+    lidar.location, lidar.rotation_euler = pose.position, (-pose.tilt_x, -pose.tilt_y, pose.yaw)
+
+
+def is_lidar(item: bpy.types.Object | None) -> bool:
+    """Whether an object is a LiDAR of ours."""
+    return item is not None and role(item) == SENSOR and item.type == "EMPTY"
+
+
+def lidars(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The LiDARs of a scene, by name."""
+    return sorted(filter(is_lidar, scene.objects), key=lambda item: item.name)
 
 
 def sensor_matrix(pose: Pose) -> Matrix:
@@ -274,18 +336,15 @@ def _cylinder(name, radius, low, high, material):
     return new_mesh(name, made.vertices, made.faces, [material])
 
 
-def _fan(lattice: BeamLattice, pose: Pose) -> bpy.types.Curve:
-    """A thin line for each ring at a few azimuths, to the ground or as far as the fan reaches."""
+def _fan(lattice: BeamLattice) -> bpy.types.Curve:
+    """A thin line for each ring at a few azimuths, as far as the fan reaches: the road hides what lies below it."""
     azimuth, elevation = np.meshgrid(np.array(_AZIMUTHS_RAD), lattice.elevation_rad)
     directions = beam_directions(azimuth.ravel(), elevation.ravel())
-    down = -pose.to_world(directions)[:, 2]
-    with np.errstate(divide="ignore"):
-        reach = np.minimum(np.where(down > 0.0, pose.height_m / down, np.inf), _FAN_REACH_M)
     curve = bpy.data.curves.new("Beam fan", "CURVE")
     curve.dimensions, curve.bevel_depth, curve.bevel_resolution = "3D", _BEAM_RADIUS_M, 0
-    for direction, length in zip(directions.tolist(), reach.tolist(), strict=True):
+    for direction in (_FAN_REACH_M * directions).tolist():
         line = curve.splines.new("POLY")
         line.points.add(1)
-        line.points[1].co = (*(length * component for component in direction), 1.0)
+        line.points[1].co = (*direction, 1.0)
     curve.materials.append(plain("Beam", BEAM))
     return curve

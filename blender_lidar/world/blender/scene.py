@@ -70,7 +70,8 @@ def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: fl
     sun = add_object(into, "Sun", bpy.data.lights.new("Sun", "SUN"))
     sun.data.energy, sun.data.angle = _SUN_STRENGTH, math.radians(1.5)
     sun.rotation_euler = Vector(_SUN_DIRECTION).to_track_quat("-Z", "Y").to_euler()
-    scene.camera = camera
+    if scene.camera is None:  # one of the user's own stays
+        scene.camera = camera
     if scene.world is None:
         scene.world = made_once(bpy.data.worlds, STAGE, _sky)
 
@@ -231,7 +232,8 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     build_lidar(scene, moment.lattice, moment.pose)
     build_cloud(scene, moment.points)
     build_stage(scene, moment.road, moment.pose, min(_SEEN_AT_MOST_M, _SEEN_SHARE * moment.range_gate_m))
-    scene.view_layers[0].update()
+    for layer in scene.view_layers:
+        layer.update()
 
 
 def save_blend(path: str | Path, moment: Moment, frames: Sequence[Vehicles] = (), time_step_s: float = 0.1) -> None:

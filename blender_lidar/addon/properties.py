@@ -1,0 +1,364 @@
+"""The panel's properties, made from the one declaration of each setting: unit, range, default and tooltip.
+
+`Scene.blender_lidar` holds what a scene has once, `Object.lidar` what each LiDAR has. Blender keeps numbers in single
+precision and angles in radians: `values_of` gives them back as they were typed.
+"""
+
+# Not from __future__ import annotations: Blender reads properties from annotations as they are.
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from ..names import METRIC_NAMES
+from ..scene.settings import (
+    COORDINATES,
+    DATASHEET,
+    DECLARED,
+    GATE,
+    LEANS,
+    MOUNTING_OR_LEAN,
+    SEARCHED,
+    leaning,
+    pose_at,
+    with_lean,
+)
+from ..sensors.model import model_names
+from ..sensors.pose import Pose
+from ..toml_table import Setting, limits_text
+from ..world.blender.objects import hang, pose_of
+
+SCHEMA = 1  # of what is saved in a .blend file
+_DIGITS = 6  # that single precision keeps of a number
+_UNITS = {"m": ("LENGTH", "NONE"), "deg": ("ROTATION", "ANGLE"), "s": ("TIME", "NONE")}  # unit and subtype by suffix
+ON_CHANGE: list[Callable[[bpy.types.ID, str], None]] = []
+"""Called with the scene or the LiDAR whose property has changed, and the table that it is of."""
+
+
+def _changed(table: str) -> Callable:
+    def update(group, context):
+        for call in ON_CHANGE:
+            call(group.id_data, table)
+
+    return update
+
+
+# --- A property from a declaration ------------------------------------------------------------------------------------
+
+
+def label_of(key: str) -> str:
+    """What the panel calls a setting: ``range_gate_m`` is "Range Gate"."""
+    name, _, unit = key.rpartition("_")
+    words = (name if unit in (*_UNITS, "hz") and name else key).split("_")
+    return " ".join(word if word[:1].isupper() else word.capitalize() for word in words)
+
+
+def where(table: str, key: str) -> str:
+    """What an error calls the panel's field of a setting."""
+    return f"LiDAR panel: {label_of(table)}{f', {label_of(key)}' if key else ''}"
+
+
+def made_from(key: str, declared: Setting, table: str, **more: object):
+    """The Blender property of a setting; `more` replaces what is made of its declaration."""
+    kind, unit = declared.kind, key.rpartition("_")[2]
+    limits = limits_text(declared, kind) if kind in (int, float) else ""
+    told = f"{declared.help[:1].upper()}{declared.help[1:]}"
+    told += f" ({limits} {'' if unit not in (*_UNITS, 'hz') else unit})".replace(" )", ")") if limits else ""
+    settings: dict[str, object] = {"name": label_of(key), "description": told, "update": _changed(table)}
+    default = declared.default if declared.default not in (None, ...) else None
+    if kind is bool:
+        return BoolProperty(**settings | {"default": bool(default)} | more)
+    if kind is str and declared.allowed:
+        items = [(name, name, "") for name in declared.allowed]
+        return EnumProperty(**settings | {"items": items, "default": default} | more)
+    if kind is str:
+        subtype = {"subtype": "FILE_PATH"} if declared.is_path else {}
+        return StringProperty(**settings | subtype | {"default": default or ""} | more)
+    low, high = max(declared.low, declared.above), min(declared.high, declared.below)
+    if kind is int:
+        bounds = {"min": int(max(low, -(2**31))), "max": int(min(high, 2**31 - 1))}
+        return IntProperty(**settings | bounds | {"default": int(default or 0)} | more)
+    scale = math.radians(1.0) if unit == "deg" else 1.0
+    bounds = {"min": scale * low if math.isfinite(low) else -1e9, "max": scale * high if math.isfinite(high) else 1e9}
+    look = {"precision": 3}
+    if unit in _UNITS:
+        look |= dict(zip(("unit", "subtype"), _UNITS[unit], strict=True))
+    if kind is float:
+        return FloatProperty(**settings | bounds | look | {"default": scale * float(default or 0.0)} | more)
+    return FloatVectorProperty(**settings | bounds | look | {"size": 2, "default": (0.0, 0.0)} | more)
+
+
+def exact(value: float, key: str = "") -> float:
+    """A number as it was typed, from single precision; degrees for a key of them."""
+    return float(f"{math.degrees(value) if key.endswith('_deg') else value:.{_DIGITS}g}")
+
+
+def values_of(group: bpy.types.PropertyGroup, keys: Mapping[str, Setting]) -> dict[str, object]:
+    """Settings by key as a scene file has them; what is left open, 0 or empty where no default is declared, is not."""
+    found: dict[str, object] = {}
+    for key, declared in keys.items():
+        value = getattr(group, key)
+        if isinstance(value, float):
+            value = exact(value, key)
+        elif not isinstance(value, bool | int | str):
+            value = [exact(part, key) for part in value]
+        left_open = declared.default in (None, ...) and (value in ("", 0) or value == [0.0, 0.0])
+        if not left_open:
+            found[key] = value
+    return found
+
+
+def fill(group: bpy.types.PropertyGroup, keys: Mapping[str, Setting], values: Mapping[str, object]) -> None:
+    """Set the properties of settings to values as a scene file has them; what is None is left open."""
+    for key in keys:
+        value = values.get(key)
+        if value is None:
+            group.property_unset(key)
+        elif isinstance(value, list | tuple):
+            setattr(group, key, [math.radians(part) if key.endswith("_deg") else part for part in value])
+        else:
+            setattr(group, key, math.radians(value) if key.endswith("_deg") else value)
+
+
+def _chosen(table: str, *keys: str) -> dict[str, Setting]:
+    return {key: DECLARED[table][key] for key in keys}
+
+
+TRAFFIC = _chosen(
+    "traffic", "path", "format", "period", "origin_m", "heading_deg", "time_step_s", "frames", "holdout", "block_s"
+)
+ROAD = _chosen("road", "station_m", "right_edge_m", "setback_m", "lanes", "lane_width_m")
+WORLD = _chosen("world", "detail", "ground")
+OBJECTIVE = _chosen("objective", "threshold", "cell_m")
+SEARCH = _chosen("search", "particles", "iterations", "seed")
+MODEL = _chosen("model", "caster")
+SENSOR = _chosen("sensor", "rotation_hz", "range_gate_m", "dropout", "glass_dropout", "unit_spread_deg", "unit")
+SENSOR |= _chosen("sensor", "noise_seed", "range_noise_m", "range_at_10_percent_m")
+IMPERFECTIONS = tuple(key for key in SENSOR if key not in ("rotation_hz", "range_gate_m"))
+TABLES = {"traffic": TRAFFIC, "road": ROAD, "world": WORLD, "objective": OBJECTIVE, "search": SEARCH, "model": MODEL}
+"""The settings that a scene has once, by table of the scene file."""
+
+
+def _annotations(table: str, keys: Mapping[str, Setting]) -> dict[str, object]:
+    return {key: made_from(key, declared, table) for key, declared in keys.items()}
+
+
+# Groups with one property for each key, as registered classes read them from their annotations.
+GROUPS = {
+    table: type(f"LIDAR_PG_{table}", (bpy.types.PropertyGroup,), {"__annotations__": _annotations(table, keys)})
+    for table, keys in TABLES.items()
+}
+
+
+# --- The baseline, the region, and what a scene has besides -----------------------------------------------------------
+
+
+class LIDAR_PG_baseline(bpy.types.PropertyGroup):
+    """The mounting that gains are measured against."""
+
+    __annotations__ = _annotations("baseline", {key: MOUNTING_OR_LEAN[key] for key in COORDINATES})
+
+
+class LIDAR_PG_region(bpy.types.PropertyGroup):
+    """Where vehicles count: a circle."""
+
+    centre_m: FloatVectorProperty(
+        name="Middle",
+        size=2,
+        unit="LENGTH",
+        description="Middle of the circle in which vehicles count, x and y",
+        update=_changed("region"),
+    )
+    with_gate: BoolProperty(
+        name="As far as the Gate",
+        default=True,
+        update=_changed("region"),
+        description="The circle's radius is the range gate of the sensor; else a radius of its own",
+    )
+    radius_m: FloatProperty(
+        name="Radius",
+        default=50.0,
+        min=0.1,
+        max=1e6,
+        unit="LENGTH",
+        update=_changed("region"),
+        description="Radius of the circle in which vehicles count",
+    )
+
+    def table(self) -> dict[str, object]:
+        """As a scene file has it."""
+        return {
+            "centre_m": [exact(value) for value in self.centre_m],
+            "radius_m": GATE if self.with_gate else exact(self.radius_m),
+        }
+
+
+class LIDAR_PG_scene(bpy.types.PropertyGroup):
+    """What the sidebar's tab shows of a scene."""
+
+    schema: IntProperty(default=0, options={"HIDDEN"})
+    loaded: BoolProperty(default=False, options={"HIDDEN"})
+    source: StringProperty(default="", options={"HIDDEN"}, description="Scene file that the settings came from")
+    metric: EnumProperty(
+        name="Objective",
+        items=[(name, name, "") for name in METRIC_NAMES],
+        default=METRIC_NAMES[0],
+        update=_changed("objective"),
+        description=DECLARED["objective"]["metric"].help,
+    )
+    frame: IntProperty(
+        name="Frame", update=_changed("frame"), description="Number of the frame of traffic that is shown"
+    )
+    at_s: FloatProperty(name="Time", unit="TIME", options={"HIDDEN"}, description="Time of the frame in its recording")
+    active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimised")
+
+
+for _table in TABLES:
+    LIDAR_PG_scene.__annotations__[_table] = PointerProperty(type=GROUPS[_table])
+LIDAR_PG_scene.__annotations__ |= {
+    "baseline": PointerProperty(type=LIDAR_PG_baseline),
+    "region": PointerProperty(type=LIDAR_PG_region),
+}
+
+
+# --- A LiDAR ------------------------------------------------------------------------------------------------------
+
+
+_OWN = "own"
+
+
+def _pose_getter(key):
+    def get(group):
+        value = with_lean(coordinates_of(group.id_data))[key] if key in LEANS else coordinates_of(group.id_data)[key]
+        return math.radians(value or 0.0) if key.endswith("_deg") else value
+
+    return get
+
+
+def _pose_setter(key):
+    def put(group, value):
+        value = exact(value, key)
+        hang(group.id_data, pose_at(leaning(coordinates_of(group.id_data), **{key: value})))
+
+    return put
+
+
+def coordinates_of(lidar: bpy.types.Object) -> dict[str, float]:
+    """The six coordinates of a LiDAR's mounting [m, degrees]."""
+    pose: Pose = pose_of(lidar)
+    angles = (round(math.degrees(angle), 4) + 0.0 for angle in (pose.tilt_x, pose.tilt_y, pose.yaw))
+    return dict(zip(COORDINATES, (pose.x_m, pose.y_m, pose.height_m, *angles), strict=True))
+
+
+class LIDAR_PG_lidar(bpy.types.PropertyGroup):
+    """What belongs to one LiDAR; its transform is its pose."""
+
+    schema: IntProperty(default=0, options={"HIDDEN"})
+    name_: EnumProperty(
+        name="Model",
+        items=[*((name, name, "") for name in model_names()), (_OWN, "Beam table of your own", "A TOML or CSV file")],
+        default="RS-16",
+        update=_changed("sensor"),
+        description=DECLARED["sensor"]["name"].help,
+    )
+    table_path: StringProperty(
+        name="Beam Table", subtype="FILE_PATH", update=_changed("sensor"), description="Beam table of your own"
+    )
+    datasheet: BoolProperty(
+        name="As the Data Sheet Says",
+        update=_changed("sensor"),
+        description="Range noise, and the range of a target of 10 % reflectivity, are the model's own",
+    )
+    live: BoolProperty(
+        name="Live", update=_changed("live"), description="Cast and score again whenever the LiDAR is moved"
+    )
+    colour_by: EnumProperty(
+        name="Colour by",
+        update=_changed("look"),
+        default="range",
+        items=[(key, key.capitalize(), "") for key in ("range", "ring", "vehicle", "intensity", "entropy")],
+        description="What colours the points",
+    )
+    scanned_frame: IntProperty(default=-1, options={"HIDDEN"})
+    scanned_at: FloatVectorProperty(size=6, options={"HIDDEN"})
+    points: IntProperty(options={"HIDDEN"})
+    vehicles: IntProperty(options={"HIDDEN"})
+    objective: FloatProperty(options={"HIDDEN"})
+    detectable_share: FloatProperty(options={"HIDDEN"})
+    baseline_objective: FloatProperty(options={"HIDDEN"})
+    baseline_share: FloatProperty(options={"HIDDEN"})
+
+
+LIDAR_PG_lidar.__annotations__ |= _annotations("sensor", SENSOR)
+for _key, _declared in MOUNTING_OR_LEAN.items():
+    LIDAR_PG_lidar.__annotations__[_key] = made_from(
+        _key, _declared, "deployment", get=_pose_getter(_key), set=_pose_setter(_key), update=None
+    )
+    _low, _high = SEARCHED.get(_key, (_declared.low, _declared.high))
+    _scale = math.radians(1.0) if _key.endswith("_deg") else 1.0
+    LIDAR_PG_lidar.__annotations__ |= {
+        f"{_key}_on": BoolProperty(
+            name=label_of(_key), default=_key in SEARCHED, description=f"Search this: {_declared.help}"
+        ),
+        f"{_key}_low": made_from(_key, _declared, "deployment", name="Low", default=_scale * _low, update=None),
+        f"{_key}_high": made_from(_key, _declared, "deployment", name="High", default=_scale * _high, update=None),
+    }
+
+
+def sensor_table(lidar: bpy.types.Object) -> dict[str, object]:
+    """[sensor] of a LiDAR, as a scene file has it."""
+    group = lidar.lidar
+    name = bpy.path.abspath(group.table_path) if group.name_ == _OWN else group.name_
+    table = {"name": name, **values_of(group, SENSOR)}
+    if group.datasheet:
+        table |= {"range_noise_m": DATASHEET, "range_at_10_percent_m": DATASHEET}
+    return table
+
+
+def fill_sensor(lidar: bpy.types.Object, table: Mapping[str, object]) -> None:
+    """Set a LiDAR's properties to [sensor] of a scene."""
+    group, name = lidar.lidar, str(table["name"])
+    if name in model_names():
+        group.name_ = name
+    else:
+        group.name_, group.table_path = _OWN, str(Path(name).resolve())
+    fill(group, SENSOR, {key: value for key, value in table.items() if value != DATASHEET})
+    group.schema = SCHEMA
+
+
+def deployment_table(lidar: bpy.types.Object, *, searched: bool) -> dict[str, object]:
+    """[deployment] of a LiDAR: where it hangs, and, if it is to be `searched`, the bounds of the rows that are on."""
+    group, place = lidar.lidar, with_lean(coordinates_of(lidar))
+    on = [key for key in MOUNTING_OR_LEAN if searched and getattr(group, f"{key}_on")]
+    leans = [key for key in on if key in LEANS]
+    keys = [key for key in COORDINATES if not leans or not key.startswith(("tilt", "yaw"))] + (
+        list(LEANS) * bool(leans)
+    )
+    table: dict[str, object] = {key: place[key] or 0.0 for key in keys}
+    for key in on:
+        table[key] = [exact(getattr(group, f"{key}_{end}"), key) for end in ("low", "high")]
+    return table
+
+
+CLASSES = (*GROUPS.values(), LIDAR_PG_baseline, LIDAR_PG_region, LIDAR_PG_scene, LIDAR_PG_lidar)
+
+
+def register() -> None:
+    """Let every scene and object have its group."""
+    bpy.types.Scene.blender_lidar = PointerProperty(type=LIDAR_PG_scene)
+    bpy.types.Object.lidar = PointerProperty(type=LIDAR_PG_lidar)
+
+
+def unregister() -> None:
+    """Take the groups away; what is saved in files stays there."""
+    del bpy.types.Scene.blender_lidar, bpy.types.Object.lidar
