@@ -43,6 +43,7 @@ VERBS = (
 LIBRARIES = {
     "numpy": ("",),
     "bpy": ("casting/bvh.py", "world/blender/", "addon/"),
+    "bpy_extras": ("addon/",),
     "mathutils": ("casting/bvh.py", "world/blender/", "addon/"),
     "embreex": ("casting/embree.py",),
     "numba": ("compiled.py",),

@@ -6,7 +6,8 @@ precision and angles in radians: `values_of` gives them back as they were typed.
 
 # Not from __future__ import annotations: Blender reads properties from annotations as they are.
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -45,12 +46,26 @@ ON_CHANGE: list[Callable[[bpy.types.ID, str], None]] = []
 """Called with the scene or the LiDAR whose property has changed, and the table that it is of."""
 
 
+_silent = False
+
+
 def _changed(table: str) -> Callable:
     def update(group, context):
-        for call in ON_CHANGE:
+        for call in () if _silent else ON_CHANGE:
             call(group.id_data, table)
 
     return update
+
+
+@contextmanager
+def silently() -> Iterator[None]:
+    """While it lasts nobody is told of changed properties."""
+    global _silent
+    before, _silent = _silent, True
+    try:
+        yield
+    finally:
+        _silent = before
 
 
 # --- A property from a declaration ------------------------------------------------------------------------------------
@@ -134,18 +149,25 @@ def _chosen(table: str, *keys: str) -> dict[str, Setting]:
     return {key: DECLARED[table][key] for key in keys}
 
 
-TRAFFIC = _chosen(
+_TRAFFIC = _chosen(
     "traffic", "path", "format", "period", "origin_m", "heading_deg", "time_step_s", "frames", "holdout", "block_s"
 )
-ROAD = _chosen("road", "station_m", "right_edge_m", "setback_m", "lanes", "lane_width_m")
-WORLD = _chosen("world", "detail", "ground")
-OBJECTIVE = _chosen("objective", "threshold", "cell_m")
-SEARCH = _chosen("search", "particles", "iterations", "seed")
-MODEL = _chosen("model", "caster")
+_ROAD = _chosen("road", "station_m", "right_edge_m", "setback_m", "lanes", "lane_width_m")
+_WORLD = _chosen("world", "detail", "ground")
+_OBJECTIVE = _chosen("objective", "threshold", "cell_m")
+_SEARCH = _chosen("search", "particles", "iterations", "seed")
+_MODEL = _chosen("model", "caster")
 SENSOR = _chosen("sensor", "rotation_hz", "range_gate_m", "dropout", "glass_dropout", "unit_spread_deg", "unit")
 SENSOR |= _chosen("sensor", "noise_seed", "range_noise_m", "range_at_10_percent_m")
 IMPERFECTIONS = tuple(key for key in SENSOR if key not in ("rotation_hz", "range_gate_m"))
-TABLES = {"traffic": TRAFFIC, "road": ROAD, "world": WORLD, "objective": OBJECTIVE, "search": SEARCH, "model": MODEL}
+TABLES = {
+    "traffic": _TRAFFIC,
+    "road": _ROAD,
+    "world": _WORLD,
+    "objective": _OBJECTIVE,
+    "search": _SEARCH,
+    "model": _MODEL,
+}
 """The settings that a scene has once, by table of the scene file."""
 
 
@@ -209,6 +231,7 @@ class LIDAR_PG_scene(bpy.types.PropertyGroup):
     schema: IntProperty(default=0, options={"HIDDEN"})
     loaded: BoolProperty(default=False, options={"HIDDEN"})
     source: StringProperty(default="", options={"HIDDEN"}, description="Scene file that the settings came from")
+    problem: StringProperty(default="", options={"HIDDEN"}, description="What is wrong with a field")
     metric: EnumProperty(
         name="Objective",
         items=[(name, name, "") for name in METRIC_NAMES],
@@ -336,6 +359,14 @@ def fill_sensor(lidar: bpy.types.Object, table: Mapping[str, object]) -> None:
     group.schema = SCHEMA
 
 
+def set_bounds(lidar: bpy.types.Object, key: str, low: float, high: float) -> None:
+    """Let a coordinate of a LiDAR be searched between two bounds [m, degrees]."""
+    group, scale = lidar.lidar, math.radians(1.0) if key.endswith("_deg") else 1.0
+    setattr(group, f"{key}_on", True)
+    for end, value in (("low", low), ("high", high)):
+        setattr(group, f"{key}_{end}", scale * value)
+
+
 def deployment_table(lidar: bpy.types.Object, *, searched: bool) -> dict[str, object]:
     """[deployment] of a LiDAR: where it hangs, and, if it is to be `searched`, the bounds of the rows that are on."""
     group, place = lidar.lidar, with_lean(coordinates_of(lidar))
@@ -350,7 +381,7 @@ def deployment_table(lidar: bpy.types.Object, *, searched: bool) -> dict[str, ob
     return table
 
 
-CLASSES = (*GROUPS.values(), LIDAR_PG_baseline, LIDAR_PG_region, LIDAR_PG_scene, LIDAR_PG_lidar)
+classes = (*GROUPS.values(), LIDAR_PG_baseline, LIDAR_PG_region, LIDAR_PG_scene, LIDAR_PG_lidar)
 
 
 def register() -> None:

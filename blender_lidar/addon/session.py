@@ -22,7 +22,7 @@ from ..traffic.vehicles import unknown_frame
 from ..world.blender.objects import is_lidar, lidars
 from . import properties
 
-EXAMPLE = "i80"
+_EXAMPLE = "i80"
 _RECORDINGS: dict[str, tuple[str, Recording]] = {}  # by scene: what it was read with, and the traffic
 _FRAMES: dict[str, tuple[str, LiveFrame]] = {}  # by LiDAR
 
@@ -112,7 +112,7 @@ def fill_scene(scene: bpy.types.Scene, scenario: Scenario) -> None:
 
 def example_scenario() -> Scenario:
     """The scene that ships with the package."""
-    return load_scenario(shipped_scenes()[EXAMPLE])
+    return load_scenario(shipped_scenes()[_EXAMPLE])
 
 
 def recording_of(scene: bpy.types.Scene) -> Recording:
@@ -124,11 +124,20 @@ def recording_of(scene: bpy.types.Scene) -> Recording:
         Where none is chosen, or it cannot be read.
     """
     scenario = scenario_from(scene)
-    of = repr((scenario.traffic, scenario.road, _stamp(scenario.traffic.path)))
-    key = uid_of(scene)
+    of, key = _read_with(scenario), uid_of(scene)
     if key not in _RECORDINGS or _RECORDINGS[key][0] != of:
         _RECORDINGS[key] = of, read_recording(scenario)
     return _RECORDINGS[key][1]
+
+
+def keep(scene: bpy.types.Scene, recording: Recording) -> None:
+    """Keep traffic that has just been read with the scene's settings."""
+    scenario = scenario_from(scene)
+    _RECORDINGS[uid_of(scene)] = _read_with(scenario), recording
+
+
+def _read_with(scenario: Scenario) -> str:
+    return repr((scenario.traffic, scenario.road, _stamp(scenario.traffic.path)))
 
 
 def _stamp(path: str) -> tuple[int, int] | None:

@@ -96,6 +96,7 @@ class MountedSensor:
             range_gate_m=self.scenario.sensor.range_gate_m,
             points=points,
             scenery=None if self.scenery is None else self.scenery.scenery,
+            settings=self.scenario.with_whole_paths(),
         )
 
 

@@ -126,9 +126,7 @@ class RunFolder:
 
     def write_scene(self, scenario: Scenario) -> None:
         """Write the scene as used, every default spelt out."""
-        tables = scenario.as_tables()
-        for (table, key), path in scenario.files.items():
-            tables[table][key] = str(Path(path).resolve())
+        tables = scenario.with_whole_paths()
         traffic = [tables.pop(name) for name in list(tables) if name.split()[0] == "traffic"]
         tables = {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
         write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n" + to_toml(tables))

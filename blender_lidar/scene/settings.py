@@ -675,6 +675,13 @@ class Scenario:
             tables["deployment"]["poles"] = self.deployment.poles_file
         return tables
 
+    def with_whole_paths(self) -> dict[str, dict]:
+        """`as_tables`, its paths from the root on, so that they mean the same from any folder."""
+        tables = self.as_tables()
+        for (table, key), path in self.files.items():
+            tables[table][key] = str(Path(path).resolve())
+        return tables
+
 
 DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}
 POLES = {

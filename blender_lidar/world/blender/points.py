@@ -17,6 +17,9 @@ from .objects import (
     new_mesh,
     nodes_of,
     only_for_the_eye,
+    pose_of,
+    role,
+    sensor_matrix,
 )
 
 _NAME, _LOOK = "Point cloud", "LiDAR points"
@@ -24,7 +27,9 @@ _RADIUS_M = 0.045
 _BITS = (0.0, 1.0)  # of a vehicle's PE-VGOP: the colours' range
 
 
-def build_cloud(scene: bpy.types.Scene, points: Mapping[str, np.ndarray] | None) -> bpy.types.Object | None:
+def build_cloud(
+    scene: bpy.types.Scene, points: Mapping[str, np.ndarray] | None, lidar: bpy.types.Object | None = None
+) -> bpy.types.Object | None:
     """A cloud in the road frame, in place of an earlier one; None only takes that away.
 
     Parameters
@@ -32,19 +37,55 @@ def build_cloud(scene: bpy.types.Scene, points: Mapping[str, np.ndarray] | None)
     points : mapping of str to ndarray, or None
         Places `xyz` (n, 3) [m], and attributes of the vertices, (n,) each, by their names. Two colour them: `vehicle`,
         the id of the one that a point lies on, -1 for none, and `entropy`, its PE-VGOP [bits]; all others `range` [m].
+    lidar : Object, optional
+        What it belongs to and follows.
     """
     into = collection(scene, _NAME, CLOUD)
     clear(into)
-    if points is None:
-        return None
-    mesh = new_mesh(_NAME, points["xyz"], np.empty((0, 3), dtype=int), [_material()])
+    return None if points is None else _new_cloud(into, points, lidar)
+
+
+def show_cloud(lidar: bpy.types.Object, points: Mapping[str, np.ndarray]) -> bpy.types.Object:
+    """The cloud of a LiDAR, its child: as `build_cloud`, written in place where there is one."""
+    item = cloud_of(lidar)
+    if item is None:
+        return _new_cloud(lidar.users_collection[0], points, lidar)
+    item.data.clear_geometry()
+    _write(item.data, points)
+    _fasten(item, lidar)
+    return item
+
+
+def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
+    """The cloud that a LiDAR has measured, None where it has not."""
+    return next((child for child in lidar.children if role(child) == CLOUD), None)
+
+
+def _new_cloud(into, points, lidar):
+    mesh = new_mesh(_NAME, np.empty((0, 3)), np.empty((0, 3), dtype=int), [_material()])
+    _write(mesh, points)
+    item = add_object(into, _NAME, mesh, CLOUD)
+    only_for_the_eye(item)
+    item.modifiers.new(_LOOK, "NODES").node_group = made_once(bpy.data.node_groups, _LOOK, _spheres)
+    if lidar is not None:
+        item.hide_select = True
+        _fasten(item, lidar)
+    return item
+
+
+def _write(mesh, points):
+    mesh.vertices.add(len(points["xyz"]))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(points["xyz"], dtype=np.float32).ravel())
     for name, values in points.items():
         if name != "xyz":
             add_attribute(mesh, name, _numbers(values) if name == "vehicle" else values)
-    item = add_object(into, _NAME, mesh)
-    only_for_the_eye(item)
-    item.modifiers.new(_LOOK, "NODES").node_group = made_once(bpy.data.node_groups, _LOOK, _spheres)
-    return item
+    mesh.update()
+
+
+def _fasten(item, lidar):
+    """Let a cloud, whose vertices are in the road frame, follow its LiDAR from where that hangs now."""
+    item.parent = lidar
+    item.matrix_parent_inverse = sensor_matrix(pose_of(lidar)).inverted()
 
 
 def _numbers(vehicle_id: np.ndarray) -> np.ndarray:

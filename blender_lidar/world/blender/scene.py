@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,7 @@ from ...traffic.vehicles import Vehicles
 from ..scenery import Scenery
 from .objects import (
     FAN,
+    SETTINGS,
     STAGE,
     add_object,
     build_lidar,
@@ -198,6 +200,8 @@ class Moment:
         What it saw, as `points.build_cloud` takes it.
     scenery : Scenery or None
         What stands still.
+    settings : mapping or None
+        The scene file's tables, for the add-on to go on with.
     """
 
     road: RoadFrame
@@ -208,6 +212,7 @@ class Moment:
     range_gate_m: float
     points: Mapping[str, np.ndarray] | None = None
     scenery: Scenery | None = None
+    settings: Mapping[str, object] | None = None
 
 
 def empty_scene() -> bpy.types.Scene:
@@ -229,8 +234,10 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     build_road(scene, moment.road, reach)
     build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
-    build_lidar(scene, moment.lattice, moment.pose)
-    build_cloud(scene, moment.points)
+    lidar = build_lidar(scene, moment.lattice, moment.pose)
+    build_cloud(scene, moment.points, lidar)
+    if moment.settings is not None:
+        lidar[SETTINGS] = scene[SETTINGS] = json.dumps(moment.settings | {"frame": moment.vehicles.frame})
     build_stage(scene, moment.road, moment.pose, min(_SEEN_AT_MOST_M, _SEEN_SHARE * moment.range_gate_m))
     for layer in scene.view_layers:
         layer.update()

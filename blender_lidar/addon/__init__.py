@@ -1,0 +1,45 @@
+"""The add-on: LiDARs as objects of Blender, and a tab in the sidebar to scan, score and place them.
+
+Each module has its `classes`, and where it needs more `register` and `unregister`.
+"""
+
+import atexit
+import importlib
+
+import bpy
+
+_MODULES = ("properties", "operators", "panels", "handlers")
+_registered = []
+
+
+def register() -> None:
+    """Register all modules.
+
+    bpy as a module hangs at its end if a class is left registered, so that what is left is taken back there.
+
+    Raises
+    ------
+    RuntimeError
+        In a Blender that is not supported.
+    """
+    if bpy.app.version < (4, 2, 0) and bpy.app.version[:2] != (3, 4):
+        raise RuntimeError(f"LiDAR: needs Blender 4.2 or later; this is {bpy.app.version_string}")
+    atexit.register(unregister)
+    for name in _MODULES:
+        module = importlib.import_module(f".{name}", __package__)
+        for made in module.classes:
+            bpy.utils.register_class(made)
+        _registered.append(module)
+        if hasattr(module, "register"):
+            module.register()
+
+
+def unregister() -> None:
+    """Take back all that `register` has done."""
+    atexit.unregister(unregister)
+    while _registered:
+        module = _registered.pop()
+        if hasattr(module, "unregister"):
+            module.unregister()
+        for made in reversed(module.classes):
+            bpy.utils.unregister_class(made)

@@ -1,0 +1,76 @@
+"""What happens by itself: files that are opened, frames that are chosen, LiDARs that are duplicated."""
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..errors import BlenderLidarError
+from ..world.blender.objects import PART, lidars, role
+from . import operators, properties, session
+
+classes = ()
+
+
+@persistent
+def on_load(*_) -> None:
+    """Let go of what the file before had, and take over what this one was built with."""
+    session.forget()
+    adopt_all()
+
+
+@persistent
+def on_update(scene, *_) -> None:
+    """Have LiDARs that were duplicated without their pole and head dressed, in a moment."""
+    bare = (lidar for lidar in lidars(scene) if not any(role(child) == PART for child in lidar.children))
+    if any(bare) and not bpy.app.background and not bpy.app.timers.is_registered(adopt_all):
+        bpy.app.timers.register(adopt_all, first_interval=0.0)
+
+
+def adopt_all() -> None:
+    """Take over every scene of the file."""
+    for scene in bpy.data.scenes:
+        try:
+            operators.adopt(scene)
+        except BlenderLidarError as error:  # no operator is there to report it
+            scene.blender_lidar.problem = str(error)
+
+
+def on_change(block: bpy.types.ID, table: str) -> None:
+    """Show another frame, or dress the LiDAR as its new model; what is wrong stands at the top of the tab."""
+    scene = block if isinstance(block, bpy.types.Scene) else next(iter(block.users_scene), None)
+    if scene is None:
+        return
+    group = scene.blender_lidar
+    group.problem = ""
+    try:
+        if table == "frame" and group.loaded:
+            recording = session.recording_of(scene)
+            with properties.silently():
+                group.frame = session.nearest_frame(recording, group.frame)
+            operators.show_frame(scene, session.vehicles_of(scene))
+        elif table == "sensor" and block != scene:
+            operators.dress(block, operators.lattice_of(session.scenario_from(scene, block).sensor))
+    except BlenderLidarError as error:
+        group.problem = str(error)
+
+
+_HANDLERS = {"load_post": on_load, "depsgraph_update_post": on_update}
+
+
+def register() -> None:
+    """Listen."""
+    for name, call in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(call)
+    properties.ON_CHANGE.append(on_change)
+    if not bpy.app.background:  # data cannot be read while add-ons are enabled at the start
+        bpy.app.timers.register(adopt_all, first_interval=0.1)
+
+
+def unregister() -> None:
+    """Listen no more."""
+    properties.ON_CHANGE.remove(on_change)
+    for name, call in _HANDLERS.items():
+        if call in getattr(bpy.app.handlers, name):
+            getattr(bpy.app.handlers, name).remove(call)
+    if bpy.app.timers.is_registered(adopt_all):
+        bpy.app.timers.unregister(adopt_all)
+    session.forget()

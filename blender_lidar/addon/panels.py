@@ -1,0 +1,262 @@
+"""The panels: the sidebar's tab LiDAR says what is done, Properties > Object what belongs to one LiDAR."""
+
+import math
+
+import bpy
+
+from ..errors import BlenderLidarError
+from ..scene.settings import ANGLES
+from . import operators, properties, session
+
+_TAB = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "LiDAR"}
+
+
+def _panel(name: str, parent: str | None = None, **more: object):
+    """What makes a class a panel of the sidebar's tab."""
+
+    def made(cls):
+        for key, value in (_TAB | {"bl_idname": cls.__name__, "bl_label": name} | more).items():
+            setattr(cls, key, value)
+        if parent is not None:
+            cls.bl_parent_id = parent
+        return cls
+
+    return made
+
+
+def rows(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup, *keys: str) -> None:
+    """A row for each property."""
+    column = layout.column()
+    for key in keys:
+        column.prop(group, key)
+
+
+@_panel("LiDAR")
+class LIDAR_PT_main(bpy.types.Panel):
+    """The tab."""
+
+    def draw(self, context):
+        """Say what is wrong, and what to do first where nothing is loaded."""
+        if context.scene.blender_lidar.problem:
+            self.layout.label(text=context.scene.blender_lidar.problem, icon="ERROR")
+        if not operators.has_traffic(context):
+            self.layout.label(text="No traffic is loaded yet.", icon="INFO")
+            self.layout.operator("lidar.load_example", icon="IMPORT")
+
+
+@_panel("Traffic", LIDAR_PT_main.__name__)
+class LIDAR_PT_traffic(bpy.types.Panel):
+    """Which traffic, which of its frames, on what road."""
+
+    def draw(self, context):
+        """File, frame, road and detail."""
+        layout, group = self.layout, context.scene.blender_lidar
+        layout.use_property_split, layout.use_property_decorate = True, False
+        layout.prop(group.traffic, "path", text="File")
+        row = layout.row(align=True)
+        row.operator("lidar.load", icon="FILE_REFRESH")
+        row.operator("lidar.load_example", icon="IMPORT")
+        if group.loaded:
+            row = layout.row(align=True)
+            row.operator("lidar.step_frame", text="", icon="TRIA_LEFT").back = True
+            row.prop(group, "frame", text="Frame")
+            row.operator("lidar.step_frame", text="", icon="TRIA_RIGHT")
+            layout.label(text=f"{group.at_s:.1f} s after the recording's beginning")
+        layout.prop(group.world, "detail", text="Vehicles")
+
+
+@_panel("Road and File", LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})
+class LIDAR_PT_road(bpy.types.Panel):
+    """Where the road lies in the file."""
+
+    def draw(self, context):
+        """Road, region and format."""
+        layout, group = self.layout, context.scene.blender_lidar
+        layout.use_property_split, layout.use_property_decorate = True, False
+        rows(layout, group.road, *properties.TABLES["road"])
+        rows(layout, group.traffic, "format", "period", "origin_m", "heading_deg", "time_step_s")
+        layout.label(text="Vehicles count within")
+        rows(layout, group.region, "centre_m", "with_gate", *([] if group.region.with_gate else ["radius_m"]))
+
+
+class _OfTraffic:
+    """A panel that is grey until traffic is loaded."""
+
+    def draw(self, context):
+        """Grey, with why, or what the panel has."""
+        layout = self.layout
+        layout.use_property_split, layout.use_property_decorate = True, False
+        lidar = session.active_lidar(context.scene)
+        if not operators.has_traffic(context):
+            layout.label(text="Load traffic first.", icon="INFO")
+        elif lidar is None:
+            layout.label(text="Add a LiDAR first: Add > LiDAR.", icon="INFO")
+            layout.operator("lidar.add", icon="ADD")
+            return
+        layout.enabled = operators.has_traffic(context)
+        if lidar is not None:
+            self.draw_for(layout, context.scene, lidar)
+
+
+@_panel("Sensor", LIDAR_PT_main.__name__)
+class LIDAR_PT_sensor(_OfTraffic, bpy.types.Panel):
+    """The LiDARs of the scene, and how the active one hangs."""
+
+    def draw_for(self, layout, scene, lidar):
+        """A list, and pose of the active one."""
+        column = layout.column(align=True)
+        for item in session.lidars(scene):
+            chosen = item == lidar
+            icon = "RADIOBUT_ON" if chosen else "RADIOBUT_OFF"
+            column.operator("lidar.choose", text=item.name, icon=icon, depress=chosen).name = item.name
+        layout.operator("lidar.add", text="Add LiDAR", icon="ADD")
+        draw_model(layout, lidar.lidar)
+        draw_pose(layout, lidar)
+
+
+def draw_model(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:
+    """The model, its rate and gate."""
+    layout.prop(group, "name_")
+    if group.name_ == "own":
+        layout.prop(group, "table_path")
+    rows(layout, group, "rotation_hz", "range_gate_m")
+
+
+def draw_pose(layout: bpy.types.UILayout, lidar: bpy.types.Object) -> None:
+    """Where a LiDAR hangs, in the project's signs."""
+    rows(layout, lidar.lidar, "x_m", "y_m", "height_m", *ANGLES)
+    try:
+        place = properties.with_lean(properties.coordinates_of(lidar))
+    except BlenderLidarError as error:
+        layout.label(text=str(error), icon="ERROR")
+        return
+    way = "" if place["lean_direction_deg"] is None else f" towards {place['lean_direction_deg']:.0f}°"
+    layout.label(text=f"Lean {place['lean_deg']:.1f}°{way}")
+
+
+@_panel("Scan", LIDAR_PT_main.__name__)
+class LIDAR_PT_scan(_OfTraffic, bpy.types.Panel):
+    """One revolution, and how its points look."""
+
+    def draw_for(self, layout, scene, lidar):
+        """Scan, live, colours and noise."""
+        group = lidar.lidar
+        row = layout.row(align=True)
+        row.operator("lidar.scan", icon="LIGHT_SUN")
+        row.prop(group, "live", toggle=True)
+        layout.prop(group, "colour_by")
+        if group.scanned_frame < 0:
+            layout.label(text="Not scanned yet.")
+        else:
+            layout.label(text=f"{group.points:,} points on frame {group.scanned_frame}")
+            if is_stale(scene, lidar):
+                layout.label(text="Changed since: scan again.", icon="ERROR")
+
+
+@_panel("Noise", LIDAR_PT_scan.__name__, bl_options={"DEFAULT_CLOSED"})
+class LIDAR_PT_noise(_OfTraffic, bpy.types.Panel):
+    """How imperfect the sensor is."""
+
+    def draw_for(self, layout, scene, lidar):
+        """Its imperfections."""
+        draw_noise(layout, lidar.lidar)
+
+
+def draw_noise(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:
+    """How imperfect a sensor is."""
+    layout.prop(group, "datasheet")
+    own = ("range_noise_m", "range_at_10_percent_m") if group.datasheet else ()
+    rows(layout, group, *(key for key in properties.IMPERFECTIONS if key not in own))
+
+
+def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
+    """Whether the LiDAR or the frame is another than when it was scanned."""
+    group = lidar.lidar
+    try:
+        place = properties.coordinates_of(lidar).values()
+    except BlenderLidarError:
+        return True
+    moved = any(abs(a - b) > 1e-3 for a, b in zip(place, group.scanned_at, strict=True))
+    return moved or group.scanned_frame != scene.blender_lidar.frame
+
+
+@_panel("Score", LIDAR_PT_main.__name__)
+class LIDAR_PT_score(_OfTraffic, bpy.types.Panel):
+    """What the mounting is worth on this frame, beside the baseline."""
+
+    def draw_for(self, layout, scene, lidar):
+        """Objective, detectable share and the difference to the baseline."""
+        group, shared = lidar.lidar, scene.blender_lidar
+        layout.prop(shared, "metric")
+        if group.scanned_frame >= 0:
+            box = layout.box().column(align=True)
+            gain, more = group.objective - group.baseline_objective, group.detectable_share - group.baseline_share
+            box.label(text=f"Objective {group.objective:.2f}, {gain:+.2f} over the baseline")
+            share = f"Detectable {100 * group.detectable_share:.0f} % of {group.vehicles} vehicles"
+            box.label(text=f"{share}, {100 * more:+.0f} points")
+            if is_stale(scene, lidar):
+                box.label(text="Changed since: scan again.", icon="ERROR")
+        base = shared.baseline
+        tilt = math.degrees(base.tilt_x_deg)
+        layout.label(text=f"Baseline: {base.height_m:.2f} m, tilt {tilt:.1f}°")
+        layout.operator("lidar.set_baseline", icon="PINNED")
+
+
+@_panel("Export", LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=9)
+class LIDAR_PT_export(_OfTraffic, bpy.types.Panel):
+    """What goes out."""
+
+    def draw_for(self, layout, scene, lidar):
+        """Clouds, labelled sets, a run folder, a .blend file."""
+        column = layout.column(align=True)
+        column.operator("lidar.export_cloud", text="Cloud", icon="EXPORT")
+        column.operator("lidar.export_labelled", text="Labelled Set")
+        column.operator("lidar.export_run", text="Run Folder")
+        column.operator("wm.save_as_mainfile", text="Copy as .blend").copy = True
+
+
+class LIDAR_PT_object(bpy.types.Panel):
+    """What belongs to a LiDAR, in Properties > Object."""
+
+    bl_label, bl_space_type, bl_region_type, bl_context = "LiDAR", "PROPERTIES", "WINDOW", "object"
+
+    @classmethod
+    def poll(cls, context):
+        """Of LiDARs alone."""
+        return session.is_lidar(context.object)
+
+    def draw(self, context):
+        """Model, pose, noise and bounds."""
+        layout, lidar = self.layout, context.object
+        layout.use_property_split, layout.use_property_decorate = True, False
+        draw_model(layout, lidar.lidar)
+        draw_pose(layout, lidar)
+        draw_noise(layout, lidar.lidar)
+
+
+def add_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """Add > LiDAR."""
+    menu.layout.operator("lidar.add", icon="LIGHT_SUN")
+
+
+classes = (
+    LIDAR_PT_main,
+    LIDAR_PT_traffic,
+    LIDAR_PT_road,
+    LIDAR_PT_sensor,
+    LIDAR_PT_scan,
+    LIDAR_PT_noise,
+    LIDAR_PT_score,
+    LIDAR_PT_export,
+    LIDAR_PT_object,
+)
+
+
+def register() -> None:
+    """Put the LiDAR into the Add menu."""
+    bpy.types.VIEW3D_MT_add.append(add_menu)
+
+
+def unregister() -> None:
+    """Take it out again."""
+    bpy.types.VIEW3D_MT_add.remove(add_menu)
