@@ -18,9 +18,10 @@ bpy = pytest.importorskip("bpy")
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, role, sensor_matrix
+from blender_lidar.world.blender.points import build_cloud, write_cloud
 from blender_lidar.world.blender.scene import build_scene, empty_scene, render_picture, save_blend
 from blender_lidar.world.blender.site import read_site, visible_triangles
-from blender_lidar.world.blender.traffic import animate, show_vehicles
+from blender_lidar.world.blender.traffic import animate, colour_vehicles, show_vehicles
 from blender_lidar.world.meshes import GLASS
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import shape_names, vehicle_triangles
@@ -113,7 +114,7 @@ def test_a_vertex_carries_what_its_return_carries(scene):
     shown = moment()
     build_scene(scene, shown)
     mesh = next(item for item in scene.objects if role(item) == "cloud").data
-    names = {"xyz", "range", "ring", "intensity", "vehicle", "entropy", "time"}
+    names = {"xyz", "range", "ring", "intensity", "vehicle", "entropy", "time", "lidar"}
     assert shown.points.keys() == names
     for name in names - {"xyz"}:
         stored = np.empty(len(shown.points[name]))
@@ -122,6 +123,32 @@ def test_a_vertex_carries_what_its_return_carries(scene):
     where = np.empty(3 * len(mesh.vertices))
     mesh.vertices.foreach_get("co", where)
     np.testing.assert_allclose(where.reshape(-1, 3), shown.points["xyz"], atol=1e-5)
+
+
+def test_a_cloud_written_again_in_place_holds_the_new_points_alone(scene):
+    shown = moment()
+    item = build_cloud(scene, shown.points)
+    for first in (5, 0):
+        points = {name: values[first:] for name, values in shown.points.items()}
+        write_cloud(item.data, points)
+        scene.view_layers[0].update()
+        assert len(item.data.vertices) == len(points["ring"])
+        assert {found.name for found in item.data.attributes} >= points.keys() - {"xyz"}
+        for name in ("ring", "entropy"):
+            stored = np.empty(len(points[name]))
+            item.data.attributes[name].data.foreach_get("value", stored)
+            np.testing.assert_allclose(stored, points[name], rtol=1e-6)
+    assert [material.name for material in item.data.materials] == ["LiDAR points"]
+
+
+def test_vehicles_take_the_colour_of_their_entropy_and_their_paint_again(scene):
+    shown = show_vehicles(scene, TRAFFIC)
+    colour_vehicles(shown, np.linspace(0.0, 1.2, len(shown)))
+    np.testing.assert_allclose(shown[0].color, (0.85, 0.05, 0.02, 1.0), atol=1e-6)
+    np.testing.assert_allclose(shown[-1].color, (0.55, 0.95, 0.25, 1.0), atol=1e-6)
+    assert all(item["blender_lidar_coloured"] == 1.0 for item in shown)
+    colour_vehicles(shown, None)
+    assert {(tuple(item.color), "blender_lidar_coloured" in item) for item in shown} == {((1.0, 1.0, 1.0, 1.0), False)}
 
 
 def test_what_is_only_drawn_is_not_met(scene):

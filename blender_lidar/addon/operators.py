@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..casting import resolve
 from ..clouds.files import SUSTECHPOINTS_PARTS, write_cloud, write_sustechpoints
-from ..clouds.snapshot import MountedSensor, entropy_of_points, vertices_of
+from ..clouds.snapshot import MountedSensor, entropy_of_points, entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError
 from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
@@ -252,8 +252,8 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         check_mount_is_clear(scenario, [vehicles], {lidar.name: place})
         ready = session.live_frame(scene, lidar)
         look = ready.look(pose_at(place))
-        bits = entropy_of_points(look.cloud, vehicles, scenario.objective)
-        show_cloud(lidar, vertices_of(look.cloud, bits))
+        bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
+        show_cloud(lidar, vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits)))
         group = lidar.lidar
         group.points, group.scanned_frame = len(look.cloud), vehicles.frame
         group.scanned_at = list(place.values())

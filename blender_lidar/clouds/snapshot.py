@@ -86,7 +86,8 @@ class MountedSensor:
         points = None
         if with_cloud:
             cloud = self.scan(vehicles)
-            points = vertices_of(cloud, entropy_of_points(cloud, vehicles, self.scenario.objective))
+            bits = entropy_of_vehicles(cloud, vehicles, self.scenario.objective)
+            points = vertices_of(cloud, entropy_of_points(cloud, vehicles, bits))
         return moment_class(
             road=self.scenario.road,
             vehicles=vehicles,
@@ -108,8 +109,11 @@ def mounted_sensor(scenario: Scenario, mount: Mapping[str, float]) -> MountedSen
     )
 
 
-def vertices_of(cloud: PointCloud, entropy_bits: np.ndarray) -> dict[str, np.ndarray]:
-    """A cloud, and PE-VGOP (n,) of the vehicle at each point, as `world.blender.points.build_cloud` takes them."""
+def vertices_of(cloud: PointCloud, entropy_bits: np.ndarray, lidar: int = 0) -> dict[str, np.ndarray]:
+    """A cloud, and PE-VGOP (n,) of the vehicle at each point, as `world.blender.points.build_cloud` takes them.
+
+    `lidar` is the number of the one that has measured it.
+    """
     return {
         "xyz": cloud.xyz,
         "range": cloud.range_m,
@@ -118,15 +122,27 @@ def vertices_of(cloud: PointCloud, entropy_bits: np.ndarray) -> dict[str, np.nda
         "vehicle": cloud.vehicle_id,
         "entropy": entropy_bits,
         "time": cloud.time_s,
+        "lidar": np.full(len(cloud), lidar),
     }
 
 
-def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
-    """PE-VGOP (Eq. 9) of the vehicle that each point lies on, (n,) [bits]; 0 for points on no vehicle."""
+def entropy_of_vehicles(cloud: PointCloud, vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
+    """PE-VGOP (Eq. 9) of every vehicle of a frame in a cloud of it, (v,) [bits]."""
+    mine, row = _on_vehicles(cloud, vehicles)
+    points = to_vehicle_frame(cloud.xyz[mine], vehicles.centre_m, vehicles.heading_rad, row)
+    return pe_vgop(points, row, vehicles.size_m, objective.cell_m, reading=objective.reading)
+
+
+def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, of_vehicles: np.ndarray) -> np.ndarray:
+    """Entropy (n,) of the vehicle that each point lies on, given that of the frame's (v,); 0 for points on none."""
     bits = np.zeros(len(cloud))
-    on_vehicle = np.flatnonzero(cloud.vehicle_id >= 0)
-    order = np.argsort(vehicles.vehicle_id)
-    row = order[np.searchsorted(vehicles.vehicle_id, cloud.vehicle_id[on_vehicle], sorter=order)]
-    points = to_vehicle_frame(cloud.xyz[on_vehicle], vehicles.centre_m[row], vehicles.heading_rad[row])
-    bits[on_vehicle] = pe_vgop(points, row, vehicles.size_m, objective.cell_m, reading=objective.reading)[row]
+    mine, row = _on_vehicles(cloud, vehicles)
+    bits[mine] = of_vehicles[row]
     return bits
+
+
+def _on_vehicles(cloud, vehicles):
+    """The points that lie on vehicles, and the rows of these."""
+    mine = np.flatnonzero(cloud.vehicle_id >= 0)
+    order = np.argsort(vehicles.vehicle_id)
+    return mine, order[np.searchsorted(vehicles.vehicle_id, cloud.vehicle_id[mine], sorter=order)]

@@ -122,9 +122,9 @@ def new_mesh(
 
 
 def add_attribute(mesh: bpy.types.Mesh, name: str, values: np.ndarray) -> None:
-    """Give every vertex a number, (n,): whole ones become INT, others FLOAT."""
+    """Give every vertex a number, (n,): whole ones become INT, others FLOAT. It may have one of that name and kind."""
     whole = values.dtype.kind in "iu"
-    attribute = mesh.attributes.new(name, "INT" if whole else "FLOAT", "POINT")
+    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, "INT" if whole else "FLOAT", "POINT")
     attribute.data.foreach_set("value", np.ascontiguousarray(values, dtype=np.int32 if whole else np.float32))
 
 
@@ -173,9 +173,24 @@ def plain(name: str, colour: tuple[float, float, float], surface: int = STRUCTUR
     return made_once(bpy.data.materials, name, make)
 
 
+COLOURED = "blender_lidar_coloured"  # custom property of objects: 1 where their own colour is shown on their paint
+
+
 def paint_of(vehicle_class: str) -> bpy.types.Material:
-    """The paint of a class of vehicles."""
-    return plain(f"Paint {vehicle_class}", CLASS_COLOURS[vehicle_class], PAINT, 0.35)
+    """The paint of a class of vehicles; that of a vehicle that is `COLOURED` takes on the object's colour."""
+    material = plain(f"Paint {vehicle_class}", CLASS_COLOURS[vehicle_class], PAINT, 0.35)
+    tree = material.node_tree
+    if "Object Info" not in tree.nodes:
+        kinds = ("ShaderNodeObjectInfo", "ShaderNodeAttribute", "ShaderNodeMixRGB")
+        own, coloured, mix = (tree.nodes.new(kind) for kind in kinds)
+        own.name, own.location, coloured.location, mix.location = "Object Info", (-500, 0), (-500, 250), (-250, 200)
+        coloured.attribute_type, coloured.attribute_name = "OBJECT", COLOURED
+        mix.inputs[1].default_value = (*CLASS_COLOURS[vehicle_class], 1.0)
+        shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+        tree.links.new(coloured.outputs["Fac"], mix.inputs[0])
+        tree.links.new(own.outputs["Color"], mix.inputs[2])
+        tree.links.new(mix.outputs[0], shader.inputs["Base Color"])
+    return material
 
 
 def glass() -> bpy.types.Material:

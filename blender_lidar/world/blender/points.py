@@ -1,4 +1,4 @@
-"""A point cloud as a mesh with named attributes: a vertex for each return, shown as spheres by geometry nodes."""
+"""A point cloud as a mesh with named attributes: a vertex for each return, shown as points by geometry nodes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,14 @@ from .objects import (
 
 _NAME, _LOOK = "Point cloud", "LiDAR points"
 _RADIUS_M = 0.045
-_BITS = (0.0, 1.0)  # of a vehicle's PE-VGOP: the colours' range
+# Linear RGB by value, for what is coloured by a number: of nothing seen, of half and of a whole bit of PE-VGOP.
+_BITS, _BY_ENTROPY = (0.0, 1.0), ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25))
+
+
+def colours_of(entropy_bits: np.ndarray) -> np.ndarray:
+    """Linear RGB (n, 3) of PE-VGOP (n,) [bits]."""
+    places = np.linspace(*_BITS, len(_BY_ENTROPY))
+    return np.stack([np.interp(entropy_bits, places, channel) for channel in zip(*_BY_ENTROPY, strict=True)], axis=1)
 
 
 def build_cloud(
@@ -50,8 +57,7 @@ def show_cloud(lidar: bpy.types.Object, points: Mapping[str, np.ndarray]) -> bpy
     item = cloud_of(lidar)
     if item is None:
         return _new_cloud(lidar.users_collection[0], points, lidar)
-    item.data.clear_geometry()
-    _write(item.data, points)
+    write_cloud(item.data, points)
     _fasten(item, lidar)
     return item
 
@@ -63,18 +69,21 @@ def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
 
 def _new_cloud(into, points, lidar):
     mesh = new_mesh(_NAME, np.empty((0, 3)), np.empty((0, 3), dtype=int), [_material()])
-    _write(mesh, points)
+    write_cloud(mesh, points)
     item = add_object(into, _NAME, mesh, CLOUD)
     only_for_the_eye(item)
-    item.modifiers.new(_LOOK, "NODES").node_group = made_once(bpy.data.node_groups, _LOOK, _spheres)
+    item.modifiers.new(_LOOK, "NODES").node_group = made_once(bpy.data.node_groups, _LOOK, _points)
     if lidar is not None:
         item.hide_select = True
         _fasten(item, lidar)
     return item
 
 
-def _write(mesh, points):
-    mesh.vertices.add(len(points["xyz"]))
+def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray]) -> None:
+    """Let the mesh of a cloud hold other points, as for `build_cloud`, in place."""
+    if len(mesh.vertices) != len(points["xyz"]):
+        mesh.clear_geometry()  # materials stay
+        mesh.vertices.add(len(points["xyz"]))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(points["xyz"], dtype=np.float32).ravel())
     for name, values in points.items():
         if name != "xyz":
@@ -127,7 +136,7 @@ def _shining():
     tree = nodes_of(material)
     tree.nodes.clear()
     elsewhere = _ramp(tree, 1, "range", (0.0, 100.0), ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)))
-    on_vehicle = _ramp(tree, 2, "entropy", _BITS, ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25)))
+    on_vehicle = _ramp(tree, 2, "entropy", _BITS, _BY_ENTROPY)
     vehicle, is_vehicle, mix, output = _add_nodes(
         tree, 0, "ShaderNodeAttribute", "ShaderNodeMath", "ShaderNodeMixShader", "ShaderNodeOutputMaterial"
     )
@@ -164,33 +173,39 @@ def _ramp(tree, row, attribute, bounds, colours):
     return shine.outputs[0]
 
 
-def _spheres() -> bpy.types.NodeTree:
-    """The node group that shows vertices as spheres; its radius is an input of the modifier."""
+def _points() -> bpy.types.NodeTree:
+    """The node group that shows vertices as points; their radius is an input of the modifier."""
     group = bpy.data.node_groups.new(_LOOK, "GeometryNodeTree")
     _socket(group, "Geometry", "INPUT", "NodeSocketGeometry")
     _socket(group, "Radius", "INPUT", "NodeSocketFloat").default_value = _RADIUS_M
     _socket(group, "Geometry", "OUTPUT", "NodeSocketGeometry")
-    given, ball, placed, real, coloured, result = _add_nodes(
-        group,
-        0,
-        "NodeGroupInput",
-        "GeometryNodeMeshIcoSphere",
-        "GeometryNodeInstanceOnPoints",
-        "GeometryNodeRealizeInstances",  # real faces: Eevee shows no attributes of a cloud of points
-        "GeometryNodeSetMaterial",
-        "NodeGroupOutput",
+    given, made, coloured, result = _add_nodes(
+        group, 0, "NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodeSetMaterial", "NodeGroupOutput"
     )
-    ball.inputs["Subdivisions"].default_value = 1
     coloured.inputs["Material"].default_value = _material()
+    vertices, radius = given.outputs["Geometry"], given.outputs["Radius"]
     _link(
         group,
-        (given.outputs["Radius"], ball.inputs["Radius"]),
-        (given.outputs["Geometry"], placed.inputs["Points"]),
-        (ball.outputs["Mesh"], placed.inputs["Instance"]),
-        (placed.outputs["Instances"], real.inputs["Geometry"]),
-        (real.outputs["Geometry"], coloured.inputs["Geometry"]),
+        (vertices, made.inputs["Mesh"]),
+        (radius, made.inputs["Radius"]),
         (coloured.outputs["Geometry"], result.inputs["Geometry"]),
     )
+    shown = made.outputs[0]
+    if bpy.app.version < (4, 0):  # whose Eevee shows no attributes of points: real faces, though slow to make
+        ball, placed, real = _add_nodes(
+            group, 1, "GeometryNodeMeshIcoSphere", "GeometryNodeInstanceOnPoints", "GeometryNodeRealizeInstances"
+        )
+        ball.inputs["Subdivisions"].default_value = 1
+        _link(
+            group,
+            (radius, ball.inputs["Radius"]),
+            (vertices, placed.inputs["Points"]),
+            (ball.outputs["Mesh"], placed.inputs["Instance"]),
+            (placed.outputs["Instances"], real.inputs["Geometry"]),
+        )
+        group.nodes.remove(made)
+        shown = real.outputs["Geometry"]
+    _link(group, (shown, coloured.inputs["Geometry"]))
     return group
 
 

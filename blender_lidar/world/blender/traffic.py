@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import bpy
 import numpy as np
@@ -11,7 +11,8 @@ from ...traffic.vehicles import Vehicles
 from ..meshes import GLASS
 from ..shapes import shape
 from ..triangles import shape_names
-from .objects import SHAPE, VEHICLE, VEHICLE_ID, add_object, collection, glass, made_once, new_mesh, paint_of
+from .objects import COLOURED, SHAPE, VEHICLE, VEHICLE_ID, add_object, collection, glass, made_once, new_mesh, paint_of
+from .points import colours_of
 
 
 def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body") -> list[bpy.types.Object]:
@@ -35,6 +36,22 @@ def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "bod
         shown.append(item)
     bpy.data.batch_remove(present.values())
     return shown
+
+
+def colour_vehicles(items: Iterable[bpy.types.Object], entropy_bits: np.ndarray | None) -> None:
+    """Colour vehicles by their PE-VGOP (n,) [bits], as points on them are coloured; None gives them their paint again.
+
+    In solid view the viewport has to show the colours of objects; in Eevee and Cycles their paint does.
+    """
+    if entropy_bits is None:
+        for item in items:
+            item.color = (1.0, 1.0, 1.0, 1.0)
+            item.pop(COLOURED, None)
+        return
+    for item, colour in zip(items, colours_of(entropy_bits).tolist(), strict=True):
+        item.color = (*colour, 1.0)
+        if COLOURED not in item:
+            item[COLOURED] = 1.0
 
 
 def animate(
