@@ -45,6 +45,8 @@ LIBRARIES = {
     "bpy": ("casting/bvh.py", "world/blender/", "addon/"),
     "bpy_extras": ("addon/",),
     "mathutils": ("casting/bvh.py", "world/blender/", "addon/"),
+    "gpu": ("addon/",),
+    "gpu_extras": ("addon/",),
     "embreex": ("casting/embree.py",),
     "numba": ("compiled.py",),
     "laspy": ("clouds/files.py",),

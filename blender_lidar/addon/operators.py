@@ -251,24 +251,15 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         scenario, vehicles = session.scenario_from(scene, lidar), session.vehicles_of(scene)
         check_mount_is_clear(scenario, [vehicles], {lidar.name: place})
         ready = session.live_frame(scene, lidar)
-        look = ready.look(pose_at(place))
+        objects = session.exact_objects(scene, context.view_layer, scenario)
+        look = ready.look(pose_at(place), objects)
         bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
         show_cloud(lidar, vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits)))
+        session.store(lidar, vehicles, place, look, ready.look(scenario.baseline_pose, objects))
         group = lidar.lidar
-        group.points, group.scanned_frame = len(look.cloud), vehicles.frame
-        group.scanned_at = list(place.values())
-        _store(group, "", look.scored)
-        _store(group, "baseline_", ready.look(scenario.baseline_pose).scored)
-        group.vehicles = 0 if look.scored is None else look.scored.values.shape[1]
         told_of = "" if look.scored is None else f", objective {group.objective:.2f}"
         self.report({"INFO"}, f"{lidar.name}: {group.points:,} points on frame {vehicles.frame}{told_of}")
         return {"FINISHED"}
-
-
-def _store(group, prefix, scored):
-    share = "detectable_share" if not prefix else f"{prefix}share"
-    setattr(group, f"{prefix}objective", 0.0 if scored is None else float(scored.objective.sum()))
-    setattr(group, share, 0.0 if scored is None else float(scored.detectable.mean()))
 
 
 class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):

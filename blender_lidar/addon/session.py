@@ -6,12 +6,14 @@ undo leaves as it is, or by their names where Blender has none.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import bpy
 
 from ..casting import resolve
-from ..clouds.live import LiveFrame
+from ..casting.protocol import StandingScenery
+from ..clouds.live import LiveFrame, Look
 from ..errors import InputError
 from ..scene.observation import CountedFrame, vehicle_weights
 from ..scene.region import region_of
@@ -20,10 +22,12 @@ from ..scene.site import lattice_of, observation_of, read_recording, scoring_of,
 from ..traffic import Recording, Vehicles, instants
 from ..traffic.vehicles import unknown_frame
 from ..world.blender.objects import is_lidar, lidars
+from ..world.blender.site import open_scenery
 from . import properties
 
 _EXAMPLE = "i80"
 _RECORDINGS: dict[str, tuple[str, Recording]] = {}  # by scene: what it was read with, and the traffic
+_OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
 _FRAMES: dict[str, tuple[str, LiveFrame]] = {}  # by LiDAR
 
 
@@ -197,10 +201,39 @@ def _made_ready(scenario: Scenario, vehicles: Vehicles) -> LiveFrame:
     return LiveFrame(frame, observation, scoring, ground=scenario.world.ground)
 
 
+def exact_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, scenario: Scenario) -> list[StandingScenery]:
+    """The visible objects of the user's as exact triangles, for `LiveFrame.look`; made ready once while they stay.
+
+    Raises
+    ------
+    InputError
+        For a vertex that is not finite.
+    """
+    scenery, caster, key = open_scenery(scene, layer), resolve(scenario.model.caster, "caster"), uid_of(scene)
+    of = caster, scenery.digest
+    if key not in _OBJECTS or _OBJECTS[key][0] != of:
+        _OBJECTS[key] = of, StandingScenery(scenery, caster)
+    return [_OBJECTS[key][1]] if len(scenery) else []
+
+
+def store(lidar: bpy.types.Object, vehicles: Vehicles, place: Mapping[str, float], look: Look, baseline: Look) -> None:
+    """Keep with a LiDAR what the panel says of a scan: its size and score, and the baseline's."""
+    group = lidar.lidar
+    group.points, group.scanned_frame, group.scanned_at = len(look.cloud), vehicles.frame, list(place.values())
+    group.vehicles = 0 if look.scored is None else look.scored.values.shape[1]
+    for scored, objective, share in (
+        (look.scored, "objective", "detectable_share"),
+        (baseline.scored, "baseline_objective", "baseline_share"),
+    ):
+        setattr(group, objective, 0.0 if scored is None else float(scored.objective.sum()))
+        setattr(group, share, 0.0 if scored is None else float(scored.detectable.mean()))
+
+
 def forget(scene: bpy.types.Scene | None = None) -> None:
     """Let go of what is kept, of one scene or of all."""
     if scene is None:
         _RECORDINGS.clear()
         _FRAMES.clear()
+        _OBJECTS.clear()
     else:
         _RECORDINGS.pop(uid_of(scene), None)

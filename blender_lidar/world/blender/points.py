@@ -34,6 +34,27 @@ def colours_of(entropy_bits: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(entropy_bits, places, channel) for channel in zip(*_BY_ENTROPY, strict=True)], axis=1)
 
 
+# Viridis at 0, 0.25, 0.5, 0.75 and 1, linear: lighter is more, for those too who see no colours.
+_VIRIDIS = ((0.06, 0.0, 0.09), (0.04, 0.08, 0.26), (0.01, 0.28, 0.26), (0.11, 0.58, 0.12), (0.98, 0.8, 0.02))
+_GOLDEN = 0.618034  # of a turn from hue to hue: neighbours in the list differ much
+
+
+def colours_by(name: str, points: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Linear RGBA (n, 4), float32, of points by one of their attributes: `entropy`, `vehicle`, `range` and the like."""
+    values, colours = points[name], np.ones((len(points["xyz"]), 4), np.float32)
+    if name == "entropy":
+        colours[:, :3] = np.where(points["vehicle"][:, None] >= 0, colours_of(values), (0.16, 0.2, 0.26))
+    elif name == "vehicle":
+        hue = (_GOLDEN * np.unique(values, return_inverse=True)[1].reshape(-1, 1) + np.array([0.0, 1 / 3, 2 / 3])) % 1.0
+        colours[:, :3] = np.where(values[:, None] >= 0, np.clip(np.abs(6.0 * hue - 3.0) - 1.0, 0.05, 0.9), 0.2)
+    else:
+        most = 1.0 if name == "intensity" else float(values.max(initial=0.0)) or 1.0
+        places = np.linspace(0.0, 1.0, len(_VIRIDIS))
+        for channel, of in enumerate(zip(*_VIRIDIS, strict=True)):
+            colours[:, channel] = np.interp(values / most, places, of)
+    return colours
+
+
 def build_cloud(
     scene: bpy.types.Scene, points: Mapping[str, np.ndarray] | None, lidar: bpy.types.Object | None = None
 ) -> bpy.types.Object | None:

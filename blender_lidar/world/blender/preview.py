@@ -40,13 +40,21 @@ class VisibleObjects:
     def __init__(self) -> None:
         self._meshes: dict[int, _Mesh] = {}
         self._placed: list[tuple[_Mesh, np.ndarray, np.ndarray]] = []
+        self._forgotten = 0
+
+    @property
+    def state(self) -> tuple:
+        """Which meshes stood where when last looked at: equal while nothing has changed."""
+        placed = [(id(mesh), turn.tobytes(), move.tobytes()) for mesh, turn, move in self._placed]
+        return self._forgotten, *placed
 
     def forget(self) -> None:
         """Drop what is kept of meshes: call it when the geometry of any object of the user's has changed."""
         self._meshes.clear()
+        self._forgotten += 1
 
     def refresh(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> int:
-        """Look where the visible objects of an evaluated scene are now; the number of their faces."""
+        """Look where the visible objects of a scene are now, evaluated just before; the number of their faces."""
         meshes, self._placed = {}, []
         unit_m = scene.unit_settings.scale_length
         for instance in visible_instances(scene, depsgraph, is_scenery):
@@ -63,7 +71,7 @@ class VisibleObjects:
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
         """As `StandingScenery.met`."""
-        rays = _ByAzimuth(origin, directions)
+        rays = _ByAzimuth(origin, directions) if self._placed else None
         nearest = np.full(len(directions), reach_m)
         met = np.zeros(len(directions), dtype=bool)
         surface, cosine = np.zeros(len(directions), np.uint8), np.zeros(len(directions))

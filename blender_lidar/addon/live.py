@@ -1,0 +1,296 @@
+"""Live preview: while a LiDAR is moved its cloud, its score and the vehicles' colours follow, drawn by the GPU.
+
+What changes is marked by handlers and looked at by a timer, in one go for all events between two redraws. The user's
+own objects occlude at preview quality here; Scan, Score and Optimise cast against their exact triangles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ..clouds.live import LiveFrame, Look
+from ..clouds.snapshot import entropy_of_points, entropy_of_vehicles, vertices_of
+from ..errors import BlenderLidarError
+from ..scene.scenario import Scenario, pose_at
+from ..traffic.vehicles import Vehicles
+from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, lidars, role
+from ..world.blender.points import cloud_of, colours_by, show_cloud
+from ..world.blender.preview import VisibleObjects
+from ..world.blender.site import is_scenery
+from ..world.blender.traffic import colour_vehicles
+from . import properties, session
+
+classes = ()
+_POINT_SIZE = 3.0  # [pixels]
+_PAUSE_S = 0.005  # Blender handles the next events and redraws in between
+
+
+@dataclass(eq=False)
+class _Shown:
+    """What is kept of a LiDAR that is live."""
+
+    scene: str
+    seen: object = None  # place, frame and objects that it was looked at with
+    frame: LiveFrame | None = None
+    scenario: Scenario | None = None
+    baseline: Look | None = None
+    look: Look | None = None
+    bits: np.ndarray | None = None  # of every vehicle
+    colours: np.ndarray | None = None
+    batch: object = None
+
+
+@dataclass(eq=False)
+class _State:
+    """What is kept beside Blender's data, by the `session_uid` of LiDARs and scenes."""
+
+    shown: dict[str, _Shown] = field(default_factory=dict)
+    objects: dict[str, VisibleObjects] = field(default_factory=dict)
+    drawing: object = None
+
+
+_state = _State()
+
+
+# --- What is live, and what each update does --------------------------------------------------------------------------
+
+
+def update() -> None:
+    """Look again from every live LiDAR of the scenes that are open in windows, where anything has changed."""
+    live = set()
+    for scene, layer in _open_scenes():
+        mine = [lidar for lidar in lidars(scene) if lidar.lidar.live and scene.blender_lidar.loaded]
+        live |= {session.uid_of(lidar) for lidar in mine}
+        if not mine:
+            continue
+        key = session.uid_of(scene)
+        objects = _state.objects.setdefault(key, VisibleObjects())
+        layer.update()  # instances of objects that have gone since would crash Blender
+        objects.refresh(scene, layer.depsgraph)
+        for lidar in mine:
+            shown = _state.shown.get(session.uid_of(lidar))
+            if shown is None:
+                shown = _state.shown[session.uid_of(lidar)] = _begin(scene, layer, lidar)
+            problem = _problem_of(_update_one, scene, lidar, shown, objects)
+            if problem is not None and scene.blender_lidar.problem != problem:
+                scene.blender_lidar.problem = problem
+    for key in set(_state.shown) - live:
+        _end(key, _state.shown.pop(key))
+    _draw_if(bool(_state.shown))
+
+
+def _open_scenes() -> list[tuple[bpy.types.Scene, bpy.types.ViewLayer]]:
+    """Scenes in windows with what each window shows of them; without windows the scene in use."""
+    manager = bpy.context.window_manager
+    windows = [] if bpy.app.background or manager is None else manager.windows
+    found = {window.scene.name_full: (window.scene, window.view_layer) for window in windows}
+    return list(found.values()) or [(bpy.context.scene, bpy.context.view_layer)]
+
+
+def _problem_of(work, *given) -> str | None:
+    """What is wrong, in a line; "" where nothing is, None where nothing was done."""
+    try:
+        return "" if work(*given) else None
+    except BlenderLidarError as error:
+        return " ".join(str(error).split())
+
+
+def _update_one(scene, lidar, shown, objects) -> bool:
+    """Look from a LiDAR unless it was looked at as it is now; whether that was done."""
+    group, place = lidar.lidar, properties.coordinates_of(lidar)
+    now = place, scene.blender_lidar.frame, objects.state, group.colour_by
+    if now == shown.seen:
+        return False
+    shown.seen = now
+    vehicles = session.vehicles_of(scene)
+    if shown.frame is None:
+        shown.scenario, shown.baseline = session.scenario_from(scene, lidar), None
+    frame = session.live_frame(scene, lidar) if shown.frame is None else shown.frame
+    if frame.frame.vehicles.frame != vehicles.frame:
+        frame, shown.baseline = session.live_frame(scene, lidar), None
+    shown.frame = frame
+    if shown.baseline is None:
+        shown.baseline = frame.look(shown.scenario.baseline_pose, [objects])
+    shown.look = look = frame.look(pose_at(place), [objects])
+    shown.bits = entropy_of_vehicles(look.cloud, vehicles, shown.scenario.objective)
+    of_points = entropy_of_points(look.cloud, vehicles, shown.bits)
+    shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, of_points))
+    shown.batch = None
+    session.store(lidar, vehicles, place, look, shown.baseline)
+    if lidar == session.active_lidar(scene):
+        colour_vehicles(*_coloured(scene, vehicles, shown.bits))
+    _redraw()
+    return True
+
+
+def _coloured(scene: bpy.types.Scene, vehicles: Vehicles, bits: np.ndarray):
+    """The objects of a frame's vehicles, and the entropy of each."""
+    row = {str(number): at for at, number in enumerate(vehicles.vehicle_id.tolist())}
+    items = [item for item in scene.objects if role(item) == VEHICLE and item.get(VEHICLE_ID) in row]
+    return items, bits[[row[item[VEHICLE_ID]] for item in items]]
+
+
+def _begin(scene, layer, lidar) -> _Shown:
+    """What was measured before is not shown while a LiDAR is live, and solid views show the colours of objects."""
+    cloud = cloud_of(lidar)
+    if cloud is not None and cloud.name in layer.objects:
+        cloud.hide_set(True, view_layer=layer)
+    _colour_solid("MATERIAL", "OBJECT")
+    return _Shown(session.uid_of(scene))
+
+
+def _end(key: str, shown: _Shown) -> None:
+    """Let Blender's own points stand for what was drawn last, and vehicles have their paint again."""
+    for scene, layer in _open_scenes():
+        for lidar in lidars(scene):
+            if session.uid_of(lidar) != key:
+                continue
+            if shown.look is not None:
+                vehicles = shown.frame.frame.vehicles
+                points = vertices_of(shown.look.cloud, entropy_of_points(shown.look.cloud, vehicles, shown.bits))
+                show_cloud(lidar, points)
+            cloud = cloud_of(lidar)
+            if cloud is not None and cloud.name in layer.objects:
+                cloud.hide_set(False, view_layer=layer)
+        if not any(one.scene == session.uid_of(scene) for one in _state.shown.values()):
+            colour_vehicles([item for item in scene.objects if role(item) == VEHICLE and SHAPE in item], None)
+    if not _state.shown:
+        _colour_solid("OBJECT", "MATERIAL")
+    _redraw()
+
+
+# --- Drawing ----------------------------------------------------------------------------------------------------------
+
+
+def _views():
+    manager = bpy.context.window_manager
+    for window in [] if bpy.app.background or manager is None else manager.windows:
+        yield from (area for area in window.screen.areas if area.type == "VIEW_3D")
+
+
+def _redraw():
+    for area in _views():
+        area.tag_redraw()
+
+
+def _colour_solid(of: str, to: str) -> None:
+    """Let views that show the colours `of` materials or objects in solid mode show the others."""
+    for area in _views():
+        for space in area.spaces:
+            if space.type == "VIEW_3D" and space.shading.color_type == of:
+                space.shading.color_type = to
+
+
+def _draw_if(wanted: bool) -> None:
+    """Have the views draw, or no more."""
+    if wanted and _state.drawing is None and not bpy.app.background:
+        _state.drawing = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+    elif not wanted and _state.drawing is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_state.drawing, "WINDOW")
+        _state.drawing = None
+
+
+def _draw() -> None:
+    """Draw the points of all live LiDARs of the scene that the view shows."""
+    import gpu  # of no use without a window
+    from gpu_extras.batch import batch_for_shader
+
+    scene, scale = session.uid_of(bpy.context.scene), bpy.context.scene.unit_settings.scale_length
+    shader = gpu.shader.from_builtin("3D_FLAT_COLOR" if bpy.app.version < (4, 0) else "FLAT_COLOR")
+    gpu.state.depth_test_set("LESS_EQUAL")
+    gpu.state.point_size_set(_POINT_SIZE)
+    for shown in _state.shown.values():
+        if shown.scene != scene or shown.look is None:
+            continue
+        if shown.batch is None:
+            places = np.ascontiguousarray(shown.look.cloud.xyz / scale, dtype=np.float32)
+            shown.batch = batch_for_shader(shader, "POINTS", {"pos": places, "color": shown.colours})
+        shown.batch.draw(shader)
+    gpu.state.point_size_set(1.0)
+    gpu.state.depth_test_set("NONE")
+
+
+# --- What tells that something has changed ----------------------------------------------------------------------------
+
+
+@persistent
+def on_update(scene, depsgraph=None, *_) -> None:
+    """Mark what Blender has evaluated again; of the user's own objects, forget trees of those with a new shape."""
+    for change in () if depsgraph is None else depsgraph.updates:
+        item = change.id.original
+        if change.is_updated_geometry and isinstance(item, bpy.types.Object) and is_scenery(item):
+            for objects in _state.objects.values():
+                objects.forget()
+            break
+    _soon()
+
+
+@persistent
+def on_other_time(*_) -> None:
+    """Mark all: another file, another moment, or another state from the history of undo."""
+    for shown in _state.shown.values():
+        shown.seen = shown.frame = None
+    for objects in _state.objects.values():
+        objects.forget()
+    _soon()
+
+
+@persistent
+def on_load(*_) -> None:
+    """Let go of what was drawn of the file before."""
+    _state.shown.clear()
+    _state.objects.clear()
+    _soon()
+
+
+def on_change(block: bpy.types.ID, table: str) -> None:
+    """A property of the panel has changed."""
+    if table not in ("live", "look"):
+        on_other_time()
+    elif bpy.app.background:
+        update()
+    _soon()
+
+
+def _soon() -> None:
+    """Update once Blender has handled what it is at."""
+    if bpy.app.background or bpy.app.timers.is_registered(_tick):
+        return
+    if _state.shown or any(lidar.lidar.live for scene, _ in _open_scenes() for lidar in lidars(scene)):
+        bpy.app.timers.register(_tick, first_interval=_PAUSE_S)
+
+
+def _tick() -> None:
+    update()
+
+
+_HANDLERS = {
+    "depsgraph_update_post": on_update,
+    "frame_change_post": on_other_time,
+    "undo_post": on_other_time,
+    "redo_post": on_other_time,
+    "load_post": on_load,
+}
+
+
+def register() -> None:
+    """Listen."""
+    for name, call in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(call)
+    properties.ON_CHANGE.append(on_change)
+
+
+def unregister() -> None:
+    """Listen and draw no more."""
+    properties.ON_CHANGE.remove(on_change)
+    for name, call in _HANDLERS.items():
+        if call in getattr(bpy.app.handlers, name):
+            getattr(bpy.app.handlers, name).remove(call)
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    _draw_if(False)
+    on_load()

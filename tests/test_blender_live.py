@@ -1,0 +1,152 @@
+"""A LiDAR that is live: what is drawn of it is what Scan finds, after every change, and nothing stays when it ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from blender_lidar import addon
+from blender_lidar.addon import live, session
+from blender_lidar.world.blender.objects import COLOURED, lidars, new_mesh, role
+from blender_lidar.world.blender.points import cloud_of
+from tests.small_scene import write_scene
+
+WALL = np.array([(-30.0, 1.0, 0.0), (30.0, 1.0, 0.0), (30.0, 1.0, 5.0), (-30.0, 1.0, 5.0)])
+
+
+@pytest.fixture
+def lidar(tmp_path):
+    """A LiDAR beside the small scene's road, with the add-on; nothing of which may stay registered."""
+    handlers = {name: list(getattr(bpy.app.handlers, name)) for name in live._HANDLERS}
+    bpy.ops.wm.read_homefile(use_empty=True)
+    addon.register()
+    try:
+        scene = bpy.context.scene
+        scene.blender_lidar.traffic.path = str(write_scene(tmp_path))
+        assert bpy.ops.lidar.load() == {"FINISHED"}
+        scene.blender_lidar.model.caster = "exact"
+        scene.blender_lidar.frame = 20
+        yield lidars(scene)[0]
+    finally:
+        addon.unregister()
+        bpy.ops.wm.read_homefile(use_empty=True)
+    assert {name: list(getattr(bpy.app.handlers, name)) for name in live._HANDLERS} == handlers
+    assert not live._state.shown
+
+
+def moved(lidar, **place):
+    for key, value in place.items():
+        setattr(lidar.lidar, key, value)
+    bpy.context.view_layer.update()
+    live.update()
+    return live._state.shown[session.uid_of(lidar)]
+
+
+def told_of(lidar):
+    group = lidar.lidar
+    names = ("points", "vehicles", "objective", "detectable_share", "baseline_objective", "baseline_share")
+    return [getattr(group, name) for name in names], group.scanned_frame, list(group.scanned_at)
+
+
+def assert_as_scanned(lidar, shown):
+    """What is live is what Scan finds, which writes it into Blender's points."""
+    found, xyz = told_of(lidar), shown.look.cloud.xyz.copy()
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert found == told_of(lidar)
+    stored = np.empty(xyz.size)
+    cloud_of(lidar).data.vertices.foreach_get("co", stored)
+    np.testing.assert_allclose(stored.reshape(-1, 3), xyz, atol=1e-5)
+    return found[0]
+
+
+def test_a_live_lidar_shows_what_scan_finds_wherever_and_on_whatever_frame_it_is(lidar):
+    lidar.lidar.live = True
+    seen = [assert_as_scanned(lidar, moved(lidar, height_m=4.0, tilt_x_deg=0.3))]
+    seen.append(assert_as_scanned(lidar, moved(lidar, x_m=6.0, tilt_x_deg=0.2)))
+    bpy.context.scene.blender_lidar.frame = 23
+    seen.append(assert_as_scanned(lidar, moved(lidar)))
+    lidar.lidar.range_gate_m = 12.0
+    seen.append(assert_as_scanned(lidar, moved(lidar)))
+    assert len({tuple(one) for one in seen}) == 4
+    assert bpy.context.scene.blender_lidar.problem == ""
+
+
+def test_what_has_not_changed_is_not_looked_at_again(lidar):
+    lidar.lidar.live = True
+    before = moved(lidar, height_m=4.0).look
+    assert moved(lidar).look is before
+    assert moved(lidar, height_m=4.1).look is not before
+
+
+def test_objects_of_the_users_own_occlude_live_and_exactly(lidar):
+    lidar.lidar.live = True
+    free = moved(lidar, height_m=4.0, tilt_x_deg=0.3).look.scored.seen.points.sum()
+    wall = bpy.data.objects.new("wall", new_mesh("wall", WALL, np.array([[0, 1, 2, 3]])))
+    bpy.context.scene.collection.objects.link(wall)
+    shown = moved(lidar)
+    assert shown.look.scored.seen.points.sum() < 0.5 * free
+    objective = lidar.lidar.objective
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert lidar.lidar.objective == pytest.approx(objective, rel=1e-3)
+    wall.location.y = -20.0
+    assert moved(lidar).look.scored.seen.points.sum() == free
+
+
+def test_points_take_every_colour_and_vehicles_that_of_their_entropy(lidar):
+    lidar.lidar.live = True
+    scene, seen = bpy.context.scene, []
+    for name in ("range", "ring", "vehicle", "intensity", "entropy"):
+        lidar.lidar.colour_by = name
+        shown = moved(lidar)
+        assert shown.colours.shape == (len(shown.look.cloud), 4)
+        assert ((shown.colours >= 0.0) & (shown.colours <= 1.0)).all()
+        seen.append(shown.colours.tobytes())
+    assert len(set(seen)) == 5
+    vehicles = [item for item in scene.objects if role(item) == "vehicle"]
+    assert len({tuple(item.color) for item in vehicles}) > 1
+    assert all(COLOURED in item for item in vehicles)
+    lidar.lidar.live = False
+    assert not any(COLOURED in item for item in vehicles)
+
+
+def test_the_cloud_is_hidden_while_live_and_stands_where_it_was_last_seen_afterwards(lidar):
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    lidar.lidar.live = True
+    shown = moved(lidar, x_m=5.0)
+    assert cloud_of(lidar).hide_get()
+    lidar.lidar.live = False
+    cloud = cloud_of(lidar)
+    assert not cloud.hide_get()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(
+        np.array(cloud.matrix_world) @ [*cloud.data.vertices[0].co, 1.0], [*shown.look.cloud.xyz[0], 1.0], atol=1e-4
+    )
+
+
+def test_a_lidar_below_the_ground_says_so_and_goes_on_once_it_is_back(lidar):
+    scene = bpy.context.scene
+    lidar.lidar.live = True
+    moved(lidar, height_m=4.0)
+    lidar.location.z = -1.0
+    moved(lidar)
+    assert "above the ground" in scene.blender_lidar.problem
+    lidar.location.z = 3.0
+    assert moved(lidar).look is not None
+    assert scene.blender_lidar.problem == ""
+
+
+def test_two_live_lidars_are_looked_at_each_by_itself_and_a_removed_one_is_let_go_of(lidar):
+    scene = bpy.context.scene
+    scene.cursor.location = (10.0, 0.0, 3.0)
+    assert bpy.ops.lidar.add() == {"FINISHED"}
+    other = next(item for item in lidars(scene) if item != lidar)
+    lidar.lidar.live = other.lidar.live = True
+    moved(lidar, height_m=4.0)
+    moved(other, height_m=4.5)
+    assert len(live._state.shown) == 2
+    assert lidar.lidar.points != other.lidar.points
+    bpy.data.objects.remove(other)
+    live.update()
+    assert set(live._state.shown) == {session.uid_of(lidar)}
