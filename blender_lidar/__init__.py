@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+
 __version__ = "0.1.0"
+# As an add-on of Blender 3.4, which reads this without running it; extensions have blender_manifest.toml.
+bl_info = {
+    "name": "LiDAR Placement",
+    "author": "blender_lidar contributors",
+    "version": (0, 1, 0),
+    "blender": (3, 4, 0),
+    "location": "3D View > Sidebar > LiDAR; Add > LiDAR",
+    "description": "Finds where a LiDAR should hang beside a road, how high and how tilted",
+    "category": "3D View",
+}
 
 _LAZY = {
     "BlenderLidarError": "errors",
@@ -29,6 +41,29 @@ def __getattr__(name: str):
     from importlib import import_module
 
     return getattr(import_module(f".{_LAZY[name]}", __name__), name)
+
+
+def register() -> None:
+    """As an add-on of Blender: show the panel.
+
+    Raises
+    ------
+    RuntimeError
+        In a Blender that is not supported, in one line.
+    """
+    if sys.version_info < (3, 11):  # noqa: UP036 - official Blenders 3.4 to 4.0 have 3.10
+        told = f"LiDAR: needs Blender 4.2 or later; this one has Python {sys.version.split()[0]}, 3.11 is needed"
+        raise RuntimeError(told)
+    from . import addon
+
+    addon.register()
+
+
+def unregister() -> None:
+    """As an add-on of Blender: take the panel away."""
+    from . import addon
+
+    addon.unregister()
 
 
 def __dir__() -> list[str]:

@@ -271,7 +271,7 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
     def execute(self, context):
         """Take the pose over."""
         place = properties.coordinates_of(session.needed_lidar(context.scene))
-        properties.fill(context.scene.blender_lidar.baseline, properties.MOUNTING_OR_LEAN, place)
+        properties.fill(context.scene.blender_lidar.baseline, properties.SIX, place)
         return {"FINISHED"}
 
 

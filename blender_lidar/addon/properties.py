@@ -169,6 +169,7 @@ TABLES = {
     "model": _MODEL,
 }
 """The settings that a scene has once, by table of the scene file."""
+SIX = {key: MOUNTING_OR_LEAN[key] for key in COORDINATES}
 
 
 def _annotations(table: str, keys: Mapping[str, Setting]) -> dict[str, object]:
@@ -188,7 +189,7 @@ GROUPS = {
 class LIDAR_PG_baseline(bpy.types.PropertyGroup):
     """The mounting that gains are measured against."""
 
-    __annotations__ = _annotations("baseline", {key: MOUNTING_OR_LEAN[key] for key in COORDINATES})
+    __annotations__ = _annotations("baseline", SIX)
 
 
 class LIDAR_PG_region(bpy.types.PropertyGroup):

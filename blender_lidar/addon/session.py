@@ -75,14 +75,11 @@ def tables_of(
     traffic["path"] = bpy.path.abspath(str(traffic.get("path", "")))
     tables["objective"]["metric"] = group.metric
     tables["region"] = group.region.table()
-    tables["baseline"] = properties.values_of(group.baseline, _BASELINE)
+    tables["baseline"] = properties.values_of(group.baseline, properties.SIX)
     if lidar is not None:
         tables["sensor"] = properties.sensor_table(lidar)
         tables["deployment"] = properties.deployment_table(lidar, searched=searched)
     return tables
-
-
-_BASELINE = {key: properties.MOUNTING_OR_LEAN[key] for key in properties.COORDINATES}
 
 
 def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None, *, searched: bool = False) -> Scenario:
@@ -102,7 +99,7 @@ def fill_scene(scene: bpy.types.Scene, scenario: Scenario) -> None:
     for name, keys in properties.TABLES.items():
         properties.fill(getattr(group, name), keys, tables[name])
     group.metric, group.source = scenario.objective.metric, scenario.source
-    properties.fill(group.baseline, _BASELINE, scenario.baseline)
+    properties.fill(group.baseline, properties.SIX, scenario.baseline)
     region = scenario.region
     if region.centre_m is not None:
         group.region.centre_m = region.centre_m
