@@ -139,6 +139,9 @@ def _begin(scene, layer, lidar) -> _Shown:
     cloud = cloud_of(lidar)
     if cloud is not None and cloud.name in layer.objects:
         cloud.hide_set(True, view_layer=layer)
+    for item in scene.objects:  # what else is ours keeps its look
+        if role(item) not in (None, VEHICLE) and item.active_material is not None:
+            item.color = item.active_material.diffuse_color
     _colour_solid("MATERIAL", "OBJECT")
     return _Shown(session.uid_of(scene))
 
