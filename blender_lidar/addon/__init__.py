@@ -8,7 +8,7 @@ import importlib
 
 import bpy
 
-_MODULES = ("properties", "operators", "panels", "handlers", "live")
+_MODULES = ("properties", "operators", "panels", "optimising", "handlers", "live")
 _registered = []
 
 

@@ -1,6 +1,7 @@
 """What the panel's buttons do: load traffic, add a LiDAR, scan and score, set the baseline, export."""
 
 import json
+import time
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -34,6 +35,7 @@ from ..world.blender.objects import (
     role,
 )
 from ..world.blender.points import show_cloud
+from ..world.blender.site import open_scenery
 from ..world.blender.traffic import show_vehicles
 from . import properties, session
 
@@ -255,8 +257,9 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         look = ready.look(pose_at(place), objects)
         bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
         show_cloud(lidar, vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits)))
+        started, group = time.perf_counter(), lidar.lidar
         session.store(lidar, vehicles, place, look, ready.look(scenario.baseline_pose, objects))
-        group = lidar.lidar
+        group.look_s = time.perf_counter() - started
         told_of = "" if look.scored is None else f", objective {group.objective:.2f}"
         self.report({"INFO"}, f"{lidar.name}: {group.points:,} points on frame {vehicles.frame}{told_of}")
         return {"FINISHED"}
@@ -285,7 +288,7 @@ def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     vehicles = session.vehicles_of(scene)
     check_mount_is_clear(scenario, [vehicles], {lidar.name: place})
     caster = resolve(scenario.model.caster, "caster")
-    scenery = standing_scenery(scenario, caster, place)
+    scenery = standing_scenery(scenario, caster, place, open_scenery(scene, bpy.context.view_layer))
     return MountedSensor(scenario, place, lattice_of(scenario.sensor), caster, scenery), vehicles
 
 
@@ -346,7 +349,8 @@ class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
         lidar = session.needed_lidar(scene)
         place = properties.coordinates_of(lidar)
         check_unused(Path(self.directory), "folder", "run")
-        site = prepare(session.scenario_from(scene, lidar), place)
+        objects = open_scenery(scene, context.view_layer)
+        site = prepare(session.scenario_from(scene, lidar), place, scenery=objects)
         with RunFolder(self.directory).locked() as folder:
             result = evaluate_site(site, folder, place)
         self.report({"INFO"}, f"{self.directory}: objective {result['objective']:.1f} {result['metric_unit']}")

@@ -11,7 +11,7 @@ from . import operators, properties, session
 _TAB = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "LiDAR"}
 
 
-def _panel(name: str, parent: str | None = None, **more: object):
+def panel(name: str, parent: str | None = None, **more: object):
     """What makes a class a panel of the sidebar's tab."""
 
     def made(cls):
@@ -31,7 +31,7 @@ def rows(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup, *keys: str)
         column.prop(group, key)
 
 
-@_panel("LiDAR")
+@panel("LiDAR")
 class LIDAR_PT_main(bpy.types.Panel):
     """The tab."""
 
@@ -44,7 +44,7 @@ class LIDAR_PT_main(bpy.types.Panel):
             self.layout.operator("lidar.load_example", icon="IMPORT")
 
 
-@_panel("Traffic", LIDAR_PT_main.__name__)
+@panel("Traffic", LIDAR_PT_main.__name__)
 class LIDAR_PT_traffic(bpy.types.Panel):
     """Which traffic, which of its frames, on what road."""
 
@@ -65,7 +65,7 @@ class LIDAR_PT_traffic(bpy.types.Panel):
         layout.prop(group.world, "detail", text="Vehicles")
 
 
-@_panel("Road and File", LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})
+@panel("Road and File", LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})
 class LIDAR_PT_road(bpy.types.Panel):
     """Where the road lies in the file."""
 
@@ -79,7 +79,7 @@ class LIDAR_PT_road(bpy.types.Panel):
         rows(layout, group.region, "centre_m", "with_gate", *([] if group.region.with_gate else ["radius_m"]))
 
 
-class _OfTraffic:
+class OfTraffic:
     """A panel that is grey until traffic is loaded."""
 
     def draw(self, context):
@@ -98,8 +98,8 @@ class _OfTraffic:
             self.draw_for(layout, context.scene, lidar)
 
 
-@_panel("Sensor", LIDAR_PT_main.__name__)
-class LIDAR_PT_sensor(_OfTraffic, bpy.types.Panel):
+@panel("Sensor", LIDAR_PT_main.__name__)
+class LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
     """The LiDARs of the scene, and how the active one hangs."""
 
     def draw_for(self, layout, scene, lidar):
@@ -134,8 +134,8 @@ def draw_pose(layout: bpy.types.UILayout, lidar: bpy.types.Object) -> None:
     layout.label(text=f"Lean {place['lean_deg']:.1f}°{way}")
 
 
-@_panel("Scan", LIDAR_PT_main.__name__)
-class LIDAR_PT_scan(_OfTraffic, bpy.types.Panel):
+@panel("Scan", LIDAR_PT_main.__name__)
+class LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
     """One revolution, and how its points look."""
 
     def draw_for(self, layout, scene, lidar):
@@ -153,8 +153,8 @@ class LIDAR_PT_scan(_OfTraffic, bpy.types.Panel):
                 layout.label(text="Changed since: scan again.", icon="ERROR")
 
 
-@_panel("Noise", LIDAR_PT_scan.__name__, bl_options={"DEFAULT_CLOSED"})
-class LIDAR_PT_noise(_OfTraffic, bpy.types.Panel):
+@panel("Noise", LIDAR_PT_scan.__name__, bl_options={"DEFAULT_CLOSED"})
+class LIDAR_PT_noise(OfTraffic, bpy.types.Panel):
     """How imperfect the sensor is."""
 
     def draw_for(self, layout, scene, lidar):
@@ -180,8 +180,8 @@ def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
     return moved or group.scanned_frame != scene.blender_lidar.frame
 
 
-@_panel("Score", LIDAR_PT_main.__name__)
-class LIDAR_PT_score(_OfTraffic, bpy.types.Panel):
+@panel("Score", LIDAR_PT_main.__name__)
+class LIDAR_PT_score(OfTraffic, bpy.types.Panel):
     """What the mounting is worth on this frame, beside the baseline."""
 
     def draw_for(self, layout, scene, lidar):
@@ -202,8 +202,8 @@ class LIDAR_PT_score(_OfTraffic, bpy.types.Panel):
         layout.operator("lidar.set_baseline", icon="PINNED")
 
 
-@_panel("Export", LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=9)
-class LIDAR_PT_export(_OfTraffic, bpy.types.Panel):
+@panel("Export", LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=9)
+class LIDAR_PT_export(OfTraffic, bpy.types.Panel):
     """What goes out."""
 
     def draw_for(self, layout, scene, lidar):

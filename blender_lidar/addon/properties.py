@@ -321,6 +321,15 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
     detectable_share: FloatProperty(options={"HIDDEN"})
     baseline_objective: FloatProperty(options={"HIDDEN"})
     baseline_share: FloatProperty(options={"HIDDEN"})
+    look_s: FloatProperty(options={"HIDDEN"}, description="Time that one cast took")
+    found: BoolProperty(options={"HIDDEN"})
+    found_at: FloatVectorProperty(size=6, options={"HIDDEN"})
+    found_before: FloatVectorProperty(size=6, options={"HIDDEN"})
+    found_judged: BoolProperty(options={"HIDDEN"})
+    found_gain: FloatProperty(options={"HIDDEN"})
+    found_interval: FloatVectorProperty(size=2, options={"HIDDEN"})
+    found_unit: StringProperty(options={"HIDDEN"})
+    found_folder: StringProperty(options={"HIDDEN"})
 
 
 LIDAR_PG_lidar.__annotations__ |= _annotations("sensor", SENSOR)

@@ -78,6 +78,7 @@ def tables_of(
     tables["baseline"] = properties.values_of(group.baseline, properties.SIX)
     if lidar is not None:
         tables["sensor"] = properties.sensor_table(lidar)
+        tables["model"]["workers"] = 1  # processes would need a Python of their own with bpy
         tables["deployment"] = properties.deployment_table(lidar, searched=searched)
     return tables
 

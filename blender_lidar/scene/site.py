@@ -214,7 +214,7 @@ class Site:
         return _counted(vehicles, self.region, self.reach_m, self.scenario.objective)
 
 
-def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Site:
+def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None, *, scenery: Scenery | None = None) -> Site:
     """Read what a scene names and check that mountings can be judged on it.
 
     Parameters
@@ -223,6 +223,8 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
         The settings.
     mount : mapping of str to float, optional
         A mounting given by hand, in metres and degrees, that will be judged too.
+    scenery : Scenery, optional
+        What stands still besides what [world] says [m, road frame]; what is out of reach is left out.
 
     Raises
     ------
@@ -234,8 +236,8 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     caster = resolve(scenario.model.caster, "caster")
     with unchanged_inputs(scenario):
         lattice, recordings = lattice_of(sensor), read_recordings(scenario)
-        scenery = standing_scenery(scenario, caster, mount)
-        identity = run_identity(scenario, caster, scenery and scenery.scenery.digest)
+        standing = standing_scenery(scenario, caster, mount, scenery)
+        identity = run_identity(scenario, caster, standing and standing.scenery.digest)
     region = region_of(scenario.region, scenario.road.carriageway_y)
     plans = [
         plan_frames(
@@ -267,7 +269,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Sit
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, scenario.where("objective", ""))
-    observation, scoring = observation_of(scenario, lattice, caster, scenery), scoring_of(scenario, searched)
+    observation, scoring = observation_of(scenario, lattice, caster, standing), scoring_of(scenario, searched)
     return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
 
 
@@ -307,14 +309,19 @@ def lattice_of(sensor: SensorSettings) -> BeamLattice:
     return beam_lattice(model, sensor.rotation_hz)
 
 
-def standing_scenery(scenario: Scenario, caster: str, mount: Mapping[str, float] | None) -> StandingScenery | None:
-    """What a scene's [world] lets stand still within reach of its mountings and a given `mount`; None without any."""
-    if not scenario.world.has_scenery:
+def standing_scenery(
+    scenario: Scenario, caster: str, mount: Mapping[str, float] | None, given: Scenery | None = None
+) -> StandingScenery | None:
+    """What stands still within reach of a scene's mountings and of a `mount`, None without any.
+
+    It is what [world] says, and what is `given` besides.
+    """
+    if not scenario.world.has_scenery and (given is None or not len(given)):
         return None
-    sensor = scenario.sensor
-    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m
-    reach += _travel(scenario, mount, scenario.deployment.nominal_xy)
-    return StandingScenery(read_scenery(scenario, reach), caster)
+    sensor, centre = scenario.sensor, scenario.deployment.nominal_xy
+    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount, centre)
+    scenery = read_scenery(scenario, reach)
+    return StandingScenery(scenery if given is None else join([scenery, given.within(centre, reach)]), caster)
 
 
 def read_recording(scenario: Scenario) -> Recording:
