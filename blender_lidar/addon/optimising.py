@@ -30,7 +30,7 @@ _EVERY_S = 0.05  # between two looks at how far it is
 _ENDS_WITHIN_S = 2.0
 
 
-class Job(threading.Thread):
+class Optimisation(threading.Thread):
     """One optimisation in a thread.
 
     Parameters
@@ -94,15 +94,15 @@ class Job(threading.Thread):
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-_jobs: dict[str, Job] = {}  # by LiDAR
+_jobs: dict[str, Optimisation] = {}  # by LiDAR
 
 
-def job_of(lidar: bpy.types.Object) -> Job | None:
+def job_of(lidar: bpy.types.Object) -> Optimisation | None:
     """What is being optimised for a LiDAR."""
     return _jobs.get(session.uid_of(lidar))
 
 
-def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object) -> Job:
+def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object) -> Optimisation:
     """Make an optimisation ready, from the panel's fields.
 
     Raises
@@ -114,10 +114,10 @@ def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.O
     if not scenario.deployment.bounds:
         raise InputError("LiDAR panel: Optimise: every coordinate is fixed; switch at least one on")
     folder = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
-    return Job(scenario, open_scenery(scene, layer), folder)
+    return Optimisation(scenario, open_scenery(scene, layer), folder)
 
 
-def keep_result(lidar: bpy.types.Object, job: Job) -> None:
+def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
     """Keep with a LiDAR what its optimisation has found."""
     group, result = lidar.lidar, job.result
     held = result["holdout"] or {}
