@@ -125,6 +125,18 @@ def test_the_cloud_is_hidden_while_live_and_stands_where_it_was_last_seen_afterw
     )
 
 
+def test_a_scanned_cloud_takes_another_colour_without_a_scan(lidar):
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    cloud, seen = cloud_of(lidar), set()
+    for name in ("range", "ring", "vehicle", "intensity", "entropy"):
+        lidar.lidar.colour_by = name
+        colour = np.empty(4 * len(cloud.data.vertices), np.float32)
+        cloud.data.attributes["colour"].data.foreach_get("color", colour)
+        seen.add(colour.tobytes())
+    assert len(seen) == 5
+    assert cloud[COLOURED] == 1.0
+
+
 def test_a_lidar_below_the_ground_says_so_and_goes_on_once_it_is_back(lidar):
     scene = bpy.context.scene
     lidar.lidar.live = True

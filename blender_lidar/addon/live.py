@@ -18,7 +18,7 @@ from ..errors import BlenderLidarError
 from ..scene.scenario import Scenario, pose_at
 from ..traffic.vehicles import Vehicles
 from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, lidars, role
-from ..world.blender.points import cloud_of, colours_by, show_cloud
+from ..world.blender.points import cloud_of, colour_cloud, colours_by, show_cloud
 from ..world.blender.preview import VisibleObjects
 from ..world.blender.site import is_scenery
 from ..world.blender.traffic import colour_vehicles
@@ -26,6 +26,7 @@ from . import properties, session
 
 classes = ()
 _POINT_SIZE = 3.0  # [pixels]
+_OWN_POINTS = (4, 5)  # from there on a shader for points, as not every GPU interface knows their size otherwise
 _PAUSE_S = 0.005  # Blender handles the next events and redraws in between
 
 
@@ -155,7 +156,7 @@ def _end(key: str, shown: _Shown) -> None:
             if shown.look is not None:
                 vehicles = shown.frame.frame.vehicles
                 points = vertices_of(shown.look.cloud, entropy_of_points(shown.look.cloud, vehicles, shown.bits))
-                show_cloud(lidar, points)
+                colour_cloud(show_cloud(lidar, points), lidar.lidar.colour_by)
             cloud = cloud_of(lidar)
             if cloud is not None and cloud.name in layer.objects:
                 cloud.hide_set(False, view_layer=layer)
@@ -197,13 +198,22 @@ def _draw_if(wanted: bool) -> None:
         _state.drawing = None
 
 
+def _shader_name():
+    """What draws points of a colour each: Blender 4.0 and 4.5 gave it other names."""
+    if bpy.app.version < (4, 0):
+        return "3D_FLAT_COLOR"
+    return "POINT_FLAT_COLOR" if bpy.app.version >= _OWN_POINTS else "FLAT_COLOR"
+
+
 def _draw() -> None:
     """Draw the points of all live LiDARs of the scene that the view shows."""
     import gpu  # of no use without a window
     from gpu_extras.batch import batch_for_shader
 
     scene, scale = session.uid_of(bpy.context.scene), bpy.context.scene.unit_settings.scale_length
-    shader = gpu.shader.from_builtin("3D_FLAT_COLOR" if bpy.app.version < (4, 0) else "FLAT_COLOR")
+    shader = gpu.shader.from_builtin(_shader_name())
+    if bpy.app.version >= _OWN_POINTS:
+        shader.uniform_float("size", _POINT_SIZE)
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.point_size_set(_POINT_SIZE)
     for shown in _state.shown.values():
@@ -256,6 +266,8 @@ def on_change(block: bpy.types.ID, table: str) -> None:
         on_other_time()
     elif bpy.app.background:
         update()
+    if table == "look" and cloud_of(block) is not None:
+        colour_cloud(cloud_of(block), block.lidar.colour_by)
     _soon()
 
 

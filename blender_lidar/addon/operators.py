@@ -34,7 +34,7 @@ from ..world.blender.objects import (
     new_lidar,
     role,
 )
-from ..world.blender.points import show_cloud
+from ..world.blender.points import colour_cloud, show_cloud
 from ..world.blender.site import open_scenery
 from ..world.blender.traffic import show_vehicles
 from . import properties, session
@@ -256,7 +256,8 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         objects = session.exact_objects(scene, context.view_layer, scenario)
         look = ready.look(pose_at(place), objects)
         bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
-        show_cloud(lidar, vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits)))
+        points = vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits))
+        colour_cloud(show_cloud(lidar, points), lidar.lidar.colour_by)
         started, group = time.perf_counter(), lidar.lidar
         session.store(lidar, vehicles, place, look, ready.look(scenario.baseline_pose, objects))
         group.look_s = time.perf_counter() - started

@@ -145,6 +145,8 @@ class LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
         row.operator("lidar.scan", icon="LIGHT_SUN")
         row.prop(group, "live", toggle=True)
         layout.prop(group, "colour_by")
+        how = "at preview quality while live" if group.live else "exactly"
+        layout.label(text=f"Objects of your own occlude {how}.", icon="MESH_CUBE")
         if group.scanned_frame < 0:
             layout.label(text="Not scanned yet.")
         else:

@@ -9,6 +9,7 @@ import numpy as np
 
 from .objects import (
     CLOUD,
+    COLOURED,
     add_attribute,
     add_object,
     clear,
@@ -41,7 +42,7 @@ _GOLDEN = 0.618034  # of a turn from hue to hue: neighbours in the list differ m
 
 def colours_by(name: str, points: Mapping[str, np.ndarray]) -> np.ndarray:
     """Linear RGBA (n, 4), float32, of points by one of their attributes: `entropy`, `vehicle`, `range` and the like."""
-    values, colours = points[name], np.ones((len(points["xyz"]), 4), np.float32)
+    values, colours = points[name], np.ones((len(points[name]), 4), np.float32)
     if name == "entropy":
         colours[:, :3] = np.where(points["vehicle"][:, None] >= 0, colours_of(values), (0.16, 0.2, 0.26))
     elif name == "vehicle":
@@ -81,6 +82,18 @@ def show_cloud(lidar: bpy.types.Object, points: Mapping[str, np.ndarray]) -> bpy
     write_cloud(item.data, points)
     _fasten(item, lidar)
     return item
+
+
+def colour_cloud(cloud: bpy.types.Object, name: str) -> None:
+    """Colour a cloud by one of its attributes, as `colours_by` does, no more as `build_cloud` does."""
+    mesh, points = cloud.data, {}
+    for key in {name, "vehicle"}:
+        points[key] = np.empty(len(mesh.vertices))
+        mesh.attributes[key].data.foreach_get("value", points[key])
+    colour = mesh.attributes.get("colour") or mesh.attributes.new("colour", "FLOAT_COLOR", "POINT")
+    colour.data.foreach_set("color", colours_by(name, points).ravel())
+    mesh.update()
+    cloud[COLOURED] = 1.0
 
 
 def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
@@ -144,7 +157,7 @@ def _link(tree, *links):
 
 
 def _material() -> bpy.types.Material:
-    """Colours points on vehicles by their vehicle's `entropy`, and all others faintly by `range`.
+    """Colours points on vehicles by their vehicle's `entropy`, and all others faintly by `range`, or all as chosen.
 
     The points shine by themselves, so that their colours are those of the ramps under any light.
     """
@@ -158,9 +171,17 @@ def _shining():
     tree.nodes.clear()
     elsewhere = _ramp(tree, 1, "range", (0.0, 100.0), ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)))
     on_vehicle = _ramp(tree, 2, "entropy", _BITS, _BY_ENTROPY)
-    vehicle, is_vehicle, mix, output = _add_nodes(
-        tree, 0, "ShaderNodeAttribute", "ShaderNodeMath", "ShaderNodeMixShader", "ShaderNodeOutputMaterial"
+    vehicle, is_vehicle, mix, chosen, output = _add_nodes(
+        tree,
+        0,
+        "ShaderNodeAttribute",
+        "ShaderNodeMath",
+        "ShaderNodeMixShader",
+        "ShaderNodeMixShader",
+        "ShaderNodeOutputMaterial",
     )
+    coloured, colour, shine = _add_nodes(tree, 3, "ShaderNodeAttribute", "ShaderNodeAttribute", "ShaderNodeEmission")
+    coloured.attribute_type, coloured.attribute_name, colour.attribute_name = "OBJECT", COLOURED, "colour"
     vehicle.attribute_name = "vehicle"
     is_vehicle.operation, is_vehicle.inputs[1].default_value = "GREATER_THAN", -0.5
     _link(
@@ -169,7 +190,11 @@ def _shining():
         (is_vehicle.outputs[0], mix.inputs[0]),
         (elsewhere, mix.inputs[1]),
         (on_vehicle, mix.inputs[2]),
-        (mix.outputs[0], output.inputs["Surface"]),
+        (colour.outputs["Color"], shine.inputs["Color"]),
+        (coloured.outputs["Fac"], chosen.inputs[0]),
+        (mix.outputs[0], chosen.inputs[1]),
+        (shine.outputs[0], chosen.inputs[2]),
+        (chosen.outputs[0], output.inputs["Surface"]),
     )
     return material
 
