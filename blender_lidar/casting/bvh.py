@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import threading
 from contextlib import contextmanager
 from itertools import chain, repeat
 from operator import itemgetter
@@ -25,12 +26,13 @@ class BvhCaster(TreeCaster):
     name = "bvh"
 
     def _build(self, corners):
-        if len(corners) > _MANY:
+        if len(corners) > _MANY and threading.current_thread() is threading.main_thread():  # others may touch no data
             self._tree = _tree_of_mesh(corners)
             return
         vertices = corners.reshape(-1, 3)
         faces = np.arange(len(vertices)).reshape(-1, 3)
-        self._tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
+        with without_collector():
+            self._tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
 
     def _first(self, origins, directions, reach):
         with without_collector():
