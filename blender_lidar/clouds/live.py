@@ -15,7 +15,7 @@ from ..scoring.scores import Scored, VehicleScores, mountings_of
 from ..sensors.pose import Pose
 from .scan import FrameScan, PointCloud, Stands
 
-_DRAG_M = 60.0  # from where it is first seen a LiDAR moves so far to each side before trees are made again
+_DRAG_M = 60.0  # so far to each side a LiDAR moves before the tree of the scenery is made again
 
 
 class Look(NamedTuple):
@@ -60,8 +60,8 @@ class LiveFrame:
         self.frame, vehicles = frame, frame.vehicles
         shapes = FrameShapes(vehicles, frame.counted, observation.detail, observation.caster)
         self._scan = FrameScan(shapes, vehicles, observation, ground=ground)
-        self._trees = [shapes.tree] + ([] if observation.scenery is None else [observation.scenery.tree])
-        self._about: np.ndarray | None = None  # the middle of where the trees are ready
+        self._scenery = observation.scenery
+        self._about: np.ndarray | None = None  # the middle of where the scenery's tree is ready
         self._scores = self._scorer = None
         if scoring is not None:
             self._scores = VehicleScores(scoring, observation, [frame])
@@ -76,10 +76,10 @@ class LiveFrame:
         InputError
             When the sensor is not above the ground.
         """
-        if self._about is None or (np.abs(pose.position - self._about) > _DRAG_M).any():
+        moved = self._about is None or (np.abs(pose.position - self._about) > _DRAG_M).any()
+        if self._scenery is not None and moved:  # may have many triangles; those of vehicles are made again in no time
             self._about = pose.position
-            for tree in self._trees:
-                tree.make_ready(pose.position - _DRAG_M, pose.position + _DRAG_M)
+            self._scenery.tree.make_ready(pose.position - _DRAG_M, pose.position + _DRAG_M)
         turn = self._scan.turn(pose, also)
         return Look(self._scan.cloud(pose, turn), None if self._scores is None else self._score(pose, turn))
 
