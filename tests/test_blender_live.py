@@ -137,6 +137,18 @@ def test_a_scanned_cloud_takes_another_colour_without_a_scan(lidar):
     assert cloud[COLOURED] == 1.0
 
 
+def test_where_undo_has_ended_it_nothing_is_written(lidar):
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    before = len(cloud_of(lidar).data.vertices)
+    lidar.lidar.live = True
+    moved(lidar, x_m=9.0)
+    live.on_other_time()
+    lidar.lidar.live = False
+    assert len(cloud_of(lidar).data.vertices) == before
+    assert not cloud_of(lidar).hide_get()
+    assert not live._state.shown
+
+
 def test_a_lidar_below_the_ground_says_so_and_goes_on_once_it_is_back(lidar):
     scene = bpy.context.scene
     lidar.lidar.live = True

@@ -153,7 +153,7 @@ def _end(key: str, shown: _Shown) -> None:
         for lidar in lidars(scene):
             if session.uid_of(lidar) != key:
                 continue
-            if shown.look is not None:
+            if shown.look is not None and shown.frame is not None:  # not where undo has ended it
                 vehicles = shown.frame.frame.vehicles
                 points = vertices_of(shown.look.cloud, entropy_of_points(shown.look.cloud, vehicles, shown.bits))
                 colour_cloud(show_cloud(lidar, points), lidar.lidar.colour_by)
@@ -257,6 +257,7 @@ def on_load(*_) -> None:
     """Let go of what was drawn of the file before."""
     _state.shown.clear()
     _state.objects.clear()
+    _draw_if(False)
     _soon()
 
 
@@ -305,7 +306,6 @@ def unregister() -> None:
     for name, call in _HANDLERS.items():
         if call in getattr(bpy.app.handlers, name):
             getattr(bpy.app.handlers, name).remove(call)
+    on_load()
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
-    _draw_if(False)
-    on_load()
