@@ -181,15 +181,18 @@ def paint_of(vehicle_class: str) -> bpy.types.Material:
     material = plain(f"Paint {vehicle_class}", CLASS_COLOURS[vehicle_class], PAINT, 0.35)
     tree = material.node_tree
     if "Object Info" not in tree.nodes:
-        kinds = ("ShaderNodeObjectInfo", "ShaderNodeAttribute", "ShaderNodeMixRGB")
+        kinds = ("ShaderNodeObjectInfo", "ShaderNodeAttribute", "ShaderNodeMix")
         own, coloured, mix = (tree.nodes.new(kind) for kind in kinds)
         own.name, own.location, coloured.location, mix.location = "Object Info", (-500, 0), (-500, 250), (-250, 200)
         coloured.attribute_type, coloured.attribute_name = "OBJECT", COLOURED
-        mix.inputs[1].default_value = (*CLASS_COLOURS[vehicle_class], 1.0)
+        mix.data_type = "RGBA"
+        share, *_, first, second = (socket for socket in mix.inputs if socket.enabled)
+        first.default_value = (*CLASS_COLOURS[vehicle_class], 1.0)
         shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
-        tree.links.new(coloured.outputs["Fac"], mix.inputs[0])
-        tree.links.new(own.outputs["Color"], mix.inputs[2])
-        tree.links.new(mix.outputs[0], shader.inputs["Base Color"])
+        tree.links.new(coloured.outputs["Fac"], share)
+        tree.links.new(own.outputs["Color"], second)
+        mixed = next(socket for socket in mix.outputs if socket.enabled)
+        tree.links.new(mixed, shader.inputs["Base Color"])
     return material
 
 
