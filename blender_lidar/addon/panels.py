@@ -124,12 +124,12 @@ def draw_model(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> No
 
 def draw_pose(layout: bpy.types.UILayout, lidar: bpy.types.Object) -> None:
     """Where a LiDAR hangs, in the project's signs."""
-    rows(layout, lidar.lidar, "x_m", "y_m", "height_m", *ANGLES)
     try:
         place = properties.with_lean(properties.coordinates_of(lidar))
     except BlenderLidarError as error:
         layout.label(text=str(error), icon="ERROR")
         return
+    rows(layout, lidar.lidar, "x_m", "y_m", "height_m", *ANGLES)
     way = "" if place["lean_direction_deg"] is None else f" towards {place['lean_direction_deg']:.0f}°"
     layout.label(text=f"Lean {place['lean_deg']:.1f}°{way}")
 

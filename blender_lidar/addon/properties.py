@@ -21,6 +21,7 @@ from bpy.props import (
     StringProperty,
 )
 
+from ..errors import InputError
 from ..names import METRIC_NAMES
 from ..scene.settings import (
     COORDINATES,
@@ -71,8 +72,15 @@ def silently() -> Iterator[None]:
 # --- A property from a declaration ------------------------------------------------------------------------------------
 
 
+_CALLED = {"path": "File", "name": "Model"}  # what the panel calls otherwise than its key
+
+
 def label_of(key: str) -> str:
-    """What the panel calls a setting: ``range_gate_m`` is "Range Gate"."""
+    """What the panel calls a setting: ``range_gate_m`` is "Range Gate"; of several, ``x_m, y_m``, "X, Y"."""
+    if ", " in key:
+        return ", ".join(map(label_of, key.split(", ")))
+    if key in _CALLED:
+        return _CALLED[key]
     name, _, unit = key.rpartition("_")
     words = (name if unit in (*_UNITS, "hz") and name else key).split("_")
     return " ".join(word if word[:1].isupper() else word.capitalize() for word in words)
@@ -263,7 +271,11 @@ _OWN = "own"
 
 def _pose_getter(key):
     def get(group):
-        value = with_lean(coordinates_of(group.id_data))[key] if key in LEANS else coordinates_of(group.id_data)[key]
+        try:
+            place = coordinates_of(group.id_data)
+        except InputError:  # mirrored, which the panel says in place of a pose
+            return math.nan
+        value = with_lean(place)[key] if key in LEANS else place[key]
         return math.radians(value or 0.0) if key.endswith("_deg") else value
 
     return get

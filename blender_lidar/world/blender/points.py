@@ -79,6 +79,8 @@ def show_cloud(lidar: bpy.types.Object, points: Mapping[str, np.ndarray]) -> bpy
     item = cloud_of(lidar)
     if item is None:
         return _new_cloud(lidar.users_collection[0], points, lidar)
+    if item.data.users > 1:  # of a LiDAR that was duplicated with its cloud linked
+        item.data = item.data.copy()
     write_cloud(item.data, points)
     _fasten(item, lidar)
     return item
