@@ -306,6 +306,56 @@ def check_a_lidar_duplicated_alone_or_whole_is_another_one():
         np.testing.assert_array_equal(vertices(cloud_of(first)), of_first, err_msg=case)
 
 
+def check_a_lidar_is_added_before_traffic_is_loaded_and_dressed_as_its_model():
+    scene = new_file()
+    scene.cursor.location = (3.0, -1.0, 0.0)
+    assert bpy.ops.lidar.add() == {"FINISHED"}
+    (lidar,) = lidars(scene)
+    assert session.active_lidar(scene) == lidar
+    place = properties.coordinates_of(lidar)
+    assert (place["x_m"], place["y_m"]) == (3.0, -1.0)
+    assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
+    beams = len(fan(lidar).data.splines)
+    lidar.lidar.name_ = "RS-80"
+    assert len(fan(lidar).data.splines) == 5 * beams
+    scene.blender_lidar.traffic.path = str(example())
+    assert bpy.ops.lidar.load() == {"FINISHED"}
+    assert lidars(scene) == [lidar]
+    assert properties.coordinates_of(lidar) == place
+
+
+def check_what_a_deleted_lidar_wore_goes_with_it():
+    scene = loaded()[0]
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.lidar.add() == {"FINISHED"}
+    first = lidars(scene)[0]
+    choose(first)
+    bpy.ops.object.delete()
+    handlers.adopt_all()  # what a timer does in a window
+    (left,) = lidars(scene)
+    assert not [item for item in scene.objects if role(item) in (PART, CLOUD) and item.parent != left]
+    assert len(left.children) == 3
+
+
+def check_a_scaled_lidar_shows_its_cloud_where_it_is_and_its_pole_on_the_road():
+    scene, lidar = loaded()
+    parent = bpy.data.objects.new("Gantry", None)
+    scene.collection.objects.link(parent)
+    parent.scale = (3.0, 3.0, 3.0)
+    lidar.parent = parent
+    bpy.context.view_layer.update()
+    hang(lidar, pose_at(POSE))
+    lidar.scale = (2.0, 2.0, 2.0)
+    bpy.context.view_layer.update()
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    np.testing.assert_allclose(evaluated(cloud_of(lidar)), vertices(cloud_of(lidar)), atol=1e-4)
+    assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
+
+
+def fan(lidar):
+    return next(child for child in lidar.children if child.type == "CURVE")
+
+
 def check_undo_and_redo_take_back_pose_and_cloud_together():
     lidar = loaded()[1]
     assert bpy.ops.lidar.scan() == {"FINISHED"}
@@ -492,6 +542,26 @@ def check_an_exported_run_is_that_of_evaluate():
     assert "run" in refused(bpy.ops.lidar.export_run, directory=str(out))
 
 
+def check_an_optimisation_is_that_of_the_command_line():
+    scene = new_file()
+    scene.blender_lidar.traffic.path = str(example())
+    assert bpy.ops.lidar.load() == {"FINISHED"}
+    (lidar,) = lidars(scene)
+    assert bpy.ops.lidar.optimise() == {"FINISHED"}
+    line = FOLDER / "line"
+    assert command_line(["optimise", str(FOLDER / "scene" / "scene.toml"), "--out", str(line)]) == 0
+    folders = Path(lidar.lidar.found_folder), line
+    one, other = (without_times(json.loads((folder / "result.json").read_text())) for folder in folders)
+    assert one.pop("scene") != other.pop("scene")  # what it is called
+    assert one == other
+    before = properties.coordinates_of(lidar)
+    assert bpy.ops.lidar.apply() == {"FINISHED"}
+    assert properties.coordinates_of(lidar)["height_m"] == round(other["deployment"]["height_m"], 4)
+    assert bpy.ops.lidar.revert() == {"FINISHED"}
+    assert properties.coordinates_of(lidar) == before
+    shutil.rmtree(folders[0])
+
+
 # --- Settings ---------------------------------------------------------------------------------------------------------
 
 TYPED = {
@@ -521,8 +591,7 @@ def check_every_field_of_the_panel_comes_back_as_it_was_typed():
     first = load_scenario(path)
     session.fill_scene(scene, first)
     lidar = operators.add_lidar(scene, pose_at(POSE), first.as_tables()["sensor"])
-    for key, (low, high) in first.deployment.bounds.items():
-        properties.set_bounds(lidar, key, low, high)
+    properties.fill_bounds(lidar, first.as_tables()["deployment"])
     for _ in range(2):
         tables = session.tables_of(scene, lidar)
         for name, table in known.items():
@@ -578,7 +647,18 @@ def check_wrong_input_is_one_line_and_changes_nothing():
     scene.blender_lidar.traffic.path = ""
     refused(bpy.ops.lidar.load)
     assert not bpy.ops.lidar.scan.poll()
+    scene = new_file()
+    scene.unit_settings.scale_length = 0.01
+    scene.blender_lidar.traffic.path = str(example())
+    assert "unit scale 0.01" in refused(bpy.ops.lidar.load)
+    assert "unit scale 0.01" in refused(bpy.ops.lidar.load_example)
+    assert "unit scale 0.01" in refused(bpy.ops.lidar.add)
     scene, lidar = loaded()
+    choose(lidar)
+    (held,) = (one for one in bpy.context.view_layer.layer_collection.children if lidar in list(one.collection.objects))
+    held.exclude = True
+    assert "excluded" in refused(bpy.ops.lidar.add)
+    held.exclude = False
     choose(lidar)
     assert bpy.ops.lidar.scan() == {"FINISHED"}
     operations = {

@@ -4,7 +4,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..errors import BlenderLidarError
-from ..world.blender.objects import PART, lidars, role
+from ..world.blender.objects import PART, lidars, orphans, role
 from . import operators, properties, session
 
 classes = ()
@@ -19,9 +19,9 @@ def on_load(*_) -> None:
 
 @persistent
 def on_update(scene, *_) -> None:
-    """Have LiDARs that were duplicated without their pole and head dressed, in a moment."""
+    """Have LiDARs that were duplicated bare dressed in a moment, and what deleted ones wore removed."""
     bare = (lidar for lidar in lidars(scene) if not any(role(child) == PART for child in lidar.children))
-    if any(bare) and not bpy.app.background and not bpy.app.timers.is_registered(adopt_all):
+    if (any(bare) or orphans(scene)) and not bpy.app.background and not bpy.app.timers.is_registered(adopt_all):
         bpy.app.timers.register(adopt_all, first_interval=0.0)
 
 
@@ -48,7 +48,7 @@ def on_change(block: bpy.types.ID, table: str) -> None:
                 group.frame = session.nearest_frame(recording, group.frame)
             operators.show_frame(scene, session.vehicles_of(scene))
         elif table == "sensor" and block != scene:
-            operators.dress(block, operators.lattice_of(session.scenario_from(scene, block).sensor))
+            operators.dress(block, operators.lattice_of(session.sensor_of(block)))
     except BlenderLidarError as error:
         group.problem = str(error)
 

@@ -13,12 +13,13 @@ from bpy_extras.io_utils import ExportHelper
 from ..casting import resolve
 from ..clouds.files import SUSTECHPOINTS_PARTS, write_cloud, write_sustechpoints
 from ..clouds.snapshot import MountedSensor, entropy_of_points, entropy_of_vehicles, vertices_of
-from ..errors import BlenderLidarError
+from ..errors import BlenderLidarError, InputError
 from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
 from ..run.optimise import evaluate_site
 from ..scene.scenario import load_scenario, pose_at, scenario_of
+from ..scene.settings import leaning
 from ..scene.site import check_mount_is_clear, lattice_of, prepare, read_recording, standing_scenery
 from ..sensors.pose import Pose
 from ..traffic import Recording
@@ -32,6 +33,7 @@ from ..world.blender.objects import (
     dress,
     lidars,
     new_lidar,
+    remove_orphans,
     role,
 )
 from ..world.blender.points import colour_cloud, show_cloud
@@ -125,16 +127,16 @@ class LIDAR_OT_load_example(bpy.types.Operator):
 
 def _take_over(operator, scene, scenario):
     """Fill the panel with a scene file's settings, show its traffic, and let a LiDAR hang there if there is none."""
+    session.check_unit(scene)
     recording = read_recording(scenario)
     session.fill_scene(scene, scenario)
-    found = session.active_lidar(scene)
-    if found is None:
-        found = add_lidar(scene, scenario.baseline_pose, scenario.as_tables()["sensor"])
+    found, tables = session.active_lidar(scene), scenario.as_tables()
+    if found is None:  # where what is not searched is as the file says
+        found = add_lidar(scene, pose_at(leaning(scenario.baseline, **scenario.deployment.fixed)), tables["sensor"])
     else:
-        properties.fill_sensor(found, scenario.as_tables()["sensor"])
+        properties.fill_sensor(found, tables["sensor"])
         dress(found, lattice_of(scenario.sensor))
-    for key, (low, high) in scenario.deployment.bounds.items():
-        properties.set_bounds(found, key, low, high)
+    properties.fill_bounds(found, tables["deployment"])
     session.keep(scene, recording)
     ids = scenario.traffic.frame_ids
     show_traffic(scene, recording, ids[0] if ids else int(recording.frames[len(recording.frames) // 2]))
@@ -171,7 +173,7 @@ def add_lidar(scene: bpy.types.Scene, pose: Pose, sensor: dict | None = None) ->
     lidar.lidar.schema = properties.SCHEMA
     if sensor is not None:
         properties.fill_sensor(lidar, sensor)
-    dress(lidar, lattice_of(session.scenario_from(scene, lidar).sensor))
+    dress(lidar, lattice_of(session.sensor_of(lidar)))
     scene.blender_lidar.active = lidar.name
     return lidar
 
@@ -185,6 +187,10 @@ class LIDAR_OT_add(bpy.types.Operator):
     def execute(self, context):
         """Add it, selected."""
         scene = context.scene
+        session.check_unit(scene)
+        into = collection(scene, "LiDAR", SENSOR)
+        if not _shows(context.view_layer.layer_collection, into):
+            raise InputError(f"collection {into.name} is excluded from this view layer; tick it in the Outliner")
         x, y, z = scene.cursor.location
         lidar = add_lidar(scene, Pose(x, y, max(z, properties.exact(scene.blender_lidar.baseline.height_m))))
         for item in context.selected_objects:
@@ -192,6 +198,11 @@ class LIDAR_OT_add(bpy.types.Operator):
         context.view_layer.objects.active = lidar
         lidar.select_set(True)
         return {"FINISHED"}
+
+
+def _shows(layer: bpy.types.LayerCollection, of: bpy.types.Collection) -> bool:
+    """Whether a view layer holds a collection."""
+    return not layer.exclude and (layer.collection == of or any(_shows(child, of) for child in layer.children))
 
 
 class LIDAR_OT_choose(bpy.types.Operator):
@@ -214,16 +225,19 @@ class LIDAR_OT_choose(bpy.types.Operator):
 
 def adopt(scene: bpy.types.Scene) -> None:
     """Take over LiDARs that were built without the add-on, and dress those that were duplicated bare."""
+    remove_orphans(scene)
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
         _fill_from(scene, json.loads(stored))
     for lidar in lidars(scene):
         if lidar.lidar.schema == 0:
             if SETTINGS in lidar:
-                properties.fill_sensor(lidar, json.loads(lidar[SETTINGS])["sensor"])
+                tables = json.loads(lidar[SETTINGS])
+                properties.fill_sensor(lidar, tables["sensor"])
+                properties.fill_bounds(lidar, tables["deployment"])
             lidar.lidar.schema = properties.SCHEMA
         if not any(role(child) == PART for child in lidar.children):
-            dress(lidar, lattice_of(session.scenario_from(scene, lidar).sensor))
+            dress(lidar, lattice_of(session.sensor_of(lidar)))
 
 
 def _fill_from(scene, tables):

@@ -381,12 +381,15 @@ def fill_sensor(lidar: bpy.types.Object, table: Mapping[str, object]) -> None:
     group.schema = SCHEMA
 
 
-def set_bounds(lidar: bpy.types.Object, key: str, low: float, high: float) -> None:
-    """Let a coordinate of a LiDAR be searched between two bounds [m, degrees]."""
-    group, scale = lidar.lidar, math.radians(1.0) if key.endswith("_deg") else 1.0
-    setattr(group, f"{key}_on", True)
-    for end, value in (("low", low), ("high", high)):
-        setattr(group, f"{key}_{end}", scale * value)
+def fill_bounds(lidar: bpy.types.Object, table: Mapping[str, object]) -> None:
+    """Let those coordinates of a LiDAR be searched that [deployment] of a scene gives two bounds [m, degrees]."""
+    group = lidar.lidar
+    for key in MOUNTING_OR_LEAN:
+        bounds, scale = table.get(key), math.radians(1.0) if key.endswith("_deg") else 1.0
+        searched = isinstance(bounds, list | tuple)
+        setattr(group, f"{key}_on", searched)
+        for end, value in zip(("low", "high"), bounds if searched else (), strict=False):
+            setattr(group, f"{key}_{end}", scale * value)
 
 
 def deployment_table(lidar: bpy.types.Object, *, searched: bool) -> dict[str, object]:

@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..scene.observation import CountedFrame, vehicle_weights
 from ..scene.region import region_of
 from ..scene.scenario import Scenario, load_scenario, scenario_of, shipped_scenes
+from ..scene.settings import SensorSettings
 from ..scene.site import lattice_of, observation_of, read_recording, scoring_of, standing_scenery
 from ..traffic import Recording, Vehicles, instants
 from ..traffic.vehicles import unknown_frame
@@ -89,9 +90,29 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
     Raises
     ------
     InputError
+        Naming the panel's field; for a scene whose unit is not the metre.
+    """
+    check_unit(scene)
+    return scenario_of(tables_of(scene, lidar, searched=searched), where=properties.where, source=f"scene {scene.name}")
+
+
+def sensor_of(lidar: bpy.types.Object) -> SensorSettings:
+    """The sensor of a LiDAR, whatever else the panel says.
+
+    Raises
+    ------
+    InputError
         Naming the panel's field.
     """
-    return scenario_of(tables_of(scene, lidar, searched=searched), where=properties.where, source=f"scene {scene.name}")
+    tables = {"traffic": {"path": "any"}, "sensor": properties.sensor_table(lidar)}
+    return scenario_of(tables, where=properties.where).sensor
+
+
+def check_unit(scene: bpy.types.Scene) -> None:
+    """Refuse a scene whose unit is not the metre."""
+    if abs(scene.unit_settings.scale_length - 1.0) > 1e-6:
+        given = f"scene {scene.name}: unit scale {scene.unit_settings.scale_length:g}"
+        raise InputError(f"{given}; allowed: 1, so that a unit is a metre (Scene properties, Units)")
 
 
 def fill_scene(scene: bpy.types.Scene, scenario: Scenario) -> None:

@@ -24,6 +24,7 @@ VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
 SENSOR, PART, FAN, CLOUD, STAGE = "lidar", "lidar part", "beam fan", "cloud", "stage"
 # What a LiDAR would not meet: paint, its own pole, what it has measured.
 DISPLAY_ONLY = (MARKING, SENSOR, PART, FAN, CLOUD)
+_WORN = (PART, FAN, CLOUD)
 SETTINGS = "blender_lidar_sensor"  # custom property of a LiDAR that was built without the add-on: its settings as JSON
 
 
@@ -297,7 +298,10 @@ def dress(lidar: bpy.types.Object, lattice: BeamLattice) -> None:
     height = length.variables.new()
     height.name, height.type = "height", "TRANSFORMS"
     height.targets[0].id, height.targets[0].transform_type = lidar, "LOC_Z"
-    length.expression = "max(height, 0.001)"
+    scale = length.variables.new()
+    scale.name, scale.type = "scale", "TRANSFORMS"
+    scale.targets[0].id, scale.targets[0].transform_type = lidar, "SCALE_Z"
+    length.expression = "max(height, 0.001) / max(scale, 0.001)"
     fan = add_object(into, "Beam fan", _fan(lattice), FAN)
     for child in (head, pole, fan):
         child.parent = lidar
@@ -313,13 +317,31 @@ def pose_of(lidar: bpy.types.Object) -> Pose:
     InputError
         For a LiDAR that is mirrored.
     """
-    matrix = lidar.matrix_world if lidar.parent or lidar.constraints else lidar.matrix_basis  # always as it is now
+    matrix = matrix_of(lidar)
     place, turn, _ = matrix.decompose()
     if matrix.determinant() < 0.0:
         raise InputError(f"{lidar.name}: is mirrored; allowed: a LiDAR with positive scale")
     tilts = tilts_of(np.array(turn.to_matrix()).T)  # for rows
     x, y, height = (round(value, _PLACE_DIGITS) for value in place)
     return Pose(x, y, height, *(math.radians(round(math.degrees(angle), _ANGLE_DIGITS)) for angle in tilts))
+
+
+def matrix_of(lidar: bpy.types.Object) -> Matrix:
+    """A LiDAR's transform, where it is free as it is now, not as Blender evaluated it last."""
+    return lidar.matrix_world if lidar.parent or lidar.constraints else lidar.matrix_basis
+
+
+def orphans(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Heads, poles, fans and clouds whose LiDAR was deleted: who deletes a LiDAR cannot select them."""
+    return [item for item in scene.objects if item.parent is None and item.hide_select and role(item) in _WORN]
+
+
+def remove_orphans(scene: bpy.types.Scene) -> None:
+    """Remove heads, poles, fans and clouds whose LiDAR was deleted."""
+    gone = [item for item in orphans(scene) if item.library is None]
+    data = {item.data for item in gone}
+    bpy.data.batch_remove(gone)
+    bpy.data.batch_remove([item for item in data if item.users == 0])
 
 
 def hang(lidar: bpy.types.Object, pose: Pose) -> None:

@@ -15,12 +15,11 @@ from .objects import (
     clear,
     collection,
     made_once,
+    matrix_of,
     new_mesh,
     nodes_of,
     only_for_the_eye,
-    pose_of,
     role,
-    sensor_matrix,
 )
 
 _NAME, _LOOK = "Point cloud", "LiDAR points"
@@ -130,7 +129,7 @@ def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray]) -> None:
 def _fasten(item, lidar):
     """Let a cloud, whose vertices are in the road frame, follow its LiDAR from where that hangs now."""
     item.parent = lidar
-    item.matrix_parent_inverse = sensor_matrix(pose_of(lidar)).inverted()
+    item.matrix_parent_inverse = matrix_of(lidar).inverted_safe()
 
 
 def _numbers(vehicle_id: np.ndarray) -> np.ndarray:
