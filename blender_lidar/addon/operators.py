@@ -228,16 +228,24 @@ def adopt(scene: bpy.types.Scene) -> None:
     remove_orphans(scene)
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
-        _fill_from(scene, json.loads(stored))
+        _fill_from(scene, _stored(scene))
     for lidar in lidars(scene):
         if lidar.lidar.schema == 0:
             if SETTINGS in lidar:
-                tables = json.loads(lidar[SETTINGS])
+                tables = _stored(lidar)
                 properties.fill_sensor(lidar, tables["sensor"])
                 properties.fill_bounds(lidar, tables["deployment"])
             lidar.lidar.schema = properties.SCHEMA
         if not any(role(child) == PART for child in lidar.children):
             dress(lidar, lattice_of(session.sensor_of(lidar)))
+
+
+def _stored(block):
+    """The settings that `build` wrote with a scene or a LiDAR."""
+    try:
+        return json.loads(block[SETTINGS])
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{block.name}: its property {SETTINGS} is damaged: {error}") from error
 
 
 def _fill_from(scene, tables):

@@ -43,6 +43,9 @@ from ..world.blender.objects import hang, pose_of
 SCHEMA = 1  # of what is saved in a .blend file
 _DIGITS = 6  # that single precision keeps of a number
 _UNITS = {"m": ("LENGTH", "NONE"), "deg": ("ROTATION", "ANGLE"), "s": ("TIME", "NONE")}  # unit and subtype by suffix
+_PATH = {"subtype": "FILE_PATH"}
+if bpy.app.version >= (4, 5, 0):  # before, every path could be relative to the .blend file
+    _PATH["options"] = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 ON_CHANGE: list[Callable[[bpy.types.ID, str], None]] = []
 """Called with the scene or the LiDAR whose property has changed, and the table that it is of."""
 
@@ -105,7 +108,7 @@ def made_from(key: str, declared: Setting, table: str, **more: object):
         items = [(name, name, "") for name in declared.allowed]
         return EnumProperty(**settings | {"items": items, "default": default} | more)
     if kind is str:
-        subtype = {"subtype": "FILE_PATH"} if declared.is_path else {}
+        subtype = _PATH if declared.is_path else {}
         return StringProperty(**settings | subtype | {"default": default or ""} | more)
     low, high = max(declared.low, declared.above), min(declared.high, declared.below)
     if kind is int:
@@ -308,7 +311,7 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
         description=DECLARED["sensor"]["name"].help,
     )
     table_path: StringProperty(
-        name="Beam Table", subtype="FILE_PATH", update=_changed("sensor"), description="Beam table of your own"
+        name="Beam Table", update=_changed("sensor"), description="Beam table of your own", **_PATH
     )
     datasheet: BoolProperty(
         name="As the Data Sheet Says",
