@@ -143,7 +143,9 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
         return self._ended(lidar, job)
 
     def invoke(self, context, event):
-        """Search while the window stays free."""
+        """Search while the window stays free; in one go in Blender 3.4, which crashed beside the thread."""
+        if bpy.app.version < (4, 2, 0):
+            return self.execute(context)
         return self._begun(context)
 
     @operators.told
