@@ -11,9 +11,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from types import FrameType
 
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _TIDYING_S = 2.0
+_POSTPONED_S = 0.01
 
 
 @contextmanager
@@ -27,10 +29,12 @@ def stops_watched() -> Iterator[None]:
     stopped_at: list[float] = []
 
     def stop(number, frame):
-        if not stopped_at:
+        if _is_called_by_llvm(frame):
+            threading.Timer(_POSTPONED_S, signal.raise_signal, (number,)).start()
+        elif not stopped_at:
             stopped_at.append(time.monotonic())
             raise KeyboardInterrupt
-        if time.monotonic() - stopped_at[0] > _TIDYING_S:
+        elif time.monotonic() - stopped_at[0] > _TIDYING_S:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
 
@@ -42,6 +46,13 @@ def stops_watched() -> Iterator[None]:
     finally:
         for number in watched:
             signal.signal(number, signal.SIG_IGN)
+
+
+def _is_called_by_llvm(frame: FrameType | None) -> bool:
+    """Whether Python code is at work that Numba's compiler calls back: what that raises is printed and lost."""
+    while frame is not None and "llvmlite" not in frame.f_code.co_filename:
+        frame = frame.f_back
+    return frame is not None
 
 
 @contextmanager

@@ -184,6 +184,21 @@ def test_a_stop_within_compiled_code_is_told_as_a_stop():
     assert (done.returncode, done.stdout) == (0, "KeyboardInterrupt\nSystemError\n")
 
 
+def test_a_stop_while_the_compiler_calls_python_back_comes_later_and_is_not_lost():
+    """As its cache of compiled code does: ctypes prints what a callback raises, and goes on."""
+    done = python(
+        "import ctypes\n"
+        "callback = 'def notify(): signal.raise_signal(signal.SIGTERM); time.sleep(0.05); return 1'\n"
+        "exec(compile(callback, 'llvmlite/binding/executionengine.py', 'exec'))\n"
+        "with stop_signals.stops_watched():\n"
+        "    try:\n"
+        "        print(ctypes.CFUNCTYPE(ctypes.c_int)(notify)())\n"
+        "        time.sleep(60)\n"
+        "    except KeyboardInterrupt: print('stopped')"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "1\nstopped\n", "")
+
+
 def test_a_stop_while_blender_starts_stops_the_run():
     pytest.importorskip("bpy")
     done = python(
