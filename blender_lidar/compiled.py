@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing  # here first of all: Numba, too, imports it
 import sys
 import warnings
 from collections.abc import Callable
-from functools import cache
+from contextlib import suppress
+from functools import cache, partial
 from pathlib import Path
 
 _SETTINGS = {"nogil": True, "error_model": "numpy"}  # a division by zero gives inf, as in NumPy
@@ -46,6 +48,7 @@ def compiled(function: Callable, **settings: bool) -> Callable:
         made = njit(cache=True, **_SETTINGS, **settings)(function)
         kept = made._cache._cache_file
         kept._source_stamp = source_digest()
+        kept.save = partial(_save, kept)
         _drop_unreadable(kept)
     except (AttributeError, OSError, RuntimeError):  # no place, or Numba keeps it in another way
         _tell_once()
@@ -70,6 +73,23 @@ def _tell_once() -> None:
             "compiled anew at every start, for half a minute; NUMBA_CACHE_DIR may name another folder"
         )
         warnings.warn(text, stacklevel=2)
+
+
+def _save(kept, key, data) -> None:
+    """Keep what was compiled for the types `key` in a file that is named by them.
+
+    Numba itself numbers the files: of two processes that compile at the same time both take the same number, and later
+    ones get the code of one type for another, and wrong results. On a full disk nothing is kept.
+    """
+    base = kept._index_name.removesuffix(".nbi")
+    name = f"{base}-{hashlib.sha256(repr((kept._source_stamp, key)).encode()).hexdigest()[:16]}.nbc"
+    with suppress(OSError):
+        found = kept._load_index()
+        if not found:
+            for old in Path(kept._cache_path).glob(f"{base}[-.]*.nbc"):  # of other sources
+                old.unlink(missing_ok=True)
+        kept._save_data(name, data)
+        kept._save_index(found | {key: name})
 
 
 def _drop_unreadable(kept) -> None:

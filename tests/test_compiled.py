@@ -40,13 +40,13 @@ def package(tmp_path):
     for name in ("compiled.py", "files.py", "errors.py"):
         shutil.copy(Path(blender_lidar.__file__).with_name(name), folder)
 
-    def run(warns: bool = False, cache: str | None = None, **modules: str) -> str:
+    def run(warns: bool = False, cache: str | None = None, program: str = PROGRAM, **modules: str) -> str:
         for name, text in modules.items():
             (folder / f"{name}.py").write_text(text)
         environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
         environment |= {} if cache is None else {"NUMBA_CACHE_DIR": cache, "XDG_CACHE_HOME": cache}
         done = subprocess.run(
-            [sys.executable, "-c", PROGRAM], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+            [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
         assert done.stderr.count("compiled code cannot be kept") == warns, done.stderr
@@ -74,6 +74,28 @@ def test_where_nothing_can_be_kept_one_line_says_so_and_everything_works(package
         (tmp_path / name).touch()
     more = ADDED.format(module="shapes") + "\n\n@compiled\ndef other(pair):\n    return pair.left\n"
     assert package(warns=True, cache=str(tmp_path / "no_folder"), shapes=PAIR, added=more) == "3.0 0\n"
+
+
+def test_two_processes_that_compile_at_once_never_get_the_code_of_other_types(package, tmp_path):
+    """Numba named both files alike: the index of the one led to the code of the other, and to wrong numbers."""
+    source = "from .compiled import compiled\n\n\n@compiled\ndef corner(values):\n    return values[0, 1]\n"
+    program = "import numpy as np\nfrom package.corner import corner\nvalues = np.arange(4.0).reshape(2, 2)\n"
+    rows, columns = f"{program}print(corner(values))", f"{program}print(corner(np.asfortranarray(values)))"
+    assert package(program=rows, corner=source) == "1.0\n"
+    (index,) = (tmp_path / "package" / "__pycache__").glob("corner.corner-*.nbi")
+    first = index.read_bytes()
+    index.unlink()  # the other process looked before the first one had written
+    assert package(program=columns) == "1.0\n"
+    index.write_bytes(first)
+    assert package(program=rows) == "1.0\n"
+    assert package(program=columns) == "1.0\n"
+
+
+def test_a_full_disk_keeps_nothing_and_ends_no_run(package):
+    pytest.importorskip("resource")
+    limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + PROGRAM
+    assert package(program=limited, shapes=PAIR, added=ADDED.format(module="shapes")) == "3.0 0\n"
+    assert package() == "3.0 0\n"
 
 
 def test_a_type_of_compiled_code_that_has_moved_to_another_module_ends_no_run(package, tmp_path):
