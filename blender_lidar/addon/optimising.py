@@ -1,49 +1,67 @@
-"""Optimise in the window: the command line's own search in a thread of its own, which touches nothing of Blender.
+"""Optimise: the command line's own search in a process of its own, while the window stays free.
 
-Casting, scoring and searching know arrays alone, so that the window stays free while they work; a modal operator tells
-how far they are, and Escape ends them. The answer is the command line's for the same settings, as it is the same code.
+That process is a Blender where Blender's tree casts, and else a Python with all workers. A modal operator looks how far
+it is, and Escape kills it. The answer is the command line's for the same settings, as it is the same code.
 """
 
-import ctypes
+import json
 import math
+import pickle
 import shutil
+import subprocess
+import sys
 import tempfile
-import threading
+from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 import bpy
 
-from ..commands.optimise import write_pages
-from ..errors import BlenderLidarError, InputError
-from ..run.folder import RunFolder
-from ..run.optimise import optimise_site
+from ..casting import BVH, resolve
+from ..compiled import within_blender
+from ..errors import InputError
+from ..run.folder import RESULT
 from ..run.verdict import POINTS
 from ..scene.scenario import Scenario, pose_at
-from ..scene.settings import COORDINATES, MOUNTING_OR_LEAN
-from ..scene.site import prepare
+from ..scene.settings import COORDINATES, DECLARED, MOUNTING_OR_LEAN
 from ..world.blender.objects import hang
 from ..world.blender.site import open_scenery
 from ..world.scenery import Scenery
 from . import operators, panels, properties, session
 
 _EVERY_S = 0.05  # between two looks at how far it is
-_ENDS_WITHIN_S = 2.0
+_PACKAGE = Path(__file__).resolve().parents[1]
+_ORDER, _TOLD = "order.pickle", "told.txt"
 
 
-class Optimisation(threading.Thread):
-    """One optimisation in a thread.
+def started(code: str, *, in_blender: bool, **how: object) -> subprocess.Popen:
+    """Start a process that runs code of `commands.background`, in a Blender or in Blender's Python."""
+    code = (
+        f"import os, sys; sys.path[:] = [{str(_PACKAGE.parent)!r}, *sys.path, *{sys.path!r}]; "  # its own before ours
+        f"from {_PACKAGE.name}.commands.background import *; {code}"
+    )
+    if in_blender and within_blender():
+        options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", code]
+        return subprocess.Popen([bpy.app.binary_path, *options], stdin=subprocess.PIPE, **how)
+    return subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, **how)
+
+
+class Optimisation:
+    """One optimisation in a process of its own; it ends when this one does.
 
     Parameters
     ----------
+    tables : dict
+        What is searched, as the tables of a scene file.
     scenario : Scenario
-        What is searched.
+        The same, checked.
     scenery : Scenery
         The user's own objects, which hide vehicles.
-    folder : path
-        Where the run is written; it is there.
 
     Attributes
     ----------
+    folder : path
+        Where the run is written.
     done, total : int
         Mountings scored, and how many there will be.
     best : float or None
@@ -54,47 +72,63 @@ class Optimisation(threading.Thread):
         What went wrong, in a line.
     """
 
-    def __init__(self, scenario: Scenario, scenery: Scenery, folder: Path) -> None:
-        super().__init__(name="LiDAR optimisation", daemon=True)
-        self._scenario, self._scenery, self.folder = scenario, scenery, folder
+    def __init__(self, tables: dict, scenario: Scenario, scenery: Scenery) -> None:
         use, deployment = scenario.search, scenario.deployment
         self.done, self.best, self.result, self.problem = 0, None, None, ""
         self.total = use.seeds * use.particles * use.iterations
         self.total += math.prod(POINTS) if all(axis in deployment.bounds for axis in deployment.axes) else 0
-        self._counted: dict[int, int] = {}
+        self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
+        self.folder = self._root / "run"
+        tables = tables | {"model": {key: value for key, value in tables["model"].items() if key != "workers"}}
+        keys = [(name, key) for name in DECLARED for key in ("", "x_m, y_m", *DECLARED[name])]
+        labels = {(name, key): properties.where(name, key) for name, key in keys}
+        order = {"tables": tables, "labels": labels, "source": scenario.source, "scenery": scenery}
+        (self._root / _ORDER).write_bytes(pickle.dumps(order))
+        in_blender = resolve(scenario.model.caster) == BVH or bool(scenario.world.blend or scenario.world.mesh)
+        code = f"os._exit(main({str(self._root / _ORDER)!r}, {str(self.folder)!r}))"
+        with (self._root / _TOLD).open("wb") as told:
+            self._process = started(code, in_blender=in_blender, stdout=told, stderr=subprocess.STDOUT)
 
-    def run(self) -> None:
-        """Search, judge and write; what is wrong is kept to be told."""
-        try:
-            site = prepare(self._scenario, scenery=self._scenery)
-            with RunFolder(self.folder).locked() as folder:
-                result = optimise_site(site, folder, self)
-                write_pages(site, folder.read_outcome(), lambda note: None)
-            self.result = result
-        except BlenderLidarError as error:
-            self.problem = " ".join(str(error).split())
-        except KeyboardInterrupt:
-            self.problem = "stopped"
+    def is_alive(self) -> bool:
+        """Look how far it is, and whether it goes on."""
+        if self._process is None:
+            return False
+        code, lines = self._process.poll(), (self._root / _TOLD).read_text(encoding="utf-8", errors="replace")
+        for line in lines.splitlines():
+            with suppress(ValueError):  # Blender's own lines, and one that is being written
+                vars(self).update(json.loads(line) if line.startswith("{") else {})
+        if code is None:
+            return True
+        if code == 0:
+            self.result, self.problem = json.loads((self.folder / RESULT).read_text(encoding="utf-8")), ""
+            (self._root / _ORDER).unlink()
+        else:
+            told = [line for line in lines.splitlines() if "Error" in line]
+            self.problem = self.problem or " ".join([f"the search ended abruptly ({code})", *told[-1:]])
+        self._close()
+        return False
 
-    def searching(self, search) -> None:
-        """How far a search is."""
-        self._counted[id(search)] = len(search.history)
-        self.done, self.best = sum(self._counted.values()), float(search.best_value) if len(search.history) else None
-
-    def mapping(self, points: int) -> None:
-        """So many more points of the map are scored."""
-        self._counted[0] = self._counted.get(0, 0) + points
-        self.done = sum(self._counted.values())
+    def wait(self) -> None:
+        """Wait until it ends."""
+        self._process.wait()
+        self.is_alive()
 
     def stop(self) -> None:
         """End it, whatever it is at, and remove what it has written."""
-        if self.is_alive():
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self.ident), ctypes.py_object(KeyboardInterrupt))
-        self.join(_ENDS_WITHIN_S)
-        shutil.rmtree(self.folder, ignore_errors=True)
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._close()
+            self.problem = "stopped"
+        shutil.rmtree(self._root, ignore_errors=True)
+
+    def _close(self):
+        self._process.stdin.close()
+        self._process = None
 
 
 _jobs: dict[str, Optimisation] = {}  # by LiDAR
+_warming: list[subprocess.Popen] = []
 
 
 def job_of(lidar: bpy.types.Object) -> Optimisation | None:
@@ -103,7 +137,7 @@ def job_of(lidar: bpy.types.Object) -> Optimisation | None:
 
 
 def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object) -> Optimisation:
-    """Make an optimisation ready, from the panel's fields.
+    """Start an optimisation, from the panel's fields.
 
     Raises
     ------
@@ -113,8 +147,7 @@ def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.O
     scenario = session.scenario_from(scene, lidar, searched=True)
     if not scenario.deployment.bounds:
         raise InputError("LiDAR panel: Optimise: every coordinate is fixed; switch at least one on")
-    folder = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
-    return Optimisation(scenario, open_scenery(scene, layer), folder)
+    return Optimisation(session.tables_of(scene, lidar, searched=True), scenario, open_scenery(scene, layer))
 
 
 def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
@@ -136,16 +169,17 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
 
     @operators.told
     def execute(self, context):
-        """Search in one go, as scripts do."""
+        """Search and wait for the end, as scripts do."""
         lidar = session.needed_lidar(context.scene)
         job = begin(context.scene, context.view_layer, lidar)
-        job.run()
+        try:
+            job.wait()
+        except KeyboardInterrupt:
+            job.stop()
         return self._ended(lidar, job)
 
     def invoke(self, context, event):
-        """Search while the window stays free; in one go in Blender 3.4, which crashed beside the thread."""
-        if bpy.app.version < (4, 2, 0):
-            return self.execute(context)
+        """Search while the window stays free."""
         return self._begun(context)
 
     @operators.told
@@ -158,7 +192,6 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(_EVERY_S, window=context.window)
         context.window_manager.progress_begin(0, 100)
         context.window_manager.modal_handler_add(self)
-        self._job.start()
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -170,9 +203,11 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        _redraw(context)
-        context.window_manager.progress_update(100 * self._job.done // max(self._job.total, 1))
-        if self._job.is_alive():
+        before, alive = self._job.done, self._job.is_alive()
+        if alive and self._job.done != before:
+            _redraw(context)
+            context.window_manager.progress_update(100 * self._job.done // max(self._job.total, 1))
+        if alive:
             return {"PASS_THROUGH"}
         self._leave(context)
         lidar = next((item for item in bpy.data.objects if session.uid_of(item) == self._lidar), None)
@@ -195,7 +230,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
 
     def _ended(self, lidar, job):
         if job.result is None:
-            shutil.rmtree(job.folder, ignore_errors=True)
+            job.stop()
             self.report({"ERROR"}, job.problem)
             return {"CANCELLED"}
         keep_result(lidar, job)
@@ -336,8 +371,17 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
 classes = (LIDAR_OT_optimise, LIDAR_OT_apply, LIDAR_OT_revert, LIDAR_OT_open_report, LIDAR_PT_optimise)
 
 
+def register() -> None:
+    """Have Numba compile in a process of its own, where it is installed, so that no first scan waits for it."""
+    if not bpy.app.background and find_spec("numba"):
+        _warming.append(started("warm_up()", in_blender=False, stderr=subprocess.DEVNULL))
+
+
 def unregister() -> None:
     """Stop what is at work."""
     for job in list(_jobs.values()):
         job.stop()
     _jobs.clear()
+    while _warming:
+        with _warming.pop() as process:
+            process.kill()

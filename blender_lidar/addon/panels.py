@@ -61,7 +61,7 @@ class LIDAR_PT_traffic(bpy.types.Panel):
             row.operator("lidar.step_frame", text="", icon="TRIA_LEFT").back = True
             row.prop(group, "frame", text="Frame")
             row.operator("lidar.step_frame", text="", icon="TRIA_RIGHT")
-            layout.label(text=f"{group.at_s:.1f} s after the recording's beginning")
+            layout.label(text=f"At {group.at_s:.1f} s")
         layout.prop(group.world, "detail", text="Vehicles")
 
 
@@ -145,8 +145,7 @@ class LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
         row.operator("lidar.scan", icon="LIGHT_SUN")
         row.prop(group, "live", toggle=True)
         layout.prop(group, "colour_by")
-        how = "at preview quality while live" if group.live else "exactly"
-        layout.label(text=f"Objects of your own occlude {how}.", icon="MESH_CUBE")
+        layout.label(text=f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
         if group.scanned_frame < 0:
             layout.label(text="Not scanned yet.")
         else:
@@ -193,9 +192,9 @@ class LIDAR_PT_score(OfTraffic, bpy.types.Panel):
         if group.scanned_frame >= 0:
             box = layout.box().column(align=True)
             gain, more = group.objective - group.baseline_objective, group.detectable_share - group.baseline_share
-            box.label(text=f"Objective {group.objective:.2f}, {gain:+.2f} over the baseline")
-            share = f"Detectable {100 * group.detectable_share:.0f} % of {group.vehicles} vehicles"
-            box.label(text=f"{share}, {100 * more:+.0f} points")
+            box.label(text=f"Objective {group.objective:.2f}")
+            box.label(text=f"Detectable {100 * group.detectable_share:.0f} % of {group.vehicles}")
+            box.label(text=f"Over baseline {gain:+.2f}, {100 * more:+.0f} pp")
             if is_stale(scene, lidar):
                 box.label(text="Changed since: scan again.", icon="ERROR")
         base = shared.baseline

@@ -12,7 +12,7 @@ from ..signals import stops_deferred
 from .protocol import Caster, Hits
 
 RASTER = CASTERS[0]  # the one that rasterises whole revolutions
-EXACT = CASTERS[-1]  # the one without any tree
+BVH, EXACT = CASTERS[-2:]  # by Blender's tree; the one without any
 
 _MODULES = {
     "raster": ("numba", "fast"),
@@ -21,7 +21,7 @@ _MODULES = {
     "exact": (None, None),
 }
 
-__all__ = ["CASTERS", "EXACT", "RASTER", "Caster", "Hits", "caster_class", "is_available", "resolve"]
+__all__ = ["BVH", "CASTERS", "EXACT", "RASTER", "Caster", "Hits", "caster_class", "is_available", "resolve"]
 
 
 def is_available(name: str) -> bool:

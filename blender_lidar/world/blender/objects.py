@@ -218,8 +218,9 @@ def build_road(scene: bpy.types.Scene, road: RoadFrame, reach_m: float) -> None:
     edges = np.array([right - _VERGE_M, right - _SHOULDER_M, left + _SHOULDER_M, left + _VERGE_M])
     ground = np.array([(x, y, 0.0) for y in edges for x in (-reach_m, reach_m)])
     faces = np.array([(2 * row, 2 * row + 1, 2 * row + 3, 2 * row + 2) for row in range(3)])
-    materials = [plain("Verge", VERGE, roughness=1.0), plain("Asphalt", ASPHALT, ROAD, 0.9)]
-    add_object(into, "Surface", new_mesh("Surface", ground, faces, materials, np.array([0, 1, 0])))
+    add_object(into, "Verge", new_mesh("Verge", ground, faces[::2], [plain("Verge", VERGE, roughness=1.0)]))
+    asphalt = plain("Asphalt", ASPHALT, ROAD, 0.9)
+    add_object(into, "Surface", new_mesh("Surface", ground[2:6], faces[:1], [asphalt]))
 
     starts = np.arange(-reach_m, reach_m - _DASH_M, _DASH_EVERY_M)
     lines = [(right, -reach_m, reach_m), (left, -reach_m, reach_m)]  # y, first and last x

@@ -1,0 +1,81 @@
+"""An optimisation in a process of its own, for a window that goes on meanwhile: the command line's, told in JSON lines.
+
+Its order is a pickle: the `tables` of settings, the `labels` by which errors call them, their `source`, and what stands
+there besides, as `scenery`. Its lines that begin with a brace say how far it is: ``done``, ``best`` and ``problem``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import sys
+import threading
+from pathlib import Path
+
+from ..clouds.live import LiveFrame
+from ..errors import BlenderLidarError
+from ..run.folder import RunFolder
+from ..run.optimise import optimise_site
+from ..scene.scenario import load_scenario, scenario_of, shipped_scenes
+from ..scene.site import prepare
+from ..scoring.evaluation import Evaluator
+from .optimise import write_pages
+
+
+class _Told:
+    """A listener that prints how far it is."""
+
+    def __init__(self) -> None:
+        self._counted: dict[int, int] = {}
+        self._best: float | None = None
+
+    def searching(self, search) -> None:
+        self._counted[id(search)] = len(search.history)
+        self._best = float(search.best_value) if len(search.history) else self._best
+        self._tell()
+
+    def mapping(self, points: int) -> None:
+        self._counted[0] = self._counted.get(0, 0) + points
+        self._tell()
+
+    def _tell(self) -> None:
+        tell(done=sum(self._counted.values()), best=self._best)
+
+
+def tell(**what: object) -> None:
+    """Print a line of JSON."""
+    print(json.dumps(what), flush=True)
+
+
+def main(order: str, folder: str) -> int:
+    """Optimise what the file `order` says into `folder`; returns the exit code. It ends with the one who started it."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        given = pickle.loads(Path(order).read_bytes())
+        labels, source = given["labels"], given["source"]
+        scenario = scenario_of(given["tables"], where=lambda table, key: labels.get((table, key), key), source=source)
+        site = prepare(scenario, scenery=given["scenery"])
+        with RunFolder(folder).locked() as run:
+            optimise_site(site, run, _Told())
+            write_pages(site, run.read_outcome(), lambda note: None)
+    except BlenderLidarError as error:
+        tell(problem=" ".join(str(error).split()))
+        return 1
+    return 0
+
+
+def _end_with_parent() -> None:
+    """Wait until standard input is closed, which whoever started this holds open."""
+    os.read(sys.stdin.fileno(), 1)
+    os._exit(1)
+
+
+def warm_up() -> None:
+    """Have everything compiled that the shipped scene needs, and kept on disk for the next process."""
+    if hasattr(os, "nice"):
+        os.nice(10)  # nobody waits for it
+    site = prepare(load_scenario(shipped_scenes()["i80"], {("traffic", "frames"): (1, "warm_up")}))
+    LiveFrame(site.search[0], site.observation, site.scoring).look(site.scenario.baseline_pose)
+    with Evaluator(site.search, site.observation, site.scoring) as evaluator:
+        evaluator.totals([site.scenario.baseline_pose])

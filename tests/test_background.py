@@ -1,0 +1,92 @@
+"""An optimisation in a process of its own: what it is told, what it tells, and when it ends."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from blender_lidar.casting import is_available
+from blender_lidar.cli import main as command_line
+from blender_lidar.compiled import numba_works
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.world.scenery import box
+from tests.small_scene import REGION, without_times, write_scene
+from tests.waiting import WAIT_S, wait_for
+
+ROOT = Path(__file__).parents[1]
+pytestmark = pytest.mark.skipif(not is_available("embree"), reason="Embree, of the extra fast, is not installed")
+
+
+@pytest.fixture
+def begin(tmp_path):
+    """Starts one with changed settings of a small scene, as the window does; its process, run folder and lines."""
+    started = []
+
+    def made(scenery=None, **changes):
+        scene = write_scene(tmp_path / "scene", REGION | {"model": {"caster": "embree", "workers": 1}} | changes)
+        tables = {name: dict(table) for name, table in load_scenario(scene).as_tables().items()}
+        labels = {("baseline", "x_m, y_m"): "LiDAR panel: Baseline"}
+        order, told, run = tmp_path / "order", tmp_path / "told", tmp_path / "run"
+        order.write_bytes(pickle.dumps({"tables": tables, "labels": labels, "source": "s", "scenery": scenery}))
+        code = "import sys; sys.modules['matplotlib'] = None  # charts take longer than all else\n"
+        code += (
+            f"from blender_lidar.commands.background import main; raise SystemExit(main({str(order)!r}, {str(run)!r}))"
+        )
+        with told.open("wb") as stream:
+            command = [sys.executable, "-c", code]
+            started.append(subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=stream, stderr=stream))
+        return started[-1], run, lambda: [json.loads(line) for line in told.read_text().splitlines()]
+
+    yield made
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_it_comes_to_what_the_command_line_does_and_tells_how_far_it_is(begin, quick, tmp_path):
+    process, run, told = begin()
+    assert process.wait(WAIT_S) == 0, told()
+    assert command_line(["optimise", str(tmp_path / "scene" / "scene.toml"), "--out", str(tmp_path / "line")]) == 0
+    one, other = (json.loads((folder / "result.json").read_text()) for folder in (run, tmp_path / "line"))
+    assert without_times(one)["deployment"] == without_times(other)["deployment"]
+    assert one["objective"] == other["objective"]
+    done = [line["done"] for line in told()]
+    assert done == sorted(done)
+    assert done[-1] >= one["evaluations"]
+    assert told()[-1]["best"] == one["objective"]
+
+
+def test_what_is_given_besides_hides_vehicles(begin):
+    process, run, told = begin(box("wall", (0.0, 1.5, 3.0), (200.0, 0.2, 6.0), 0.0))
+    assert process.wait(WAIT_S) == 0, told()
+    assert json.loads((run / "result.json").read_text())["detectable_share"] == 0.0
+
+
+def test_what_is_wrong_is_one_line_in_the_words_of_who_asked(begin):
+    process, run, told = begin(baseline={"y_m": 8.0, "height_m": 1.0})
+    assert process.wait(WAIT_S) == 1
+    (line,) = told()
+    assert line["problem"].startswith("LiDAR panel: Baseline: ")
+    assert not run.exists()
+
+
+def test_it_ends_with_the_one_who_started_it(begin):
+    process, run, _ = begin(search={"iterations": 100_000})
+    wait_for((run / "checkpoint.json").exists)
+    assert process.poll() is None
+    process.stdin.close()
+    assert process.wait(10.0) == 1
+
+
+@pytest.mark.skipif(not numba_works(), reason="Numba, of the extra fast, is not installed")
+def test_what_the_first_scan_needs_is_compiled_and_kept(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    code = "from blender_lidar.commands.background import warm_up; warm_up()"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+    kept = {path.name.partition("-")[0] for path in tmp_path.rglob("*.nbc")}
+    assert {"compiled_marks.mark_points", "rasterise.rasterise"} <= kept
