@@ -163,7 +163,9 @@ def steps():
     group.search.particles, group.search.iterations, group.traffic.frames = 5, 200, 20
     running = list(Path(bpy.app.tempdir).glob("blender_lidar-*"))
     assert called("lidar.optimise", "INVOKE_DEFAULT") == {"RUNNING_MODAL"}
-    yield 3.0
+    x, y = SCAN
+    events("mousemove", x, y, "click", "--repeat", 24, "--delay", 20, 5)  # the wheel: down to the panel Optimise
+    yield 4.0
     photograph("5_optimising")
     jobs = sys.modules["blender_lidar.addon.optimising"]._jobs
     (job,) = jobs.values()

@@ -206,7 +206,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
         before, alive = self._job.done, self._job.is_alive()
         if alive and self._job.done != before:
             _redraw(context)
-            context.window_manager.progress_update(100 * self._job.done // max(self._job.total, 1))
+            context.window_manager.progress_update(100 * self._job.done // max(self._job.total, self._job.done))
         if alive:
             return {"PASS_THROUGH"}
         self._leave(context)
@@ -252,13 +252,13 @@ def found_text(group: bpy.types.PropertyGroup) -> str:
     return f"{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°"
 
 
-def gain_text(group: bpy.types.PropertyGroup) -> str:
-    """What it gains on held-out traffic over the baseline."""
+def gain_lines(group: bpy.types.PropertyGroup) -> list[str]:
+    """What a vehicle of the held-out traffic gains over the baseline."""
     if not group.found_judged:
-        return "nothing was held out to judge it by"
+        return ["Nothing was held out."]
     low, high = group.found_interval
-    within = f" (90 %: {low:+.3f} to {high:+.3f})" if (low, high) != (0.0, 0.0) else ""
-    return f"{group.found_gain:+.3f} {group.found_unit} a vehicle on held-out traffic{within}".replace("  ", " ")
+    lines = [f"Held out {group.found_gain:+.3f} {group.found_unit}"]
+    return lines + ([f"90 %: {low:+.3f} to {high:+.3f}"] if (low, high) != (0.0, 0.0) else [])
 
 
 class _NeedsFound:
@@ -346,12 +346,13 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
         panels.rows(settings, shared.traffic, "frames", "holdout")
         panels.rows(settings, shared.search, *properties.TABLES["search"])
         if job is not None:
-            best = "" if job.best is None else f", best {job.best:.2f}"
-            text = f"{job.done} of {job.total} mountings{best}"
+            total = max(job.done, job.total)  # a last climb may come on top
+            text = f"{job.done} of {total} mountings"
             if hasattr(layout, "progress"):  # from 4.0 on
-                layout.progress(factor=job.done / max(job.total, 1), text=text)
+                layout.progress(factor=job.done / total, text=text)
             else:
                 layout.label(text=text)
+            layout.label(text="" if job.best is None else f"Best so far {job.best:.2f}")
             layout.label(text="Escape stops it.")
             return
         expected = expected_s(scene, group)
@@ -361,7 +362,8 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
         if group.found:
             box = layout.box().column(align=True)
             box.label(text=f"Found: {found_text(group)}")
-            box.label(text=gain_text(group))
+            for line in gain_lines(group):
+                box.label(text=line)
             row = layout.row(align=True)
             row.operator("lidar.apply", icon="CHECKMARK")
             row.operator("lidar.revert", icon="LOOP_BACK")
