@@ -107,7 +107,7 @@ def _sky():
 
 CAMERAS = {"above": ABOVE, "pole": FROM_POLE}  # by the names of the pictures' files
 SIZE = (1280, 720)
-SAMPLES = 24
+SAMPLES = 12
 _SEED = 1
 _BOUNCES = 3  # light that has been reflected more often shows in no picture of a road
 
