@@ -199,7 +199,16 @@ def steps():
     assert called("lidar.scan", "INVOKE_DEFAULT", True) == {"FINISHED"}
     yield 0.5
     photograph("7_opened_again")
+    lidar().lidar.live = True
+    yield 1.0
+    live, handlers = (sys.modules[f"blender_lidar.addon.{name}"] for name in ("live", "handlers"))
+    assert live._state.drawing is not None
     bpy.ops.preferences.addon_disable(module="blender_lidar")
+    assert live._state.drawing is None
+    assert not any(map(bpy.app.timers.is_registered, (live._tick, handlers.adopt_all)))
+    assert not any(
+        hasattr(kind, name) for kind, name in ((bpy.types.Scene, "blender_lidar"), (bpy.types.Object, "lidar"))
+    )
     yield 0.5
 
 
