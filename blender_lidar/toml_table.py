@@ -216,8 +216,13 @@ def read_toml(path: str | Path) -> dict:
     if len(content) > _MAX_BYTES:
         raise InputError(f"{path}: is larger than {_MAX_BYTES} bytes; allowed: a TOML file of settings")
     try:
-        return tomllib.loads(content.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:  # no UTF-8 too, and a number of thousands of digits
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        encoding = "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "another encoding"
+        raise InputError(f"{path}: is text in {encoding}; allowed: UTF-8, so save it as that") from error
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits too
         told = str(error).splitlines()[0]
         raise InputError(f"{path}: is not TOML: {told}{_backslash_hint(content, told)}") from error
 

@@ -33,7 +33,8 @@ def verb(request):
 
 NO_SCENES = {
     b"": "[traffic] path: is missing",
-    bytes(range(256)): "is not TOML: 'utf-8' codec can't decode",
+    bytes(range(128, 256)): "is text in another encoding; allowed: UTF-8",
+    '[traffic]\npath = "a.csv"\n'.encode("utf-16"): "is text in UTF-16; allowed: UTF-8",
     b"[traffic\n": "is not TOML",
 }
 BAD_LINES = {

@@ -84,6 +84,11 @@ TABLES = {  # by name: the rows, what warns and what it takes them for
     "frame numbers for seconds": (table(**times(25.0, "time_s")), "time-step", "probably frame numbers for seconds"),
     "a tenth of the time": (table(**times(0.1, "time_s")), "time-step", "probably frames are further apart"),
     "the other side": (table(y_m=lambda row: -row["y_m"]), "carriageway", "y is mirrored"),
+    "a road that lies across the file's axes": (
+        table(heading_deg=lambda row: 50.0, **ACROSS),
+        "carriageway",
+        "probably [traffic] heading_deg = 50",
+    ),
     "vehicles there twice": (
         [
             [*row[:1], row[1] + 100 * again, *row[2:3], row[3] + 0.3 * again, *row[4:]]
@@ -103,8 +108,10 @@ def test_what_cannot_be_true_of_a_table_stops_with_its_name_and_what_is_probably
     line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run")
     assert meant in line
     assert line.endswith(f"to go on all the same: --accept {name}")
-    warnings = read_recording(load_scenario(write_scene(tmp_path, {"traffic": {"accept": [name]}}))).report.warnings
-    assert [warning for warning, _ in warnings] == [name]
+    accepted = list(dict.fromkeys([name, "carriageway"]))  # what was turned for a case lies across the road too
+    warnings = read_recording(load_scenario(write_scene(tmp_path, {"traffic": {"accept": accepted}}))).report.warnings
+    assert warnings[0][0] == name
+    assert len(warnings) == 1 or case in ("radians", "clockwise")
 
 
 def test_vehicles_that_are_numbered_anew_in_each_frame_are_told(tmp_path):
@@ -141,6 +148,18 @@ def test_a_right_edge_in_feet_stops_and_names_the_metres(tmp_path):
         prepare(
             load_scenario("i80", {**EXACT, ("road", "right_edge_m"): (72.0, "x"), ("sensor", "name"): ("RS-80", "x")})
         )
+
+
+STRETCH = {("region", "stretches"): ([{"x_m": [-40.0, 40.0]}], "x"), ("region", "centre_m"): (None, "x")}
+STRETCH |= {("region", "radius_m"): (None, "x")}
+
+
+@pytest.mark.parametrize("region", [{}, STRETCH], ids=["circle", "stretch"])
+def test_a_carriageway_that_lies_half_beside_its_vehicles_stops(region):
+    with pytest.raises(
+        InputError, match=r"check \[road\] right_edge_m: vehicles drive at Local_X.*--accept carriageway"
+    ):
+        prepare(load_scenario("i80", {**EXACT, **region, ("road", "right_edge_m"): (36.0, "x")}))
 
 
 def test_a_region_where_nobody_drives_says_where_vehicles_are(tmp_path):

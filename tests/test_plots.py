@@ -23,6 +23,7 @@ from blender_lidar.report.run_figures import (
     plot_convergence,
     plot_score_map,
 )
+from blender_lidar.scene.settings import ZoneSettings
 from tests.chart_samples import (
     CHARTS,
     ROAD,
@@ -260,6 +261,15 @@ def test_blind_zones_darken_where_vehicles_are_missed(tmp_path):
         run = with_tables(table(1, 400) | {"detectable": np.full(400, value)})
         plot_blind_zones(tmp_path / f"{name}.png", run, ROAD)
     assert grey_pixels(tmp_path / "seen.png").mean() > grey_pixels(tmp_path / "missed.png").mean() + 0.2
+
+
+def test_blind_zones_outline_the_zones_that_have_weights(tmp_path, figures):
+    zone = ZoneSettings(name="conflict area", polygon_m=((0.0, 5.0), (20.0, 5.0), (20.0, 9.0)), weight=3.0)
+    plot_blind_zones(tmp_path / "b.png", with_tables(table(1, 400)), ROAD, [zone])
+    for axes in figures[0].axes[:2]:
+        assert "conflict area x 3" in [text.get_text() for text in axes.texts]
+        outlines = [line.get_xydata() for line in axes.lines if line.get_label() == "zone x weight"]
+        np.testing.assert_array_equal(outlines, [[*zone.polygon_m, zone.polygon_m[0]]])
 
 
 def test_blind_zones_use_whole_lanes_and_one_scale_and_hold_every_vehicle(tmp_path, figures):

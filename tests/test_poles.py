@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from statistics import NormalDist
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
+from blender_lidar.run.verdict import rank_poles
+from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.poles import read_poles
-from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.settings import Pole
+from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.model import load_model
 from blender_lidar.statistics import many_to_one_reach_90, resampled_weights, student_t
 from tests.refusals import refused
+from tests.sample_traffic import one_vehicle
 from tests.small_scene import REGION, cli, done, without_charts, without_times, write_scene
 
 HEADER = "name,x_m,y_m,foot_z_m,height_min_m,height_max_m,cost,existing\n"
@@ -210,6 +218,27 @@ def test_all_intervals_hold_together_in_nine_cases_of_ten(blocks, mountings):
         reach = many_to_one_reach_90(objective, weight, case)
         held += bool((np.abs(means - means[0] - (true - true[0])) <= reach + 1e-12).all())
     assert 0.85 <= held / cases <= 0.99
+
+
+def test_what_only_breaks_ties_tells_no_poles_apart():
+    """Every frame has one car, detectable from both places, and with more bits from the nearer one each time."""
+    cars = [replace(one_vehicle("car", (0.5 * number, 8.0)), frame=number) for number in range(12)]
+    frames = [CountedFrame(car, np.ones(1, dtype=bool)) for car in cars]
+    seen = Observation(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4, "exact", "body", 0.05)
+    scoring = Scoring(1e-6, "mean", None, "corrected", "detectable")
+    plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.zeros(8, dtype=int))
+    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))
+    mount = {"x_m": 0.0, "height_m": 3.0, "tilt_x_deg": 17.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
+    plans = [{**mount, "y_m": y} for y in (0.0, -20.0)]
+    poles = [Pole("near", 0.0, 0.0), Pole("far", 0.0, -20.0)]
+    with Evaluator(frames[:4], seen, scoring, held_out=frames[4:]) as evaluator:
+        rows, best = rank_poles(site, evaluator, poles, plans)
+        bits = evaluator.held_out.totals([pose_at(one) for one in plans]).objective
+    assert (np.diff(bits, axis=0) < 0.0).all()
+    held = rows[1]["holdout"]
+    assert (best, held["detectable_share"]) == (0, 1.0)
+    assert held["interval_90"][1] < 0.0  # of bits alone
+    assert held["told_apart"] is False
 
 
 def test_poles_without_a_name_are_not_asked_for(tmp_path, capsys):

@@ -527,7 +527,7 @@ BAD_TOML = {
     "huge number": (f"block_time_us = {'9' * 400}\n{THREE_BEAMS}", "OWN:block_time_us: is 9"),
     "endless nesting": ("beams = " + "[" * 50_000, "OWN: is not TOML"),
     "empty": ("", "OWN:beams: 0 rings; allowed: 1 to 4096"),
-    "not UTF-8": (b'name = "\xff"', "OWN: is not TOML: 'utf-8' codec can't decode"),
+    "not UTF-8": (b'name = "\xff"', "OWN: is text in another encoding; allowed: UTF-8"),
 }
 
 

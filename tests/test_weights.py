@@ -13,7 +13,7 @@ from blender_lidar.report.summary import definitions, group_tables
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import fresh_auto_search
 from blender_lidar.run.verdict import map_scores
-from blender_lidar.scene.observation import Observation, Scoring, vehicle_weights
+from blender_lidar.scene.observation import Observation, Scoring, check_weights, vehicle_weights
 from blender_lidar.scene.scenario import Deployment, load_scenario
 from blender_lidar.scene.settings import ObjectiveSettings, ZoneSettings
 from blender_lidar.scene.site import prepare
@@ -184,3 +184,12 @@ def test_weights_that_cannot_be_are_refused_in_one_line(tmp_path, objective, tol
         prepare(load_scenario(scene))
     assert all(text in str(error.value) for text in told), error.value
     assert "\n" not in str(error.value)
+
+
+def test_weights_that_leave_nothing_held_out_are_refused():
+    plain = load_scenario("i80").objective
+    weightless = [replace(frame, weight=np.zeros(len(frame.vehicles))) for frame in FRAMES[1:]]
+    check_weights(plain, FRAMES[:1], FRAMES[1:], "[objective]")
+    check_weights(plain, FRAMES[:1], [], "[objective]")
+    with pytest.raises(InputError, match=r"held-out frames a weight above 0, so that nothing judges the answer"):
+        check_weights(plain, FRAMES[:1], weightless, "[objective]")

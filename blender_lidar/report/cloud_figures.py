@@ -33,7 +33,7 @@ from .figure import (
     place,
     sheet,
 )
-from .summary import mounting_text, sides
+from .summary import leans, mounting_text, sides
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -82,15 +82,22 @@ def draw_clouds(path: str | Path, site: Site, run: Outcome) -> None:
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
         sights.append(Sight(name, mount, sensor.scan(frame.vehicles), table["detectable"][of_frame]))
     title = f"{run.result['sensor']}: one revolution from above, frame {vehicles.frame}"
-    plot_clouds(path, vehicles, sights, title)
+    plot_clouds(path, vehicles, sights, title, leaning=leans(run.result))
 
 
 def plot_clouds(
-    path: str | Path, vehicles: Vehicles, sights: Sequence[Sight], title: str = "", subtitle: str = ""
+    path: str | Path,
+    vehicles: Vehicles,
+    sights: Sequence[Sight],
+    title: str = "",
+    subtitle: str = "",
+    *,
+    leaning: bool = False,
 ) -> None:
     """Draw one frame's cloud under the baseline and under the other mounting, to scale.
 
-    The boxes of the `vehicles` and the LiDARs set what part of the road is drawn.
+    The boxes of the `vehicles` and the LiDARs set what part of the road is drawn. Orientations are told as leans where
+    the run is about them, `leaning`.
 
     Raises
     ------
@@ -117,7 +124,8 @@ def plot_clouds(
                 if row == 0:
                     points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
                     seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
-                    axes.set_title(f"{sight.name}: {mounting_text(sight.mount)}\n{seen}, {points:,} points on vehicles")
+                    place_told = mounting_text(sight.mount, leans=leaning)
+                    axes.set_title(f"{sight.name}: {place_told}\n{seen}, {points:,} points on vehicles")
             top += mounting_mm
         axes.set_xlabel(TRAVEL_LABEL)
         bar = place(figure, 0.25 * WIDTH_MM, bottom + 7.0, 0.5 * WIDTH_MM, 2.5)

@@ -14,6 +14,7 @@ from ..metrics.catalogue import PE_VGOP, metric_named
 from ..road import RoadFrame
 from ..run.folder import Outcome
 from ..run.verdict import METRIC_VALUE, REGION_SHARE, WEIGHT, ScoreMap, near_best_threshold
+from ..scene.settings import ZoneSettings
 from ..scene.site import Site
 from .cloud_figures import draw_clouds, draw_occupancy
 from .figure import (
@@ -63,7 +64,9 @@ def draw_charts(site: Site, run: Outcome) -> list[str]:
             charts["score_map.png"] = partial(plot_score_map, run=run, score_map=score_map)
     charts |= {
         "by_distance.png": partial(plot_by_distance, run=run),
-        "blind_zones.png": partial(plot_blind_zones, run=run, road=site.scenario.road),
+        "blind_zones.png": partial(
+            plot_blind_zones, run=run, road=site.scenario.road, zones=site.scenario.objective.zones
+        ),
         "clouds.png": partial(draw_clouds, site=site, run=run),
         "occupancy.png": partial(draw_occupancy, site=site, run=run),
     }
@@ -286,10 +289,10 @@ def _draw_counts(axes: Axes, centre_m: np.ndarray, counts: list[np.ndarray]) -> 
 # --- Blind zones: where along and across the road vehicles stay below the threshold, before and after -----------------
 
 
-def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame) -> None:
+def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame, zones: Sequence[ZoneSettings] = ()) -> None:
     """Draw the share of vehicles below the detectability threshold per cell of the road, before and after.
 
-    The carriageway is divided into whole lanes of about the road's lane width.
+    The carriageway is divided into whole lanes of about the road's lane width; `zones` of weights are outlined.
     """
     tables, mountings = (run.baseline, run.optimised), sides(run.result)
     low, high = road.carriageway_y
@@ -308,6 +311,7 @@ def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame) -> None:
             mesh, empty = _draw_cells(axes, x_edges, y_edges, share)
             _draw_lanes(axes, np.arange(low, high + 0.5 * lane_m, lane_m))
             marker = mark_sensor(axes, mount)
+            outlines = [_outline_zone(axes, zone) for zone in zones]
             found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold" if below.size else _NOBODY
             axes.set(
                 title=f"{name}: {mounting_text(mount, leans=leans(run.result))}\n{found}",
@@ -322,7 +326,17 @@ def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame) -> None:
             xlabel=TRAVEL_LABEL,
         )
         figure.colorbar(mesh, ax=panels, label="Vehicles below the threshold [%]", pad=0.02)
-        legend_below(figure, [marker, empty], columns=2)
+        legend_below(figure, [marker, empty, *outlines[:1]], columns=3)
+
+
+def _outline_zone(axes, zone):
+    """The outline of a zone with its name and weight in it."""
+    x, y = np.array([*zone.polygon_m, zone.polygon_m[0]]).T
+    (line,) = axes.plot(x, y, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="zone x weight", zorder=3)
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+    told = {"ha": "center", "va": "center", "fontsize": 7.0, "bbox": box, "clip_on": True}
+    axes.text(x[:-1].mean(), y[:-1].mean(), f"{zone.name} x {zone.weight:g}", **told)
+    return line
 
 
 def covering_edges(low: float, high: float, step: float, anchor: float = 0.0) -> np.ndarray:

@@ -508,7 +508,7 @@ def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarra
     weight, names = vehicle_weight(run.baseline), {"search": frames_word(result), "holdout": "held out"}
     splits = [split for split in names if (run.baseline["split"] == split).any()]
     rows = []
-    for group, chosen in groups(run.baseline):
+    for group, chosen in groups(run.optimised):
         cells = []
         for split in splits:
             of = chosen & (run.baseline["split"] == split)
@@ -626,6 +626,8 @@ def costliest_text(result: Mapping) -> str:
     if loss <= 0.0:
         return ""
     (name, unit), width = COORDINATE_NAMES[key], result["tolerance"]["settings"][_WIDTHS[key]]
+    if key in _TILTS[:2] and abs(math.remainder(result["deployment"]["yaw_deg"], 360.0)) >= _LEVEL_DEG:
+        name = f"tilt about the sensor's own {'x' if key == 'tilt_x_deg' else 'y'} axis"
     metric = metric_named(result["metric"])
     lost = f"{metric.difference(loss)}{metric.per_vehicle}"
     return f"of the single errors {name} {sign}{width:g} {unit} costs most: {lost} ({where})"

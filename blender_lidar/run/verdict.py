@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..metrics.catalogue import PE_VGOP
+from ..metrics.catalogue import PE_VGOP, metric_named
+from ..metrics.vehicle_metrics import TIE_BREAKER
 from ..metrics.vgop import entropy
 from ..scene.scenario import Deployment, pose_at
 from ..scene.settings import Pole, leaning, with_lean
@@ -170,7 +171,8 @@ def rank_poles(
     rows : list of dict, k
         Of each pole its table's values, ``deployment``, ``height_on_pole_m`` above its foot, scores on the searched
         frames and in ``holdout``, there with ``difference_to_best``, its ``interval_90``, which hold for all poles
-        together (see `many_to_one_reach_90`), and whether that leaves nought out, ``told_apart``. ``holdout`` is None
+        together (see `many_to_one_reach_90`), and whether that leaves nought out, ``told_apart``, by more than what
+        breaks ties. ``holdout`` is None
         where nothing was held out, the interval and ``told_apart`` where there are too few blocks, and for the best.
     best : int
         Which of the poles is the first row.
@@ -179,7 +181,7 @@ def rank_poles(
     searched = evaluator.totals(poses)
     order = np.argsort(-searched.objective.sum(axis=1), kind="stable")
     held_out = evaluator.held_out.totals(poses) if evaluator.held_out.weight.sum() else None
-    reach = None
+    reach, ties = None, 2.0 * TIE_BREAKER if metric_named(site.scoring.metric).of_share else 0.0
     if held_out is not None:
         blocks = (
             block_sums(values, site.plan.holdout_block) for values in (held_out.objective[order], held_out.weight)
@@ -206,7 +208,7 @@ def rank_poles(
                 "detectable_share": float(shares[number]),
                 "difference_to_best": less,
                 "interval_90": None if off is None else [less - float(off), less + float(off)],
-                "told_apart": None if off is None else bool(abs(less) > off),
+                "told_apart": None if off is None else bool(abs(less) > off + ties),
             }
         rows.append(row)
     return rows, int(order[0])

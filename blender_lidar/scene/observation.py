@@ -120,7 +120,9 @@ def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndar
     return weight
 
 
-def check_weights(objective: ObjectiveSettings, searched: Sequence[CountedFrame], where: str) -> None:
+def check_weights(
+    objective: ObjectiveSettings, searched: Sequence[CountedFrame], held_out: Sequence[CountedFrame], where: str
+) -> None:
     """Refuse a zone that weighs no counted vehicle of the searched frames, and weights that leave none a weight.
 
     Raises
@@ -149,6 +151,11 @@ def check_weights(objective: ObjectiveSettings, searched: Sequence[CountedFrame]
         raise InputError(
             f"{where} class_weights, zones: leave no vehicle of the searched frames a weight above 0; "
             f"their classes are {', '.join(classes.tolist())}"
+        )
+    if any(frame.counted.any() for frame in held_out) and not any(frame.counted_weight.any() for frame in held_out):
+        raise InputError(
+            f"{where} class_weights, zones: leave no vehicle of the held-out frames a weight above 0, so that nothing "
+            "judges the answer; give more of them a weight, or more frames, or [traffic] holdout = 0"
         )
 
 

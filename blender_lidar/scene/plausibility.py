@@ -51,7 +51,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
             raise InputError(f"{recording.source}: {text}; to go on all the same: --accept {name}")
         if text:
             warnings.append((name, text))
-    notes = (*recording.report.notes, *_place_notes(sample, scenario))
+    notes = (*recording.report.notes, *_place_notes(recording, scenario))
     return replace(recording, report=replace(recording.report, warnings=tuple(warnings), notes=notes))
 
 
@@ -244,6 +244,8 @@ def _headings(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
 
 _FEWEST_ON_ROAD = 0.02  # share; at an intersection, or with both directions in one recording, many drive elsewhere
 _FEW_ON_ROAD = 0.4  # are no cause to stop, but told
+_ALL_ON_ROAD = 0.95  # of a carriageway as wide that lies elsewhere
+_ALIKE_RAD = math.radians(10.0)
 
 
 def _on_road(y: np.ndarray, scenario: Scenario) -> float:
@@ -251,21 +253,50 @@ def _on_road(y: np.ndarray, scenario: Scenario) -> float:
     return float(((y >= low) & (y <= high)).mean())
 
 
-def _y_in_region(sample: Recording, scenario: Scenario) -> np.ndarray:
+def _y_in_region(recording: Recording, scenario: Scenario) -> np.ndarray:
+    """Where across the road the boxes of the region lie, a sample; of stretches those that lie beside them too."""
     region = region_of(scenario.region, scenario.road.carriageway_y)
-    return sample.centre_m[region.holds(sample), 1]
+    near = np.flatnonzero(region.distance(recording) <= region.radius_m)
+    near = near[np.unique(np.linspace(0, len(near) - 1, min(len(near), _ROWS)).astype(int))]
+    part = recording.where(np.bincount(near, minlength=len(recording)) > 0)
+    return part.centre_m[region.holds(part) if not region.stretches else slice(None), 1]
 
 
 def _carriageway(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
-    """Next to no vehicle of the region on the carriageway of [road]."""
-    y = _y_in_region(sample, scenario)
-    if len(y) < _FEWEST or _on_road(y, scenario) >= _FEWEST_ON_ROAD:
+    """Vehicles that drive obliquely to the road, or next to none of the region on its carriageway."""
+    oblique = _oblique(ways)
+    if oblique is not None and not recording.report.periods:
+        turn = oblique + (scenario.traffic.heading_deg or 0.0)
+        return (
+            f"vehicles drive at {oblique:.0f} degrees to the road's x axis (usual: along it); probably "
+            f"[traffic] heading_deg = {turn:.0f}, the direction of travel in the file"
+        )
+    y = _y_in_region(recording, scenario)
+    if len(y) < _FEWEST:
         return None
     low, high = scenario.road.carriageway_y
+    found = np.sort(y)
+    together = (np.searchsorted(found, found + (high - low), side="right") - np.arange(len(y))).max()
+    misplaced = _on_road(y, scenario) < _FEW_ON_ROAD and together > _ALL_ON_ROAD * len(y)
+    if not (misplaced or _on_road(y, scenario) < _FEWEST_ON_ROAD):
+        return None
     return (
         f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region lie on the carriageway of [road], y {low:g} "
         f"to {high:g} m, but at {_span('y', y)}; {_place_meant(y, recording, scenario)}"
     )
+
+
+def _oblique(ways: Ways) -> float | None:
+    """The angle at which all vehicles drive to the x axis [degrees], where it is far from along it; else None."""
+    if len(ways.seconds) < _FEWEST:
+        return None
+    angle = np.arctan2(ways.moved_m[:, 1], ways.moved_m[:, 0])
+    middle = 0.5 * np.angle(np.exp(2j * angle).mean())  # of both directions
+    alike = np.abs(_within_half_a_turn(2.0 * (angle - middle))) < 2.0 * _ALIKE_RAD
+    if alike.mean() < _ALL_ON_ROAD or abs(middle) < _ASTRAY_RAD:
+        return None
+    forward = np.cos(angle - middle).mean() >= 0.0
+    return math.degrees(_within_half_a_turn(middle if forward else middle + math.pi))
 
 
 def _place_meant(y: np.ndarray, recording: Recording, scenario: Scenario) -> str:
@@ -283,8 +314,8 @@ def _place_meant(y: np.ndarray, recording: Recording, scenario: Scenario) -> str
     return "check [traffic] origin_m and heading_deg, and [road] setback_m, lanes and lane_width_m"
 
 
-def _place_notes(sample: Recording, scenario: Scenario) -> Iterator[str]:
-    y = _y_in_region(sample, scenario)
+def _place_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
+    y = _y_in_region(recording, scenario)
     if len(y) and _FEWEST_ON_ROAD <= _on_road(y, scenario) < _FEW_ON_ROAD:
         low, high = scenario.road.carriageway_y
         yield (

@@ -268,7 +268,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None, *, sce
             raise nobody_there(own, region, int(of_recording.sum()), scenario)
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
-    check_weights(objective, searched, scenario.where("objective", ""))
+    check_weights(objective, searched, held_out, scenario.where("objective", ""))
     observation, scoring = observation_of(scenario, lattice, caster, standing), scoring_of(scenario, searched)
     return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
 
