@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from blender_lidar.report.summary import answer, key_figures
+from blender_lidar.report.summary import answer, key_figures, optimum_text
 from blender_lidar.run.folder import RunFolder
 from tests.report_samples import Page, change, page_of, result_of
 
@@ -159,3 +159,13 @@ def test_cautions_repairs_sheet_scene_and_versions_are_there(folder):
     assert page.text(scene) == folder.file("scene.toml").read_text()
     assert all(version in page.text(computed) for version in result["versions"].values())
     assert page.tags().count("details") == page.tags().count("summary") == 2
+
+
+@pytest.mark.parametrize(("tilt", "outside"), [(14.8, True), (17.6, False), (20.0, False), (25.4, False)])
+def test_an_answer_that_the_grid_of_the_map_passes_by_is_told_to_lie_outside_its_interval(tilt, outside):
+    result = {
+        "map": {"points": [11, 26], "optimum_interval_90": {"height_m": [3.5, 4.5], "tilt_x_deg": [18.0, 25.0]}},
+        "bounds": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0]},
+        "deployment": {"height_m": 3.9, "tilt_x_deg": tilt},
+    }
+    assert ("the mounting found lies between its points, outside that range" in optimum_text(result)) == outside

@@ -706,7 +706,9 @@ def optimum_text(result: Mapping) -> str:
         (height, tilt), what = intervals.values(), "lean" if "lean_deg" in intervals else "tilt"
         places = [f"height between {height[0]:.1f} and {height[1]:.1f} m"]
         places.append(f"the best {what} between {tilt[0]:.0f} and {tilt[1]:.0f} deg")
-        among = ""
+        among = (
+            ", on the grid; the mounting found lies between its points, outside that range" if _off_grid(result) else ""
+        )
     else:
         named = ((*COORDINATE_NAMES[key], *ends) for key, ends in intervals.items())
         places = [
@@ -717,3 +719,14 @@ def optimum_text(result: Mapping) -> str:
     *others, last = places
     listed = f"{', '.join(others)} and {last}" if others else last
     return f"other traffic of this kind would put the best {listed} (90 % of resampled blocks of time{among})"
+
+
+def _off_grid(result):
+    """Whether the mounting found lies more than half a step of the map's grid outside the interval of the optimum."""
+    found, bounds = (sharp_of(result) or result)["deployment"], result.get("bounds") or {}
+    intervals = result["map"]["optimum_interval_90"]
+    for points, (key, (low, high)) in zip(result["map"]["points"], intervals.items(), strict=True):
+        half_step = 0.5 * (bounds[key][1] - bounds[key][0]) / (points - 1) if key in bounds else 0.0
+        if not low - half_step <= found[key] <= high + half_step:
+            return True
+    return False

@@ -281,8 +281,9 @@ def _carriageway(recording: Recording, sample: Recording, ways: Ways, scenario: 
     if not (misplaced or _on_road(y, scenario) < _FEWEST_ON_ROAD):
         return None
     return (
-        f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region lie on the carriageway of [road], y {low:g} "
-        f"to {high:g} m, but at {_span('y', y)}; {_place_meant(y, recording, scenario)}"
+        f"{100 * _on_road(y, scenario):.0f} % of the boxes {'about' if scenario.region.stretches else 'in'} the region "
+        f"lie on the carriageway of [road], y {low:g} to {high:g} m, but at {_span('y', y)}; "
+        f"{_place_meant(y, recording, scenario)}"
     )
 
 
@@ -316,7 +317,7 @@ def _place_meant(y: np.ndarray, recording: Recording, scenario: Scenario) -> str
 
 def _place_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
     y = _y_in_region(recording, scenario)
-    if len(y) and _FEWEST_ON_ROAD <= _on_road(y, scenario) < _FEW_ON_ROAD:
+    if not scenario.region.stretches and len(y) and _FEWEST_ON_ROAD <= _on_road(y, scenario) < _FEW_ON_ROAD:
         low, high = scenario.road.carriageway_y
         yield (
             f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region lie on the carriageway of [road], "
