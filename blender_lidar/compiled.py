@@ -17,7 +17,7 @@ _SETTINGS = {"nogil": True, "error_model": "numpy"}  # a division by zero gives 
 def within_blender() -> bool:
     """Whether this process is a real Blender: it cannot start Python processes that have bpy too."""
     bpy = sys.modules.get("bpy")
-    return bpy is not None and not getattr(bpy.app, "module", False)
+    return bpy is not None and not getattr(bpy.app, "module", not bpy.app.binary_path)  # 4.2 does not say
 
 
 if within_blender():

@@ -85,6 +85,13 @@ def used() -> dict[str, object]:
         scene.blender_lidar.traffic.frames = 2
         assert lidar_ops.export_run(directory=str(Path(folder) / "run")) == {"FINISHED"}
         found["run"] = sorted(path.name for path in (Path(folder) / "run").iterdir())
+        bpy.ops.mesh.primitive_cube_add(location=(15.0, 15.0, 1.0))  # what hides vehicles
+        search = scene.blender_lidar.search
+        search.particles, search.iterations = 4, 2
+        assert lidar_ops.optimise() == {"FINISHED"}
+        assert lidar_ops.apply() == {"FINISHED"}
+        found["gain"] = round(lidar.lidar.found_gain, 3)
+        assert lidar_ops.revert() == {"FINISHED"}
         path = Path(folder) / "saved.blend"
         bpy.ops.wm.save_as_mainfile(filepath=str(path))
         bpy.ops.wm.open_mainfile(filepath=str(path))

@@ -6,6 +6,7 @@ it is, and Escape kills it. The answer is the command line's for the same settin
 
 import json
 import math
+import os
 import pickle
 import shutil
 import subprocess
@@ -36,14 +37,30 @@ _ORDER, _TOLD = "order.pickle", "told.txt"
 
 def started(code: str, *, in_blender: bool, **how: object) -> subprocess.Popen:
     """Start a process that runs code of `commands.background`, in a Blender or in Blender's Python."""
-    code = (
-        f"import os, sys; sys.path[:] = [{str(_PACKAGE.parent)!r}, *sys.path, *{sys.path!r}]; "  # its own before ours
-        f"from {_PACKAGE.name}.commands.background import *; {code}"
-    )
+    name = __package__.rpartition(".")[0]
+    paths = f"[{str(_place_of(name))!r}, *sys.path, *{sys.path!r}]"  # its own before ours
+    code = f"import os, sys; sys.path[:] = {paths}; from {name}.commands.background import *; {code}"
+    how |= {"stdin": subprocess.PIPE, "creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0)}
     if in_blender and within_blender():
         options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", code]
-        return subprocess.Popen([bpy.app.binary_path, *options], stdin=subprocess.PIPE, **how)
-    return subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, **how)
+        return subprocess.Popen([bpy.app.binary_path, *options], **how)
+    return subprocess.Popen([sys.executable, "-c", code], **how)
+
+
+def _place_of(name: str) -> Path:
+    """A folder from which the package can be imported by its full name, which what Numba has stored knows it by.
+
+    An extension's is within packages that only Blender has; they are made here.
+    """
+    *parents, _ = name.split(".")
+    if not parents:
+        return _PACKAGE.parent
+    made = folder = Path(bpy.app.tempdir or tempfile.gettempdir()) / f"blender_lidar_names-{os.getpid()}"
+    for parent in parents:
+        folder = folder / parent
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "__init__.py").write_text(f"__path__.append({str(_PACKAGE.parent)!r})\n", encoding="utf-8")
+    return made
 
 
 class Optimisation:

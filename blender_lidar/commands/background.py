@@ -1,7 +1,7 @@
 """An optimisation in a process of its own, for a window that goes on meanwhile: the command line's, told in JSON lines.
 
 Its order is a pickle: the `tables` of settings, the `labels` by which errors call them, their `source`, and what stands
-there besides, as `scenery`. Its lines that begin with a brace say how far it is: ``done``, ``best`` and ``problem``.
+there besides, as `scenery`. Lines that begin with a brace say how far it is: ``done``, ``best`` and ``problem``.
 """
 
 from __future__ import annotations
