@@ -213,7 +213,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
 
     def modal(self, context, event):
         """Look how far it is."""
-        if event.type == "ESC":
+        if event.type == "ESC" and event.value == "PRESS":  # its release may come when another one has begun
             self._leave(context)
             self._job.stop()
             self.report({"INFO"}, "Optimisation stopped")

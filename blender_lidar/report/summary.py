@@ -725,8 +725,9 @@ def _off_grid(result):
     """Whether the mounting found lies more than half a step of the map's grid outside the interval of the optimum."""
     found, bounds = (sharp_of(result) or result)["deployment"], result.get("bounds") or {}
     intervals = result["map"]["optimum_interval_90"]
-    for points, (key, (low, high)) in zip(result["map"]["points"], intervals.items(), strict=True):
-        half_step = 0.5 * (bounds[key][1] - bounds[key][0]) / (points - 1) if key in bounds else 0.0
+    points = result["map"].get("points", ())  # not in the results of earlier versions
+    for number, (key, (low, high)) in zip(points, intervals.items(), strict=False):
+        half_step = 0.5 * (bounds[key][1] - bounds[key][0]) / (number - 1) if key in bounds else 0.0
         if not low - half_step <= found[key] <= high + half_step:
             return True
     return False
