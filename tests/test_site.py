@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from blender_lidar.scene import site as site_module
 from blender_lidar.scene.scenario import load_scenario, pose_at
-from blender_lidar.scene.site import prepare
+from blender_lidar.scene.site import prepare, read_recordings
 from tests.small_scene import FRAME_STEP_S, traffic_rows, write_scene, write_table
 
 STANDING = 999
@@ -37,3 +38,14 @@ def test_all_three_angles_of_a_mounting_are_degrees():
     pose = pose_at({"x_m": 1.0, "y_m": -2.0, "height_m": 4.0, **angles})
     assert (pose.tilt_x, pose.tilt_y, pose.yaw) == tuple(map(math.radians, angles.values()))
     assert pose.position.tolist() == [1.0, -2.0, 4.0]
+
+
+def test_a_site_of_traffic_that_was_read_already_is_the_same_and_reads_none(tmp_path, monkeypatch):
+    scenario = load_scenario(write_scene(tmp_path))
+    site, recordings = prepare(scenario), read_recordings(scenario)
+    monkeypatch.setattr(site_module, "read_traffic", None)
+    again = prepare(scenario, recordings=recordings)
+    assert again.identity == site.identity
+    for one, other in zip((*site.search, *site.holdout), (*again.search, *again.holdout), strict=True):
+        np.testing.assert_array_equal(one.vehicles.centre_m, other.vehicles.centre_m)
+        np.testing.assert_array_equal(one.counted, other.counted)

@@ -373,7 +373,8 @@ class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
         place = properties.coordinates_of(lidar)
         check_unused(Path(self.directory), "folder", "run")
         objects = open_scenery(scene, context.view_layer)
-        site = prepare(session.scenario_from(scene, lidar), place, scenery=objects)
+        scenario, recordings = session.scenario_from(scene, lidar), [session.recording_of(scene)]
+        site = prepare(scenario, place, scenery=objects, recordings=recordings)
         with RunFolder(self.directory).locked() as folder:
             result = evaluate_site(site, folder, place)
         self.report({"INFO"}, f"{self.directory}: objective {result['objective']:.1f} {result['metric_unit']}")

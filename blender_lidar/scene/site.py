@@ -214,7 +214,13 @@ class Site:
         return _counted(vehicles, self.region, self.reach_m, self.scenario.objective)
 
 
-def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None, *, scenery: Scenery | None = None) -> Site:
+def prepare(
+    scenario: Scenario,
+    mount: Mapping[str, float] | None = None,
+    *,
+    scenery: Scenery | None = None,
+    recordings: Sequence[Recording] | None = None,
+) -> Site:
     """Read what a scene names and check that mountings can be judged on it.
 
     Parameters
@@ -225,6 +231,8 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None, *, sce
         A mounting given by hand, in metres and degrees, that will be judged too.
     scenery : Scenery, optional
         What stands still besides what [world] says [m, road frame]; what is out of reach is left out.
+    recordings : sequence of Recording, optional
+        What `read_recordings` has read of the scenario already; read from its files if left out.
 
     Raises
     ------
@@ -235,7 +243,7 @@ def prepare(scenario: Scenario, mount: Mapping[str, float] | None = None, *, sce
     objective, sensor = scenario.objective, scenario.sensor
     caster = resolve(scenario.model.caster, "caster")
     with unchanged_inputs(scenario):
-        lattice, recordings = lattice_of(sensor), read_recordings(scenario)
+        lattice, recordings = lattice_of(sensor), recordings or read_recordings(scenario)
         standing = standing_scenery(scenario, caster, mount, scenery)
         identity = run_identity(scenario, caster, standing and standing.scenery.digest)
     region = region_of(scenario.region, scenario.road.carriageway_y)
