@@ -56,6 +56,27 @@ def scene_of(folder, rows, changes=None):
     return write_scene(folder, changes)
 
 
+def road_at(degrees, heading_deg=None, swapped=False):
+    """The usual rows on a road in this direction, counter-clockwise from +x; headings along it unless given."""
+    names = ("y_m", "x_m") if swapped else ("x_m", "y_m")
+    changes = {name: lambda row, axis=axis: turned(row, degrees)[axis] for axis, name in enumerate(names)}
+    return table(heading_deg=lambda row: degrees if heading_deg is None else heading_deg, **changes)
+
+
+def both_ways(rows, degrees):
+    """The same with every other vehicle on its way back, on the road's other side."""
+    for row in rows:
+        if row[COLUMN["vehicle_id"]] % 2:
+            back = turned({"x_m": -row[COLUMN["x_m"]], "y_m": 11.0 - row[COLUMN["y_m"]]}, degrees)
+            row[COLUMN["x_m"]], row[COLUMN["y_m"]] = back
+            row[COLUMN["heading_deg"]] = degrees - 180.0
+        else:
+            given = dict(zip(HEADER, row, strict=True))
+            row[COLUMN["x_m"]], row[COLUMN["y_m"]] = turned(given, degrees)
+            row[COLUMN["heading_deg"]] = degrees
+    return rows
+
+
 SIZES = ("length_m", "width_m", "height_m")
 ACROSS = {"x_m": lambda row: turned(row, 50)[0], "y_m": lambda row: turned(row, 50)[1]}
 TABLES = {  # by name: the rows, what warns and what it takes them for
@@ -83,12 +104,33 @@ TABLES = {  # by name: the rows, what warns and what it takes them for
     "milliseconds": (table(**times(1000.0, "time_s")), "time-step", "probably milliseconds for seconds"),
     "frame numbers for seconds": (table(**times(25.0, "time_s")), "time-step", "probably frame numbers for seconds"),
     "a tenth of the time": (table(**times(0.1, "time_s")), "time-step", "probably frames are further apart"),
+    "places in feet of traffic at 15 m/s": (
+        table(x_m=lambda row: 3.28 * 1.5 * row["x_m"], y_m=lambda row: 3.28 * row["y_m"]),
+        "time-step",
+        "or x_m and y_m are in feet",
+    ),
     "the other side": (table(y_m=lambda row: -row["y_m"]), "carriageway", "y is mirrored"),
     "a road that lies across the file's axes": (
         table(heading_deg=lambda row: 50.0, **ACROSS),
         "carriageway",
         "probably [traffic] heading_deg = 50",
     ),
+    **{
+        f"a road at {degrees} degrees": (
+            road_at(degrees),
+            "carriageway",
+            f"probably [traffic] heading_deg = {degrees}, the direction of travel in the file",
+        )
+        for degrees in (8, 23, 33, -57, 146)
+    },
+    "a road at 20 degrees that is driven both ways": (
+        both_ways(table(), 20.0),
+        "carriageway",
+        "drive at 20 degrees to the road's x axis",
+    ),
+    "a compass on a road at 33 degrees": (road_at(33, heading_deg=57), "headings", "probably clockwise from north"),
+    "x and y swapped on a road at 33 degrees": (road_at(33, swapped=True), "headings", "or x and y are swapped"),
+    "headings of another axis": (road_at(0, heading_deg=12), "headings", "of another axis than x_m and y_m"),
     "vehicles there twice": (
         [
             [*row[:1], row[1] + 100 * again, *row[2:3], row[3] + 0.3 * again, *row[4:]]
@@ -111,7 +153,7 @@ def test_what_cannot_be_true_of_a_table_stops_with_its_name_and_what_is_probably
     accepted = list(dict.fromkeys([name, "carriageway"]))  # what was turned for a case lies across the road too
     warnings = read_recording(load_scenario(write_scene(tmp_path, {"traffic": {"accept": accepted}}))).report.warnings
     assert warnings[0][0] == name
-    assert len(warnings) == 1 or case in ("radians", "clockwise")
+    assert len(warnings) == 1 or case in ("radians", "clockwise") or "33" in case
 
 
 def test_vehicles_that_are_numbered_anew_in_each_frame_are_told(tmp_path):
@@ -185,6 +227,16 @@ def test_wrong_places_are_not_told_where_both_directions_or_another_street_are_r
             row[COLUMN["x_m"]], row[COLUMN["y_m"]], row[COLUMN["heading_deg"]] = given["y_m"] + 3, given["x_m"], 90.0
         rows.append(row)
     assert read_recording(load_scenario(scene_of(tmp_path, rows))).report.warnings == ()
+
+
+def test_vehicles_against_the_travel_on_the_carriageway_are_told(tmp_path):
+    rows = traffic_rows()
+    notes = read_recording(load_scenario(scene_of(tmp_path / "one way", rows))).report.notes
+    assert not any("against +x" in note for note in notes)
+    notes = read_recording(load_scenario(scene_of(tmp_path / "two ways", both_ways(table(), 0.0)))).report.notes
+    told = [note for note in notes if "drive against +x and count as the others do" in note]
+    assert len(told) == 1
+    assert 40 <= int(told[0].split()[0]) <= 60
 
 
 # --- No stop without a cause ----------------------------------------------------------------------------------------

@@ -70,6 +70,8 @@ class Ways:
     ----------
     moved_m : ndarray, (w, 2)
         From a vehicle's place in one frame to that in the other, where it is at least 2 m [m].
+    place_m : ndarray, (w, 2)
+        The middle of both places [m].
     seconds : ndarray, (w,)
         Between the two [s].
     heading_rad : ndarray, (w,)
@@ -85,21 +87,22 @@ class Ways:
                 break
             found = self._between(recording, apart)
         far = np.hypot(*found[0].T) >= _FAR_ENOUGH_M
-        self.moved_m, self.seconds, self.heading_rad = (one[far] for one in found)
+        self.moved_m, self.place_m, self.seconds, self.heading_rad = (one[far] for one in found)
 
     @staticmethod
-    def _between(recording: Recording, apart: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _between(recording: Recording, apart: int) -> tuple[np.ndarray, ...]:
         frames = recording.frames
         pairs = int(np.clip(_ROWS / max(np.median(recording.counts), 1), 4, _PAIRS))
         last = len(frames) - 1 - apart
-        parts = [(np.zeros((0, 2)), np.zeros(0), np.zeros(0))]
+        parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))]
         for at in np.unique(np.linspace(0, last, min(pairs, last + 1)).astype(int)) if last >= 0 else ():
             before, after = recording.vehicles(frames[at]), recording.vehicles(frames[at + apart])
             _, one, other = np.intersect1d(before.vehicle_id, after.vehicle_id, return_indices=True)
             moved = after.centre_m[other, :2] - before.centre_m[one, :2]
             turn = _within_half_a_turn(after.heading_rad[other] - before.heading_rad[one])
             seconds = np.full(len(one), after.time_s - before.time_s)
-            parts.append((moved, seconds, before.heading_rad[one] + 0.5 * turn))
+            middle = before.centre_m[one, :2] + 0.5 * moved
+            parts.append((moved, middle, seconds, before.heading_rad[one] + 0.5 * turn))
         return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
     @property
@@ -107,9 +110,14 @@ class Ways:
         """Their speeds, (w,) [m/s]."""
         return np.hypot(*self.moved_m.T) / self.seconds
 
+    @property
+    def direction_rad(self) -> np.ndarray:
+        """Their directions of motion, counter-clockwise from +x, (w,) [rad]."""
+        return np.arctan2(self.moved_m[:, 1], self.moved_m[:, 0])
+
     def astray(self, heading_rad: np.ndarray) -> np.ndarray:
         """How far headings are off the directions of motion, (w,) [rad]."""
-        return np.abs(_within_half_a_turn(np.arctan2(self.moved_m[:, 1], self.moved_m[:, 0]) - heading_rad))
+        return np.abs(_within_half_a_turn(self.direction_rad - heading_rad))
 
 
 def _within_half_a_turn(angle):
@@ -186,9 +194,11 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
 
 
 _SPEEDS_M_S = (1.5, 70.0)  # nine of ten that move at all are slower than the one, or one of ten faster than the other
+_FASTEST_MEDIAN_M_S = 44.0  # 160 km/h
 _LONGEST_CRAWL_S = 60.0
 _ASTRAY_RAD = math.radians(30.0)
 _MOST_ASTRAY = 0.25  # share of ways
+_MEDIAN_ASTRAY_RAD = math.radians(8.0)  # real and generated recordings: at most 0.2 degrees
 
 
 def _time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
@@ -197,7 +207,11 @@ def _time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Sc
         return None
     usual, fast = np.quantile(ways.speed_m_s, [0.5, 0.9])
     low, high = _SPEEDS_M_S
-    if low <= fast <= high or (fast < low and np.ptp(recording.frame_time_s) <= _LONGEST_CRAWL_S):
+    if (
+        low <= fast <= high
+        and usual <= _FASTEST_MEDIAN_M_S
+        or (fast < low and np.ptp(recording.frame_time_s) <= _LONGEST_CRAWL_S)
+    ):
         return None
     step = np.median(np.diff(recording.frame_time_s))
     seen = f"moving vehicles drive {usual:.2g} m/s (usual: 2 to 40) with frames {step:.3g} s apart"
@@ -206,25 +220,30 @@ def _time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Sc
         return f"{seen}; probably {cause} for seconds: check time_s and [traffic] time_step_s"
     if (ways.astray(ways.heading_rad) > _ASTRAY_RAD).mean() > _MOST_ASTRAY:
         return f"{seen}, in no direction; probably vehicles are numbered anew in each frame: check vehicle_id"
-    return f"{seen}; probably frames are further apart: check time_s and [traffic] time_step_s"
+    return f"{seen}; probably frames are further apart (check time_s and [traffic] time_step_s), or x_m and y_m are in feet"
 
 
 def _headings(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
-    """Headings across or against the motion: radians, a compass's bearings, mirrored or reversed."""
+    """Headings off the motion: radians, a compass's bearings, mirrored, reversed, or of another axis."""
 
-    def astray(heading: np.ndarray) -> float:
+    def share_astray(heading: np.ndarray) -> float:
         return float((ways.astray(heading) > _ASTRAY_RAD).mean())
 
-    if len(ways.seconds) < _FEWEST or astray(ways.heading_rad) <= _MOST_ASTRAY:
+    def fits(heading: np.ndarray) -> bool:
+        return share_astray(heading) < 1 - _FITTING and np.median(ways.astray(heading)) <= _MEDIAN_ASTRAY_RAD
+
+    if len(ways.seconds) < _FEWEST:
+        return None
+    off = float(np.median(ways.astray(ways.heading_rad)))
+    if share_astray(ways.heading_rad) <= _MOST_ASTRAY and off <= _MEDIAN_ASTRAY_RAD:
         return None
     settings = scenario.traffic
     placing = Placing(settings.origin_m or (0.0, 0.0), settings.heading_deg or 0.0)
     in_file = _within_half_a_turn(ways.heading_rad + math.radians(placing.heading_deg))
     meant = {
         "reversed, by half a turn": in_file + math.pi,
-        "clockwise from north, as a compass has them (counter-clockwise from +x is 90 less the bearing)": (
-            0.5 * math.pi - in_file
-        ),
+        "clockwise from north, as a compass has them (counter-clockwise from +x is 90 less the bearing), or x and y "
+        "are swapped": 0.5 * math.pi - in_file,
         "clockwise, or y mirrored": -in_file,
         "a quarter turn off": in_file + 0.5 * math.pi,
         "a quarter turn off, clockwise": in_file - 0.5 * math.pi,
@@ -232,20 +251,20 @@ def _headings(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
     degrees = np.degrees(in_file)
     if (np.abs(degrees) <= 2 * math.pi + 0.02).all():
         meant = {"radians for degrees": degrees, **meant}  # the number was the angle in radians
-    fits = [name for name, heading in meant.items() if astray(placing.headings(heading)) < 1 - _FITTING]
-    off = np.degrees(np.median(ways.astray(ways.heading_rad)))
-    share = 100 * astray(ways.heading_rad)
-    guess = fits[0] if fits else "vehicles are numbered anew in each frame, or x and y are swapped"
+    guess = next((name for name, heading in meant.items() if fits(placing.headings(heading))), None)
+    guess = guess or "of another axis than x_m and y_m, or vehicles are numbered anew in each frame"
     return (
-        f"{share:.0f} % of the moving vehicles head more than 30 degrees off their motion, {off:.0f} in the median "
-        f"(usual: under 5); probably {guess}"
+        f"moving vehicles head {math.degrees(off):.0f} degrees off their motion in the median (usual: under 2), "
+        f"{100 * share_astray(ways.heading_rad):.0f} % of them more than 30; probably {guess}"
     )
 
 
 _FEWEST_ON_ROAD = 0.02  # share; at an intersection, or with both directions in one recording, many drive elsewhere
 _FEW_ON_ROAD = 0.4  # are no cause to stop, but told
 _ALL_ON_ROAD = 0.95  # of a carriageway as wide that lies elsewhere
-_ALIKE_RAD = math.radians(10.0)
+_ALONG_RAD = math.radians(5.0)
+_FEW_ALONG = 0.2  # share of the ways in the region; real and generated recordings: 0.99 and more on a straight road
+_MANY_ALIKE = 0.4
 
 
 def _on_road(y: np.ndarray, scenario: Scenario) -> float:
@@ -253,25 +272,25 @@ def _on_road(y: np.ndarray, scenario: Scenario) -> float:
     return float(((y >= low) & (y <= high)).mean())
 
 
-def _y_in_region(recording: Recording, scenario: Scenario) -> np.ndarray:
-    """Where across the road the boxes of the region lie, a sample; of stretches those that lie beside them too."""
+def _in_region(recording: Recording, scenario: Scenario) -> Recording:
+    """The boxes of the region, a sample; of stretches those that lie beside them too."""
     region = region_of(scenario.region, scenario.road.carriageway_y)
     near = np.flatnonzero(region.distance(recording) <= region.radius_m)
     near = near[np.unique(np.linspace(0, len(near) - 1, min(len(near), _ROWS)).astype(int))]
     part = recording.where(np.bincount(near, minlength=len(recording)) > 0)
-    return part.centre_m[region.holds(part) if not region.stretches else slice(None), 1]
+    return part if region.stretches else part.where(region.holds(part))
 
 
 def _carriageway(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
     """Vehicles that drive obliquely to the road, or next to none of the region on its carriageway."""
-    oblique = _oblique(ways)
+    oblique = _oblique(ways, scenario)
     if oblique is not None and not recording.report.periods:
-        turn = oblique + (scenario.traffic.heading_deg or 0.0)
+        turn = _within_half_a_turn(oblique + math.radians(scenario.traffic.heading_deg or 0.0))
         return (
-            f"vehicles drive at {oblique:.0f} degrees to the road's x axis (usual: along it); probably "
-            f"[traffic] heading_deg = {turn:.0f}, the direction of travel in the file"
+            f"vehicles in the region drive at {math.degrees(oblique):.0f} degrees to the road's x axis (usual: along "
+            f"it); probably [traffic] heading_deg = {math.degrees(turn):.0f}, the direction of travel in the file"
         )
-    y = _y_in_region(recording, scenario)
+    y = _in_region(recording, scenario).centre_m[:, 1]
     if len(y) < _FEWEST:
         return None
     low, high = scenario.road.carriageway_y
@@ -287,17 +306,23 @@ def _carriageway(recording: Recording, sample: Recording, ways: Ways, scenario: 
     )
 
 
-def _oblique(ways: Ways) -> float | None:
-    """The angle at which all vehicles drive to the x axis [degrees], where it is far from along it; else None."""
-    if len(ways.seconds) < _FEWEST:
+def _oblique(ways: Ways, scenario: Scenario) -> float | None:
+    """The direction of most of the region's vehicles [rad], where next to none of them drive along x; else None."""
+    region = region_of(scenario.region, scenario.road.carriageway_y)
+    near = np.hypot(*(ways.place_m - region.centre_xy).T) <= region.radius_m
+    angle = ways.direction_rad[near]
+    if len(angle) < _FEWEST:
         return None
-    angle = np.arctan2(ways.moved_m[:, 1], ways.moved_m[:, 0])
-    middle = 0.5 * np.angle(np.exp(2j * angle).mean())  # of both directions
-    alike = np.abs(_within_half_a_turn(2.0 * (angle - middle))) < 2.0 * _ALIKE_RAD
-    if alike.mean() < _ALL_ON_ROAD or abs(middle) < _ASTRAY_RAD:
+
+    def alike(axis: float) -> np.ndarray:
+        return np.abs(np.sin(angle - axis)) <= math.sin(_ALONG_RAD)  # both directions
+
+    axis = max(np.radians(np.arange(180.0)), key=lambda axis: alike(axis).sum())
+    if alike(0.0).mean() >= _FEW_ALONG or alike(axis).mean() < _MANY_ALIKE:
         return None
-    forward = np.cos(angle - middle).mean() >= 0.0
-    return math.degrees(_within_half_a_turn(middle if forward else middle + math.pi))
+    ahead = np.cos(angle - axis) > 0.0
+    most = alike(axis) & (ahead if 2 * (ahead & alike(axis)).sum() >= alike(axis).sum() else ~ahead)
+    return float(np.angle(np.exp(1j * angle[most]).mean()))
 
 
 def _place_meant(y: np.ndarray, recording: Recording, scenario: Scenario) -> str:
@@ -315,13 +340,21 @@ def _place_meant(y: np.ndarray, recording: Recording, scenario: Scenario) -> str
     return "check [traffic] origin_m and heading_deg, and [road] setback_m, lanes and lane_width_m"
 
 
+_FEW_AGAINST = 0.05  # share of the boxes on the carriageway that is not told
+
+
 def _place_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
-    y = _y_in_region(recording, scenario)
+    part = _in_region(recording, scenario)
+    y = part.centre_m[:, 1]
+    low, high = scenario.road.carriageway_y
+    road = f"the carriageway of [road], y {low:g} to {high:g} m"
     if not scenario.region.stretches and len(y) and _FEWEST_ON_ROAD <= _on_road(y, scenario) < _FEW_ON_ROAD:
-        low, high = scenario.road.carriageway_y
+        yield f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region lie on {road}; check [traffic] and [road]"
+    against = np.cos(part.heading_rad[(y >= low) & (y <= high)]) < -math.cos(_ASTRAY_RAD)
+    if len(against) >= _FEWEST and against.mean() > _FEW_AGAINST:
         yield (
-            f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region lie on the carriageway of [road], "
-            f"y {low:g} to {high:g} m; check [traffic] and [road]"
+            f"{100 * against.mean():.0f} % of the boxes on {road}, drive against +x and count as the others do; if "
+            "they belong to another carriageway, check [road] setback_m and lanes, or give [region] keep_out"
         )
 
 
