@@ -21,6 +21,7 @@ from blender_lidar.commands.progress import Progress
 from blender_lidar.commands.report import outcome_text
 from blender_lidar.report.summary import answer
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.traffic.table import BOX_NEEDED, OPTIONAL
 from tests.small_scene import CASTER, done, without_times, write_scene, write_table
 from tests.small_scene import cli as run
 
@@ -53,6 +54,11 @@ def test_optimize_is_optimise(capsys, tmp_path):
 
 
 # --- help and versions ------------------------------------------------------------------------------------------------
+
+
+def test_help_of_init_names_the_columns_of_a_table(capsys):
+    _, out, _ = run(capsys, "init", "--help")
+    assert set(BOX_NEEDED + OPTIONAL) <= set(re.findall(r"\w+", out))
 
 
 def test_help_names_every_verb(capsys):
@@ -176,7 +182,7 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
 
 def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    described, told, meant, *tables, where = out.rstrip().split("\n\n")
+    described, told, meant, *tables, where, notes = out.rstrip().split("\n\n")
     assert [line.split()[0] for line in described.splitlines()] == [
         "Sensor",
         "Traffic",
@@ -187,7 +193,10 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     assert " ".join(told.split()) == answer(json.loads(Path("run/result.json").read_text()))
     assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
     assert tables[0].startswith("Mounting ")
-    assert where.startswith("Results in run: ")  # there is nothing to warn of
+    assert where.startswith("Results in run: ")
+    assert notes.splitlines() == [
+        "Few different vehicles: 7 are searched and 12 judge; with fewer than 10 of either an answer may be chance."
+    ]
     assert "search: 12 of 12 best " in err
     assert max(map(len, out.replace(str(tmp_path), "").splitlines())) <= 120
 
@@ -249,7 +258,7 @@ def test_without_matplotlib_a_run_succeeds_and_one_line_says_how_to_get_charts(t
     assert [line for line in err.splitlines() if "matplotlib" in line] == [
         'blender-lidar: note: no charts: charts need matplotlib: pip install "blender_lidar[plots]"'
     ]
-    assert out.splitlines()[-1] == "Results in run: report.html, result.json, vehicles.csv, installation.txt"
+    assert "Results in run: report.html, result.json, vehicles.csv, installation.txt" in out.splitlines()
     assert not list(Path("run").glob("*.png"))
 
 

@@ -55,6 +55,7 @@ READ = {
 REFUSED = {
     "a row of units": edited(lambda lines: [lines[0], ["", "", ""] + 6 * ["m"] + ["s"], *lines[1:]]),
     "two files in one": text() + text(),
+    "a row of totals": edited(lambda lines: [*lines, ["Total", *[""] * (len(lines[0]) - 1)]]),
     "cut off in the middle of a row": text()[:-30],
     "an empty cell": edited(lambda lines: [*lines[:5], [*lines[5][:7], "", *lines[5][8:]], *lines[6:]]),
     "not a number": edited(lambda lines: [*lines[:5], [*lines[5][:3], "NaN", *lines[5][4:]], *lines[6:]]),
@@ -119,3 +120,5 @@ def test_what_leaves_no_doubt_is_judged_as_the_clean_table_is(case, clean, tmp_p
 def test_what_is_wrong_is_refused_in_a_line(case, tmp_path, capsys):
     line = refused(capsys, tmp_path, "evaluate", scene_of(tmp_path, REFUSED[case]), *WORDS, "--out", tmp_path / "run")
     assert "traffic.csv" in line
+    if case == "a row of totals":
+        assert "frame is 'Total'" in line

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import tomllib
 from pathlib import Path
 
@@ -118,7 +117,8 @@ def test_at_an_intersection_the_busiest_approach_is_proposed_and_the_others_are_
     assert -60.0 < along < -7.0  # before the crossing, and not on it
     told = " ".join(layout.notes)
     assert "an intersection?" in told
-    others = sorted(float(heading) for heading in re.findall(r"heading_deg = (\S+),", told))
+    lines = (note.partition(":\n")[2] for note in layout.notes if "another carriageway" in note)
+    others = sorted(tomllib.loads(scene)["traffic"]["heading_deg"] for scene in lines)
     assert others == pytest.approx([-170.0, -80.0, 100.0], abs=0.5)
 
 

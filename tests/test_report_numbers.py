@@ -125,7 +125,9 @@ def test_the_answer_hides_no_doubt(stored_runs):
     result = result_of(RunFolder(stored_runs / "searched"))
     held, base = result["holdout"], result["baseline"]
     lost = {"objective_per_vehicle": base["holdout"]["objective_per_vehicle"] - 0.25}
-    assert "loses 0.250" in answer(result | {"holdout": held | lost})
+    said = answer(result | {"holdout": held | lost})
+    assert "loses 0.250" in said
+    assert said.startswith("Held-out traffic does not confirm the search, whose best mounting has the RS-16 ")
     assert "there may be no gain at all" in answer(result | {"holdout": held | {"interval_90": [-0.1, 0.2]}})
     assert "there may be no gain" not in answer(result | {"holdout": held | {"interval_90": [0.1, 0.2]}})
     doubtful_loss = answer(result | {"holdout": held | lost | {"interval_90": [-0.5, 0.1]}})

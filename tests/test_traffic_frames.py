@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
+from blender_lidar.statistics import FEWEST_BLOCKS
 from blender_lidar.traffic import RepairReport, instants, plan_frames, well_populated_frames
 from blender_lidar.traffic.vehicles import Recording
 
@@ -166,19 +167,56 @@ def test_a_short_recording_holds_nothing_out_and_says_so():
     assert times(short, plan.search)[-1] > 55, "then all of it is searched"
     assert plan.notes == (
         "nothing is held out: the recording has 60 s, 82 s are needed (blocks of 11 s, longer than a transit); "
-        "[traffic] holdout = 0.55 or block_s = 8 (with intervals that may be too narrow) would do",
+        "[traffic] holdout = 0.75 or block_s = 6 (with intervals that may be too narrow) would do",
     )
 
 
+def test_few_different_vehicles_are_told():
+    sparse = stream(np.arange(0, 300, 0.5), headway_s=30.0)
+    plan = plan_frames(sparse, counted)
+    judging = counted_ids(sparse, plan.holdout) - {*plan.searched_ids.tolist()}
+    assert plan.notes == (
+        f"few different vehicles: {len(plan.searched_ids)} are searched and {len(judging)} judge; with fewer than 10 "
+        "of either an answer may be chance",
+    )
+
+
+def test_a_queue_that_stands_all_the_time_makes_longer_blocks(recording):
+    """A tenth of all vehicles never leaves: whole transits alone would make blocks of 11 s."""
+    standing, frames = 17, len(recording.frames)
+    placed = np.tile([1.0, 5.0, 0.75], (frames * standing, 1))
+    columns = {
+        "frame": np.repeat(recording.frames, standing),
+        "time_s": np.repeat(recording.frame_time_s, standing),
+        "vehicle_id": np.tile(10_000 + np.arange(standing), frames),
+        "class_index": np.zeros(frames * standing),
+        "centre_m": placed,
+        "size_m": np.tile([4.5, 1.9, 1.5], (frames * standing, 1)),
+        "heading_rad": np.zeros(frames * standing),
+        "lane": np.ones(frames * standing),
+    }
+    own = {name: getattr(recording, name) for name in columns if name != "time_s"}
+    own["time_s"] = np.repeat(recording.frame_time_s, recording.counts)
+    queued = Recording.from_rows(
+        **{name: np.concatenate([own[name], columns[name]]) for name in columns},
+        time_step_s=0.1,
+        source="queue",
+        report=RepairReport(),
+    )
+    assert plan_frames(recording, counted).block_s == 11.0
+    assert plan_frames(queued, counted).block_s == 300.0
+
+
 @pytest.mark.parametrize("ids", [None, [0, 10]])
-def test_settings_that_a_short_recording_is_told_hold_something_out(ids):
-    short = stream(np.arange(0, 45 if ids is None else 30, 0.5))
+def test_settings_that_a_short_recording_is_told_hold_out_what_an_interval_needs(ids):
+    short = stream(np.arange(0, 60 if ids is None else 30, 0.5))
     (note,) = plan_frames(short, counted, ids=ids).notes
     told = {name: float(value) for name, value in re.findall(r"(holdout|block_s) = ([0-9.]+)", note)}
     assert "block_s" in told
     assert ("holdout" in told) == (ids is None)
     for name, value in told.items():
-        assert len(plan_frames(short, counted, ids=ids, **{name: value}).holdout)
+        plan = plan_frames(short, counted, ids=ids, **{name: value})
+        assert len(np.unique(plan.holdout_block)) >= FEWEST_BLOCKS
 
 
 def test_where_no_setting_would_hold_anything_out_none_is_told():
@@ -284,7 +322,10 @@ def test_a_region_without_vehicles_gives_a_plan_without_ids(recording):
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"ids": [100, 101, 102]}, r"stream: no frame 101; the recording has 600 frames from 0 to 2995"),
+        (
+            {"ids": [100, 101, 102]},
+            r"stream: no frame 101; the recording has 600 frames from 0 to 2995, 100 is the nearest",
+        ),
         ({"spacing_s": -1.0}, r"the spacing of frames is -1\.0 s"),
         ({"block_s": float("nan")}, "the length of a block is nan s"),
         ({"spacing_s": 1e-9}, r"the spacing of frames is 1e-09 s; at least 0\.001 is needed"),

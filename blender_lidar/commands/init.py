@@ -102,7 +102,7 @@ def _check(folder: Path, inputs: list[Path]) -> None:
 
 def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[str, object], folder: Path) -> str:
     """A scene file with a comment for each proposed number: what it came from, and how to change it."""
-    low, high = math.floor(layout.stretch_m[0]), math.ceil(layout.stretch_m[1])
+    low, high = _region_m(layout)
     widths = np.diff(layout.lane_y)
     centres = ", ".join(f"{one:.1f}" for one in layout.lane_y)
     numbers = f", the file's lanes {', '.join(map(str, layout.lane_numbers))}" if layout.lane_numbers else ""
@@ -124,7 +124,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
     lines = [
         f"# Where should a LiDAR hang beside this road? Proposed from {layout.vehicles:,} vehicles that pass the pole.",
         f"# Check it by eye: {PICTURE} shows it. Any number may be changed; docs/reference/scene_file.md explains all.",
-        *(f"# Note: {note}" for note in layout.notes),
+        *("# Note: " + note.replace("\n", "\n#   ") for note in layout.notes),
         "# Road frame: x in the direction of travel, y to the left, metres; the pole stands at x = 0, y = 0.",
         "",
         "[traffic]",
@@ -187,6 +187,10 @@ def _station_lines(layout: RoadLayout) -> list[str]:
     ]
 
 
+def _region_m(layout: RoadLayout) -> tuple[int, int]:
+    return math.floor(layout.stretch_m[0]), math.ceil(layout.stretch_m[1])
+
+
 def _extent(layout: RoadLayout) -> str:
     return "from x {:.0f} to {:.0f} m".format(*layout.extent_m)
 
@@ -214,7 +218,7 @@ def _told(recording: Recording, layout: RoadLayout, kind: str, written: list[str
     of_file = {"ngsim": f"Local_Y {x:.0f} m", "sumo": f"x {x:.1f}, y {y:.1f} m of the net"}
     lanes = "1 lane" if layout.lanes == 1 else f"{layout.lanes} lanes"
     heading = "" if kind == "ngsim" else f", heading {layout.placing.heading_deg:g} deg"
-    low, high = layout.stretch_m
+    low, high = _region_m(layout)
     lines = [
         ("Traffic", f"{recording.source}: {kind}, {len(recording.frames):,} frames in {seconds:.0f} s"),
         ("Road", f"{lanes} of {layout.lane_width_m:g} m{heading}, from {layout.vehicles:,} vehicles"),
@@ -222,8 +226,8 @@ def _told(recording: Recording, layout: RoadLayout, kind: str, written: list[str
             "Pole",
             f"at {of_file.get(kind, f'x {x:.1f}, y {y:.1f} m of the table')}, {layout.setback_m:g} m to the right",
         ),
-        ("Region", f"x {low:.0f} to {high:.0f} m of the carriageway"),
-        *(("Note", note) for note in layout.notes),
+        ("Region", f"x {low} to {high} m of the carriageway"),
+        *(("Note", note.replace("\n", "\n" + 11 * " ")) for note in layout.notes),
         ("Written", ", ".join(written)),
     ]
     scene = shlex.quote(written[0])

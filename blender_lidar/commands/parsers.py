@@ -78,7 +78,11 @@ def _init(subparsers) -> None:
     add = parser.add_argument
     add("folder", metavar="FOLDER", help="a new folder, or one that holds the recording alone; nothing is overwritten")
     add("file", nargs="?", metavar="FILE", help="the recording, where it does not follow --from")
-    kinds = "ngsim, sumo, table, or auto, which looks at the file; example is the shipped sample, without a FILE"
+    kinds = (
+        "ngsim; sumo, what --fcd-output writes, with x and y in metres; table, a CSV with the columns frame, "
+        "vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg and, where there are, z_m, time_s, "
+        "lane; auto, which looks at the file; example, the shipped sample, without a FILE"
+    )
     add("--from", dest="source", nargs="+", metavar=("FORMAT", "FILE"), help=kinds)
     settings = settings_of(TrafficSettings)
     for key in ("period", "location", "vehicle_types"):

@@ -50,15 +50,16 @@ def describe_site(site: Site, *, searched: bool = True, verbose: bool = False) -
 
 
 def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
-    scenario, vehicles = site.scenario, sum(int(frame.counted.sum()) for frame in site.search)
+    scenario, boxes = site.scenario, sum(int(frame.counted.sum()) for frame in site.search)
+    searched_traffic = f"{len(site.search)} frames with {boxes:,} boxes of {len(site.plan.searched_ids):,} vehicles"
     columns = f" with {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
-    held_out = f"; {len(site.holdout)} held-out ones judge" if len(site.holdout) else "; none is held out"
+    held_out = f"; {len(site.holdout)} held-out frames judge" if len(site.holdout) else "; none is held out"
     return [
         ("Sensor", f"{site.model.name}{columns}, range gate {site.observation.max_range_m:g} m"),
         ("", _assumed_text(site)),
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),
-        ("Traffic", f"{_traffic_text(site)}: {len(site.search)} frames with {vehicles:,} vehicles{held_out}"),
+        ("Traffic", f"{_traffic_text(site)}: {searched_traffic}{held_out}"),
         *(("", line) for line in site.recording.report.lines(losses=True)),
         ("Region", f"vehicles count {region_text(asdict(scenario.region))}"),
         ("Tolerance", _tolerance_text(scenario, searched)),

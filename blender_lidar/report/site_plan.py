@@ -17,6 +17,7 @@ _EDGE_LOOK = {"color": INK, "linewidth": 1.2}
 _LANE_LOOK = {"color": "#173f70", "linewidth": 0.8, "linestyle": (0, (6, 4))}
 _REGION_LOOK = {"facecolor": "#cf7f1b", "alpha": 0.22, "edgecolor": "none", "zorder": 0.5}
 _ALONG, _OTHER = "#4b86c2", "#a35c00"  # driven along the carriageway, or any other way
+_LONGEST_NAME = 32
 _WITHIN_RAD = math.radians(30.0)
 
 
@@ -45,9 +46,11 @@ def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, a
     turned = recording.heading_rad - math.radians(layout.placing.heading_deg)
     along = np.abs(np.arctan2(np.sin(turned), np.cos(turned))) <= _WITHIN_RAD
     lanes = "1 lane" if layout.lanes == 1 else f"{layout.lanes} lanes of {layout.lane_width_m:g} m"
+    name = Path(recording.source).name
+    name = name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
     subtitle = (
-        f"{Path(recording.source).name}: {layout.vehicles:,} vehicles on {lanes}; pole {layout.setback_m:g} m to the "
-        "right of the carriageway. Check it by eye."
+        f"{name}: {layout.vehicles:,} vehicles on {lanes}; pole {layout.setback_m:g} m to the right of the "
+        "carriageway. Check it by eye."
     )
     with sheet(path, 190.0, "Proposed site", subtitle) as figure:
         how = {"height_ratios": (1.0, 1.0), "width_ratios": (5.0, 1.0)}
@@ -132,6 +135,6 @@ def _handles():
         Line2D([], [], color=_OTHER, label="driven any other way", **dots),
         Line2D([], [], label="carriageway's edges", **_EDGE_LOOK),
         Line2D([], [], label="lane centres", **_LANE_LOOK),
-        Patch(label="region, the arrow points in the direction of travel", **_REGION_LOOK),
+        Patch(label="region; the arrow is the direction of travel", **_REGION_LOOK),
         Line2D([], [], linestyle="none", marker="^", markerfacecolor="white", markeredgecolor="black", label="LiDAR"),
     ]

@@ -372,6 +372,8 @@ def _what_to_do(result):
         return f"The {sensor} {place}"
     if not better_than_baseline(result):
         return f"No mounting that was tried is better than the baseline; the best of them has the {sensor} {place}"
+    if _gain(*judged(result)[:2]) < 0.0:
+        return f"Held-out traffic does not confirm the search, whose best mounting has the {sensor} {place}"
     if result.get("poles"):
         return f"Hang the {sensor} on pole {result['poles'][0]['name']}, {place}"
     return f"Hang the {sensor} {place}"
@@ -704,21 +706,22 @@ def optimum_text(result: Mapping) -> str:
         return ""
     if spread is None:
         (height, tilt), what = intervals.values(), "lean" if "lean_deg" in intervals else "tilt"
-        places = [f"height between {height[0]:.1f} and {height[1]:.1f} m"]
-        places.append(f"the best {what} between {tilt[0]:.0f} and {tilt[1]:.0f} deg")
+        places = [f"height {_between(*height, 1)} m", f"the best {what} {_between(*tilt, 0)} deg"]
         among = (
             ", on the grid; the mounting found lies between its points, outside that range" if _off_grid(result) else ""
         )
     else:
         named = ((*COORDINATE_NAMES[key], *ends) for key, ends in intervals.items())
-        places = [
-            f"{name} between {low:.{_DIGITS[unit] - 1}f} and {high:.{_DIGITS[unit] - 1}f} {unit}"
-            for name, unit, low, high in named
-        ]
+        places = [f"{name} {_between(low, high, _DIGITS[unit] - 1)} {unit}" for name, unit, low, high in named]
         among = f", among the {spread['mountings']:,} mountings that were tried: wider where these lie far apart"
     *others, last = places
     listed = f"{', '.join(others)} and {last}" if others else last
     return f"other traffic of this kind would put the best {listed} (90 % of resampled blocks of time{among})"
+
+
+def _between(low, high, digits):
+    ends = [f"{end:.{digits}f}" for end in (low, high)]
+    return f"at {ends[0]}" if ends[0] == ends[1] else f"between {ends[0]} and {ends[1]}"
 
 
 def _off_grid(result):

@@ -207,10 +207,8 @@ def _time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Sc
         return None
     usual, fast = np.quantile(ways.speed_m_s, [0.5, 0.9])
     low, high = _SPEEDS_M_S
-    if (
-        low <= fast <= high
-        and usual <= _FASTEST_MEDIAN_M_S
-        or (fast < low and np.ptp(recording.frame_time_s) <= _LONGEST_CRAWL_S)
+    if (low <= fast <= high and usual <= _FASTEST_MEDIAN_M_S) or (
+        fast < low and np.ptp(recording.frame_time_s) <= _LONGEST_CRAWL_S
     ):
         return None
     step = np.median(np.diff(recording.frame_time_s))
@@ -220,7 +218,8 @@ def _time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Sc
         return f"{seen}; probably {cause} for seconds: check time_s and [traffic] time_step_s"
     if (ways.astray(ways.heading_rad) > _ASTRAY_RAD).mean() > _MOST_ASTRAY:
         return f"{seen}, in no direction; probably vehicles are numbered anew in each frame: check vehicle_id"
-    return f"{seen}; probably frames are further apart (check time_s and [traffic] time_step_s), or x_m and y_m are in feet"
+    apart = "probably frames are further apart (check time_s and [traffic] time_step_s)"
+    return f"{seen}; {apart}, or x_m and y_m are in feet"
 
 
 def _headings(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
@@ -349,7 +348,8 @@ def _place_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
     low, high = scenario.road.carriageway_y
     road = f"the carriageway of [road], y {low:g} to {high:g} m"
     if not scenario.region.stretches and len(y) and _FEWEST_ON_ROAD <= _on_road(y, scenario) < _FEW_ON_ROAD:
-        yield f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region lie on {road}; check [traffic] and [road]"
+        share = f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region"
+        yield f"{share} lie on {road}; check [traffic] and [road]"
     against = np.cos(part.heading_rad[(y >= low) & (y <= high)]) < -math.cos(_ASTRAY_RAD)
     if len(against) >= _FEWEST and against.mean() > _FEW_AGAINST:
         yield (

@@ -191,7 +191,10 @@ def _failures_told() -> Iterator[None]:
         yield
     except BrokenProcessPool as error:
         time.sleep(_STOP_ON_ITS_WAY_S)  # a SIGTERM to all of us may have reached a worker first; ours ends this here
-        raise WorkerError("a worker process ended abruptly, perhaps for want of memory; try --workers 1") from error
+        raise WorkerError(
+            "a worker process ended abruptly: for want of memory (try --workers 1), or in a Python file whose work is "
+            'not under `if __name__ == "__main__":`'
+        ) from error
 
 
 @contextmanager

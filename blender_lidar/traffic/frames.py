@@ -10,6 +10,7 @@ from itertools import accumulate
 import numpy as np
 
 from ..errors import InputError
+from ..statistics import FEWEST_BLOCKS
 from .vehicles import Recording, RepairReport, Vehicles, unknown_frame
 
 # --- Which frames of a recording are fit to be analysed ---------------------------------------------------
@@ -60,6 +61,7 @@ _SHORTEST_BLOCK_S = 5.0
 _TRANSIT_PERCENTILE = 95
 _FEWEST_HOLDOUT_BLOCKS = 2
 _SHORTEST_S = 1e-3
+_FEW_VEHICLES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +124,7 @@ def plan_frames(
         Share of the recording's time that is held out, from 0 to 0.9.
     block_s : float, optional
         Length of a block [s]; by default the 95th percentile of the time that vehicles count, in whole seconds, at
-        least 5.
+        least 5: of whole stays or of all, cut off by the recording's ends, whichever is longer.
 
     Raises
     ------
@@ -152,7 +154,15 @@ def plan_frames(
 
     searched, search, rest, judged = halves(holdout, block_s, notes)
     if judged is None and holdout:
-        notes.append(_too_short(candidates, holdout, block_s, listed is not None, lambda *to: halves(*to, [])[3]))
+
+        def blocks_of(holdout: float, block_s: float) -> int:
+            *_, rest, judged = halves(holdout, block_s, [])
+            return 0 if judged is None else len(np.unique(_blocks(judged, rest, block_s)))
+
+        notes.append(_too_short(candidates, holdout, block_s, listed is not None, blocks_of))
+    searched_ids = np.unique(np.concatenate(_counted_ids(recording, search.frames, counted)))
+    if judged:
+        notes += _few_vehicles(searched_ids, np.concatenate(_counted_ids(recording, judged.frames, counted)))
     none = np.zeros(0, dtype=np.int64)
     return FramePlan(
         search=search.frames,
@@ -162,7 +172,7 @@ def plan_frames(
         search_recording=np.zeros(len(search.frames), dtype=np.int64),
         holdout_recording=np.zeros(len(judged.frames), dtype=np.int64) if judged else none,
         block_s=float(block_s),
-        searched_ids=np.unique(np.concatenate(_counted_ids(recording, search.frames, counted))),
+        searched_ids=searched_ids,
         notes=tuple(notes),
     )
 
@@ -214,7 +224,7 @@ def _transit_block_s(recording: Recording, candidates: _Frames, counted: Counted
     left = time_s[::-1][np.unique(seen[::-1], return_index=True)[1]]
     stay_s = left - entered + candidates.spacing_s
     whole = (entered > candidates.time_s[0]) & (left < candidates.time_s[-1])
-    typical = np.percentile(stay_s[whole] if whole.any() else stay_s, _TRANSIT_PERCENTILE)
+    typical = max(np.percentile(stays, _TRANSIT_PERCENTILE) for stays in (stay_s, stay_s[whole]) if len(stays))
     return max(_SHORTEST_BLOCK_S, float(math.ceil(typical - 1e-6)))
 
 
@@ -285,24 +295,34 @@ def _blocks(chosen: _Frames, part: _Frames, block_s: float) -> np.ndarray:
 
 def _skipped(recording: Recording, whole: np.ndarray, candidates: _Frames) -> list[str]:
     time_s = _Frames.of(recording, whole).time_s
-    first, last = candidates.time_s[0] - time_s[0], time_s[-1] - candidates.time_s[-1]
-    if not first and not last:
+    ends = {"first": candidates.time_s[0] - time_s[0], "last": time_s[-1] - candidates.time_s[-1]}
+    told = [f"the {end} {seconds:.3g} s" for end, seconds in ends.items() if seconds]
+    if not told:
         return []
-    return [f"the first {first:.0f} s and the last {last:.0f} s are skipped: less than half the median traffic"]
+    return [f"{' and '.join(told)} are skipped: less than half the median traffic"]
+
+
+def _few_vehicles(searched_ids: np.ndarray, ids: np.ndarray) -> list[str]:
+    """Whether too few different vehicles are searched, or judge, of which others would look alike by chance."""
+    judging = len(np.setdiff1d(ids, searched_ids))
+    if min(len(searched_ids), judging) >= _FEW_VEHICLES:
+        return []
+    numbers = f"{len(searched_ids)} are searched and {judging} {'judges' if judging == 1 else 'judge'}"
+    return [f"few different vehicles: {numbers}; with fewer than {_FEW_VEHICLES} of either an answer may be chance"]
 
 
 def _too_short(
-    candidates: _Frames, holdout: float, block_s: float, listed: bool, held_out: Callable[[float, float], object]
+    candidates: _Frames, holdout: float, block_s: float, listed: bool, blocks_of: Callable[[float, float], int]
 ) -> str:
-    """Why nothing is held out, and which settings would do; `held_out` tells what some other ones hold out."""
+    """Why nothing is held out, and which settings would do; `blocks_of` tells how many blocks some others hold out."""
     needed_s = (1 + _FEWEST_HOLDOUT_BLOCKS) * block_s / (1.0 if listed else holdout)
     needed = f"{needed_s:.0f} s{' after or before the given frames' if listed else ''} are needed"
     has = f"the recording has {candidates.length_s:.0f} s"
     shares = [] if listed else (share / 20 for share in range(int(20 * holdout) + 1, 19))
-    share = next((share for share in shares if held_out(share, block_s)), None)
-    longest = int(min(block_s, candidates.length_s * (1.0 if listed else holdout) / (1 + _FEWEST_HOLDOUT_BLOCKS)))
+    share = next((share for share in shares if blocks_of(share, block_s) >= FEWEST_BLOCKS), None)
+    longest = int(min(block_s, candidates.length_s * (1.0 if listed else holdout) / (1 + FEWEST_BLOCKS)))
     shorter_s = (block for block in range(longest, 0, -max(longest // 20, 1)) if block < block_s)
-    shorter = next((block for block in shorter_s if held_out(holdout, block)), None)
+    shorter = next((block for block in shorter_s if blocks_of(holdout, block) >= FEWEST_BLOCKS), None)
     would_do = [] if share is None else [f"holdout = {share:g}"]
     would_do += [] if shorter is None else [f"block_s = {shorter} (with intervals that may be too narrow)"]
     told = f"[traffic] {' or '.join(would_do)} would do" if would_do else "no [traffic] holdout or block_s would do"

@@ -54,7 +54,7 @@ class RoadLayout:
     vehicles : int
         Different ones that come to the pole.
     notes : tuple of str
-        What else there is, and what to check, as sentences.
+        What else there is, and what to check, as sentences; another carriageway with its lines of a scene.
     """
 
     placing: Placing
@@ -120,8 +120,9 @@ def _with_others(found: list[RoadLayout]) -> RoadLayout:
     for other in others:
         (x, y), heading = other.placing.origin_m, other.placing.heading_deg
         notes.append(
-            f"also {other.vehicles:,} vehicles where origin_m = [{x:.2f}, {y:.2f}], heading_deg = {heading:g}, "
-            f"setback_m = {other.setback_m:g}, lanes = {other.lanes}, lane_width_m = {other.lane_width_m:g}"
+            f"also {other.vehicles:,} vehicles on another carriageway:\n[traffic]\norigin_m = [{x:.2f}, {y:.2f}]\n"
+            f"heading_deg = {heading:g}\n[road]\nsetback_m = {other.setback_m:g}\nlanes = {other.lanes}\n"
+            f"lane_width_m = {other.lane_width_m:g}"
         )
     return replace(best, notes=tuple(notes))
 

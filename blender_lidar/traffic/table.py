@@ -147,13 +147,14 @@ def _columns(path: str | Path, *, texts: bool = False) -> tuple[dict[str, np.nda
     numeric = {name: column for name, column in BOX_COLUMNS.items() if not (texts and name == "vehicle_id")}
     parts, ids = [], {}
     for rows in read_rows(path, layout, numeric, ["class", "vehicle_id"] if texts else ["class"]):
+        others = [name for name in rows.columns if name in numeric and name != "vehicle_id"]
+        part = {name: rows.numbers(name, numeric[name]) for name in others}  # a row of totals fails at its frame
         if texts:
             vehicle_id = codes(rows, "vehicle_id", ids)
         elif _has_texts(rows.columns["vehicle_id"]):
             return _columns(path, texts=True)
         else:
             vehicle_id = rows.numbers("vehicle_id", BOX_COLUMNS["vehicle_id"])
-        part = {name: rows.numbers(name, numeric[name]) for name in rows.columns if name in numeric}
         parts.append(part | {"vehicle_id": vehicle_id, "class": _class_indices(rows)})
     if not parts:
         raise InputError(f"{path}: no rows below the header in line {line}")

@@ -270,12 +270,12 @@ class Recording:
         return Vehicles(frame=int(frame), time_s=float(self.frame_time_s[at]), **columns)
 
 
-def unknown_frame(frame: object, recording: Recording) -> InputError:
+def unknown_frame(frame: int, recording: Recording) -> InputError:
     """The error for a frame number that `recording` does not have."""
     frames = recording.frames
-    return InputError(
-        f"{recording.source}: no frame {frame}; the recording has {len(frames)} frames from {frames[0]} to {frames[-1]}"
-    )
+    has = f"the recording has {len(frames)} frames from {frames[0]} to {frames[-1]}"
+    nearest = frames[np.abs(frames - float(frame)).argmin()]
+    return InputError(f"{recording.source}: no frame {frame}; {has}, {nearest} is the nearest")
 
 
 # --- The road frame, beside a carriageway: where it lies in a recording's own coordinates -----------------
