@@ -44,6 +44,7 @@ def package(tmp_path):
         for name, text in modules.items():
             (folder / f"{name}.py").write_text(text)
         environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"  # two texts of one length in one second are one to Python
         environment |= {} if cache is None else {"NUMBA_CACHE_DIR": cache, "XDG_CACHE_HOME": cache}
         done = subprocess.run(
             [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
