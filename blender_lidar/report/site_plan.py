@@ -49,8 +49,7 @@ def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, a
     name = Path(recording.source).name
     name = name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
     subtitle = (
-        f"{name}: {layout.vehicles:,} vehicles on {lanes}; pole {layout.setback_m:g} m to the right of the "
-        "carriageway. Check it by eye."
+        f"{name}: {layout.vehicles:,} vehicles on {lanes}; pole {layout.setback_m:g} m to the right of the carriageway"
     )
     with sheet(path, 190.0, "Proposed site", subtitle) as figure:
         how = {"height_ratios": (1.0, 1.0), "width_ratios": (5.0, 1.0)}
