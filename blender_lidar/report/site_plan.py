@@ -17,7 +17,7 @@ _EDGE_LOOK = {"color": INK, "linewidth": 1.2}
 _LANE_LOOK = {"color": "#173f70", "linewidth": 0.8, "linestyle": (0, (6, 4))}
 _REGION_LOOK = {"facecolor": "#cf7f1b", "alpha": 0.22, "edgecolor": "none", "zorder": 0.5}
 _ALONG, _OTHER = "#4b86c2", "#a35c00"  # driven along the carriageway, or any other way
-_LONGEST_NAME = 32
+_LONGEST_NAME = 28
 _WITHIN_RAD = math.radians(30.0)
 
 
