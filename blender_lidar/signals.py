@@ -30,7 +30,9 @@ def stops_watched() -> Iterator[None]:
 
     def stop(number, frame):
         if _is_called_by_llvm(frame):
-            threading.Timer(_POSTPONED_S, signal.raise_signal, (number,)).start()
+            again = threading.Timer(_POSTPONED_S, signal.raise_signal, (number,))
+            again.daemon = True
+            again.start()
         elif not stopped_at:
             stopped_at.append(time.monotonic())
             raise KeyboardInterrupt
@@ -50,7 +52,7 @@ def stops_watched() -> Iterator[None]:
 
 def _is_called_by_llvm(frame: FrameType | None) -> bool:
     """Whether Python code is at work that Numba's compiler calls back: what that raises is printed and lost."""
-    while frame is not None and "llvmlite" not in frame.f_code.co_filename:
+    while frame is not None and not frame.f_globals.get("__name__", "").startswith("llvmlite."):
         frame = frame.f_back
     return frame is not None
 

@@ -218,6 +218,8 @@ def read_toml(path: str | Path) -> dict:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if 0 in content and content[:2] not in (b"\xff\xfe", b"\xfe\xff"):
+            raise InputError(f"{path}: is no text; allowed: a TOML file of settings") from error
         encoding = "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "another encoding"
         raise InputError(f"{path}: is text in {encoding}; allowed: UTF-8, so save it as that") from error
     try:

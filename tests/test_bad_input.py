@@ -34,6 +34,7 @@ def verb(request):
 NO_SCENES = {
     b"": "[traffic] path: is missing",
     bytes(range(128, 256)): "is text in another encoding; allowed: UTF-8",
+    bytes(range(256)): "is no text; allowed: a TOML file",
     '[traffic]\npath = "a.csv"\n'.encode("utf-16"): "is text in UTF-16; allowed: UTF-8",
     b"[traffic\n": "is not TOML",
 }

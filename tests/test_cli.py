@@ -194,8 +194,8 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
     assert tables[0].startswith("Mounting ")
     assert where.startswith("Results in run: ")
-    few = "Few different vehicles: 7 are searched and 12 judge; with fewer than 10 of either an answer may be chance."
-    assert " ".join(notes.split()) == few
+    few = "Few different vehicles: 7 in the searched frames and 12 in the held-out ones; with fewer than 10 an answer "
+    assert " ".join(notes.split()) == few + "may be chance."
     assert "search: 12 of 12 best " in err
     assert max(map(len, out.replace(str(tmp_path), "").splitlines())) <= 120
 

@@ -189,10 +189,11 @@ def test_a_stop_while_the_compiler_calls_python_back_comes_later_and_is_not_lost
     done = python(
         "import ctypes\n"
         "callback = 'def notify(): signal.raise_signal(signal.SIGTERM); time.sleep(0.05); return 1'\n"
-        "exec(compile(callback, 'llvmlite/binding/executionengine.py', 'exec'))\n"
+        "of_llvm = {**globals(), '__name__': 'llvmlite.binding.executionengine'}\n"
+        "exec(callback, of_llvm)\n"
         "with stop_signals.stops_watched():\n"
         "    try:\n"
-        "        print(ctypes.CFUNCTYPE(ctypes.c_int)(notify)())\n"
+        "        print(ctypes.CFUNCTYPE(ctypes.c_int)(of_llvm['notify'])())\n"
         "        time.sleep(60)\n"
         "    except KeyboardInterrupt: print('stopped')"
     )

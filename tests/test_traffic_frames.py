@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from blender_lidar.errors import InputError
 from blender_lidar.statistics import FEWEST_BLOCKS
 from blender_lidar.traffic import RepairReport, instants, plan_frames, well_populated_frames
+from blender_lidar.traffic.frames import few_vehicles
 from blender_lidar.traffic.vehicles import Recording
 
 REGION_M = 50.0
@@ -166,50 +167,66 @@ def test_a_short_recording_holds_nothing_out_and_says_so():
     assert len(plan.holdout) == 0
     assert times(short, plan.search)[-1] > 55, "then all of it is searched"
     assert plan.notes == (
-        "nothing is held out: the recording has 60 s, 82 s are needed (blocks of 11 s, longer than a transit); "
-        "[traffic] holdout = 0.75 or block_s = 6 (with intervals that may be too narrow) would do",
+        "nothing is held out: the recording has 60 s, 110 s are needed for an interval (blocks of 11 s, longer than a "
+        "transit); [traffic] block_s = 6 (with intervals that may be too narrow) would do",
     )
 
 
-def test_few_different_vehicles_are_told():
-    sparse = stream(np.arange(0, 300, 0.5), headway_s=30.0)
-    plan = plan_frames(sparse, counted)
-    judging = counted_ids(sparse, plan.holdout) - {*plan.searched_ids.tolist()}
-    assert plan.notes == (
-        f"few different vehicles: {len(plan.searched_ids)} are searched and {len(judging)} judge; with fewer than 10 "
-        "of either an answer may be chance",
-    )
-
-
-def test_a_queue_that_stands_all_the_time_makes_longer_blocks(recording):
-    """A tenth of all vehicles never leaves: whole transits alone would make blocks of 11 s."""
-    standing, frames = 17, len(recording.frames)
-    placed = np.tile([1.0, 5.0, 0.75], (frames * standing, 1))
+def with_standing(recording, vehicles, until_s=np.inf):
+    """The same with some vehicles that stand in the region from the start."""
+    frames = recording.frames[recording.frame_time_s <= until_s]
+    count = len(frames) * vehicles
     columns = {
-        "frame": np.repeat(recording.frames, standing),
-        "time_s": np.repeat(recording.frame_time_s, standing),
-        "vehicle_id": np.tile(10_000 + np.arange(standing), frames),
-        "class_index": np.zeros(frames * standing),
-        "centre_m": placed,
-        "size_m": np.tile([4.5, 1.9, 1.5], (frames * standing, 1)),
-        "heading_rad": np.zeros(frames * standing),
-        "lane": np.ones(frames * standing),
+        "frame": np.repeat(frames, vehicles),
+        "time_s": np.repeat(recording.frame_time_s[: len(frames)], vehicles),
+        "vehicle_id": np.tile(10_000 + np.arange(vehicles), len(frames)),
+        "class_index": np.zeros(count),
+        "centre_m": np.tile([1.0, 5.0, 0.75], (count, 1)),
+        "size_m": np.tile([4.5, 1.9, 1.5], (count, 1)),
+        "heading_rad": np.zeros(count),
+        "lane": np.ones(count),
     }
     own = {name: getattr(recording, name) for name in columns if name != "time_s"}
     own["time_s"] = np.repeat(recording.frame_time_s, recording.counts)
-    queued = Recording.from_rows(
+    return Recording.from_rows(
         **{name: np.concatenate([own[name], columns[name]]) for name in columns},
         time_step_s=0.1,
-        source="queue",
+        source="stream",
         report=RepairReport(),
     )
+
+
+def test_a_queue_that_stood_there_from_the_start_makes_longer_blocks(recording):
+    """A tenth of all vehicles: whole transits alone would make blocks of 11 s."""
     assert plan_frames(recording, counted).block_s == 11.0
-    assert plan_frames(queued, counted).block_s == 300.0
+    assert plan_frames(with_standing(recording, 20, until_s=59.5), counted).block_s == 60.0
+
+
+def test_vehicles_that_are_parked_all_the_time_change_no_block(recording):
+    plan = plan_frames(with_standing(recording, 20), counted)
+    assert plan.block_s == 11.0
+    assert len(np.unique(plan.holdout_block)) >= FEWEST_BLOCKS
+    assert {*range(10_000, 10_020)} <= {*plan.searched_ids.tolist()}
+
+
+@pytest.mark.parametrize(
+    ("searched", "judging", "told"),
+    [
+        (10, 10, None),
+        (10, None, None),
+        (9, 10, "few different vehicles: 9 in the searched frames and 10 in the held-out ones; with fewer than 10"),
+        (10, 1, "few different vehicles: 10 in the searched frames and 1 in the held-out ones; with fewer than 10"),
+        (1, None, "few different vehicles: 1 in the searched frames; with fewer than 10 an answer may be chance"),
+    ],
+)
+def test_few_different_vehicles_are_told(searched, judging, told):
+    note = few_vehicles(searched, judging)
+    assert note is None if told is None else note.startswith(told)
 
 
 @pytest.mark.parametrize("ids", [None, [0, 10]])
 def test_settings_that_a_short_recording_is_told_hold_out_what_an_interval_needs(ids):
-    short = stream(np.arange(0, 60 if ids is None else 30, 0.5))
+    short = stream(np.arange(0, 75 if ids is None else 30, 0.5))
     (note,) = plan_frames(short, counted, ids=ids).notes
     told = {name: float(value) for name, value in re.findall(r"(holdout|block_s) = ([0-9.]+)", note)}
     assert "block_s" in told

@@ -39,7 +39,7 @@ def started(code: str, *, in_blender: bool, **how: object) -> subprocess.Popen:
     """Start a process that runs code of `commands.background`, in a Blender or in Blender's Python."""
     name = __package__.rpartition(".")[0]
     paths = f"[{str(_place_of(name))!r}, *sys.path, *{sys.path!r}]"  # its own before ours
-    code = f"import os, sys; sys.path[:] = {paths}; from {name}.commands.background import *; {code}"
+    code = f"import os, sys; sys.path[:] = {paths}; from {name}.commands.background import main, warm_up; {code}"
     how |= {"stdin": subprocess.PIPE, "creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0)}
     if in_blender and within_blender():
         options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", code]
@@ -95,6 +95,7 @@ class Optimisation:
         self.total = use.seeds * use.particles * use.iterations
         self.total += math.prod(POINTS) if all(axis in deployment.bounds for axis in deployment.axes) else 0
         self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
+        self._read = 0  # bytes of what it has told
         self.folder = self._root / "run"
         tables = tables | {"model": {key: value for key, value in tables["model"].items() if key != "workers"}}
         keys = [(name, key) for name in DECLARED for key in ("", "x_m, y_m", *DECLARED[name])]
@@ -110,9 +111,14 @@ class Optimisation:
         """Look how far it is, and whether it goes on."""
         if self._process is None:
             return False
-        code, lines = self._process.poll(), (self._root / _TOLD).read_text(encoding="utf-8", errors="replace")
-        for line in lines.splitlines():
-            with suppress(ValueError):  # Blender's own lines, and one that is being written
+        code = self._process.poll()
+        with (self._root / _TOLD).open("rb") as stream:
+            stream.seek(self._read)
+            told = stream.read()
+        whole = told[: told.rfind(b"\n") + 1]  # less a line that is being written
+        self._read += len(whole)
+        for line in whole.decode("utf-8", errors="replace").splitlines():
+            with suppress(ValueError):  # Blender's own lines
                 vars(self).update(json.loads(line) if line.startswith("{") else {})
         if code is None:
             return True
@@ -120,8 +126,9 @@ class Optimisation:
             self.result, self.problem = json.loads((self.folder / RESULT).read_text(encoding="utf-8")), ""
             (self._root / _ORDER).unlink()
         else:
-            told = [line for line in lines.splitlines() if "Error" in line]
-            self.problem = self.problem or " ".join([f"the search ended abruptly ({code})", *told[-1:]])
+            lines = (self._root / _TOLD).read_text(encoding="utf-8", errors="replace").splitlines()
+            errors = [line for line in lines if "Error" in line]
+            self.problem = self.problem or " ".join([f"the search ended abruptly ({code})", *errors[-1:]])
         self._close()
         return False
 

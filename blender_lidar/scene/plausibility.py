@@ -14,6 +14,7 @@ from itertools import permutations
 import numpy as np
 
 from ..errors import InputError
+from ..traffic import format_of
 from ..traffic.ngsim import FOOT_M
 from ..traffic.vehicles import CLASSES, Placing, Recording
 from .region import Region, region_of
@@ -70,8 +71,6 @@ class Ways:
     ----------
     moved_m : ndarray, (w, 2)
         From a vehicle's place in one frame to that in the other, where it is at least 2 m [m].
-    place_m : ndarray, (w, 2)
-        The middle of both places [m].
     seconds : ndarray, (w,)
         Between the two [s].
     heading_rad : ndarray, (w,)
@@ -87,22 +86,21 @@ class Ways:
                 break
             found = self._between(recording, apart)
         far = np.hypot(*found[0].T) >= _FAR_ENOUGH_M
-        self.moved_m, self.place_m, self.seconds, self.heading_rad = (one[far] for one in found)
+        self.moved_m, self.seconds, self.heading_rad = (one[far] for one in found)
 
     @staticmethod
     def _between(recording: Recording, apart: int) -> tuple[np.ndarray, ...]:
         frames = recording.frames
         pairs = int(np.clip(_ROWS / max(np.median(recording.counts), 1), 4, _PAIRS))
         last = len(frames) - 1 - apart
-        parts = [(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))]
+        parts = [(np.zeros((0, 2)), np.zeros(0), np.zeros(0))]
         for at in np.unique(np.linspace(0, last, min(pairs, last + 1)).astype(int)) if last >= 0 else ():
             before, after = recording.vehicles(frames[at]), recording.vehicles(frames[at + apart])
             _, one, other = np.intersect1d(before.vehicle_id, after.vehicle_id, return_indices=True)
             moved = after.centre_m[other, :2] - before.centre_m[one, :2]
             turn = _within_half_a_turn(after.heading_rad[other] - before.heading_rad[one])
             seconds = np.full(len(one), after.time_s - before.time_s)
-            middle = before.centre_m[one, :2] + 0.5 * moved
-            parts.append((moved, middle, seconds, before.heading_rad[one] + 0.5 * turn))
+            parts.append((moved, seconds, before.heading_rad[one] + 0.5 * turn))
         return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
     @property
@@ -110,14 +108,17 @@ class Ways:
         """Their speeds, (w,) [m/s]."""
         return np.hypot(*self.moved_m.T) / self.seconds
 
-    @property
-    def direction_rad(self) -> np.ndarray:
-        """Their directions of motion, counter-clockwise from +x, (w,) [rad]."""
-        return np.arctan2(self.moved_m[:, 1], self.moved_m[:, 0])
-
     def astray(self, heading_rad: np.ndarray) -> np.ndarray:
-        """How far headings are off the directions of motion, (w,) [rad]."""
-        return np.abs(_within_half_a_turn(self.direction_rad - heading_rad))
+        """How far headings are off the directions of motion, counter-clockwise, (w,) [rad]."""
+        return _within_half_a_turn(np.arctan2(self.moved_m[:, 1], self.moved_m[:, 0]) - heading_rad)
+
+    def share_astray(self, heading_rad: np.ndarray) -> float:
+        """The share of headings that are more than 30 degrees off."""
+        return float((np.abs(self.astray(heading_rad)) > _ASTRAY_RAD).mean())
+
+    def mean_astray(self, heading_rad: np.ndarray) -> float:
+        """The circular mean of how far they are off [rad]: noise of positions leaves it where it is."""
+        return float(np.angle(np.exp(1j * self.astray(heading_rad)).mean()))
 
 
 def _within_half_a_turn(angle):
@@ -154,7 +155,7 @@ _SIZES_M = {  # least and largest length, width and height
     "bus": ((4.0, 60.0), (1.5, 3.6), (1.8, 5.0)),
     "motorcycle": ((0.8, 4.0), (0.25, 2.0), (0.6, 2.6)),
 }
-_UNITS = {"feet": FOOT_M, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "half lengths": 2.0}
+_UNITS = {"feet": FOOT_M, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 _MOST_ODD = 0.5  # share of boxes: a class that is wrong for some is no wrong unit
 _FITTING = 0.8  # share that a guess must set right
 
@@ -171,7 +172,11 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
         return None
     usual = int(np.bincount(sample.class_index).argmax())
     size = " by ".join(f"{one:.3g}" for one in np.median(sample.size_m[sample.class_index == usual], axis=0))
-    names = [f"{unit} for metres" for unit, factor in _UNITS.items() if odd(sample.size_m * factor) < 1 - _FITTING]
+    names = [
+        f"{unit} for metres"
+        for unit, factor in {**_UNITS, "half lengths": 2.0}.items()
+        if odd(sample.size_m * factor) < 1 - _FITTING
+    ]
     columns = ("length_m", "width_m", "height_m")
     for order in permutations(range(3)):
         if odd(sample.size_m[:, order]) < 1 - _FITTING:
@@ -194,11 +199,12 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
 
 
 _SPEEDS_M_S = (1.5, 70.0)  # nine of ten that move at all are slower than the one, or one of ten faster than the other
+_USUAL_M_S = (2.0, 40.0)
 _FASTEST_MEDIAN_M_S = 44.0  # 160 km/h
 _LONGEST_CRAWL_S = 60.0
 _ASTRAY_RAD = math.radians(30.0)
 _MOST_ASTRAY = 0.25  # share of ways
-_MEDIAN_ASTRAY_RAD = math.radians(8.0)  # real and generated recordings: at most 0.2 degrees
+_MEAN_ASTRAY_RAD = math.radians(8.0)  # real and generated recordings: at most 0.2 degrees
 
 
 def _time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
@@ -212,29 +218,29 @@ def _time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Sc
     ):
         return None
     step = np.median(np.diff(recording.frame_time_s))
-    seen = f"moving vehicles drive {usual:.2g} m/s (usual: 2 to 40) with frames {step:.3g} s apart"
+    speed = f"{usual:.2g}" if usual < 100.0 else f"{usual:.0f}"
+    seen = f"moving vehicles drive {speed} m/s (usual: 2 to 40) with frames {step:.3g} s apart"
     if fast < low:
         cause = "milliseconds" if usual < 0.1 else "frame numbers"
         return f"{seen}; probably {cause} for seconds: check time_s and [traffic] time_step_s"
-    if (ways.astray(ways.heading_rad) > _ASTRAY_RAD).mean() > _MOST_ASTRAY:
+    if ways.share_astray(ways.heading_rad) > _MOST_ASTRAY:
         return f"{seen}, in no direction; probably vehicles are numbered anew in each frame: check vehicle_id"
     apart = "probably frames are further apart (check time_s and [traffic] time_step_s)"
-    return f"{seen}; {apart}, or x_m and y_m are in feet"
+    units = [unit for unit, factor in _UNITS.items() if _USUAL_M_S[0] <= usual * factor <= _USUAL_M_S[1]]
+    of_table = bool(units) and format_of(recording.source) == "table"
+    return f"{seen}; {apart}" + (f", or x_m and y_m are in {' or '.join(units)}" if of_table else "")
 
 
 def _headings(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
     """Headings off the motion: radians, a compass's bearings, mirrored, reversed, or of another axis."""
 
-    def share_astray(heading: np.ndarray) -> float:
-        return float((ways.astray(heading) > _ASTRAY_RAD).mean())
-
     def fits(heading: np.ndarray) -> bool:
-        return share_astray(heading) < 1 - _FITTING and np.median(ways.astray(heading)) <= _MEDIAN_ASTRAY_RAD
+        return ways.share_astray(heading) < 1 - _FITTING and abs(ways.mean_astray(heading)) <= _MEAN_ASTRAY_RAD
 
     if len(ways.seconds) < _FEWEST:
         return None
-    off = float(np.median(ways.astray(ways.heading_rad)))
-    if share_astray(ways.heading_rad) <= _MOST_ASTRAY and off <= _MEDIAN_ASTRAY_RAD:
+    share, mean = ways.share_astray(ways.heading_rad), abs(ways.mean_astray(ways.heading_rad))
+    if share <= _MOST_ASTRAY and mean <= _MEAN_ASTRAY_RAD:
         return None
     settings = scenario.traffic
     placing = Placing(settings.origin_m or (0.0, 0.0), settings.heading_deg or 0.0)
@@ -251,10 +257,13 @@ def _headings(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
     if (np.abs(degrees) <= 2 * math.pi + 0.02).all():
         meant = {"radians for degrees": degrees, **meant}  # the number was the angle in radians
     guess = next((name for name, heading in meant.items() if fits(placing.headings(heading))), None)
+    turned = np.where(np.abs(ways.astray(ways.heading_rad)) > 0.5 * math.pi, math.pi, 0.0)
+    if guess is None and fits(ways.heading_rad + turned):
+        guess = "one direction's headings for the vehicles of both, or several vehicles under one vehicle_id"
     guess = guess or "of another axis than x_m and y_m, or vehicles are numbered anew in each frame"
     return (
-        f"moving vehicles head {math.degrees(off):.0f} degrees off their motion in the median (usual: under 2), "
-        f"{100 * share_astray(ways.heading_rad):.0f} % of them more than 30; probably {guess}"
+        f"{100 * share:.0f} % of the moving vehicles head more than 30 degrees off their motion (usual: none), all of "
+        f"them {math.degrees(mean):.0f} in the mean (usual: under 2); probably {guess}"
     )
 
 
@@ -262,8 +271,7 @@ _FEWEST_ON_ROAD = 0.02  # share; at an intersection, or with both directions in 
 _FEW_ON_ROAD = 0.4  # are no cause to stop, but told
 _ALL_ON_ROAD = 0.95  # of a carriageway as wide that lies elsewhere
 _ALONG_RAD = math.radians(5.0)
-_FEW_ALONG = 0.2  # share of the ways in the region; real and generated recordings: 0.99 and more on a straight road
-_MANY_ALIKE = 0.4
+_MANY_ALIKE = 0.4  # share of the boxes that drive in one direction
 
 
 def _on_road(y: np.ndarray, scenario: Scenario) -> float:
@@ -271,32 +279,35 @@ def _on_road(y: np.ndarray, scenario: Scenario) -> float:
     return float(((y >= low) & (y <= high)).mean())
 
 
-def _in_region(recording: Recording, scenario: Scenario) -> Recording:
-    """The boxes of the region, a sample; of stretches those that lie beside them too."""
+def _about_region(recording: Recording, scenario: Scenario) -> tuple[Recording, np.ndarray]:
+    """The boxes in the circle about the region, a sample, and which of them lie in the region."""
     region = region_of(scenario.region, scenario.road.carriageway_y)
     near = np.flatnonzero(region.distance(recording) <= region.radius_m)
     near = near[np.unique(np.linspace(0, len(near) - 1, min(len(near), _ROWS)).astype(int))]
     part = recording.where(np.bincount(near, minlength=len(recording)) > 0)
-    return part if region.stretches else part.where(region.holds(part))
+    return part, region.holds(part)
 
 
 def _carriageway(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
     """Vehicles that drive obliquely to the road, or next to none of the region on its carriageway."""
-    oblique = _oblique(ways, scenario)
-    if oblique is not None and not recording.report.periods:
+    about, inside = _about_region(recording, scenario)
+    known = len(ways.seconds) >= _FEWEST and not recording.report.periods
+    known = known and _headings(recording, sample, ways, scenario) is None
+    oblique = _oblique(about.heading_rad[inside]) if known else None
+    if oblique is not None:
         turn = _within_half_a_turn(oblique + math.radians(scenario.traffic.heading_deg or 0.0))
+        at, meant = (round(math.degrees(angle), 1) + 0.0 for angle in (oblique, turn))
         return (
-            f"vehicles in the region drive at {math.degrees(oblique):.0f} degrees to the road's x axis (usual: along "
-            f"it); probably [traffic] heading_deg = {math.degrees(turn):.0f}, the direction of travel in the file"
+            f"vehicles in the region drive at {at:g} degrees to the road's x axis (usual: along it); probably "
+            f"[traffic] heading_deg = {meant:g}, the direction of travel in the file"
         )
-    y = _in_region(recording, scenario).centre_m[:, 1]
+    low, high = scenario.road.carriageway_y
+    y = about.centre_m[inside | bool(scenario.region.stretches), 1]  # beside a stretch too
     if len(y) < _FEWEST:
         return None
-    low, high = scenario.road.carriageway_y
-    found = np.sort(y)
-    together = (np.searchsorted(found, found + (high - low), side="right") - np.arange(len(y))).max()
-    misplaced = _on_road(y, scenario) < _FEW_ON_ROAD and together > _ALL_ON_ROAD * len(y)
-    if not (misplaced or _on_road(y, scenario) < _FEWEST_ON_ROAD):
+    none_there = _on_road(y, scenario) < _FEWEST_ON_ROAD
+    none_there &= not scenario.region.stretches or inside.sum() < _FEWEST  # where others may drive beside it
+    if not (none_there or _lies_half_beside(y, low, high)):
         return None
     return (
         f"{100 * _on_road(y, scenario):.0f} % of the boxes {'about' if scenario.region.stretches else 'in'} the region "
@@ -305,23 +316,32 @@ def _carriageway(recording: Recording, sample: Recording, ways: Ways, scenario: 
     )
 
 
-def _oblique(ways: Ways, scenario: Scenario) -> float | None:
-    """The direction of most of the region's vehicles [rad], where next to none of them drive along x; else None."""
-    region = region_of(scenario.region, scenario.road.carriageway_y)
-    near = np.hypot(*(ways.place_m - region.centre_xy).T) <= region.radius_m
-    angle = ways.direction_rad[near]
-    if len(angle) < _FEWEST:
+def _lies_half_beside(y: np.ndarray, low: float, high: float) -> bool:
+    """Whether a carriageway holds few of the boxes while one as wide that overlaps it holds all: another one does not.
+
+    `y` (n,) is where boxes lie across the road [m], `low` and `high` are the carriageway's edges [m].
+    """
+    found = np.sort(y)
+    held = np.searchsorted(found, found + (high - low), side="right") - np.arange(len(y))
+    best = found[held.argmax()]
+    few = ((y >= low) & (y <= high)).mean() < _FEW_ON_ROAD
+    return bool(few and held.max() > _ALL_ON_ROAD * len(y) and abs(best - low) < high - low)
+
+
+def _oblique(heading_rad: np.ndarray) -> float | None:
+    """The direction that most headings (n,) share [rad], where next to none of them lie along x; else None."""
+    if len(heading_rad) < _FEWEST:
         return None
 
     def alike(axis: float) -> np.ndarray:
-        return np.abs(np.sin(angle - axis)) <= math.sin(_ALONG_RAD)  # both directions
+        return np.abs(np.sin(heading_rad - axis)) <= math.sin(_ALONG_RAD)  # both directions
 
     axis = max(np.radians(np.arange(180.0)), key=lambda axis: alike(axis).sum())
-    if alike(0.0).mean() >= _FEW_ALONG or alike(axis).mean() < _MANY_ALIKE:
+    if alike(0.0).mean() >= _FEWEST_ON_ROAD or alike(axis).mean() < _MANY_ALIKE:
         return None
-    ahead = np.cos(angle - axis) > 0.0
-    most = alike(axis) & (ahead if 2 * (ahead & alike(axis)).sum() >= alike(axis).sum() else ~ahead)
-    return float(np.angle(np.exp(1j * angle[most]).mean()))
+    ahead = alike(axis) & (np.cos(heading_rad - axis) > 0.0)
+    most = ahead if 2 * ahead.sum() >= alike(axis).sum() else alike(axis) & ~ahead
+    return float(np.angle(np.exp(1j * heading_rad[most]).mean()))
 
 
 def _place_meant(y: np.ndarray, recording: Recording, scenario: Scenario) -> str:
@@ -343,18 +363,18 @@ _FEW_AGAINST = 0.05  # share of the boxes on the carriageway that is not told
 
 
 def _place_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
-    part = _in_region(recording, scenario)
-    y = part.centre_m[:, 1]
+    about, inside = _about_region(recording, scenario)
+    y, heading = about.centre_m[inside, 1], about.heading_rad[inside]
     low, high = scenario.road.carriageway_y
     road = f"the carriageway of [road], y {low:g} to {high:g} m"
     if not scenario.region.stretches and len(y) and _FEWEST_ON_ROAD <= _on_road(y, scenario) < _FEW_ON_ROAD:
         share = f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region"
         yield f"{share} lie on {road}; check [traffic] and [road]"
-    against = np.cos(part.heading_rad[(y >= low) & (y <= high)]) < -math.cos(_ASTRAY_RAD)
+    against = np.cos(heading[(y >= low) & (y <= high)]) < -math.cos(_ASTRAY_RAD)
     if len(against) >= _FEWEST and against.mean() > _FEW_AGAINST:
         yield (
-            f"{100 * against.mean():.0f} % of the boxes on {road}, drive against +x and count as the others do; if "
-            "they belong to another carriageway, check [road] setback_m and lanes, or give [region] keep_out"
+            f"{100 * against.mean():.0f} % of the region's boxes on {road}, drive against +x and count as the others "
+            "do; if they belong to another carriageway, check [road] setback_m and lanes, or give [region] keep_out"
         )
 
 
@@ -369,6 +389,8 @@ def _overlaps(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
         return None
     if any("no vehicle_types" in note for note in report.notes):
         meant = "vehicles are smaller than SUMO's defaults: give their [traffic] vehicle_types"
+    elif np.ptp(recording.centre_m[:, :2], axis=0).max() < 1.0:
+        meant = "x_m and y_m are degrees of longitude and latitude: give metres"
     else:
         meant = "vehicles are there twice under other ids, or x_m and y_m are not the boxes' centres"
     seen = f"{report.overlaps:,} pairs of boxes overlap among {boxes:,.0f}"

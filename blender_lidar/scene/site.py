@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
+from ..traffic.frames import few_vehicles
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
@@ -274,6 +275,9 @@ def prepare(
         of_recording = plan.search_recording == number
         if not any(searched[at].counted.any() for at in np.flatnonzero(of_recording)):
             raise nobody_there(own, region, int(of_recording.sum()), scenario)
+    judging = len({number for frame in held_out for number in frame.vehicles.vehicle_id[frame.counted].tolist()})
+    if note := few_vehicles(len(plan.searched_ids), judging if held_out else None):
+        plan = replace(plan, notes=(*plan.notes, note))
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, held_out, scenario.where("objective", ""))

@@ -59,9 +59,9 @@ Counted = Callable[[Vehicles], np.ndarray]
 DEFAULT_COUNT = 30
 _SHORTEST_BLOCK_S = 5.0
 _TRANSIT_PERCENTILE = 95
-_FEWEST_HOLDOUT_BLOCKS = 2
+_FEWEST_HOLDOUT_BLOCKS, _FEWEST_SEARCHED_BLOCKS = 2, 2
 _SHORTEST_S = 1e-3
-_FEW_VEHICLES = 10
+_FEW_VEHICLES = 10  # different ones
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +124,7 @@ def plan_frames(
         Share of the recording's time that is held out, from 0 to 0.9.
     block_s : float, optional
         Length of a block [s]; by default the 95th percentile of the time that vehicles count, in whole seconds, at
-        least 5: of whole stays or of all, cut off by the recording's ends, whichever is longer.
+        least 5: of whole stays, or of all that begin or end in the recording, whichever is longer.
 
     Raises
     ------
@@ -160,9 +160,6 @@ def plan_frames(
             return 0 if judged is None else len(np.unique(_blocks(judged, rest, block_s)))
 
         notes.append(_too_short(candidates, holdout, block_s, listed is not None, blocks_of))
-    searched_ids = np.unique(np.concatenate(_counted_ids(recording, search.frames, counted)))
-    if judged:
-        notes += _few_vehicles(searched_ids, np.concatenate(_counted_ids(recording, judged.frames, counted)))
     none = np.zeros(0, dtype=np.int64)
     return FramePlan(
         search=search.frames,
@@ -172,7 +169,7 @@ def plan_frames(
         search_recording=np.zeros(len(search.frames), dtype=np.int64),
         holdout_recording=np.zeros(len(judged.frames), dtype=np.int64) if judged else none,
         block_s=float(block_s),
-        searched_ids=searched_ids,
+        searched_ids=np.unique(np.concatenate(_counted_ids(recording, search.frames, counted))),
         notes=tuple(notes),
     )
 
@@ -224,7 +221,9 @@ def _transit_block_s(recording: Recording, candidates: _Frames, counted: Counted
     left = time_s[::-1][np.unique(seen[::-1], return_index=True)[1]]
     stay_s = left - entered + candidates.spacing_s
     whole = (entered > candidates.time_s[0]) & (left < candidates.time_s[-1])
-    typical = max(np.percentile(stays, _TRANSIT_PERCENTILE) for stays in (stay_s, stay_s[whole]) if len(stays))
+    parked = (entered == candidates.time_s[0]) & (left == candidates.time_s[-1])  # searched, and so never judging
+    kinds = [stays for stays in (stay_s[whole], stay_s[~parked]) if len(stays)] or [stay_s]
+    typical = max(np.percentile(stays, _TRANSIT_PERCENTILE) for stays in kinds)
     return max(_SHORTEST_BLOCK_S, float(math.ceil(typical - 1e-6)))
 
 
@@ -296,32 +295,37 @@ def _blocks(chosen: _Frames, part: _Frames, block_s: float) -> np.ndarray:
 def _skipped(recording: Recording, whole: np.ndarray, candidates: _Frames) -> list[str]:
     time_s = _Frames.of(recording, whole).time_s
     ends = {"first": candidates.time_s[0] - time_s[0], "last": time_s[-1] - candidates.time_s[-1]}
-    told = [f"the {end} {seconds:.3g} s" for end, seconds in ends.items() if seconds]
+    told = [f"the {end} {seconds:{'.0f' if seconds >= 1.0 else '.3g'}} s" for end, seconds in ends.items() if seconds]
     if not told:
         return []
     return [f"{' and '.join(told)} are skipped: less than half the median traffic"]
 
 
-def _few_vehicles(searched_ids: np.ndarray, ids: np.ndarray) -> list[str]:
-    """Whether too few different vehicles are searched, or judge, of which others would look alike by chance."""
-    judging = len(np.setdiff1d(ids, searched_ids))
-    if min(len(searched_ids), judging) >= _FEW_VEHICLES:
-        return []
-    numbers = f"{len(searched_ids)} are searched and {judging} {'judges' if judging == 1 else 'judge'}"
-    return [f"few different vehicles: {numbers}; with fewer than {_FEW_VEHICLES} of either an answer may be chance"]
+def few_vehicles(searched: int, judging: int | None) -> str | None:
+    """A note where an answer may be chance, as so few different vehicles are searched, or judge; else None.
+
+    `judging` is None where nothing is held out.
+    """
+    if min(searched, searched if judging is None else judging) >= _FEW_VEHICLES:
+        return None
+    held = "" if judging is None else f" and {judging} in the held-out ones"
+    few = f"with fewer than {_FEW_VEHICLES} an answer may be chance"
+    return f"few different vehicles: {searched} in the searched frames{held}; {few}"
 
 
 def _too_short(
     candidates: _Frames, holdout: float, block_s: float, listed: bool, blocks_of: Callable[[float, float], int]
 ) -> str:
     """Why nothing is held out, and which settings would do; `blocks_of` tells how many blocks some others hold out."""
-    needed_s = (1 + _FEWEST_HOLDOUT_BLOCKS) * block_s / (1.0 if listed else holdout)
-    needed = f"{needed_s:.0f} s{' after or before the given frames' if listed else ''} are needed"
+    needed_s = (1 + FEWEST_BLOCKS) * block_s / (1.0 if listed else holdout)
+    needed = f"{needed_s:.0f} s{' after or before the given frames' if listed else ''} are needed for an interval"
     has = f"the recording has {candidates.length_s:.0f} s"
-    shares = [] if listed else (share / 20 for share in range(int(20 * holdout) + 1, 19))
+    most = 1.0 - _FEWEST_SEARCHED_BLOCKS * block_s / candidates.length_s
+    shares = [] if listed else (share / 20 for share in range(int(20 * holdout) + 1, int(20 * most) + 1))
     share = next((share for share in shares if blocks_of(share, block_s) >= FEWEST_BLOCKS), None)
     longest = int(min(block_s, candidates.length_s * (1.0 if listed else holdout) / (1 + FEWEST_BLOCKS)))
-    shorter_s = (block for block in range(longest, 0, -max(longest // 20, 1)) if block < block_s)
+    lengths_s = range(longest, math.ceil(_SHORTEST_BLOCK_S) - 1, -max(longest // 20, 1))
+    shorter_s = (block for block in lengths_s if block < block_s)
     shorter = next((block for block in shorter_s if blocks_of(holdout, block) >= FEWEST_BLOCKS), None)
     would_do = [] if share is None else [f"holdout = {share:g}"]
     would_do += [] if shorter is None else [f"block_s = {shorter} (with intervals that may be too narrow)"]

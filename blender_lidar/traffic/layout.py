@@ -120,7 +120,8 @@ def _with_others(found: list[RoadLayout]) -> RoadLayout:
     for other in others:
         (x, y), heading = other.placing.origin_m, other.placing.heading_deg
         notes.append(
-            f"also {other.vehicles:,} vehicles on another carriageway:\n[traffic]\norigin_m = [{x:.2f}, {y:.2f}]\n"
+            f"also {other.vehicles:,} vehicles on another carriageway; for it put these in their tables, and check the "
+            f"region:\n[traffic]\norigin_m = [{x:.2f}, {y:.2f}]\n"
             f"heading_deg = {heading:g}\n[road]\nsetback_m = {other.setback_m:g}\nlanes = {other.lanes}\n"
             f"lane_width_m = {other.lane_width_m:g}"
         )

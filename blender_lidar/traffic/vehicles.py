@@ -274,7 +274,7 @@ def unknown_frame(frame: int, recording: Recording) -> InputError:
     """The error for a frame number that `recording` does not have."""
     frames = recording.frames
     has = f"the recording has {len(frames)} frames from {frames[0]} to {frames[-1]}"
-    nearest = frames[np.abs(frames - float(frame)).argmin()]
+    nearest = min(frames.tolist(), key=lambda one: abs(one - frame))
     return InputError(f"{recording.source}: no frame {frame}; {has}, {nearest} is the nearest")
 
 
