@@ -31,6 +31,7 @@ VERBS = (
     "stability",
     "chart",
     "scan",
+    "detect",
     "build",
     "render",
     "score",
@@ -55,6 +56,7 @@ LIBRARIES = {
     "matplotlib": ("report/",),
     "tqdm": ("commands/progress.py",),
     "scipy": ("studies/",),
+    "sklearn": ("detection/classical.py",),
     "distributed": ("scoring/cluster.py",),
     "pandas": ("results.py",),
 }
@@ -71,7 +73,7 @@ ROOMS = {
     "casting": {"sensors", "traffic", "world"},
     "scene": {"metrics", "optimise", "casting", "traffic", "sensors", "world"},
 }
-_UPWARDS = ("scoring", "clouds", "run", "studies", "report", "commands")
+_UPWARDS = ("scoring", "clouds", "detection", "run", "studies", "report", "commands")
 for _here in _UPWARDS:
     ROOMS[_here] = set(ROOMS) - FLOOR
 DOOR = {"commands", "cli", "api", "results", "addon", "__main__", "__init__"}

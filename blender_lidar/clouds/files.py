@@ -6,6 +6,7 @@ import io
 import json
 import math
 import warnings
+import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,10 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputError
+from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputError, one_line
 from ..files import make_folder, open_file, reading, write_bytes, write_text
-from ..traffic.vehicles import Vehicles
-from .scan import PointCloud, class_names
+from ..traffic.vehicles import CLASSES, Vehicles
+from .scan import NO_CLASS, PointCloud, class_names
 
 # --- NPZ, which keeps everything -------------------------------------------------------------------------
 
@@ -28,6 +29,28 @@ def write_npz(path: str | Path, cloud: PointCloud, header: dict) -> None:
     packed = io.BytesIO()  # as a ZipFile on a full disk would complain again when it is collected
     np.savez_compressed(packed, **columns, **{"class": class_names(cloud.class_index)}, header=json.dumps(header))
     write_bytes(path, packed.getvalue())
+
+
+def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
+    """A cloud and its header from an NPZ file that `write_npz` has written.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If it is none.
+    """
+    with reading(path, "an NPZ cloud of scan"), open_file(path) as stream:
+        try:
+            with np.lib.npyio.NpzFile(stream) as archive:
+                columns = {
+                    name: archive[name] for name in ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")
+                }
+                columns |= {f"{name}_rad": np.radians(archive[f"{name}_deg"]) for name in ("azimuth", "incidence")}
+                names, header = archive["class"].tolist(), json.loads(str(archive["header"]))
+        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(f"{path}: is no NPZ cloud of scan: {one_line(str(error))}") from error
+    known = dict(zip([*CLASSES, ""], [*range(len(CLASSES)), NO_CLASS], strict=True))
+    return PointCloud(**columns, class_index=np.array([known.get(name, NO_CLASS) for name in names], np.int8)), header
 
 
 def _read_npz(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | None]:

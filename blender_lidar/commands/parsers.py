@@ -29,6 +29,7 @@ def add_verbs(subparsers) -> None:
         _stability,
         _chart,
         _scan,
+        _detect,
         _build,
         _render,
         _score,
@@ -180,6 +181,26 @@ def _scan(subparsers) -> None:
     add("--out", required=True, metavar="CLOUD", help=out)
     of_folder = f"format of the files in the folder; npz unless said, {SUSTECHPOINTS} adds labels"
     add("--format", choices=_CLOUD_FORMATS, help=of_folder)
+
+
+def _detect(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "detect", "detect.run", "SCENE.toml|CLOUDS", "judge a detector at a mounting"),
+        "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline: recall, precision "
+        "and average precision, with paired intervals, and the boxes as CSV and as KITTI's labels. Given a folder of "
+        "NPZ clouds it writes their boxes.",
+        "i80 --height 4.5 --tilt-x 23",
+        "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
+        "clouds --out boxes.csv",
+    )
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--tolerance", "--reading", "--workers", "--cluster"))
+    add_pose(parser)
+    detector = (
+        "classical: background subtraction, DBSCAN and L-shapes; or FILE, the detections of your own detector in "
+    )
+    detector += "the frames of the scene: CSV, nuScenes' JSON, or a folder of KITTI's label texts (default %(default)s)"
+    parser.add_argument_group("detector").add_argument("--detector", default="classical", metavar="NAME", help=detector)
+    _output(parser, verbose=False)
 
 
 def _build(subparsers) -> None:

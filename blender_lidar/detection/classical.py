@@ -1,0 +1,153 @@
+"""A detector without training: background subtraction in the range image, DBSCAN clusters, L-shape fitting.
+
+The sensor does not move, so that what each beam usually meets is the empty scene. Needs scikit-learn for DBSCAN.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..clouds.scan import PointCloud
+from ..errors import MissingExtraError
+from ..sensors.beams import BeamLattice
+from .boxes import KINDS, DetectedBoxes, boxes_of_rows, no_boxes, suppressed
+
+_CAR, _LARGE, _SMALL = (KINDS.index(name) for name in ("car", "truck or bus", "motorcycle"))
+_USUAL_M = {_CAR: (4.5, 1.8, 1.5), _LARGE: (9.0, 2.5, 3.2), _SMALL: (2.1, 0.8, 1.4)}
+_LONGER_M, _HIGHER_M = 6.5, 2.4  # than any car
+_NARROW_M = 1.0  # a motorcycle, where both its length and its width are seen
+_HEADINGS_RAD = np.radians(np.arange(-45.0, 45.0, 1.0))
+_LEAST_EDGE_M = 0.02  # of the closeness criterion: points nearer to an edge count no more
+_MOST_FITTED = 200  # points
+_MOST_IOU = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ClassicalSettings:
+    """What was tuned, on generated traffic that judges nothing.
+
+    Attributes
+    ----------
+    quantile : float
+        Of the ranges that a beam measures in the frames that the background is learnt from: vehicles come nearer.
+    nearer_m : float
+        A return is no background if it is nearer by so much [m].
+    apart_m : float
+        DBSCAN's epsilon: returns within belong together, seen from above [m].
+    least_points : int
+        DBSCAN's least number of points for a cluster.
+    sure_points : float
+        Points of a cluster that make a confidence of a half.
+    turned_points : int
+        With fewer points the heading is the road's.
+    """
+
+    quantile: float = 0.9
+    nearer_m: float = 0.3
+    apart_m: float = 0.9
+    least_points: int = 2
+    sure_points: float = 5.0
+    turned_points: int = 12
+
+
+class ClassicalDetector:
+    """Background subtraction, DBSCAN (Ester et al. 1996) and L-shape fitting (Zhang et al. 2017, IV 2017).
+
+    Parameters
+    ----------
+    lattice : BeamLattice
+        The sensor's beams.
+    lidar_xy : (float, float)
+        Where it hangs [m, road frame].
+    settings : ClassicalSettings
+
+    Raises
+    ------
+    MissingExtraError
+        If scikit-learn is not installed.
+    """
+
+    name = "classical"
+
+    def __init__(
+        self, lattice: BeamLattice, lidar_xy: tuple[float, float], settings: ClassicalSettings = ClassicalSettings()
+    ) -> None:
+        try:
+            from sklearn.cluster import DBSCAN
+        except ImportError as error:
+            raise MissingExtraError(
+                'the classical detector needs scikit-learn: pip install "blender_lidar[detect]"'
+            ) from error
+        self._lattice, self._lidar, self._settings = lattice, np.array(lidar_xy), settings
+        self._cluster = DBSCAN(eps=settings.apart_m, min_samples=settings.least_points)
+        self._background = np.full(lattice.rings * lattice.columns, np.inf)
+
+    def learn(self, clouds: Iterable[PointCloud]) -> None:
+        """Take from some frames what each beam meets of the scene without vehicles."""
+        images = np.array([self._range_image(cloud) for cloud in clouds], dtype=np.float32)
+        self._background = np.quantile(images, self._settings.quantile, axis=0, method="higher")
+
+    def _range_image(self, cloud: PointCloud) -> np.ndarray:
+        """Range of each beam, (beams,) [m]; inf where nothing returned."""
+        image = np.full(len(self._background), np.inf)
+        image[self._beam(cloud)] = cloud.range_m
+        return image
+
+    def _beam(self, cloud: PointCloud) -> np.ndarray:
+        """Flat index of each point's beam in the lattice, ``ring * columns + slot``."""
+        ring = cloud.ring.astype(np.int64)
+        slot = np.rint((cloud.azimuth_rad - self._lattice.slot_azimuth0_rad[ring]) / self._lattice.step_rad)
+        return ring * self._lattice.columns + slot.astype(np.int64) % self._lattice.columns
+
+    def detect(self, cloud: PointCloud) -> DetectedBoxes:
+        """The vehicles of one frame."""
+        nearer = cloud.range_m < self._background[self._beam(cloud)] - self._settings.nearer_m
+        points = cloud.xyz[nearer]
+        if not len(points):
+            return no_boxes()
+        label = self._cluster.fit_predict(points[:, :2])
+        order = np.argsort(label, kind="stable")
+        ends = np.flatnonzero(np.diff(label[order], append=label.max() + 1)) + 1
+        clusters = [rows for rows in np.split(order, ends[:-1]) if label[rows[0]] >= 0]  # -1: DBSCAN's noise
+        return suppressed(boxes_of_rows([self._box(points[rows]) for rows in clusters]), _MOST_IOU)
+
+    def _box(self, points: np.ndarray) -> tuple[float, ...]:
+        """The box of one cluster (n, 3) [m], a row of `boxes_of_rows`: as large as a vehicle, away from the LiDAR."""
+        heading = 0.0 if len(points) < self._settings.turned_points else l_shape_heading(points[:, :2])
+        turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
+        local = points[:, :2] @ turn  # along and across
+        low, high = local.min(axis=0), local.max(axis=0)
+        seen, top = high - low, float(points[:, 2].max())
+        kind = _CAR
+        if seen[0] > _LONGER_M or top > _HIGHER_M:
+            kind = _LARGE
+        elif seen.max() < _USUAL_M[_SMALL][0] and seen[1] < _NARROW_M and seen[0] > _NARROW_M:
+            kind = _SMALL
+        length, width, height = _USUAL_M[kind]
+        size = np.maximum(seen, (length, width))
+        lidar = self._lidar @ turn
+        # The sides that face the LiDAR are seen; what is missing lies beyond the others.
+        middle = 0.5 * (low + high)
+        centre = np.where(lidar > high, high - 0.5 * size, np.where(lidar < low, low + 0.5 * size, middle))
+        height = max(top, height)
+        confidence = len(points) / (len(points) + self._settings.sure_points)
+        return (*(turn @ centre).tolist(), 0.5 * height, *size.tolist(), height, heading, kind, confidence)
+
+
+def l_shape_heading(xy: np.ndarray) -> float:
+    """L-shape fitting: the heading [rad], -45 to 45 degrees, whose rectangle has points (n, 2) [m] near its edges.
+
+    The closeness criterion of Zhang, Xu, Dong and Dolan, "Efficient L-shape fitting for vehicle detection using laser
+    scanners", IV 2017, Algorithm 4.
+    """
+    xy = xy[:: max(1, len(xy) // _MOST_FITTED)] - xy.mean(axis=0)
+    cos, sin = np.cos(_HEADINGS_RAD)[:, None], np.sin(_HEADINGS_RAD)[:, None]
+    nearest = np.full((len(_HEADINGS_RAD), len(xy)), np.inf)
+    for across in (cos * xy[:, 0] + sin * xy[:, 1], cos * xy[:, 1] - sin * xy[:, 0]):
+        for edge in (across.min(axis=1, keepdims=True), across.max(axis=1, keepdims=True)):
+            nearest = np.minimum(nearest, np.abs(across - edge))
+    return float(_HEADINGS_RAD[(1.0 / np.maximum(nearest, _LEAST_EDGE_M)).sum(axis=1).argmax()])

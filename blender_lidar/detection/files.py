@@ -1,0 +1,258 @@
+"""Detections as files: CSV of our own, KITTI's label text and nuScenes' JSON, of any detector, by frame."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..clouds.files import levelled
+from ..errors import InputError, MissingFileError, printable, unknown_name
+from ..files import make_folder, read_text, reading, write_columns, write_text
+from ..traffic.source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
+from .boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
+
+_CAR, _LARGE, _SMALL = range(len(KINDS))
+_KINDS_OF_NAMES = {
+    **dict.fromkeys(("car", "van"), _CAR),
+    **dict.fromkeys(("truck or bus", "truck", "bus", "trailer", "construction_vehicle", "tram"), _LARGE),
+    **dict.fromkeys(("motorcycle", "cyclist", "bicycle"), _SMALL),
+}
+"""What detectors of KITTI and nuScenes call vehicles, in small letters."""
+_NO_VEHICLES = ("pedestrian", "person_sitting", "traffic_cone", "barrier", "misc", "dontcare")  # left out
+_PLACE, _SIZE = Column("a number of metres, -1e9 to 1e9", -1e9, 1e9), Column("more than 0, up to 1000", 1e-3, 1e3)
+_COLUMNS = {
+    "frame": Column("a whole number", whole=True),
+    **dict.fromkeys(("x_m", "y_m", "z_m"), _PLACE),
+    **dict.fromkeys(("length_m", "width_m", "height_m"), _SIZE),
+    "heading_deg": Column("a number of degrees", -1e6, 1e6),
+    "confidence": Column("0 to 1", 0.0, 1.0),
+}
+_KITTI_NAMES = ("Car", "Truck", "Cyclist")  # by kind
+
+
+def read_detected(path: str | Path, pose: Mapping[str, float]) -> dict[int, DetectedBoxes]:
+    """The detections of frames in the road frame, by the number of their frame.
+
+    What is no vehicle is left out: pedestrians, cones.
+
+    Parameters
+    ----------
+    path : path
+        A CSV file as `write_detected` writes it; nuScenes' JSON of results in the road frame, whose tokens end with the
+        number of the frame; or a folder of KITTI's label texts with scores, named by their frames, in the camera frame
+        that `kitti_camera` describes.
+    pose : mapping of str to float
+        The mounting [m, degrees] that KITTI's boxes are seen from.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        Naming the file, the line or the entry, and what is allowed.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _read_kitti(path, pose)
+    found = _read_nuscenes(path) if path.suffix.lower() == ".json" else _read_csv(path)
+    if not found:
+        raise InputError(f"{path}: has no detection of a vehicle")
+    return found
+
+
+def _kind(name: str, where: str) -> int | None:
+    """The kind that a name says; None for what is no vehicle."""
+    name = name.strip().lower()
+    if name in _NO_VEHICLES:
+        return None
+    if name not in _KINDS_OF_NAMES:
+        raise unknown_name(name, (*_KINDS_OF_NAMES, *_NO_VEHICLES), "class", where)
+    return _KINDS_OF_NAMES[name]
+
+
+# --- CSV --------------------------------------------------------------------------------------------------------------
+
+
+def write_detected(path: str | Path, of_frame: Mapping[int, DetectedBoxes]) -> None:
+    """Write detections as CSV: ``frame, class, x_m ... heading_deg, confidence``, by box centres in the road frame."""
+    boxes, numbers = join_boxes(list(of_frame.values())), list(of_frame)
+    columns = {
+        "frame": np.repeat(np.array(numbers, dtype=np.int64), [len(one) for one in of_frame.values()]),
+        "class": np.array(KINDS)[boxes.kind],
+        **dict(zip(("x_m", "y_m", "z_m"), boxes.centre_m.T, strict=True)),
+        **dict(zip(("length_m", "width_m", "height_m"), boxes.size_m.T, strict=True)),
+        "heading_deg": np.degrees(boxes.heading_rad),
+        "confidence": boxes.confidence,
+    }
+    digits = {name: 3 for name in columns if name.endswith("_m")}
+    write_columns(path, columns, {**digits, "heading_deg": 2, "confidence": 4})
+
+
+def _read_csv(path: Path) -> dict[int, DetectedBoxes]:
+    line, header = first_lines(path)[0]
+    layout = TableLayout([printable(name) for name in fields_of(header)], ",", line + 1)
+    layout.check(["class", *_COLUMNS], (), f"{path}:{line}")
+    parts = [_of_rows(rows) for rows in read_rows(path, layout, _COLUMNS, ["class"])]
+    frames = np.concatenate([np.zeros(0, np.int64), *(frame for frame, _ in parts)])
+    return _by_frame(frames, join_boxes([boxes for _, boxes in parts]))
+
+
+def _of_rows(rows: Rows) -> tuple[np.ndarray, DetectedBoxes]:
+    value = {name: rows.numbers(name, column) for name, column in _COLUMNS.items()}
+    names = rows.columns["class"].tolist()
+    kind = np.array(
+        [-1 if (found := _kind(name, rows.where(row))) is None else found for row, name in enumerate(names)]
+    )
+    boxes = DetectedBoxes(
+        np.column_stack([value[name] for name in ("x_m", "y_m", "z_m")]),
+        np.column_stack([value[name] for name in ("length_m", "width_m", "height_m")]),
+        np.radians(value["heading_deg"]),
+        kind.astype(np.int8),
+        value["confidence"],
+    )
+    return value["frame"].astype(np.int64)[kind >= 0], boxes.select(kind >= 0)
+
+
+def _by_frame(frame: np.ndarray, boxes: DetectedBoxes) -> dict[int, DetectedBoxes]:
+    return {int(number): boxes.select(frame == number) for number in np.unique(frame)}
+
+
+# --- KITTI's label text -----------------------------------------------------------------------------------------------
+
+
+def kitti_camera(boxes: DetectedBoxes, pose: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """DetectedBoxes as KITTI's labels have them: bottom centres (n, 3) [m] and rotation_y (n,) [rad].
+
+    The LiDAR frame is that of the ``.bin`` files of `clouds.files`: levelled, x along the LiDAR's +y, y along its -x, z
+    up. The camera stands where the LiDAR does and looks along its x: x right, y down, z ahead.
+    """
+    ahead, left, up = levelled(boxes.centre_m, pose).T
+    bottom = np.column_stack([-left, 0.5 * boxes.size_m[:, 2] - up, ahead])
+    return bottom, _half_turn(math.radians(pose["yaw_deg"]) - boxes.heading_rad)
+
+
+def _from_kitti_camera(bottom: np.ndarray, height: np.ndarray, rotation_y: np.ndarray, pose: Mapping[str, float]):
+    """The inverse of `kitti_camera`: box centres [m] and headings [rad] in the road frame."""
+    yaw = math.radians(pose["yaw_deg"])
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    right, down, ahead = bottom.T
+    centre = np.column_stack([cos * right - sin * ahead, sin * right + cos * ahead, 0.5 * height - down])
+    place = np.array([pose["x_m"], pose["y_m"], pose["height_m"]])
+    return place + centre, _half_turn(yaw - rotation_y)
+
+
+def _half_turn(angle: np.ndarray) -> np.ndarray:
+    return np.arctan2(np.sin(angle), np.cos(angle))
+
+
+def write_kitti(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], pose: Mapping[str, float]) -> None:
+    """Write detections as KITTI's label texts with scores, ``NNNNNN.txt`` by frame, in the frame of `kitti_camera`.
+
+    There is no image: its box is -1, truncation, occlusion and alpha are not known.
+    """
+    make_folder(Path(folder), "--out")
+    for number, boxes in of_frame.items():
+        bottom, rotation_y = kitti_camera(boxes, pose)
+        lines = [
+            f"{_KITTI_NAMES[kind]} -1 -1 -10 -1 -1 -1 -1 {height:.3f} {width:.3f} {length:.3f} "
+            f"{x:.3f} {y:.3f} {z:.3f} {turn:.4f} {confidence:.4f}\n"
+            for kind, (length, width, height), (x, y, z), turn, confidence in zip(
+                boxes.kind, boxes.size_m, bottom, rotation_y, boxes.confidence, strict=True
+            )
+        ]
+        write_text(Path(folder) / f"{number:06d}.txt", "".join(lines))
+
+
+def _read_kitti(folder: Path, pose: Mapping[str, float]) -> dict[int, DetectedBoxes]:
+    paths = sorted(path for path in folder.glob("*.txt") if path.stem.isdecimal())
+    if not paths:
+        raise MissingFileError(f"{folder}: has no KITTI label texts, named like 000100.txt")
+    return {int(path.stem): _kitti_boxes(path, pose) for path in paths}
+
+
+def _kitti_boxes(path: Path, pose: Mapping[str, float]) -> DetectedBoxes:
+    rows = []
+    for line, text in enumerate(_text(path).splitlines(), start=1):
+        words = text.split()
+        if not words:
+            continue
+        if len(words) != 16:
+            raise InputError(f"{path}:{line}: {len(words)} fields; allowed: 16, the last is the score")
+        kind = _kind(words[0], f"{path}:{line}")
+        if kind is None:
+            continue
+        height, width, length, x, y, z, turn, score = (_number(word, f"{path}:{line}") for word in words[8:])
+        rows.append((x, y, z, length, width, height, turn, kind, score))
+        _check(rows[-1], f"{path}:{line}")
+    boxes = boxes_of_rows(rows)
+    centre, heading = _from_kitti_camera(boxes.centre_m, boxes.size_m[:, 2], boxes.heading_rad, pose)
+    return DetectedBoxes(centre, boxes.size_m, heading, boxes.kind, boxes.confidence)
+
+
+def _text(path: Path) -> str:
+    with reading(path, "a text file"):
+        try:
+            return read_text(path)
+        except UnicodeDecodeError as error:
+            raise InputError(f"{path}: is no text in UTF-8") from error
+
+
+def _number(word: str, where: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise InputError(f"{where}: {printable(word)!r} is no number") from None
+
+
+def _check(row: Sequence[float], where: str) -> None:
+    """Refuse a box that is none, or a score that is no share."""
+    if not all(map(math.isfinite, row)):
+        raise InputError(f"{where}: a number is not finite")
+    if min(row[3:6]) <= 0.0:
+        raise InputError(f"{where}: a size is {min(row[3:6]):g} m; allowed: more than 0")
+    if not 0.0 <= row[8] <= 1.0:
+        raise InputError(f"{where}: the score is {row[8]:g}; allowed: 0 to 1")
+
+
+# --- nuScenes' JSON of results ----------------------------------------------------------------------------------------
+
+
+def _read_nuscenes(path: Path) -> dict[int, DetectedBoxes]:
+    try:
+        content = json.loads(_text(path))
+        results = content["results"]
+        tokens = list(results.items())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is not JSON: {printable(str(error))}") from error
+    except (LookupError, TypeError, AttributeError):
+        raise InputError(f"{path}: has no 'results' by sample tokens, as nuScenes' detections have") from None
+    found: dict[int, DetectedBoxes] = {}
+    for token, entries in tokens:
+        number = token[len(token.rstrip("0123456789")) :]
+        if not number:
+            raise InputError(f"{path}: token {printable(token)!r} does not end with the number of a frame")
+        rows = [
+            row for at, entry in enumerate(entries, 1) if (row := _row_of(entry, f"{path}: {printable(token)}, {at}"))
+        ]
+        found[int(number)] = join_boxes([*([found[int(number)]] if int(number) in found else []), boxes_of_rows(rows)])
+    return found
+
+
+def _row_of(entry: Mapping, where: str) -> tuple[float, ...] | None:
+    """A row for `boxes_of_rows`; None for what is no vehicle."""
+    try:
+        kind = _kind(str(entry["detection_name"]), where)
+        (x, y, z), (width, length, height) = (map(float, entry[key]) for key in ("translation", "size"))
+        w, i, j, k = map(float, entry["rotation"])
+        score = float(entry["detection_score"])
+    except (LookupError, TypeError, ValueError):
+        told = "translation (3), size (3), rotation (4), detection_name and detection_score"
+        raise InputError(f"{where}: is no detection; needed: {told}") from None
+    if kind is None:
+        return None
+    heading = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
+    row = (x, y, z, length, width, height, heading, kind, score)
+    _check(row, where)
+    return row

@@ -1,0 +1,138 @@
+"""A detector judged at mountings of a scene: it sees whole point clouds and knows nothing of what made them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ..clouds.scan import PointCloud
+from ..clouds.snapshot import MountedSensor
+from ..errors import InputError
+from ..scene.observation import CountedFrame
+from ..scene.site import Site
+from .boxes import DetectedBoxes
+from .classical import ClassicalDetector
+from .scores import CRITERIA, Matches, detection_scores, match, paired_intervals
+
+DETECTORS = (ClassicalDetector.name,)
+
+
+class Detector(Protocol):
+    """What finds vehicles in the point clouds of one mounting."""
+
+    name: str
+
+    def learn(self, clouds: Iterator[PointCloud]) -> None:
+        """Look at other frames of the same mounting first."""
+
+    def detect(self, cloud: PointCloud) -> DetectedBoxes:
+        """The vehicles of one frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedDetector:
+    """What a detector made of the judging frames at one mounting.
+
+    Attributes
+    ----------
+    boxes : sequence of DetectedBoxes, f
+        Its detections of each frame.
+    matches : sequence of Matches
+        By each of `CRITERIA`.
+    with_return : float or None
+        Share of the vehicles with at least one return, which no detector can exceed by much; None where the clouds are
+        not ours.
+    """
+
+    boxes: Sequence[DetectedBoxes]
+    matches: Sequence[Matches]
+    with_return: float | None
+
+
+def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.ndarray]:
+    """The frames that judge, their blocks of time and their recordings: the held-out ones, or all where none is."""
+    plan = site.plan
+    if len(site.holdout):
+        return site.holdout, plan.holdout_block, plan.holdout_recording
+    return site.search, plan.search_block, plan.search_recording
+
+
+def sensor_at(site: Site, mount: Mapping[str, float]) -> MountedSensor:
+    """The site's sensor at a mounting."""
+    seen = site.observation
+    return MountedSensor(site.scenario, mount, seen.lattice, seen.caster, seen.scenery)
+
+
+def judge_detector(
+    site: Site, mount: Mapping[str, float], detector: Detector, advance: Callable[[int], object] = lambda done: None
+) -> JudgedDetector:
+    """Let a detector find the vehicles of the judging frames; it has seen the searched ones.
+
+    `advance` is told of each cloud that was cast.
+    """
+    sensor = sensor_at(site, mount)
+
+    def clouds(frames: Sequence[CountedFrame]) -> Iterator[PointCloud]:
+        for frame in frames:
+            yield sensor.scan(frame.vehicles)
+            advance(1)
+
+    detector.learn(clouds(site.search))
+    frames, _, _ = judging_frames(site)
+    boxes, returned = [], 0
+    for frame, cloud in zip(frames, clouds(frames), strict=True):
+        boxes.append(detector.detect(cloud))
+        returned += int(np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id).sum())
+    vehicles = sum(int(frame.counted.sum()) for frame in frames)
+    return JudgedDetector(boxes, matches_of(site, mount, boxes), returned / vehicles if vehicles else None)
+
+
+def matches_of(site: Site, mount: Mapping[str, float], boxes: Sequence[DetectedBoxes]) -> list[Matches]:
+    """Detections of the judging frames, matched by each of `CRITERIA`."""
+    frames, _, _ = judging_frames(site)
+    lidar = float(mount["x_m"]), float(mount["y_m"])
+    return [match(boxes, frames, site.region, lidar, criterion) for criterion in CRITERIA]
+
+
+def judged_from_file(
+    site: Site, mount: Mapping[str, float], of_frame: Mapping[int, DetectedBoxes], source: str
+) -> JudgedDetector:
+    """The detections of one's own detector, by the number of their frame.
+
+    Raises
+    ------
+    InputError
+        If it tells nothing of any judging frame.
+    """
+    frames, _, _ = judging_frames(site)
+    numbers = [frame.vehicles.frame for frame in frames]
+    missing = [number for number in numbers if number not in of_frame]
+    if len(missing) == len(numbers):
+        raise InputError(f"{source}: has detections of none of the {len(numbers)} judging frames, such as {numbers[0]}")
+    empty = next(iter(of_frame.values())).select(np.zeros(0, dtype=int))
+    boxes = [of_frame.get(number, empty) for number in numbers]
+    return JudgedDetector(boxes, matches_of(site, mount, boxes), None)
+
+
+def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]) -> dict[str, object]:
+    """What was found at each of some mountings, for a result file; the first is the baseline of the others.
+
+    `name` is the detector's.
+    """
+    _, block, recording = judging_frames(site)
+    mountings, baseline = {}, next(iter(judged.values()))
+    for mounting, one in judged.items():
+        mountings[mounting] = {"with_return": one.with_return, **detection_scores(one.matches)}
+        if one is not baseline:
+            gain = paired_intervals(one.matches, baseline.matches, block, site.scenario.search.seed, recording)
+            mountings[mounting]["over_baseline"] = gain
+    return {
+        "detector": name,
+        "frames": baseline.matches[0].frames,
+        "held_out": bool(len(site.holdout)),
+        "blocks": len(np.unique(block)),
+        "mountings": mountings,
+    }

@@ -1,0 +1,69 @@
+"""What a detector found, in a sentence and a table; `result` is everywhere the content of detection.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from .summary import TextTable
+
+_ROWS = {
+    "recall_0.1": "recall at confidence 0.1",
+    "precision_0.1": "precision at 0.1",
+    "recall_0.3": "recall at confidence 0.3",
+    "precision_0.3": "precision at 0.3",
+    "ap_centre_2m": "AP, centres within 2 m",
+    "ap_iou_0.5": "AP, bird's-eye IoU 0.5",
+    "ap_iou_0.7": "AP, bird's-eye IoU 0.7",
+}
+_TABLED = ("recall_0.3", "precision_0.3", "ap_iou_0.5")  # of groups
+
+
+def detection_text(result: Mapping) -> str:
+    """How many vehicles are found at the mounting, beside the baseline where that was judged too."""
+    given = result["mountings"]["given"]
+    if given["recall_0.3"] is None:
+        return "No vehicle counts in these frames."
+    said = f"At confidence 0.3 the detector finds {_percent(given['recall_0.3'])} % of the vehicles"
+    if "baseline" in result["mountings"]:
+        said += f" instead of {_percent(result['mountings']['baseline']['recall_0.3'])} % under the baseline"
+    said += f", and {_percent(given['precision_0.3'])} % of what it finds are vehicles"
+    if given["with_return"] is not None:
+        said += f"; {_percent(given['with_return'])} % have a return at all"
+    return said + "."
+
+
+def detection_table(result: Mapping) -> TextTable:
+    """Recall always with precision, AP, and groups of vehicles, in per cent, for each mounting."""
+    names = list(result["mountings"])
+    scores = [result["mountings"][name] for name in names]
+    over = scores[-1].get("over_baseline")
+    head = [("[%]", 1), *((name, 1) for name in names), *([("difference", 1), ("90 %", 1)] if over else [])]
+    rows = [("vehicles", *(f"{one['vehicles']:,}" for one in scores), *[""] * (2 * bool(over)))]
+    if all(one["with_return"] is not None for one in scores):
+        rows.append(("with a return", *(_percent(one["with_return"]) for one in scores), *[""] * (2 * bool(over))))
+    for key, text in _ROWS.items():
+        cells = [_percent(one[key]) for one in scores]
+        if over:
+            ends = over[key]["interval_90"]
+            cells += [f"{100 * over[key]['difference']:+.1f}"]
+            cells += ["" if ends is None else " to ".join(f"{100 * end:+.1f}" for end in ends)]
+        rows.append((text, *cells))
+    rows.append(("false alarms a frame at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores)))
+    sections = [("", rows)]
+    for group, title in (("by_distance", "By distance"), ("by_kind", "By kind")):
+        of_group = []
+        for name in scores[-1][group]:
+            for key in _TABLED:
+                cells = [_percent(one[group].get(name, {}).get(key)) for one in scores]
+                what = f"{name}, {scores[-1][group][name]['vehicles']:,} vehicles" if key == _TABLED[0] else ""
+                of_group.append((f"{what:<28}{_short(key)}", *cells))
+        sections.append((title, of_group))
+    return TextTable("Detection", [head], sections)
+
+
+def _short(key: str) -> str:
+    return {"recall_0.3": "recall at 0.3", "precision_0.3": "precision at 0.3", "ap_iou_0.5": "AP at IoU 0.5"}[key]
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f}"

@@ -1,0 +1,113 @@
+"""The detector without training, and the verb that judges detectors."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_lidar.clouds.files import read_cloud
+from blender_lidar.detection.classical import l_shape_heading
+from blender_lidar.detection.scores import MEASURES
+from blender_lidar.errors import InputError
+from tests.refusals import refused
+from tests.small_scene import REGION, cli, done, write_scene
+
+MOUNT = ("--height", 4.5, "--tilt-x", 15)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")
+    return write_scene(tmp_path, REGION)
+
+
+@pytest.mark.parametrize("heading_deg", [-40.0, -7.0, 0.0, 13.0, 44.0])
+def test_an_l_shape_has_the_heading_of_its_sides(heading_deg):
+    rng = np.random.default_rng(2)
+    along, across = rng.uniform(0, 4.5, 60), rng.uniform(0, 1.8, 25)
+    corner = np.concatenate([np.column_stack([along, 0 * along]), np.column_stack([0 * across, across])])
+    angle = np.radians(heading_deg)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    noisy = corner @ turn + rng.normal(0, 0.01, corner.shape)
+    assert np.degrees(l_shape_heading(noisy)) == pytest.approx(heading_deg, abs=2.0)
+
+
+def test_what_it_finds_is_there_and_most_is_found(scene, tmp_path, capsys):
+    out, _ = done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "found")
+    result = json.loads((tmp_path / "found" / "detection.json").read_text())
+    given = result["mountings"]["given"]
+    assert result["held_out"]
+    assert given["recall_0.1"] > 0.9
+    assert given["precision_0.3"] > 0.7
+    assert given["ap_centre_2m"] > 0.85
+    assert given["recall_0.1"] <= given["with_return"]
+    assert set(given["over_baseline"]) == set(MEASURES)
+    assert f"finds {100 * given['recall_0.3']:.1f} % of the vehicles instead of" in out
+    again, _ = done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "again", "--json")
+    assert json.loads(again) == result
+
+
+@pytest.mark.parametrize("name", ["detections.csv", "label_2"])
+def test_detections_of_ones_own_are_judged_as_the_same_boxes_are(name, scene, tmp_path, capsys):
+    done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "found")
+    words = "--detector", tmp_path / "found" / name, "--out", tmp_path / "own", "--json"
+    own = json.loads(done(capsys, "detect", scene, *MOUNT, *words)[0])["mountings"]
+    given = json.loads((tmp_path / "found" / "detection.json").read_text())["mountings"]["given"]
+    assert set(own) == {"given"}
+    assert own["given"]["with_return"] is None
+    for measure in MEASURES:
+        assert own["given"][measure] == pytest.approx(given[measure], abs=0.02)
+
+
+def test_the_baseline_alone_is_judged_alone(scene, tmp_path, capsys):
+    out, _ = done(capsys, "detect", scene, "--out", tmp_path / "found")
+    assert "under the baseline" not in out
+    assert sorted(path.name for path in (tmp_path / "found").iterdir()) == [
+        "detection.json",
+        "detections.csv",
+        "label_2",
+    ]
+
+
+def test_clouds_of_a_scan_give_boxes(scene, tmp_path, capsys):
+    done(capsys, "scan", scene, "--frame-ids", "5:40:5", *MOUNT, "--out", tmp_path / "clouds")
+    out, _ = done(capsys, "detect", tmp_path / "clouds", "--out", tmp_path / "boxes.csv")
+    rows = (tmp_path / "boxes.csv").read_text().splitlines()
+    assert f"{len(rows) - 1} boxes in 8 clouds" in out
+    assert len(rows) > 9
+
+
+def test_a_cloud_is_read_as_it_was_written(scene, tmp_path, capsys):
+    done(capsys, "scan", scene, "--frame", 5, *MOUNT, "--out", tmp_path / "cloud.npz")
+    cloud, header = read_cloud(tmp_path / "cloud.npz")
+    with np.load(tmp_path / "cloud.npz") as stored:
+        np.testing.assert_array_equal(cloud.xyz, stored["xyz"])
+        np.testing.assert_allclose(np.degrees(cloud.azimuth_rad), stored["azimuth_deg"])
+    assert header["frame"] == 5
+    (tmp_path / "cloud.npz").write_bytes((tmp_path / "cloud.npz").read_bytes()[:500])
+    with pytest.raises(InputError, match="is no NPZ cloud of scan"):
+        read_cloud(tmp_path / "cloud.npz")
+
+
+def test_wrong_words_are_refused(scene, tmp_path, capsys):
+    out = "--out", tmp_path / "found"
+    (tmp_path / "empty").mkdir()
+    assert "has no .npz clouds" in refused(capsys, tmp_path, "detect", tmp_path / "empty", *out)
+    (tmp_path / "own.csv").write_text(
+        "frame,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg,confidence\n999,car,0,5,0.7,4,2,1,0,0.5\n"
+    )
+    line = refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "own.csv", *out)
+    assert "has detections of none of the" in line
+    assert "no such file" in refused(capsys, tmp_path, "detect", scene, "--detector", "pillar", *out)
+
+
+def test_without_scikit_learn_the_extra_is_named(scene, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sklearn.cluster", None)
+    code, _, err = cli(capsys, "detect", scene, "--out", tmp_path / "found")
+    assert code == 2
+    assert 'pip install "blender_lidar[detect]"' in err
+    assert not Path(tmp_path / "found").exists()

@@ -1,0 +1,130 @@
+"""Detections as files: what is written is read again; what is wrong is refused in one line."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from blender_lidar.clouds.files import levelled
+from blender_lidar.detection.boxes import KINDS, DetectedBoxes, corners_of
+from blender_lidar.detection.files import kitti_camera, read_detected, write_detected, write_kitti
+from blender_lidar.errors import InputError, MissingFileError
+
+POSE = {"x_m": 3.0, "y_m": -2.0, "height_m": 4.5, "tilt_x_deg": 20.0, "tilt_y_deg": 0.0, "yaw_deg": 35.0}
+
+
+def random_boxes(count, seed):
+    rng = np.random.default_rng(seed)
+    return DetectedBoxes(
+        rng.uniform(-50, 50, (count, 3)),
+        rng.uniform(0.5, 12, (count, 3)),
+        rng.uniform(-math.pi, math.pi, count),
+        rng.integers(len(KINDS), size=count).astype(np.int8),
+        rng.random(count),
+    )
+
+
+def assert_alike(boxes, others, digits):
+    for name in ("centre_m", "size_m", "kind", "confidence"):
+        np.testing.assert_allclose(getattr(boxes, name), getattr(others, name), atol=10.0**-digits)
+    np.testing.assert_allclose(corners_of(boxes), corners_of(others), atol=10 * 10.0**-digits)
+
+
+@pytest.mark.parametrize("written", ["csv", "kitti"])
+def test_what_is_written_is_read_again(written, tmp_path):
+    found = {100: random_boxes(20, 1), 7: random_boxes(3, 2), 8: random_boxes(0, 3)}
+    if written == "csv":
+        write_detected(tmp_path / "boxes.csv", found)
+        read = read_detected(tmp_path / "boxes.csv", POSE)
+        assert set(read) == {7, 100}
+    else:
+        write_kitti(tmp_path / "label_2", found, POSE)
+        read = read_detected(tmp_path / "label_2", POSE)
+        assert set(read) == {7, 8, 100}
+    for number in (100, 7):
+        assert_alike(read[number], found[number], 2)
+
+
+def test_the_camera_of_kitti_looks_along_the_x_axis_of_the_levelled_cloud():
+    """As KITTI's calibration says of a camera in the LiDAR: x_cam = -y, y_cam = -z, z_cam = x."""
+    boxes = random_boxes(10, 4)
+    bottom, rotation_y = kitti_camera(boxes, POSE)
+    floor = boxes.centre_m - np.array([0.0, 0.0, 0.5]) * boxes.size_m
+    x, y, z = levelled(floor, POSE).T
+    np.testing.assert_allclose(bottom, np.column_stack([-y, -z, x]), atol=1e-12)
+    ahead = boxes.centre_m + np.column_stack([np.cos(boxes.heading_rad), np.sin(boxes.heading_rad), np.zeros(10)])
+    forward = levelled(ahead, POSE) - levelled(boxes.centre_m, POSE)
+    np.testing.assert_allclose(np.cos(rotation_y), -forward[:, 1], atol=1e-12)  # KITTI: (cos, 0, -sin) in the camera
+    np.testing.assert_allclose(-np.sin(rotation_y), forward[:, 0], atol=1e-12)
+
+
+def nuscenes(**changes):
+    entry = {
+        "translation": [1.0, 2.0, 0.75],
+        "size": [1.8, 4.5, 1.5],
+        "rotation": [math.cos(0.2), 0.0, 0.0, math.sin(0.2)],
+        "detection_name": "car",
+        "detection_score": 0.7,
+    }
+    return json.dumps({"meta": {}, "results": {"scene-i80-000100": [{**entry, **changes}], "scene-i80-000101": []}})
+
+
+def test_results_of_nuscenes_are_read(tmp_path):
+    (tmp_path / "found.json").write_text(nuscenes())
+    read = read_detected(tmp_path / "found.json", POSE)
+    assert set(read) == {100, 101}
+    (box,) = zip(read[100].centre_m.tolist(), read[100].size_m.tolist(), read[100].heading_rad, strict=True)
+    assert box == ([1.0, 2.0, 0.75], [4.5, 1.8, 1.5], pytest.approx(0.4))
+    assert len(read[101]) == 0
+
+
+def test_what_is_no_vehicle_is_left_out(tmp_path):
+    (tmp_path / "found.json").write_text(nuscenes(detection_name="pedestrian"))
+    assert len(read_detected(tmp_path / "found.json", POSE)[100]) == 0
+
+
+HEADER = "frame,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg,confidence\n"
+KITTI = "Car -1 -1 -10 -1 -1 -1 -1 1.5 1.8 4.5 1 2 20 0.1 0.9\n"
+BAD = {
+    "a.csv": [
+        (HEADER, "has no detection of a vehicle"),
+        (HEADER.replace(",confidence", ""), "no column confidence"),
+        (HEADER + "1,car,0,0,0,4,2,1,0,1.5\n", "a.csv:2: confidence is 1.5; allowed: 0 to 1"),
+        (HEADER + "1,car,0,0,0,0,2,1,0,0.5\n", "a.csv:2: length_m is 0; allowed: more than 0"),
+        (HEADER + "1,lorry,0,0,0,4,2,1,0,0.5\n", "a.csv:2: unknown class 'lorry'"),
+        (HEADER + "1,car,nan,0,0,4,2,1,0,0.5\n", "a.csv:2: x_m is 'nan'"),
+    ],
+    "a.json": [
+        ("{", "a.json: is not JSON"),
+        ("[]", "a.json: has no 'results'"),
+        (nuscenes(size=[1, 2]), "a.json: scene-i80-000100, 1: is no detection; needed: translation (3)"),
+        (nuscenes(detection_score=2), "scene-i80-000100, 1: the score is 2; allowed: 0 to 1"),
+        (nuscenes(translation=[1e999, 0, 0]), "a number is not finite"),
+        (json.dumps({"results": {"token": []}}), "token 'token' does not end with the number of a frame"),
+        (json.dumps({"results": {}}), "has no detection of a vehicle"),
+    ],
+    "000100.txt": [
+        (KITTI.rpartition(" ")[0], "000100.txt:1: 15 fields; allowed: 16, the last is the score"),
+        (KITTI.replace("20", "twenty"), "000100.txt:1: 'twenty' is no number"),
+        (KITTI.replace("4.5", "-4.5"), "000100.txt:1: a size is -4.5 m"),
+        (KITTI.replace("Car", "Lorry"), "000100.txt:1: unknown class 'lorry'"),
+    ],
+}
+
+
+@pytest.mark.parametrize(("name", "content", "told"), [(name, *one) for name, some in BAD.items() for one in some])
+def test_what_is_wrong_is_refused_in_a_line(name, content, told, tmp_path):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError) as caught:
+        read_detected(tmp_path if name.endswith(".txt") else tmp_path / name, POSE)
+    assert told in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_and_an_empty_folder_are_told(tmp_path):
+    for path in (tmp_path, tmp_path / "a.csv", tmp_path / "a.json"):
+        with pytest.raises(MissingFileError):
+            read_detected(path, POSE)

@@ -1,0 +1,210 @@
+"""Matching of detections with vehicles, recall, precision, AP, and their paired intervals, beside slow oracles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blender_lidar.detection.boxes import DetectedBoxes, join_boxes
+from blender_lidar.detection.scores import (
+    CRITERIA,
+    MEASURES,
+    MISSED,
+    Matches,
+    average_precision,
+    detection_scores,
+    match,
+    paired_intervals,
+    precision,
+    recall,
+)
+from blender_lidar.scene.observation import CountedFrame
+from blender_lidar.scene.region import Region
+from blender_lidar.traffic.vehicles import CLASSES, Vehicles
+
+REGION = Region((0.0, 0.0), 50.0)
+CENTRE, HALF, MOST = CRITERIA
+
+
+def frame_of(places, counted=None, classes=None):
+    count = len(places)
+    vehicles = Vehicles(
+        frame=0,
+        time_s=0.0,
+        vehicle_id=np.arange(count),
+        class_index=np.zeros(count, np.int8) if classes is None else np.array([CLASSES.index(c) for c in classes]),
+        centre_m=np.column_stack([np.array(places, dtype=float).reshape(-1, 2), np.full(count, 0.75)]),
+        size_m=np.tile([4.5, 1.8, 1.5], (count, 1)),
+        heading_rad=np.zeros(count),
+        lane=np.zeros(count, int),
+    )
+    return CountedFrame(vehicles, np.ones(count, dtype=bool) if counted is None else np.array(counted))
+
+
+def boxes_at(places, confidence, kind=None):
+    count = len(places)
+    return DetectedBoxes(
+        np.column_stack([np.array(places, dtype=float).reshape(-1, 2), np.full(count, 0.75)]),
+        np.tile([4.5, 1.8, 1.5], (count, 1)),
+        np.zeros(count),
+        np.zeros(count, np.int8) if kind is None else np.array(kind, np.int8),
+        np.array(confidence, dtype=float),
+    )
+
+
+def matched(boxes, frame, criterion=CENTRE):
+    return match([boxes], [frame], REGION, (0.0, 0.0), criterion)
+
+
+def test_the_surest_takes_the_nearest_vehicle_and_the_next_one_is_a_false_alarm():
+    found = matched(boxes_at([(0.5, 0), (1.5, 0), (20, 0)], [0.5, 0.9, 0.3]), frame_of([(0, 0), (-30, 0)]))
+    assert found.confidence.tolist() == [0.5, 0.9, 0.3]
+    assert found.hit.tolist() == [False, True, False]
+    assert found.found.tolist() == [0.9, MISSED]
+
+
+def test_a_detection_goes_to_the_nearest_vehicle_that_no_surer_one_has():
+    found = matched(boxes_at([(0.2, 0), (0.4, 0)], [0.9, 0.8]), frame_of([(0, 0), (1.8, 0)]))
+    assert found.hit.all()
+    assert found.found.tolist() == [0.9, 0.8]
+
+
+def test_what_does_not_count_is_neither_hit_nor_false_alarm():
+    """A vehicle that does not count, and a place outside the region."""
+    frame = frame_of([(0, 0), (10, 0), (60, 0)], counted=[True, False, False])
+    found = matched(boxes_at([(10, 0), (60, 0), (70, 0), (0, 0), (30, 0)], [0.9, 0.8, 0.7, 0.6, 0.5]), frame)
+    assert found.confidence.tolist() == [0.6, 0.5]
+    assert found.hit.tolist() == [True, False]
+    assert len(found.found) == 1
+
+
+def test_overlap_counts_from_its_threshold_on():
+    frame = frame_of([(0, 0)])
+    for shift, iou in ((1.4, (4.5 - 1.4) / (4.5 + 1.4)), (1.6, (4.5 - 1.6) / (4.5 + 1.6)), (0.7, 3.8 / 5.2)):
+        boxes = boxes_at([(shift, 0)], [0.5])
+        assert matched(boxes, frame, HALF).hit.tolist() == [iou >= 0.5]
+        assert matched(boxes, frame, MOST).hit.tolist() == [iou >= 0.7]
+
+
+def test_distances_of_hits_are_their_vehicles():
+    """Else a vehicle at 9.9 m that is found at 10.1 m is missed in one band and found too often in the next."""
+    found = matched(boxes_at([(10.1, 0)], [0.5]), frame_of([(9.9, 0)]))
+    assert recall(found.near(0, 10), 0.1)[0] == average_precision(found.near(0, 10))[0] == 1.0
+    assert len(found.near(10, 20).confidence) == 0
+
+
+def test_by_kind_a_vehicle_is_found_where_it_was_taken_for_its_kind():
+    frame = frame_of([(0, 0), (20, 0), (40, 0)], classes=["van", "bus", "truck"])
+    found = matched(boxes_at([(0, 0), (20, 0), (40, 0)], [0.9, 0.8, 0.7], kind=[0, 0, 1]), frame)
+    assert recall(found, 0.1)[0] == 1.0
+    cars, large = found.of_kind(0), found.of_kind(1)
+    assert (recall(cars, 0.1)[0], precision(cars, 0.1)[0]) == (1.0, 0.5)
+    assert (recall(large, 0.1)[0], precision(large, 0.1)[0]) == (0.5, 1.0)
+
+
+# --- Average precision ------------------------------------------------------------------------------------------------
+
+
+def slow_ap(confidence, hit, vehicles):
+    """Area below the best precision at no less recall, threshold after threshold."""
+    points = [(0.0, 0.0)]
+    for threshold in sorted(set(confidence), reverse=True):
+        sure = confidence >= threshold
+        points.append((hit[sure].sum() / vehicles, hit[sure].mean()))
+    area, before = 0.0, 0.0
+    for reached, _ in points:
+        area += (reached - before) * max(p for r, p in points if r >= reached)
+        before = reached
+    return area
+
+
+def random_matches(seed, frames=12, decimals=1):
+    rng = np.random.default_rng(seed)
+    detections, vehicles = 60, 50
+    hit = rng.random(detections) < 0.6
+    found = np.full(vehicles, MISSED)
+    confidence = rng.random(detections).round(decimals)
+    found[: hit.sum()] = confidence[hit]
+    vehicle_frame = rng.integers(frames, size=vehicles)
+    frame = rng.integers(frames, size=detections)
+    frame[hit] = vehicle_frame[: hit.sum()]
+    return Matches(
+        frames=frames,
+        confidence=confidence,
+        hit=hit,
+        frame=frame,
+        kind=np.zeros(detections, int),
+        distance_m=rng.uniform(0, 50, detections),
+        right=hit,
+        found=found,
+        found_right=found > 0,
+        vehicle_frame=vehicle_frame,
+        vehicle_kind=np.zeros(vehicles, int),
+        vehicle_distance_m=rng.uniform(0, 50, vehicles),
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_average_precision_is_the_area_that_a_slow_oracle_finds(seed):
+    matches = random_matches(seed)
+    expected = slow_ap(matches.confidence, matches.hit, len(matches.found))
+    assert average_precision(matches)[0] == pytest.approx(expected, abs=1e-12)
+
+
+def test_frames_that_count_twice_are_frames_that_are_there_twice():
+    matches = random_matches(3)
+    weight = np.zeros((2, matches.frames))
+    weight[0, :6], weight[1] = 2.0, np.arange(matches.frames)
+    for measure in MEASURES.values():
+        whole = measure([matches] * 3, weight)
+        for row, value in zip(weight, whole, strict=True):
+            again = np.repeat(np.arange(len(matches.frame)), row[matches.frame].astype(int))
+            vehicles = np.repeat(np.arange(len(matches.vehicle_frame)), row[matches.vehicle_frame].astype(int))
+            assert measure([matches._of(again, vehicles)] * 3, None)[0] == pytest.approx(value, abs=1e-12)
+
+
+def test_perfect_detections_score_one_and_nothing_scores_nothing():
+    frame = frame_of([(0, 0), (20, 5)])
+    perfect = [match([boxes_at([(0, 0), (20, 5)], [1, 1])], [frame], REGION, (0, 0), each) for each in CRITERIA]
+    scores = detection_scores(perfect)
+    assert all(scores[name] == 1.0 for name in MEASURES)
+    nothing = [match([join_boxes([])], [frame], REGION, (0, 0), each) for each in CRITERIA]
+    scores = detection_scores(nothing)
+    assert scores["recall_0.1"] == scores["ap_iou_0.5"] == 0.0
+    assert scores["precision_0.1"] is None
+    empty = [match([join_boxes([])], [frame_of([])], REGION, (0, 0), each) for each in CRITERIA]
+    assert detection_scores(empty)["recall_0.1"] is None
+
+
+# --- Intervals --------------------------------------------------------------------------------------------------------
+
+
+def test_a_detector_beside_itself_differs_by_nothing_and_one_that_misses_some_loses():
+    matches = random_matches(5)
+    block = np.arange(matches.frames)
+    for told in paired_intervals([matches] * 3, [matches] * 3, block, 1).values():
+        assert told == {"difference": 0.0, "interval_90": [0.0, 0.0]}
+    kept = matches._of(np.arange(len(matches.confidence)) % 2 == 0, np.ones(len(matches.found), bool))
+    fewer = paired_intervals([kept] * 3, [matches] * 3, block, 1)["ap_centre_2m"]
+    assert fewer["difference"] < 0.0
+    assert fewer["interval_90"][0] < fewer["difference"] < fewer["interval_90"][1] < 0.0
+
+
+def test_paired_intervals_hold_the_truth_as_often_as_they_say():
+    """Of 300 draws from frames that are all alike: 90 % within about two standard errors of that count."""
+    rng, inside, draws = np.random.default_rng(8), 0, 300
+    for _ in range(draws):
+        shared = rng.random((16, 8)) < 0.5  # vehicles that both find, or neither
+        parts = []
+        for share in (0.7, 0.6):
+            found = np.where(shared | (rng.random((16, 8)) < 2 * share - 1), 0.5, MISSED).ravel()
+            vehicle_frame = np.repeat(np.arange(16), 8)
+            nothing = match([join_boxes([])] * 16, [frame_of([])] * 16, REGION, (0.0, 0.0), CENTRE)
+            changed = {"found": found, "found_right": found > 0, "vehicle_frame": vehicle_frame}
+            zeros = {name: np.zeros(128, int) for name in ("vehicle_kind", "vehicle_distance_m")}
+            parts.append([replace(nothing, **changed, **zeros)] * 3)
+        low, high = paired_intervals(*parts, np.arange(16), 1)["recall_0.3"]["interval_90"]
+        inside += low <= 0.5 * (0.4 - 0.2) <= high
+    assert 0.85 <= inside / draws <= 0.95
