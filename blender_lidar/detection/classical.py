@@ -51,7 +51,7 @@ class ClassicalSettings:
     apart_m: float = 0.9
     least_points: int = 2
     sure_points: float = 5.0
-    turned_points: int = 12
+    turned_points: int = 40
 
 
 class ClassicalDetector:

@@ -560,6 +560,10 @@ class WorldSettings:
         Where the road frame's origin lies in the frame of these files [m], and the direction of its x axis there.
     boxes, barriers : tuple
         What else stands still.
+    clutter : float
+        How much stands along the roadsides at random and is no vehicle; 1 is much, 0 nothing.
+    clutter_seed : int
+        What else that depends on.
     """
 
     detail: str = setting("body", allowed=DETAILS, option="--detail")
@@ -572,11 +576,13 @@ class WorldSettings:
     heading_deg: float = setting(0.0, **_HEADING)
     boxes: tuple[BoxSettings, ...] = setting(())
     barriers: tuple[BarrierSettings, ...] = setting(())
+    clutter: float = setting(0.0, low=0.0, high=10.0, option="--clutter")
+    clutter_seed: int = setting(1, low=0)
 
     @property
     def has_scenery(self) -> bool:
         """Whether anything stands still and hides vehicles."""
-        return bool(self.blend or self.mesh or self.boxes or self.barriers)
+        return bool(self.blend or self.mesh or self.boxes or self.barriers or self.clutter)
 
 
 def _is_address(address: str) -> bool:

@@ -16,6 +16,7 @@ from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
 from ..traffic.frames import few_vehicles
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
+from ..world.clutter import clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
@@ -44,7 +45,17 @@ def read_scenery(scenario: Scenario, reach_m: float) -> Scenery:
     files = [_near(path, world, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
     barriers = [barrier(item.kind, item.y_m, item.x_m) for item in world.barriers]
-    return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers])])
+    beside = clutter(scenario.road, world.clutter, world.clutter_seed, centre[0], reach_m, _may_hang(scenario))
+    return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])
+
+
+def _may_hang(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Corners x, y of the places where the LiDAR may hang [m]: searched ones, poles and the baseline."""
+    deployment, base = scenario.deployment, [scenario.baseline[key] for key in ("x_m", "y_m")]
+    searched = {**deployment.fixed, **deployment.bounds}
+    places = [base, *([pole.x_m, pole.y_m] for pole in deployment.poles)]
+    places += np.transpose([np.broadcast_to(searched[key], 2) for key in ("x_m", "y_m")]).tolist()
+    return np.min(places, axis=0), np.max(places, axis=0)
 
 
 def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:

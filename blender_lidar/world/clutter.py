@@ -1,0 +1,174 @@
+"""Roadside clutter: signs, cabinets, people, guard rails, and bushes and trees as porous volumes, drawn by seed.
+
+It returns and is no vehicle, and hides vehicles behind it. Rates, sizes and distances from the edge of the carriageway
+are round numbers of ours, not a survey.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..road import RoadFrame
+from .scenery import Scenery, barrier, box, join, structure
+
+_CELL_M = 50.0  # along the road: what stands in a cell depends on the seed alone, not on how far one looks
+_CLEAR_M = 2.5  # about places where the LiDAR may hang
+_LEAF_M = 0.2  # side of the triangles of leaves
+_LEAF_AREA_M2 = 0.25 * math.sqrt(3.0) * _LEAF_M**2
+_OPTICAL_DEPTH = 1.0  # of a crown: 37 % of the beams through its middle pass
+
+
+def clutter(
+    road: RoadFrame,
+    strength: float,
+    seed: int,
+    centre_x: float,
+    reach_m: float,
+    keep_clear: tuple[Sequence[float], Sequence[float]],
+) -> Scenery:
+    """Roadside clutter along a stretch of road, to its right and to its left.
+
+    Parameters
+    ----------
+    road : RoadFrame
+        Whose carriageway stays free.
+    strength : float
+        How much there is: with 1 the rates of `_KINDS`, with 2 twice as much.
+    seed : int
+        What else it depends on.
+    centre_x, reach_m : float
+        The middle of the stretch and how far it goes to each side [m].
+    keep_clear : (low, high)
+        Corners x, y of the places where the LiDAR may hang [m]: nothing stands within 2.5 m of them.
+    """
+    low, high = np.asarray(keep_clear[0][:2]) - _CLEAR_M, np.asarray(keep_clear[1][:2]) + _CLEAR_M
+    parts = []
+    first, last = (math.floor((centre_x + side * reach_m) / _CELL_M) for side in (-1, 1))
+    for cell in range(first, last + 1):
+        for side in (0, 1):
+            rng = np.random.default_rng([seed, cell + 2**31, side])
+            for kind in _KINDS:
+                for (x, y), own in _places(kind, road, strength, cell, side, rng):
+                    made = kind.made(x, y, own)
+                    corners = made.corners[..., :2].reshape(-1, 2)
+                    if ((corners.max(axis=0) < low) | (corners.min(axis=0) > high)).any():
+                        parts.append(made)
+    return join(parts)
+
+
+def _places(
+    kind: _Kind, road: RoadFrame, strength: float, cell: int, side: int, rng: np.random.Generator
+) -> Iterator[tuple[tuple[float, float], np.random.Generator]]:
+    """Where things of a kind stand in a cell, (x, y) [m], by a Poisson process, and what each draws from."""
+    right, left = road.carriageway_y
+    count = rng.poisson(strength * kind.rate * _CELL_M / 100.0)
+    for own in rng.spawn(count):
+        x, away = (cell + own.random()) * _CELL_M, own.uniform(*kind.away_m)
+        yield (x, right - away if side == 0 else left + away), own
+
+
+# --- What stands there: each at a place (x, y) [m], by draws of its own ----------------------------------------------
+
+
+def _sign(x: float, y: float, rng: np.random.Generator) -> Scenery:
+    """A plate that faces the traffic, on a post."""
+    size, bottom = rng.uniform(0.6, 1.0), rng.uniform(1.8, 2.3)
+    plate = box("plate", (x, y, bottom + 0.5 * size), (0.03, size, size))
+    return _one("sign", box("post", (x + 0.05, y, 0.5 * bottom), (0.07, 0.07, bottom)), plate)
+
+
+def _cabinet(x: float, y: float, rng: np.random.Generator) -> Scenery:
+    """A switch box or a litter bin."""
+    length, width, height = rng.uniform((0.4, 0.3, 0.9), (1.2, 0.5, 1.4))
+    return box("cabinet", (x, y, 0.5 * height), (length, width, height))
+
+
+def _person(x: float, y: float, rng: np.random.Generator) -> Scenery:
+    """A pedestrian who stands, or a cyclist on a cycle: legs, trunk and head, or cycle and rider, as boxes."""
+    heading, tall = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(1.5, 1.9)
+    if rng.random() < 0.3:
+        rider = box("rider", (x, y, 0.72 * tall), (0.5, 0.45, 0.5 * tall), heading)
+        return _one("cyclist", box("cycle", (x, y, 0.5), (1.75, 0.1, 1.0), heading), rider)
+    legs = box("legs", (x, y, 0.24 * tall), (0.25, 0.3, 0.48 * tall), heading)
+    trunk = box("trunk", (x, y, 0.66 * tall), (0.28, 0.45, 0.36 * tall), heading)
+    return _one("pedestrian", legs, trunk, box("head", (x, y, 0.93 * tall), (0.2, 0.17, 0.14 * tall), heading))
+
+
+def _guard_rail(x: float, y: float, rng: np.random.Generator) -> Scenery:
+    """A guard rail along the road."""
+    length = rng.uniform(15.0, 40.0)
+    return _one("guard rail", barrier("guard_rail", y, (x - 0.5 * length, x + 0.5 * length)))
+
+
+def _bush(x: float, y: float, rng: np.random.Generator) -> Scenery:
+    """Leaves from the ground up."""
+    across, high = rng.uniform(0.5, 1.2), rng.uniform(0.6, 1.8)
+    return structure("bush", leaves((x, y, 0.5 * high), (across, across, 0.5 * high), rng))
+
+
+def _tree(x: float, y: float, rng: np.random.Generator) -> Scenery:
+    """A crown of leaves on a trunk."""
+    across, bottom, high = rng.uniform(1.2, 2.2), rng.uniform(1.8, 3.0), rng.uniform(2.5, 4.5)
+    crown = structure("crown", leaves((x, y, bottom + 0.5 * high), (across, across, 0.5 * high), rng))
+    return _one("tree", box("trunk", (x, y, 0.5 * bottom), (0.25, 0.25, bottom)), crown)
+
+
+def leaves(centre: Sequence[float], half: Sequence[float], rng: np.random.Generator) -> np.ndarray:
+    """A porous volume: triangles anywhere in an ellipsoid, in any orientation, (m, 3, 3) [m].
+
+    So many that a beam through the middle passes with a probability of 37 % (Beer and Lambert, optical depth 1): a
+    triangle in any orientation shows half its area.
+
+    Parameters
+    ----------
+    centre, half : (float, float, float)
+        The ellipsoid's middle and half axes [m].
+    rng : Generator
+    """
+    area = math.pi * half[0] * half[1]
+    count = max(4, round(_OPTICAL_DEPTH * area / (0.5 * _LEAF_AREA_M2)))
+    middle = _directions(count, rng) * np.cbrt(rng.random((count, 1))) * half + centre
+    normal = _directions(count, rng)
+    other = np.cross(normal, _directions(count, rng))
+    one = other / np.linalg.norm(other, axis=1, keepdims=True)
+    two = np.cross(normal, one)
+    angles = np.array([0.0, 2.0, 4.0]) * math.pi / 3.0
+    ring = np.cos(angles)[:, None] * one[:, None] + np.sin(angles)[:, None] * two[:, None]
+    corners = middle[:, None] + _LEAF_M / math.sqrt(3.0) * ring
+    corners[..., 2] = np.maximum(corners[..., 2], 0.0)
+    return corners
+
+
+def _directions(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Unit vectors, uniform on the sphere, (count, 3)."""
+    drawn = rng.normal(size=(count, 3))
+    return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+
+
+def _one(name: str, *parts: Scenery) -> Scenery:
+    """Several parts as one object."""
+    whole = join(parts)
+    return Scenery(whole.corners, np.zeros(len(whole), np.int32), whole.surface, (name,))
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """How often it stands there on 100 m of a roadside, and how far from the edge of the carriageway [m]."""
+
+    made: Callable[[float, float, np.random.Generator], Scenery]
+    rate: float
+    away_m: tuple[float, float]
+
+
+_KINDS = (
+    _Kind(_sign, 2.0, (0.6, 2.0)),
+    _Kind(_cabinet, 1.0, (1.0, 4.0)),
+    _Kind(_person, 1.5, (1.0, 4.0)),
+    _Kind(_guard_rail, 0.5, (0.5, 0.8)),
+    _Kind(_bush, 6.0, (1.5, 5.0)),
+    _Kind(_tree, 3.0, (2.8, 8.0)),
+)

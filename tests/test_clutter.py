@@ -1,0 +1,107 @@
+"""Roadside clutter: the same for the same seed, beside the road, porous where it grows, and in the way of detectors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from blender_lidar.casting.exact import ExactCaster
+from blender_lidar.detection.classical import ClassicalDetector
+from blender_lidar.detection.judge import judging_frames, matches_of, sensor_at
+from blender_lidar.road import RoadFrame
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.world.clutter import clutter, leaves
+from tests.small_scene import CASTER
+
+ROAD = RoadFrame()
+AT_ZERO = ((0.0, 0.0), (0.0, 0.0))
+
+
+def made(strength=1.0, seed=1, centre_x=0.0, reach_m=100.0, keep_clear=AT_ZERO):
+    return clutter(ROAD, strength, seed, centre_x, reach_m, keep_clear)
+
+
+def test_the_same_seed_gives_the_same_and_another_one_another():
+    assert made().digest == made().digest
+    assert made().digest != made(seed=2).digest
+    assert len(made(strength=0.0)) == 0
+
+
+def test_what_stands_in_a_stretch_does_not_depend_on_how_far_one_looks():
+    near, far = made(reach_m=49.0), made(centre_x=30.0, reach_m=200.0)
+    known = {corners.tobytes() for corners in far.corners}
+    assert len(near) > 1000
+    assert all(corners.tobytes() in known for corners in near.corners)
+
+
+def test_there_is_as_much_as_the_strength_says():
+    counts = [len(made(strength=strength, reach_m=2000.0).names) for strength in (0.5, 1.0, 2.0)]
+    np.testing.assert_allclose(np.array(counts) / counts[1], [0.5, 1.0, 2.0], rtol=0.12)
+    assert counts[1] == pytest.approx(2 * 41 * 14.0, rel=0.1)  # both sides, 4.1 km, 14 things on 100 m
+
+
+def test_the_carriageway_and_the_places_of_the_lidar_stay_free():
+    right, left = ROAD.carriageway_y
+    scenery = made(strength=3.0, reach_m=1000.0, keep_clear=((-20.0, -1.0), (20.0, 0.0)))
+    y = scenery.corners[..., 1]
+    assert ((y <= right) | (y >= left)).all()
+    assert scenery.corners[..., 2].min() >= 0.0
+    low, high = scenery.corners.min(axis=1), scenery.corners.max(axis=1)
+    inside = (low[:, 0] < 22.5) & (high[:, 0] > -22.5) & (low[:, 1] < 2.5) & (high[:, 1] > -3.5)
+    assert not inside.any()
+
+
+def test_a_crown_lets_about_37_percent_of_the_beams_through_its_middle_pass():
+    passed = []
+    for seed in range(8):
+        crown = ExactCaster(leaves((0.0, 0.0, 4.0), (1.8, 1.8, 1.5), np.random.default_rng(seed)), closed=False)
+        rng = np.random.default_rng(100 + seed)
+        across = rng.uniform(-0.3, 0.3, (300, 2))
+        origins = np.column_stack([np.full(300, -10.0), across[:, 0], 4.0 + across[:, 1]])
+        directions = np.tile([1.0, 0.0, 0.0], (300, 1))
+        passed.append(np.isinf(crown.cast(origins, directions).distance).mean())
+    # Seen from the side a crown of 1.5 m half height has 1.5 / 1.5 times the depth of its plan: 1.5 * 1.0.
+    assert np.mean(passed) == pytest.approx(np.exp(-1.5), abs=0.06)
+
+
+@pytest.fixture(scope="module")
+def sites():
+    pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")
+
+    def site(strength):
+        scene = {("world", "clutter"): strength, ("model", "caster"): CASTER, ("traffic", "frames"): 8}
+        scene |= {
+            ("world", "clutter_seed"): 3,
+            ("deployment", "y_m"): -4.0,
+            ("baseline", "y_m"): -4.0,
+        }  # 6 m from the edge: more stands before it
+        return prepare(load_scenario("i80", {key: (value, "x") for key, value in scene.items()}))
+
+    return site(0.0), site(5.0)
+
+
+def test_clutter_takes_returns_from_vehicles_and_gives_none_to_any(sites):
+    mount = dict(sites[0].scenario.baseline)
+    returns = []
+    for site in sites:
+        clouds = [sensor_at(site, mount).scan(frame.vehicles) for frame in site.search]
+        returns.append([np.unique(cloud.vehicle_id, return_counts=True) for cloud in clouds])
+    clean, cluttered = (sum(count[vehicle >= 0].sum() for vehicle, count in each) for each in returns)
+    assert cluttered < 0.9 * clean
+    for (vehicle, count), (other, fewer) in zip(*returns, strict=True):
+        known = dict(zip(vehicle.tolist(), count.tolist(), strict=True))
+        assert all(n <= known[one] for one, n in zip(other.tolist(), fewer.tolist(), strict=True) if one >= 0)
+
+
+def test_clutter_is_a_false_alarm_to_a_detector_that_has_not_seen_it_before(sites):
+    """Such as one that was set up in winter, or trained where nothing stood."""
+    mount = dict(sites[0].scenario.baseline)
+    detector = ClassicalDetector(sites[0].observation.lattice, (0.0, 0.0))
+    detector.learn(sensor_at(sites[0], mount).scan(frame.vehicles) for frame in sites[0].search)
+    alarms = []
+    for site in sites:
+        frames, _, _ = judging_frames(site)
+        boxes = [detector.detect(sensor_at(site, mount).scan(frame.vehicles)) for frame in frames]
+        alarms.append((~matches_of(site, mount, boxes)[0].hit).sum() / len(frames))
+    assert alarms[1] > alarms[0] + 5.0
