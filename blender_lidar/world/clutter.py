@@ -50,25 +50,23 @@ def clutter(
     first, last = (math.floor((centre_x + side * reach_m) / _CELL_M) for side in (-1, 1))
     for cell in range(first, last + 1):
         for side in (0, 1):
-            rng = np.random.default_rng([seed, cell + 2**31, side])
-            for kind in _KINDS:
-                for (x, y), own in _places(kind, road, strength, cell, side, rng):
-                    made = kind.made(x, y, own)
+            for number, kind in enumerate(_KINDS):
+                for made in _things(kind, road, strength, cell, side, [seed, cell + 2**31, side, number]):
                     corners = made.corners[..., :2].reshape(-1, 2)
                     if ((corners.max(axis=0) < low) | (corners.min(axis=0) > high)).any():
                         parts.append(made)
     return join(parts)
 
 
-def _places(
-    kind: _Kind, road: RoadFrame, strength: float, cell: int, side: int, rng: np.random.Generator
-) -> Iterator[tuple[tuple[float, float], np.random.Generator]]:
-    """Where things of a kind stand in a cell, (x, y) [m], by a Poisson process, and what each draws from."""
+def _things(
+    kind: _Kind, road: RoadFrame, strength: float, cell: int, side: int, seeds: Sequence[int]
+) -> Iterator[Scenery]:
+    """What stands of a kind in a cell, on its right (0) or left side (1): a Poisson process beside the carriageway."""
     right, left = road.carriageway_y
-    count = rng.poisson(strength * kind.rate * _CELL_M / 100.0)
-    for own in rng.spawn(count):
-        x, away = (cell + own.random()) * _CELL_M, own.uniform(*kind.away_m)
-        yield (x, right - away if side == 0 else left + away), own
+    for number in range(np.random.default_rng(seeds).poisson(strength * kind.rate * _CELL_M / 100.0)):
+        rng = np.random.default_rng([*seeds, number])
+        x, away = (cell + rng.random()) * _CELL_M, rng.uniform(*kind.away_m)
+        yield kind.made(x, right - away if side == 0 else left + away, rng)
 
 
 # --- What stands there: each at a place (x, y) [m], by draws of its own ----------------------------------------------
