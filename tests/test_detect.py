@@ -63,6 +63,18 @@ def test_detections_of_ones_own_are_judged_as_the_same_boxes_are(name, scene, tm
         assert own["given"][measure] == pytest.approx(given[measure], abs=0.02)
 
 
+def test_a_lidar_that_hangs_off_its_plan_costs_overlap(scene, tmp_path, capsys):
+    """The classical detector looks at ranges, so that it finds as much, but at places that are off."""
+    scores = []
+    for number, words in enumerate(((), ("--tolerance", "tilt_deg=5,yaw_deg=5,height_m=0.3"))):
+        words = *words, "--out", tmp_path / str(number), "--json"
+        result = json.loads(done(capsys, "detect", scene, *MOUNT, *words)[0])
+        scores.append(result["mountings"]["given"])
+        assert (result["hangs"] == result["deployment"]) == (number == 0)
+    assert scores[1]["with_return"] > 0.9
+    assert scores[1]["ap_iou_0.7"] < scores[0]["ap_iou_0.7"] - 0.05
+
+
 def test_the_baseline_alone_is_judged_alone(scene, tmp_path, capsys):
     out, _ = done(capsys, "detect", scene, "--out", tmp_path / "found")
     assert "under the baseline" not in out

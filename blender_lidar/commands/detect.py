@@ -14,7 +14,14 @@ from ..clouds.files import read_cloud
 from ..detection.boxes import DetectedBoxes
 from ..detection.classical import ClassicalDetector
 from ..detection.files import read_detected, write_detected, write_kitti
-from ..detection.judge import JudgedDetector, detection_result, judge_detector, judged_from_file, judging_frames
+from ..detection.judge import (
+    JudgedDetector,
+    detection_result,
+    hung_off,
+    judge_detector,
+    judged_from_file,
+    judging_frames,
+)
 from ..detection.scores import CRITERIA
 from ..errors import InputError
 from ..files import check_place, check_unused, make_folder, write_text
@@ -52,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
         "region": asdict(scenario.region),
         "caster": site.observation.caster,
         "deployment": dict(mount),
+        "hangs": hung_off(site, mount),
         "baseline": dict(scenario.baseline),
         "criteria": [criterion.name for criterion in CRITERIA],
         **detection_result(site, args.detector, judged),

@@ -193,7 +193,7 @@ def _detect(subparsers) -> None:
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
         "clouds --out boxes.csv",
     )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--tolerance", "--reading", "--workers", "--cluster"))
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--workers", "--cluster"))
     add_pose(parser)
     detector = (
         "classical: background subtraction, DBSCAN and L-shapes; or FILE, the detections of your own detector in "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +12,9 @@ from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..scene.observation import CountedFrame
+from ..scene.scenario import pose_at
 from ..scene.site import Site
+from ..sensors.pose import Pose
 from .boxes import DetectedBoxes
 from .classical import ClassicalDetector
 from .scores import CRITERIA, Matches, detection_scores, match, paired_intervals
@@ -60,6 +62,22 @@ def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.n
     return site.search, plan.search_block, plan.search_recording
 
 
+def hung_off(site: Site, mount: Mapping[str, float]) -> dict[str, float]:
+    """Where the LiDAR hangs that was to hang at `mount`: off by one draw within the scene's tolerance, by its seed."""
+    tolerance = site.scenario.objective.tolerance
+    rng = np.random.default_rng(site.scenario.search.seed)
+    errors = {
+        key: width * rng.uniform(-1.0, 1.0) for key, width in (tolerance.half_widths if tolerance else {}).items()
+    }
+    return {key: value + errors.get(key, 0.0) for key, value in mount.items()}
+
+
+def _believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:
+    """A cloud in the road frame that follows from the planned pose, of a LiDAR that hangs in another one."""
+    measured = (cloud.xyz - hangs.position) @ hangs.rotation.T
+    return replace(cloud, xyz=planned.position + measured @ planned.rotation)
+
+
 def sensor_at(site: Site, mount: Mapping[str, float]) -> MountedSensor:
     """The site's sensor at a mounting."""
     seen = site.observation
@@ -71,13 +89,15 @@ def judge_detector(
 ) -> JudgedDetector:
     """Let a detector find the vehicles of the judging frames; it has seen the searched ones.
 
-    `advance` is told of each cloud that was cast.
+    Where the scene has a tolerance, the LiDAR hangs off its plan, which the detector believes in. `advance` is told of
+    each cloud that was cast.
     """
-    sensor = sensor_at(site, mount)
+    hangs = hung_off(site, mount)
+    sensor = sensor_at(site, hangs)
 
     def clouds(frames: Sequence[CountedFrame]) -> Iterator[PointCloud]:
         for frame in frames:
-            yield sensor.scan(frame.vehicles)
+            yield _believed(sensor.scan(frame.vehicles), pose_at(hangs), pose_at(mount))
             advance(1)
 
     detector.learn(clouds(site.search))
