@@ -14,7 +14,7 @@ from blender_lidar.detection.classical import l_shape_heading
 from blender_lidar.detection.scores import MEASURES
 from blender_lidar.errors import InputError
 from tests.refusals import refused
-from tests.small_scene import REGION, cli, done, write_scene
+from tests.small_scene import REGION, cli, done, without_charts, write_scene
 
 MOUNT = ("--height", 4.5, "--tilt-x", 15)
 
@@ -117,9 +117,25 @@ def test_wrong_words_are_refused(scene, tmp_path, capsys):
     assert "no such file" in refused(capsys, tmp_path, "detect", scene, "--detector", "pillar", *out)
 
 
-def test_without_scikit_learn_the_extra_is_named(scene, tmp_path, capsys, monkeypatch):
+def test_runs_have_a_part_on_detection_where_a_detector_is_asked(scene, tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    words = "evaluate", scene, *MOUNT, "--detector", "classical", "--out", tmp_path / "run"
+    out, _ = done(capsys, *words)
+    result = json.loads((tmp_path / "run" / "detection.json").read_text())
+    share = f"finds {100 * result['mountings']['given']['recall_0.3']:.1f} % of the vehicles"
+    assert share in " ".join(out.split())
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "What a detector finds" in page
+    assert share in page
+    assert (tmp_path / "run" / "label_2").is_dir()
+    done(capsys, "evaluate", scene, *MOUNT, "--out", tmp_path / "plain")
+    assert "What a detector finds" not in (tmp_path / "plain" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("verb", ["detect", "evaluate", "optimise"])
+def test_without_scikit_learn_the_extra_is_named(verb, scene, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn.cluster", None)
-    code, _, err = cli(capsys, "detect", scene, "--out", tmp_path / "found")
+    code, _, err = cli(capsys, verb, scene, "--detector", "classical", "--out", tmp_path / "found")
     assert code == 2
     assert 'pip install "blender_lidar[detect]"' in err
     assert not Path(tmp_path / "found").exists()

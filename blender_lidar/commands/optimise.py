@@ -15,6 +15,7 @@ from ..report.page import write_report
 from ..run.folder import INSTALLATION, Outcome, RunFolder
 from ..run.optimise import ended_search, evaluate_site, optimise_site
 from ..scene.scenario import Scenario
+from ..scene.settings import COORDINATES
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
 from .options import default_folder, mounting_from, scenario_from
@@ -56,9 +57,14 @@ def write_pages(site: Site, run: Outcome, note: Callable[[str], object]) -> list
 
 def report(args: argparse.Namespace, site: Site, folder: RunFolder) -> int:
     """Of a run that has ended write all that it leaves, and print what was found."""
-    run = folder.read_outcome()
+    run, found = folder.read_outcome(), ""
+    if args.detector is not None:
+        from .detect import judge_at, told
+
+        mount = {key: run.result["deployment"][key] for key in COORDINATES}
+        found = "\n\n" + told(judge_at(site, mount, args.detector, folder.path))
     charts = write_pages(site, run, lambda text: print(f"blender-lidar: note: {text}", file=sys.stderr))
-    say(args, outcome_text(run, files(folder, charts)))
+    say(args, outcome_text(run, files(folder, charts)) + found)
     if args.json:
         print(json.dumps(run.result, indent=2))
     return 0
@@ -69,12 +75,20 @@ def say(args: argparse.Namespace, text: str) -> None:
     print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
 
 
+def _check_detector(args: argparse.Namespace) -> None:
+    if args.detector is not None:
+        from .detect import check_detector
+
+        check_detector(args.detector)
+
+
 # --- The verbs --------------------------------------------------------------------------------------------
 
 
 def run_optimise(args: argparse.Namespace) -> int:
     """Search for the best mounting; returns the exit code."""
     check_resume(args)
+    _check_detector(args)
     scenario = scenario_from(args)
     if not all(place.bounds for place in scenario.deployment.places):
         raise InputError(
@@ -99,6 +113,7 @@ def run_optimise(args: argparse.Namespace) -> int:
 
 def run_evaluate(args: argparse.Namespace) -> int:
     """Score one mounting; returns the exit code."""
+    _check_detector(args)
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
     folder = folder_from(args, scenario)

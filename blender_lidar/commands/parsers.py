@@ -102,7 +102,17 @@ def _optimise(subparsers) -> None:
         "i80 --tolerance tilt_deg=1,height_m=0.05",
     )
     add_scene(parser)
+    _detector(parser)
     _output(parser, resumed="run")
+
+
+def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    told = (
+        "what looks at the mounting's clouds of the held-out frames: classical, by background subtraction, DBSCAN and "
+    )
+    told += "L-shapes; or FILE, the detections of your own: CSV, nuScenes' JSON, or a folder of KITTI's label texts"
+    told += "" if default is None else " (default %(default)s)"
+    parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=told)
 
 
 def _evaluate(subparsers) -> None:
@@ -113,6 +123,7 @@ def _evaluate(subparsers) -> None:
     )
     add_scene(parser, leave_out=SEARCH_OPTIONS)
     add_pose(parser)
+    _detector(parser)
     _output(parser)
 
 
@@ -195,11 +206,7 @@ def _detect(subparsers) -> None:
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--workers", "--cluster"))
     add_pose(parser)
-    detector = (
-        "classical: background subtraction, DBSCAN and L-shapes; or FILE, the detections of your own detector in "
-    )
-    detector += "the frames of the scene: CSV, nuScenes' JSON, or a folder of KITTI's label texts (default %(default)s)"
-    parser.add_argument_group("detector").add_argument("--detector", default="classical", metavar="NAME", help=detector)
+    _detector(parser, "classical")
     _output(parser, verbose=False)
 
 

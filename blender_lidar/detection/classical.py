@@ -54,6 +54,22 @@ class ClassicalSettings:
     turned_points: int = 40
 
 
+def dbscan_class() -> type:
+    """scikit-learn's DBSCAN.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        from sklearn.cluster import DBSCAN
+    except ImportError as error:
+        told = 'the classical detector needs scikit-learn: pip install "blender_lidar[detect]"'
+        raise MissingExtraError(told) from error
+    return DBSCAN
+
+
 class ClassicalDetector:
     """Background subtraction, DBSCAN (Ester et al. 1996) and L-shape fitting (Zhang et al. 2017, IV 2017).
 
@@ -76,14 +92,8 @@ class ClassicalDetector:
     def __init__(
         self, lattice: BeamLattice, lidar_xy: tuple[float, float], settings: ClassicalSettings = ClassicalSettings()
     ) -> None:
-        try:
-            from sklearn.cluster import DBSCAN
-        except ImportError as error:
-            raise MissingExtraError(
-                'the classical detector needs scikit-learn: pip install "blender_lidar[detect]"'
-            ) from error
         self._lattice, self._lidar, self._settings = lattice, np.array(lidar_xy), settings
-        self._cluster = DBSCAN(eps=settings.apart_m, min_samples=settings.least_points)
+        self._cluster = dbscan_class()(eps=settings.apart_m, min_samples=settings.least_points)
         self._background = np.full(lattice.rings * lattice.columns, np.inf)
 
     def learn(self, clouds: Iterable[PointCloud]) -> None:

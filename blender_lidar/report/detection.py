@@ -38,9 +38,10 @@ def detection_table(result: Mapping) -> TextTable:
     scores = [result["mountings"][name] for name in names]
     over = scores[-1].get("over_baseline")
     head = [("[%]", 1), *((name, 1) for name in names), *([("difference", 1), ("90 %", 1)] if over else [])]
-    rows = [("vehicles", *(f"{one['vehicles']:,}" for one in scores), *[""] * (2 * bool(over)))]
+    blank = [""] * (2 * bool(over))
+    rows = [("vehicles", *(f"{one['vehicles']:,}" for one in scores), *blank)]
     if all(one["with_return"] is not None for one in scores):
-        rows.append(("with a return", *(_percent(one["with_return"]) for one in scores), *[""] * (2 * bool(over))))
+        rows.append(("with a return", *(_percent(one["with_return"]) for one in scores), *blank))
     for key, text in _ROWS.items():
         cells = [_percent(one[key]) for one in scores]
         if over:
@@ -48,7 +49,7 @@ def detection_table(result: Mapping) -> TextTable:
             cells += [f"{100 * over[key]['difference']:+.1f}"]
             cells += ["" if ends is None else " to ".join(f"{100 * end:+.1f}" for end in ends)]
         rows.append((text, *cells))
-    rows.append(("false alarms a frame at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores)))
+    rows.append(("false alarms a frame at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores), *blank))
     sections = [("", rows)]
     for group, title in (("by_distance", "By distance"), ("by_kind", "By kind")):
         of_group = []
@@ -56,7 +57,7 @@ def detection_table(result: Mapping) -> TextTable:
             for key in _TABLED:
                 cells = [_percent(one[group].get(name, {}).get(key)) for one in scores]
                 what = f"{name}, {scores[-1][group][name]['vehicles']:,} vehicles" if key == _TABLED[0] else ""
-                of_group.append((f"{what:<28}{_short(key)}", *cells))
+                of_group.append((f"{what:<28}{_short(key)}", *cells, *blank))
         sections.append((title, of_group))
     return TextTable("Detection", [head], sections)
 

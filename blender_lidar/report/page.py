@@ -6,15 +6,17 @@ folder gives the same bytes.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 
 from .. import __version__
 from ..files import write_text
-from ..run.folder import INSTALLATION, REPORT, RESULT, SCENE, Outcome, refused_by_name
+from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, Outcome, refused_by_name
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport
+from .detection import detection_table, detection_text
 from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
     TextTable,
@@ -206,6 +208,7 @@ def report_html(run: Outcome) -> str:
             _scores(run),
             _notes(run),
             _where(run),
+            _detection(run),
             _pictures("How sure the optimum is", chart_figures(run, "score_map.png", "convergence.png")),
             _pictures("What the beams hit", chart_figures(run, "clouds.png", "occupancy.png")),
             _section("Installation sheet", *sheet_markup(run.folder.read_text(INSTALLATION)), class_="sheet"),
@@ -287,6 +290,18 @@ def _where(run: Outcome):
     drawn = any(run.folder.file(name).exists() for name in CHARTS)
     charts = chart_figures(run, "by_distance.png", "blind_zones.png") if drawn else [element("p", _NO_CHARTS)]
     return _section("Where vehicles are seen", element("p", told), *tables, *charts)
+
+
+def _detection(run: Outcome):
+    """What a detector made of the mounting, where one was asked."""
+    path = run.folder.file(DETECTION)
+    if not path.exists():
+        return None
+    with refused_by_name(path):
+        result = json.loads(run.folder.read_text(DETECTION))
+        return _section(
+            "What a detector finds", element("p", detection_text(result)), table_markup(detection_table(result))
+        )
 
 
 def _settings(run: Outcome):
