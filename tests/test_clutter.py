@@ -15,7 +15,7 @@ from blender_lidar.world.clutter import clutter, leaves
 from tests.small_scene import CASTER
 
 ROAD = RoadFrame()
-AT_ZERO = ((0.0, 0.0), (0.0, 0.0))
+AT_ZERO = [((0.0, 0.0), (0.0, 0.0))]
 
 
 def made(strength=1.0, seed=1, centre_x=0.0, reach_m=100.0, keep_clear=AT_ZERO):
@@ -43,26 +43,28 @@ def test_there_is_as_much_as_the_strength_says():
 
 def test_the_carriageway_and_the_places_of_the_lidar_stay_free():
     right, left = ROAD.carriageway_y
-    scenery = made(strength=3.0, reach_m=1000.0, keep_clear=((-20.0, -1.0), (20.0, 0.0)))
+    scenery = made(
+        strength=3.0, reach_m=1000.0, keep_clear=[((-20.0, -1.0), (20.0, 0.0)), ((300.0, 0.0), (300.0, 0.0))]
+    )
     y = scenery.corners[..., 1]
     assert ((y <= right) | (y >= left)).all()
     assert scenery.corners[..., 2].min() >= 0.0
     low, high = scenery.corners.min(axis=1), scenery.corners.max(axis=1)
-    inside = (low[:, 0] < 22.5) & (high[:, 0] > -22.5) & (low[:, 1] < 2.5) & (high[:, 1] > -3.5)
-    assert not inside.any()
+    assert not ((low[:, 0] < 22.5) & (high[:, 0] > -22.5) & (low[:, 1] < 2.5) & (high[:, 1] > -3.5)).any()
+    assert not ((abs(low[:, 0] - 300.0) < 2.5) & (low[:, 1] < 2.5) & (high[:, 1] > -2.5)).any()
+    assert ((low[:, 0] > 100.0) & (low[:, 0] < 200.0) & (high[:, 1] > -2.5) & (high[:, 1] < 2.0)).any()  # between them
 
 
-def test_a_crown_lets_about_37_percent_of_the_beams_through_its_middle_pass():
+@pytest.mark.parametrize("half", [(1.8, 1.8, 1.5), (1.2, 1.2, 0.3), (1.2, 1.2, 2.25)], ids=["crown", "bush", "tall"])
+def test_leaves_let_37_percent_of_level_beams_through_their_middle_pass(half):
     passed = []
-    for seed in range(8):
-        crown = ExactCaster(leaves((0.0, 0.0, 4.0), (1.8, 1.8, 1.5), np.random.default_rng(seed)), closed=False)
+    for seed in range(10):
+        caster = ExactCaster(leaves((0.0, 0.0, 4.0), half, np.random.default_rng(seed)), closed=False)
         rng = np.random.default_rng(100 + seed)
-        across = rng.uniform(-0.3, 0.3, (300, 2))
-        origins = np.column_stack([np.full(300, -10.0), across[:, 0], 4.0 + across[:, 1]])
-        directions = np.tile([1.0, 0.0, 0.0], (300, 1))
-        passed.append(np.isinf(crown.cast(origins, directions).distance).mean())
-    # Seen from the side a crown of 1.5 m half height has 1.5 / 1.5 times the depth of its plan: 1.5 * 1.0.
-    assert np.mean(passed) == pytest.approx(np.exp(-1.5), abs=0.06)
+        y, z = 0.15 * half[1] * rng.uniform(-1, 1, 400), 4.0 + 0.15 * half[2] * rng.uniform(-1, 1, 400)
+        hits = caster.cast(np.column_stack([np.full(400, -10.0), y, z]), np.tile([1.0, 0.0, 0.0], (400, 1)))
+        passed.append(np.isinf(hits.distance).mean())
+    assert np.mean(passed) == pytest.approx(np.exp(-1.0), abs=0.06)
 
 
 @pytest.fixture(scope="module")

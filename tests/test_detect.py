@@ -87,8 +87,8 @@ def test_the_baseline_alone_is_judged_alone(scene, tmp_path, capsys):
 
 def test_clouds_of_a_scan_give_boxes(scene, tmp_path, capsys):
     done(capsys, "scan", scene, "--frame-ids", "5:40:5", *MOUNT, "--out", tmp_path / "clouds")
-    out, _ = done(capsys, "detect", tmp_path / "clouds", "--out", tmp_path / "boxes.csv")
-    rows = (tmp_path / "boxes.csv").read_text().splitlines()
+    out, _ = done(capsys, "detect", tmp_path / "clouds", "--out", tmp_path / "found")
+    rows = (tmp_path / "found" / "detections.csv").read_text().splitlines()
     assert f"{len(rows) - 1} boxes in 8 clouds" in out
     assert len(rows) > 9
 
@@ -100,20 +100,70 @@ def test_a_cloud_is_read_as_it_was_written(scene, tmp_path, capsys):
         np.testing.assert_array_equal(cloud.xyz, stored["xyz"])
         np.testing.assert_allclose(np.degrees(cloud.azimuth_rad), stored["azimuth_deg"])
     assert header["frame"] == 5
-    (tmp_path / "cloud.npz").write_bytes((tmp_path / "cloud.npz").read_bytes()[:500])
-    with pytest.raises(InputError, match="is no NPZ cloud of scan"):
-        read_cloud(tmp_path / "cloud.npz")
+
+
+DAMAGE = {
+    "cut off": lambda content: None,
+    "no sensor": lambda content: content | {"header": json.dumps({"frame": 5, "rotation_hz": 10, "pose": {}})},
+    "a header that is a list": lambda content: content | {"header": "[]"},
+    "shorter ranges": lambda content: content | {"range_m": content["range_m"][1:]},
+    "two coordinates": lambda content: content | {"xyz": content["xyz"][:, :2]},
+    "no numbers": lambda content: content | {"azimuth_deg": content["class"]},
+    "not finite": lambda content: content | {"xyz": np.full_like(content["xyz"], np.nan)},
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_cloud_that_is_none_is_refused_in_a_line(damage, scene, tmp_path, capsys):
+    path = tmp_path / "cloud.npz"
+    done(capsys, "scan", scene, "--frame", 5, *MOUNT, "--out", path)
+    with np.load(path) as stored:
+        content = DAMAGE[damage]({name: stored[name] for name in stored.files})
+    if content is None:
+        path.write_bytes(path.read_bytes()[:500])
+    else:
+        np.savez(path, **content)
+    with pytest.raises(InputError, match=r"cloud.npz: is no NPZ cloud of scan: .+"):
+        read_cloud(path)
+
+
+def test_lost_returns_and_noise_leave_the_background_where_it_is(scene, tmp_path, capsys):
+    """One lost return in any frame made the road a vehicle."""
+    settings = {"range_noise_m": 0.05, "dropout": 0.05}
+    scene = write_scene(tmp_path, REGION | {"sensor": settings})
+    result = json.loads(done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "found", "--json")[0])
+    given = result["mountings"]["given"]
+    assert given["precision_0.3"] > 0.7
+    assert given["recall_0.3"] > 0.85
+
+
+def test_results_take_the_place_of_earlier_ones(scene, tmp_path, capsys):
+    done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "found")
+    (tmp_path / "found" / "label_2" / "999999.txt").touch()
+    done(capsys, "detect", scene, "--out", tmp_path / "found")
+    assert not (tmp_path / "found" / "detections_baseline.csv").exists()
+    assert not (tmp_path / "found" / "label_2" / "999999.txt").exists()
+    assert not list((tmp_path / "found" / "label_2_baseline").iterdir())
 
 
 def test_wrong_words_are_refused(scene, tmp_path, capsys):
     out = "--out", tmp_path / "found"
     (tmp_path / "empty").mkdir()
-    assert "has no .npz clouds" in refused(capsys, tmp_path, "detect", tmp_path / "empty", *out)
+    assert "has 0 .npz clouds" in refused(capsys, tmp_path, "detect", tmp_path / "empty", *out)
     (tmp_path / "own.csv").write_text(
         "frame,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg,confidence\n999,car,0,5,0.7,4,2,1,0,0.5\n"
     )
     line = refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "own.csv", *out)
-    assert "has detections of none of the" in line
+    assert "lacks 8 of the 8 judging frames" in line
+    (tmp_path / "label_2").mkdir()
+    (tmp_path / "label_2" / "000999.txt").touch()
+    line = refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "label_2", *out)
+    assert "lacks 8 of the 8 judging frames" in line
+    words = "--height", 9, *out
+    assert "--height: is of a scene" in refused(capsys, tmp_path, "detect", tmp_path / "empty", *words)
+    (tmp_path / "file").touch()
+    line = refused(capsys, tmp_path, "detect", scene, "--out", tmp_path / "file")
+    assert "file" in line
     assert "no such file" in refused(capsys, tmp_path, "detect", scene, "--detector", "pillar", *out)
 
 

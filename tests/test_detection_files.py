@@ -10,7 +10,7 @@ import pytest
 
 from blender_lidar.clouds.files import levelled
 from blender_lidar.detection.boxes import KINDS, DetectedBoxes, corners_of
-from blender_lidar.detection.files import kitti_camera, read_detected, write_detected, write_kitti
+from blender_lidar.detection.files import kitti_camera, read_detected, write_detected, write_kitti_labels
 from blender_lidar.errors import InputError, MissingFileError
 
 POSE = {"x_m": 3.0, "y_m": -2.0, "height_m": 4.5, "tilt_x_deg": 20.0, "tilt_y_deg": 0.0, "yaw_deg": 35.0}
@@ -41,7 +41,7 @@ def test_what_is_written_is_read_again(written, tmp_path):
         read = read_detected(tmp_path / "boxes.csv", POSE)
         assert set(read) == {7, 100}
     else:
-        write_kitti(tmp_path / "label_2", found, POSE)
+        write_kitti_labels(tmp_path / "label_2", found, POSE)
         read = read_detected(tmp_path / "label_2", POSE)
         assert set(read) == {7, 8, 100}
     for number in (100, 7):
@@ -101,15 +101,21 @@ BAD = {
         ("{", "a.json: is not JSON"),
         ("[]", "a.json: has no 'results'"),
         (nuscenes(size=[1, 2]), "a.json: scene-i80-000100, 1: is no detection; needed: translation (3)"),
-        (nuscenes(detection_score=2), "scene-i80-000100, 1: the score is 2; allowed: 0 to 1"),
-        (nuscenes(translation=[1e999, 0, 0]), "a number is not finite"),
-        (json.dumps({"results": {"token": []}}), "token 'token' does not end with the number of a frame"),
+        (nuscenes(detection_score=2), "scene-i80-000100, 1: confidence is 2; allowed: 0 to 1"),
+        (nuscenes(translation=[1e999, 0, 0]), "1: x is inf; allowed: a number of metres"),
+        (nuscenes(translation=[10**400, 0, 0]), "1: is no detection"),
+        (nuscenes(rotation=[0, 0, 0, 0]), "1: rotation is no unit quaternion"),
+        (nuscenes(rotation=[2, 0, 0, 2]), "1: rotation is no unit quaternion"),
+        (json.dumps({"results": {"token": []}}), "token: does not end with the number of a frame"),
+        (json.dumps({"results": {"ca9a282c9e77460f8360f564131a8af5": []}}), "does not end with the number of a frame"),
+        (json.dumps({"results": {"a-1": [], "b-1": []}}), "b-1: frame 1 is there twice"),
+        (json.dumps({"results": {"a-1": None}}), "a-1: is no list of detections"),
         (json.dumps({"results": {}}), "has no detection of a vehicle"),
     ],
     "000100.txt": [
         (KITTI.rpartition(" ")[0], "000100.txt:1: 15 fields; allowed: 16, the last is the score"),
         (KITTI.replace("20", "twenty"), "000100.txt:1: 'twenty' is no number"),
-        (KITTI.replace("4.5", "-4.5"), "000100.txt:1: a size is -4.5 m"),
+        (KITTI.replace("4.5", "-4.5"), "000100.txt:1: length is -4.5; allowed: more than 0"),
         (KITTI.replace("Car", "Lorry"), "000100.txt:1: unknown class 'lorry'"),
     ],
 }

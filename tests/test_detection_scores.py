@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +15,9 @@ from blender_lidar.detection.scores import (
     MISSED,
     Matches,
     average_precision,
-    detection_scores,
+    by_distance,
     match,
+    measured,
     paired_intervals,
     precision,
     recall,
@@ -54,8 +56,8 @@ def boxes_at(places, confidence, kind=None):
     )
 
 
-def matched(boxes, frame, criterion=CENTRE):
-    return match([boxes], [frame], REGION, (0.0, 0.0), criterion)
+def matched(boxes, frame, criterion=CENTRE, kind=None):
+    return match([boxes], [frame], REGION, (0.0, 0.0), criterion, kind)
 
 
 def test_the_surest_takes_the_nearest_vehicle_and_the_next_one_is_a_false_alarm():
@@ -95,13 +97,27 @@ def test_distances_of_hits_are_their_vehicles():
     assert len(found.near(10, 20).confidence) == 0
 
 
-def test_by_kind_a_vehicle_is_found_where_it_was_taken_for_its_kind():
+def test_of_a_kind_others_are_not_there_and_a_box_on_one_is_a_false_alarm():
     frame = frame_of([(0, 0), (20, 0), (40, 0)], classes=["van", "bus", "truck"])
-    found = matched(boxes_at([(0, 0), (20, 0), (40, 0)], [0.9, 0.8, 0.7], kind=[0, 0, 1]), frame)
-    assert recall(found, 0.1)[0] == 1.0
-    cars, large = found.of_kind(0), found.of_kind(1)
+    boxes = boxes_at([(0, 0), (20, 0), (40, 0)], [0.9, 0.8, 0.7], kind=[0, 0, 1])
+    assert recall(matched(boxes, frame), 0.1)[0] == 1.0
+    cars, large = matched(boxes, frame, kind=0), matched(boxes, frame, kind=1)
     assert (recall(cars, 0.1)[0], precision(cars, 0.1)[0]) == (1.0, 0.5)
     assert (recall(large, 0.1)[0], precision(large, 0.1)[0]) == (0.5, 1.0)
+
+
+def test_of_a_kind_a_surer_box_of_another_kind_takes_no_vehicle():
+    """As detectors give them that suppress overlaps within each kind alone."""
+    boxes = boxes_at([(0, 0), (0.1, 0)], [0.9, 0.8], kind=[2, 0])
+    assert average_precision(matched(boxes, frame_of([(0, 0)]), kind=0))[0] == 1.0
+
+
+def test_bands_hold_every_vehicle_and_every_false_alarm():
+    found = [matched(boxes_at([(49, 0)], [0.5]), frame_of([(10, 0), (20, 0)]), each) for each in CRITERIA]
+    bands = by_distance(found, 49.0)
+    assert list(bands) == ["0-10 m", "10-20 m", "20-30 m", "30-40 m", "40-50 m"]
+    assert sum(band["vehicles"] for band in bands.values()) == 2
+    assert [band["false_alarms_0.3"] for band in bands.values()] == [0, 0, 0, 0, 1]
 
 
 # --- Average precision ------------------------------------------------------------------------------------------------
@@ -135,13 +151,9 @@ def random_matches(seed, frames=12, decimals=1):
         confidence=confidence,
         hit=hit,
         frame=frame,
-        kind=np.zeros(detections, int),
         distance_m=rng.uniform(0, 50, detections),
-        right=hit,
         found=found,
-        found_right=found > 0,
         vehicle_frame=vehicle_frame,
-        vehicle_kind=np.zeros(vehicles, int),
         vehicle_distance_m=rng.uniform(0, 50, vehicles),
     )
 
@@ -162,20 +174,20 @@ def test_frames_that_count_twice_are_frames_that_are_there_twice():
         for row, value in zip(weight, whole, strict=True):
             again = np.repeat(np.arange(len(matches.frame)), row[matches.frame].astype(int))
             vehicles = np.repeat(np.arange(len(matches.vehicle_frame)), row[matches.vehicle_frame].astype(int))
-            assert measure([matches._of(again, vehicles)] * 3, None)[0] == pytest.approx(value, abs=1e-12)
+            assert measure([matches.select(again, vehicles)] * 3, None)[0] == pytest.approx(value, abs=1e-12)
 
 
 def test_perfect_detections_score_one_and_nothing_scores_nothing():
     frame = frame_of([(0, 0), (20, 5)])
     perfect = [match([boxes_at([(0, 0), (20, 5)], [1, 1])], [frame], REGION, (0, 0), each) for each in CRITERIA]
-    scores = detection_scores(perfect)
+    scores = measured(perfect)
     assert all(scores[name] == 1.0 for name in MEASURES)
     nothing = [match([join_boxes([])], [frame], REGION, (0, 0), each) for each in CRITERIA]
-    scores = detection_scores(nothing)
+    scores = measured(nothing)
     assert scores["recall_0.1"] == scores["ap_iou_0.5"] == 0.0
     assert scores["precision_0.1"] is None
     empty = [match([join_boxes([])], [frame_of([])], REGION, (0, 0), each) for each in CRITERIA]
-    assert detection_scores(empty)["recall_0.1"] is None
+    assert measured(empty)["recall_0.1"] is None
 
 
 # --- Intervals --------------------------------------------------------------------------------------------------------
@@ -186,7 +198,7 @@ def test_a_detector_beside_itself_differs_by_nothing_and_one_that_misses_some_lo
     block = np.arange(matches.frames)
     for told in paired_intervals([matches] * 3, [matches] * 3, block, 1).values():
         assert told == {"difference": 0.0, "interval_90": [0.0, 0.0]}
-    kept = matches._of(np.arange(len(matches.confidence)) % 2 == 0, np.ones(len(matches.found), bool))
+    kept = matches.select(np.arange(len(matches.confidence)) % 2 == 0, np.ones(len(matches.found), bool))
     fewer = paired_intervals([kept] * 3, [matches] * 3, block, 1)["ap_centre_2m"]
     assert fewer["difference"] < 0.0
     assert fewer["interval_90"][0] < fewer["difference"] < fewer["interval_90"][1] < 0.0
@@ -202,9 +214,44 @@ def test_paired_intervals_hold_the_truth_as_often_as_they_say():
             found = np.where(shared | (rng.random((16, 8)) < 2 * share - 1), 0.5, MISSED).ravel()
             vehicle_frame = np.repeat(np.arange(16), 8)
             nothing = match([join_boxes([])] * 16, [frame_of([])] * 16, REGION, (0.0, 0.0), CENTRE)
-            changed = {"found": found, "found_right": found > 0, "vehicle_frame": vehicle_frame}
-            zeros = {name: np.zeros(128, int) for name in ("vehicle_kind", "vehicle_distance_m")}
-            parts.append([replace(nothing, **changed, **zeros)] * 3)
+            seen = {"found": found, "vehicle_frame": vehicle_frame, "vehicle_distance_m": np.zeros(128)}
+            parts.append([replace(nothing, **seen)] * 3)
         low, high = paired_intervals(*parts, np.arange(16), 1)["recall_0.3"]["interval_90"]
         inside += low <= 0.5 * (0.4 - 0.2) <= high
     assert 0.85 <= inside / draws <= 0.95
+
+
+def test_false_alarms_of_blocks_without_vehicles_widen_the_interval():
+    rng = np.random.default_rng(9)
+    frames = [frame_of([(0, 0)]) if number % 2 else frame_of([]) for number in range(12)]
+    perfect = [boxes_at([(0, 0)], [0.9]) if number % 2 else join_boxes([]) for number in range(12)]
+    alarms = [boxes_at(rng.uniform(10, 30, (count, 2)), np.full(count, 0.5)) for count in (0, 1, 5, 0, 9, 2)]
+    noisy = [alarms[number // 2] if number % 2 == 0 else perfect[number] for number in range(12)]
+    one, other = ([match(boxes, frames, REGION, (0, 0), each) for each in CRITERIA] for boxes in (noisy, perfect))
+    told = paired_intervals(one, other, np.arange(12), 1)["precision_0.3"]
+    low, high = told["interval_90"]
+    assert low < told["difference"] - 0.05
+    assert high > told["difference"] + 0.05
+
+
+def test_what_is_undefined_has_no_difference():
+    frame = frame_of([(0, 0)])
+    nothing, found = (
+        [match([boxes] * 4, [frame] * 4, REGION, (0, 0), each) for each in CRITERIA]
+        for boxes in (join_boxes([]), boxes_at([(0, 0)], [0.9]))
+    )
+    told = paired_intervals(nothing, found, np.arange(4), 1)
+    assert told["precision_0.3"] == {"difference": None, "interval_90": None}
+    assert told["recall_0.3"]["difference"] == -1.0
+
+
+def test_twenty_thousand_detections_are_no_matter():
+    rng = np.random.default_rng(10)
+    frame = frame_of(rng.uniform(-30, 30, (40, 2)))
+    boxes = [boxes_at(rng.uniform(-30, 30, (200, 2)), rng.random(200)) for _ in range(100)]
+    found = [match(boxes, [frame] * 100, REGION, (0, 0), CENTRE)] * 3
+    tracemalloc.start()
+    paired_intervals(found, found, np.arange(100) // 5, 1)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 300e6

@@ -228,4 +228,4 @@ def test_what_reading_repaired_is_told_of_all_with_names(tmp_path):
     alone = prepare(load_scenario(scene_of(tmp_path, EVENING)))
     assert isinstance(site.recording.report, RepairReport)
     assert site.recording.report.rows_read > alone.recording.report.rows_read
-    assert all(note.startswith(("morning: ", "evening: ")) for note in site.plan.notes)
+    assert all(note.startswith(("morning: ", "evening: ", "few different vehicles: ")) for note in site.plan.notes)

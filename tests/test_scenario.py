@@ -173,6 +173,8 @@ KEYS = [
     ("world", "origin_m", "[1, 2]", '"here"'),
     ("world", "heading_deg", '"north"', "361"),
     ("world", "boxes", "3", '"two"'),
+    ("world", "clutter", "-1", "11"),
+    ("world", "clutter_seed", "-1", "1.5"),
     ("world", "barriers", "true", '"median"'),
     ("sensor", "name", "16", '"RS-17"'),
     ("sensor", "rotation_hz", '"10"', "0"),

@@ -7,6 +7,7 @@ import json
 import math
 import warnings
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -42,15 +43,34 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
     with reading(path, "an NPZ cloud of scan"), open_file(path) as stream:
         try:
             with np.lib.npyio.NpzFile(stream) as archive:
-                columns = {
-                    name: archive[name] for name in ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")
-                }
+                columns = {name: archive[name] for name in _OF_POINTS}
                 columns |= {f"{name}_rad": np.radians(archive[f"{name}_deg"]) for name in ("azimuth", "incidence")}
                 names, header = archive["class"].tolist(), json.loads(str(archive["header"]))
-        except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+            _check_cloud(columns, names, header)
+        except (*_DAMAGED, TypeError, LookupError, ValueError) as error:
             raise InputError(f"{path}: is no NPZ cloud of scan: {one_line(str(error))}") from error
     known = dict(zip([*CLASSES, ""], [*range(len(CLASSES)), NO_CLASS], strict=True))
     return PointCloud(**columns, class_index=np.array([known.get(name, NO_CLASS) for name in names], np.int8)), header
+
+
+_OF_POINTS = ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")
+_OF_HEADER = {"sensor": str, "frame": int, "rotation_hz": (int, float), "pose": dict}
+_DAMAGED = (OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError)
+
+
+def _check_cloud(columns: dict[str, np.ndarray], names: list, header: dict) -> None:
+    """Refuse, with a `ValueError`, columns that are not those of one cloud, and a header that lacks something."""
+    count = len(names)
+    for name, values in columns.items():
+        if values.shape != ((count, 3) if name == "xyz" else (count,)) or values.dtype.kind not in "fiu":
+            raise ValueError(f"{name} has shape {values.shape} of {values.dtype}")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} is not finite")
+    for key, kind in _OF_HEADER.items():
+        if not isinstance(header, dict) or not isinstance(header.get(key), kind):
+            raise ValueError(f"its header has no {key}")
+    if not all(isinstance(header["pose"].get(key), (int, float)) for key in ("x_m", "y_m", "height_m", "yaw_deg")):
+        raise ValueError("its header's pose lacks coordinates")
 
 
 def _read_npz(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | None]:

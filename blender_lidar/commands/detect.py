@@ -5,15 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
 from ..clouds.files import read_cloud
-from ..detection.boxes import DetectedBoxes
+from ..clouds.scan import PointCloud
 from ..detection.classical import ClassicalDetector, dbscan_class
-from ..detection.files import read_detected, write_detected, write_kitti
+from ..detection.files import write_detected, write_kitti_labels
 from ..detection.judge import (
     JudgedDetector,
     detection_result,
@@ -24,16 +24,18 @@ from ..detection.judge import (
 )
 from ..detection.scores import CRITERIA
 from ..errors import InputError, MissingFileError
-from ..files import check_place, check_unused, make_folder, write_text
+from ..files import check_folder, check_unused, make_folder, write_text
 from ..report.detection import detection_table, detection_text
 from ..report.summary import region_text
 from ..run.folder import DETECTION
 from ..scene.provenance import versions
+from ..scene.scenario import shipped_scenes
 from ..scene.settings import six_coordinates
 from ..scene.site import Site, prepare
 from ..sensors.beams import beam_lattice
-from ..sensors.model import load_model
-from .options import default_folder, mounting_from, scenario_from
+from ..sensors.imperfections import Imperfections
+from ..sensors.model import load_model, model_names
+from .options import default_folder, mounting_from, new_folder, scenario_from
 from .progress import Progress
 from .report import table_text
 
@@ -42,13 +44,13 @@ _OURS = (DETECTION, "detections.csv", "detections_baseline.csv", "label_2", "lab
 
 def run(args: argparse.Namespace) -> int:
     """Detect at a mounting of a scene, or in clouds; returns the exit code."""
-    if Path(args.scene).is_dir():
-        return _run_clouds(args)
     check_detector(args.detector)
+    if Path(args.scene).is_dir() and args.scene not in shipped_scenes():
+        return _run_clouds(args)
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
     folder = Path(args.out if args.out is not None else default_folder(scenario, "detection"))
-    check_unused(folder, "--out", "detect", lambda path: path.name in _OURS)
+    _check_folder(folder)
     site = prepare(scenario, mount)
     result = judge_at(site, mount, args.detector, folder)
     if args.json:
@@ -58,6 +60,11 @@ def run(args: argparse.Namespace) -> int:
     print(f"Detector   {args.detector}; {frames}, vehicles {region_text(asdict(scenario.region))}\n")
     print(f"{told(result)}\n\nResults in {folder}")
     return 0
+
+
+def _check_folder(folder: Path) -> None:
+    check_folder(folder, "--out")
+    check_unused(folder, "--out", "detect", lambda path: path.name in _OURS)
 
 
 def check_detector(detector: str) -> None:
@@ -110,15 +117,15 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
 def _judged(detector: str, site: Site, mounts: Mapping[str, Mapping[str, float]]) -> dict[str, JudgedDetector]:
     """What the detector makes of each mounting; a file of detections is of the mounting that is given."""
     if detector != ClassicalDetector.name:
-        mount = mounts["given"]
-        return {"given": judged_from_file(site, mount, read_detected(detector, mount), detector)}
+        return {"given": judged_from_file(site, mounts["given"], detector)}
+    imperfections = site.scenario.sensor.imperfections
     clouds = len(mounts) * (len(site.search) + len(judging_frames(site)[0]))
     with closing(Progress(clouds, "clouds")) as progress:
         return {
             name: judge_detector(
                 site,
                 mount,
-                ClassicalDetector(site.observation.lattice, (mount["x_m"], mount["y_m"])),
+                ClassicalDetector(site.observation.lattice, (mount["x_m"], mount["y_m"]), imperfections),
                 progress.advance,
             )
             for name, mount in mounts.items()
@@ -126,48 +133,68 @@ def _judged(detector: str, site: Site, mounts: Mapping[str, Mapping[str, float]]
 
 
 def _write(folder: Path, site: Site, judged: Mapping[str, JudgedDetector], mounts, result: dict) -> None:
-    """The detections of each mounting as CSV and as KITTI's labels, and the scores."""
+    """The detections of each mounting as CSV and as KITTI's labels, and the scores, in place of earlier ones."""
     make_folder(folder, "--out")
+    for name in _OURS:
+        for path in (folder / name).glob("[0-9]*.txt"):
+            path.unlink()
+        if (folder / name).is_file():
+            (folder / name).unlink()
     numbers = [frame.vehicles.frame for frame in judging_frames(site)[0]]
     for name, one in judged.items():
         of_frame = dict(zip(numbers, one.boxes, strict=True))
         ending = "" if name == "given" else f"_{name}"
         write_detected(folder / f"detections{ending}.csv", of_frame)
-        write_kitti(folder / f"label_2{ending}", of_frame, mounts[name])
+        write_kitti_labels(folder / f"label_2{ending}", of_frame, mounts[name])
     write_text(folder / DETECTION, json.dumps(result, indent=2) + "\n")
 
 
 # --- Clouds of a folder -----------------------------------------------------------------------------------------------
+
+_FEWEST_CLOUDS = 5  # from which a background can be learnt
+_OF_CLOUDS = ("scene", "detector", "out", "verb", "run", "left_out")
 
 
 def _run_clouds(args: argparse.Namespace) -> int:
     """Detect in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them; the background is learnt from them."""
     if args.detector != ClassicalDetector.name:
         raise InputError(f"--detector: {args.detector}: clouds are looked at by {ClassicalDetector.name}")
+    for name, value in vars(args).items():
+        if name not in _OF_CLOUDS and value not in (None, False):
+            raise InputError(f"--{name.replace('_', '-')}: is of a scene, and {args.scene} is a folder of clouds")
     paths = sorted(Path(args.scene).glob("*.npz"))
-    if not paths:
-        raise InputError(f"{args.scene}: has no .npz clouds, as scan --frame-ids writes them")
-    out = Path(args.out if args.out is not None else "detections.csv")
-    check_place(out, "--out")
-    headers = {path: read_cloud(path)[1] for path in paths}
-    first = headers[paths[0]]
-    for path, header in headers.items():
+    if len(paths) < _FEWEST_CLOUDS:
+        few = f"has {len(paths)} .npz clouds, as scan --frame-ids writes them"
+        raise InputError(f"{args.scene}: {few}; allowed: {_FEWEST_CLOUDS} or more, to learn the empty scene from")
+    folder = Path(args.out) if args.out is not None else new_folder("detections")
+    _check_folder(folder)
+    headers = [read_cloud(path)[1] for path in paths]
+    first, frames = headers[0], [header["frame"] for header in headers]
+    for path, header in zip(paths, headers, strict=True):
         if any(header[key] != first[key] for key in ("sensor", "rotation_hz", "pose")):
-            raise InputError(f"{path}: is of another sensor or mounting than {paths[0]}; allowed: one of both")
-    pose = first["pose"]
+            raise InputError(f"{path}: is of another sensor or mounting than {paths[0]}; allowed: the same")
+        if frames.count(header["frame"]) > 1:
+            raise InputError(f"{path}: is of frame {header['frame']}, as another cloud is; allowed: one of each")
+    if first["sensor"] not in model_names():
+        raise InputError(f"{paths[0]}: its sensor {first['sensor']!r} is of a table of its own; detect at its scene")
     lattice = beam_lattice(load_model(first["sensor"]), first["rotation_hz"])
-    detector = ClassicalDetector(lattice, (pose["x_m"], pose["y_m"]))
-    found: dict[int, DetectedBoxes] = {}
+    pose, told = first["pose"], first.get("imperfections", {})
+    imperfections = Imperfections(told.get("range_noise_m", 0.0), told.get("dropout", 0.0))
+    detector = ClassicalDetector(lattice, (pose["x_m"], pose["y_m"]), imperfections)
     with closing(Progress(2 * len(paths), "clouds")) as progress:
 
-        def clouds():
+        def clouds() -> Iterator[PointCloud]:
             for path in paths:
-                yield read_cloud(path)[0]
+                cloud = read_cloud(path)[0]
+                if cloud.ring.max(initial=0) >= lattice.rings:
+                    raise InputError(f"{path}: has ring {cloud.ring.max()}; the {first['sensor']} has {lattice.rings}")
+                yield cloud
                 progress.advance(1)
 
         detector.learn(clouds())
-        for path, cloud in zip(paths, clouds(), strict=True):
-            found[int(headers[path]["frame"])] = detector.detect(cloud)
-    write_detected(out, found)
-    print(f"{out}: {sum(map(len, found.values())):,} boxes in {len(found)} clouds ({detector.name})")
+        found = dict(zip(frames, map(detector.detect, clouds()), strict=True))
+    make_folder(folder, "--out")
+    write_detected(folder / "detections.csv", found)
+    write_kitti_labels(folder / "label_2", found, pose)
+    print(f"{folder}: {sum(map(len, found.values())):,} boxes in {len(found)} clouds ({detector.name})")
     return 0

@@ -202,7 +202,7 @@ def _detect(subparsers) -> None:
         "NPZ clouds it writes their boxes.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
-        "clouds --out boxes.csv",
+        "clouds --out boxes",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--workers", "--cluster"))
     add_pose(parser)

@@ -14,6 +14,7 @@ import numpy as np
 from ..clouds.scan import PointCloud
 from ..errors import MissingExtraError
 from ..sensors.beams import BeamLattice
+from ..sensors.imperfections import PERFECT, Imperfections
 from .boxes import KINDS, DetectedBoxes, boxes_of_rows, no_boxes, suppressed
 
 _CAR, _LARGE, _SMALL = (KINDS.index(name) for name in ("car", "truck or bus", "motorcycle"))
@@ -34,8 +35,11 @@ class ClassicalSettings:
     ----------
     quantile : float
         Of the ranges that a beam measures in the frames that the background is learnt from: vehicles come nearer.
-    nearer_m : float
-        A return is no background if it is nearer by so much [m].
+    least_share : float
+        Of those frames, in which a beam must return for a background: else it looks into the sky. Less so many returns
+        as drop-out takes, with three standard deviations.
+    nearer_m, nearer_deviations : float
+        A return is no background if it is nearer by so much [m], and so many standard deviations of the range noise.
     apart_m : float
         DBSCAN's epsilon: returns within belong together, seen from above [m].
     least_points : int
@@ -47,7 +51,9 @@ class ClassicalSettings:
     """
 
     quantile: float = 0.9
+    least_share: float = 0.9
     nearer_m: float = 0.3
+    nearer_deviations: float = 5.0
     apart_m: float = 0.9
     least_points: int = 2
     sure_points: float = 5.0
@@ -79,6 +85,8 @@ class ClassicalDetector:
         The sensor's beams.
     lidar_xy : (float, float)
         Where it hangs [m, road frame].
+    imperfections : Imperfections
+        Its range noise and drop-out, of which the background must make nothing.
     settings : ClassicalSettings
 
     Raises
@@ -90,16 +98,27 @@ class ClassicalDetector:
     name = "classical"
 
     def __init__(
-        self, lattice: BeamLattice, lidar_xy: tuple[float, float], settings: ClassicalSettings = ClassicalSettings()
+        self,
+        lattice: BeamLattice,
+        lidar_xy: tuple[float, float],
+        imperfections: Imperfections = PERFECT,
+        settings: ClassicalSettings = ClassicalSettings(),
     ) -> None:
         self._lattice, self._lidar, self._settings = lattice, np.array(lidar_xy), settings
         self._cluster = dbscan_class()(eps=settings.apart_m, min_samples=settings.least_points)
         self._background = np.full(lattice.rings * lattice.columns, np.inf)
+        self._nearer_m = settings.nearer_m + settings.nearer_deviations * imperfections.range_noise_m
+        self._dropout = imperfections.dropout
 
     def learn(self, clouds: Iterable[PointCloud]) -> None:
-        """Take from some frames what each beam meets of the scene without vehicles."""
-        images = np.array([self._range_image(cloud) for cloud in clouds], dtype=np.float32)
-        self._background = np.quantile(images, self._settings.quantile, axis=0, method="higher")
+        """Take from some frames what each beam meets of the scene without vehicles; nothing where few return."""
+        images = np.sort([self._range_image(cloud).astype(np.float32) for cloud in clouds], axis=0)
+        returned = np.isfinite(images).sum(axis=0)
+        at = np.ceil(self._settings.quantile * (returned - 1)).astype(int)
+        background = np.take_along_axis(images, np.maximum(at, 0)[None], axis=0)[0]
+        lost = len(images) * self._dropout
+        needed = self._settings.least_share * len(images) - lost - 3.0 * math.sqrt(lost * (1.0 - self._dropout))
+        self._background = np.where(returned >= max(needed, 1.0), background, np.inf)
 
     def _range_image(self, cloud: PointCloud) -> np.ndarray:
         """Range of each beam, (beams,) [m]; inf where nothing returned."""
@@ -115,7 +134,7 @@ class ClassicalDetector:
 
     def detect(self, cloud: PointCloud) -> DetectedBoxes:
         """The vehicles of one frame."""
-        nearer = cloud.range_m < self._background[self._beam(cloud)] - self._settings.nearer_m
+        nearer = cloud.range_m < self._background[self._beam(cloud)] - self._nearer_m
         points = cloud.xyz[nearer]
         if not len(points):
             return no_boxes()
@@ -151,8 +170,8 @@ class ClassicalDetector:
 def l_shape_heading(xy: np.ndarray) -> float:
     """L-shape fitting: the heading [rad], -45 to 45 degrees, whose rectangle has points (n, 2) [m] near its edges.
 
-    The closeness criterion of Zhang, Xu, Dong and Dolan, "Efficient L-shape fitting for vehicle detection using laser
-    scanners", IV 2017, Algorithm 4.
+    A variant of the closeness criterion of Zhang, Xu, Dong and Dolan, "Efficient L-shape fitting for vehicle detection
+    using laser scanners", IV 2017: each point counts by the nearest of all four edges.
     """
     xy = xy[:: max(1, len(xy) // _MOST_FITTED)] - xy.mean(axis=0)
     cos, sin = np.cos(_HEADINGS_RAD)[:, None], np.sin(_HEADINGS_RAD)[:, None]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -147,7 +148,7 @@ def _half_turn(angle: np.ndarray) -> np.ndarray:
     return np.arctan2(np.sin(angle), np.cos(angle))
 
 
-def write_kitti(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], pose: Mapping[str, float]) -> None:
+def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], pose: Mapping[str, float]) -> None:
     """Write detections as KITTI's label texts with scores, ``NNNNNN.txt`` by frame, in the frame of `kitti_camera`.
 
     There is no image: its box is -1, truncation, occlusion and alpha are not known.
@@ -208,50 +209,55 @@ def _number(word: str, where: str) -> float:
 
 def _check(row: Sequence[float], where: str) -> None:
     """Refuse a box that is none, or a score that is no share."""
-    if not all(map(math.isfinite, row)):
-        raise InputError(f"{where}: a number is not finite")
-    if min(row[3:6]) <= 0.0:
-        raise InputError(f"{where}: a size is {min(row[3:6]):g} m; allowed: more than 0")
-    if not 0.0 <= row[8] <= 1.0:
-        raise InputError(f"{where}: the score is {row[8]:g}; allowed: 0 to 1")
+    columns = [*("x_m", "y_m", "z_m", "length_m", "width_m", "height_m"), "heading_deg"]
+    for name, value in zip([*columns, "", "confidence"], row, strict=True):
+        if name and not _COLUMNS[name].accepts(np.array([value]))[0]:
+            raise InputError(f"{where}: {name.partition('_')[0]} is {value:g}; allowed: {_COLUMNS[name].allowed}")
 
 
 # --- nuScenes' JSON of results ----------------------------------------------------------------------------------------
 
+_FRAME_AT_END = re.compile(r"(?:.*[^0-9A-Za-z])?([0-9]{1,18})")
+
 
 def _read_nuscenes(path: Path) -> dict[int, DetectedBoxes]:
+    text = _text(path)
     try:
-        content = json.loads(_text(path))
-        results = content["results"]
-        tokens = list(results.items())
+        content = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is not JSON: {printable(str(error))}") from error
-    except (LookupError, TypeError, AttributeError):
-        raise InputError(f"{path}: has no 'results' by sample tokens, as nuScenes' detections have") from None
+    results = content.get("results") if isinstance(content, dict) else None
+    if not isinstance(results, dict):
+        raise InputError(f"{path}: has no 'results' by sample tokens, as nuScenes' detections have")
     found: dict[int, DetectedBoxes] = {}
-    for token, entries in tokens:
-        number = token[len(token.rstrip("0123456789")) :]
-        if not number:
-            raise InputError(f"{path}: token {printable(token)!r} does not end with the number of a frame")
-        rows = [
-            row for at, entry in enumerate(entries, 1) if (row := _row_of(entry, f"{path}: {printable(token)}, {at}"))
-        ]
-        found[int(number)] = join_boxes([*([found[int(number)]] if int(number) in found else []), boxes_of_rows(rows)])
+    for token, entries in results.items():
+        where = f"{path}: {printable(token)}"
+        number = _FRAME_AT_END.fullmatch(token)
+        if number is None:
+            raise InputError(f"{where}: does not end with the number of a frame, after anything but a letter: i80-1000")
+        if int(number[1]) in found:
+            raise InputError(f"{where}: frame {int(number[1])} is there twice")
+        if not isinstance(entries, list):
+            raise InputError(f"{where}: is no list of detections")
+        rows = [row for at, entry in enumerate(entries, 1) if (row := _row_of(entry, f"{where}, {at}"))]
+        found[int(number[1])] = boxes_of_rows(rows)
     return found
 
 
 def _row_of(entry: Mapping, where: str) -> tuple[float, ...] | None:
     """A row for `boxes_of_rows`; None for what is no vehicle."""
     try:
-        kind = _kind(str(entry["detection_name"]), where)
+        name, score = str(entry["detection_name"]), float(entry["detection_score"])
         (x, y, z), (width, length, height) = (map(float, entry[key]) for key in ("translation", "size"))
         w, i, j, k = map(float, entry["rotation"])
-        score = float(entry["detection_score"])
-    except (LookupError, TypeError, ValueError):
+    except (LookupError, TypeError, ValueError, OverflowError):
         told = "translation (3), size (3), rotation (4), detection_name and detection_score"
         raise InputError(f"{where}: is no detection; needed: {told}") from None
+    kind = _kind(name, where)
     if kind is None:
         return None
+    if not 0.99 < w * w + i * i + j * j + k * k < 1.01:
+        raise InputError(f"{where}: rotation is no unit quaternion")
     heading = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
     row = (x, y, z, length, width, height, heading, kind, score)
     _check(row, where)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -15,11 +16,9 @@ from ..scene.observation import CountedFrame
 from ..scene.scenario import pose_at
 from ..scene.site import Site
 from ..sensors.pose import Pose
-from .boxes import DetectedBoxes
-from .classical import ClassicalDetector
-from .scores import CRITERIA, Matches, detection_scores, match, paired_intervals
-
-DETECTORS = (ClassicalDetector.name,)
+from .boxes import KINDS, DetectedBoxes, no_boxes
+from .files import read_detected
+from .scores import CRITERIA, Matches, by_distance, match, measured, paired_intervals
 
 
 class Detector(Protocol):
@@ -44,6 +43,8 @@ class JudgedDetector:
         Its detections of each frame.
     matches : sequence of Matches
         By each of `CRITERIA`.
+    of_kinds : sequence of sequence of Matches
+        The same of each of `KINDS` alone.
     with_return : float or None
         Share of the vehicles with at least one return, which no detector can exceed by much; None where the clouds are
         not ours.
@@ -51,6 +52,7 @@ class JudgedDetector:
 
     boxes: Sequence[DetectedBoxes]
     matches: Sequence[Matches]
+    of_kinds: Sequence[Sequence[Matches]]
     with_return: float | None
 
 
@@ -107,34 +109,45 @@ def judge_detector(
         boxes.append(detector.detect(cloud))
         returned += int(np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id).sum())
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
-    return JudgedDetector(boxes, matches_of(site, mount, boxes), returned / vehicles if vehicles else None)
+    return _judged(site, mount, boxes, returned / vehicles if vehicles else None)
 
 
-def matches_of(site: Site, mount: Mapping[str, float], boxes: Sequence[DetectedBoxes]) -> list[Matches]:
-    """Detections of the judging frames, matched by each of `CRITERIA`."""
+def _judged(site: Site, mount: Mapping[str, float], boxes, with_return: float | None) -> JudgedDetector:
+    kinds = [matches_of(site, mount, boxes, kind) for kind in range(len(KINDS))]
+    return JudgedDetector(boxes, matches_of(site, mount, boxes), kinds, with_return)
+
+
+def matches_of(
+    site: Site, mount: Mapping[str, float], boxes: Sequence[DetectedBoxes], kind: int | None = None
+) -> list[Matches]:
+    """Detections of the judging frames, matched by each of `CRITERIA`; of all kinds or of one.
+
+    In stretches false alarms count on the carriageway, whatever lanes they are of.
+    """
     frames, _, _ = judging_frames(site)
+    carriageway = site.scenario.road.carriageway_y
+    region = replace(site.region, stretches=[(x, carriageway, None) for x, _, _ in site.region.stretches])
     lidar = float(mount["x_m"]), float(mount["y_m"])
-    return [match(boxes, frames, site.region, lidar, criterion) for criterion in CRITERIA]
+    return [match(boxes, frames, region, lidar, criterion, kind) for criterion in CRITERIA]
 
 
-def judged_from_file(
-    site: Site, mount: Mapping[str, float], of_frame: Mapping[int, DetectedBoxes], source: str
-) -> JudgedDetector:
-    """The detections of one's own detector, by the number of their frame.
+def judged_from_file(site: Site, mount: Mapping[str, float], path: str) -> JudgedDetector:
+    """The detections of one's own detector, from a file that `files.read_detected` reads.
 
     Raises
     ------
-    InputError
-        If it tells nothing of any judging frame.
+    MissingFileError, InputError
+        If it cannot be read, or lacks judging frames; a CSV file has no rows of frames without boxes, but must have
+        some.
     """
-    frames, _, _ = judging_frames(site)
-    numbers = [frame.vehicles.frame for frame in frames]
+    of_frame = read_detected(path, mount)
+    numbers = [frame.vehicles.frame for frame in judging_frames(site)[0]]
     missing = [number for number in numbers if number not in of_frame]
-    if len(missing) == len(numbers):
-        raise InputError(f"{source}: has detections of none of the {len(numbers)} judging frames, such as {numbers[0]}")
-    empty = next(iter(of_frame.values())).select(np.zeros(0, dtype=int))
-    boxes = [of_frame.get(number, empty) for number in numbers]
-    return JudgedDetector(boxes, matches_of(site, mount, boxes), None)
+    whole = Path(path).is_dir() or Path(path).suffix.lower() == ".json"
+    if len(missing) == len(numbers) or (missing and whole):
+        few = ", ".join(map(str, missing[:3]))
+        raise InputError(f"{path}: lacks {len(missing)} of the {len(numbers)} judging frames, such as {few}")
+    return _judged(site, mount, [of_frame.get(number, no_boxes()) for number in numbers], None)
 
 
 def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]) -> dict[str, object]:
@@ -142,16 +155,25 @@ def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]
 
     `name` is the detector's.
     """
-    _, block, recording = judging_frames(site)
+    frames, block, recording = judging_frames(site)
     mountings, baseline = {}, next(iter(judged.values()))
+    every = [away for one in judged.values() for m in one.matches for away in (m.distance_m, m.vehicle_distance_m)]
+    farthest = max((float(away.max(initial=0.0)) for away in every), default=0.0)
     for mounting, one in judged.items():
-        mountings[mounting] = {"with_return": one.with_return, **detection_scores(one.matches)}
+        mountings[mounting] = {
+            "with_return": one.with_return,
+            "without_boxes": sum(not len(boxes) for boxes in one.boxes),
+            **measured(one.matches),
+            "by_distance": by_distance(one.matches, farthest),
+            "by_kind": {kind: measured(matches) for kind, matches in zip(KINDS, one.of_kinds, strict=True)},
+        }
         if one is not baseline:
             gain = paired_intervals(one.matches, baseline.matches, block, site.scenario.search.seed, recording)
             mountings[mounting]["over_baseline"] = gain
     return {
         "detector": name,
-        "frames": baseline.matches[0].frames,
+        "frames": len(frames),
+        "frame_ids": [frame.vehicles.frame for frame in frames],
         "held_out": bool(len(site.holdout)),
         "blocks": len(np.unique(block)),
         "mountings": mountings,

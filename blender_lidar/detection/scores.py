@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from ..scene.observation import CountedFrame
 from ..scene.region import Region
-from ..statistics import statistic_interval_90
-from .boxes import KINDS, DetectedBoxes, bev_iou, kind_of
+from ..statistics import of_blocks, statistic_interval_90
+from ..traffic.vehicles import Vehicles
+from .boxes import DetectedBoxes, bev_iou, kind_of
 
 CONFIDENCES = (0.1, 0.3)  # at which recall and precision are told, as the paper's Table III has them
 MISSED = -1.0  # in place of the confidence of a vehicle's detection
@@ -39,7 +39,7 @@ class Criterion(NamedTuple):
 
 
 CRITERIA = (
-    Criterion("centre_2m", most_m=2.0),  # nuScenes' second threshold
+    Criterion("centre_2m", most_m=2.0),  # the third of nuScenes' thresholds
     Criterion("iou_0.5", least_iou=0.5),
     Criterion("iou_0.7", least_iou=0.7),  # KITTI's for cars
 )
@@ -55,17 +55,13 @@ class Matches:
         How many there are, f.
     confidence, hit : ndarray, (d,)
         Of each detection that is a hit or a false alarm.
-    frame, kind : ndarray of int, (d,)
-        The frame that it is in, counted from 0, and what it was taken for.
+    frame : ndarray of int, (d,)
+        The frame that it is in, counted from 0.
     distance_m : ndarray, (d,)
         Horizontal distance from the LiDAR, of a hit that of its vehicle [m].
-    right : ndarray of bool, (d,)
-        Whether a hit was taken for what its vehicle is.
     found : ndarray, (v,)
         Confidence of the detection of each vehicle that counts; `MISSED` where there is none.
-    found_right : ndarray of bool, (v,)
-        Whether that took it for what it is.
-    vehicle_frame, vehicle_kind, vehicle_distance_m : ndarray, (v,)
+    vehicle_frame, vehicle_distance_m : ndarray, (v,)
         The same of the vehicles.
     """
 
@@ -73,29 +69,19 @@ class Matches:
     confidence: np.ndarray
     hit: np.ndarray
     frame: np.ndarray
-    kind: np.ndarray
     distance_m: np.ndarray
-    right: np.ndarray
     found: np.ndarray
-    found_right: np.ndarray
     vehicle_frame: np.ndarray
-    vehicle_kind: np.ndarray
     vehicle_distance_m: np.ndarray
 
     def near(self, low_m: float, high_m: float) -> Matches:
         """Those between two distances from the LiDAR, the lower included."""
-        return self._of(*((low_m <= d) & (d < high_m) for d in (self.distance_m, self.vehicle_distance_m)))
+        return self.select(*((low_m <= d) & (d < high_m) for d in (self.distance_m, self.vehicle_distance_m)))
 
-    def of_kind(self, kind: int) -> Matches:
-        """Vehicles of a kind, found where they were taken for it, and detections that were, hits where it is right."""
-        found = np.where(self.found_right, self.found, MISSED)
-        sorted_out = replace(self, hit=self.hit & self.right, found=found)
-        return sorted_out._of(self.kind == kind, self.vehicle_kind == kind)
-
-    def _of(self, detections: np.ndarray, vehicles: np.ndarray) -> Matches:
-        names = ("confidence", "hit", "frame", "kind", "distance_m", "right")
-        of_vehicles = ("found", "found_right", "vehicle_frame", "vehicle_kind", "vehicle_distance_m")
-        changed = {name: getattr(self, name)[detections] for name in names}
+    def select(self, detections: np.ndarray, vehicles: np.ndarray) -> Matches:
+        """Some of the detections and of the vehicles, by masks or by rows."""
+        changed = {name: getattr(self, name)[detections] for name in ("confidence", "hit", "frame", "distance_m")}
+        of_vehicles = ("found", "vehicle_frame", "vehicle_distance_m")
         return replace(self, **changed, **{name: getattr(self, name)[vehicles] for name in of_vehicles})
 
 
@@ -105,6 +91,7 @@ def match(
     region: Region,
     lidar_xy: tuple[float, float],
     criterion: Criterion,
+    kind: int | None = None,
 ) -> Matches:
     """Match the detections of frames with their vehicles: the surest first, each with the best that is left.
 
@@ -113,39 +100,40 @@ def match(
     detected : sequence of DetectedBoxes, f
     frames : sequence of CountedFrame, f
     region : Region
-        Where a detection that meets nothing is a false alarm; of stretches of lanes all lanes.
+        Where a detection that meets nothing is a false alarm.
     lidar_xy : (float, float)
         What distances are counted from [m].
     criterion : Criterion
+    kind : int, optional
+        Only boxes and vehicles of this kind, as if there were no others: a box on another kind is a false alarm.
     """
-    region = replace(region, stretches=[(x, y, None) for x, y, _ in region.stretches])
-    parts = [_matched(boxes, frame, region, lidar_xy, criterion) for boxes, frame in zip(detected, frames, strict=True)]
+    parts = []
+    for boxes, frame in zip(detected, frames, strict=True):
+        vehicles, counted = frame.vehicles, frame.counted
+        if kind is not None:
+            boxes = boxes.select(boxes.kind == kind)
+            there = ~counted | (kind_of(vehicles.class_index) == kind)
+            vehicles, counted = vehicles.select(there), counted[there]
+        parts.append(_matched(boxes, vehicles, counted, region, lidar_xy, criterion))
     of_frame = np.arange(len(frames))
-    detections, vehicles = (
-        np.concatenate([np.zeros((0, width)), *(part[side] for part in parts)]) for side, width in enumerate((5, 4))
+    detections, found = (
+        np.concatenate([np.zeros((0, width)), *(part[side] for part in parts)]) for side, width in enumerate((3, 2))
     )
-    confidence, hit, kind, distance, right = detections.T
-    found, found_right, vehicle_kind, vehicle_distance = vehicles.T
     return Matches(
         frames=len(frames),
-        confidence=confidence,
-        hit=hit > 0.0,
+        confidence=detections[:, 0],
+        hit=detections[:, 1] > 0.0,
         frame=np.repeat(of_frame, [len(one) for one, _ in parts]),
-        kind=kind.astype(int),
-        distance_m=distance,
-        right=right > 0.0,
-        found=found,
-        found_right=found_right > 0.0,
+        distance_m=detections[:, 2],
+        found=found[:, 0],
         vehicle_frame=np.repeat(of_frame, [len(other) for _, other in parts]),
-        vehicle_kind=vehicle_kind.astype(int),
-        vehicle_distance_m=vehicle_distance,
+        vehicle_distance_m=found[:, 1],
     )
 
 
-def _matched(boxes: DetectedBoxes, frame: CountedFrame, region: Region, lidar_xy, criterion: Criterion):
-    """Of one frame: columns of `Matches` of its detections that count, (d, 5), and of its vehicles that do, (v, 4)."""
-    vehicles, counted = frame.vehicles, frame.counted
-    merit, kind = criterion.merit(boxes, vehicles), kind_of(vehicles.class_index)
+def _matched(boxes: DetectedBoxes, vehicles: Vehicles, counted: np.ndarray, region: Region, lidar_xy, criterion):
+    """Of one frame: columns of `Matches` of its detections that count, (d, 3), and of its vehicles that do, (v, 2)."""
+    merit = criterion.merit(boxes, vehicles)
     away, distance = (np.hypot(*(one.centre_m[:, :2] - lidar_xy).T) for one in (boxes, vehicles))
     free, met = counted.copy(), np.full(len(boxes), -1)
     ignored = ~region.holds(boxes)
@@ -156,13 +144,10 @@ def _matched(boxes: DetectedBoxes, frame: CountedFrame, region: Region, lidar_xy
             free[met[row]] = False
         else:
             ignored[row] |= (merit[row][~counted] > -np.inf).any()
-    hit = met >= 0
-    found, found_right = np.full(len(vehicles), MISSED), np.zeros(len(vehicles), dtype=bool)
-    right = np.zeros(len(boxes), dtype=bool)
-    right[hit] = boxes.kind[hit] == kind[met[hit]]
-    found[met[hit]], found_right[met[hit]], away[hit] = boxes.confidence[hit], right[hit], distance[met[hit]]
-    detections = np.column_stack([boxes.confidence, hit, boxes.kind, away, right])[hit | ~ignored]
-    return detections, np.column_stack([found, found_right, kind, distance])[counted]
+    hit, found = met >= 0, np.full(len(vehicles), MISSED)
+    found[met[hit]], away[hit] = boxes.confidence[hit], distance[met[hit]]
+    detections = np.column_stack([boxes.confidence, hit, away])[hit | ~ignored]
+    return detections, np.column_stack([found, distance])[counted]
 
 
 # --- Recall, precision and average precision --------------------------------------------------------------------------
@@ -173,13 +158,13 @@ def recall(matches: Matches, confidence: float, weight: np.ndarray | None = None
 
     `weight` (r, f) says how often each frame counts in each of r resamples; once if left out. Returns (r,).
     """
-    return _share(matches.found >= confidence, _of_frames(matches, weight)[:, matches.vehicle_frame])
+    return _share(matches.vehicle_frame, matches.found >= confidence, _of_frames(matches, weight))
 
 
 def precision(matches: Matches, confidence: float, weight: np.ndarray | None = None) -> np.ndarray:
     """Share of the hits among detections at least so sure, (r,); NaN where there are none; `weight` as for `recall`."""
     sure = matches.confidence >= confidence
-    return _share(matches.hit[sure], _of_frames(matches, weight)[:, matches.frame[sure]])
+    return _share(matches.frame[sure], matches.hit[sure], _of_frames(matches, weight))
 
 
 def average_precision(matches: Matches, weight: np.ndarray | None = None) -> np.ndarray:
@@ -189,26 +174,33 @@ def average_precision(matches: Matches, weight: np.ndarray | None = None) -> np.
     their order does not matter. `weight` as for `recall`.
     """
     weight = _of_frames(matches, weight)
-    vehicles = weight[:, matches.vehicle_frame].sum(axis=1)
-    order = np.argsort(-matches.confidence, kind="stable")
-    ends = np.flatnonzero(np.diff(matches.confidence[order], append=-np.inf))
-    of_each = weight[:, matches.frame[order]]
-    taken = np.cumsum(of_each, axis=1)[:, ends]
-    hits = np.cumsum(of_each * matches.hit[order], axis=1)[:, ends]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        precise = np.nan_to_num(hits / taken)
+    vehicles = weight @ np.bincount(matches.vehicle_frame, minlength=matches.frames)
+    _, step = np.unique(-matches.confidence, return_inverse=True)  # the surest first
+    counts = np.zeros((2, matches.frames, int(step.max(initial=-1)) + 1))
+    np.add.at(counts, (0, matches.frame, step), 1.0)
+    np.add.at(counts, (1, matches.frame, step), matches.hit)
+    all_taken, all_hits = np.cumsum(counts, axis=2)
+    area = np.zeros(len(weight))
+    for first in range(0, len(weight), _RESAMPLES_AT_ONCE):
+        some = weight[first : first + _RESAMPLES_AT_ONCE]
+        taken, hits = some @ all_taken, some @ all_hits
+        precise = np.divide(hits, taken, out=np.zeros_like(hits), where=taken > 0.0)
         envelope = np.maximum.accumulate(precise[:, ::-1], axis=1)[:, ::-1]
-        return (np.diff(hits, axis=1, prepend=0.0) * envelope).sum(axis=1) / np.where(vehicles > 0, vehicles, np.nan)
+        area[first : first + _RESAMPLES_AT_ONCE] = (np.diff(hits, axis=1, prepend=0.0) * envelope).sum(axis=1)
+    return area / np.where(vehicles > 0, vehicles, np.nan)
+
+
+_RESAMPLES_AT_ONCE = 100  # memory: so many times the different confidences
 
 
 def _of_frames(matches: Matches, weight: np.ndarray | None) -> np.ndarray:
     return np.ones((1, matches.frames)) if weight is None else weight
 
 
-def _share(good: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    whole = weight.sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(whole > 0, weight @ good / whole, np.nan)
+def _share(frame: np.ndarray, good: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    whole = weight @ np.bincount(frame, minlength=weight.shape[1])
+    part = weight @ np.bincount(frame, good, minlength=weight.shape[1])
+    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
 
 
 # --- All of it, and how sure it is ------------------------------------------------------------------------------------
@@ -223,26 +215,12 @@ MEASURES: dict[str, Measure] = {  # of the matches by each of `CRITERIA`
     },
 }
 """Recall and precision are by the first criterion, centres at most 2 m apart."""
-_BANDS_M = 10.0
+_BAND_M = 10.0  # of distances
+_MOST_UNDEFINED = 0.05  # share of resamples in which nothing is to be divided by: with more there is no interval
 
 
-def detection_scores(by: Sequence[Matches]) -> dict[str, object]:
-    """All `MEASURES`, over all and by distance and kind, for a result file; None where there is nothing to divide by.
-
-    `by` are the matches by each of `CRITERIA`. By kind a vehicle counts as found where it was taken for its kind.
-    """
-    farthest = max((one.vehicle_distance_m.max(initial=0.0) for one in by), default=0.0)
-    bands = np.arange(0.0, farthest + _BANDS_M, _BANDS_M)
-    near = {f"{low:g}-{high:g} m": [one.near(low, high) for one in by] for low, high in pairwise(bands)}
-    kinds = {name: [one.of_kind(kind) for one in by] for kind, name in enumerate(KINDS)}
-    return {
-        **_measured(by),
-        "by_distance": {name: _measured(part) for name, part in near.items()},
-        "by_kind": {name: _measured(part) for name, part in kinds.items()},
-    }
-
-
-def _measured(by: Sequence[Matches]) -> dict[str, object]:
+def measured(by: Sequence[Matches]) -> dict[str, object]:
+    """All `MEASURES` for a result file, of the matches by each of `CRITERIA`; None where one is undefined."""
     values = {name: float(measure(by, None)[0]) for name, measure in MEASURES.items()}
     told = {name: None if np.isnan(value) else value for name, value in values.items()}
     false_alarms = {
@@ -252,10 +230,20 @@ def _measured(by: Sequence[Matches]) -> dict[str, object]:
     return {"vehicles": len(by[0].found), **told, **false_alarms}
 
 
+def by_distance(by: Sequence[Matches], farthest_m: float) -> dict[str, dict[str, object]]:
+    """`measured` in bands of 10 m up to the one that holds a distance."""
+    lows = _BAND_M * np.arange(int(farthest_m // _BAND_M) + 1)
+    return {
+        f"{low:g}-{low + _BAND_M:g} m": measured([one.near(low, low + _BAND_M) for one in by]) for low in lows.tolist()
+    }
+
+
 def paired_intervals(
     one: Sequence[Matches], other: Sequence[Matches], block: np.ndarray, seed: int, recording: np.ndarray | None = None
 ) -> dict[str, dict[str, object]]:
     """How much better `one` is than `other`, for each of `MEASURES`, with the paired 90 % interval over blocks of time.
+
+    A difference of something undefined is None.
 
     Parameters
     ----------
@@ -267,16 +255,30 @@ def paired_intervals(
         For the resampling.
     """
     labels, row = np.unique(block, return_inverse=True)
-    vehicles = np.bincount(row[one[0].vehicle_frame], minlength=len(labels))
-    stratum = None if recording is None else recording[np.unique(block, return_index=True)[1]]
+    row = row.reshape(-1)
+    sides = [[_of_blocks(matches, row, len(labels)) for matches in side] for side in (one, other)]
+    frames = (at for side in sides for matches in side for at in (matches.vehicle_frame, matches.frame))
+    filled = np.bincount(np.concatenate([*frames]), minlength=len(labels))  # a block may have false alarms alone
+    stratum = None if recording is None else of_blocks(recording, block)
     found = {}
     for name, measure in MEASURES.items():
+        whole = float(np.subtract(*(measure(side, None)[0] for side in sides)))
+        if np.isnan(whole):
+            found[name] = {"difference": None, "interval_90": None}
+            continue
+        undefined: list[float] = []
 
-        def difference(weight: np.ndarray, measure: Measure = measure) -> np.ndarray:
-            of_frames = weight[:, row]
-            return np.nan_to_num(measure(one, of_frames)) - np.nan_to_num(measure(other, of_frames))
+        def difference(weight, measure=measure, whole=whole, undefined=undefined) -> np.ndarray:
+            values = np.subtract(*(measure(side, weight) for side in sides))
+            undefined.append(np.isnan(values).mean())
+            return np.where(np.isnan(values), whole, values)
 
-        whole = float(difference(np.ones((1, len(labels))))[0])
-        ends = statistic_interval_90(difference, vehicles, seed, stratum)
-        found[name] = {"difference": whole, "interval_90": None if ends is None else list(ends)}
+        ends = statistic_interval_90(difference, filled, seed, stratum)
+        known = ends is not None and max(undefined) <= _MOST_UNDEFINED
+        found[name] = {"difference": whole, "interval_90": list(ends) if known else None}
     return found
+
+
+def _of_blocks(matches: Matches, row: np.ndarray, blocks: int) -> Matches:
+    """The same with blocks of time in place of frames."""
+    return replace(matches, frames=blocks, frame=row[matches.frame], vehicle_frame=row[matches.vehicle_frame])

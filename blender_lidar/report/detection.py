@@ -15,7 +15,12 @@ _ROWS = {
     "ap_iou_0.5": "AP, bird's-eye IoU 0.5",
     "ap_iou_0.7": "AP, bird's-eye IoU 0.7",
 }
-_TABLED = ("recall_0.3", "precision_0.3", "ap_iou_0.5")  # of groups
+_TABLED = {  # of groups
+    "recall_0.3": "recall at 0.3",
+    "precision_0.3": "precision at 0.3",
+    "ap_centre_2m": "AP within 2 m",
+    "ap_iou_0.5": "AP at IoU 0.5",
+}
 
 
 def detection_text(result: Mapping) -> str:
@@ -26,10 +31,12 @@ def detection_text(result: Mapping) -> str:
     said = f"At confidence 0.3 the detector finds {_percent(given['recall_0.3'])} % of the vehicles"
     if "baseline" in result["mountings"]:
         said += f" instead of {_percent(result['mountings']['baseline']['recall_0.3'])} % under the baseline"
-    said += f", and {_percent(given['precision_0.3'])} % of what it finds are vehicles"
+    if given["precision_0.3"] is not None:
+        said += f", and {_percent(given['precision_0.3'])} % of what it finds are vehicles"
     if given["with_return"] is not None:
         said += f"; {_percent(given['with_return'])} % have a return at all"
-    return said + "."
+    empty = given.get("without_boxes", 0)
+    return said + (f"; {empty} of the {result['frames']} frames have no detection." if empty else ".")
 
 
 def detection_table(result: Mapping) -> TextTable:
@@ -45,25 +52,21 @@ def detection_table(result: Mapping) -> TextTable:
     for key, text in _ROWS.items():
         cells = [_percent(one[key]) for one in scores]
         if over:
-            ends = over[key]["interval_90"]
-            cells += [f"{100 * over[key]['difference']:+.1f}"]
-            cells += ["" if ends is None else " to ".join(f"{100 * end:+.1f}" for end in ends)]
+            difference, ends = over[key]["difference"], over[key]["interval_90"]
+            cells += ["-" if difference is None else f"{100 * difference:+.1f}"]
+            cells += ["-" if ends is None else " to ".join(f"{100 * end:+.1f}" for end in ends)]
         rows.append((text, *cells))
     rows.append(("false alarms a frame at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores), *blank))
     sections = [("", rows)]
     for group, title in (("by_distance", "By distance"), ("by_kind", "By kind")):
         of_group = []
         for name in scores[-1][group]:
-            for key in _TABLED:
-                cells = [_percent(one[group].get(name, {}).get(key)) for one in scores]
-                what = f"{name}, {scores[-1][group][name]['vehicles']:,} vehicles" if key == _TABLED[0] else ""
-                of_group.append((f"{what:<28}{_short(key)}", *cells, *blank))
+            counts = (f"{one[group][name]['vehicles']:,}" for one in scores)
+            of_group.append((f"{name:<14}vehicles", *counts, *blank))
+            for key, what in _TABLED.items():
+                of_group.append((f"{'':<14}{what}", *(_percent(one[group][name][key]) for one in scores), *blank))
         sections.append((title, of_group))
     return TextTable("Detection", [head], sections)
-
-
-def _short(key: str) -> str:
-    return {"recall_0.3": "recall at 0.3", "precision_0.3": "precision at 0.3", "ap_iou_0.5": "AP at IoU 0.5"}[key]
 
 
 def _percent(share: float | None) -> str:

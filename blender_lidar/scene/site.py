@@ -29,7 +29,7 @@ from .settings import BarrierSettings, BoxSettings, ObjectiveSettings, SensorSet
 # --- The scenery that a scene's [world] describes: files that Blender reads, boxes and barriers, in the road frame -
 
 
-def read_scenery(scenario: Scenario, reach_m: float) -> Scenery:
+def read_scenery(scenario: Scenario, reach_m: float, mount: Mapping[str, float] | None = None) -> Scenery:
     """What stands still within a horizontal reach of the nominal mount; empty where there is nothing.
 
     Raises
@@ -45,17 +45,18 @@ def read_scenery(scenario: Scenario, reach_m: float) -> Scenery:
     files = [_near(path, world, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
     barriers = [barrier(item.kind, item.y_m, item.x_m) for item in world.barriers]
-    beside = clutter(scenario.road, world.clutter, world.clutter_seed, centre[0], reach_m, _may_hang(scenario))
+    beside = clutter(scenario.road, world.clutter, world.clutter_seed, centre[0], reach_m, _may_hang(scenario, mount))
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])
 
 
-def _may_hang(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """Corners x, y of the places where the LiDAR may hang [m]: searched ones, poles and the baseline."""
-    deployment, base = scenario.deployment, [scenario.baseline[key] for key in ("x_m", "y_m")]
+def _may_hang(scenario: Scenario, mount: Mapping[str, float] | None) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Where the LiDAR may hang, as corners x, y of rectangles [m]: baseline, given mount, poles or what is searched."""
+    deployment = scenario.deployment
     searched = {**deployment.fixed, **deployment.bounds}
-    places = [base, *([pole.x_m, pole.y_m] for pole in deployment.poles)]
-    places += np.transpose([np.broadcast_to(searched[key], 2) for key in ("x_m", "y_m")]).tolist()
-    return np.min(places, axis=0), np.max(places, axis=0)
+    poles = [{"x_m": pole.x_m, "y_m": pole.y_m} for pole in deployment.poles]
+    places = [scenario.baseline, *([] if mount is None else [mount]), *(poles or [searched])]
+    corners = (np.transpose([np.broadcast_to(place[key], 2) for key in ("x_m", "y_m")]) for place in places)
+    return [(low, high) for low, high in corners]
 
 
 def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
@@ -343,7 +344,7 @@ def standing_scenery(
         return None
     sensor, centre = scenario.sensor, scenario.deployment.nominal_xy
     reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount, centre)
-    scenery = read_scenery(scenario, reach)
+    scenery = read_scenery(scenario, reach, mount)
     return StandingScenery(scenery if given is None else join([scenery, given.within(centre, reach)]), caster)
 
 

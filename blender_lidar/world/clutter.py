@@ -19,7 +19,7 @@ _CELL_M = 50.0  # along the road: what stands in a cell depends on the seed alon
 _CLEAR_M = 2.5  # about places where the LiDAR may hang
 _LEAF_M = 0.2  # side of the triangles of leaves
 _LEAF_AREA_M2 = 0.25 * math.sqrt(3.0) * _LEAF_M**2
-_OPTICAL_DEPTH = 1.0  # of a crown: 37 % of the beams through its middle pass
+_OPTICAL_DEPTH = 1.0  # of a crown, from the side: 37 % of the beams through its middle pass
 
 
 def clutter(
@@ -28,7 +28,7 @@ def clutter(
     seed: int,
     centre_x: float,
     reach_m: float,
-    keep_clear: tuple[Sequence[float], Sequence[float]],
+    keep_clear: Sequence[tuple[Sequence[float], Sequence[float]]],
 ) -> Scenery:
     """Roadside clutter along a stretch of road, to its right and to its left.
 
@@ -42,10 +42,10 @@ def clutter(
         What else it depends on.
     centre_x, reach_m : float
         The middle of the stretch and how far it goes to each side [m].
-    keep_clear : (low, high)
-        Corners x, y of the places where the LiDAR may hang [m]: nothing stands within 2.5 m of them.
+    keep_clear : sequence of (low, high)
+        Corners x, y of rectangles in which the LiDAR may hang [m]: nothing stands within 2.5 m of one.
     """
-    low, high = np.asarray(keep_clear[0][:2]) - _CLEAR_M, np.asarray(keep_clear[1][:2]) + _CLEAR_M
+    clear = [(np.asarray(low) - _CLEAR_M, np.asarray(high) + _CLEAR_M) for low, high in keep_clear]
     parts = []
     first, last = (math.floor((centre_x + side * reach_m) / _CELL_M) for side in (-1, 1))
     for cell in range(first, last + 1):
@@ -53,7 +53,7 @@ def clutter(
             for number, kind in enumerate(_KINDS):
                 for made in _things(kind, road, strength, cell, side, [seed, cell + 2**31, side, number]):
                     corners = made.corners[..., :2].reshape(-1, 2)
-                    if ((corners.max(axis=0) < low) | (corners.min(axis=0) > high)).any():
+                    if all(((corners.max(axis=0) < low) | (corners.min(axis=0) > high)).any() for low, high in clear):
                         parts.append(made)
     return join(parts)
 
@@ -118,8 +118,8 @@ def _tree(x: float, y: float, rng: np.random.Generator) -> Scenery:
 def leaves(centre: Sequence[float], half: Sequence[float], rng: np.random.Generator) -> np.ndarray:
     """A porous volume: triangles anywhere in an ellipsoid, in any orientation, (m, 3, 3) [m].
 
-    So many that a beam through the middle passes with a probability of 37 % (Beer and Lambert, optical depth 1): a
-    triangle in any orientation shows half its area.
+    So many that a level beam through the middle passes with a probability of 37 % (Beer and Lambert, optical depth 1):
+    a triangle in any orientation shows half its area.
 
     Parameters
     ----------
@@ -127,8 +127,8 @@ def leaves(centre: Sequence[float], half: Sequence[float], rng: np.random.Genera
         The ellipsoid's middle and half axes [m].
     rng : Generator
     """
-    area = math.pi * half[0] * half[1]
-    count = max(4, round(_OPTICAL_DEPTH * area / (0.5 * _LEAF_AREA_M2)))
+    volume, way = 4.0 / 3.0 * math.pi * math.prod(half), half[0] + half[1]  # m3, and the length of that beam in it
+    count = max(4, round(_OPTICAL_DEPTH * volume / (way * 0.5 * _LEAF_AREA_M2)))
     middle = _directions(count, rng) * np.cbrt(rng.random((count, 1))) * half + centre
     normal = _directions(count, rng)
     other = np.cross(normal, _directions(count, rng))
