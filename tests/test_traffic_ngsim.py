@@ -286,3 +286,34 @@ def test_ngsim_is_read_as_spreadsheets_write_it(tmp_path, columns, dialect, mark
     recording = read_traffic(path)
     for name in ("frame", "vehicle_id", "class_index", "size_m", "lane", "frame_time_s", "centre_m", "heading_rad"):
         np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name), err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("when_ms", "location", "told"),
+    [
+        (
+            1_113_433_136_100,
+            "us-101",
+            "--location is us-101, but its Global_Time is of 2005-04-13, when i-80 was recorded",
+        ),
+        (
+            1_118_846_980_200,
+            "I-80",
+            "--location is I-80, but its Global_Time is of 2005-06-15, when us-101 was recorded",
+        ),
+        (1_113_433_136_100, "I-80", None),
+        (1_118_846_980_200, "us-101", None),
+        (1_700_000_000_000, "us-101", None),
+    ],
+)
+def test_a_location_on_whose_day_another_site_was_recorded_is_refused(when_ms, location, told, tmp_path):
+    given = samples.columns(vehicles=3, frames=40)
+    given["Global_Time"] = given["Global_Time"] - given["Global_Time"].min() + when_ms
+    path = samples.write(tmp_path, samples.native(given))
+    if told is None:
+        assert f"taken to be {location}" in " ".join(
+            ngsim.read_ngsim(path, road=RoadFrame(), location=location).report.notes
+        )
+    else:
+        with pytest.raises(InputError, match=told):
+            ngsim.read_ngsim(path, road=RoadFrame(), location=location)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,7 @@ def read_ngsim(
     follows_road = report.location in FREEWAYS if report.location else not arterial
     notes = []
     if location is not None and "Location" not in layout.columns:
+        _check_day(rows["time_ms"], location, path)
         notes.append(f"the file has no Location column: taken to be {location}")
     if period is None and len(periods) > 1:
         notes.append(f"{len(periods)} periods found ({', '.join(periods)}); none was chosen, so the first is used")
@@ -365,6 +367,19 @@ _NOMINAL = ["0400-0415", "0500-0515", "0515-0530", "0750-0805", "0805-0820", "08
 _NOMINAL_S = {name: 3600 * ((int(name[:2]) + 6) % 12 + 6) + 60 * int(name[2:4]) for name in _NOMINAL}
 _NOMINAL_TOLERANCE_S = 180
 _FIRST_REAL_TIME_MS = 1e12  # Peachtree's 10-digit times are no times of day
+
+
+# When sites were recorded, by FHWA's data sheets.
+_DAYS = {"i-80": date(2005, 4, 13), "us-101": date(2005, 6, 15), "lankershim": date(2005, 6, 16)}
+
+
+def _check_day(time_ms: np.ndarray, location: str, path: str | Path) -> None:
+    """Refuse a location on whose day another site was recorded, where the file does not name its own."""
+    local = datetime.fromtimestamp(float(np.median(time_ms)) / 1000.0, timezone(timedelta(hours=_PACIFIC_H)))
+    recorded = next((name for name, day in _DAYS.items() if day == local.date()), None)
+    if recorded is not None and recorded != location.strip().lower():
+        when = f"its Global_Time is of {local:%Y-%m-%d}, when {recorded} was recorded"
+        raise InputError(f"{path}: --location is {location}, but {when}")
 
 
 def _time_step_ms(rows: dict[str, np.ndarray], path: str | Path) -> float:
