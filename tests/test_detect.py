@@ -14,7 +14,7 @@ from blender_lidar.detection.classical import l_shape_heading
 from blender_lidar.detection.scores import MEASURES
 from blender_lidar.errors import InputError
 from tests.refusals import refused
-from tests.small_scene import REGION, cli, done, without_charts, write_scene
+from tests.small_scene import HEADER, REGION, cli, done, traffic_rows, without_charts, write_scene, write_table
 
 MOUNT = ("--height", 4.5, "--tilt-x", 15)
 
@@ -49,6 +49,18 @@ def test_what_it_finds_is_there_and_most_is_found(scene, tmp_path, capsys):
     assert f"finds {100 * given['recall_0.3']:.1f} % of the vehicles instead of" in out
     again, _ = done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "again", "--json")
     assert json.loads(again) == result
+
+
+def test_what_is_accepted_of_the_traffic_is_told_first(scene, tmp_path, capsys):
+    rows = traffic_rows()
+    for row in rows:
+        row[HEADER.index("heading_deg")] = 180.0
+    write_table(tmp_path / "traffic.csv", rows)
+    refused(capsys, tmp_path, "detect", scene, "--out", tmp_path / "found")
+    out, _ = done(capsys, "detect", scene, "--accept", "headings", "--out", tmp_path / "found")
+    assert out.startswith("Warning, accepted (headings): ")
+    assert "Few different vehicles: " in out
+    assert json.loads((tmp_path / "found" / "detection.json").read_text())["warnings"][0]["name"] == "headings"
 
 
 @pytest.mark.parametrize("name", ["detections.csv", "label_2"])

@@ -26,7 +26,7 @@ from ..detection.scores import CRITERIA
 from ..errors import InputError, MissingFileError
 from ..files import check_folder, check_unused, make_folder, write_text
 from ..report.detection import detection_table, detection_text
-from ..report.summary import region_text
+from ..report.summary import as_sentence, region_text, warnings_text
 from ..run.folder import DETECTION
 from ..scene.provenance import versions
 from ..scene.scenario import shipped_scenes
@@ -57,8 +57,9 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps(result, indent=2))
         return 0
     frames = f"{result['frames']} {'held-out' if result['held_out'] else 'searched'} frames"
-    print(f"Detector   {args.detector}; {frames}, vehicles {region_text(asdict(scenario.region))}\n")
-    print(f"{told(result)}\n\nResults in {folder}")
+    where = region_text(asdict(scenario.region))
+    print("\n".join([*warnings_text(result), f"Detector   {args.detector}; {frames}, vehicles {where}\n"]))
+    print("\n\n".join([told(result), f"Results in {folder}", *map(as_sentence, result["notes"])]))
     return 0
 
 
@@ -108,6 +109,8 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
         "hangs": hung_off(site, mounts["given"]),
         "criteria": [criterion.name for criterion in CRITERIA],
         **detection_result(site, detector, judged),
+        "warnings": site.recording.report.warnings_as_dicts(),
+        "notes": list(site.plan.notes),
         "versions": versions(site.observation.caster),
     }
     _write(folder, site, judged, mounts, result)
@@ -178,8 +181,8 @@ def _run_clouds(args: argparse.Namespace) -> int:
     if first["sensor"] not in model_names():
         raise InputError(f"{paths[0]}: its sensor {first['sensor']!r} is of a table of its own; detect at its scene")
     lattice = beam_lattice(load_model(first["sensor"]), first["rotation_hz"])
-    pose, told = first["pose"], first.get("imperfections", {})
-    imperfections = Imperfections(told.get("range_noise_m", 0.0), told.get("dropout", 0.0))
+    pose, losses = first["pose"], first.get("imperfections", {})
+    imperfections = Imperfections(losses.get("range_noise_m", 0.0), losses.get("dropout", 0.0))
     detector = ClassicalDetector(lattice, (pose["x_m"], pose["y_m"]), imperfections)
     with closing(Progress(2 * len(paths), "clouds")) as progress:
 
