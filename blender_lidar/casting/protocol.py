@@ -10,7 +10,8 @@ import numpy as np
 
 from ..compiled import numba_works
 from ..errors import InputError
-from ..world.scenery import Scenery
+from ..world.clutter import Walkers
+from ..world.scenery import Scenery, join
 from ..world.triangles import MOST_M
 
 if TYPE_CHECKING:
@@ -380,13 +381,25 @@ class StandingScenery:
         Its triangles.
     caster : str
         A name of `casting.CASTERS`.
+    walkers : Walkers, optional
+        Who moves along the roadsides: `at` says where they are.
     """
 
-    def __init__(self, scenery: Scenery, caster: str) -> None:
-        self.scenery, self._caster = scenery, caster
+    def __init__(self, scenery: Scenery, caster: str, walkers: Walkers | None = None) -> None:
+        self.scenery, self._caster, self._walkers = scenery, caster, walkers
 
     def __getstate__(self) -> dict:
-        return {"scenery": self.scenery, "_caster": self._caster}
+        return {"scenery": self.scenery, "_caster": self._caster, "_walkers": self._walkers}
+
+    def at(self, time_s: float) -> StandingScenery:
+        """The scenery of a moment [s]: with those who walk, where they are then."""
+        if self._walkers is None:
+            return self
+        return StandingScenery(join([self.scenery, self._walkers.at(time_s)]), self._caster)
+
+    def behind(self, caster: str) -> StandingScenery:
+        """The same behind another caster."""
+        return StandingScenery(self.scenery, caster, self._walkers)
 
     @cached_property
     def tree(self) -> Caster:

@@ -58,6 +58,7 @@ class LiveFrame:
         self, frame: CountedFrame, observation: Observation, scoring: Scoring | None, *, ground: bool = True
     ) -> None:
         self.frame, vehicles = frame, frame.vehicles
+        observation = observation.at(vehicles.time_s)
         shapes = FrameShapes(vehicles, frame.counted, observation.detail, observation.caster)
         self._scan = FrameScan(shapes, vehicles, observation, ground=ground)
         self._scenery = observation.scenery

@@ -107,8 +107,8 @@ class FrameScan:
     def __init__(
         self, shapes: FrameShapes, vehicles: Vehicles, observation: Observation, *, ground: bool = True
     ) -> None:
-        self._shapes, self._vehicles, self._seen, self._ground = shapes, vehicles, observation, ground
-        seen = observation
+        seen = observation.at(vehicles.time_s)
+        self._shapes, self._vehicles, self._seen, self._ground = shapes, vehicles, seen, ground
         self._pieces = cut_vehicles(vehicles, seen.detail) if seen.culled else None
         self._reach_m = seen.max_range_m + seen.imperfections.most_noise_m
         self._model = seen.imperfections.measurement(seen.lattice, vehicles.frame, seen.min_range_m, seen.max_range_m)

@@ -96,7 +96,7 @@ class MountedSensor:
             pose=pose_at(self.mount),
             range_gate_m=self.scenario.sensor.range_gate_m,
             points=points,
-            scenery=None if self.scenery is None else self.scenery.scenery,
+            scenery=None if self.scenery is None else self.scenery.at(vehicles.time_s).scenery,
             settings=self.scenario.with_whole_paths(),
         )
 

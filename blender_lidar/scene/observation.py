@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,11 @@ class Observation:
     scenery: StandingScenery | None = None
     imperfections: Imperfections = PERFECT
     culled: bool = True
+
+    def at(self, time_s: float) -> Observation:
+        """The same at a moment [s], with those who walk along the roadsides where they are then."""
+        scenery = None if self.scenery is None else self.scenery.at(time_s)
+        return self if scenery is self.scenery else replace(self, scenery=scenery)
 
 
 @dataclass(frozen=True, slots=True)

@@ -561,7 +561,7 @@ class WorldSettings:
     boxes, barriers : tuple
         What else stands still.
     clutter : float
-        How much stands along the roadsides at random and is no vehicle; 1 is much, 0 nothing.
+        How much stands or walks along the roadsides at random and is no vehicle; 1 is some, 0 nothing.
     clutter_seed : int
         What else that depends on.
     """

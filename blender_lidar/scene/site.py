@@ -16,7 +16,7 @@ from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
 from ..traffic.frames import few_vehicles
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
-from ..world.clutter import clutter
+from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
@@ -345,7 +345,9 @@ def standing_scenery(
     sensor, centre = scenario.sensor, scenario.deployment.nominal_xy
     reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount, centre)
     scenery = read_scenery(scenario, reach, mount)
-    return StandingScenery(scenery if given is None else join([scenery, given.within(centre, reach)]), caster)
+    world, clear = scenario.world, _may_hang(scenario, mount)
+    walkers = Walkers(scenario.road, world.clutter, world.clutter_seed, clear) if world.clutter else None
+    return StandingScenery(scenery if given is None else join([scenery, given.within(centre, reach)]), caster, walkers)
 
 
 def read_recording(scenario: Scenario) -> Recording:

@@ -12,7 +12,6 @@ from itertools import zip_longest
 
 import numpy as np
 
-from ..casting.protocol import StandingScenery
 from ..optimise.multi_fidelity import Rung
 from ..scene.observation import Observation
 from ..scene.site import Site
@@ -85,7 +84,7 @@ class Fidelity:
             )
         caster, scenery = self.caster or observation.caster, observation.scenery
         if scenery is not None and caster != observation.caster:
-            scenery = StandingScenery(scenery.scenery, caster)
+            scenery = scenery.behind(caster)
         return replace(
             observation, lattice=lattice, detail=self.detail, caster=caster, scenery=scenery, culled=self.culled
         )

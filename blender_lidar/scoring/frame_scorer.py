@@ -126,7 +126,7 @@ class FrameScorer:
     def __init__(
         self, vehicles: Vehicles, counted: np.ndarray, observation: Observation, shapes: FrameShapes | None = None
     ) -> None:
-        seen = self._observation = observation
+        seen = self._observation = observation = observation.at(vehicles.time_s)
         self.shapes = shapes or FrameShapes(vehicles, counted, seen.detail, seen.caster)
         self.vehicles = self.shapes.counted
         self._measurement = seen.imperfections.measurement(

@@ -1,4 +1,4 @@
-"""Roadside clutter: signs, cabinets, people, guard rails, and bushes and trees as porous volumes, drawn by seed.
+"""Roadside clutter: signs, cabinets, guard rails, bushes and trees as porous volumes, people who walk; drawn by seed.
 
 It returns and is no vehicle, and hides vehicles behind it. Rates, sizes and distances from the edge of the carriageway
 are round numbers of ours, not a survey.
@@ -85,17 +85,6 @@ def _cabinet(x: float, y: float, rng: np.random.Generator) -> Scenery:
     return box("cabinet", (x, y, 0.5 * height), (length, width, height))
 
 
-def _person(x: float, y: float, rng: np.random.Generator) -> Scenery:
-    """A pedestrian who stands, or a cyclist on a cycle: legs, trunk and head, or cycle and rider, as boxes."""
-    heading, tall = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(1.5, 1.9)
-    if rng.random() < 0.3:
-        rider = box("rider", (x, y, 0.72 * tall), (0.5, 0.45, 0.5 * tall), heading)
-        return _one("cyclist", box("cycle", (x, y, 0.5), (1.75, 0.1, 1.0), heading), rider)
-    legs = box("legs", (x, y, 0.24 * tall), (0.25, 0.3, 0.48 * tall), heading)
-    trunk = box("trunk", (x, y, 0.66 * tall), (0.28, 0.45, 0.36 * tall), heading)
-    return _one("pedestrian", legs, trunk, box("head", (x, y, 0.93 * tall), (0.2, 0.17, 0.14 * tall), heading))
-
-
 def _guard_rail(x: float, y: float, rng: np.random.Generator) -> Scenery:
     """A guard rail along the road."""
     length = rng.uniform(15.0, 40.0)
@@ -165,8 +154,73 @@ class _Kind:
 _KINDS = (
     _Kind(_sign, 2.0, (0.6, 2.0)),
     _Kind(_cabinet, 1.0, (1.0, 4.0)),
-    _Kind(_person, 1.5, (1.0, 4.0)),
     _Kind(_guard_rail, 0.5, (0.5, 0.8)),
     _Kind(_bush, 6.0, (1.5, 5.0)),
     _Kind(_tree, 3.0, (2.8, 8.0)),
 )
+
+
+# --- Who moves along the roadside -------------------------------------------------------------------------------------
+
+_RING_M = 1000.0  # of road, at whose end they come in again at its beginning
+_WALKERS = 1.5  # on 100 m of a roadside with strength 1
+_AWAY_M = (1.0, 4.0)
+_CYCLISTS = 0.3  # share
+_SPEEDS_M_S = ((0.0, 1.8), (3.0, 6.0))  # of pedestrians, some of whom hardly move, and of cyclists
+_BESIDE_M = 1.0  # about places where the LiDAR may hang
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Walkers:
+    """Pedestrians and cyclists who move along both roadsides: no background that could be learnt.
+
+    Attributes
+    ----------
+    road : RoadFrame
+        Whose carriageway they keep off.
+    strength, seed, keep_clear
+        As of `clutter`.
+    """
+
+    road: RoadFrame
+    strength: float
+    seed: int
+    keep_clear: Sequence[tuple[Sequence[float], Sequence[float]]]
+
+    def at(self, time_s: float) -> Scenery:
+        """Where they are at a time [s], within 500 m of x = 0."""
+        right, left = self.road.carriageway_y
+        parts = []
+        for side in (0, 1):
+            seeds = [self.seed, side, _WALKER_SEED]
+            for number in range(np.random.default_rng(seeds).poisson(self.strength * _WALKERS * _RING_M / 100.0)):
+                rng = np.random.default_rng([*seeds, number])
+                cycles = int(rng.random() < _CYCLISTS)
+                along = rng.choice([-1.0, 1.0]) * rng.uniform(*_SPEEDS_M_S[cycles])
+                x = (rng.random() * _RING_M + along * time_s) % _RING_M - 0.5 * _RING_M
+                away = rng.uniform(*_AWAY_M)
+                y = right - away if side == 0 else left + away
+                if not any(
+                    low[0] - _BESIDE_M <= x <= high[0] + _BESIDE_M and low[1] - _BESIDE_M <= y <= high[1] + _BESIDE_M
+                    for low, high in self.keep_clear
+                ):
+                    parts.append((_cyclist if cycles else _pedestrian)(x, y, 0.0 if along >= 0.0 else math.pi, rng))
+        return join(parts)
+
+
+_WALKER_SEED = 2**32 - 1  # no cell of `clutter`
+
+
+def _pedestrian(x: float, y: float, heading: float, rng: np.random.Generator) -> Scenery:
+    """Legs, trunk and head, as boxes."""
+    tall = rng.uniform(1.5, 1.9)
+    legs = box("legs", (x, y, 0.24 * tall), (0.25, 0.3, 0.48 * tall), heading)
+    trunk = box("trunk", (x, y, 0.66 * tall), (0.28, 0.45, 0.36 * tall), heading)
+    return _one("pedestrian", legs, trunk, box("head", (x, y, 0.93 * tall), (0.2, 0.17, 0.14 * tall), heading))
+
+
+def _cyclist(x: float, y: float, heading: float, rng: np.random.Generator) -> Scenery:
+    """A cycle and its rider, as boxes."""
+    tall = rng.uniform(1.5, 1.9)
+    rider = box("rider", (x, y, 0.72 * tall), (0.5, 0.45, 0.5 * tall), heading)
+    return _one("cyclist", box("cycle", (x, y, 0.5), (1.75, 0.1, 1.0), heading), rider)
