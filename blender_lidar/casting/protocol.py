@@ -395,7 +395,11 @@ class StandingScenery:
         """The scenery of a moment [s]: with those who walk, where they are then."""
         if self._walkers is None:
             return self
-        return StandingScenery(join([self.scenery, self._walkers.at(time_s)]), self._caster)
+        return StandingScenery(self.beside(self._walkers.at(time_s)).scenery, self._caster)
+
+    def beside(self, more: Scenery) -> StandingScenery:
+        """The same with something else that stands there."""
+        return StandingScenery(join([self.scenery, more]), self._caster, self._walkers)
 
     def behind(self, caster: str) -> StandingScenery:
         """The same behind another caster."""

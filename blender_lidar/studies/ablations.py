@@ -133,9 +133,8 @@ def _azimuth_offsets(site: Site, own: Variation) -> Ablation:
 def _with_barrier(site: Site, given: tuple[str, float, tuple[float, float]]) -> Site:
     """The site with a barrier besides what stands there: its kind, its y and between which x [m]."""
     observation, more = site.observation, barrier(*given)
-    standing = () if observation.scenery is None else (observation.scenery.scenery,)
-    scenery = StandingScenery(join([*standing, more]), observation.caster)
-    return replace(site, observation=replace(observation, scenery=scenery))
+    standing = observation.scenery or StandingScenery(join([]), observation.caster)
+    return replace(site, observation=replace(observation, scenery=standing.beside(more)))
 
 
 def without_offsets(site: Site) -> Site:
