@@ -103,6 +103,7 @@ def unknown_name(
     alike : iterable of str, optional
         Those of `allowed` that may be proposed; any unless said.
     """
+    given = str(given) if isinstance(given, str) else given  # NumPy 2 shows texts of its own as np.str_('car')
     names = [str(name) for name in allowed]
     by_lower = {name.lower(): name for name in (names if alike is None else alike)}
     near = difflib.get_close_matches(str(given).lower()[:_LONGEST_NAME], list(by_lower), n=1, cutoff=0.5)
