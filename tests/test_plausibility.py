@@ -239,6 +239,46 @@ def test_vehicles_against_the_travel_on_the_carriageway_are_told(tmp_path):
     assert 40 <= int(told[0].split()[0]) <= 60
 
 
+Z = [*HEADER, "z_m"]
+HEIGHTS = {
+    "floors": (lambda row: 0.0, "probably z_m is of the boxes' floors"),
+    "tops": (lambda row: row[7], "probably z_m is of the boxes' tops"),
+    "above sea": (lambda row: 212.0, "probably z_m is of heights above sea"),
+    "middles": (lambda row: 0.5 * row[7], None),
+}
+
+
+@pytest.mark.parametrize("case", HEIGHTS)
+def test_heights_that_are_not_of_the_middles_stop(case, tmp_path):
+    height, told = HEIGHTS[case]
+    write_table(tmp_path / "traffic.csv", [[*row, height(row)] for row in traffic_rows()], tuple(Z))
+    scene = load_scenario(write_scene(tmp_path))
+    if told is None:
+        assert read_recording(scene).report.warnings == ()
+    else:
+        with pytest.raises(InputError, match=f"{told}.*--accept sizes"):
+            read_recording(scene)
+
+
+def test_one_class_in_feet_stops(tmp_path):
+    rows = table()
+    for row in rows:
+        if row[COLUMN["class"]] == "truck":
+            for name in SIZES:
+                row[COLUMN[name]] *= 3.28084
+    with pytest.raises(InputError, match=r"a median truck is 36.1 by 8.2 by 11.8 m.*feet for metres.*--accept sizes"):
+        read_recording(load_scenario(scene_of(tmp_path, rows)))
+
+
+@pytest.mark.parametrize(("shift_m", "told"), [(0.0, False), (4.0, True)])
+def test_vehicles_beside_a_stretch_of_the_carriageway_are_told(shift_m, told, tmp_path):
+    write_table(tmp_path / "traffic.csv", table(y_m=lambda row: row["y_m"] + shift_m))
+    region = {"region": {"stretches": [{"x_m": [-40.0, 40.0]}]}}
+    accepted = {"traffic": {"accept": ["carriageway"]}}
+    notes = read_recording(load_scenario(write_scene(tmp_path, {**region, **accepted}))).report.notes
+    assert any("and do not count" in note for note in notes) is told
+
+
 def test_headings_of_one_direction_for_both_are_told(tmp_path):
     rows = both_ways(table(), 0.0)
     for row in rows:

@@ -168,8 +168,10 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
         return 1.0 - ((size >= limits[..., 0]) & (size <= limits[..., 1])).all(axis=1).mean()
 
     share = odd(sample.size_m)
-    if len(sample) < _FEWEST or share <= _MOST_ODD:
+    if len(sample) < _FEWEST:
         return None
+    if share <= _MOST_ODD:
+        return _of_one_class(sample, limits) or _heights_of_middles(sample)
     usual = int(np.bincount(sample.class_index).argmax())
     size = " by ".join(f"{one:.3g}" for one in np.median(sample.size_m[sample.class_index == usual], axis=0))
     names = [
@@ -199,6 +201,42 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
 
 
 _SPEEDS_M_S = (1.5, 70.0)  # nine of ten that move at all are slower than the one, or one of ten faster than the other
+
+
+def _of_one_class(sample: Recording, limits: np.ndarray) -> str | None:
+    """A class whose sizes are another unit's, where those of the others are right."""
+    for index in np.unique(sample.class_index):
+        own = sample.class_index == index
+        low, high = limits[own, :, 0], limits[own, :, 1]
+
+        def fitting(factor: float, size: np.ndarray = sample.size_m[own], low=low, high=high) -> float:
+            return float(((factor * size >= low) & (factor * size <= high)).all(axis=1).mean())
+
+        unit = next((name for name, factor in _UNITS.items() if fitting(factor) > _FITTING), None)
+        if own.sum() >= _FEWEST and unit is not None and fitting(1.0) < 1.0 - _FITTING:
+            size = " by ".join(f"{one:.3g}" for one in np.median(sample.size_m[own], axis=0))
+            return f"a median {CLASSES[index]} is {size} m, impossible for its class; probably {unit} for metres"
+    return None
+
+
+_MOST_OFF_M = 0.5
+
+
+def _heights_of_middles(sample: Recording) -> str | None:
+    """Boxes that stand above the road or in it: z_m that is not of their middles."""
+    z, half = sample.centre_m[:, 2], 0.5 * sample.size_m[:, 2]
+    if (np.abs(z - half) <= _MOST_OFF_M).mean() >= 1.0 - _MOST_ODD:
+        return None
+    meant = "heights above sea, or of another plane than the road"
+    for name, would_be in (("the boxes' floors", z + half), ("the boxes' tops", z - half)):
+        if (np.abs(would_be - half) <= _MOST_OFF_M).mean() > _FITTING:
+            meant = name
+    return (
+        f"the boxes' middles lie {np.median(z):.3g} m above the road (usual: half their heights, "
+        f"{np.median(half):.2g} m); probably z_m is of {meant}: leave the column out, and they stand on the road"
+    )
+
+
 _USUAL_M_S = (2.0, 40.0)
 _FASTEST_MEDIAN_M_S = 44.0  # 160 km/h
 _LONGEST_CRAWL_S = 60.0
@@ -359,6 +397,7 @@ def _place_meant(y: np.ndarray, recording: Recording, scenario: Scenario) -> str
     return "check [traffic] origin_m and heading_deg, and [road] setback_m, lanes and lane_width_m"
 
 
+_FEW_BESIDE = 0.05  # share within a lane of the carriageway that is not told
 _FEW_AGAINST = 0.05  # share of the boxes on the carriageway that is not told
 
 
@@ -370,6 +409,12 @@ def _place_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
     if not scenario.region.stretches and len(y) and _FEWEST_ON_ROAD <= _on_road(y, scenario) < _FEW_ON_ROAD:
         share = f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region"
         yield f"{share} lie on {road}; check [traffic] and [road]"
+    y_about, along = about.centre_m[:, 1], np.abs(np.sin(about.heading_rad)) < math.sin(_ASTRAY_RAD)
+    lane = scenario.road.lane_width_m
+    next_to = along & ~inside & (y_about > low - lane) & (y_about < high + lane) & ((y_about < low) | (y_about > high))
+    if scenario.region.stretches and len(y) and next_to.sum() > _FEW_BESIDE * (len(y) + next_to.sum()):
+        share = f"{100 * next_to.sum() / (len(y) + next_to.sum()):.0f} % of the boxes on it and within a lane beside it"
+        yield f"{share} lie beside {road}, and do not count; check [road] setback_m and lanes, and [traffic] origin_m"
     against = np.cos(heading[(y >= low) & (y <= high)]) < -math.cos(_ASTRAY_RAD)
     if len(against) >= _FEWEST and against.mean() > _FEW_AGAINST:
         yield (
