@@ -200,9 +200,6 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
     )
 
 
-_SPEEDS_M_S = (1.5, 70.0)  # nine of ten that move at all are slower than the one, or one of ten faster than the other
-
-
 def _of_one_class(sample: Recording, limits: np.ndarray) -> str | None:
     """A class whose sizes are another unit's, where those of the others are right."""
     for index in np.unique(sample.class_index):
@@ -237,6 +234,7 @@ def _heights_of_middles(sample: Recording) -> str | None:
     )
 
 
+_SPEEDS_M_S = (1.5, 70.0)  # nine of ten that move at all are slower than the one, or one of ten faster than the other
 _USUAL_M_S = (2.0, 40.0)
 _FASTEST_MEDIAN_M_S = 44.0  # 160 km/h
 _LONGEST_CRAWL_S = 60.0
@@ -300,8 +298,8 @@ def _headings(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
         guess = "one direction's headings for the vehicles of both, or several vehicles under one vehicle_id"
     guess = guess or "of another axis than x_m and y_m, or vehicles are numbered anew in each frame"
     return (
-        f"{100 * share:.0f} % of the moving vehicles head more than 30 degrees off their motion (usual: none), all of "
-        f"them {math.degrees(mean):.0f} in the mean (usual: under 2); probably {guess}"
+        f"moving vehicles head {math.degrees(mean):.0f} degrees off their motion in the mean (usual: under 2), "
+        f"{100 * share:.0f} % of them more than 30 (usual: none); probably {guess}"
     )
 
 
@@ -412,8 +410,9 @@ def _place_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
     y_about, along = about.centre_m[:, 1], np.abs(np.sin(about.heading_rad)) < math.sin(_ASTRAY_RAD)
     lane = scenario.road.lane_width_m
     next_to = along & ~inside & (y_about > low - lane) & (y_about < high + lane) & ((y_about < low) | (y_about > high))
-    if scenario.region.stretches and len(y) and next_to.sum() > _FEW_BESIDE * (len(y) + next_to.sum()):
-        share = f"{100 * next_to.sum() / (len(y) + next_to.sum()):.0f} % of the boxes on it and within a lane beside it"
+    beside = next_to.sum() / max(len(y) + next_to.sum(), 1)
+    if scenario.region.stretches and len(y) and beside > _FEW_BESIDE:
+        share = f"{100 * beside:.0f} % of the boxes on it and within a lane beside it"
         yield f"{share} lie beside {road}, and do not count; check [road] setback_m and lanes, and [traffic] origin_m"
     against = np.cos(heading[(y >= low) & (y <= high)]) < -math.cos(_ASTRAY_RAD)
     if len(against) >= _FEWEST and against.mean() > _FEW_AGAINST:
