@@ -10,18 +10,23 @@ from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
+
 from ..clouds.files import read_cloud
 from ..clouds.scan import PointCloud
 from ..detection.classical import ClassicalDetector, dbscan_class
 from ..detection.files import write_detected, write_kitti_labels
 from ..detection.judge import (
+    DETECTORS,
     JudgedDetector,
     detection_result,
+    detector_at,
     hung_off,
     judge_detector,
     judged_from_file,
     judging_frames,
 )
+from ..detection.pillars import SHIPPED, PillarsDetector, load_weights
 from ..detection.scores import CRITERIA
 from ..errors import InputError, MissingFileError
 from ..files import check_folder, check_unused, make_folder, write_text
@@ -29,7 +34,7 @@ from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
 from ..run.folder import DETECTION
 from ..scene.provenance import versions
-from ..scene.scenario import shipped_scenes
+from ..scene.scenario import pose_at, shipped_scenes
 from ..scene.settings import six_coordinates
 from ..scene.site import Site, prepare
 from ..sensors.beams import beam_lattice
@@ -72,10 +77,19 @@ def check_detector(detector: str) -> None:
     """Refuse early a detector that needs what is not installed, or a file of detections that is not there."""
     if detector == ClassicalDetector.name:
         dbscan_class()
+    elif _is_weights(detector) or detector == PillarsDetector.name:
+        load_weights(SHIPPED if detector == PillarsDetector.name else detector)
     elif not Path(detector).exists():
-        raise MissingFileError(
-            f"--detector: {detector}: there is no such file; allowed: {ClassicalDetector.name}, or FILE"
-        )
+        raise MissingFileError(f"--detector: {detector}: there is no such file; allowed: {', '.join(DETECTORS)}, FILE")
+
+
+def _is_ours(detector: str) -> bool:
+    return detector in DETECTORS or _is_weights(detector)
+
+
+def _is_weights(detector: str) -> bool:
+    """Whether it is a file of weights, and so a detector of ours."""
+    return Path(detector).suffix.lower() == ".npz"
 
 
 def told(result: Mapping) -> str:
@@ -97,7 +111,7 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
     folder : Path
     """
     mounts = {"baseline": six_coordinates(dict(site.scenario.baseline)), "given": dict(mount)}
-    if mounts["baseline"] == mounts["given"] or detector != ClassicalDetector.name:
+    if mounts["baseline"] == mounts["given"] or not _is_ours(detector):
         del mounts["baseline"]
     judged = _judged(detector, site, mounts)
     result = {
@@ -110,7 +124,7 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
         "criteria": [criterion.name for criterion in CRITERIA],
         **detection_result(site, detector, judged),
         "warnings": site.recording.report.warnings_as_dicts(),
-        "notes": list(site.plan.notes),
+        "notes": [*site.plan.notes, *judged["given"].notes],
         "versions": versions(site.observation.caster),
     }
     _write(folder, site, judged, mounts, result)
@@ -119,20 +133,12 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
 
 def _judged(detector: str, site: Site, mounts: Mapping[str, Mapping[str, float]]) -> dict[str, JudgedDetector]:
     """What the detector makes of each mounting; a file of detections is of the mounting that is given."""
-    if detector != ClassicalDetector.name:
+    if not _is_ours(detector):
         return {"given": judged_from_file(site, mounts["given"], detector)}
-    imperfections = site.scenario.sensor.imperfections
-    clouds = len(mounts) * (len(site.search) + len(judging_frames(site)[0]))
-    with closing(Progress(clouds, "clouds")) as progress:
-        return {
-            name: judge_detector(
-                site,
-                mount,
-                ClassicalDetector(site.observation.lattice, (mount["x_m"], mount["y_m"]), imperfections),
-                progress.advance,
-            )
-            for name, mount in mounts.items()
-        }
+    made = {name: detector_at(site, mount, detector) for name, mount in mounts.items()}
+    learnt = sum(len(site.search) for one in made.values() if one.learns)
+    with closing(Progress(learnt + len(made) * len(judging_frames(site)[0]), "clouds")) as progress:
+        return {name: judge_detector(site, mounts[name], one, progress.advance) for name, one in made.items()}
 
 
 def _write(folder: Path, site: Site, judged: Mapping[str, JudgedDetector], mounts, result: dict) -> None:
@@ -160,15 +166,17 @@ _OF_CLOUDS = ("scene", "detector", "out", "verb", "run", "left_out")
 
 def _run_clouds(args: argparse.Namespace) -> int:
     """Detect in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them; the background is learnt from them."""
-    if args.detector != ClassicalDetector.name:
-        raise InputError(f"--detector: {args.detector}: clouds are looked at by {ClassicalDetector.name}")
+    if not _is_ours(args.detector):
+        raise InputError(f"--detector: {args.detector}: clouds are looked at by {' or '.join(DETECTORS)}")
     for name, value in vars(args).items():
         if name not in _OF_CLOUDS and value not in (None, False):
             raise InputError(f"--{name.replace('_', '-')}: is of a scene, and {args.scene} is a folder of clouds")
     paths = sorted(Path(args.scene).glob("*.npz"))
-    if len(paths) < _FEWEST_CLOUDS:
+    learns = args.detector == ClassicalDetector.name
+    if len(paths) < (_FEWEST_CLOUDS if learns else 1):
         few = f"has {len(paths)} .npz clouds, as scan --frame-ids writes them"
-        raise InputError(f"{args.scene}: {few}; allowed: {_FEWEST_CLOUDS} or more, to learn the empty scene from")
+        wanted = f"{_FEWEST_CLOUDS} or more, to learn the empty scene from" if learns else "at least one"
+        raise InputError(f"{args.scene}: {few}; allowed: {wanted}")
     folder = Path(args.out) if args.out is not None else new_folder("detections")
     _check_folder(folder)
     headers = [read_cloud(path)[1] for path in paths]
@@ -182,9 +190,15 @@ def _run_clouds(args: argparse.Namespace) -> int:
         raise InputError(f"{paths[0]}: its sensor {first['sensor']!r} is of a table of its own; detect at its scene")
     lattice = beam_lattice(load_model(first["sensor"]), first["rotation_hz"])
     pose, losses = first["pose"], first.get("imperfections", {})
-    imperfections = Imperfections(losses.get("range_noise_m", 0.0), losses.get("dropout", 0.0))
-    detector = ClassicalDetector(lattice, (pose["x_m"], pose["y_m"]), imperfections)
-    with closing(Progress(2 * len(paths), "clouds")) as progress:
+    at = np.array([pose["x_m"], pose["y_m"]])
+    if learns:
+        imperfections = Imperfections(losses.get("range_noise_m", 0.0), losses.get("dropout", 0.0))
+        detector = ClassicalDetector(lattice, tuple(at), imperfections)
+    else:
+        weights = SHIPPED if args.detector == PillarsDetector.name else args.detector
+        reach = first["range_m"][1]
+        detector = PillarsDetector(first["sensor"], pose_at(pose), at - reach, at + reach, weights)
+    with closing(Progress((1 + learns) * len(paths), "clouds")) as progress:
 
         def clouds() -> Iterator[PointCloud]:
             for path in paths:
@@ -194,10 +208,12 @@ def _run_clouds(args: argparse.Namespace) -> int:
                 yield cloud
                 progress.advance(1)
 
-        detector.learn(clouds())
+        if learns:
+            detector.learn(clouds())
         found = dict(zip(frames, map(detector.detect, clouds()), strict=True))
     make_folder(folder, "--out")
     write_detected(folder / "detections.csv", found)
     write_kitti_labels(folder / "label_2", found, pose)
     print(f"{folder}: {sum(map(len, found.values())):,} boxes in {len(found)} clouds ({detector.name})")
+    print("\n".join(map(as_sentence, detector.notes())), end="\n" if detector.notes() else "")
     return 0

@@ -6,7 +6,7 @@ The sensor does not move, so that what each beam usually meets is the empty scen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,7 +95,7 @@ class ClassicalDetector:
         If scikit-learn is not installed.
     """
 
-    name = "classical"
+    name, learns = "classical", True
 
     def __init__(
         self,
@@ -131,6 +131,10 @@ class ClassicalDetector:
         ring = cloud.ring.astype(np.int64)
         slot = np.rint((cloud.azimuth_rad - self._lattice.slot_azimuth0_rad[ring]) / self._lattice.step_rad)
         return ring * self._lattice.columns + slot.astype(np.int64) % self._lattice.columns
+
+    def notes(self) -> Sequence[str]:
+        """Nothing: it learns from where it looks."""
+        return ()
 
     def detect(self, cloud: PointCloud) -> DetectedBoxes:
         """The vehicles of one frame."""

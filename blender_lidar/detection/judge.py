@@ -17,7 +17,9 @@ from ..scene.scenario import pose_at
 from ..scene.site import Site
 from ..sensors.pose import Pose
 from .boxes import KINDS, DetectedBoxes, no_boxes
+from .classical import ClassicalDetector
 from .files import read_detected
+from .pillars import SHIPPED, PillarsDetector
 from .scores import CRITERIA, Matches, by_distance, match, measured, paired_intervals
 
 
@@ -25,12 +27,41 @@ class Detector(Protocol):
     """What finds vehicles in the point clouds of one mounting."""
 
     name: str
+    learns: bool
 
     def learn(self, clouds: Iterator[PointCloud]) -> None:
         """Look at other frames of the same mounting first."""
 
     def detect(self, cloud: PointCloud) -> DetectedBoxes:
         """The vehicles of one frame."""
+
+    def notes(self) -> Sequence[str]:
+        """What was unlike what it is made for, as sentences."""
+
+
+DETECTORS = (PillarsDetector.name, ClassicalDetector.name)
+_ASIDE_M = 8.0  # beside where vehicles drive: there a detector looks too
+
+
+def detector_at(site: Site, mount: Mapping[str, float], name: str) -> Detector:
+    """A detector of ours for a mounting of a site: by a name of `DETECTORS`, or PointPillars with weights of one's own.
+
+    PointPillars looks where the counted vehicles of the searched frames are, and a little beside.
+
+    Raises
+    ------
+    MissingExtraError
+        When the detector needs a library that is not installed.
+    MissingFileError, InputError
+        When the weights cannot be used.
+    """
+    seen = site.observation
+    if name == ClassicalDetector.name:
+        return ClassicalDetector(seen.lattice, (mount["x_m"], mount["y_m"]), seen.imperfections)
+    places = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in site.search])
+    area = places.min(axis=0) - _ASIDE_M, places.max(axis=0) + _ASIDE_M
+    weights = SHIPPED if name == PillarsDetector.name else name
+    return PillarsDetector(seen.lattice.model.name, pose_at(mount), *area, weights)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,12 +79,15 @@ class JudgedDetector:
     with_return : float or None
         Share of the vehicles with at least one return, which no detector can exceed by much; None where the clouds are
         not ours.
+    notes : sequence of str
+        What was unlike what the detector is made for.
     """
 
     boxes: Sequence[DetectedBoxes]
     matches: Sequence[Matches]
     of_kinds: Sequence[Sequence[Matches]]
     with_return: float | None
+    notes: Sequence[str] = ()
 
 
 def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.ndarray]:
@@ -102,19 +136,20 @@ def judge_detector(
             yield _believed(sensor.scan(frame.vehicles), pose_at(hangs), pose_at(mount))
             advance(1)
 
-    detector.learn(clouds(site.search))
+    if detector.learns:
+        detector.learn(clouds(site.search))
     frames, _, _ = judging_frames(site)
     boxes, returned = [], 0
     for frame, cloud in zip(frames, clouds(frames), strict=True):
         boxes.append(detector.detect(cloud))
         returned += int(np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id).sum())
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
-    return _judged(site, mount, boxes, returned / vehicles if vehicles else None)
+    return _judged(site, mount, boxes, returned / vehicles if vehicles else None, detector.notes())
 
 
-def _judged(site: Site, mount: Mapping[str, float], boxes, with_return: float | None) -> JudgedDetector:
+def _judged(site: Site, mount: Mapping[str, float], boxes, with_return: float | None, notes=()) -> JudgedDetector:
     kinds = [matches_of(site, mount, boxes, kind) for kind in range(len(KINDS))]
-    return JudgedDetector(boxes, matches_of(site, mount, boxes), kinds, with_return)
+    return JudgedDetector(boxes, matches_of(site, mount, boxes), kinds, with_return, notes)
 
 
 def matches_of(

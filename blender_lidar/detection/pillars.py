@@ -1,0 +1,306 @@
+"""PointPillars: vehicles found in one point cloud by a neural network that was trained in simulated roadside scenes.
+
+Inference needs NumPy alone. The weights ship with the package; scripts/research/train_detector.py makes them again.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..clouds.scan import PointCloud
+from ..errors import InputError, printable
+from ..files import reading
+from ..sensors.pose import Pose
+from .boxes import DetectedBoxes, no_boxes, suppressed
+from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, Weights, forward, shapes
+
+CELL_M = 0.4
+GROUND_M = 0.15  # what lies lower above the fitted ground is ground
+_HIGHEST_M = 6.0  # nothing above is of a vehicle
+_LEAST_CONFIDENCE = 0.05
+_MOST_IOU = 0.1
+_MOST_BOXES = 500  # in one frame
+SHIPPED = Path(__file__).with_name("data") / "pillars.npz"
+
+
+# --- The ground -------------------------------------------------------------------------------------------------------
+
+
+class Ground(NamedTuple):
+    """A plane: z = `level` + `slope_x` x + `slope_y` y, x and y counted from the LiDAR [m].
+
+    `residual_m` is how far the points taken for ground lie off it in the median; NaN where there were too few for a
+    plane, which is then z = 0.
+    """
+
+    level: float
+    slope_x: float
+    slope_y: float
+    residual_m: float
+
+    def above(self, points: np.ndarray) -> np.ndarray:
+        """Height above it of points (n, 3), (n,) [m]."""
+        return points[:, 2] - (self.level + self.slope_x * points[:, 0] + self.slope_y * points[:, 1])
+
+
+_TOLERANCES_M = ((0.3, 0.03), (0.3, 0.015), (0.2, 0.005), (0.12, 0.0), (0.08, 0.0))  # and by metre of range
+_FEWEST_GROUND, _ON_GROUND_M = 50, 10.0  # points, and how far they must spread both ways
+
+
+def fit_ground(points: np.ndarray) -> Ground:
+    """The ground plane of a cloud, by least squares over points that lie ever nearer to the last one.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        x and y counted from the LiDAR, z from where the ground is believed to be [m].
+    """
+    ground = Ground(0.0, 0.0, 0.0, math.nan)
+    reach = np.hypot(points[:, 0], points[:, 1])
+    for fixed, by_range in _TOLERANCES_M:
+        off = np.abs(ground.above(points))
+        near = off < fixed + by_range * reach
+        if near.sum() < _FEWEST_GROUND or np.ptp(points[near, :2], axis=0).min() < _ON_GROUND_M:
+            return Ground(0.0, 0.0, 0.0, math.nan)
+        some = points[near]
+        system = np.column_stack([np.ones(len(some)), some[:, :2]])
+        level, *slopes = np.linalg.lstsq(system, some[:, 2], rcond=None)[0].tolist()
+        ground = Ground(level, *slopes, 0.0)
+    return ground._replace(residual_m=float(np.median(np.abs(ground.above(some)))))
+
+
+# --- Pillars ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """The cells that the network looks at: where the first begins [m, from the LiDAR], and how many there are."""
+
+    first_m: tuple[float, float]
+    along: int
+    across: int
+
+    @classmethod
+    def around(cls, low: np.ndarray, high: np.ndarray) -> Area:
+        """The cells that cover a rectangle from `low` to `high`, x and y [m, from the LiDAR]."""
+        coarse = COARSEST * CELL_M
+        first = np.floor(np.asarray(low) / coarse)
+        along, across = (COARSEST * np.maximum(np.ceil(np.asarray(high) / coarse) - first, 1)).astype(int).tolist()
+        return cls(tuple((coarse * first).tolist()), along, across)
+
+
+class Pillars(NamedTuple):
+    """What the network is shown of one frame: arguments of `pillar_network.forward`, all float32."""
+
+    points: np.ndarray
+    cell: np.ndarray
+    cells: np.ndarray
+
+
+def pillars_of(points: np.ndarray, ground: Ground, lidar_m: float, area: Area) -> Pillars:
+    """Points sorted into pillars, with their features; those on the ground are only counted.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        x and y counted from the LiDAR [m].
+    ground : Ground
+        What heights are counted from.
+    lidar_m : float
+        Height of the LiDAR [m].
+    area : Area
+    """
+    column = np.floor((points[:, :2] - area.first_m) / CELL_M).astype(np.int64)
+    height = ground.above(points)
+    inside = (column >= 0).all(axis=1) & (column < (area.along, area.across)).all(axis=1) & (height < _HIGHEST_M)
+    flat = column[:, 0] * area.across + column[:, 1]
+    count = area.along * area.across
+    raised = inside & (height > GROUND_M)
+    on_ground = np.bincount(flat[inside & ~raised], minlength=count)
+    rows = np.flatnonzero(raised)
+    rows = rows[np.argsort(flat[rows], kind="stable")]
+    cell, xyz = flat[rows], np.column_stack([points[rows, :2], height[rows]])
+    here = np.bincount(cell, minlength=count)
+    mean = np.column_stack([np.bincount(cell, axis, count) for axis in xyz.T]) / np.maximum(here, 1)[:, None]
+    middle = np.array(area.first_m) + (column[rows] + 0.5) * CELL_M
+    reach = np.hypot(xyz[:, 0], xyz[:, 1])
+    features = np.column_stack(
+        [
+            (xyz[:, :2] - middle) / CELL_M,
+            xyz[:, 2],
+            xyz - mean[cell],
+            np.log1p(here[cell]) / 3.0,
+            reach / 50.0,
+            (lidar_m - xyz[:, 2]) / np.maximum(reach, 1.0),
+        ]
+    )
+    return Pillars(features.astype(np.float32), cell, _cell_features(area, on_ground, here))
+
+
+def _cell_features(area: Area, on_ground: np.ndarray, raised: np.ndarray) -> np.ndarray:
+    """Points on the ground and above it, and where the LiDAR is seen from each cell, (1, x, y, 5)."""
+    x, y = (
+        first + (np.arange(count) + 0.5) * CELL_M
+        for first, count in zip(area.first_m, (area.along, area.across), strict=True)
+    )
+    x, y = np.meshgrid(x, y, indexing="ij")
+    away = np.hypot(x, y)
+    counts = (np.log1p(one).reshape(x.shape) / 3.0 for one in (on_ground, raised))
+    return np.stack([*counts, x / away, y / away, away / 50.0], axis=-1).astype(np.float32)[None]
+
+
+# --- Boxes ------------------------------------------------------------------------------------------------------------
+
+
+def boxes_of(output: np.ndarray, area: Area) -> DetectedBoxes:
+    """Boxes of one frame, the surest of each place: x and y from the LiDAR, z above the ground [m].
+
+    Parameters
+    ----------
+    output : ndarray, (x, y, OUTPUTS)
+        What the network made of the area.
+    area : Area
+    """
+    heat = 0.5 * (1.0 + np.tanh(0.5 * output[..., HEAT]))  # the logistic function, which never overflows
+    sure = heat.max(axis=-1)
+    padded = np.pad(sure, 1)
+    around = np.max([padded[i : i + sure.shape[0], j : j + sure.shape[1]] for i in range(3) for j in range(3)], axis=0)
+    x, y = np.nonzero((sure >= _LEAST_CONFIDENCE) & (sure == around))
+    strongest = np.argsort(-sure[x, y], kind="stable")[:_MOST_BOXES]
+    x, y = x[strongest], y[strongest]
+    if not len(x):
+        return no_boxes()
+    one, side = output[x, y].astype(float), STRIDE * CELL_M
+    centre = np.array(area.first_m) + side * (np.column_stack([x, y]) + 0.5 + one[:, OFFSET])
+    sine, cosine = one[:, TURN].T
+    found = DetectedBoxes(
+        np.column_stack([centre, one[:, LEVEL]]),
+        np.exp(np.clip(one[:, SIZE], *_LOG_SIZES)),
+        0.5 * np.arctan2(sine, cosine),
+        heat[x, y].argmax(axis=-1).astype(np.int8),
+        sure[x, y].astype(float),
+    )
+    return suppressed(found, _MOST_IOU)
+
+
+_LOG_SIZES = math.log(0.3), math.log(30.0)
+
+
+# --- The detector -----------------------------------------------------------------------------------------------------
+
+
+class PillarsDetector:
+    """PointPillars with the weights that ship, or others.
+
+    Parameters
+    ----------
+    sensor : str
+        Name of the sensor's model.
+    pose : Pose
+        Where the LiDAR is believed to hang.
+    low, high : (float, float)
+        Corners of the rectangle in which vehicles are looked for, x and y [m, road frame].
+    weights : path
+        As scripts/research/train_detector.py writes them.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If the weights cannot be read, or are of another network.
+    """
+
+    name, learns = "pillars", False
+
+    def __init__(
+        self,
+        sensor: str,
+        pose: Pose,
+        low: Sequence[float],
+        high: Sequence[float],
+        weights: str | Path | None = None,
+    ) -> None:
+        self._weights, self._card = load_weights(SHIPPED if weights is None else weights)
+        self._sensor, self._pose, self._lidar = sensor, pose, pose.position
+        self._area = Area.around(np.asarray(low) - self._lidar[:2], np.asarray(high) - self._lidar[:2])
+        self._seen: list[tuple[float, float]] = []
+
+    def learn(self, clouds: Iterator[PointCloud]) -> None:
+        """Nothing: what it knows it was trained on."""
+
+    def detect(self, cloud: PointCloud) -> DetectedBoxes:
+        """The vehicles of one frame.
+
+        Raises
+        ------
+        InputError
+            For points that are not finite.
+        """
+        if not np.isfinite(cloud.xyz).all():
+            row = int(np.flatnonzero(~np.isfinite(cloud.xyz).all(axis=1))[0])
+            raise InputError(f"point {row} of the cloud is {cloud.xyz[row].tolist()}; allowed: finite coordinates")
+        points = cloud.xyz - [*self._lidar[:2], 0.0]
+        ground = fit_ground(points)
+        pillars = pillars_of(points, ground, float(self._lidar[2]) - ground.level, self._area)
+        self._seen.append((ground.residual_m, density(pillars)))
+        boxes = boxes_of(forward(self._weights, *pillars)[0], self._area)
+        boxes.centre_m[:, 2] -= ground.above(np.column_stack([boxes.centre_m[:, :2], np.zeros(len(boxes))]))
+        boxes.centre_m[:, :2] += self._lidar[:2]
+        return boxes
+
+    def notes(self) -> Sequence[str]:
+        """Where the sensor, its mounting or its clouds are unlike those of the training, as sentences."""
+        trained, told = self._card["trained_on"], []
+        if self._sensor not in trained["sensors"]:
+            told.append(f"{self.name} was trained on {', '.join(trained['sensors'])}, not on {self._sensor}")
+        lean = math.degrees(math.acos(min(1.0, float(self._pose.rotation[2, 2]))))
+        mounting = {"height_m": (self._pose.height_m, "hangs {} m high"), "lean_deg": (lean, "leans by {} degrees")}
+        residual, points = np.array(self._seen).reshape(-1, 2).T
+        if len(residual) and np.isnan(residual).mean() > 0.5:
+            told.append(f"{self.name}: most clouds have too little ground for a plane; heights are counted from z = 0")
+        elif len(residual):
+            mounting["residual_m"] = (float(np.nanmedian(residual)), "sees ground that is {} m uneven in the median")
+        if len(points):
+            mounting["density"] = (float(np.median(points)), "has {} points in a filled cell")
+        for key, (value, text) in mounting.items():
+            low, high = trained[key]
+            if not low - _SLACK * (high - low) <= value <= high + _SLACK * (high - low):
+                is_so = text.format(f"{value:.3g}")
+                told.append(f"{self.name}: the LiDAR {is_so}, but from {low:.3g} to {high:.3g} in its training")
+        return told
+
+
+_SLACK = 0.02  # of a range: what is no farther beyond it lies within
+
+
+def density(pillars: Pillars) -> float:
+    """Points above the ground in each cell that has any, in the mean; 0 without any."""
+    return len(pillars.cell) / max(len(np.unique(pillars.cell)), 1)
+
+
+@cache
+def load_weights(path: str | Path) -> tuple[Weights, Mapping[str, object]]:
+    """Weights in float32 and the model card that stands beside them."""
+    with reading(path, "weights of PointPillars, .npz"):
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                found = {name: file[name] for name in file.files}
+            card = json.loads(str(found.pop("card", "null")))
+        except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+            raise InputError(f"{path}: is no file of weights, .npz: {printable(str(error))}") from error
+    needed = shapes()
+    wrong = next((name for name in {**needed, **found} if np.shape(found.get(name)) != needed.get(name)), None)
+    if wrong is not None or not isinstance(card, dict):
+        told = "a model card" if wrong is None else f"{wrong} of shape {needed.get(wrong, 'none at all')}"
+        raise InputError(f"{path}: holds weights of another network; needed: {told}")
+    if not all(np.isfinite(array).all() for array in found.values()):
+        raise InputError(f"{path}: holds weights that are not finite")
+    return {name: array.astype(np.float32) for name, array in found.items()}, card

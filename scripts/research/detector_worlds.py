@@ -1,0 +1,22 @@
+"""The worlds in which detectors are trained and judged: clean, and hard enough that they can fail."""
+
+from __future__ import annotations
+
+Options = dict[tuple[str, str], tuple[object, str]]
+
+
+def hard_world() -> Options:
+    """Clutter, vehicles that differ, noise, lost and weak returns, and a mounting that is known only nearly.
+
+    In the place of a scene's settings, as `scene.scenario.load_scenario` takes them.
+    """
+    settings = {
+        ("world", "clutter"): 1.0,
+        ("world", "variety"): 1.0,
+        ("sensor", "range_noise_m"): "datasheet",
+        ("sensor", "dropout"): 0.02,
+        ("sensor", "glass_dropout"): 0.5,
+        ("sensor", "range_at_10_percent_m"): "datasheet",
+        ("objective", "tolerance"): {"height_m": 0.05, "tilt_deg": 1.0},
+    }
+    return {place: (value, place[1]) for place, value in settings.items()}

@@ -1,0 +1,236 @@
+"""Train the detector that ships, `detection.pillars`, in JAX: from simulated roadsides to a file of weights.
+
+    pip install -e ".[fast,detect,plots,sumo]"
+    make() { python scripts/research/make_traffic.py --every-s 5 "$@"; }
+    make --seed 101 --minutes 30 --out jammed.csv.gz
+    make --seed 404 --minutes 20 --level free --out free.csv.gz
+    python scripts/research/train_detector.py --traffic jammed.csv.gz free.csv.gz --out pillars.npz
+
+Every site of the training has its own slopes, clutter, mountings and errors of installation. Stopped and started again
+it goes on where it was: clouds and checkpoints are kept in --work. The same seed gives the same weights on the same
+machine with the same number of threads; elsewhere sums are added up in another order.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from blender_lidar.detection.dataset import TRAIN, Sample, plan_dataset, samples
+
+from arguments import SCENES, counting, parser_of, positive, run_script
+from blender_lidar.detection.boxes import kind_of
+from blender_lidar.detection.pillars import CELL_M, Area, density, fit_ground
+from blender_lidar.files import check_place, make_folder, whole_file
+from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.site import prepare
+from detector_worlds import hard_world
+from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate_at, shown, train_step
+
+MOST_POINTS = {"RS-16": 4096, "RS-32": 8192, "RS-80": 16384}  # above the ground, of a window
+SENSORS = tuple(MOST_POINTS)
+HEIGHTS_M, TILTS_DEG, ASIDE_DEG, SETBACKS_M = (1.8, 5.5), (0.0, 30.0), (-3.0, 3.0), (-4.0, 0.0)
+SLOPES = {"grade_percent": (-4.0, 4.0), "cross_fall_percent": (-3.0, 3.0), "crown_percent": (0.0, 2.5)}
+MOST_CLUTTER = 2.0
+MOUNTINGS = 60  # of a site
+CHECKPOINT_S = 60.0
+
+
+def main(argv: list[str] | None = None) -> int:
+    return run_script("train_detector", lambda: _train(_arguments(argv)))
+
+
+def _arguments(argv):
+    parser = parser_of(__doc__)
+    parser.add_argument("--traffic", nargs="+", required=True, metavar="FILE", help="recordings, NGSIM's columns")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.npz", help="the weights")
+    parser.add_argument(
+        "--work", type=Path, default=Path("train_detector"), help="where clouds and checkpoints are kept"
+    )
+    parser.add_argument("--sites", type=positive, default=12, help="of each sensor (default 12)")
+    parser.add_argument("--scans", type=positive, default=120, help="of each site (default 120)")
+    parser.add_argument("--steps", type=positive, default=6000, help="of four windows each (default 6000)")
+    parser.add_argument("--seed", type=int, default=1, help="of the weights and the order; the clouds stay the same")
+    parser.add_argument("--workers", type=positive, default=2, help="processes that make clouds (default 2)")
+    return parser.parse_args(argv)
+
+
+def _train(args) -> None:
+    check_place(args.out, "--out")
+    make_folder(args.work, "--work")
+    windows = _windows(args)
+    kept = args.work / f"checkpoint_{args.seed}_{args.steps}.npz"
+    with counting(args.steps, "steps") as advance:
+        weights = train(windows, args.seed, args.steps, kept, advance)
+    card = {
+        "trained_on": _ranges(windows),
+        "scans": {sensor: len(of_sensor) for sensor, of_sensor in windows.items()},
+        "traffic": [Path(path).name for path in args.traffic],
+        "world": {name: value for (_, name), (value, _) in hard_world().items()},
+        "slopes": SLOPES,
+        "most_clutter": MOST_CLUTTER,
+        "steps": args.steps,
+        "windows_a_step": BATCH,
+        "seed": args.seed,
+    }
+    halves = {name: array.astype(np.float16) for name, array in weights.items()}
+    with whole_file(args.out) as temporary:
+        np.savez_compressed(temporary, card=json.dumps(card), **halves)
+    print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)
+
+
+# --- Clouds -----------------------------------------------------------------------------------------------------------
+
+
+def _windows(args) -> dict[str, list[Window]]:
+    """The windows of each sensor, those of each site in a file of its own, which is kept."""
+    jobs = [(sensor, number) for sensor in SENSORS for number in range(args.sites)]
+    found: dict[str, list[Window]] = {sensor: [] for sensor in SENSORS}
+    with counting(len(jobs), "sites") as advance:
+        for sensor, number in jobs:
+            path = args.work / f"{sensor}_{number}_{args.scans}.npz"
+            if not path.exists():
+                made = list(_site_windows(sensor, number, args))
+                with whole_file(path) as temporary:
+                    np.savez(temporary, **_as_arrays(made))
+            found[sensor] += _from_arrays(path)
+            advance(1)
+    return found
+
+
+def _site_windows(sensor: str, number: int, args) -> Iterator[Window]:
+    """Windows of one site: its slopes and clutter are drawn by its number, each scan's mounting within its bounds."""
+    rng = np.random.default_rng([SENSORS.index(sensor), number])
+    settings = {
+        ("sensor", "name"): sensor,
+        ("traffic", "path"): str(Path(args.traffic[number % len(args.traffic)]).resolve()),
+        ("traffic", "frames"): 60,
+        ("traffic", "holdout"): 0.0,
+        ("deployment", "y_m"): SETBACKS_M,
+        ("deployment", "height_m"): HEIGHTS_M,
+        ("deployment", "tilt_x_deg"): TILTS_DEG,
+        ("deployment", "tilt_y_deg"): ASIDE_DEG,
+        ("search", "seeds"): 1,
+        ("world", "clutter"): float(rng.uniform(0.0, MOST_CLUTTER)),
+        ("world", "variety_seed"): number,
+        **{("road", name): float(rng.uniform(*limits)) for name, limits in SLOPES.items()},
+    }
+    options = {place: (value, place[1]) for place, value in settings.items()}
+    site = prepare(load_scenario(SCENES / "i80.toml", {**hard_world(), **options}))
+    plan = plan_dataset(site, MOUNTINGS, args.scans, seed=number + 1)
+    for one in samples(plan, workers=args.workers):
+        if one.scan.split == TRAIN:
+            yield window_of(one, site.observation.max_range_m, rng)
+
+
+def window_of(sample: Sample, gate_m: float, rng: np.random.Generator) -> Window:
+    """A part of a scan as large as `WINDOW`, anywhere along the road within the range gate and nearly all across it."""
+    mount, size = sample.scan.mount, CELL_M * np.array(WINDOW)
+    low = np.array([-gate_m - 4.0, -13.0 - mount["y_m"]])
+    high = np.maximum([gate_m + 4.0 - size[0], -8.0 - mount["y_m"]], low)
+    first = CELL_M * np.rint(rng.uniform(low, high) / CELL_M)
+    from_lidar = sample.cloud.xyz - [mount["x_m"], mount["y_m"], 0.0]
+    inside = ((from_lidar[:, :2] >= first) & (from_lidar[:, :2] < first + size)).all(axis=1)
+    vehicles, told = sample.vehicles, sample.labelled
+    boxes = np.column_stack(
+        [
+            vehicles.centre_m - [mount["x_m"], mount["y_m"], 0.0],
+            vehicles.size_m,
+            vehicles.heading_rad,
+            kind_of(vehicles.class_index),
+            np.where(told, sample.points, 0),
+        ]
+    )
+    pose = pose_at(mount)
+    lean = np.degrees(np.arccos(min(1.0, pose.rotation[2, 2])))
+    area = Area(tuple(first.tolist()), *WINDOW)
+    return Window(from_lidar[inside].astype(np.float32), boxes, mount["height_m"], float(lean), area)
+
+
+def _as_arrays(windows: Sequence[Window]) -> dict[str, np.ndarray]:
+    return {
+        "points": np.concatenate([one.points for one in windows]),
+        "boxes": np.concatenate([one.boxes for one in windows]),
+        "counts": np.array([(len(one.points), len(one.boxes)) for one in windows]),
+        "mounts": np.array([(one.lidar_m, one.lean_deg, *one.area.first_m) for one in windows]),
+    }
+
+
+def _from_arrays(path: Path) -> list[Window]:
+    with np.load(path, allow_pickle=False) as file:
+        points, boxes, counts, mounts = (file[name] for name in ("points", "boxes", "counts", "mounts"))
+    ends = np.cumsum(counts, axis=0)[:-1]
+    parts = zip(np.split(points, ends[:, 0]), np.split(boxes, ends[:, 1]), mounts.tolist(), strict=True)
+    return [Window(one, other, height, lean, Area((x, y), *WINDOW)) for one, other, (height, lean, x, y) in parts]
+
+
+def _ranges(windows: Mapping[str, Sequence[Window]]) -> dict[str, object]:
+    """What the training covered: sensors, and from where to where mountings, ground and density went."""
+    every = [one for of_sensor in windows.values() for one in of_sensor]
+    rng = np.random.default_rng(0)
+    grounds = [fit_ground(one.points.astype(float)).residual_m for one in every[:: max(1, len(every) // 300)]]
+    filled = [density(shown(one, (False, False), sys.maxsize, rng)[0]) for one in every[:: max(1, len(every) // 300)]]
+    return {
+        "sensors": list(windows),
+        "height_m": [min(one.lidar_m for one in every), max(one.lidar_m for one in every)],
+        "lean_deg": [0.0, max(one.lean_deg for one in every)],
+        "residual_m": [0.0, float(np.nanquantile(grounds, 0.99))],
+        "density": np.quantile(filled, [0.01, 0.99]).tolist(),
+    }
+
+
+# --- Training ---------------------------------------------------------------------------------------------------------
+
+
+def train(windows: dict[str, Sequence[Window]], seed: int, steps: int, kept: Path, advance) -> dict[str, np.ndarray]:
+    """Train from the last checkpoint on; returns the weights.
+
+    Each step draws from a generator of its own, so that a run that was stopped goes on as it would have.
+    """
+    weights, mean, square, begun = _checkpoint(kept, seed)
+    advance(begun)
+    sensors, saved = sorted(windows), time.monotonic()
+    for step in range(begun + 1, steps + 1):
+        rng = np.random.default_rng([seed, step])
+        sensor = sensors[rng.integers(len(sensors))]
+        most = MOST_POINTS[sensor]
+        chosen = rng.choice(len(windows[sensor]), BATCH)
+        items = [shown(windows[sensor][row], tuple(rng.random(2) < 0.5), most, rng) for row in chosen]
+        frames, targets = batch_of(items, most)
+        rate = rate_at(step, steps)
+        weights, mean, square, parts = train_step(weights, mean, square, float(step), rate, frames, targets)
+        if step % 50 == 0 or step == steps:
+            advance(50, "heat {:.3f}, boxes {:.3f}".format(*map(float, parts)))
+        if time.monotonic() - saved > CHECKPOINT_S or step == steps:
+            _keep(kept, weights, mean, square, step)
+            saved = time.monotonic()
+    return {name: np.asarray(array) for name, array in weights.items()}
+
+
+def _checkpoint(path: Path, seed: int):
+    """Weights, both moments and the number of steps of a run that was stopped, or fresh ones."""
+    fresh = fresh_weights(seed)
+    if not path.exists():
+        zeros = ({name: jnp.zeros_like(array) for name, array in fresh.items()} for _ in range(2))
+        return fresh, *zeros, 0
+    with np.load(path, allow_pickle=False) as file:
+        parts = [
+            {name: jnp.asarray(file[f"{part}/{name}"]) for name in fresh} for part in ("weights", "mean", "square")
+        ]
+        return *parts, int(file["step"])
+
+
+def _keep(path: Path, weights, mean, square, step: int) -> None:
+    parts = {"weights": weights, "mean": mean, "square": square}
+    arrays = {f"{part}/{name}": np.asarray(array) for part, held in parts.items() for name, array in held.items()}
+    with whole_file(path) as temporary:
+        np.savez(temporary, step=step, **arrays)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
