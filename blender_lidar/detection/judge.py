@@ -13,7 +13,7 @@ from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..scene.observation import CountedFrame
-from ..scene.scenario import pose_at
+from ..scene.scenario import Scenario, pose_at
 from ..scene.site import Site
 from ..sensors.pose import Pose
 from .boxes import KINDS, DetectedBoxes, no_boxes
@@ -100,15 +100,19 @@ def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.n
 
 def hung_off(site: Site, mount: Mapping[str, float]) -> dict[str, float]:
     """Where the LiDAR hangs that was to hang at `mount`: off by one draw within the scene's tolerance, by its seed."""
-    tolerance = site.scenario.objective.tolerance
-    rng = np.random.default_rng(site.scenario.search.seed)
+    return hung_off_by(site.scenario, mount, np.random.default_rng(site.scenario.search.seed))
+
+
+def hung_off_by(scenario: Scenario, mount: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
+    """The same by a draw of `rng`."""
+    tolerance = scenario.objective.tolerance
     errors = {
         key: width * rng.uniform(-1.0, 1.0) for key, width in (tolerance.half_widths if tolerance else {}).items()
     }
     return {key: value + errors.get(key, 0.0) for key, value in mount.items()}
 
 
-def _believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:
+def believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:
     """A cloud in the road frame that follows from the planned pose, of a LiDAR that hangs in another one."""
     measured = (cloud.xyz - hangs.position) @ hangs.rotation.T
     return replace(cloud, xyz=planned.position + measured @ planned.rotation)
@@ -133,7 +137,7 @@ def judge_detector(
 
     def clouds(frames: Sequence[CountedFrame]) -> Iterator[PointCloud]:
         for frame in frames:
-            yield _believed(sensor.scan(frame.vehicles), pose_at(hangs), pose_at(mount))
+            yield believed(sensor.scan(frame.vehicles), pose_at(hangs), pose_at(mount))
             advance(1)
 
     if detector.learns:

@@ -1,0 +1,372 @@
+"""A data set for detectors: which scans there are, and each as a labelled point cloud; nothing here knows of files.
+
+A scan is a frame of the traffic under a random mounting. The traffic may be moved along the road, as if the site stood
+at another station of it, and mirrored, as if the LiDAR stood at the other roadside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ..casting.culling import Pieces, reachable_beams
+from ..casting.protocol import StandingScenery
+from ..clouds.scan import FrameScan, PointCloud, Turn
+from ..errors import InputError
+from ..scene.observation import Observation
+from ..scene.region import Region
+from ..scene.scenario import Scenario, pose_at
+from ..scene.site import Site, footprints_meet, standing_scenery
+from ..scoring.frame_scorer import FrameShapes
+from ..scoring.workers import Workers
+from ..sensors.beams import BeamLattice
+from ..sensors.pose import Pose
+from ..traffic.vehicles import Vehicles
+from ..world.triangles import place
+from .judge import believed, hung_off_by
+
+TRAIN, VAL = SPLITS = ("train", "val")
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
+_COVERED = (1.0, 99.0)  # percentiles of x between which a recording has traffic
+_ALONG, _ALONG_SHARE = math.radians(15.0), 0.95  # of the vehicles, on a road along x
+_MOST_DRAWS = 50  # of a station at which the LiDAR stands beside the traffic
+_ABREAST_M = 20.0  # along the road: what passes a pole has been or will be there
+_MOUNTINGS, _SCANS = range(2)  # streams of random numbers
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedScan:
+    """One scan of a data set.
+
+    Attributes
+    ----------
+    number : int
+        From 0 on.
+    split : {"train", "val"}
+    frame : int
+        Row in `DatasetPlan.frames`.
+    mounting : int
+        Row in `DatasetPlan.mounts`.
+    mount, hangs : mapping of str to float
+        The six coordinates that are planned, and those at which the LiDAR hangs [m, degrees].
+    station_m : float
+        The x of the recording at which the site's x = 0 lies [m].
+    mirrored : bool
+        Whether the traffic is reflected in x = 0 after that.
+    seed : int
+        Of the clutter and of the sensor's imperfections.
+    """
+
+    number: int
+    split: str
+    frame: int
+    mounting: int
+    mount: Mapping[str, float]
+    hangs: Mapping[str, float]
+    station_m: float
+    mirrored: bool
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DatasetPlan:
+    """Which scans a data set has.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    observation : Observation
+        Sensor, range gate, caster and detail; what stands still, but for clutter, which each scan draws anew.
+    region : Region
+        Where vehicles count.
+    reach_m : float
+        How far from its middle vehicles are looked at [m].
+    frames : tuple of Vehicles
+        The searched and the held-out frames, as recorded.
+    mounts : tuple of mappings
+        Six coordinates each [m, degrees].
+    scans : tuple of PlannedScan
+    taught_ids : ndarray of int64, (j,)
+        Vehicles that any training scan labels, ascending: validating scans do not.
+    seed : int
+    notes : tuple of str
+        What could not be had, as sentences.
+    """
+
+    scenario: Scenario
+    observation: Observation
+    region: Region
+    reach_m: float
+    frames: tuple[Vehicles, ...]
+    mounts: tuple[Mapping[str, float], ...]
+    scans: tuple[PlannedScan, ...]
+    taught_ids: np.ndarray
+    seed: int
+    notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """A labelled point cloud.
+
+    Attributes
+    ----------
+    scan : PlannedScan
+        What was scanned, from where, and whether it trains or validates.
+    cloud : PointCloud
+        In the road frame; where the LiDAR hangs off its plan, in the one that follows from the plan.
+    vehicles : Vehicles
+        All v within reach, moved and mirrored as the cloud is.
+    counted : ndarray of bool, (v,)
+        Those that a detector is judged by: in the region, and labelled.
+    labelled : ndarray of bool, (v,)
+        Those to learn from: in the region or within the range gate and, in a validating scan, of none that trains. The
+        others are neither hits nor false alarms.
+    points : ndarray of int64, (v,)
+        Returns from each vehicle.
+    visibility : ndarray, (v,)
+        Share of the beams towards each vehicle's box, within the range gate, that nothing nearer stops; 0 where there
+        is no such beam.
+    """
+
+    scan: PlannedScan
+    cloud: PointCloud
+    vehicles: Vehicles
+    counted: np.ndarray
+    labelled: np.ndarray
+    points: np.ndarray
+    visibility: np.ndarray
+
+
+# --- The plan ---------------------------------------------------------------------------------------------------------
+
+
+def plan_dataset(
+    site: Site, mountings: int, scans: int | None = None, seed: int = 1, *, as_recorded: bool = False
+) -> DatasetPlan:
+    """Choose mountings, stations and which scans are mirrored; searched frames train, held-out ones validate.
+
+    What a scan draws depends on the seed and its number alone.
+
+    Parameters
+    ----------
+    site : Site
+    mountings : int
+        How many, uniform between the bounds of [deployment], on its poles in turn.
+    scans : int, optional
+        How many; each frame at each mounting once when left out. Fewer are spread evenly over frames and mountings.
+    seed : int
+    as_recorded : bool
+        Neither move nor mirror the traffic.
+
+    Raises
+    ------
+    InputError
+        For less than one mounting or scan.
+    """
+    frames = tuple(map(site.recording.vehicles, (*site.plan.search.tolist(), *site.plan.holdout.tolist())))
+    scans = len(frames) * mountings if scans is None else scans
+    if mountings < 1 or scans < 1:
+        raise InputError(f"{mountings} mountings and {scans} scans are no data set; allowed: at least 1 of each")
+    mounts = tuple(_mount(site.scenario, seed, number) for number in range(mountings))
+    notes, moved = [] if len(site.plan.holdout) else ["no frame is held out, so that no scan validates"], False
+    if not as_recorded:
+        moved = _is_straight(frames)
+        if not moved:
+            notes.append("the traffic does not drive along the x axis: it is neither moved nor mirrored")
+    stations = _Stations(site, frames, moved)
+    if moved and stations.is_one:
+        notes.append("the recording covers no more of the road than the site sees: the traffic is not moved along it")
+    order = np.argsort(np.arange(len(frames)) * _GOLDEN % 1.0, kind="stable").tolist()  # few scans are of any time
+    planned = []
+    for number in range(scans):
+        turn, at = divmod(number, len(frames))
+        frame, mounting = order[at], (turn + at) % mountings
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_SCANS, number)))
+        mount = mounts[mounting]
+        hangs = hung_off_by(site.scenario, mount, rng)
+        scan_seed = int(rng.integers(2**31))
+        station, mirrored = stations.draw(mount, rng)
+        split = TRAIN if frame < len(site.plan.search) else VAL
+        planned.append(PlannedScan(number, split, frame, mounting, mount, hangs, station, mirrored, scan_seed))
+    world = site.scenario.world
+    bare = replace(site.scenario, world=replace(world, clutter=0.0))
+    observation = site.observation
+    if world.clutter:
+        observation = replace(observation, scenery=standing_scenery(bare, observation.caster, None))
+    nobody = np.zeros(0, dtype=np.int64)
+    given = site.scenario, observation, site.region, site.reach_m, frames, mounts, tuple(planned)
+    plan = DatasetPlan(*given, nobody, seed, tuple(notes))
+    taught = [nobody]
+    for scan in planned:
+        if scan.split == TRAIN:
+            vehicles, _, labelled = _traffic(plan, scan)
+            taught.append(vehicles.vehicle_id[labelled])
+    return replace(plan, taught_ids=np.unique(np.concatenate(taught)))
+
+
+def _mount(scenario: Scenario, seed: int, number: int) -> dict[str, float]:
+    """The mounting of a number: uniform between the bounds of [deployment], on its poles in turn."""
+    places = scenario.deployment.places
+    chosen = places[number % len(places)]
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_MOUNTINGS, number)))
+    return chosen.coordinates(rng.uniform(chosen.lower, chosen.upper))
+
+
+def _is_straight(frames: Iterable[Vehicles]) -> bool:
+    """Whether nearly all drive along x, one way or the other."""
+    heading = np.concatenate([vehicles.heading_rad for vehicles in frames])
+    return bool((np.abs(np.sin(heading)) < math.sin(_ALONG)).mean() >= _ALONG_SHARE)
+
+
+class _Stations:
+    """Where along a recording the site may stand: with traffic all over it, and none where the LiDAR's pole is."""
+
+    def __init__(self, site: Site, frames: Iterable[Vehicles], moved: bool) -> None:
+        region, self._moved = site.region, moved
+        self._boxes = [
+            np.concatenate([getattr(vehicles, name) for vehicles in frames])
+            for name in ("centre_m", "size_m", "heading_rad")
+        ]
+        x = self._boxes[0][:, 0]
+        first, last = np.percentile(x, _COVERED) if len(x) else (0.0, 0.0)
+        reach, self._middle = max(region.radius_m, site.observation.max_range_m), region.centre_xy[0]
+        self._low, self._high = first + reach, last - reach
+
+    @property
+    def is_one(self) -> bool:
+        """Whether there is no choice."""
+        return not (self._moved and self._low < self._high)
+
+    def draw(self, mount: Mapping[str, float], rng: np.random.Generator) -> tuple[float, bool]:
+        """Station [m], and whether the traffic is mirrored."""
+        if not self._moved:
+            return 0.0, False
+        mirrored = bool(rng.random() < 0.5)
+        middle = -self._middle if mirrored else self._middle
+        draws = 0 if self.is_one else _MOST_DRAWS
+        stations = rng.uniform(self._low - middle, self._high - middle, draws).tolist()
+        return next(((x, mirrored) for x in (*stations, 0.0) if self._is_clear(mount, x, mirrored)), (0.0, False))
+
+    def _is_clear(self, mount: Mapping[str, float], station_m: float, mirrored: bool) -> bool:
+        """Whether no vehicle of any frame passes where the LiDAR hangs, or has just passed or is about to."""
+        pole = np.array([station_m + mount["x_m"] * (-1.0 if mirrored else 1.0), mount["y_m"]])
+        centre, size, heading = self._boxes
+        near = np.abs(centre[:, 1] - pole[1]) <= 0.5 * size[:, :2].max(axis=1) + size[:, 1]
+        beside = (_ABREAST_M, 0.0)
+        return not footprints_meet(centre[near], size[near], heading[near], pole - beside, pole + beside).any()
+
+
+def _moved(vehicles: Vehicles, station_m: float, mirrored: bool) -> Vehicles:
+    """A frame seen from a station, and mirrored there: x becomes -x, a heading h becomes pi - h."""
+    centre, heading = vehicles.centre_m - (station_m, 0.0, 0.0), vehicles.heading_rad
+    if mirrored:
+        centre, heading = centre * (-1.0, 1.0, 1.0), np.arctan2(np.sin(heading), -np.cos(heading))
+    return replace(vehicles, centre_m=centre, heading_rad=heading)
+
+
+def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray, np.ndarray]:
+    """The vehicles of a scan within reach, and which of them are counted and labelled."""
+    vehicles = _moved(plan.frames[scan.frame], scan.station_m, scan.mirrored)
+    vehicles = vehicles.select(plan.region.distance(vehicles) <= plan.reach_m)
+    away = np.hypot(*(vehicles.centre_m[:, :2] - (scan.mount["x_m"], scan.mount["y_m"])).T)
+    inside = plan.region.holds(vehicles)
+    labelled = inside | (away <= plan.observation.max_range_m)
+    if scan.split == VAL:
+        labelled &= ~np.isin(vehicles.vehicle_id, plan.taught_ids)
+    return vehicles, inside & labelled, labelled
+
+
+# --- Samples ----------------------------------------------------------------------------------------------------------
+
+
+def sample(plan: DatasetPlan, number: int) -> Sample:
+    """The sample of a number: the same whatever was made before, and in which process."""
+    scan = plan.scans[number]
+    vehicles, counted, labelled = _traffic(plan, scan)
+    seen = replace(
+        plan.observation,
+        scenery=_scenery(plan, scan),
+        imperfections=replace(plan.observation.imperfections, seed=scan.seed),
+    )
+    none = np.zeros(len(vehicles), dtype=bool)
+    shapes = FrameShapes(vehicles, none, seen.detail, seen.caster)
+    frame = FrameScan(shapes, vehicles, seen, ground=plan.scenario.world.ground)
+    hangs = pose_at(scan.hangs)
+    turn = frame.turn(hangs)
+    cloud = frame.cloud(hangs, turn)
+    visibility = visible_share(vehicles, seen.lattice, hangs, turn, seen.max_range_m)
+    order = np.argsort(vehicles.vehicle_id)
+    on_one = cloud.vehicle_id[cloud.vehicle_id >= 0]
+    row = order[np.searchsorted(vehicles.vehicle_id, on_one, sorter=order)]
+    points = np.bincount(row, minlength=len(vehicles))
+    if scan.hangs != scan.mount:
+        cloud = believed(cloud, hangs, pose_at(scan.mount))
+    return Sample(scan, cloud, vehicles, counted, labelled, points, visibility)
+
+
+def samples(plan: DatasetPlan, numbers: Iterable[int] | None = None, workers: int = 1) -> Iterator[Sample]:
+    """Samples by their numbers, all when left out, one after another in that order, by so many processes."""
+    numbers = range(len(plan)) if numbers is None else numbers
+    with closing(Workers(partial(sample, plan), workers)) as pool:
+        yield from pool.each(numbers)
+
+
+def _scenery(plan: DatasetPlan, scan: PlannedScan) -> StandingScenery | None:
+    """What stands still about a scan: clutter is drawn anew for each, lest a detector learn where it stands."""
+    scenery, world = plan.observation.scenery, plan.scenario.world
+    if not world.clutter:
+        return scenery
+    nothing = {"blend": None, "mesh": None, "boxes": (), "barriers": (), "clutter_seed": scan.seed}
+    scenario = replace(plan.scenario, world=replace(world, **nothing))
+    return standing_scenery(scenario, plan.observation.caster, None, None if scenery is None else scenery.scenery)
+
+
+# --- Visibility -------------------------------------------------------------------------------------------------------
+
+_HALF = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_ROUNDING_M = 1e-6
+
+
+def visible_share(vehicles: Vehicles, lattice: BeamLattice, pose: Pose, turn: Turn, max_range_m: float) -> np.ndarray:
+    """How much of each vehicle nothing hides, (v,), 0 to 1.
+
+    Of the beams that would enter its box within `max_range_m`, the share that meets nothing before; 0 without such a
+    beam. It is told from the revolution that was cast anyway: a beam that passes through a corner of the box above the
+    bonnet is one that sees it.
+    """
+    first = np.full(len(turn.directions), np.inf)
+    first[turn.vehicles.beam] = turn.vehicles.distance
+    for beam, away, *_ in turn.standing:
+        first[beam] = np.minimum(first[beam], away)
+    corners = place(_HALF, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad).transpose(0, 2, 1)
+    radius = 0.5 * np.linalg.norm(vehicles.size_m, axis=1)
+    away, half = pose.position - vehicles.centre_m, 0.5 * vehicles.size_m
+    cos, sin = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)
+    share = np.zeros(len(vehicles))
+    for row in range(len(vehicles)):
+        piece = Pieces(corners[row, :, :, None], vehicles.centre_m[row, :, None], radius[row : row + 1])
+        beams = reachable_beams(lattice, piece, pose, max_range_m)
+        turned = np.array([[cos[row], -sin[row], 0.0], [sin[row], cos[row], 0.0], [0.0, 0.0, 1.0]])
+        enters = _entry(away[row] @ turned, turn.directions[beams] @ turned, half[row])
+        towards = enters <= max_range_m
+        if towards.any():
+            share[row] = (first[beams[towards]] >= enters[towards] - _ROUNDING_M).mean()
+    return share
+
+
+def _entry(origin: np.ndarray, directions: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Where rays from an origin (3,) along `directions` (k, 3) enter a box about 0, (k,) [m]; inf where they miss."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = (-half - origin) / directions, (half - origin) / directions
+    enters = np.fmin(one, other).max(axis=1)
+    leaves = np.fmax(one, other).min(axis=1)
+    return np.where(leaves >= np.maximum(enters, 0.0), np.maximum(enters, 0.0), np.inf)
