@@ -11,13 +11,16 @@ from hypothesis import strategies as st
 
 from blender_lidar.casting import caster_class
 from blender_lidar.errors import InputError
+from blender_lidar.traffic.fleet import FLEET, kind_of
 from blender_lidar.traffic.vehicles import CLASSES
 from blender_lidar.world.meshes import GLASS, SURFACES
-from blender_lidar.world.shapes import DETAILS, SHAPES, shape, shape_of
+from blender_lidar.world.shapes import DETAILS, SHAPES, shape
 from blender_lidar.world.triangles import STATIC, vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
+BODIES = [body.name for bodies in FLEET.values() for body in bodies]
 ALL = [(name, detail) for name in SHAPES for detail in DETAILS]
+ALL += [(name, "body") for name in BODIES if name not in SHAPES]
 
 
 @pytest.mark.parametrize(("name", "detail"), ALL)
@@ -100,10 +103,18 @@ def test_a_shape_is_the_same_on_both_sides(name, detail):
     assert {(x, -y, z) for x, y, z in vertices} == vertices
 
 
+def test_bodies_differ_at_the_level_body_alone():
+    assert set(SHAPES) < set(BODIES)
+    assert len(BODIES) == len(set(BODIES)) == 17
+    assert len({shape(name, "body").vertices.tobytes() for name in BODIES}) == 17
+    for detail in ("box", "detailed"):
+        assert len({shape(name, detail).vertices.tobytes() for name in BODIES}) == (1 if detail == "box" else 6)
+
+
 @pytest.mark.parametrize("name", SHAPES)
 def test_boxes_are_twelve_triangles_bodies_a_few_dozen_and_detailed_shapes_a_few_hundred(name):
     assert len(shape(name, "box").faces) == 12
-    assert 36 <= len(shape(name, "body").faces) <= 96
+    assert all(36 <= len(shape(body.name, "body").faces) <= 108 for body in FLEET[name])
     assert 200 <= len(shape(name, "detailed").faces) <= 600
 
 
@@ -154,8 +165,8 @@ def test_a_frame_without_vehicles_has_no_triangles():
 
 
 def test_trucks_of_nine_metres_and_more_are_articulated():
-    assert (shape_of("truck", 8.99), shape_of("truck", 9.0)) == ("truck", "long_truck")
-    assert shape_of("car", 12.0) == "car"
+    assert (kind_of("truck", 8.99), kind_of("truck", 9.0)) == ("truck", "long_truck")
+    assert kind_of("car", 12.0) == "car"
 
 
 def test_unknown_shapes_and_details_are_refused_by_name():

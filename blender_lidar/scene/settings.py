@@ -564,6 +564,10 @@ class WorldSettings:
         How much stands or walks along the roadsides at random and is no vehicle; 1 is some, 0 nothing.
     clutter_seed : int
         What else that depends on.
+    variety : float
+        How much vehicles of a class differ in height and body: 0, all are alike, to 1, as those of a real fleet.
+    variety_seed : int
+        What else that depends on.
     """
 
     detail: str = setting("body", allowed=DETAILS, option="--detail")
@@ -578,6 +582,8 @@ class WorldSettings:
     barriers: tuple[BarrierSettings, ...] = setting(())
     clutter: float = setting(0.0, low=0.0, high=10.0, option="--clutter")
     clutter_seed: int = setting(1, low=0)
+    variety: float = setting(0.0, low=0.0, high=1.0, option="--variety")
+    variety_seed: int = setting(1, low=0)
 
     @property
     def has_scenery(self) -> bool:

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
+from ..traffic.fleet import with_variety
 from ..traffic.frames import few_vehicles
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.clutter import Walkers, clutter
@@ -357,13 +358,14 @@ def read_recording(scenario: Scenario) -> Recording:
 
 def read_recordings(scenario: Scenario) -> list[Recording]:
     """The recordings that a scene names, each by itself."""
-    return [_read_one(replace(scenario, traffic=settings)) for settings in scenario.recordings]
+    return [_read_one(replace(scenario, traffic=one), number) for number, one in enumerate(scenario.recordings)]
 
 
-def _read_one(scenario: Scenario) -> Recording:
-    settings = scenario.traffic
+def _read_one(scenario: Scenario, number: int) -> Recording:
+    settings, world = scenario.traffic, scenario.world
     given = {key: getattr(settings, key) for key in _OF_FORMATS}
     recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
+    recording = with_variety(recording, world.variety, world.variety_seed, number)
     if settings.lanes is None:
         return checked_recording(recording, scenario)
     in_lanes = np.isin(recording.lane, settings.lanes)

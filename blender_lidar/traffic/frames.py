@@ -363,7 +363,7 @@ def joined_recordings(recordings: Sequence[Recording], names: Sequence[str]) -> 
     def column(name: str) -> np.ndarray:
         return np.concatenate([getattr(one, name) + at * step.get(name, 0) for at, one in enumerate(recordings)])
 
-    columns = ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
+    columns = ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "body")
     return Recording.from_rows(
         **{name: column(name) for name in columns},
         time_s=np.concatenate([np.repeat(one.frame_time_s, one.counts) for one in recordings]),

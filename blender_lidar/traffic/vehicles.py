@@ -135,6 +135,7 @@ _COLUMNS = {
     "size_m": np.float64,
     "heading_rad": np.float64,
     "lane": np.int16,
+    "body": np.int8,
 }
 
 
@@ -159,6 +160,8 @@ class Vehicles:
         Counter-clockwise from +x [rad].
     lane : ndarray, (n,) int16
         Lane number of the source; 0 where unknown.
+    body : ndarray, (n,) int8
+        Which of the bodies of its kind each has, a row of `fleet.FLEET`; 0 the usual one, as of all unless said.
     """
 
     frame: int
@@ -169,6 +172,11 @@ class Vehicles:
     size_m: np.ndarray
     heading_rad: np.ndarray
     lane: np.ndarray
+    body: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.body is None:
+            object.__setattr__(self, "body", np.zeros(len(self.vehicle_id), np.int8))
 
     def __len__(self) -> int:
         return len(self.vehicle_id)
@@ -210,6 +218,7 @@ class Recording:
     size_m: np.ndarray
     heading_rad: np.ndarray
     lane: np.ndarray
+    body: np.ndarray
     frames: np.ndarray
     frame_time_s: np.ndarray
     time_step_s: float
@@ -223,6 +232,7 @@ class Recording:
         """Build one from rows in any order; `time_s` is every row's time [s], `columns` are those of `Vehicles`."""
         order = np.lexsort((columns["vehicle_id"], frame))
         frame = np.asarray(frame, dtype=np.int64)[order]
+        columns.setdefault("body", np.zeros(len(frame)))
         frames, first = np.unique(frame, return_index=True)
         arrays = {name: np.asarray(columns[name], dtype=kind)[order] for name, kind in _COLUMNS.items()}
         arrays |= {"frame": frame, "frames": frames, "frame_time_s": np.asarray(time_s, np.float64)[order[first]]}

@@ -3,7 +3,7 @@
 A shape lives in the unit box, x forward, y left, z up, each from -0.5 to 0.5, and is scaled to a vehicle's own box.
 `box` is that box; `body` is lofted: a few cross-sections along the length, each a hexagon (sill, belt line and roof
 edge on both sides), joined by quads and closed by two caps; `detailed` is in `detailed_shapes`. All are tubes
-(`meshes.tube`), and so closed, and their faces point outwards.
+(`meshes.tube`), and so closed, and their faces point outwards. The bodies of `traffic.fleet` differ at `body` alone.
 """
 
 from __future__ import annotations
@@ -14,23 +14,17 @@ import numpy as np
 
 from ..errors import unknown_name
 from ..names import DETAILS
-from ..traffic.vehicles import LONG_TRUCK_M
+from ..traffic.fleet import FLEET
 from .detailed_shapes import detailed_shape
 from .meshes import Shape, block, tube
 
 SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
-
-
-def shape_of(vehicle_class: str, length_m: float) -> str:
-    """Name of the shape that stands for a vehicle: its class, and for trucks whether they are articulated."""
-    if vehicle_class == "truck" and length_m >= LONG_TRUCK_M:
-        return "long_truck"
-    return vehicle_class
+_KIND_OF = {body.name: kind for kind, bodies in FLEET.items() for body in bodies}
 
 
 @cache
 def shape(name: str, detail: str = "body") -> Shape:
-    """The shape `name` of `SHAPES` at a level of detail of `DETAILS`.
+    """The shape `name` of `SHAPES`, or of a body of `traffic.fleet`, at a level of detail of `DETAILS`.
 
     Returns
     -------
@@ -39,14 +33,14 @@ def shape(name: str, detail: str = "body") -> Shape:
     """
     if detail not in DETAILS:
         raise unknown_name(detail, DETAILS, "level of detail")
-    if name not in SHAPES:
-        raise unknown_name(name, SHAPES, "vehicle shape")
+    if name not in _KIND_OF:
+        raise unknown_name(name, _KIND_OF, "vehicle shape")
     if detail == "box":
         made = block((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
     elif detail == "body":
         made = _loft(_BODIES[name])
     else:
-        made = detailed_shape(name)
+        made = detailed_shape(_KIND_OF[name])
     for array in (made.vertices, made.faces, made.surface):
         array.setflags(write=False)
     return made
@@ -104,6 +98,97 @@ _BODIES = {
         (0.55, 0.18, 0.50, 0.20, 0.60, 0.98, False, False),
         (0.70, 0.14, 0.45, 0.16, 0.58, 0.68, False, False),
         (1.00, 0.06, 0.10, 0.06, 0.22, 0.40, False, False),
+    ),
+    "hatchback": (
+        (0.00, 0.42, 0.46, 0.40, 0.45, 0.62, False, False),
+        (0.05, 0.46, 0.50, 0.40, 0.58, 0.76, True, True),
+        (0.16, 0.47, 0.50, 0.35, 0.60, 0.97, True, False),
+        (0.45, 0.49, 0.50, 0.36, 0.60, 1.00, True, True),
+        (0.74, 0.49, 0.50, 0.42, 0.58, 0.68, False, False),
+        (1.00, 0.42, 0.44, 0.34, 0.36, 0.50, False, False),
+    ),
+    "suv": (
+        (0.00, 0.45, 0.48, 0.40, 0.48, 0.70, False, False),
+        (0.05, 0.47, 0.50, 0.41, 0.58, 0.84, True, True),
+        (0.12, 0.47, 0.50, 0.37, 0.58, 0.97, True, False),
+        (0.55, 0.48, 0.50, 0.38, 0.58, 1.00, True, True),
+        (0.72, 0.48, 0.50, 0.44, 0.56, 0.64, False, False),
+        (1.00, 0.44, 0.47, 0.40, 0.44, 0.54, False, False),
+    ),
+    "large_suv": (
+        (0.00, 0.46, 0.49, 0.42, 0.50, 0.80, False, False),
+        (0.04, 0.48, 0.50, 0.42, 0.56, 0.97, True, False),
+        (0.55, 0.48, 0.50, 0.42, 0.56, 1.00, True, True),
+        (0.69, 0.48, 0.50, 0.45, 0.56, 0.64, False, False),
+        (1.00, 0.45, 0.48, 0.42, 0.46, 0.56, False, False),
+    ),
+    "pickup": (
+        (0.00, 0.47, 0.49, 0.47, 0.45, 0.56, False, False),
+        (0.38, 0.48, 0.50, 0.47, 0.50, 0.58, False, False),
+        (0.40, 0.48, 0.50, 0.41, 0.56, 0.96, True, False),
+        (0.60, 0.48, 0.50, 0.41, 0.56, 1.00, True, True),
+        (0.72, 0.48, 0.50, 0.44, 0.56, 0.64, False, False),
+        (1.00, 0.45, 0.48, 0.42, 0.44, 0.55, False, False),
+    ),
+    "panel_van": (
+        (0.00, 0.47, 0.50, 0.46, 0.48, 0.97, False, False),
+        (0.70, 0.48, 0.50, 0.46, 0.48, 1.00, True, False),
+        (0.80, 0.48, 0.50, 0.42, 0.46, 0.94, True, True),
+        (0.91, 0.47, 0.49, 0.42, 0.44, 0.50, False, False),
+        (1.00, 0.44, 0.47, 0.42, 0.32, 0.42, False, False),
+    ),
+    "large_saloon": (
+        (0.00, 0.42, 0.45, 0.40, 0.46, 0.62, False, False),
+        (0.05, 0.46, 0.50, 0.41, 0.56, 0.72, False, False),
+        (0.15, 0.46, 0.50, 0.41, 0.60, 0.74, True, True),
+        (0.27, 0.46, 0.50, 0.34, 0.61, 0.97, True, False),
+        (0.48, 0.49, 0.50, 0.34, 0.61, 1.00, True, True),
+        (0.68, 0.49, 0.50, 0.42, 0.58, 0.68, False, False),
+        (1.00, 0.41, 0.43, 0.33, 0.36, 0.48, False, False),
+    ),
+    "flatbed": (
+        (0.00, 0.48, 0.50, 0.49, 0.30, 0.40, False, False),
+        (0.70, 0.48, 0.50, 0.49, 0.30, 0.40, False, False),
+        (0.71, 0.46, 0.48, 0.44, 0.50, 0.96, True, False),
+        (0.90, 0.46, 0.48, 0.44, 0.48, 1.00, True, True),
+        (0.97, 0.46, 0.48, 0.44, 0.44, 0.52, False, False),
+        (1.00, 0.45, 0.46, 0.42, 0.36, 0.46, False, False),
+    ),
+    "tank_truck": (
+        (0.00, 0.30, 0.46, 0.18, 0.62, 0.92, False, False),
+        (0.03, 0.32, 0.50, 0.20, 0.62, 0.98, False, False),
+        (0.72, 0.32, 0.50, 0.20, 0.62, 0.98, False, False),
+        (0.74, 0.40, 0.46, 0.36, 0.42, 0.90, False, False),
+        (0.76, 0.44, 0.48, 0.42, 0.50, 1.00, True, False),
+        (0.90, 0.46, 0.48, 0.44, 0.48, 0.94, True, True),
+        (1.00, 0.45, 0.47, 0.42, 0.36, 0.48, False, False),
+    ),
+    "flatbed_trailer": (
+        (0.00, 0.48, 0.50, 0.48, 0.30, 0.36, False, False),
+        (0.12, 0.48, 0.50, 0.48, 0.30, 0.36, False, False),
+        (0.13, 0.48, 0.50, 0.46, 0.34, 0.62, False, False),
+        (0.60, 0.48, 0.50, 0.46, 0.34, 0.62, False, False),
+        (0.61, 0.48, 0.50, 0.48, 0.30, 0.36, False, False),
+        (0.84, 0.48, 0.50, 0.48, 0.30, 0.36, False, False),
+        (0.85, 0.46, 0.48, 0.45, 0.45, 0.97, True, False),
+        (0.96, 0.46, 0.48, 0.45, 0.45, 1.00, True, True),
+        (1.00, 0.45, 0.47, 0.45, 0.40, 0.55, False, False),
+    ),
+    "tanker_trailer": (
+        (0.00, 0.28, 0.46, 0.16, 0.60, 0.90, False, False),
+        (0.02, 0.30, 0.50, 0.20, 0.60, 0.97, False, False),
+        (0.79, 0.30, 0.50, 0.20, 0.60, 0.97, False, False),
+        (0.81, 0.40, 0.40, 0.30, 0.22, 0.28, False, False),
+        (0.86, 0.40, 0.40, 0.30, 0.22, 0.28, False, False),
+        (0.87, 0.46, 0.48, 0.45, 0.45, 0.96, True, False),
+        (0.95, 0.46, 0.48, 0.45, 0.45, 1.00, True, True),
+        (1.00, 0.45, 0.47, 0.45, 0.40, 0.55, False, False),
+    ),
+    "coach": (
+        (0.00, 0.47, 0.49, 0.46, 0.46, 0.96, True, False),
+        (0.02, 0.49, 0.50, 0.47, 0.46, 1.00, True, False),
+        (0.95, 0.49, 0.50, 0.47, 0.46, 0.98, True, True),
+        (1.00, 0.46, 0.49, 0.44, 0.40, 0.72, False, False),
     ),
 }
 

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..traffic.fleet import FLEET, kind_of
 from ..traffic.vehicles import Vehicles
 from .meshes import Shape
-from .shapes import shape, shape_of
+from .shapes import shape
 
 STATIC = -1  # owner of what belongs to no vehicle
 MOST_M = 1e15  # of a coordinate: of what is farther away not even casters in float64 can tell the shape
@@ -76,10 +77,8 @@ def _check_boxes(vehicles):
 
 def shape_names(vehicles: Vehicles) -> np.ndarray:
     """Name of the shape of each vehicle, (n,) str."""
-    lengths = vehicles.size_m[:, 0].tolist()
-    return np.array(
-        [shape_of(name, length) for name, length in zip(vehicles.class_name, lengths, strict=True)], dtype=str
-    )
+    each = zip(vehicles.class_name.tolist(), vehicles.size_m[:, 0].tolist(), vehicles.body.tolist(), strict=True)
+    return np.array([FLEET[kind_of(name, length)][body].name for name, length, body in each], dtype=str)
 
 
 def place(unit_points: np.ndarray, centre: np.ndarray, size: np.ndarray, heading: np.ndarray) -> np.ndarray:

@@ -16,9 +16,10 @@ from ...errors import InputError
 from ...metrics.vgop import entropy, occupancy, to_vehicle_frame
 from ...metrics.view_grids import VIEW_NAMES
 from ...sensors.imperfections import PERFECT, Imperfections
+from ...traffic.fleet import kind_of
 from ...traffic.vehicles import VAN_LONGER_THAN_M
 from ...world.meshes import GLASS, REFLECTIVITY
-from ...world.shapes import shape, shape_of
+from ...world.shapes import shape
 from ...world.triangles import Triangles, place
 from . import LABEL_MARGIN_M, MEASURED_LOSSES
 from .cars import BEARINGS
@@ -101,7 +102,7 @@ def shapes_of_labels(boxes: LabelledBoxes) -> list[str | None]:
         name = _CLASS_OF.get(label)
         if name == "car" and length > VAN_LONGER_THAN_M:
             name = "van"
-        names.append(None if name is None else shape_of(name, length))
+        names.append(None if name is None else kind_of(name, length))
     return names
 
 
