@@ -17,18 +17,21 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from blender_lidar.detection.dataset import TRAIN, Sample, plan_dataset, samples
 
 from arguments import SCENES, counting, parser_of, positive, run_script
 from blender_lidar.detection.boxes import kind_of
+from blender_lidar.detection.dataset import TRAIN, Sample, plan_dataset, samples
 from blender_lidar.detection.pillars import CELL_M, Area, density, fit_ground
 from blender_lidar.files import check_place, make_folder, whole_file
 from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.workers import Workers
 from detector_worlds import hard_world
 from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate_at, shown, train_step
 
@@ -88,27 +91,33 @@ def _train(args) -> None:
 
 
 def _windows(args) -> dict[str, list[Window]]:
-    """The windows of each sensor, those of each site in a file of its own, which is kept."""
+    """The windows of each sensor; those of a site are in a file of its own, which is kept."""
     jobs = [(sensor, number) for sensor in SENSORS for number in range(args.sites)]
-    found: dict[str, list[Window]] = {sensor: [] for sensor in SENSORS}
-    with counting(len(jobs), "sites") as advance:
-        for sensor, number in jobs:
-            path = args.work / f"{sensor}_{number}_{args.scans}.npz"
-            if not path.exists():
-                made = list(_site_windows(sensor, number, args))
-                with whole_file(path) as temporary:
-                    np.savez(temporary, **_as_arrays(made))
-            found[sensor] += _from_arrays(path)
+    paths = [args.work / f"{sensor}_{number}_{args.scans}.npz" for sensor, number in jobs]
+    left = [at for at, path in enumerate(paths) if not path.exists()]
+    make = partial(_make_site, jobs, paths, args.traffic, args.scans)
+    with counting(max(len(left), 1), "sites") as advance, closing(Workers(make, args.workers)) as pool:
+        for _ in pool.each(left):
             advance(1)
+    found: dict[str, list[Window]] = {sensor: [] for sensor in SENSORS}
+    for (sensor, _), path in zip(jobs, paths, strict=True):
+        found[sensor] += _from_arrays(path)
     return found
 
 
-def _site_windows(sensor: str, number: int, args) -> Iterator[Window]:
+def _make_site(jobs, paths, traffic: Sequence[str], scans: int, at: int) -> None:
+    """The windows of one of the jobs, in its file."""
+    made = list(site_windows(*jobs[at], traffic, scans))
+    with whole_file(paths[at]) as temporary:
+        np.savez(temporary, **_as_arrays(made))
+
+
+def site_windows(sensor: str, number: int, traffic: Sequence[str], scans: int) -> Iterator[Window]:
     """Windows of one site: its slopes and clutter are drawn by its number, each scan's mounting within its bounds."""
     rng = np.random.default_rng([SENSORS.index(sensor), number])
     settings = {
         ("sensor", "name"): sensor,
-        ("traffic", "path"): str(Path(args.traffic[number % len(args.traffic)]).resolve()),
+        ("traffic", "path"): str(Path(traffic[number % len(traffic)]).resolve()),
         ("traffic", "frames"): 60,
         ("traffic", "holdout"): 0.0,
         ("deployment", "y_m"): SETBACKS_M,
@@ -122,8 +131,8 @@ def _site_windows(sensor: str, number: int, args) -> Iterator[Window]:
     }
     options = {place: (value, place[1]) for place, value in settings.items()}
     site = prepare(load_scenario(SCENES / "i80.toml", {**hard_world(), **options}))
-    plan = plan_dataset(site, MOUNTINGS, args.scans, seed=number + 1)
-    for one in samples(plan, workers=args.workers):
+    plan = plan_dataset(site, MOUNTINGS, scans, seed=number + 1)
+    for one in samples(plan):
         if one.scan.split == TRAIN:
             yield window_of(one, site.observation.max_range_m, rng)
 
