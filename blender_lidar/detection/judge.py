@@ -13,7 +13,6 @@ from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..scene.observation import CountedFrame
-from ..scene.scenario import pose_at
 from ..scene.site import Site
 from ..sensors.pose import Pose
 from .boxes import KINDS, DetectedBoxes, no_boxes
@@ -99,7 +98,7 @@ def judge_detector(
 
     def clouds(frames: Sequence[CountedFrame]) -> Iterator[PointCloud]:
         for frame in frames:
-            yield _believed(sensor.scan(frame.vehicles), pose_at(hangs), pose_at(mount))
+            yield _believed(sensor.scan(frame.vehicles), *map(site.scenario.pose, (hangs, mount)))
             advance(1)
 
     detector.learn(clouds(site.search))
@@ -140,7 +139,7 @@ def judged_from_file(site: Site, mount: Mapping[str, float], path: str) -> Judge
         If it cannot be read, or lacks judging frames; a CSV file has no rows of frames without boxes, but must have
         some.
     """
-    of_frame = read_detected(path, mount)
+    of_frame = read_detected(path, site.scenario.in_road(mount))
     numbers = [frame.vehicles.frame for frame in judging_frames(site)[0]]
     missing = [number for number in numbers if number not in of_frame]
     whole = Path(path).is_dir() or Path(path).suffix.lower() == ".json"
