@@ -39,7 +39,7 @@ from .run.folder import RunFolder
 from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.verdict import POINTS, vehicle_table
 from .scene.provenance import check_same_inputs
-from .scene.scenario import load_scenario, pose_at, scenario_of
+from .scene.scenario import load_scenario, scenario_of
 from .scene.settings import DECLARED, LEANS, MOUNTING, MOUNTING_OR_LEAN, six_coordinates
 from .scene.site import Site, check_mount_is_clear, frame_of, prepare, reach_of
 from .scoring.evaluation import Evaluator, site_evaluator
@@ -247,7 +247,7 @@ def score_mounting(site: Site, *, held_out: bool = False, **mounting: float) -> 
     place = _mounting(site, mounting)
     site = _reaching(site, [place])
     evaluator = Evaluator(_frames(site, held_out), site.observation, site.scoring)
-    pose = pose_at(place)
+    pose = site.scenario.pose(place)
     totals = evaluator.totals([pose])
     scores = float(totals.objective.sum()), float(totals.per_vehicle()[0]), float(totals.detectable_share()[0])
     table = vehicle_table(pose, **{"holdout" if held_out else "search": evaluator})
@@ -277,7 +277,7 @@ def score_mountings(site: Site, table: Mapping | Iterable[Mapping], *, held_out:
         raise InputError("score_mountings: the table is empty; allowed: one row for each mounting")
     site = _reaching(site, rows)
     with site_evaluator(site, _frames(site, held_out)) as evaluator:
-        totals = evaluator.totals([pose_at(row) for row in rows])
+        totals = evaluator.totals([site.scenario.pose(row) for row in rows])
     scores = totals.objective.sum(axis=1), totals.per_vehicle(), totals.detectable_share()
     columns = {key: np.array([row[key] for row in rows]) for key in MOUNTING}
     return table_of(columns | dict(zip(_SCORES, scores, strict=True)))

@@ -15,7 +15,7 @@ from bpy.app.handlers import persistent
 from ..clouds.live import LiveFrame, Look
 from ..clouds.snapshot import entropy_of_points, entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError
-from ..scene.scenario import Scenario, pose_at
+from ..scene.scenario import Scenario
 from ..traffic.vehicles import Vehicles
 from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, lidars, role
 from ..world.blender.points import cloud_of, colour_cloud, colours_by, show_cloud
@@ -116,7 +116,7 @@ def _update_one(scene, lidar, shown, objects) -> bool:
     shown.frame = frame
     if shown.baseline is None:
         shown.baseline = frame.look(shown.scenario.baseline_pose, [objects])
-    shown.look = look = frame.look(pose_at(place), [objects])
+    shown.look = look = frame.look(shown.scenario.pose(place), [objects])
     shown.bits = entropy_of_vehicles(look.cloud, vehicles, shown.scenario.objective)
     of_points = entropy_of_points(look.cloud, vehicles, shown.bits)
     shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, of_points))

@@ -18,7 +18,7 @@ from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
 from ..run.optimise import evaluate_site
-from ..scene.scenario import load_scenario, pose_at, scenario_of
+from ..scene.scenario import load_scenario, scenario_of
 from ..scene.settings import leaning
 from ..scene.site import check_mount_is_clear, lattice_of, prepare, read_recording, standing_scenery
 from ..sensors.pose import Pose
@@ -132,7 +132,9 @@ def _take_over(operator, scene, scenario):
     session.fill_scene(scene, scenario)
     found, tables = session.active_lidar(scene), scenario.as_tables()
     if found is None:  # where what is not searched is as the file says
-        found = add_lidar(scene, pose_at(leaning(scenario.baseline, **scenario.deployment.fixed)), tables["sensor"])
+        found = add_lidar(
+            scene, scenario.pose(leaning(scenario.baseline, **scenario.deployment.fixed)), tables["sensor"]
+        )
     else:
         properties.fill_sensor(found, tables["sensor"])
         dress(found, lattice_of(scenario.sensor))
@@ -276,7 +278,7 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         check_mount_is_clear(scenario, [vehicles], {lidar.name: place})
         ready = session.live_frame(scene, lidar)
         objects = session.exact_objects(scene, context.view_layer, scenario)
-        look = ready.look(pose_at(place), objects)
+        look = ready.look(scenario.pose(place), objects)
         bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
         points = vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits))
         colour_cloud(show_cloud(lidar, points), lidar.lidar.colour_by)

@@ -319,7 +319,7 @@ class LIDAR_OT_revert(_NeedsFound, bpy.types.Operator):
 def _moved(operator, context, to):
     lidar = session.needed_lidar(context.scene)
     place = dict(zip(COORDINATES, (round(value, 4) for value in getattr(lidar.lidar, to)), strict=True))
-    hang(lidar, pose_at(place))
+    hang(lidar, pose_at(place, properties.road_of(lidar)))
     context.view_layer.update()
     return operators.LIDAR_OT_scan.execute(operator, context)
 

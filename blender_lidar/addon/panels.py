@@ -63,6 +63,7 @@ class LIDAR_PT_traffic(bpy.types.Panel):
             row.operator("lidar.step_frame", text="", icon="TRIA_RIGHT")
             layout.label(text=f"At {group.at_s:.1f} s")
         layout.prop(group.world, "detail", text="Vehicles")
+        layout.prop(group.world, "variety")
 
 
 @panel("Road and File", LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})

@@ -23,6 +23,7 @@ from bpy.props import (
 
 from ..errors import InputError
 from ..names import METRIC_NAMES
+from ..road import RoadFrame
 from ..scene.settings import (
     COORDINATES,
     DATASHEET,
@@ -32,11 +33,11 @@ from ..scene.settings import (
     MOUNTING_OR_LEAN,
     SEARCHED,
     leaning,
+    plumb,
     pose_at,
     with_lean,
 )
 from ..sensors.model import model_names
-from ..sensors.pose import Pose
 from ..toml_table import Setting, limits_text
 from ..world.blender.objects import hang, pose_of
 
@@ -164,7 +165,8 @@ _TRAFFIC = _chosen(
     "traffic", "path", "format", "period", "origin_m", "heading_deg", "time_step_s", "frames", "holdout", "block_s"
 )
 _ROAD = _chosen("road", "station_m", "right_edge_m", "setback_m", "lanes", "lane_width_m")
-_WORLD = _chosen("world", "detail", "ground")
+_ROAD |= _chosen("road", "grade_percent", "cross_fall_percent", "crown_percent")
+_WORLD = _chosen("world", "detail", "ground", "variety", "variety_seed")
 _OBJECTIVE = _chosen("objective", "threshold", "cell_m")
 _SEARCH = _chosen("search", "particles", "iterations", "seed")
 _MODEL = _chosen("model", "caster")
@@ -287,16 +289,25 @@ def _pose_getter(key):
 def _pose_setter(key):
     def put(group, value):
         value = exact(value, key)
-        hang(group.id_data, pose_at(leaning(coordinates_of(group.id_data), **{key: value})))
+        lidar = group.id_data
+        hang(lidar, pose_at(leaning(coordinates_of(lidar), **{key: value}), road_of(lidar)))
 
     return put
 
 
 def coordinates_of(lidar: bpy.types.Object) -> dict[str, float]:
-    """The six coordinates of a LiDAR's mounting [m, degrees]."""
-    pose: Pose = pose_of(lidar)
-    angles = (round(math.degrees(angle), 4) + 0.0 for angle in (pose.tilt_x, pose.tilt_y, pose.yaw))
-    return dict(zip(COORDINATES, (pose.x_m, pose.y_m, pose.height_m, *angles), strict=True))
+    """The six coordinates of a LiDAR's mounting [m, degrees], on a mast that is plumb."""
+    return {key: round(value, 4) + 0.0 for key, value in plumb(pose_of(lidar), road_of(lidar)).items()}
+
+
+def road_of(lidar: bpy.types.Object) -> RoadFrame:
+    """The road that the LiDAR's scene has, as far as its mast is concerned: its slopes."""
+    scene = next(iter(lidar.users_scene), None)
+    if scene is None:
+        return RoadFrame()
+    road = scene.blender_lidar.road
+    keys = ("grade_percent", "cross_fall_percent")
+    return RoadFrame(**{key: exact(getattr(road, key)) for key in keys})
 
 
 class LIDAR_PG_lidar(bpy.types.PropertyGroup):

@@ -160,7 +160,7 @@ def keep(scene: bpy.types.Scene, recording: Recording) -> None:
 
 
 def _read_with(scenario: Scenario) -> str:
-    return repr((scenario.traffic, scenario.road, scenario.region, _stamp(scenario.traffic.path)))
+    return repr((scenario.traffic, scenario.road, scenario.region, scenario.world, _stamp(scenario.traffic.path)))
 
 
 def _stamp(path: str) -> tuple[int, int] | None:

@@ -12,7 +12,7 @@ from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..metrics.vgop import pe_vgop, to_vehicle_frame
 from ..scene.provenance import versions
-from ..scene.scenario import Scenario, pose_at
+from ..scene.scenario import Scenario
 from ..scene.settings import ObjectiveSettings
 from ..scene.site import lattice_of, standing_scenery
 from ..sensors.beams import BeamLattice
@@ -53,7 +53,7 @@ class MountedSensor:
         return scan(
             vehicles,
             self.lattice,
-            pose_at(self.mount),
+            self.scenario.pose(self.mount),
             caster=self.caster,
             detail=self.scenario.world.detail,
             min_range_m=self.lattice.model.range_min_m,
@@ -65,10 +65,10 @@ class MountedSensor:
 
     def cloud_header(self, vehicles: Vehicles) -> dict[str, object]:
         """What made the cloud of a frame, for the file that holds it."""
-        lattice, sensor = self.lattice, self.scenario.sensor
+        lattice, sensor, slopes = self.lattice, self.scenario.sensor, self.scenario.road.slopes
         return {
             "sensor": lattice.model.name,
-            "pose": dict(self.mount),
+            "pose": self.scenario.in_road(self.mount),
             "frame": vehicles.frame,
             "caster": self.caster,
             "detail": self.scenario.world.detail,
@@ -78,6 +78,7 @@ class MountedSensor:
             "range_m": [lattice.model.range_min_m, sensor.range_gate_m],
             "imperfections": sensor.imperfections_as_table(),
             "versions": versions(self.caster),
+            **({"mounting": dict(self.mount), "road": slopes} if slopes else {}),
         }
 
     def moment(self, vehicles: Vehicles, *, with_cloud: bool = True) -> Moment:
@@ -93,7 +94,7 @@ class MountedSensor:
             vehicles=vehicles,
             detail=self.scenario.world.detail,
             lattice=self.lattice,
-            pose=pose_at(self.mount),
+            pose=self.scenario.pose(self.mount),
             range_gate_m=self.scenario.sensor.range_gate_m,
             points=points,
             scenery=None if self.scenery is None else self.scenery.at(vehicles.time_s).scenery,

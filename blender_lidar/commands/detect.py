@@ -154,7 +154,7 @@ def _write(folder: Path, site: Site, judged: Mapping[str, JudgedDetector], mount
         of_frame = dict(zip(numbers, one.boxes, strict=True))
         ending = "" if name == "given" else f"_{name}"
         write_detected(folder / f"detections{ending}.csv", of_frame)
-        write_kitti_labels(folder / f"label_2{ending}", of_frame, mounts[name])
+        write_kitti_labels(folder / f"label_2{ending}", of_frame, site.scenario.in_road(mounts[name]))
     write_text(folder / DETECTION, json.dumps(result, indent=2) + "\n")
 
 

@@ -20,7 +20,7 @@ from ..clouds.scan import FrameScan, PointCloud, Turn
 from ..errors import InputError
 from ..scene.observation import Observation
 from ..scene.region import Region
-from ..scene.scenario import Scenario, pose_at
+from ..scene.scenario import Scenario
 from ..scene.site import Site, footprints_meet, standing_scenery
 from ..scoring.frame_scorer import FrameShapes
 from ..scoring.workers import Workers
@@ -300,7 +300,7 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
     none = np.zeros(len(vehicles), dtype=bool)
     shapes = FrameShapes(vehicles, none, seen.detail, seen.caster)
     frame = FrameScan(shapes, vehicles, seen, ground=plan.scenario.world.ground)
-    hangs = pose_at(scan.hangs)
+    hangs = plan.scenario.pose(scan.hangs)
     turn = frame.turn(hangs)
     cloud = frame.cloud(hangs, turn)
     visibility = visible_share(vehicles, seen.lattice, hangs, turn, seen.max_range_m)
@@ -309,7 +309,7 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
     row = order[np.searchsorted(vehicles.vehicle_id, on_one, sorter=order)]
     points = np.bincount(row, minlength=len(vehicles))
     if scan.hangs != scan.mount:
-        cloud = believed(cloud, hangs, pose_at(scan.mount))
+        cloud = believed(cloud, hangs, plan.scenario.pose(scan.mount))
     return Sample(scan, cloud, vehicles, counted, labelled, points, visibility)
 
 
@@ -326,7 +326,8 @@ def _scenery(plan: DatasetPlan, scan: PlannedScan) -> StandingScenery | None:
     if not world.clutter:
         return scenery
     nothing = {"blend": None, "mesh": None, "boxes": (), "barriers": (), "clutter_seed": scan.seed}
-    scenario = replace(plan.scenario, world=replace(world, **nothing))
+    flat = replace(plan.scenario.road, crown_percent=0.0)  # its surface stands there already
+    scenario = replace(plan.scenario, world=replace(world, **nothing), road=flat)
     return standing_scenery(scenario, plan.observation.caster, None, None if scenery is None else scenery.scenery)
 
 

@@ -13,7 +13,7 @@ from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..scene.observation import CountedFrame
-from ..scene.scenario import Scenario, pose_at
+from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..sensors.pose import Pose
 from .boxes import KINDS, DetectedBoxes, no_boxes
@@ -61,7 +61,7 @@ def detector_at(site: Site, mount: Mapping[str, float], name: str) -> Detector:
     places = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in site.search])
     area = places.min(axis=0) - _ASIDE_M, places.max(axis=0) + _ASIDE_M
     weights = SHIPPED if name == PillarsDetector.name else name
-    return PillarsDetector(seen.lattice.model.name, pose_at(mount), *area, weights)
+    return PillarsDetector(seen.lattice.model.name, site.scenario.pose(mount), *area, weights)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +137,7 @@ def judge_detector(
 
     def clouds(frames: Sequence[CountedFrame]) -> Iterator[PointCloud]:
         for frame in frames:
-            yield believed(sensor.scan(frame.vehicles), pose_at(hangs), pose_at(mount))
+            yield believed(sensor.scan(frame.vehicles), *map(site.scenario.pose, (hangs, mount)))
             advance(1)
 
     if detector.learns:
@@ -179,7 +179,7 @@ def judged_from_file(site: Site, mount: Mapping[str, float], path: str) -> Judge
         If it cannot be read, or lacks judging frames; a CSV file has no rows of frames without boxes, but must have
         some.
     """
-    of_frame = read_detected(path, mount)
+    of_frame = read_detected(path, site.scenario.in_road(mount))
     numbers = [frame.vehicles.frame for frame in judging_frames(site)[0]]
     missing = [number for number in numbers if number not in of_frame]
     whole = Path(path).is_dir() or Path(path).suffix.lower() == ".json"

@@ -14,7 +14,6 @@ from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import Outcome
-from ..scene.scenario import pose_at
 from ..scene.site import Site
 from ..scoring.frame_scorer import FrameScorer
 from ..traffic.vehicles import Vehicles
@@ -203,7 +202,7 @@ def draw_occupancy(path: str | Path, site: Site, run: Outcome) -> None:
     size_m, cell_m = counted.size_m[index], site.observation.cell_m
     grids = []
     for _, mount in sides(run.result):
-        points, owner = scorer.vehicle_points(pose_at(mount))
+        points, owner = scorer.vehicle_points(site.scenario.pose(mount))
         grids.append(occupancy_views(points[owner == index], size_m, cell_m))
     plot_occupancy(
         path,

@@ -21,11 +21,10 @@ _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
 def installation_text(site: Site, result: Mapping) -> str:
     """Instructions for one mounting, as plain text; `result` is the content of result.json."""
     mount = result["deployment"]
-    pose = pose_at(mount)
-    right, ahead, up = pose.to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
+    right, ahead, up = pose_at(mount).to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
     falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
     standing = site.observation.scenery
-    modelled = standing is not None and len(standing.scenery) > 0
+    modelled = standing is not None and len(standing.scenery.beside_road) > 0
     columns = f", {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
     lines = [
         f"Installation of one {result['sensor']} LiDAR",
@@ -33,6 +32,7 @@ def installation_text(site: Site, result: Mapping) -> str:
         *_accepted(result),
         f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor;",
         _above_foot(result),
+        *_slopes(site),
         f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
         f"             {_beside(site, mount['y_m'])}",
         f"Lean         {_lean(up)}",
@@ -47,7 +47,7 @@ def installation_text(site: Site, result: Mapping) -> str:
         "Check on site",
         f"- Inclinometer on the sensor's base: a fall of {falls[0]} towards zero azimuth and of",
         f"  {falls[1]} a quarter turn clockwise from it (a negative fall is a rise).",
-        f"- {_lowest_beam(site, pose)}",
+        f"- {_lowest_beam(site, mount)}",
         f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz{columns}.",
         "- Look for poles, signs, trees and barriers between the sensor and the lanes that the scene does not have."
         if modelled
@@ -74,6 +74,23 @@ def _above_foot(result):
         return "             from the pole's foot so much more as it lies below the road, less as it lies above"
     pole, height = result["pole"], result["deployment"]["height_m"]
     return f"             {height - pole['foot_z_m']:.2f} m from the foot of pole {pole['name']}"
+
+
+def _slopes(site):
+    """How the road slopes under a plumb mast, and what the height is measured from."""
+    road, lines = site.scenario.road, []
+    if not road.is_level:
+        side = "right" if road.cross_fall_percent >= 0.0 else "left"
+        fall = abs(road.cross_fall_percent)
+        lines += [
+            f"The road rises {road.grade_percent:g} % ahead and falls {fall:g} % to the {side}:",
+            "the height is plumb, above the plane of the road where that meets the mast,",
+            "and lean, yaw and falls are against the vertical, not the road",
+        ]
+    if road.crown_percent:
+        height = float(road.crown_m(np.array([np.mean(road.carriageway_y)]))[0])
+        lines.append(f"The road's surface is that of the carriageway's edges; its middle is {height:.2f} m higher")
+    return [f"             {line}" for line in lines]
 
 
 def _beside(site, y_m):
@@ -103,13 +120,15 @@ def _bearing(axis):
     return f"{names[nearest]}{turned}"
 
 
-def _lowest_beam(site, pose):
+def _lowest_beam(site, mount):
     """Where the lowest ring meets the ground in the direction of zero azimuth."""
+    pose = site.scenario.pose(mount)
     lowest = float(site.model.elevation_rad[0])
     ray = pose.to_world(np.array([[0.0, math.cos(lowest), math.sin(lowest)]]))[0]
     if ray[2] >= 0:
         return "At zero azimuth the lowest ring does not meet the ground."
-    reach = -pose.height_m * math.hypot(ray[0], ray[1]) / ray[2]
+    spot = pose.position - pose.height_m / ray[2] * ray
+    reach = math.hypot(spot[0] - mount["x_m"], spot[1] - mount["y_m"])
     return f"At zero azimuth the lowest ring meets the ground {reach:.1f} m from the pole: put a target there."
 
 

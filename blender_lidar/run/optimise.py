@@ -18,7 +18,7 @@ from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
 from ..optimise.search import joined_history
 from ..plugins import short_name
 from ..scene.provenance import versions
-from ..scene.scenario import Scenario, pose_at
+from ..scene.scenario import Scenario
 from ..scene.settings import MOUNTING_OR_LEAN, Pole, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
@@ -147,7 +147,7 @@ def _search_place(site: Site, evaluator: Evaluator, replay: Replay, listener: Li
         robust.label = "search over the tolerance"
         replay.carry_out(robust, objective.over_tolerance, listener)
         plans = [deployment.coordinates(robust.best_x), sharp]
-        mountings["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
+        mountings["optimised"] = best_over_tolerance(evaluator, plans, tolerance, deployment.road)
         mountings[NOMINAL], searches[ROBUST] = sharp, [robust]
     on_map = None if score_map is None else (score_map, score_map.best_coordinates(found))
     return _Found(mountings, searches, on_map, spread, polished)
@@ -230,11 +230,12 @@ def rung_costs(search: MultiFidelitySearch) -> list[dict[str, object]]:
 
 
 def scenery_counts(site: Site) -> dict[str, int] | None:
-    """Objects and triangles of the scenery within reach; None where the scene has none."""
+    """Objects and triangles of the scenery within reach; None where the scene has none but a crowned carriageway."""
     standing = site.observation.scenery
-    if standing is None:
+    if standing is None or (site.scenario.road.crown_percent and not len(standing.scenery.beside_road)):
         return None
-    return {"objects": len(np.unique(standing.scenery.owner)), "triangles": len(standing.scenery)}
+    beside = standing.scenery.beside_road
+    return {"objects": len(np.unique(beside.owner)), "triangles": len(beside)}
 
 
 class _SearchedObjective:
@@ -257,7 +258,8 @@ class _SearchedObjective:
     def over_tolerance(self, x: np.ndarray) -> np.ndarray:
         """Over the scene's tolerance, (s,)."""
         plans = [self._deployment.coordinates(row) for row in x]
-        return objective_over(self._evaluator, plans, self._site.scenario.objective.tolerance)
+        scenario = self._site.scenario
+        return objective_over(self._evaluator, plans, scenario.objective.tolerance, road=scenario.road)
 
     def by_block(self, searches: Sequence[Search]) -> tuple[np.ndarray, np.ndarray]:
         """All mountings that were tried, (n, d), and their objective in each block, (n, b)."""
@@ -349,11 +351,11 @@ def _conclude(
     for name, parts in zip((HISTORY, HISTORY_NOMINAL), reversed(searches.values()), strict=False):
         history = joined_history([search.history for search in parts])
         folder.write_history(name, history, scenario.deployment.variables)
-    poses = {name: pose_at(coordinates) for name, coordinates in mountings.items()}
+    poses = {name: scenario.pose(coordinates) for name, coordinates in mountings.items()}
     planned = NOMINAL if NOMINAL in mountings else "optimised"
     if on_map is not None:
         folder.write_score_map(on_map[0])
-        poses["best_of_map"] = pose_at(on_map[1])
+        poses["best_of_map"] = scenario.pose(on_map[1])
     if poles is not None:
         folder.write_ranking(poles)
     for file, name in {VEHICLES: "optimised", VEHICLES_BASELINE: BASELINE_NAME}.items():

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..road import RoadFrame
 from ..scene.scenario import COORDINATE_LIMITS, pose_at
 from ..scene.settings import COORDINATES, Tolerance
 from ..scoring.evaluation import Evaluator, Totals
@@ -59,15 +60,15 @@ def installation_errors(tolerance: Tolerance, base: int | None = None) -> np.nda
     return errors
 
 
-def installed(plan: Mapping[str, float], errors: np.ndarray) -> list[Pose]:
-    """Where a LiDAR planned at `plan` [m, degrees] hangs under each of the `errors` (m, 6).
+def installed(plan: Mapping[str, float], errors: np.ndarray, road: RoadFrame | None = None) -> list[Pose]:
+    """Where a LiDAR planned at `plan` [m, degrees] hangs under each of the `errors` (m, 6), beside a road.
 
     That may be beyond the bounds of a search, as an installer does not know them, but not beyond what a coordinate can
     be at all.
     """
     low, high = np.array([COORDINATE_LIMITS[key] for key in COORDINATES]).T
     hung = np.clip(np.array([plan[key] for key in COORDINATES]) + errors, low, high)
-    return [pose_at(dict(zip(COORDINATES, row, strict=True))) for row in hung.tolist()]
+    return [pose_at(dict(zip(COORDINATES, row, strict=True)), road) for row in hung.tolist()]
 
 
 def aimed(values: np.ndarray, aim: str) -> np.ndarray:
@@ -78,7 +79,11 @@ def aimed(values: np.ndarray, aim: str) -> np.ndarray:
 
 
 def objective_over(
-    evaluator: Evaluator, plans: Sequence[Mapping[str, float]], tolerance: Tolerance, base: int | None = None
+    evaluator: Evaluator,
+    plans: Sequence[Mapping[str, float]],
+    tolerance: Tolerance,
+    base: int | None = None,
+    road: RoadFrame | None = None,
 ) -> np.ndarray:
     """The objective of each plan over the tolerance, (s,), in the metric's unit: what a robust search maximises.
 
@@ -88,19 +93,19 @@ def objective_over(
     of 121 by 0.0011. The mounting as planned is, alone, 0.006 off that mean.
     """
     errors = installation_errors(tolerance, base)
-    poses = [pose for plan in plans for pose in installed(plan, errors)]
+    poses = [pose for plan in plans for pose in installed(plan, errors, road)]
     objective = evaluator.totals(poses).objective.sum(axis=1)
     return aimed(objective.reshape(len(plans), len(errors)), tolerance.aim)
 
 
 def best_over_tolerance(
-    evaluator: Evaluator, plans: Sequence[Mapping[str, float]], tolerance: Tolerance
+    evaluator: Evaluator, plans: Sequence[Mapping[str, float]], tolerance: Tolerance, road: RoadFrame | None = None
 ) -> Mapping[str, float]:
     """The best of a few plans over the tolerance, the first of equals.
 
     It is judged under errors that no search has met, so that what a robust search made of its few falls away.
     """
-    return plans[int(np.argmax(objective_over(evaluator, plans, tolerance, JUDGED_BASE)))]
+    return plans[int(np.argmax(objective_over(evaluator, plans, tolerance, JUDGED_BASE, road)))]
 
 
 def tolerance_text(settings: Mapping) -> str:
@@ -207,6 +212,7 @@ def losses_over_tolerance(
     tolerance: Tolerance,
     block: np.ndarray,
     recording: np.ndarray | None = None,
+    road: RoadFrame | None = None,
 ) -> ToleranceLosses:
     """Score a mounting as planned, under errors that fill the tolerance, and at the limits of each coordinate.
 
@@ -222,6 +228,8 @@ def losses_over_tolerance(
         Block of time of each of the evaluator's frames.
     recording : ndarray of int, (f,), optional
         Recording of each of them, where there are several.
+    road : RoadFrame, optional
+        Beside which it hangs; a level one unless said.
     """
     errors, widths = installation_errors(tolerance, JUDGED_BASE), tolerance.half_widths
     limits = [
@@ -229,7 +237,8 @@ def losses_over_tolerance(
         for key, width in widths.items()
         for sign in (-1.0, 1.0)
     ]
-    totals = evaluator.totals(installed(plan, np.concatenate([np.zeros((1, len(COORDINATES))), errors, limits])))
+    errors_of_all = np.concatenate([np.zeros((1, len(COORDINATES))), errors, limits])
+    totals = evaluator.totals(installed(plan, errors_of_all, road))
     planned = judged_rows(totals, slice(0, 1), block, recording)
     lost = planned.per_vehicle - totals.per_vehicle()[1 + len(errors) :]
     return ToleranceLosses(

@@ -118,7 +118,10 @@ def judge_over_tolerance(
     tolerance = site.scenario.objective.tolerance
 
     def losses(scorer: Evaluator, *blocks: np.ndarray) -> dict[str, ToleranceLosses]:
-        return {name: losses_over_tolerance(scorer, plan, tolerance, *blocks) for name, plan in mountings.items()}
+        return {
+            name: losses_over_tolerance(scorer, plan, tolerance, *blocks, road=site.scenario.road)
+            for name, plan in mountings.items()
+        }
 
     def scores(split: Mapping[str, ToleranceLosses], name: str) -> dict:
         kept = split[name].kept(split[BASELINE_NAME].planned.per_vehicle)
@@ -177,7 +180,7 @@ def rank_poles(
     best : int
         Which of the poles is the first row.
     """
-    poses = [pose_at(plan) for plan in plans]
+    poses = [site.scenario.pose(plan) for plan in plans]
     searched = evaluator.totals(poses)
     order = np.argsort(-searched.objective.sum(axis=1), kind="stable")
     held_out = evaluator.held_out.totals(poses) if evaluator.held_out.weight.sum() else None
@@ -319,7 +322,7 @@ def map_scores(
     parts = []
     for h in height.tolist():
         places = (leaning(optimum, **dict(zip(axes, (h, t), strict=True))) for t in tilt.tolist())
-        parts.append(evaluator.totals([pose_at(place) for place in places]))
+        parts.append(evaluator.totals([pose_at(place, deployment.road) for place in places]))
         progress(len(tilt))
     objective, detectable, *_ = zip(*parts, strict=True)
     totals = parts[0]._replace(objective=np.concatenate(objective), detectable=np.concatenate(detectable))

@@ -138,6 +138,7 @@ def scenario_of(
     deployment, sensor = _deployment(tables["deployment"]), _sensor(tables["sensor"])
     region = _region(tables["region"], sensor, of_file, overrides)
     road = tables["road"].read_as(RoadFrame)
+    deployment = replace(deployment, road=road)
     nominal = {key: deployment.fixed[key] for key in ("x_m", "y_m") if key in deployment.fixed and not deployment.poles}
     # Where the place is searched the baseline stays where no bound, pole or order of poles moves it.
     nominal = {"x_m": region_of(region, road.carriageway_y).centre_xy[0], "y_m": 0.0} | nominal

@@ -300,12 +300,15 @@ class Deployment:
         Candidate places, each searched by itself; none where x and y say the place.
     poles_file : str or None
         The table that they come from.
+    road : RoadFrame
+        Whose slopes `pose` knows.
     """
 
     fixed: Mapping[str, float]
     bounds: Mapping[str, tuple[float, float]]
     poles: tuple[Pole, ...] = ()
     poles_file: str | None = None
+    road: RoadFrame = field(default=RoadFrame(), repr=False)
 
     def at(self, pole: Pole) -> Deployment:
         """The same search on one pole: its place, and its heights where it has its own, above the road plane."""
@@ -315,7 +318,7 @@ class Deployment:
         fixed = {**self.fixed, "x_m": pole.x_m, "y_m": pole.y_m, "height_m": low}
         bounds = {**self.bounds, "height_m": (low, high)}
         (bounds if low == high else fixed).pop("height_m")
-        return Deployment(fixed, {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds})
+        return Deployment(fixed, {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}, road=self.road)
 
     @property
     def places(self) -> tuple[Deployment, ...]:
@@ -364,7 +367,7 @@ class Deployment:
 
     def pose(self, x) -> Pose:
         """The mounting at the point `x` (d,) of the search space."""
-        return pose_at(self.coordinates(x))
+        return pose_at(self.coordinates(x), self.road)
 
 
 @dataclass(frozen=True, slots=True)
@@ -654,7 +657,17 @@ class Scenario:
 
     @property
     def baseline_pose(self) -> Pose:
-        return pose_at(self.baseline)
+        return self.pose(self.baseline)
+
+    def pose(self, coordinates: Mapping[str, float]) -> Pose:
+        """The mounting at the six coordinates of `COORDINATES`, beside this road."""
+        return pose_at(coordinates, self.road)
+
+    def in_road(self, coordinates: Mapping[str, float]) -> dict[str, float]:
+        """The same in the frame of this road: what `pose_at` makes the same pose of beside a level one."""
+        if self.road.is_level:
+            return dict(coordinates)
+        return plumb(self.pose(coordinates), RoadFrame())
 
     @property
     def files(self) -> dict[tuple[str, str], str]:
@@ -780,9 +793,39 @@ def leaning(coordinates: Mapping[str, float], **changes: float) -> dict[str, flo
     return six_coordinates({**kept, **changes}, coordinates)
 
 
-def pose_at(coordinates: Mapping[str, float]) -> Pose:
-    """The mounting at the six coordinates of `COORDINATES`, degrees becoming radians."""
+def pose_at(coordinates: Mapping[str, float], road: RoadFrame | None = None) -> Pose:
+    """The mounting at the six coordinates of `COORDINATES`, in the frame of a road; of a level one unless said.
+
+    Coordinates are what an installer sets: x and y of the mast's foot, on the road's plane; the height above it along
+    the mast, which is plumb; tilts against the vertical, and yaw about it from the level direction of the road's x.
+    """
     from ..sensors.pose import Pose
 
     x_m, y_m, height_m, *angles = (coordinates[key] for key in COORDINATES)
-    return Pose(x_m, y_m, height_m, *map(math.radians, angles))
+    pose = Pose(x_m, y_m, height_m, *map(math.radians, angles))
+    if road is None or road.is_level:
+        return pose
+    from ..sensors.pose import tilts_of
+
+    axes = _axes(road)
+    x, y, z = (pose.height_m * axes[:, 2]).tolist()  # along the mast
+    return Pose(x_m + x, y_m + y, z, *tilts_of(pose.rotation @ axes.T))
+
+
+def plumb(pose: Pose, road: RoadFrame) -> dict[str, float]:
+    """The six coordinates [m, degrees] by which `pose_at` gives a pose in the frame of a road."""
+    from ..sensors.pose import tilts_of
+
+    place, angles = (pose.x_m, pose.y_m, pose.height_m), (pose.tilt_x, pose.tilt_y, pose.yaw)
+    if not road.is_level:
+        axes = _axes(road)
+        x, y, z = axes[:, 2].tolist()
+        height = pose.height_m / z
+        place, angles = (pose.x_m - height * x, pose.y_m - height * y, height), tilts_of(pose.rotation @ axes)
+    return dict(zip(COORDINATES, (*place, *map(math.degrees, angles)), strict=True))
+
+
+def _axes(road: RoadFrame):
+    from ..sensors.pose import road_axes
+
+    return road_axes(0.01 * road.grade_percent, 0.01 * road.cross_fall_percent)

@@ -11,21 +11,23 @@ import numpy as np
 from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
+from ..road import RoadFrame
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
+from ..sensors.pose import road_axes
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
 from ..traffic.fleet import with_variety
 from ..traffic.frames import few_vehicles
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
-from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
+from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, crown, join
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
 from .plausibility import checked_recording, nobody_there
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .scenario import Scenario
-from .settings import BarrierSettings, BoxSettings, ObjectiveSettings, SensorSettings, WorldSettings
+from .settings import COORDINATES, BarrierSettings, BoxSettings, ObjectiveSettings, SensorSettings, WorldSettings
 
 # --- The scenery that a scene's [world] describes: files that Blender reads, boxes and barriers, in the road frame -
 
@@ -43,10 +45,12 @@ def read_scenery(scenario: Scenario, reach_m: float, mount: Mapping[str, float] 
     world = scenario.world
     centre = scenario.deployment.nominal_xy
     paths = [path for path in (world.blend, world.mesh) if path is not None]
-    files = [_near(path, world, centre, reach_m) for path in paths]
+    files = [_near(path, world, scenario.road, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
     barriers = [barrier(item.kind, item.y_m, item.x_m) for item in world.barriers]
     beside = clutter(scenario.road, world.clutter, world.clutter_seed, centre[0], reach_m, _may_hang(scenario, mount))
+    if scenario.road.crown_percent and world.ground:
+        barriers.append(crown(scenario.road, centre[0] - reach_m, centre[0] + reach_m))
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])
 
 
@@ -60,12 +64,15 @@ def _may_hang(scenario: Scenario, mount: Mapping[str, float] | None) -> list[tup
     return [(low, high) for low, high in corners]
 
 
-def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
+def _near(path: str, world: WorldSettings, road: RoadFrame, centre: tuple[float, float], reach_m: float) -> Scenery:
     """What of a file lies within reach; a file of which nothing does is most likely put in the wrong place."""
     read_site = blender_room("site", path).read_site
     heading = math.radians(world.heading_deg)
     cos, sin = math.cos(heading), math.sin(heading)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
+
+    if not road.is_level:
+        turn = turn @ road_axes(0.01 * road.grade_percent, 0.01 * road.cross_fall_percent).T  # files are plumb
 
     def to_road(points: np.ndarray) -> np.ndarray:
         return (points - np.array(world.origin_m)) @ turn
@@ -120,6 +127,8 @@ def check_mount_is_clear(
             }
             mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
     right, left = scenario.road.carriageway_y
+    level = dict.fromkeys(COORDINATES, 0.0)
+    along_mast = scenario.pose(level | {"height_m": 1.0}).position  # of one metre of it
     solids = [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]
     frames = list(frames)
     for where, mount in mounts.items():
@@ -128,14 +137,22 @@ def check_mount_is_clear(
         if low[1] < left and high[1] > right:
             allowed = f"at most {right:g} or at least {left:g} m"
             raise InputError(f"{where}: the mount at y {across} m stands on the carriageway; allowed: {allowed}")
+        heads = np.sort([low[2] * along_mast[:2], high[2] * along_mast[:2]], axis=0)  # off the feet
+        head_low, head_high = low + [*heads[0], 0.0], high + [*heads[1], 0.0]
         for solid in solids:
             middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
             place = np.array([solid.centre_m]), np.array([solid.size_m]), np.radians([solid.heading_deg])
-            if low[2] <= middle + half and high[2] >= middle - half and footprints_meet(*place, low, high).any():
+            if (
+                low[2] <= middle + half
+                and high[2] >= middle - half
+                and footprints_meet(*place, head_low, head_high).any()
+            ):
                 raise InputError(f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move one of them")
         for vehicles in frames:
             place = vehicles.centre_m, vehicles.size_m, vehicles.heading_rad
-            inside = vehicles.vehicle_id[footprints_meet(*place, low, high)]
+            inside = vehicles.vehicle_id[
+                footprints_meet(*place, np.minimum(low, head_low), np.maximum(high, head_high))
+            ]
             if len(inside):
                 raise InputError(
                     f"{where}: the mount at x {along} m, y {across} m stands inside vehicle {inside[0]} of frame "
@@ -341,7 +358,8 @@ def standing_scenery(
 
     It is what [world] says, and what is `given` besides.
     """
-    if not scenario.world.has_scenery and (given is None or not len(given)):
+    crowned = scenario.road.crown_percent and scenario.world.ground
+    if not scenario.world.has_scenery and not crowned and (given is None or not len(given)):
         return None
     sensor, centre = scenario.sensor, scenario.deployment.nominal_xy
     reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount, centre)
@@ -366,6 +384,9 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     given = {key: getattr(settings, key) for key in _OF_FORMATS}
     recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
+    if scenario.road.crown_percent:
+        above = scenario.road.crown_m(recording.centre_m[:, 1])
+        recording = recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
     if settings.lanes is None:
         return checked_recording(recording, scenario)
     in_lanes = np.isin(recording.lane, settings.lanes)

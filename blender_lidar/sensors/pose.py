@@ -87,6 +87,25 @@ def tilts_of(rotation: np.ndarray) -> tuple[float, float, float]:
     return tilt_x, math.atan2(*upright), math.atan2(-level[1, 0], level[1, 1])
 
 
+# --- A road that is not level, beside which masts are plumb all the same ----------------------------------------------
+
+
+def road_axes(grade: float, cross_fall: float) -> np.ndarray:
+    """Axes of the road frame in the plumb frame, (3, 3), a row each: ``plumb = road @ axes``.
+
+    The plumb frame's z is the vertical, and its x points along the road, level. The road is the plane
+    ``z = grade x + cross_fall y`` in it; the road frame's x lies in that plane above the plumb frame's.
+
+    Parameters
+    ----------
+    grade, cross_fall : float
+        Rise along +x and along +y, by level metre.
+    """
+    x = np.array([1.0, 0.0, grade]) / math.hypot(1.0, grade)
+    z = np.array([-grade, -cross_fall, 1.0]) / math.hypot(1.0, grade, cross_fall)
+    return np.stack([x, np.cross(z, x), z])
+
+
 @lru_cache(maxsize=1024)  # more than a swarm, which meets frame after frame
 def _kept_rotation(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
     rotation = rotation_matrix(tilt_x, tilt_y, yaw)
@@ -101,7 +120,7 @@ class Pose:
     Attributes
     ----------
     x_m, y_m, height_m : float
-        Position of the optical centre [m]; `height_m` above the road surface.
+        Position of the optical centre [m]; `height_m` above the road's plane, square to it.
     tilt_x, tilt_y, yaw : float
         Orientation [rad], as in `rotation_matrix`.
 

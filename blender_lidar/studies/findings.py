@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..metrics.metric import Metric
+from ..road import RoadFrame
 from ..run.verdict import AXES
 from ..scene.scenario import Scenario, pose_at
 from ..scene.settings import leaning, with_lean
@@ -106,6 +107,8 @@ class MountingGrid:
         Of each candidate.
     axes : (str, str)
         What these two are: see `Deployment.axes`.
+    road : RoadFrame
+        Beside which they hang.
     """
 
     reference: dict[str, float]
@@ -113,6 +116,7 @@ class MountingGrid:
     height_m: np.ndarray
     tilt_deg: np.ndarray
     axes: tuple[str, str] = AXES
+    road: RoadFrame = RoadFrame()
 
     @property
     def grid(self) -> list[dict[str, float]]:
@@ -131,7 +135,8 @@ class MountingGrid:
     @property
     def poses(self) -> tuple[Pose, ...]:
         """All of them, (2 + k)."""
-        return pose_at(self.reference), self.baseline, *map(pose_at, self.grid)
+        reference, *grid = (pose_at(one, self.road) for one in (self.reference, *self.grid))
+        return reference, self.baseline, *grid
 
 
 def check_searched(scenario: Scenario) -> None:
@@ -167,7 +172,7 @@ def mountings_about(scenario: Scenario, reference: Mapping[str, float], heights:
         for axis in names
     ]
     height, tilt = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
-    return MountingGrid(dict(reference), scenario.baseline_pose, height, tilt, names)
+    return MountingGrid(dict(reference), scenario.baseline_pose, height, tilt, names, scenario.road)
 
 
 # --- losses -----------------------------------------------------------------------------------------------------------

@@ -15,10 +15,10 @@ import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..plugins import short_name
+from ..road import RoadFrame
 from ..run.optimise import fresh_search
 from ..run.tolerance import installed, losses_over_tolerance, objective_over, tolerance_text
 from ..run.verdict import vehicle_table
-from ..scene.scenario import pose_at
 from ..scene.settings import ANGLES, COORDINATES, Tolerance, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
@@ -237,7 +237,7 @@ def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[d
 
 def _judged_answers(folder: StudyFolder, site: Site, judging: str, answers: Sequence[Mapping]) -> list[float]:
     """What the baseline and the answers of all seeds come to, per vehicle, on the frames that judge."""
-    poses = (site.scenario.baseline_pose, *(pose_at(answer["mounting"]) for answer in answers))
+    poses = (site.scenario.baseline_pose, *(site.scenario.pose(answer["mounting"]) for answer in answers))
     (judged,) = folder.landscapes(site, [Job(replace(AS_IT_IS, section="answers"), poses, judging)], "answers judged")
     return judged.per_vehicle().tolist()
 
@@ -272,20 +272,20 @@ def _installation(
     folder: StudyFolder, site: Site, judging: str, mountings: MountingGrid, tolerance: Tolerance
 ) -> dict[str, dict]:
     """The mounting off its plan, on the frames that judge; the robust optimum is looked for as each variation's is."""
-    plan, block = mountings.reference, split_of(site, judging)[1]
+    plan, block, road = mountings.reference, split_of(site, judging)[1], site.scenario.road
     with (
         folder.counting(3, "installed only nearly so") as shown,
         site_evaluator(site, site.search, site.holdout) as evaluator,
     ):
         # Best where it hangs only nearly as planned:
-        robust = mountings.grid[int(np.argmax(objective_over(evaluator, mountings.grid, tolerance)))]
+        robust = mountings.grid[int(np.argmax(objective_over(evaluator, mountings.grid, tolerance, road=road)))]
         shown.advance(1)
         judge = evaluator.held_out if judging == HELD_OUT else evaluator
         planned, baseline = judge.totals(list(mountings.poses[:CANDIDATES])).per_vehicle().tolist()
-        profiles = _profiles(judge, plan, planned, baseline)
+        profiles = _profiles(judge, plan, planned, baseline, road)
         shown.advance(1)
-        losses = losses_over_tolerance(judge, plan, tolerance, block)
-        over = objective_over(judge, [plan, robust], tolerance) / judge.weight.sum()
+        losses = losses_over_tolerance(judge, plan, tolerance, block, road=road)
+        over = objective_over(judge, [plan, robust], tolerance, road=road) / judge.weight.sum()
         nominal, best = (over - baseline).tolist()
         shown.advance(1)
     off_plan = {"gain": planned - baseline, "kept": losses.kept(baseline), "limits": losses.limit_losses}
@@ -293,7 +293,9 @@ def _installation(
     return {"profiles": profiles, "off_plan": off_plan, "robust": beside}
 
 
-def _profiles(evaluator: Evaluator, plan: Mapping[str, float], planned: float, baseline: float) -> dict[str, dict]:
+def _profiles(
+    evaluator: Evaluator, plan: Mapping[str, float], planned: float, baseline: float, road: RoadFrame
+) -> dict[str, dict]:
     """Share of the gain that is kept with one coordinate off at a time: offsets [m or degrees] and shares of each.
 
     Empty where the mounting gains nothing over the baseline.
@@ -301,7 +303,7 @@ def _profiles(evaluator: Evaluator, plan: Mapping[str, float], planned: float, b
     found = {}
     for key, reach in PROFILES.items() if planned > baseline else ():
         offsets = np.linspace(-reach, reach, 2 * _STEPS + 1)
-        values = evaluator.totals(installed(plan, np.outer(offsets, np.array(COORDINATES) == key))).per_vehicle()
+        values = evaluator.totals(installed(plan, np.outer(offsets, np.array(COORDINATES) == key), road)).per_vehicle()
         found[key] = {"offset": offsets.tolist(), "kept": ((values - baseline) / (planned - baseline)).tolist()}
     return found
 
@@ -309,7 +311,7 @@ def _profiles(evaluator: Evaluator, plan: Mapping[str, float], planned: float, b
 def _views_beyond_the_peak(site: Site, mounting: Mapping[str, float]) -> dict:
     """Share of the views with any return whose occupancy exceeds 1/e, of all and of those nearer than 10 m."""
     with site_evaluator(site, site.search) as evaluator:
-        table = vehicle_table(pose_at(mounting), search=evaluator)
+        table = vehicle_table(site.scenario.pose(mounting), search=evaluator)
     views = np.stack([table[view] for view in ("p_top", "p_side", "p_front")], axis=1)
     every, near = (seen[seen > 0] for seen in (views, views[table["distance_m"] < 10.0]))
     shares = [float((seen > _PEAK).mean()) if len(seen) else None for seen in (every, near)]

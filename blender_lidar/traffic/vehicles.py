@@ -250,6 +250,12 @@ class Recording:
             report=self.report,
         )
 
+    def with_columns(self, **columns: np.ndarray) -> Recording:
+        """The same recording with other values in some of the columns of `Vehicles`."""
+        for array in columns.values():
+            array.flags.writeable = False
+        return replace(self, **columns)
+
     def __len__(self) -> int:
         """Rows: boxes over all frames."""
         return len(self.frame)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import unknown_name
 from ..names import BARRIERS
+from ..road import RoadFrame
 from .meshes import ROAD, STRUCTURE, tube
 from .shapes import shape
 from .triangles import place
@@ -73,6 +74,9 @@ def ground_plane(centre_xy: tuple[float, float], reach_m: float) -> Scenery:
 # --- What stands still and hides vehicles: boxes, barriers, and the meshes of a site, as triangles in the road frame -
 
 
+CROWN = "carriageway of [road]"  # the name of its surface, where that is not the plane z = 0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scenery:
     """Triangles that belong to no vehicle.
@@ -105,6 +109,12 @@ class Scenery:
             content.update(np.ascontiguousarray(array).tobytes())
         return content.hexdigest()
 
+    @property
+    def beside_road(self) -> Scenery:
+        """What of it is not the crowned carriageway."""
+        kept = np.array([name != CROWN for name in self.names], dtype=bool)[self.owner]
+        return Scenery(self.corners[kept], self.owner[kept], self.surface[kept], self.names)
+
     def within(self, centre_xy: tuple[float, float], radius_m: float) -> Scenery:
         """What of it may lie within a horizontal distance of a place [m]: triangles whose bounding box does."""
         kept = boxes_reach(self.corners, centre_xy, radius_m)
@@ -129,6 +139,16 @@ def box(name: str, centre_m: Sequence[float], size_m: Sequence[float], heading_r
     unit = shape("car", "box")
     corners = place(unit.vertices, np.array([centre_m]), np.array([size_m]), np.array([heading_rad]))[0]
     return structure(name, corners[unit.faces])
+
+
+def crown(road: RoadFrame, first_x: float, last_x: float) -> Scenery:
+    """The surface of a carriageway that falls from its middle line to both edges, between two x [m]: two planes."""
+    right, left = road.carriageway_y
+    y = np.array([right, 0.5 * (right + left), left])
+    rows = np.array([[(x, *yz) for yz in zip(y, road.crown_m(y), strict=True)] for x in (first_x, last_x)])
+    a, b, c, d = rows[0, :-1], rows[1, :-1], rows[1, 1:], rows[0, 1:]
+    corners = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return Scenery(corners, np.zeros(4, np.int32), np.full(4, ROAD, np.uint8), (CROWN,))
 
 
 def join(parts: Iterable[Scenery]) -> Scenery:

@@ -6,13 +6,16 @@ Options = dict[tuple[str, str], tuple[object, str]]
 
 
 def hard_world() -> Options:
-    """Clutter, vehicles that differ, noise, lost and weak returns, and a mounting that is known only nearly.
+    """Clutter, vehicles that differ, a road that is not flat, noise, lost and weak returns, and a mounting that is known only nearly.
 
     In the place of a scene's settings, as `scene.scenario.load_scenario` takes them.
     """
     settings = {
         ("world", "clutter"): 1.0,
         ("world", "variety"): 1.0,
+        ("road", "grade_percent"): 1.0,
+        ("road", "cross_fall_percent"): 1.0,
+        ("road", "crown_percent"): 2.0,
         ("sensor", "range_noise_m"): "datasheet",
         ("sensor", "dropout"): 0.02,
         ("sensor", "glass_dropout"): 0.5,

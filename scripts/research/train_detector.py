@@ -29,9 +29,10 @@ from blender_lidar.detection.boxes import kind_of
 from blender_lidar.detection.dataset import TRAIN, Sample, plan_dataset, samples
 from blender_lidar.detection.pillars import CELL_M, Area, density, fit_ground
 from blender_lidar.files import check_place, make_folder, whole_file
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
+from blender_lidar.sensors.pose import Pose
 from detector_worlds import hard_world
 from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate_at, shown, train_step
 
@@ -134,31 +135,30 @@ def site_windows(sensor: str, number: int, traffic: Sequence[str], scans: int) -
     plan = plan_dataset(site, MOUNTINGS, scans, seed=number + 1)
     for one in samples(plan):
         if one.scan.split == TRAIN:
-            yield window_of(one, site.observation.max_range_m, rng)
+            yield window_of(one, site.scenario.pose(one.scan.mount), site.observation.max_range_m, rng)
 
 
-def window_of(sample: Sample, gate_m: float, rng: np.random.Generator) -> Window:
+def window_of(sample: Sample, pose: Pose, gate_m: float, rng: np.random.Generator) -> Window:
     """A part of a scan as large as `WINDOW`, anywhere along the road within the range gate and nearly all across it."""
-    mount, size = sample.scan.mount, CELL_M * np.array(WINDOW)
-    low = np.array([-gate_m - 4.0, -13.0 - mount["y_m"]])
-    high = np.maximum([gate_m + 4.0 - size[0], -8.0 - mount["y_m"]], low)
+    foot, size = np.array([pose.x_m, pose.y_m, 0.0]), CELL_M * np.array(WINDOW)
+    low = np.array([-gate_m - 4.0, -13.0 - pose.y_m])
+    high = np.maximum([gate_m + 4.0 - size[0], -8.0 - pose.y_m], low)
     first = CELL_M * np.rint(rng.uniform(low, high) / CELL_M)
-    from_lidar = sample.cloud.xyz - [mount["x_m"], mount["y_m"], 0.0]
+    from_lidar = sample.cloud.xyz - foot
     inside = ((from_lidar[:, :2] >= first) & (from_lidar[:, :2] < first + size)).all(axis=1)
     vehicles, told = sample.vehicles, sample.labelled
     boxes = np.column_stack(
         [
-            vehicles.centre_m - [mount["x_m"], mount["y_m"], 0.0],
+            vehicles.centre_m - foot,
             vehicles.size_m,
             vehicles.heading_rad,
             kind_of(vehicles.class_index),
             np.where(told, sample.points, 0),
         ]
     )
-    pose = pose_at(mount)
     lean = np.degrees(np.arccos(min(1.0, pose.rotation[2, 2])))
     area = Area(tuple(first.tolist()), *WINDOW)
-    return Window(from_lidar[inside].astype(np.float32), boxes, mount["height_m"], float(lean), area)
+    return Window(from_lidar[inside].astype(np.float32), boxes, pose.height_m, float(lean), area)
 
 
 def _as_arrays(windows: Sequence[Window]) -> dict[str, np.ndarray]:

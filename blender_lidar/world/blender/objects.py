@@ -211,22 +211,27 @@ _LINE_ABOVE_M = 0.01  # high enough not to flicker, seen from afar
 
 
 def build_road(scene: bpy.types.Scene, road: RoadFrame, reach_m: float) -> None:
-    """The plane z = 0 from x = -`reach_m` to `reach_m`, with lane lines; it takes the place of an earlier one."""
+    """The plane z = 0 from x = -`reach_m` to `reach_m`, its carriageway with its crown and lane lines.
+
+    It takes the place of an earlier one.
+    """
     into = collection(scene, "Road", ROAD_ROLE)
     clear(into)
     right, left = road.carriageway_y
-    edges = np.array([right - _VERGE_M, right - _SHOULDER_M, left + _SHOULDER_M, left + _VERGE_M])
-    ground = np.array([(x, y, 0.0) for y in edges for x in (-reach_m, reach_m)])
-    faces = np.array([(2 * row, 2 * row + 1, 2 * row + 3, 2 * row + 2) for row in range(3)])
-    add_object(into, "Verge", new_mesh("Verge", ground, faces[::2], [plain("Verge", VERGE, roughness=1.0)]))
+    crown = [right, 0.5 * (right + left), left] if road.crown_percent else []
+    edges = np.array([right - _VERGE_M, right - _SHOULDER_M, *crown, left + _SHOULDER_M, left + _VERGE_M])
+    ground = np.array([(x, y, z) for y, z in zip(edges, road.crown_m(edges), strict=True) for x in (-reach_m, reach_m)])
+    faces = np.array([(2 * row, 2 * row + 1, 2 * row + 3, 2 * row + 2) for row in range(len(edges) - 1)])
+    verges = faces[[0, -1]]
+    add_object(into, "Verge", new_mesh("Verge", ground, verges, [plain("Verge", VERGE, roughness=1.0)]))
     asphalt = plain("Asphalt", ASPHALT, ROAD, 0.9)
-    add_object(into, "Surface", new_mesh("Surface", ground[2:6], faces[:1], [asphalt]))
+    add_object(into, "Surface", new_mesh("Surface", ground[2:-2], faces[:-2], [asphalt]))
 
     starts = np.arange(-reach_m, reach_m - _DASH_M, _DASH_EVERY_M)
     lines = [(right, -reach_m, reach_m), (left, -reach_m, reach_m)]  # y, first and last x
     lines += [(right + lane * road.lane_width_m, x, x + _DASH_M) for lane in range(1, road.lanes) for x in starts]
     y, first, last = np.array(lines).T
-    half, z = 0.5 * _LINE_WIDTH_M, np.full(len(y), _LINE_ABOVE_M)
+    half, z = 0.5 * _LINE_WIDTH_M, road.crown_m(y) + _LINE_ABOVE_M
     corners = [(first, y - half, z), (last, y - half, z), (last, y + half, z), (first, y + half, z)]
     vertices = np.array(corners).transpose(2, 0, 1).reshape(-1, 3)
     painted = new_mesh("Lane lines", vertices, np.arange(len(vertices)).reshape(-1, 4), [plain("Lane line", LINE)])
@@ -239,6 +244,7 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
     clear(into)
     if scenery is None:
         return
+    scenery = scenery.beside_road
     materials = [plain("Structure", CONCRETE), glass()]
     order = np.argsort(scenery.owner, kind="stable")
     owners, starts = np.unique(scenery.owner[order], return_index=True)

@@ -1,0 +1,199 @@
+"""A road that is not level beside a plumb mast: the same as a tilted world about a level one, beam by beam."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.casting.exact import ExactCaster
+from blender_lidar.clouds.files import levelled
+from blender_lidar.detection.judge import _believed, sensor_at
+from blender_lidar.errors import InputError
+from blender_lidar.road import RoadFrame
+from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.settings import COORDINATES, plumb
+from blender_lidar.scene.site import check_mount_is_clear, prepare
+from blender_lidar.scoring import frame_scorer
+from blender_lidar.sensors.pose import rotation_matrix
+from blender_lidar.world.triangles import vehicle_triangles
+from tests.small_scene import CASTER
+
+MOUNT = dict(zip(COORDINATES, (3.0, -1.0, 4.2, 14.0, 5.0, 20.0), strict=True))
+SLOPES = {"grade_percent": 6.0, "cross_fall_percent": -2.5}
+
+
+def scenario(caster=CASTER, **road):
+    scene = {("model", "caster"): caster, ("traffic", "frames"): 4, ("world", "variety"): 1.0}
+    scene |= {("road", key): value for key, value in road.items()}
+    return load_scenario("i80", {key: (value, "x") for key, value in scene.items()})
+
+
+@pytest.fixture(scope="module")
+def site():
+    return prepare(scenario("exact", **SLOPES))
+
+
+@pytest.fixture(scope="module")
+def crowned():
+    return prepare(scenario(**SLOPES, crown_percent=3.0))
+
+
+def tilted(points, grade, cross_fall):
+    """Points on a road that was level, after its plane was tilted: Gram and Schmidt's axes within it."""
+    x, y = np.array([1.0, 0.0, grade]), np.array([0.0, 1.0, cross_fall])
+    x /= np.linalg.norm(x)
+    y -= (y @ x) * x
+    y /= np.linalg.norm(y)
+    return points @ np.stack([x, y, np.cross(x, y)])
+
+
+def rays_of(lattice, mount):
+    """Plumb rays of all beams."""
+    angles = (math.radians(mount[key]) for key in ("tilt_x_deg", "tilt_y_deg", "yaw_deg"))
+    return lattice.directions.reshape(-1, 3) @ rotation_matrix(*angles)
+
+
+def test_ranges_are_those_of_a_tilted_world_about_a_plumb_lidar(site):
+    grade, cross_fall = 0.06, -0.025
+    frame, lattice = site.search[0].vehicles, site.observation.lattice
+    cloud = sensor_at(site, MOUNT).scan(frame)
+    corners = tilted(vehicle_triangles(frame).corners, grade, cross_fall)
+    foot = tilted(np.array([[MOUNT["x_m"], MOUNT["y_m"], 0.0]]), grade, cross_fall)[0]
+    assert foot[2] == pytest.approx(grade * foot[0] + cross_fall * foot[1], abs=1e-12)
+    head = foot + [0.0, 0.0, MOUNT["height_m"]]
+    rays = rays_of(lattice, MOUNT)
+    hits = ExactCaster(corners, closed=True).cast(np.tile(head, (len(rays), 1)), rays)
+    # The ground: z = grade x + cross_fall y.
+    closing = grade * rays[:, 0] + cross_fall * rays[:, 1] - rays[:, 2]
+    with np.errstate(divide="ignore"):
+        ground = np.where(closing > 0.0, MOUNT["height_m"] / closing, np.inf)
+    expected = np.minimum(hits.distance, ground)
+    within = (expected >= site.observation.min_range_m) & (expected <= site.observation.max_range_m)
+    assert (cloud.vehicle_id >= 0).sum() > 500
+    np.testing.assert_allclose(cloud.range_m, expected[within], atol=1e-9, rtol=0.0)
+    np.testing.assert_array_equal(cloud.vehicle_id >= 0, (hits.distance < ground)[within])
+    measured = tilted(cloud.xyz, grade, cross_fall)
+    np.testing.assert_allclose(measured, head + expected[within, None] * rays[within], atol=1e-9, rtol=0.0)
+    of_ground = cloud.vehicle_id < 0
+    np.testing.assert_allclose(cloud.xyz[of_ground, 2], 0.0, atol=1e-9)
+
+
+def test_a_crown_is_two_planes_on_which_vehicles_stand(crowned):
+    road, frame = crowned.scenario.road, crowned.search[0].vehicles
+    right, left = road.carriageway_y
+    half = 0.5 * (left - right)
+    assert 0.03 * half == pytest.approx(road.crown_m(np.array([right + half]))[0])
+    np.testing.assert_array_equal(road.crown_m(np.array([right - 9.0, right, left, left + 9.0])), 0.0)
+    floor = frame.centre_m[:, 2] - 0.5 * frame.size_m[:, 2]
+    np.testing.assert_allclose(floor, 0.03 * (half - abs(frame.centre_m[:, 1] - right - half)).clip(0.0), atol=1e-12)
+
+    mount = dict(MOUNT)
+    cloud, pose = sensor_at(crowned, mount).scan(frame), crowned.scenario.pose(mount)
+    of_ground = cloud.vehicle_id < 0
+    z = road.crown_m(cloud.xyz[:, 1])
+    np.testing.assert_allclose(cloud.xyz[of_ground, 2], z[of_ground], atol=1e-9)
+    assert (z[of_ground] > 0.2).sum() > 100
+    # What lies nearer than the surface: two half-spaces meet in the crown, beside it there is the plane z = 0.
+    directions = (cloud.xyz - pose.position) / cloud.range_m[:, None]
+    reach = pose.height_m / np.where(directions[:, 2] < 0.0, -directions[:, 2], 1e-300)
+    enters, leaves = np.zeros(len(cloud)), np.full(len(cloud), np.inf)
+    for side in (-1.0, 1.0):
+        above = pose.height_m - 0.03 * (half + side * (pose.y_m - right - half))
+        change = directions[:, 2] - side * 0.03 * directions[:, 1]
+        cross = -above / change
+        enters = np.where(change < 0.0, np.maximum(enters, cross), enters if above < 0.0 else np.inf)
+        leaves = np.where((change > 0.0) & (above < 0.0), np.minimum(leaves, cross), leaves)
+    surface = np.minimum(reach, np.where(enters < leaves, enters, np.inf))
+    np.testing.assert_allclose(cloud.range_m[of_ground], surface[of_ground], atol=1e-9, rtol=0.0)
+    assert (cloud.range_m[~of_ground] <= surface[~of_ground] + 1e-9).all()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
+    if not compiled:
+        monkeypatch.setattr(frame_scorer, "numba_works", lambda: False)
+    for height in (2.0, 4.2):
+        mount = MOUNT | {"height_m": height}
+        for frame in crowned.search[:2]:
+            cloud = sensor_at(crowned, mount).scan(frame.vehicles)
+            expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
+            seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, crowned.observation)
+            np.testing.assert_array_equal(seen.see([crowned.scenario.pose(mount)]).points[0], expected)
+            assert sum(expected) > 100
+
+
+def test_who_believes_in_a_level_road_sees_the_ground_off_it(site):
+    cloud = sensor_at(site, MOUNT).scan(site.search[0].vehicles)
+    believed = _believed(cloud, site.scenario.pose(MOUNT), pose_at(MOUNT))
+    ground = cloud.vehicle_id < 0
+    far = ground & (cloud.xyz[:, 0] > 20.0)
+    np.testing.assert_allclose(
+        believed.xyz[far, 2], 0.06 * believed.xyz[far, 0] - 0.025 * believed.xyz[far, 1] - 0.205, atol=2e-3
+    )
+    assert believed.xyz[far, 2].min() > 0.15  # what a detector takes for the ground lies below
+
+
+def test_signs():
+    uphill, to_the_right = (
+        pose_at(dict.fromkeys(COORDINATES, 0.0) | {"height_m": 4.0}, RoadFrame(**one))
+        for one in ({"grade_percent": 5.0}, {"cross_fall_percent": 5.0})
+    )
+    ahead = uphill.to_world(np.array([[1.0, 0.0, 0.0]]))[0]
+    assert ahead[2] == pytest.approx(-0.05 / math.hypot(1, 0.05))  # level, into the hill
+    across = to_the_right.to_world(np.array([[0.0, 1.0, 0.0]]))[0]
+    assert across[2] == pytest.approx(-0.05 / math.hypot(1, 0.05))  # level, while the road rises to the left
+    assert uphill.x_m > 0.19
+    assert to_the_right.y_m > 0.19
+    assert uphill.height_m == pytest.approx(4.0 / math.hypot(1, 0.05))
+
+
+ANGLE = st.floats(-60.0, 60.0)
+
+
+@settings(max_examples=100)
+@given(
+    st.tuples(st.floats(-50, 50), st.floats(-9, 0), st.floats(1, 9), ANGLE, ANGLE, st.floats(-179, 179)),
+    st.floats(-12, 12),
+    st.floats(-8, 8),
+)
+def test_plumb_is_the_inverse(six, grade, cross_fall):
+    road = RoadFrame(grade_percent=grade, cross_fall_percent=cross_fall)
+    mount = dict(zip(COORDINATES, six, strict=True))
+    back = plumb(pose_at(mount, road), road)
+    np.testing.assert_allclose(list(back.values()), six, atol=1e-6)
+
+
+def test_a_level_road_changes_nothing():
+    level = scenario()
+    assert pose_at(MOUNT, level.road) == pose_at(MOUNT)
+    assert level.in_road(MOUNT) == MOUNT
+    assert prepare(level).observation.scenery is None
+
+
+def test_headers_have_the_pose_in_the_road_frame_and_the_plumb_mounting(site):
+    sensor = sensor_at(site, MOUNT)
+    header, pose = sensor.cloud_header(site.search[0].vehicles), site.scenario.pose(MOUNT)
+    assert header["mounting"] == MOUNT
+    assert header["road"] == SLOPES
+    assert "mounting" not in sensor_at(prepare(scenario()), MOUNT).cloud_header(site.search[0].vehicles)
+    np.testing.assert_allclose(levelled(pose.position[None], header["pose"]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(pose_at(header["pose"]).rotation, pose.rotation, atol=1e-12)
+
+
+def test_the_head_of_a_leaning_mast_keeps_out_of_boxes():
+    box = {"centre_m": [1.0, -1.0, 4.0], "size_m": [1.0, 1.0, 1.0]}
+    level, steep = (
+        load_scenario(
+            "i80",
+            {key: (value, "x") for key, value in {("world", "boxes"): [box], ("road", "grade_percent"): grade}.items()},
+        )
+        for grade in (0.0, 12.0)
+    )
+    mount = dict.fromkeys(COORDINATES, 0.0) | {"x_m": 0.3, "y_m": -1.0, "height_m": 4.2}
+    check_mount_is_clear(level, [], {"--x": mount})
+    with pytest.raises(InputError, match="inside 'box 1'"):
+        check_mount_is_clear(steep, [], {"--x": mount})
