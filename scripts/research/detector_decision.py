@@ -29,7 +29,7 @@ from blender_lidar.clouds.scan import FrameScan
 from blender_lidar.detection.judge import believed, detector_at, hung_off_by
 from blender_lidar.detection.scores import CRITERIA, Matches, average_precision, match, recall
 from blender_lidar.files import make_folder, whole_file, write_text
-from blender_lidar.metrics.catalogue import METRICS, PE_VGOP, VIEW_COVERAGE, metric_named
+from blender_lidar.metrics.catalogue import METRICS, PE_VGOP, VIEW_COVERAGE
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare, scoring_of
 from blender_lidar.scoring.frame_scorer import FrameScorer, FrameShapes
@@ -257,11 +257,7 @@ def choices(args, world: str, sensor: str, heights: str) -> Choices:
     name = f"{world}_{sensor}_{heights}"
     part = Part(world, sensor, heights, args.choose, args.choose_frames, args.weights, mounts, True)
     chosen_by = made(part, args.out / f"{name}_choose.npz", args.workers)
-    sums = dict(zip(METRICS, chosen_by.scores, strict=True))
-    merit = {
-        metric: -of if metric_named(metric).lower_is_better and metric != PE_VGOP.name else of
-        for metric, of in sums.items()
-    }
+    merit = dict(zip(METRICS, chosen_by.scores, strict=True))
     of_metric = {metric: int(np.argmax(of)) for metric, of in merit.items()}
     trainings = range(len(args.weights))
     outcome = {
