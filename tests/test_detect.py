@@ -17,6 +17,7 @@ from tests.refusals import refused
 from tests.small_scene import HEADER, REGION, cli, done, traffic_rows, without_charts, write_scene, write_table
 
 MOUNT = ("--height", 4.5, "--tilt-x", 15)
+CLASSICAL = ("--detector", "classical")
 
 
 @pytest.fixture
@@ -37,7 +38,7 @@ def test_an_l_shape_has_the_heading_of_its_sides(heading_deg):
 
 
 def test_what_it_finds_is_there_and_most_is_found(scene, tmp_path, capsys):
-    out, _ = done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "found")
+    out, _ = done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "found")
     result = json.loads((tmp_path / "found" / "detection.json").read_text())
     given = result["mountings"]["given"]
     assert result["held_out"]
@@ -47,7 +48,7 @@ def test_what_it_finds_is_there_and_most_is_found(scene, tmp_path, capsys):
     assert given["recall_0.1"] <= given["with_return"]
     assert set(given["over_baseline"]) == set(MEASURES)
     assert f"finds {100 * given['recall_0.3']:.1f} % of the vehicles instead of" in out
-    again, _ = done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "again", "--json")
+    again, _ = done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "again", "--json")
     assert json.loads(again) == result
 
 
@@ -65,7 +66,7 @@ def test_what_is_accepted_of_the_traffic_is_told_first(scene, tmp_path, capsys):
 
 @pytest.mark.parametrize("name", ["detections.csv", "label_2"])
 def test_detections_of_ones_own_are_judged_as_the_same_boxes_are(name, scene, tmp_path, capsys):
-    done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "found")
+    done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "found")
     words = "--detector", tmp_path / "found" / name, "--out", tmp_path / "own", "--json"
     own = json.loads(done(capsys, "detect", scene, *MOUNT, *words)[0])["mountings"]
     given = json.loads((tmp_path / "found" / "detection.json").read_text())["mountings"]["given"]
@@ -80,7 +81,7 @@ def test_a_lidar_that_hangs_off_its_plan_costs_overlap(scene, tmp_path, capsys):
     scores = []
     for number, words in enumerate(((), ("--tolerance", "tilt_deg=5,yaw_deg=5,height_m=0.3"))):
         words = *words, "--out", tmp_path / str(number), "--json"
-        result = json.loads(done(capsys, "detect", scene, *MOUNT, *words)[0])
+        result = json.loads(done(capsys, "detect", scene, *MOUNT, *CLASSICAL, *words)[0])
         scores.append(result["mountings"]["given"])
         assert (result["hangs"] == result["deployment"]) == (number == 0)
     assert scores[1]["with_return"] > 0.9
@@ -99,7 +100,7 @@ def test_the_baseline_alone_is_judged_alone(scene, tmp_path, capsys):
 
 def test_clouds_of_a_scan_give_boxes(scene, tmp_path, capsys):
     done(capsys, "scan", scene, "--frame-ids", "5:40:5", *MOUNT, "--out", tmp_path / "clouds")
-    out, _ = done(capsys, "detect", tmp_path / "clouds", "--out", tmp_path / "found")
+    out, _ = done(capsys, "detect", tmp_path / "clouds", *CLASSICAL, "--out", tmp_path / "found")
     rows = (tmp_path / "found" / "detections.csv").read_text().splitlines()
     assert f"{len(rows) - 1} boxes in 8 clouds" in out
     assert len(rows) > 9
@@ -143,16 +144,16 @@ def test_lost_returns_and_noise_leave_the_background_where_it_is(scene, tmp_path
     """One lost return in any frame made the road a vehicle."""
     settings = {"range_noise_m": 0.05, "dropout": 0.05}
     scene = write_scene(tmp_path, REGION | {"sensor": settings})
-    result = json.loads(done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "found", "--json")[0])
+    result = json.loads(done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "found", "--json")[0])
     given = result["mountings"]["given"]
     assert given["precision_0.3"] > 0.7
     assert given["recall_0.3"] > 0.85
 
 
 def test_results_take_the_place_of_earlier_ones(scene, tmp_path, capsys):
-    done(capsys, "detect", scene, *MOUNT, "--out", tmp_path / "found")
+    done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "found")
     (tmp_path / "found" / "label_2" / "999999.txt").touch()
-    done(capsys, "detect", scene, "--out", tmp_path / "found")
+    done(capsys, "detect", scene, *CLASSICAL, "--out", tmp_path / "found")
     assert not (tmp_path / "found" / "detections_baseline.csv").exists()
     assert not (tmp_path / "found" / "label_2" / "999999.txt").exists()
     assert not list((tmp_path / "found" / "label_2_baseline").iterdir())

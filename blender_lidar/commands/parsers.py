@@ -107,10 +107,12 @@ def _optimise(subparsers) -> None:
 
 
 def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    told = (
-        "what looks at the mounting's clouds of the held-out frames: classical, by background subtraction, DBSCAN and "
+    told = "what looks at the mounting's clouds of the held-out frames: pillars, a neural network (PointPillars, "
+    told += (
+        "trained in simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, your own "
     )
-    told += "L-shapes; or FILE, the detections of your own: CSV, nuScenes' JSON, or a folder of KITTI's label texts"
+    told += "weights of the network; or FILE, the detections of your own: CSV, nuScenes' JSON, or a folder of KITTI's "
+    told += "label texts"
     told += "" if default is None else " (default %(default)s)"
     parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=told)
 
@@ -201,12 +203,13 @@ def _detect(subparsers) -> None:
         "and average precision, with paired intervals, and the boxes as CSV and as KITTI's labels. Given a folder of "
         "NPZ clouds it writes their boxes.",
         "i80 --height 4.5 --tilt-x 23",
+        "i80 --height 4.5 --tilt-x 23 --detector classical",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
         "clouds --out boxes",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--workers", "--cluster"))
     add_pose(parser)
-    _detector(parser, "classical")
+    _detector(parser, "pillars")
     _output(parser, verbose=False)
 
 

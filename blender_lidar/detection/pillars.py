@@ -23,7 +23,7 @@ from ..sensors.pose import Pose
 from .boxes import DetectedBoxes, no_boxes, suppressed
 from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, Weights, forward, shapes
 
-CELL_M = 0.4
+PILLAR_M = 0.4
 GROUND_M = 0.15  # what lies lower above the fitted ground is ground
 _HIGHEST_M = 6.0  # nothing above is of a vehicle
 _LEAST_CONFIDENCE = 0.05
@@ -38,8 +38,8 @@ SHIPPED = Path(__file__).with_name("data") / "pillars.npz"
 class Ground(NamedTuple):
     """A plane: z = `level` + `slope_x` x + `slope_y` y, x and y counted from the LiDAR [m].
 
-    `residual_m` is how far the points taken for ground lie off it in the median; NaN where there were too few for a
-    plane, which is then z = 0.
+    `residual_m` is how far the points within 0.3 m lie off it in the median; NaN where there were too few for a plane,
+    which is then z = 0.
     """
 
     level: float
@@ -54,6 +54,7 @@ class Ground(NamedTuple):
 
 _TOLERANCES_M = ((0.3, 0.03), (0.3, 0.015), (0.2, 0.005), (0.12, 0.0), (0.08, 0.0))  # and by metre of range
 _FEWEST_GROUND, _ON_GROUND_M = 50, 10.0  # points, and how far they must spread both ways
+_NEAR_GROUND_M = 0.3
 
 
 def fit_ground(points: np.ndarray) -> Ground:
@@ -75,7 +76,8 @@ def fit_ground(points: np.ndarray) -> Ground:
         system = np.column_stack([np.ones(len(some)), some[:, :2]])
         level, *slopes = np.linalg.lstsq(system, some[:, 2], rcond=None)[0].tolist()
         ground = Ground(level, *slopes, 0.0)
-    return ground._replace(residual_m=float(np.median(np.abs(ground.above(some)))))
+    off = np.abs(ground.above(points))
+    return ground._replace(residual_m=float(np.median(off[off < _NEAR_GROUND_M])))
 
 
 # --- Pillars ----------------------------------------------------------------------------------------------------------
@@ -92,7 +94,7 @@ class Area:
     @classmethod
     def around(cls, low: np.ndarray, high: np.ndarray) -> Area:
         """The cells that cover a rectangle from `low` to `high`, x and y [m, from the LiDAR]."""
-        coarse = COARSEST * CELL_M
+        coarse = COARSEST * PILLAR_M
         first = np.floor(np.asarray(low) / coarse)
         along, across = (COARSEST * np.maximum(np.ceil(np.asarray(high) / coarse) - first, 1)).astype(int).tolist()
         return cls(tuple((coarse * first).tolist()), along, across)
@@ -119,7 +121,7 @@ def pillars_of(points: np.ndarray, ground: Ground, lidar_m: float, area: Area) -
         Height of the LiDAR [m].
     area : Area
     """
-    column = np.floor((points[:, :2] - area.first_m) / CELL_M).astype(np.int64)
+    column = np.floor((points[:, :2] - area.first_m) / PILLAR_M).astype(np.int64)
     height = ground.above(points)
     inside = (column >= 0).all(axis=1) & (column < (area.along, area.across)).all(axis=1) & (height < _HIGHEST_M)
     flat = column[:, 0] * area.across + column[:, 1]
@@ -131,11 +133,11 @@ def pillars_of(points: np.ndarray, ground: Ground, lidar_m: float, area: Area) -
     cell, xyz = flat[rows], np.column_stack([points[rows, :2], height[rows]])
     here = np.bincount(cell, minlength=count)
     mean = np.column_stack([np.bincount(cell, axis, count) for axis in xyz.T]) / np.maximum(here, 1)[:, None]
-    middle = np.array(area.first_m) + (column[rows] + 0.5) * CELL_M
+    middle = np.array(area.first_m) + (column[rows] + 0.5) * PILLAR_M
     reach = np.hypot(xyz[:, 0], xyz[:, 1])
     features = np.column_stack(
         [
-            (xyz[:, :2] - middle) / CELL_M,
+            (xyz[:, :2] - middle) / PILLAR_M,
             xyz[:, 2],
             xyz - mean[cell],
             np.log1p(here[cell]) / 3.0,
@@ -149,7 +151,7 @@ def pillars_of(points: np.ndarray, ground: Ground, lidar_m: float, area: Area) -
 def _cell_features(area: Area, on_ground: np.ndarray, raised: np.ndarray) -> np.ndarray:
     """Points on the ground and above it, and where the LiDAR is seen from each cell, (1, x, y, 5)."""
     x, y = (
-        first + (np.arange(count) + 0.5) * CELL_M
+        first + (np.arange(count) + 0.5) * PILLAR_M
         for first, count in zip(area.first_m, (area.along, area.across), strict=True)
     )
     x, y = np.meshgrid(x, y, indexing="ij")
@@ -179,7 +181,7 @@ def boxes_of(output: np.ndarray, area: Area) -> DetectedBoxes:
     x, y = x[strongest], y[strongest]
     if not len(x):
         return no_boxes()
-    one, side = output[x, y].astype(float), STRIDE * CELL_M
+    one, side = output[x, y].astype(float), STRIDE * PILLAR_M
     centre = np.array(area.first_m) + side * (np.column_stack([x, y]) + 0.5 + one[:, OFFSET])
     sine, cosine = one[:, TURN].T
     found = DetectedBoxes(
@@ -251,6 +253,8 @@ class PillarsDetector:
         ground = fit_ground(points)
         pillars = pillars_of(points, ground, float(self._lidar[2]) - ground.level, self._area)
         self._seen.append((ground.residual_m, density(pillars)))
+        if not len(pillars.cell):
+            return no_boxes()
         boxes = boxes_of(forward(self._weights, *pillars)[0], self._area)
         boxes.centre_m[:, 2] -= ground.above(np.column_stack([boxes.centre_m[:, :2], np.zeros(len(boxes))]))
         boxes.centre_m[:, :2] += self._lidar[:2]

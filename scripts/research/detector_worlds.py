@@ -6,7 +6,7 @@ Options = dict[tuple[str, str], tuple[object, str]]
 
 
 def hard_world() -> Options:
-    """Clutter, vehicles that differ, a road that is not flat, noise, lost and weak returns, a mounting known only nearly.
+    """Clutter, vehicles that differ, a road that is not flat, noise, lost returns, a mounting known only nearly.
 
     In the place of a scene's settings, as `scene.scenario.load_scenario` takes them.
     """

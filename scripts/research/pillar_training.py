@@ -24,7 +24,7 @@ from blender_lidar.detection.pillar_network import (
     forward,
     shapes,
 )
-from blender_lidar.detection.pillars import CELL_M, Area, Pillars, fit_ground, pillars_of
+from blender_lidar.detection.pillars import PILLAR_M, Area, Pillars, fit_ground, pillars_of
 
 WINDOW = 256, 96  # cells along and across: 102.4 x 38.4 m
 BATCH = 4  # windows of one sensor
@@ -105,7 +105,7 @@ _NEAR = 0.5  # heat from which a cell learns of the box
 def targets_of(boxes: np.ndarray, area: Area) -> Targets:
     """The targets of a window; `boxes` as of `Window`, z counted from the fitted ground."""
     along, across = area.along // STRIDE, area.across // STRIDE
-    side = STRIDE * CELL_M
+    side = STRIDE * PILLAR_M
     heat, counts = np.zeros((along, across, len(KINDS)), np.float32), np.ones((along, across, len(KINDS)), np.float32)
     box, weight = np.zeros((along, across, 8), np.float32), np.zeros((along, across), np.float32)
     for x, y, z, length, width, height, heading, kind, points in boxes:
@@ -150,7 +150,7 @@ def shown(window: Window, flip: tuple[bool, bool], most_points: int, rng: np.ran
     points[:, :2] *= sign
     boxes[:, :2] *= sign
     boxes[:, 6] = np.arctan2(sign[1] * np.sin(boxes[:, 6]), sign[0] * np.cos(boxes[:, 6]))
-    size = CELL_M * np.array([area.along, area.across])
+    size = PILLAR_M * np.array([area.along, area.across])
     first = np.where(flip, -(np.array(area.first_m) + size), area.first_m)
     area = Area(tuple(first.tolist()), area.along, area.across)
     ground = fit_ground(points)

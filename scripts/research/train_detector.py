@@ -27,7 +27,7 @@ import numpy as np
 from arguments import SCENES, counting, parser_of, positive, run_script
 from blender_lidar.detection.boxes import kind_of
 from blender_lidar.detection.dataset import TRAIN, Sample, plan_dataset, samples
-from blender_lidar.detection.pillars import CELL_M, Area, density, fit_ground
+from blender_lidar.detection.pillars import PILLAR_M, Area, density, fit_ground
 from blender_lidar.files import check_place, make_folder, whole_file
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -140,10 +140,10 @@ def site_windows(sensor: str, number: int, traffic: Sequence[str], scans: int) -
 
 def window_of(sample: Sample, pose: Pose, gate_m: float, rng: np.random.Generator) -> Window:
     """A part of a scan as large as `WINDOW`, anywhere along the road within the range gate and nearly all across it."""
-    foot, size = np.array([pose.x_m, pose.y_m, 0.0]), CELL_M * np.array(WINDOW)
+    foot, size = np.array([pose.x_m, pose.y_m, 0.0]), PILLAR_M * np.array(WINDOW)
     low = np.array([-gate_m - 4.0, -13.0 - pose.y_m])
     high = np.maximum([gate_m + 4.0 - size[0], -8.0 - pose.y_m], low)
-    first = CELL_M * np.rint(rng.uniform(low, high) / CELL_M)
+    first = PILLAR_M * np.rint(rng.uniform(low, high) / PILLAR_M)
     from_lidar = sample.cloud.xyz - foot
     inside = ((from_lidar[:, :2] >= first) & (from_lidar[:, :2] < first + size)).all(axis=1)
     vehicles, told = sample.vehicles, sample.labelled

@@ -1,0 +1,138 @@
+"""The training of the shipped detector: its operations in JAX, its targets, its loss, and going on after a stop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+jnp = pytest.importorskip("jax.numpy", reason="JAX, of the extra detect, is not installed")
+
+import tests.research  # noqa: F401
+from blender_lidar.detection.boxes import bev_iou, boxes_of_rows
+from blender_lidar.detection.pillar_network import forward, shapes
+from blender_lidar.detection.pillars import SHIPPED, Area, boxes_of, load_weights
+from pillar_training import (
+    WINDOW,
+    JaxOperations,
+    Window,
+    batch_of,
+    fresh_weights,
+    loss_of,
+    segment_maxima,
+    shown,
+    targets_of,
+)
+from train_detector import train
+
+AREA = Area((-51.2, -9.6), *WINDOW)
+CARS = np.array([(-20.0, 5.0), (-11.3, 8.7), (0.3, 5.1), (17.9, 12.2), (33.3, 16.0)])
+
+
+def window(seed=1):
+    """Cars, a lorry and a motorcycle as scattered points on their boxes, on a plane of ground."""
+    rng = np.random.default_rng(seed)
+    boxes = [(x, y, 0.75, 4.4, 1.8, 1.5, 0.02, 0, 40) for x, y in CARS]
+    boxes += [(-35.0, 16.0, 1.9, 14.0, 2.5, 3.8, 3.13, 1, 40), (8.0, 9.0, 0.7, 2.1, 0.8, 1.4, -0.03, 2, 40)]
+    boxes = np.array(boxes)
+    on = [box[:3] + rng.uniform(-0.5, 0.5, (40, 3)) * box[3:6] for box in boxes]
+    ground = np.column_stack([rng.uniform(-51.0, 51.0, 3000), rng.uniform(-9.0, 28.0, 3000), np.zeros(3000)])
+    return Window(np.concatenate([*on, ground]).astype(np.float32), boxes, 4.5, 20.0, AREA)
+
+
+@pytest.mark.parametrize("flip", [(False, False), (True, False), (False, True), (True, True)])
+def test_boxes_that_are_told_are_boxes_that_are_read(flip):
+    told = shown(window(), flip, 4096, np.random.default_rng(0))[1]
+    heat = np.where(told.heat > 0.0, np.log(np.clip(told.heat, 1e-6, 1.0 - 1e-6)), -20.0)
+    heat -= np.log1p(-np.clip(told.heat, 0.0, 1.0 - 1e-6))
+    area = Area((-51.2, -28.8) if flip[1] else AREA.first_m, *WINDOW)
+    found = boxes_of(np.concatenate([heat, told.box], axis=-1), area)
+    rows = window().boxes
+    truth = boxes_of_rows([(*row[:7], row[7], 1.0) for row in rows])
+    sign = np.where(flip, -1.0, 1.0)
+    truth.centre_m[:, :2] *= sign
+    truth.heading_rad[:] = np.arctan2(sign[1] * np.sin(truth.heading_rad), sign[0] * np.cos(truth.heading_rad))
+    overlap = bev_iou(truth, found)
+    assert len(found) == len(truth)
+    assert overlap.max(axis=1).min() > 0.999
+    best = overlap.argmax(axis=1)
+    np.testing.assert_allclose(found.size_m[best], truth.size_m, rtol=1e-5)
+    np.testing.assert_allclose(found.centre_m[best, 2], truth.centre_m[:, 2], atol=0.01)
+    assert found.kind[best].tolist() == truth.kind.tolist()
+
+
+def test_nothing_is_learnt_about_vehicles_that_no_beam_met():
+    boxes = window().boxes
+    boxes[2, 8] = 0
+    told = targets_of(boxes, AREA)
+    at = tuple(np.floor((boxes[2, :2] - AREA.first_m) / 0.8).astype(int))
+    assert not told.counts[at].any()
+    assert not told.weight[at]
+    assert told.heat.max(axis=-1)[at] == 0.0
+    assert (told.heat == 1.0).sum() == len(boxes) - 1
+
+
+def test_jax_finds_the_maxima_and_gives_gradients_to_the_points_that_have_them():
+    import jax
+
+    values, cell = jnp.array([[1.0], [3.0], [-2.0], [5.0]]), jnp.array([0, 0, 1, 3])
+    assert segment_maxima(values, cell, 3).tolist() == [[3.0], [0.0], [0.0]]  # the last lies in no cell
+    gradient = jax.grad(lambda v: (segment_maxima(v, cell, 3) * jnp.array([[2.0], [7.0], [1.0]])).sum())(values)
+    assert gradient.tolist() == [[0.0], [2.0], [0.0], [0.0]]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_inference_in_numpy_is_that_of_jax(seed):
+    weights, _ = load_weights(SHIPPED)
+    pillars = shown(window(seed), (False, False), 4096, np.random.default_rng(0))[0]
+    ours = forward(weights, *pillars)
+    theirs = forward(
+        {name: jnp.asarray(array) for name, array in weights.items()},
+        *map(jnp.asarray, (pillars.points, pillars.cell.astype(np.int32), pillars.cells)),
+        operations=JaxOperations,
+    )
+    assert np.abs(ours - np.asarray(theirs)).max() < 1e-4
+    assert np.abs(ours).max() > 1.0
+
+
+def test_a_batch_of_windows_is_each_of_them():
+    items = [shown(window(seed), (False, False), 512, np.random.default_rng(0)) for seed in (1, 2)]
+    (points, cell, cells), targets = batch_of(items, 512)
+    weights = fresh_weights(3)
+    whole = forward(weights, points, cell, cells, operations=JaxOperations)
+    for row, (pillars, _) in enumerate(items):
+        one = forward({name: np.asarray(array) for name, array in weights.items()}, *pillars)
+        np.testing.assert_allclose(whole[row], one[0], atol=1e-4)
+    total, _ = loss_of(weights, (points, cell, cells), targets)
+    assert np.isfinite(float(total))
+
+
+def test_training_learns_and_goes_on_after_a_stop_as_if_there_had_been_none(tmp_path, monkeypatch):
+    monkeypatch.setattr("train_detector.CHECKPOINT_S", -1.0)
+    monkeypatch.setattr("train_detector.MOST_POINTS", {"RS-16": 512})
+    windows = {"RS-16": [window(seed) for seed in range(4)]}
+    told = []
+
+    def advance(steps, note=""):
+        told.append(note)
+
+    class Stop(Exception):
+        pass
+
+    whole = train(windows, 5, 12, tmp_path / "whole.npz", advance)
+
+    def stop_at_seventh(*given, calls=[0]):  # noqa: B006
+        calls[0] += 1
+        if calls[0] > 7:
+            raise Stop
+        return batch_of(*given)
+
+    monkeypatch.setattr("train_detector.batch_of", stop_at_seventh)
+    with pytest.raises(Stop):
+        train(windows, 5, 12, tmp_path / "stopped.npz", advance)
+    monkeypatch.setattr("train_detector.batch_of", batch_of)
+    resumed = train(windows, 5, 12, tmp_path / "stopped.npz", advance)
+    for name in shapes():
+        np.testing.assert_array_equal(resumed[name], whole[name])
+    frames = batch_of([shown(one, (False, False), 512, np.random.default_rng(0)) for one in windows["RS-16"]], 512)
+    losses = [float(loss_of(weights, *frames)[0]) for weights in (fresh_weights(5), whole)]
+    assert losses[1] < losses[0]

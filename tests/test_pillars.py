@@ -1,0 +1,284 @@
+"""PointPillars: the ground, pillars, the network in NumPy, boxes, and what is unlike its training."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blender_lidar.detection import pillar_network as network
+from blender_lidar.detection.pillars import (
+    PILLAR_M,
+    GROUND_M,
+    SHIPPED,
+    Area,
+    PillarsDetector,
+    boxes_of,
+    fit_ground,
+    load_weights,
+    pillars_of,
+)
+from blender_lidar.errors import InputError, MissingFileError
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from tests.refusals import refused
+from tests.small_scene import REGION, done, write_scene
+
+AREA = Area((-12.8, -6.4), 64, 32)
+LIDAR_M = 4.5
+
+
+def scattered(count=400, seed=1):
+    """Points above and on the ground within `AREA`, and some beyond it."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform((-20.0, -10.0, -0.05), (20.0, 10.0, 3.0), (count, 3))
+
+
+# --- The ground -------------------------------------------------------------------------------------------------------
+
+
+def street(slope_x, slope_y, level, seed=3):
+    """A noisy plane within 45 m, with boxes of vehicles, bushes and a wall on it."""
+    rng = np.random.default_rng(seed)
+    away, turn = 4.0 + 41.0 * rng.random(4000) ** 2, rng.uniform(0.0, 2.0 * math.pi, 4000)
+    xy = np.column_stack([away * np.cos(turn), away * np.sin(turn)])
+    above = rng.normal(0.0, 0.02, 4000)
+    things = rng.random(4000) < 0.4
+    above[things] = rng.uniform(0.2, 3.0, things.sum())
+    return np.column_stack([xy, level + xy @ [slope_x, slope_y] + above])
+
+
+@pytest.mark.parametrize(("slope_deg", "level"), [((0.0, 0.0), 0.0), ((1.0, -0.7), 0.05), ((-1.2, 1.2), -0.1)])
+def test_the_ground_of_a_mounting_that_is_off_is_found_among_vehicles(slope_deg, level):
+    slopes = np.tan(np.radians(slope_deg))
+    ground = fit_ground(street(*slopes, level))
+    assert ground.level == pytest.approx(level, abs=0.02)
+    assert (ground.slope_x, ground.slope_y) == pytest.approx(tuple(slopes), abs=4e-4)  # 2 cm at 50 m
+    assert ground.residual_m < 0.05
+
+
+def test_too_little_ground_leaves_the_plane_as_it_is_believed():
+    for points in (np.empty((0, 3)), street(0.0, 0.0, 0.0)[:20], np.full((200, 3), 0.01)):
+        ground = fit_ground(points)
+        assert ground[:3] == (0.0, 0.0, 0.0)
+        assert math.isnan(ground.residual_m)
+
+
+# --- Pillars ----------------------------------------------------------------------------------------------------------
+
+
+def test_pillars_hold_every_raised_point_of_the_area_in_its_cell_and_count_the_rest():
+    points = scattered()
+    ground = fit_ground(np.empty((0, 3)))
+    pillars = pillars_of(points, ground, LIDAR_M, AREA)
+    size = PILLAR_M * np.array([AREA.along, AREA.across])
+    inside = ((points[:, :2] >= AREA.first_m) & (points[:, :2] < AREA.first_m + size)).all(axis=1)
+    raised = points[inside & (points[:, 2] > GROUND_M)]
+    assert len(pillars.cell) == len(raised)
+    assert (np.diff(pillars.cell) >= 0).all()
+    x, y = np.divmod(pillars.cell, AREA.across)
+    middle = np.array(AREA.first_m) + PILLAR_M * (np.column_stack([x, y]) + 0.5)
+    again = np.column_stack([middle + PILLAR_M * pillars.points[:, :2], pillars.points[:, 2]])
+    order = [np.lexsort(array.round(3).T) for array in (again, raised)]
+    np.testing.assert_allclose(again[order[0]], raised[order[1]], atol=1e-5)
+    counted = np.expm1(3.0 * pillars.cells[0, ..., :2].sum(axis=(0, 1), dtype=float))
+    assert counted.shape == (2,)
+    on_ground, above = np.rint(np.expm1(3.0 * pillars.cells[0, ..., :2])).sum(axis=(0, 1))
+    assert (on_ground, above) == (inside.sum() - len(raised), len(raised))
+
+
+def test_an_area_covers_what_it_is_asked_for_in_whole_coarse_cells():
+    area = Area.around(np.array([-50.3, 1.0]), np.array([50.0, 24.7]))
+    assert (area.along % network.COARSEST, area.across % network.COARSEST) == (0, 0)
+    assert area.first_m[0] <= -50.3
+    assert area.first_m[1] <= 1.0
+    assert area.first_m[0] + PILLAR_M * area.along >= 50.0
+    assert area.first_m[1] + PILLAR_M * area.across >= 24.7
+
+
+# --- The network ------------------------------------------------------------------------------------------------------
+
+
+def test_a_convolution_is_the_sum_over_nine_neighbours():
+    rng = np.random.default_rng(5)
+    image, kernel = rng.normal(size=(1, 5, 4, 3)), rng.normal(size=(3, 3, 3, 2))
+    slow = np.zeros((5, 4, 2))
+    for x in range(5):
+        for y in range(4):
+            for i in (-1, 0, 1):
+                for j in (-1, 0, 1):
+                    if 0 <= x + i < 5 and 0 <= y + j < 4:
+                        slow[x, y] += image[0, x + i, y + j] @ kernel[1 + i, 1 + j]
+    np.testing.assert_allclose(network.NumPyOperations.convolve(image, kernel)[0], slow, atol=1e-12)
+
+
+def test_the_maxima_of_cells_are_those_of_their_points_and_never_below_0():
+    rng = np.random.default_rng(6)
+    cell, values = np.sort(rng.integers(0, 12, 40)), rng.normal(size=(40, 3))
+    found = network.NumPyOperations.maxima(values, cell, 14)
+    slow = [np.max([np.zeros(3), *values[cell == number]], axis=0) for number in range(14)]
+    np.testing.assert_array_equal(found, slow)
+    assert not network.NumPyOperations.maxima(values[:0], cell[:0], 3).any()
+
+
+def test_cells_that_are_joined_come_apart_again():
+    image = np.random.default_rng(7).normal(size=(2, 8, 4, 3))
+    np.testing.assert_array_equal(network._unpatched(network._patches(image)), image)
+
+
+# --- The weights ------------------------------------------------------------------------------------------------------
+
+
+def test_the_weights_that_ship_are_small_and_say_what_they_were_trained_on():
+    weights, card = load_weights(SHIPPED)
+    assert SHIPPED.stat().st_size < 1_000_000
+    assert {name: array.shape for name, array in weights.items()} == network.shapes()
+    assert {"sensors", "height_m", "lean_deg", "residual_m", "density"} <= set(card["trained_on"])
+
+
+def damaged(path, **changed):
+    """A file of weights like those that ship, with something changed or, where it is None, left out."""
+    with np.load(SHIPPED) as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez(path, **{name: array for name, array in (arrays | changed).items() if array is not None})
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"head.w": np.zeros((3, 3, 4, 4))}, "another network; needed: head.w of shape (3, 3, 32, 32)"),
+        ({"out.b": None}, "needed: out.b of shape (11,)"),
+        ({"more": np.zeros(2)}, "more of shape none at all"),
+        ({"out.b": np.full(11, np.nan)}, "weights that are not finite"),
+        ({"card": None}, "needed: a model card"),
+        ({"card": "{"}, "is no file of weights"),
+    ],
+)
+def test_weights_of_another_network_are_refused(tmp_path, changed, told):
+    with pytest.raises(InputError, match="weights") as raised:
+        load_weights(damaged(tmp_path / "weights.npz", **changed))
+    assert told in str(raised.value)
+
+
+def test_files_that_hold_no_weights_are_refused_in_one_line(tmp_path, capsys):
+    scene = write_scene(tmp_path, REGION)
+    (tmp_path / "text.npz").write_text("not a zip")
+    assert "is no file of weights" in refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "text.npz")
+    assert "there is no such file" in refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "none.npz")
+    with pytest.raises(MissingFileError):
+        load_weights(tmp_path / "none.npz")
+
+
+# --- The detector -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def i80():
+    """The shipped scene's site, a mounting, and a function that gives clouds of it."""
+    from blender_lidar.detection.judge import sensor_at
+
+    options = {("traffic", "frames"): 4, ("model", "workers"): 1, ("world", "clutter"): 0.5}
+    site = prepare(load_scenario("i80", {place: (value, place[1]) for place, value in options.items()}))
+    mount = {**site.scenario.baseline, "height_m": 4.5, "tilt_x_deg": 22.0}
+    return site, mount, lambda at: sensor_at(site, mount).scan(site.search[at].vehicles)
+
+
+def detector(site, mount, **changed):
+    pose = replace(site.scenario.pose(mount), **changed)
+    return PillarsDetector(site.model.name, pose, (-50.0, -6.0), (50.0, 32.0))
+
+
+def found_share(site, at, boxes):
+    """Share of a frame's counted vehicles that a box's centre is within 2 m of, and of boxes that meet a vehicle."""
+    frame = site.search[at]
+    every = frame.vehicles.centre_m[:, None, :2] - boxes.centre_m[:, :2]
+    near = np.hypot(*np.moveaxis(every, -1, 0)) < 2.0
+    return near[frame.counted].any(axis=1).mean(), near.any(axis=0).mean()
+
+
+@pytest.mark.parametrize("at", range(4))
+def test_most_vehicles_are_found_and_most_boxes_are_vehicles(i80, at):
+    site, mount, cloud = i80
+    boxes = detector(site, mount).detect(cloud(at))
+    sure = boxes.select(boxes.confidence >= 0.3)
+    recall, precision = found_share(site, at, sure)
+    assert recall > 0.6
+    assert precision > 0.8
+    assert (boxes.size_m > 0.3).all()
+    assert ((boxes.confidence > 0.0) & (boxes.confidence <= 1.0)).all()
+
+
+def test_boxes_move_with_the_lidar_and_its_cloud(i80):
+    site, mount, cloud = i80
+    here = detector(site, mount).detect(cloud(0))
+    shift = np.array([6.4, 3.2])
+    moved = replace(cloud(0), xyz=cloud(0).xyz + np.array([*shift, 0.0]))
+    pose = site.scenario.pose(mount)
+    there = PillarsDetector(
+        "RS-16", replace(pose, x_m=pose.x_m + shift[0], y_m=pose.y_m + shift[1]), (-43.6, -2.8), (56.4, 35.2)
+    ).detect(moved)
+    assert len(here) == len(there) > 10
+    np.testing.assert_allclose(there.centre_m - here.centre_m, [[*shift, 0.0]] * len(here), atol=1e-3)
+    np.testing.assert_allclose(there.confidence, here.confidence, atol=1e-3)
+
+
+def test_a_tilt_that_is_off_by_a_degree_is_repaired_by_the_fitted_ground(i80):
+    site, mount, cloud = i80
+    pose = site.scenario.pose(mount)
+    off = replace(pose, tilt_x=pose.tilt_x + math.radians(1.0))
+    measured = (cloud(0).xyz - pose.position) @ pose.rotation.T
+    believed = replace(cloud(0), xyz=off.position + measured @ off.rotation)
+    straight, tilted = (detector(site, mount).detect(one) for one in (cloud(0), believed))
+    sure = [boxes.select(boxes.confidence >= 0.3) for boxes in (straight, tilted)]
+    shares = [found_share(site, 0, boxes)[0] for boxes in sure]
+    assert shares[1] >= shares[0] - 0.1
+
+
+def test_a_cloud_without_points_has_no_vehicles_and_one_with_nan_is_refused(i80):
+    site, mount, cloud = i80
+    one = cloud(0)
+    nothing = replace(one, **{name: getattr(one, name)[:0] for name in ("xyz", "range_m")})
+    assert len(detector(site, mount).detect(nothing)) == 0
+    xyz = one.xyz.copy()
+    xyz[7, 1] = np.nan
+    with pytest.raises(InputError, match=r"point 7 of the cloud is .*nan.*; allowed: finite coordinates"):
+        detector(site, mount).detect(replace(one, xyz=xyz))
+
+
+def test_what_is_unlike_the_training_is_told_and_what_is_like_it_is_not(i80):
+    site, mount, cloud = i80
+    usual = detector(site, mount)
+    usual.detect(cloud(0))
+    assert list(usual.notes()) == []
+    high = detector(site, mount, height_m=9.0)
+    assert "hangs 9 m high, but from " in " ".join(high.notes())
+    other = PillarsDetector("OS1-128", site.scenario.pose(mount), (-50.0, -6.0), (50.0, 32.0))
+    assert "was trained on RS-16, RS-32, RS-80, not on OS1-128" in " ".join(other.notes())
+    uneven = cloud(0).xyz + np.random.default_rng(1).normal(0.0, 0.15, (len(cloud(0)), 1)) * [0.0, 0.0, 1.0]
+    rough = detector(site, mount)
+    rough.detect(replace(cloud(0), xyz=uneven))
+    assert "m uneven in the median" in " ".join(rough.notes())
+    bare = detector(site, mount)
+    bare.detect(replace(cloud(0), xyz=cloud(0).xyz + np.array([0.0, 0.0, 3.0])))
+    assert "too little ground" in " ".join(bare.notes())
+
+
+def test_nothing_is_found_where_the_network_sees_nothing():
+    quiet = np.full((8, 8, network.OUTPUTS), -9.0)
+    assert len(boxes_of(quiet, Area((0.0, 0.0), 16, 16))) == 0
+
+
+def test_the_verb_judges_it_without_an_extra_and_tells_what_is_unlike(tmp_path, capsys):
+    scene = write_scene(tmp_path, REGION)
+    out, _ = done(capsys, "detect", scene, "--height", 4.5, "--tilt-x", 15, "--out", tmp_path / "found")
+    result = json.loads((tmp_path / "found" / "detection.json").read_text())
+    assert result["detector"] == "pillars"
+    assert result["mountings"]["given"]["recall_0.3"] > 0.5
+    assert "Detector   pillars" in out
+    done(capsys, "scan", scene, "--frame-ids", "20,22", "--height", 4.5, "--tilt-x", 15, "--out", tmp_path / "clouds")
+    out, _ = done(capsys, "detect", tmp_path / "clouds", "--out", tmp_path / "boxes")
+    assert "boxes in 2 clouds (pillars)" in out
