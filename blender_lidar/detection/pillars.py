@@ -55,6 +55,7 @@ class Ground(NamedTuple):
 _TOLERANCES_M = ((0.3, 0.03), (0.3, 0.015), (0.2, 0.005), (0.12, 0.0), (0.08, 0.0))  # and by metre of range
 _FEWEST_GROUND, _ON_GROUND_M = 50, 10.0  # points, and how far they must spread both ways
 _NEAR_GROUND_M = 0.3
+_MOST_FITTED = 5000  # points, evenly from all beams
 
 
 def fit_ground(points: np.ndarray) -> Ground:
@@ -65,6 +66,7 @@ def fit_ground(points: np.ndarray) -> Ground:
     points : ndarray, (n, 3)
         x and y counted from the LiDAR, z from where the ground is believed to be [m].
     """
+    points = points[:: max(1, len(points) // _MOST_FITTED)]
     ground = Ground(0.0, 0.0, 0.0, math.nan)
     reach = np.hypot(points[:, 0], points[:, 1])
     for fixed, by_range in _TOLERANCES_M:
