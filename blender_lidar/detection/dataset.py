@@ -30,7 +30,7 @@ from ..traffic.vehicles import Vehicles
 from ..world.triangles import place
 from .judge import believed, hung_off_by
 
-TRAIN, VAL = SPLITS = ("train", "val")
+TRAIN, VAL = "train", "val"
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
 _COVERED = (1.0, 99.0)  # percentiles of x between which a recording has traffic
 _ALONG, _ALONG_SHARE = math.radians(15.0), 0.95  # of the vehicles, on a road along x
@@ -260,8 +260,8 @@ class _Stations:
         """Whether no vehicle of any frame passes where the LiDAR hangs, or has just passed or is about to."""
         pole = np.array([station_m + mount["x_m"] * (-1.0 if mirrored else 1.0), mount["y_m"]])
         centre, size, heading = self._boxes
-        near = np.abs(centre[:, 1] - pole[1]) <= 0.5 * size[:, :2].max(axis=1) + size[:, 1]
-        beside = (_ABREAST_M, 0.0)
+        beside = np.array([_ABREAST_M, 0.0])
+        near = (np.abs(centre[:, :2] - pole) <= size[:, :2].max(axis=1)[:, None] + beside).all(axis=1)
         return not footprints_meet(centre[near], size[near], heading[near], pole - beside, pole + beside).any()
 
 
