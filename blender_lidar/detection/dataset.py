@@ -236,7 +236,8 @@ class _Stations:
             np.concatenate([getattr(vehicles, name) for vehicles in frames])
             for name in ("centre_m", "size_m", "heading_rad")
         ]
-        x = self._boxes[0][:, 0]
+        x, y = self._boxes[0][:, 0], self._boxes[0][:, 1]
+        self._x, self._y, self._reach = x.copy(), y.copy(), self._boxes[1][:, :2].max(axis=1, initial=0.0)
         first, last = np.percentile(x, _COVERED) if len(x) else (0.0, 0.0)
         reach, self._middle = max(region.radius_m, site.observation.max_range_m), region.centre_xy[0]
         self._low, self._high = first + reach, last - reach
@@ -261,7 +262,8 @@ class _Stations:
         pole = np.array([station_m + mount["x_m"] * (-1.0 if mirrored else 1.0), mount["y_m"]])
         centre, size, heading = self._boxes
         beside = np.array([_ABREAST_M, 0.0])
-        near = (np.abs(centre[:, :2] - pole) <= size[:, :2].max(axis=1)[:, None] + beside).all(axis=1)
+        near = np.flatnonzero(np.abs(self._y - pole[1]) <= self._reach)
+        near = near[np.abs(self._x[near] - pole[0]) <= self._reach[near] + _ABREAST_M]
         return not footprints_meet(centre[near], size[near], heading[near], pole - beside, pole + beside).any()
 
 
