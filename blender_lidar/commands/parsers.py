@@ -236,7 +236,7 @@ class DatasetOptions:
 def _dataset(subparsers) -> None:
     parser = _verb(
         *(subparsers, "dataset", "dataset.run", "SCENE.toml", "labelled clouds to train and judge detectors with"),
-        "Scan frames of the traffic from random mountings, at random stations along the road and half of them mirrored, "
+        "Scan frames of the traffic from random mountings, at random stations along the road, half of them mirrored, "
         "and write clouds with boxes, point counts and visibility: searched frames train, held-out ones validate, and "
         "no vehicle is labelled in both. Given the same again it goes on where it was stopped.",
         "i80 --mountings 20 --out i80_set",

@@ -254,7 +254,7 @@ class _Stations:
         mirrored = bool(rng.random() < 0.5)
         middle = -self._middle if mirrored else self._middle
         draws = 0 if self.is_one else _MOST_DRAWS
-        stations = rng.uniform(self._low - middle, self._high - middle, draws).tolist()
+        stations = (self._low - middle + (self._high - self._low) * rng.random(draws)).tolist()
         return next(((x, mirrored) for x in (*stations, 0.0) if self._is_clear(mount, x, mirrored)), (0.0, False))
 
     def _is_clear(self, mount: Mapping[str, float], station_m: float, mirrored: bool) -> bool:

@@ -121,7 +121,7 @@ class DatasetFolder:
                 return finished
             unfinished = self._read(UNFINISHED, identity)
             done = 0 if unfinished is None else self._scans_done(unfinished, len(plan))
-            for name in (BOXES, *(part for layout in layouts for part in _FOLDERS[layout])):
+            for name in (BOXES, *(part for layout in layouts for part in LAYOUTS[layout][0])):
                 make_folder(self.path / name, "--out")
                 sweep(self.path / name)
             self._write_scans(plan, layouts, identity, done, workers, progress(len(plan), done))
@@ -236,7 +236,7 @@ class _ScanWriter:
         made = sample(self.plan, number)
         with synced_later():
             for layout in self.layouts:
-                _WRITERS[layout](self.folder, made, self.plan)
+                LAYOUTS[layout][1](self.folder, made, self.plan)
             path = self.folder / BOXES / f"{file_name(number)}.csv"
             write_columns(path, _box_columns(made), _DECIMALS)
         return number
@@ -466,10 +466,10 @@ def _white_png() -> bytes:
     return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"\0\xff", 9)) + chunk(b"IEND", b"")
 
 
-_WRITERS = {"npz": _write_npz, "kitti": _write_kitti, "openpcdet": _write_openpcdet, "nuscenes": _write_nuscenes}
-_FOLDERS = {
-    "npz": ("npz",),
-    "kitti": tuple(f"kitti/training/{part}" for part in ("velodyne", "label_2", "calib")),
-    "openpcdet": ("openpcdet/points", "openpcdet/labels"),
-    "nuscenes": (f"nuscenes/{_SWEEPS}", f"nuscenes/{_VERSION}", "nuscenes/maps"),
+LAYOUTS: dict[str, tuple[tuple[str, ...], Callable[[Path, Sample, DatasetPlan], None]]] = {
+    "npz": (("npz",), _write_npz),
+    "kitti": (tuple(f"kitti/training/{part}" for part in ("velodyne", "label_2", "calib")), _write_kitti),
+    "openpcdet": (("openpcdet/points", "openpcdet/labels"), _write_openpcdet),
+    "nuscenes": ((f"nuscenes/{_SWEEPS}", f"nuscenes/{_VERSION}", "nuscenes/maps"), _write_nuscenes),
 }
+"""The folders of each layout's files, and what writes those of one scan."""
