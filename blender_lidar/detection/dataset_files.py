@@ -121,7 +121,7 @@ class DatasetFolder:
                 return finished
             unfinished = self._read(UNFINISHED, identity)
             done = 0 if unfinished is None else self._scans_done(unfinished, len(plan))
-            for name in (BOXES, *(part for layout in layouts for part in LAYOUTS[layout][0])):
+            for name in (BOXES, *(part for layout in layouts for part in DATASET_WRITERS[layout][0])):
                 make_folder(self.path / name, "--out")
                 sweep(self.path / name)
             self._write_scans(plan, layouts, identity, done, workers, progress(len(plan), done))
@@ -236,7 +236,7 @@ class _ScanWriter:
         made = sample(self.plan, number)
         with synced_later():
             for layout in self.layouts:
-                LAYOUTS[layout][1](self.folder, made, self.plan)
+                DATASET_WRITERS[layout][1](self.folder, made, self.plan)
             path = self.folder / BOXES / f"{file_name(number)}.csv"
             write_columns(path, _box_columns(made), _DECIMALS)
         return number
@@ -466,7 +466,7 @@ def _white_png() -> bytes:
     return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"\0\xff", 9)) + chunk(b"IEND", b"")
 
 
-LAYOUTS: dict[str, tuple[tuple[str, ...], Callable[[Path, Sample, DatasetPlan], None]]] = {
+DATASET_WRITERS: dict[str, tuple[tuple[str, ...], Callable[[Path, Sample, DatasetPlan], None]]] = {
     "npz": (("npz",), _write_npz),
     "kitti": (tuple(f"kitti/training/{part}" for part in ("velodyne", "label_2", "calib")), _write_kitti),
     "openpcdet": (("openpcdet/points", "openpcdet/labels"), _write_openpcdet),
