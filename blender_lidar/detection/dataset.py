@@ -354,7 +354,7 @@ def visible_share(vehicles: Vehicles, lattice: BeamLattice, pose: Pose, turn: Tu
     away, half = pose.position - vehicles.centre_m, 0.5 * vehicles.size_m
     cos, sin = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)
     share = np.zeros(len(vehicles))
-    for row in range(len(vehicles)):
+    for row in np.flatnonzero(np.linalg.norm(away, axis=1) - radius <= max_range_m):
         piece = Pieces(corners[row, :, :, None], vehicles.centre_m[row, :, None], radius[row : row + 1])
         beams = reachable_beams(lattice, piece, pose, max_range_m)
         turned = np.array([[cos[row], -sin[row], 0.0], [sin[row], cos[row], 0.0], [0.0, 0.0, 1.0]])

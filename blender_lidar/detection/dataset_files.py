@@ -1,7 +1,7 @@
 """Data sets as files: NPZ, KITTI's layout, OpenPCDet's custom one and nuScenes' tables; written in parallel, resumed.
 
 Each scan has its files, which are whole or not there, and a row in the lists and tables that are written at the end.
-Until then a checkpoint says how many scans, in their order, are on the disk.
+Until then a checkpoint says which scans are on the disk.
 """
 
 from __future__ import annotations
@@ -120,30 +120,38 @@ class DatasetFolder:
             if (finished := self._read(DATASET, identity)) is not None:
                 return finished
             unfinished = self._read(UNFINISHED, identity)
-            done = 0 if unfinished is None else self._scans_done(unfinished, len(plan))
+            done = set() if unfinished is None else self._scans_done(unfinished, len(plan))
             for name in (BOXES, *(part for layout in layouts for part in DATASET_WRITERS[layout][0])):
                 make_folder(self.path / name, "--out")
                 sweep(self.path / name)
-            self._write_scans(plan, layouts, identity, done, workers, progress(len(plan), done))
+            self._write_scans(plan, layouts, identity, done, workers, progress(len(plan), len(done)))
             return self._finish(plan, layouts, {"identity": identity, **about})
 
-    def _write_scans(self, plan, layouts, identity, done, workers, advance) -> None:
-        def remember() -> None:
+    def _write_scans(self, plan, layouts, identity, done: set[int], workers, advance) -> None:
+        def remember(there: set[int]) -> None:
             sync_files()
-            write_text(self.path / UNFINISHED, json.dumps({"identity": identity, "scans_done": done}))
+            first = next(number for number in range(len(plan) + 1) if number not in there)
+            told = {"identity": identity, "scans_done": first, "also": sorted(one for one in there if one > first)}
+            write_text(self.path / UNFINISHED, json.dumps(told))
 
-        remember()
+        remember(done)  # what else is there has not been forced to the disk
+        for path in (self.path / BOXES).glob("[0-9]*.csv"):
+            if int(path.stem) not in done:
+                path.unlink()
         at = time.monotonic()
         try:
             with closing(Workers(_ScanWriter(self.path, plan, tuple(layouts)), workers)) as pool:
-                for number in pool.each(range(done, len(plan))):
-                    done = number + 1
+                for _ in pool.each([number for number in range(len(plan)) if number not in done]):
                     advance(1)
                     if time.monotonic() - at > _CHECKPOINT_S:
-                        remember()
+                        remember(self._scans_there())
                         at = time.monotonic()
         finally:
-            remember()
+            remember(self._scans_there())
+
+    def _scans_there(self) -> set[int]:
+        """The scans all whose files are written: that of its boxes is the last."""
+        return {int(path.stem) for path in (self.path / BOXES).glob("[0-9]*.csv")}
 
     def _finish(self, plan: DatasetPlan, layouts: Sequence[str], about: Mapping[str, object]) -> dict[str, object]:
         """Write lists, tables and, last, dataset.json."""
@@ -195,11 +203,11 @@ class DatasetFolder:
         check_identity(stored, identity, f"{self.path}: the data set there", "--out")
         return content
 
-    def _scans_done(self, content: Mapping, total: int) -> int:
-        done = content.get("scans_done")
-        if not isinstance(done, int) or not 0 <= done <= total:
+    def _scans_done(self, content: Mapping, total: int) -> set[int]:
+        done, also = content.get("scans_done"), content.get("also")
+        if not isinstance(done, int) or not 0 <= done <= total or not isinstance(also, list):
             raise InputError(f"{self.path / UNFINISHED}: is damaged; give another --out")
-        return done
+        return {*range(done), *also} & set(range(total))
 
 
 def _scan_columns(plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]) -> dict[str, np.ndarray]:
