@@ -240,7 +240,7 @@ def _dataset(subparsers) -> None:
         "and write clouds with boxes, point counts and visibility: searched frames train, held-out ones validate, and "
         "no vehicle is labelled in both. Given the same again it goes on where it was stopped.",
         "i80 --mountings 20 --out i80_set",
-        "i80 --frames 200 --mountings 50 --scans 2500 --layout kitti --layout openpcdet --out i80_set",
+        "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout openpcdet --out i80_set",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--seeds", "--metric", "--reading", "--cluster"))
     group, settings = parser.add_argument_group("data set"), settings_of(DatasetOptions)
