@@ -11,6 +11,7 @@ TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table")
 WARNINGS = ("units", "sizes", "time-step", "headings", "carriageway", "overlaps")  # of what cannot be true of traffic
 SENSOR_SUFFIXES = (".toml", ".csv")
 CLOUD_SUFFIXES = (".npz", ".pcd", ".ply", ".bin", ".las", ".laz")
+DATASET_LAYOUTS = ("npz", "kitti", "openpcdet", "nuscenes")
 VIEWS = ("mean", "max", "min")  # how three occupancies become the P of Eq. 11
 READINGS = ("corrected", "paper")
 SEARCHES = ("hardened", "de-pso", "grid", "random")  # the first unless said

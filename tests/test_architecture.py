@@ -15,6 +15,7 @@ import blender_lidar
 from blender_lidar import names
 from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.clouds.files import WRITERS
+from blender_lidar.detection.dataset_files import DATASET_WRITERS
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.optimise import DePso, GridSearch, Hardened, RandomSearch
 from tests import traffic_samples
@@ -32,6 +33,7 @@ VERBS = (
     "chart",
     "scan",
     "detect",
+    "dataset",
     "build",
     "render",
     "score",
@@ -272,6 +274,7 @@ def test_the_names_that_settings_allow_are_those_of_the_rooms():
     assert tuple(name for name, metric in METRICS.items() if metric.learn is None) == names.VEHICLE_METRICS
     assert tuple(search.name for search in (Hardened, DePso, GridSearch, RandomSearch)) == names.SEARCHES
     assert tuple(WRITERS) == names.CLOUD_SUFFIXES
+    assert tuple(DATASET_WRITERS) == names.DATASET_LAYOUTS
     assert all(caster_class(name).__name__ == f"{name.capitalize()}Caster" for name in CASTERS if is_available(name))
 
 

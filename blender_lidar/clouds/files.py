@@ -8,7 +8,7 @@ import math
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
@@ -23,12 +23,16 @@ from .scan import NO_CLASS, PointCloud, class_names
 # --- NPZ, which keeps everything -------------------------------------------------------------------------
 
 
-def write_npz(path: str | Path, cloud: PointCloud, header: dict) -> None:
-    """Write every attribute of a cloud, and `header` as JSON, to an NPZ file; angles become degrees."""
+def write_npz(path: str | Path, cloud: PointCloud, header: dict, more: Mapping[str, np.ndarray] | None = None) -> None:
+    """Write every attribute of a cloud, and `header` as JSON, to an NPZ file; angles become degrees.
+
+    `more` are further arrays, by their names.
+    """
     columns = {name: getattr(cloud, name) for name in ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")}
     columns |= {f"{name}_deg": np.degrees(getattr(cloud, f"{name}_rad")) for name in ("azimuth", "incidence")}
     packed = io.BytesIO()  # as a ZipFile on a full disk would complain again when it is collected
-    np.savez_compressed(packed, **columns, **{"class": class_names(cloud.class_index)}, header=json.dumps(header))
+    columns |= {"class": class_names(cloud.class_index), "header": json.dumps(header), **(more or {})}
+    np.savez_compressed(packed, **columns)
     write_bytes(path, packed.getvalue())
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
-from ..names import CASTERS, CLOUD_SUFFIXES, DEFAULT_CELL_M, DETAILS, VEHICLE_METRICS, VIEWS
+from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, DETAILS, VEHICLE_METRICS, VIEWS
 from ..scene.settings import TrafficSettings
 from ..studies.compare import FRAMES_FILE, LABEL_MARGIN_M, MEASURED_LOSSES, OURS
 from ..toml_table import setting, settings_of
@@ -30,6 +30,7 @@ def add_verbs(subparsers) -> None:
         _chart,
         _scan,
         _detect,
+        _dataset,
         _build,
         _render,
         _score,
@@ -210,6 +211,44 @@ def _detect(subparsers) -> None:
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--workers", "--cluster"))
     add_pose(parser)
     _detector(parser, "pillars")
+    _output(parser, verbose=False)
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetOptions:
+    """Which scans a data set has, and as what they are written.
+
+    Attributes
+    ----------
+    mountings : int
+        How many, at random within [deployment].
+    scans : int or None
+        How many; unless said each frame at each mounting once.
+    layouts : tuple of str or None
+        Npz unless said; may be repeated.
+    as_recorded : bool
+        Neither move the traffic along the road nor mirror it.
+    """
+
+    mountings: int = setting(20, low=1, high=100_000, option="--mountings", metavar="N")
+    scans: int | None = setting(None, low=1, high=1_000_000, option="--scans", metavar="N")
+    layouts: tuple[str, ...] | None = setting(None, allowed=DATASET_LAYOUTS, option="--layout")
+    as_recorded: bool = setting(False, option="--as-recorded")
+
+
+def _dataset(subparsers) -> None:
+    parser = _verb(
+        *(subparsers, "dataset", "dataset.run", "SCENE.toml", "labelled clouds to train and judge detectors with"),
+        "Scan frames of the traffic from random mountings, at random stations along the road, half of them mirrored, "
+        "and write clouds with boxes, point counts and visibility: searched frames train, held-out ones validate, and "
+        "no vehicle is labelled in both. Given the same again it goes on where it was stopped.",
+        "i80 --mountings 20 --out i80_set",
+        "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout openpcdet --out i80_set",
+    )
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--seeds", "--metric", "--reading", "--cluster"))
+    group, settings = parser.add_argument_group("data set"), settings_of(DatasetOptions)
+    for key in settings:
+        add_option(group, settings[key], key, settings[key].default)
     _output(parser, verbose=False)
 
 

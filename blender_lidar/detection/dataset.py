@@ -30,7 +30,7 @@ from ..traffic.vehicles import Vehicles
 from ..world.triangles import place
 from .judge import believed, hung_off_by
 
-TRAIN, VAL = SPLITS = ("train", "val")
+TRAIN, VAL = "train", "val"
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
 _COVERED = (1.0, 99.0)  # percentiles of x between which a recording has traffic
 _ALONG, _ALONG_SHARE = math.radians(15.0), 0.95  # of the vehicles, on a road along x
@@ -236,7 +236,8 @@ class _Stations:
             np.concatenate([getattr(vehicles, name) for vehicles in frames])
             for name in ("centre_m", "size_m", "heading_rad")
         ]
-        x = self._boxes[0][:, 0]
+        x, y = self._boxes[0][:, 0], self._boxes[0][:, 1]
+        self._x, self._y, self._reach = x.copy(), y.copy(), self._boxes[1][:, :2].max(axis=1, initial=0.0)
         first, last = np.percentile(x, _COVERED) if len(x) else (0.0, 0.0)
         reach, self._middle = max(region.radius_m, site.observation.max_range_m), region.centre_xy[0]
         self._low, self._high = first + reach, last - reach
@@ -253,15 +254,16 @@ class _Stations:
         mirrored = bool(rng.random() < 0.5)
         middle = -self._middle if mirrored else self._middle
         draws = 0 if self.is_one else _MOST_DRAWS
-        stations = rng.uniform(self._low - middle, self._high - middle, draws).tolist()
+        stations = (self._low - middle + (self._high - self._low) * rng.random(draws)).tolist()
         return next(((x, mirrored) for x in (*stations, 0.0) if self._is_clear(mount, x, mirrored)), (0.0, False))
 
     def _is_clear(self, mount: Mapping[str, float], station_m: float, mirrored: bool) -> bool:
         """Whether no vehicle of any frame passes where the LiDAR hangs, or has just passed or is about to."""
         pole = np.array([station_m + mount["x_m"] * (-1.0 if mirrored else 1.0), mount["y_m"]])
         centre, size, heading = self._boxes
-        near = np.abs(centre[:, 1] - pole[1]) <= 0.5 * size[:, :2].max(axis=1) + size[:, 1]
-        beside = (_ABREAST_M, 0.0)
+        beside = np.array([_ABREAST_M, 0.0])
+        near = np.flatnonzero(np.abs(self._y - pole[1]) <= self._reach)
+        near = near[np.abs(self._x[near] - pole[0]) <= self._reach[near] + _ABREAST_M]
         return not footprints_meet(centre[near], size[near], heading[near], pole - beside, pole + beside).any()
 
 
@@ -353,7 +355,7 @@ def visible_share(vehicles: Vehicles, lattice: BeamLattice, pose: Pose, turn: Tu
     away, half = pose.position - vehicles.centre_m, 0.5 * vehicles.size_m
     cos, sin = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)
     share = np.zeros(len(vehicles))
-    for row in range(len(vehicles)):
+    for row in np.flatnonzero(np.linalg.norm(away, axis=1) - radius <= max_range_m):
         piece = Pieces(corners[row, :, :, None], vehicles.centre_m[row, :, None], radius[row : row + 1])
         beams = reachable_beams(lattice, piece, pose, max_range_m)
         turned = np.array([[cos[row], -sin[row], 0.0], [sin[row], cos[row], 0.0], [0.0, 0.0, 1.0]])

@@ -48,7 +48,7 @@ def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = N
     return json.loads(json.dumps({CODE: f"{__version__} ({source_digest()})", **flat}))
 
 
-def check_identity(stored: object, identity: Mapping[str, object], what: str) -> None:
+def check_identity(stored: object, identity: Mapping[str, object], what: str, option: str = "--resume") -> None:
     """Refuse to go on with what other code, settings or files have made.
 
     Parameters
@@ -59,6 +59,8 @@ def check_identity(stored: object, identity: Mapping[str, object], what: str) ->
         The one of now: that of `run_identity`, and perhaps more.
     what : str
         What was stored, and where: ``"runs/a: the run there"``.
+    option : str
+        By which it is gone on with.
 
     Raises
     ------
@@ -66,13 +68,13 @@ def check_identity(stored: object, identity: Mapping[str, object], what: str) ->
         Naming the first thing that differs.
     """
     if not isinstance(stored, dict):
-        raise InputError(f"--resume: {what} does not say with which settings it was made")
+        raise InputError(f"{option}: {what} does not say with which settings it was made")
     for key in sorted({*stored, *identity}):
         before, now = stored.get(key), identity.get(key)
         if before != now:
             had = "was made by other code, blender_lidar" if key == CODE else f"had {key} ="
             instead = "go on with that one, or give" if key == CODE else "give it the same settings, or"
-            raise InputError(f"--resume: {what} {had} {shown(before)}, not {shown(now)}; {instead} another --out")
+            raise InputError(f"{option}: {what} {had} {shown(before)}, not {shown(now)}; {instead} another --out")
 
 
 def check_same_inputs(scenario: Scenario, identity: Mapping[str, object]) -> None:

@@ -1,0 +1,90 @@
+"""blender-lidar dataset: labelled point clouds of a scene from random mountings, in the layouts of detectors."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from contextlib import ExitStack, closing
+from dataclasses import asdict
+from pathlib import Path
+
+from ..detection.dataset import TRAIN, VAL, DatasetPlan, plan_dataset
+from ..detection.dataset_files import DatasetFolder
+from ..errors import InputError
+from ..names import DATASET_LAYOUTS
+from ..report.summary import as_sentence, warnings_text
+from ..scene.provenance import versions
+from ..scene.site import Site, prepare
+from ..scoring.evaluation import workplace_of
+from ..toml_table import settings_of
+from .options import default_folder, given_options, scenario_from
+from .parsers import DatasetOptions
+from .progress import Progress
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make a data set, or go on with it; returns the exit code."""
+    asked = DatasetOptions(**given_options(args, settings_of(DatasetOptions)))
+    layouts = _layouts(asked)
+    scenario = scenario_from(args)
+    folder = DatasetFolder(args.out if args.out is not None else default_folder(scenario, "dataset"))
+    folder.check()
+    site = prepare(scenario)
+    plan = plan_dataset(site, asked.mountings, asked.scans, scenario.search.seed, as_recorded=asked.as_recorded)
+    identity = {
+        **site.identity,
+        "--mountings": len(plan.mounts),
+        "--scans": len(plan),
+        "--as-recorded": asked.as_recorded,
+        "--layout": list(layouts),
+    }
+    with ExitStack() as stack:
+
+        def progress(total: int, done: int):
+            return stack.enter_context(closing(Progress(total, "scans", done))).advance
+
+        workers = workplace_of(scenario.model).processes
+        result = folder.write(plan, layouts, identity, _about(site, plan, layouts), workers, progress)
+    print(json.dumps(result, indent=2) if args.json else _told(result, folder.path))
+    return 0
+
+
+def _layouts(asked: DatasetOptions) -> tuple[str, ...]:
+    """The layouts that are asked for, in the order of their list."""
+    given = asked.layouts or DATASET_LAYOUTS[:1]
+    if len(set(given)) < len(given):
+        raise InputError("--layout: names a layout twice")
+    return tuple(layout for layout in DATASET_LAYOUTS if layout in given)
+
+
+def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str, object]:
+    """What dataset.json says of a plan."""
+    scenario = site.scenario
+    tolerance = scenario.objective.tolerance
+    return {
+        "scene": Path(scenario.source).name,
+        "sensor": site.model.name,
+        "region": asdict(scenario.region),
+        "caster": site.observation.caster,
+        "layouts": list(layouts),
+        "seed": plan.seed,
+        "tolerance": None if tolerance is None else tolerance.half_widths,
+        "mountings": [dict(mount) for mount in plan.mounts],
+        "warnings": site.recording.report.warnings_as_dicts(),
+        "notes": [*site.plan.notes, *plan.notes],
+        "versions": versions(site.observation.caster),
+    }
+
+
+def _told(result: dict, folder: Path) -> str:
+    lines = [*warnings_text(result)]
+    for split, purpose in ((TRAIN, "to train on"), (VAL, "to validate by")):
+        one = result[split]
+        lines.append(
+            f"{one['scans']:,} scans of {one['frames']:,} frames {purpose}: {one['labelled']:,} labelled boxes of "
+            f"{one['different_vehicles']:,} vehicles, {one['with_return']:,} with a return"
+        )
+    mountings = len(result["mountings"])
+    where = f"Data set in {folder}: {mountings} mounting{'s' * (mountings != 1)} of the {result['sensor']} "
+    where += f"({result['caster']}), {', '.join(result['layouts'])}"
+    return "\n".join([*lines, "", where, *(f"\n{as_sentence(note)}" for note in result["notes"])])
