@@ -201,8 +201,8 @@ def _detect(subparsers) -> None:
     parser = _verb(
         *(subparsers, "detect", "detect.run", "SCENE.toml|CLOUDS", "judge a detector at a mounting"),
         "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline: recall, precision "
-        "and average precision, with paired intervals, and the boxes as CSV and as KITTI's labels. Given a folder of "
-        "NPZ clouds it writes their boxes.",
+        "and average precision, with paired intervals, the boxes as CSV and as KITTI's labels, and a picture of one "
+        "frame. Given a folder of NPZ clouds it writes their boxes.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
         "clouds --out boxes",
