@@ -22,7 +22,7 @@ SCENERY = join([barrier("concrete", 14.0, (-40.0, 40.0)), box("cabinet", (5.0, -
 REACH_M = 60.0
 
 
-def moment(vehicles=TRAFFIC, detail="body", pose=POSE, cloud=True, scenery=SCENERY):
+def moment(vehicles=TRAFFIC, detail="body", pose=POSE, cloud=True, scenery=SCENERY, detections=None):
     """A moment, with random bits in place of a score."""
     from blender_lidar.world.blender.scene import Moment
 
@@ -30,7 +30,7 @@ def moment(vehicles=TRAFFIC, detail="body", pose=POSE, cloud=True, scenery=SCENE
     if cloud:
         seen = scan(vehicles, LATTICE, pose, caster="bvh", detail=detail, max_range_m=REACH_M)
         points = vertices_of(seen, np.random.default_rng(1).random(len(seen)))
-    return Moment(ROAD, vehicles, detail, LATTICE, pose, REACH_M, points, scenery)
+    return Moment(ROAD, vehicles, detail, LATTICE, pose, REACH_M, points, scenery, None, detections or {})
 
 
 def hits(corners, owner, pose=POSE, reach=REACH_M):

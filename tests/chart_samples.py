@@ -9,12 +9,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from blender_lidar.report.cloud_figures import Sight, plot_clouds, plot_occupancy
+from blender_lidar.detection.boxes import DetectedBoxes
+from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.compare_figures import plot_against, plot_declines
 from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
 from blender_lidar.road import RoadFrame
 from blender_lidar.run.folder import Outcome
 from blender_lidar.run.verdict import ScoreMap
+from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.settings import COORDINATES
 from blender_lidar.studies.compare.detectors import Decline, Scatter
 from blender_lidar.traffic.vehicles import Vehicles
@@ -112,6 +114,23 @@ def sights(seen: np.ndarray, *, number: int = 500) -> tuple[Sight, Sight]:
     )
 
 
+def detections(number: int = 300) -> dict[str, object]:
+    """Arguments of the chart of detections: of ten vehicles that count and two others each second one is found."""
+    frame = CountedFrame(vehicles(4), np.arange(12) < 10)
+    shown = frame.vehicles.select(np.arange(12) % 2 == 0)
+    boxes = DetectedBoxes(
+        np.concatenate([shown.centre_m, [(20.0, 25.0, 1.0)]]),
+        np.concatenate([shown.size_m, [(4.0, 1.8, 1.5)]]),
+        np.append(shown.heading_rad, 0.3),
+        np.zeros(7, np.int8),
+        np.full(7, 0.8),
+    )
+    vehicle, ignored = np.array([0, 2, 4, 6, 8, -1, -1]), np.arange(7) == 5
+    of_mountings = {"Baseline": (mount(2.0), cloud(6, number)), "Given": (mount(4.0), cloud(7, number))}
+    found = [Found(name, *seen, boxes, vehicle, ignored) for name, seen in of_mountings.items()]
+    return {"frame": frame, "found": found, **HEADINGS}
+
+
 def views(share: float, size: tuple[float, float, float] = CAR) -> dict[str, np.ndarray]:
     """Occupancy grids of cells of 5 cm, filled at random."""
     rng = np.random.default_rng(3)
@@ -163,6 +182,7 @@ def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
         "clouds": (plot_clouds, {"vehicles": vehicles(4), "sights": sights(np.arange(12) % 3 > 0), **HEADINGS}),
         "declines": (plot_declines, {"metrics": declines, "detectors": detectors, **HEADINGS}),
         "against": (plot_against, {"metrics": [against(*of) for of in units.items()], **HEADINGS}),
+        "detections": (plot_detections, detections()),
         "occupancy": (plot_occupancy, occupancy(0.02, 0.1)),
     }
 

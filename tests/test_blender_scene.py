@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 bpy = pytest.importorskip("bpy")
 
+from blender_lidar.detection.boxes import DetectedBoxes, corners_of
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, role, sensor_matrix
@@ -372,6 +373,73 @@ def _pixels(path):
     pixels = np.empty(len(image.pixels), dtype=np.float32)
     image.pixels.foreach_get(pixels)
     return pixels
+
+
+def boxes_about(vehicles, seed=1):
+    """Detections that are a little off."""
+    rng, count = np.random.default_rng(seed), len(vehicles)
+    off = rng.normal(0.0, 0.3, (count, 3))
+    kind = rng.integers(0, 3, count).astype(np.int8)
+    heading = vehicles.heading_rad + rng.normal(0.0, 0.2, count)
+    return DetectedBoxes(vehicles.centre_m + off, vehicles.size_m * 1.1, heading, kind, rng.random(count))
+
+
+def check_wire_boxes(item, boxes):
+    """A mesh holds the corners of the boxes, and what they are, and shows their edges alone."""
+    mesh = item.data
+    places = np.array([vertex.co for vertex in mesh.vertices]).reshape(len(boxes), -1, 3)
+    for lower, first in ((True, 0), (False, 4)):
+        corners = places[:, first : first + 4]
+        np.testing.assert_allclose(corners[..., :2], corners_of(boxes), atol=1e-5)
+        floor = boxes.centre_m[:, 2] + (-0.5 if lower else 0.5) * boxes.size_m[:, 2]
+        np.testing.assert_allclose(corners[..., 2], np.repeat(floor[:, None], 4, axis=1), atol=1e-5)
+    for name in ("kind", "confidence"):
+        of_vertex = np.empty(len(mesh.vertices))
+        mesh.attributes[name].data.foreach_get("value", of_vertex)
+        np.testing.assert_allclose(of_vertex.reshape(len(boxes), -1).T, [getattr(boxes, name)] * 10, rtol=1e-6)
+    faces = np.array([polygon.material_index for polygon in mesh.polygons]).reshape(len(boxes), -1)
+    np.testing.assert_array_equal(faces.T, [boxes.kind] * faces.shape[1])
+    seen = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+    assert max(polygon.area for polygon in seen.polygons) < 0.3 * (boxes.size_m[:, :2].prod(axis=1)).min()
+    assert len({polygon.material_index for polygon in seen.polygons}) == len(set(boxes.kind.tolist()))
+
+
+def detections_in(scene):
+    return [item for item in scene.objects if role(item) == "detections"]
+
+
+def test_detections_are_wire_boxes_in_a_saved_scene_and_nothing_meets_them(tmp_path):
+    boxes = boxes_about(TRAFFIC)
+    save_blend(tmp_path / "scene.blend", moment(detections={TRAFFIC.frame: boxes, TRAFFIC.frame + 1: boxes}))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    (item,) = bpy.data.collections["Detections"].objects
+    check_wire_boxes(item, boxes)
+    assert not item.hide_render
+    assert item.name not in visible_triangles(bpy.context.scene).names
+    build_scene(bpy.context.scene, moment(detections={TRAFFIC.frame + 1: boxes}))
+    assert not detections_in(bpy.context.scene)
+    empty_scene()
+
+
+def test_detections_of_no_vehicle_are_no_boxes(scene):
+    nothing = boxes_about(TRAFFIC).select(np.zeros(len(TRAFFIC), dtype=bool))
+    build_scene(scene, moment(detections={TRAFFIC.frame: nothing}))
+    assert [len(item.data.vertices) for item in detections_in(scene)] == [0]
+
+
+def test_each_frame_of_an_animation_shows_its_own_detections_until_the_next(tmp_path):
+    frames = [_renumbered(dense_traffic(vehicles=9, seed=seed), number) for seed, number in ((1, 10), (2, 20), (3, 30))]
+    detections = {vehicles.frame: boxes_about(vehicles) for vehicles in (frames[0], frames[1])}
+    save_blend(tmp_path / "scene.blend", moment(frames[0], cloud=False, detections=detections), frames, 0.1)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    scene = bpy.context.scene
+    for at, number in ((1, 10), (24, 10), (25, 20), (48, 20), (49, None)):
+        scene.frame_set(at)
+        shown = [item for item in detections_in(scene) if not item.hide_render]
+        assert [item.hide_viewport for item in shown] == [False] * (number is not None)
+        for item in shown:
+            check_wire_boxes(item, detections[number])
+    empty_scene()
 
 
 def test_an_unknown_camera_is_refused_by_name(scene, tmp_path):

@@ -141,6 +141,36 @@ def test_a_run_is_rendered_and_its_page_shows_the_pictures(tmp_path, capsys, mon
     assert (folder / "report.html").read_text().count("data:image/png") == 4
 
 
+def test_detections_are_built_and_rendered_with_the_mounting_that_they_are_of(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    monkeypatch.setattr("blender_lidar.world.blender.scene.SIZE", (64, 36))
+    row = "{},car,{},5,0.7,4,2,1,0,0.5\n"
+    header = "frame,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg,confidence\n"
+    (tmp_path / "own.csv").write_text(header + row.format(20, 3) + row.format(20, 9) + row.format(21, 3))
+    (tmp_path / "own_baseline.csv").write_text(header + row.format(20, 3))
+    (tmp_path / "far.csv").write_text(header + row.format(10**6, 3))
+    words = write_scene(tmp_path), "--height", 3, "--out"
+    detections = "--detections", tmp_path / "own.csv"
+    for frames, told in ((("--frame", 20), 2), (("--frame", 22), 0), (("--frame-ids", "20:22"), 3)):
+        out, _ = done(capsys, "build", *words, tmp_path / "a.blend", *frames, "--no-cloud", *detections)
+        assert f", {told} detections" in out
+    assert cli(capsys, "evaluate", *words, tmp_path / "run", "--frame-ids", "18:24")[0] == 0
+    boxes = []
+    monkeypatch.setattr(
+        "blender_lidar.world.blender.scene.show_detections", lambda scene, found: boxes.append(found and len(found))
+    )
+    out, _ = done(capsys, "render", tmp_path / "run", "--samples", 1, *detections)
+    assert out.startswith("frame 21: ")
+    assert boxes == [None, 1]
+    done(capsys, "render", tmp_path / "run", "--samples", 1, "--frame", 20, *detections)
+    assert boxes[2:] == [1, 2]
+    line = refused(capsys, tmp_path, "render", tmp_path / "run", "--detections", tmp_path / "far.csv")
+    assert "far.csv: has no frame of the run" in line
+    assert "none.csv: there is no such file" in refused(
+        capsys, tmp_path, "build", *words, tmp_path / "a.blend", "--frame", 20, "--detections", tmp_path / "none.csv"
+    )
+
+
 @pytest.mark.parametrize(
     ("words", "problem"),
     [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from blender_lidar.clouds.files import read_cloud
 from blender_lidar.detection.classical import l_shape_heading
 from blender_lidar.detection.scores import MEASURES
 from blender_lidar.errors import InputError
+from blender_lidar.report import cloud_figures
 from tests.refusals import refused
+from tests.report_samples import Page
 from tests.small_scene import HEADER, REGION, cli, done, traffic_rows, without_charts, write_scene, write_table
 
 MOUNT = ("--height", 4.5, "--tilt-x", 15)
@@ -48,6 +51,7 @@ def test_what_it_finds_is_there_and_most_is_found(scene, tmp_path, capsys):
     assert given["recall_0.1"] <= given["with_return"]
     assert set(given["over_baseline"]) == set(MEASURES)
     assert f"finds {100 * given['recall_0.3']:.1f} % of the vehicles instead of" in out
+    assert (tmp_path / "found" / "detections.png").exists() == (find_spec("matplotlib") is not None)
     again, _ = done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "again", "--json")
     assert json.loads(again) == result
 
@@ -88,9 +92,13 @@ def test_a_lidar_that_hangs_off_its_plan_costs_overlap(scene, tmp_path, capsys):
     assert scores[1]["ap_iou_0.7"] < scores[0]["ap_iou_0.7"] - 0.05
 
 
-def test_the_baseline_alone_is_judged_alone(scene, tmp_path, capsys):
-    out, _ = done(capsys, "detect", scene, "--out", tmp_path / "found")
+def test_the_baseline_alone_is_judged_alone_and_without_matplotlib_there_is_no_picture(
+    scene, tmp_path, capsys, monkeypatch
+):
+    without_charts(monkeypatch)
+    out, err = done(capsys, "detect", scene, "--out", tmp_path / "found")
     assert "under the baseline" not in out
+    assert "note: no picture: charts need matplotlib" in err
     assert sorted(path.name for path in (tmp_path / "found").iterdir()) == [
         "detection.json",
         "detections.csv",
@@ -193,6 +201,33 @@ def test_runs_have_a_part_on_detection_where_a_detector_is_asked(scene, tmp_path
     assert (tmp_path / "run" / "label_2").is_dir()
     done(capsys, "evaluate", scene, *MOUNT, "--out", tmp_path / "plain")
     assert "What a detector finds" not in (tmp_path / "plain" / "report.html").read_text(encoding="utf-8")
+
+
+def test_the_picture_shows_what_was_matched_in_the_median_frame_and_is_on_the_page(
+    scene, tmp_path, capsys, monkeypatch
+):
+    pytest.importorskip("matplotlib", reason="charts need matplotlib")
+    monkeypatch.setattr("blender_lidar.report.run_figures.draw_charts", lambda site, run: [])
+    shown, plot = [], cloud_figures.plot_detections
+    monkeypatch.setattr(
+        cloud_figures, "plot_detections", lambda path, *arguments: (shown.extend(arguments), plot(path, *arguments))
+    )
+    done(capsys, "evaluate", scene, *MOUNT, "--detector", "classical", "--out", tmp_path / "run")
+    frame, (baseline, given), title, subtitle = shown
+    assert title == f"RS-16: what the detector classical finds in frame {frame.vehicles.frame}"
+    assert subtitle.endswith("held-out frames; confidence 0.3 or more, hits within 2 m")
+    assert (baseline.name, given.name, given.mount["height_m"]) == ("Baseline", "Given", 4.5)
+    rows = np.genfromtxt(tmp_path / "run" / "vehicles.csv", delimiter=",", names=True, dtype=None, encoding=None)
+    counts = np.sort(np.unique(rows["frame"][rows["split"] == "holdout"], return_counts=True)[1])
+    assert frame.counted.sum() == counts[len(counts) // 2]
+    of_frame = frame.vehicles.centre_m[given.vehicle[given.vehicle >= 0], :2]
+    away = np.linalg.norm(given.boxes.centre_m[given.vehicle >= 0, :2] - of_frame, axis=1)
+    assert len(away) > 0
+    assert (away <= 2.0).all()
+    page = Page((tmp_path / "run" / "report.html").read_text(encoding="utf-8"))
+    assert [image["alt"].split(": ")[1] for tag, image in page.elements if tag == "img"] == [
+        "Detections in one frame from above, over vehicles and points"
+    ]
 
 
 @pytest.mark.parametrize("verb", ["detect", "evaluate", "optimise"])

@@ -15,7 +15,7 @@ import pytest
 
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.report import figure as canvas
-from blender_lidar.report.cloud_figures import plot_clouds, plot_occupancy
+from blender_lidar.report.cloud_figures import Found, plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.run_figures import (
     FEWEST_VEHICLES,
     plot_blind_zones,
@@ -28,6 +28,8 @@ from tests.chart_samples import (
     CHARTS,
     ROAD,
     chart_arguments,
+    cloud,
+    detections,
     grey_pixels,
     history,
     lightness,
@@ -320,6 +322,38 @@ def test_clouds_count_what_they_show(tmp_path, figures):
 def test_clouds_without_points_or_vehicles_are_drawn(tmp_path, figures):
     plot_clouds(tmp_path / "c.png", vehicles(1, 0), sights(np.zeros(0, dtype=bool), number=0))
     assert "0 of 0 vehicles detectable, 0 points on vehicles" in words(figures[0])
+
+
+def test_detections_tell_hits_from_false_alarms_and_count_them(tmp_path, figures):
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    shown = detections()
+    plot_detections(tmp_path / "d.png", **shown)
+    assert "Baseline: height 2.00 m, tilt 0.0°\n5 of 10 vehicles found, 1 false alarm\n" in words(figures[0]) + "\n"
+    axes, boxes = figures[0].axes[0], shown["found"][0].boxes
+    drawn = [len(shapes.get_paths()) for shapes in axes.collections if isinstance(shapes, PolyCollection)]
+    assert drawn == [5, 5, 2, 5, 1, 1]  # vehicles found, missed and not counted; hits, false alarms, not counted
+    ticks = np.concatenate([lines.get_segments() for lines in axes.collections if isinstance(lines, LineCollection)])
+    forward = ticks[:, 1] - ticks[:, 0]
+    order = [0, 1, 2, 3, 4, 6, 5]
+    np.testing.assert_allclose(np.arctan2(*forward.T[::-1]), boxes.heading_rad[order], atol=1e-12)
+    np.testing.assert_allclose(np.hypot(*forward.T), 0.5 * boxes.size_m[order, 0])
+    low, high = axes.get_ylim()
+    assert low < 0.0  # the LiDAR
+    assert high > 25.0  # the false alarm
+    assert axes.get_aspect() == "auto"
+    box = axes.get_window_extent()
+    assert box.width / np.ptp(axes.get_xlim()) == pytest.approx(box.height / np.ptp(axes.get_ylim()), rel=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+def test_nothing_found_of_no_vehicles_is_drawn(tmp_path, figures):
+    shown = detections()
+    frame = replace(shown["frame"], vehicles=vehicles(1, 0), counted=np.zeros(0, dtype=bool))
+    boxes = shown["found"][0].boxes.select(np.zeros(7, dtype=bool))
+    found = Found("Given", mount(3.0), cloud(1, 0), boxes, np.zeros(0, int), np.zeros(0, dtype=bool))
+    plot_detections(tmp_path / "d.png", frame, [found])
+    assert "0 of 0 vehicles found, 0 false alarms" in words(figures[0])
 
 
 def test_occupancy_states_p_and_entropy_of_each_view(tmp_path, figures):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..world.needs_blender import blender_room
 from .scan import PointCloud, scan
 
 if TYPE_CHECKING:
+    from ..world.blender.detections import Boxes
     from ..world.blender.scene import Moment
 
 
@@ -81,8 +83,10 @@ class MountedSensor:
             **({"mounting": dict(self.mount), "road": slopes} if slopes else {}),
         }
 
-    def moment(self, vehicles: Vehicles, *, with_cloud: bool = True) -> Moment:
-        """A frame and what the sensor sees of it, for `world.blender.scene`."""
+    def moment(
+        self, vehicles: Vehicles, *, with_cloud: bool = True, detections: Mapping[int, Boxes] = MappingProxyType({})
+    ) -> Moment:
+        """A frame, what the sensor sees of it and what a detector found, for `world.blender.scene`."""
         moment_class = blender_room("scene", "a scene to be shown").Moment
         points = None
         if with_cloud:
@@ -99,6 +103,7 @@ class MountedSensor:
             points=points,
             scenery=None if self.scenery is None else self.scenery.at(vehicles.time_s).scenery,
             settings=self.scenario.with_whole_paths(),
+            detections=detections,
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import textwrap
 from collections.abc import Iterator, Mapping
 from contextlib import closing
@@ -28,8 +29,9 @@ from ..detection.judge import (
 )
 from ..detection.pillars import SHIPPED, PillarsDetector, load_weights
 from ..detection.scores import CRITERIA
-from ..errors import InputError, MissingFileError
+from ..errors import InputError, MissingExtraError, MissingFileError
 from ..files import check_folder, check_unused, make_folder, write_text
+from ..report.cloud_figures import draw_detections
 from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
 from ..run.folder import DETECTION
@@ -44,7 +46,8 @@ from .options import default_folder, mounting_from, new_folder, scenario_from
 from .progress import Progress
 from .report import table_text
 
-_OURS = (DETECTION, "detections.csv", "detections_baseline.csv", "label_2", "label_2_baseline")
+_PICTURE = "detections.png"
+_OURS = (DETECTION, _PICTURE, "detections.csv", "detections_baseline.csv", "label_2", "label_2_baseline")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -99,7 +102,7 @@ def told(result: Mapping) -> str:
 
 
 def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path) -> dict:
-    """Judge a detector at a mounting and at the baseline, and write boxes and scores to a folder; returns the scores.
+    """Judge a detector at a mounting and at the baseline, and write boxes, scores and a picture; returns the scores.
 
     Parameters
     ----------
@@ -109,6 +112,7 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
     detector : str
         Its name, or a file of detections at the mounting, which leaves the baseline out.
     folder : Path
+        Where they go; the picture where matplotlib is installed.
     """
     mounts = {"baseline": six_coordinates(dict(site.scenario.baseline)), "given": dict(mount)}
     if mounts["baseline"] == mounts["given"] or not _is_ours(detector):
@@ -128,6 +132,10 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
         "versions": versions(site.observation.caster),
     }
     _write(folder, site, judged, mounts, result)
+    try:
+        draw_detections(folder / _PICTURE, site, detector, judged, mounts)
+    except MissingExtraError as error:
+        print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
     return result
 
 

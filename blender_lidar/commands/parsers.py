@@ -107,13 +107,15 @@ def _optimise(subparsers) -> None:
     _output(parser, resumed="run")
 
 
+_DETECTIONS = "CSV, nuScenes' JSON, or a folder of KITTI's label texts"
+
+
 def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    told = "what looks at the mounting's clouds of the held-out frames: pillars, a neural network (PointPillars, "
+    told = "what looks at the mounting's clouds of the held-out frames: pillars, a neural network (PointPillars, trained in "
     told += (
-        "trained in simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, your own "
+        "simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, your own weights of "
     )
-    told += "weights of the network; or FILE, the detections of your own: CSV, nuScenes' JSON, or a folder of KITTI's "
-    told += "label texts"
+    told += f"the network; or FILE, the detections of your own: {_DETECTIONS}"
     told += "" if default is None else " (default %(default)s)"
     parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=told)
 
@@ -201,8 +203,8 @@ def _detect(subparsers) -> None:
     parser = _verb(
         *(subparsers, "detect", "detect.run", "SCENE.toml|CLOUDS", "judge a detector at a mounting"),
         "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline: recall, precision "
-        "and average precision, with paired intervals, and the boxes as CSV and as KITTI's labels. Given a folder of "
-        "NPZ clouds it writes their boxes.",
+        "and average precision, with paired intervals, the boxes as CSV and as KITTI's labels, and a picture of one "
+        "frame. Given a folder of NPZ clouds it writes their boxes.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector classical",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
@@ -268,6 +270,7 @@ def _build(subparsers) -> None:
     add_moments(parser, many="an animation")
     add = parser.add_argument_group("output").add_argument
     add("--no-cloud", action="store_true", help="leave the point cloud out")
+    add("--detections", metavar="FILE", help=f"show them as wire boxes: {_DETECTIONS}")
     add("--out", required=True, metavar="FILE.blend", help="the file to write")
 
 
@@ -286,9 +289,14 @@ def _render(subparsers) -> None:
         "runs/i80_rs-16",
     )
     parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
-    parser.add_argument("--frame", type=int, metavar="K", help="frame number; by default the fullest searched one")
+    frame = "frame number; by default the fullest searched one, or the fullest of those with detections"
+    parser.add_argument("--frame", type=int, metavar="K", help=frame)
     samples = "light paths per pixel, 1 to 4096; more is smoother and slower"
     parser.add_argument("--samples", type=int, metavar="N", help=samples)
+    shown = (
+        "show those at the run's mounting as wire boxes, and those at the baseline where NAME_baseline lies beside: "
+    )
+    parser.add_argument("--detections", metavar="FILE", help=shown + _DETECTIONS)
 
 
 # --- Clouds and metrics without a simulation, and beside reality ------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import numpy as np
 
 from ..clouds.files import SUSTECHPOINTS_PARTS, check_cloud_name, write_cloud, write_sustechpoints
 from ..clouds.snapshot import MountedSensor, mounted_sensor
+from ..detection.boxes import DetectedBoxes
+from ..detection.files import read_detected
 from ..errors import InputError
 from ..files import check_place, check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
@@ -17,7 +20,7 @@ from ..report.page import RENDER_VIEWS, render_file, write_report
 from ..report.summary import warnings_text
 from ..run.folder import SCENE, Outcome, RunFolder
 from ..scene.provenance import check_same_inputs
-from ..scene.scenario import load_scenario
+from ..scene.scenario import Scenario, load_scenario
 from ..scene.site import check_mount_is_clear, frame_of, read_recording
 from ..toml_table import Setting, checked
 from ..traffic import Recording
@@ -123,12 +126,21 @@ def run_build(args: argparse.Namespace) -> int:
     animated, numbers = args.sequence is not None, _numbers(args)
     scene = blender_room("scene", "build")
     sensor, recording, frames = _asked(args, sorted(set(numbers)))
-    moment = sensor.moment(frames[0], with_cloud=not args.no_cloud)
+    detections = _detections(args.detections, sensor.scenario, sensor.mount)
+    moment = sensor.moment(frames[0], with_cloud=not args.no_cloud, detections=detections)
     scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
     points = "no cloud" if moment.points is None else f"{len(moment.points['xyz'])} points"
     moving = f" driving through {len(frames)} frames" if animated else ""
-    print(f"{args.out}: {len(frames[0])} vehicles{moving}, {points} ({sensor.lattice.model.name}, {sensor.caster})")
+    boxes = sum(len(detections.get(vehicles.frame, ())) for vehicles in frames)
+    detected = "" if args.detections is None else f", {boxes} detections"
+    told = f"{len(frames[0])} vehicles{moving}, {points}{detected}"
+    print(f"{args.out}: {told} ({sensor.lattice.model.name}, {sensor.caster})")
     return 0
+
+
+def _detections(path: str | Path | None, scenario: Scenario, mount: Mapping[str, float]) -> dict[int, DetectedBoxes]:
+    """What a file says was found at a mounting, by frame; nothing without a file."""
+    return {} if path is None else read_detected(path, scenario.in_road(mount))
 
 
 # --- Pictures ---------------------------------------------------------------------------------------------
@@ -145,14 +157,18 @@ def run_render(args: argparse.Namespace) -> int:
     check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)
     _say_warnings(recording)
-    number = _fullest_frame(run) if args.frame is None else args.frame
-    vehicles = frame_of(recording, number, "--frame")
     mounts = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}
+    detections = {
+        name: _detections(path, scenario, mounts[name]) for name, path in _detected_files(args.detections).items()
+    }
+    number = _fullest_frame(run, args.detections, detections["optimised"]) if args.frame is None else args.frame
+    vehicles = frame_of(recording, number, "--frame")
     written = []
     with folder.locked(), closing(Progress(len(mounts) * len(RENDER_VIEWS), "render")) as progress:
         for name, mount in mounts.items():
             scene = blender.empty_scene()
-            blender.build_scene(scene, mounted_sensor(scenario, mount).moment(vehicles))
+            moment = mounted_sensor(scenario, mount).moment(vehicles, detections=detections[name])
+            blender.build_scene(scene, moment)
             for view in RENDER_VIEWS:
                 written.append(folder.file(render_file(name, view)))
                 blender.render_picture(written[-1], scene, blender.CAMERAS[view], size=blender.SIZE, samples=samples)
@@ -162,7 +178,20 @@ def run_render(args: argparse.Namespace) -> int:
     return 0
 
 
-def _fullest_frame(run: Outcome) -> int:
-    """The searched frame with the most counted vehicles."""
-    frames, counts = np.unique(run.optimised["frame"][run.optimised["split"] == "search"], return_counts=True)
+def _detected_files(path: str | None) -> dict[str, Path | None]:
+    """Files of the detections at both mountings: where `detect` judged both, the baseline's lie beside the others."""
+    if path is None:
+        return {"baseline": None, "optimised": None}
+    given = Path(path)
+    beside = given.with_name(f"{given.stem}_baseline{given.suffix}")
+    return {"baseline": beside if beside.exists() else None, "optimised": given}
+
+
+def _fullest_frame(run: Outcome, path: str | None, detections: Mapping[int, DetectedBoxes]) -> int:
+    """The searched frame with the most counted vehicles, or the fullest of those that a file has detections of."""
+    table = run.optimised
+    asked = table["split"] == "search" if path is None else np.isin(table["frame"], list(detections))
+    frames, counts = np.unique(table["frame"][asked], return_counts=True)
+    if len(frames) == 0:
+        raise InputError(f"--detections: {path}: has no frame of the run; allowed: any, where --frame says which")
     return int(frames[counts.argmax()])

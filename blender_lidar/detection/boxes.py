@@ -8,10 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from ..names import KINDS
 from ..traffic.vehicles import CLASSES
 
-KINDS = ("car", "truck or bus", "motorcycle")
-"""What detectors tell apart, as `DetectedBoxes.kind` counts; a van is a car."""
 _KIND_OF_CLASS = np.array([KINDS.index({"van": "car", "truck": KINDS[1], "bus": KINDS[1]}.get(c, c)) for c in CLASSES])
 
 

@@ -13,6 +13,7 @@ from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..scene.observation import CountedFrame
+from ..scene.region import Region
 from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..sensors.pose import Pose
@@ -124,6 +125,20 @@ def sensor_at(site: Site, mount: Mapping[str, float]) -> MountedSensor:
     return MountedSensor(site.scenario, mount, seen.lattice, seen.caster, seen.scenery)
 
 
+def clouds_at(
+    site: Site,
+    mount: Mapping[str, float],
+    frames: Sequence[CountedFrame],
+    advance: Callable[[int], object] = lambda done: None,
+) -> Iterator[PointCloud]:
+    """What a detector is given of frames at a mounting, which hangs off where the scene has a tolerance."""
+    hangs = hung_off(site, mount)
+    sensor = sensor_at(site, hangs)
+    for frame in frames:
+        yield believed(sensor.scan(frame.vehicles), *map(site.scenario.pose, (hangs, mount)))
+        advance(1)
+
+
 def judge_detector(
     site: Site, mount: Mapping[str, float], detector: Detector, advance: Callable[[int], object] = lambda done: None
 ) -> JudgedDetector:
@@ -132,19 +147,11 @@ def judge_detector(
     Where the scene has a tolerance, the LiDAR hangs off its plan, which the detector believes in. `advance` is told of
     each cloud that was cast.
     """
-    hangs = hung_off(site, mount)
-    sensor = sensor_at(site, hangs)
-
-    def clouds(frames: Sequence[CountedFrame]) -> Iterator[PointCloud]:
-        for frame in frames:
-            yield believed(sensor.scan(frame.vehicles), *map(site.scenario.pose, (hangs, mount)))
-            advance(1)
-
     if detector.learns:
-        detector.learn(clouds(site.search))
+        detector.learn(clouds_at(site, mount, site.search, advance))
     frames, _, _ = judging_frames(site)
     boxes, returned = [], 0
-    for frame, cloud in zip(frames, clouds(frames), strict=True):
+    for frame, cloud in zip(frames, clouds_at(site, mount, frames, advance), strict=True):
         boxes.append(detector.detect(cloud))
         returned += int(np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id).sum())
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
@@ -159,15 +166,16 @@ def _judged(site: Site, mount: Mapping[str, float], boxes, with_return: float | 
 def matches_of(
     site: Site, mount: Mapping[str, float], boxes: Sequence[DetectedBoxes], kind: int | None = None
 ) -> list[Matches]:
-    """Detections of the judging frames, matched by each of `CRITERIA`; of all kinds or of one.
-
-    In stretches false alarms count on the carriageway, whatever lanes they are of.
-    """
+    """Detections of the judging frames, matched by each of `CRITERIA`; of all kinds or of one."""
     frames, _, _ = judging_frames(site)
-    carriageway = site.scenario.road.carriageway_y
-    region = replace(site.region, stretches=[(x, carriageway, None) for x, _, _ in site.region.stretches])
-    lidar = float(mount["x_m"]), float(mount["y_m"])
+    lidar, region = (float(mount["x_m"]), float(mount["y_m"])), region_of_alarms(site)
     return [match(boxes, frames, region, lidar, criterion, kind) for criterion in CRITERIA]
+
+
+def region_of_alarms(site: Site) -> Region:
+    """Where false alarms count: in the region, in stretches on the carriageway, whatever lanes they are of."""
+    carriageway = site.scenario.road.carriageway_y
+    return replace(site.region, stretches=[(x, carriageway, None) for x, _, _ in site.region.stretches])
 
 
 def judged_from_file(site: Site, mount: Mapping[str, float], path: str) -> JudgedDetector:

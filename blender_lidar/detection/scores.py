@@ -133,8 +133,22 @@ def match(
 
 def _matched(boxes: DetectedBoxes, vehicles: Vehicles, counted: np.ndarray, region: Region, lidar_xy, criterion):
     """Of one frame: columns of `Matches` of its detections that count, (d, 3), and of its vehicles that do, (v, 2)."""
-    merit = criterion.merit(boxes, vehicles)
     away, distance = (np.hypot(*(one.centre_m[:, :2] - lidar_xy).T) for one in (boxes, vehicles))
+    met, ignored = meetings(boxes, vehicles, counted, region, criterion)
+    hit, found = met >= 0, np.full(len(vehicles), MISSED)
+    found[met[hit]], away[hit] = boxes.confidence[hit], distance[met[hit]]
+    detections = np.column_stack([boxes.confidence, hit, away])[~ignored]
+    return detections, np.column_stack([found, distance])[counted]
+
+
+def meetings(
+    boxes: DetectedBoxes, vehicles: Vehicles, counted: np.ndarray, region: Region, criterion: Criterion
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of a frame's detections the vehicle that each is a hit on, (d,), -1 for none, and which do not count, (d,) bool.
+
+    Those that count and are no hit are false alarms. `counted` is as in `CountedFrame`, the others as for `match`.
+    """
+    merit = criterion.merit(boxes, vehicles)
     free, met = counted.copy(), np.full(len(boxes), -1)
     ignored = ~region.holds(boxes)
     for row in np.argsort(-boxes.confidence, kind="stable"):
@@ -144,10 +158,7 @@ def _matched(boxes: DetectedBoxes, vehicles: Vehicles, counted: np.ndarray, regi
             free[met[row]] = False
         else:
             ignored[row] |= (merit[row][~counted] > -np.inf).any()
-    hit, found = met >= 0, np.full(len(vehicles), MISSED)
-    found[met[hit]], away[hit] = boxes.confidence[hit], distance[met[hit]]
-    detections = np.column_stack([boxes.confidence, hit, away])[hit | ~ignored]
-    return detections, np.column_stack([found, distance])[counted]
+    return met, ignored & (met < 0)
 
 
 # --- Recall, precision and average precision --------------------------------------------------------------------------

@@ -1,10 +1,12 @@
-"""What both mountings see: a frame's point clouds from above, and a vehicle's occupancy grids (the paper's Fig. 4)."""
+"""What both mountings see: a frame's clouds and detections from above, and a vehicle's cells (the paper's Fig. 4)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +14,12 @@ import numpy as np
 
 from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
+from ..detection.boxes import DetectedBoxes, corners_of
+from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_of_alarms
+from ..detection.scores import CONFIDENCES, CRITERIA, meetings
 from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import Outcome
+from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.frame_scorer import FrameScorer
 from ..traffic.vehicles import Vehicles
@@ -38,6 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.collections import PathCollection
+    from matplotlib.figure import Figure
 
 # --- Point clouds of one frame from above -----------------------------------------------------------------------------
 
@@ -105,42 +112,45 @@ def plot_clouds(
     OutputError
         If the file cannot be written.
     """
-    corners = footprints(vehicles)
+    corners = corners_of(vehicles)
     poles = [[sight.mount["x_m"], sight.mount["y_m"]] for sight in sights]
-    x_edges, (low, high) = _stretches(np.concatenate([corners.reshape(-1, 2), poles]))
-    rows = len(x_edges) - 1
-    panel_mm = _PANEL_MM * (high - low) / (x_edges[1] - x_edges[0])
-    mounting_mm = _HEADING_MM + rows * (panel_mm + _TICKS_MM)
-    top = header_mm(title, subtitle)
-    bottom = top + len(sights) * mounting_mm
-    with sheet(path, bottom + _KEY_MM, title, subtitle, to_scale=True) as figure:
-        for sight in sights:
-            for row in range(rows):
-                axes = place(figure, _LEFT_MM, top + _HEADING_MM + row * (panel_mm + _TICKS_MM), _PANEL_MM, panel_mm)
+    window = np.concatenate([corners.reshape(-1, 2), poles])
+    with _panels(path, window, len(sights), _KEY_MM, title, subtitle) as (figure, panels, bottom):
+        for sight, stretches in zip(sights, panels, strict=True):
+            for axes in stretches:
                 dots, entries = _draw_panel(axes, sight, corners)
-                axes.set(xlim=x_edges[row : row + 2], ylim=(low, high), ylabel="y [m]")
-                axes.yaxis.get_major_locator().set_params(integer=True)
-                if row == 0:
-                    points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
-                    seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
-                    place_told = mounting_text(sight.mount, leans=leaning)
-                    axes.set_title(f"{sight.name}: {place_told}\n{seen}, {points:,} points on vehicles")
-            top += mounting_mm
-        axes.set_xlabel(TRAVEL_LABEL)
+            points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
+            seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
+            place_told = mounting_text(sight.mount, leans=leaning)
+            stretches[0].set_title(f"{sight.name}: {place_told}\n{seen}, {points:,} points on vehicles")
         bar = place(figure, 0.25 * WIDTH_MM, bottom + 7.0, 0.5 * WIDTH_MM, 2.5)
         label = "Height above the road of points on vehicles [m]"
         figure.colorbar(dots, cax=bar, orientation="horizontal", label=label)
         legend_below(figure, entries, columns=3)
 
 
-def footprints(vehicles: Vehicles) -> np.ndarray:
-    """Corners of vehicle boxes seen from above, (n, 4, 2) [m, road frame], counter-clockwise from the front left."""
-    corner = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
-    along, left = (vehicles.size_m[:, side, None] * corner[:, side] for side in (0, 1))
-    heading = vehicles.heading_rad[:, None]
-    x = vehicles.centre_m[:, :1] + along * np.cos(heading) - left * np.sin(heading)
-    y = vehicles.centre_m[:, 1:2] + along * np.sin(heading) + left * np.cos(heading)
-    return np.stack([x, y], axis=-1)
+@contextmanager
+def _panels(
+    path: str | Path, window: np.ndarray, mountings: int, key_mm: float, title: str, subtitle: str
+) -> Iterator[tuple[Figure, list[list[Axes]], float]]:
+    """A sheet with the road from above, to scale, that holds the points `window` (n, 2) [m].
+
+    Yields the figure, of each mounting its stretches of road, and where they end on paper and the key begins [mm].
+    """
+    x_edges, (low, high) = _stretches(window)
+    panel_mm = _PANEL_MM * (high - low) / (x_edges[1] - x_edges[0])
+    tops = _HEADING_MM + (panel_mm + _TICKS_MM) * np.arange(len(x_edges))  # of the panels, and the end of a mounting
+    first = header_mm(title, subtitle) + (tops[-1] * np.arange(mountings + 1))
+    with sheet(path, first[-1] + key_mm, title, subtitle, to_scale=True) as figure:
+        panels = [
+            [place(figure, _LEFT_MM, over + top, _PANEL_MM, panel_mm) for top in tops[:-1]] for over in first[:-1]
+        ]
+        for stretches in panels:
+            for axes, ends in zip(stretches, pairwise(x_edges), strict=True):
+                axes.set(xlim=ends, ylim=(low, high), ylabel="y [m]")
+                axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.set_xlabel(TRAVEL_LABEL)
+        yield figure, panels, float(first[-1])
 
 
 def _stretches(window: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
@@ -173,6 +183,131 @@ def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathColl
     marker = mark_sensor(axes, sight.mount)
     patches = [Patch(label="vehicle, detectable", **solid), Patch(label="vehicle, not detectable", **dashed)]
     return dots, [marker, *patches]
+
+
+# --- What a detector finds in one frame, from above -------------------------------------------------------------------
+
+_SURE = CONFIDENCES[-1]
+_RAISED_M = 0.3  # points above the road
+_LEGEND_MM = 17.0  # below all panels
+_HIT = {"edgecolor": OPTIMISED_LOOK["color"], "facecolor": "none", "linewidth": 1.1}
+_FALSE = {"edgecolor": "#c0261c", "facecolor": "none", "linewidth": 1.4, "linestyle": (0, (2.2, 1.1))}
+_ASIDE = {"edgecolor": "#8a8a8a", "facecolor": "none", "linewidth": 0.9, "linestyle": (0, (0.9, 0.9))}
+_FOUND = {"facecolor": "#cfe0f2", "edgecolor": "none"}
+_MISSED = {"facecolor": "#ffd9a6", "edgecolor": "#a35c00", "linewidth": 0.7, "hatch": "//////"}
+_UNCOUNTED = {"facecolor": "#ececec", "edgecolor": "none"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What a detector made of one frame at a mounting.
+
+    Attributes
+    ----------
+    name : str
+        What the mounting is called.
+    mount : mapping of str to float
+        Its six coordinates [m, degrees].
+    cloud : PointCloud
+        What the detector was given.
+    boxes : DetectedBoxes
+        Its d detections.
+    vehicle : ndarray of int, (d,)
+        The vehicle that each is a hit on, -1 for none.
+    ignored : ndarray of bool, (d,)
+        Those that are neither hits nor false alarms.
+    """
+
+    name: str
+    mount: Mapping[str, float]
+    cloud: PointCloud
+    boxes: DetectedBoxes
+    vehicle: np.ndarray
+    ignored: np.ndarray
+
+
+def draw_detections(
+    path: str | Path,
+    site: Site,
+    detector: str,
+    judged: Mapping[str, JudgedDetector],
+    mounts: Mapping[str, Mapping[str, float]],
+) -> None:
+    """Draw what a detector finds in the judging frame with the median number of vehicles, at each of some mountings."""
+    frames, _, _ = judging_frames(site)
+    number = int(np.argsort([frame.counted.sum() for frame in frames], kind="stable")[len(frames) // 2])
+    frame, sure = frames[number], []
+    for name, one in judged.items():
+        boxes = one.boxes[number].select(one.boxes[number].confidence >= _SURE)
+        (cloud,) = clouds_at(site, mounts[name], [frame])
+        met = meetings(boxes, frame.vehicles, frame.counted, region_of_alarms(site), CRITERIA[0])
+        sure.append(Found(name.capitalize(), mounts[name], cloud, boxes, *met))
+    title = f"{site.model.name}: what the detector {Path(detector).stem} finds in frame {frame.vehicles.frame}"
+    of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"
+    rule = f"confidence {_SURE:g} or more, hits within {CRITERIA[0].most_m:g} m"
+    plot_detections(path, frame, sure, title, f"{frame.counted.sum()} vehicles, the median of {of_frames}; {rule}")
+
+
+def plot_detections(
+    path: str | Path, frame: CountedFrame, found: Sequence[Found], title: str = "", subtitle: str = ""
+) -> None:
+    """Draw detections over the footprints of a frame's vehicles and the points, at each of some mountings, to scale.
+
+    The vehicles and detections that count and the LiDARs set what part of the road is drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    OutputError
+        If the file cannot be written.
+    """
+    poles = np.array([[one.mount["x_m"], one.mount["y_m"]] for one in found])
+    counted = [
+        corners_of(frame.vehicles.select(frame.counted)),
+        *(corners_of(one.boxes)[~one.ignored] for one in found),
+    ]
+    window = np.concatenate([poles, *(corners.reshape(-1, 2) for corners in counted)])
+    with _panels(path, window, len(found), _LEGEND_MM, title, subtitle) as (figure, panels, _):
+        for one, stretches in zip(found, panels, strict=True):
+            for axes in stretches:
+                entries = _draw_found(axes, frame, one)
+            hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
+            alarms = len(one.boxes) - hits - np.count_nonzero(one.ignored)
+            told = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
+            stretches[0].set_title(f"{one.name}: {mounting_text(one.mount)}\n{told}")
+        legend_below(figure, entries, columns=4)
+
+
+def _draw_found(axes: Axes, frame: CountedFrame, one: Found) -> list[Artist]:
+    """Footprints below the points, detections above them, each with a tick to its front; returns the legend's."""
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.patches import Patch
+
+    hit, footprint, box = one.vehicle >= 0, corners_of(frame.vehicles), corners_of(one.boxes)
+    found = np.isin(np.arange(len(frame.counted)), one.vehicle)
+    vehicles = {
+        "vehicle, found": (found, _FOUND),
+        "vehicle, missed": (frame.counted & ~found, _MISSED),
+        "vehicle that does not count": (~frame.counted, _UNCOUNTED),
+    }
+    detections = {
+        "detection: hit": (hit, _HIT),
+        "detection: false alarm": (~hit & ~one.ignored, _FALSE),
+        "detection that does not count": (one.ignored, _ASIDE),
+    }
+    for chosen, look in vehicles.values():
+        axes.add_collection(PolyCollection(footprint[chosen], zorder=1, **look))
+    raised = one.cloud.xyz[:, 2] > _RAISED_M
+    for chosen, colour, size in ((~raised, FAINT, 1.0), (raised, INK, 1.4)):
+        axes.plot(*one.cloud.xyz[chosen, :2].T, ".", color=colour, markersize=size, markeredgewidth=0.0, zorder=2)
+    front = box[:, [0, 3]].mean(axis=1)
+    ticks = np.stack([one.boxes.centre_m[:, :2], front], axis=1)
+    for chosen, look in detections.values():
+        axes.add_collection(PolyCollection(box[chosen], zorder=3, **look))
+        axes.add_collection(LineCollection(ticks[chosen], color=look["edgecolor"], linewidth=0.8, zorder=3))
+    patches = [Patch(label=name, **look) for name, (_, look) in {**detections, **vehicles}.items()]
+    return [*patches, mark_sensor(axes, one.mount)]
 
 
 # --- One vehicle's three occupancy grids ------------------------------------------------------------------------------

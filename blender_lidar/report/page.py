@@ -111,6 +111,11 @@ CHARTS = {
         "One revolution's points on the road from above, for both mountings",
         "One moment of dense traffic: vehicles in solid outline are detectable, dashed grey ones are missed.",
     ),
+    "detections.png": (
+        "Detections in one frame from above, over vehicles and points",
+        "The frame that has the median number of vehicles: outlines are detections, ticks point to their fronts; false "
+        "alarms are dashed, vehicles that nothing was found of hatched.",
+    ),
     "occupancy.png": (
         "Occupied cells of one vehicle in top, side and front view, for both mountings",
         "One vehicle as PE-VGOP sees it: a cell is dark where a beam has hit it, and the share of dark cells counts.",
@@ -300,7 +305,10 @@ def _detection(run: Outcome):
     with refused_by_name(path):
         result = json.loads(run.folder.read_text(DETECTION))
         return _section(
-            "What a detector finds", element("p", detection_text(result)), table_markup(detection_table(result))
+            "What a detector finds",
+            element("p", detection_text(result)),
+            *chart_figures(run, "detections.png"),
+            table_markup(detection_table(result)),
         )
 
 

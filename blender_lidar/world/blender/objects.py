@@ -22,8 +22,9 @@ KEY = "blender_lidar"  # custom property of our objects and collections
 VEHICLE_ID, SHAPE = "vehicle_id", "shape"  # further ones of vehicles
 VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
 SENSOR, PART, FAN, CLOUD, STAGE = "lidar", "lidar part", "beam fan", "cloud", "stage"
-# What a LiDAR would not meet: paint, its own pole, what it has measured.
-DISPLAY_ONLY = (MARKING, SENSOR, PART, FAN, CLOUD)
+DETECTION_ROLE = "detections"
+# What a LiDAR would not meet: paint, its own pole, what it has measured and what was found in that.
+DISPLAY_ONLY = (MARKING, SENSOR, PART, FAN, CLOUD, DETECTION_ROLE)
 _WORN = (PART, FAN, CLOUD)
 SETTINGS = "blender_lidar_sensor"  # custom property of a LiDAR that was built without the add-on: its settings as JSON
 

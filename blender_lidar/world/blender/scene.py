@@ -6,7 +6,7 @@ import json
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import bpy
@@ -21,6 +21,7 @@ from ...sensors.pose import Pose
 from ...signals import stops_end_at_once
 from ...traffic.vehicles import Vehicles
 from ..scenery import Scenery
+from .detections import Boxes, animate_detections, show_detections
 from .objects import (
     FAN,
     SETTINGS,
@@ -202,6 +203,8 @@ class Moment:
         What stands still.
     settings : mapping or None
         The scene file's tables, for the add-on to go on with.
+    detections : mapping of int to Boxes
+        What a detector found, by the numbers of frames.
     """
 
     road: RoadFrame
@@ -213,6 +216,7 @@ class Moment:
     points: Mapping[str, np.ndarray] | None = None
     scenery: Scenery | None = None
     settings: Mapping[str, object] | None = None
+    detections: Mapping[int, Boxes] = field(default_factory=dict)
 
 
 def empty_scene() -> bpy.types.Scene:
@@ -236,6 +240,7 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     show_vehicles(scene, moment.vehicles, moment.detail)
     lidar = build_lidar(scene, moment.lattice, moment.pose)
     build_cloud(scene, moment.points, lidar)
+    show_detections(scene, moment.detections.get(moment.vehicles.frame))
     if moment.settings is not None:
         lidar[SETTINGS] = scene[SETTINGS] = json.dumps(moment.settings | {"frame": moment.vehicles.frame})
     build_stage(scene, moment.road, moment.pose, min(_SEEN_AT_MOST_M, _SEEN_SHARE * moment.range_gate_m))
@@ -249,7 +254,8 @@ def save_blend(path: str | Path, moment: Moment, frames: Sequence[Vehicles] = ()
     Parameters
     ----------
     frames : sequence of Vehicles
-        Frames that the vehicles drive through, as an animation that begins with the first; none lets them stand.
+        Frames that the vehicles drive through, as an animation that begins with the first, and that detections are
+        shown of; none lets them stand.
     time_step_s : float
         Time between consecutive frame numbers [s].
 
@@ -262,6 +268,7 @@ def save_blend(path: str | Path, moment: Moment, frames: Sequence[Vehicles] = ()
     build_scene(scene, moment)
     if frames:
         animate(scene, frames, moment.detail, time_step_s=time_step_s)
+        animate_detections(scene, moment.detections, [vehicles.frame for vehicles in frames], time_step_s)
     show_in_viewports(scene)
     files = bpy.context.preferences.filepaths
     backups, files.save_version = files.save_version, 0  # no copy, under another name, of what was in the file's place

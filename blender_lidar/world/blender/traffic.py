@@ -77,14 +77,14 @@ def animate(
     start = frames[0].frame
     scene.render.fps, scene.frame_start = fps, 1
     for vehicles in frames:
-        at = 1.0 + (vehicles.frame - start) * time_step_s * fps
+        at = shown_at(vehicles.frame, start, time_step_s, fps)
         for (vehicle_id, name), centre, size, heading in _rows(vehicles):
             item = moving.get(vehicle_id)
             if item is None:
                 moving[vehicle_id] = item = _new_vehicle(into, vehicle_id, name, detail)
                 item.scale, item.rotation_euler.z = size, heading
-                _key_visibility(item, shown=False, at=at - 1.0)
-                _key_visibility(item, shown=True, at=at)
+                key_visibility(item, shown=False, at=at - 1.0)
+                key_visibility(item, shown=True, at=at)
             item.location = centre
             item.rotation_euler.z = heading + _whole_turns(item.rotation_euler.z - heading)
             item.keyframe_insert("location", frame=at)
@@ -93,11 +93,16 @@ def animate(
     end = max(last_seen.values(), default=1.0)
     for vehicle_id, at in last_seen.items():
         if at < end:
-            _key_visibility(moving[vehicle_id], shown=False, at=at + 1.0)
+            key_visibility(moving[vehicle_id], shown=False, at=at + 1.0)
     for item in moving.values():
         _join_keys_by_straight_lines(item)
     scene.frame_end = max(1, round(end))
     scene.frame_set(1)
+
+
+def shown_at(number: int, first: int, time_step_s: float, fps: float) -> float:
+    """When a frame of a recording is shown: in frames of the animation that begins with the recording's `first`."""
+    return 1.0 + (number - first) * time_step_s * fps
 
 
 def _rows(vehicles):
@@ -113,7 +118,8 @@ def _whole_turns(angle: float) -> float:
     return turn * round(angle / turn)
 
 
-def _key_visibility(item, *, shown, at):
+def key_visibility(item: bpy.types.Object, *, shown: bool, at: float) -> None:
+    """From a frame of the animation on let an object be shown, or not."""
     item.hide_render = item.hide_viewport = not shown
     item.keyframe_insert("hide_render", frame=at)
     item.keyframe_insert("hide_viewport", frame=at)

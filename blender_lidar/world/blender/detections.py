@@ -1,0 +1,118 @@
+"""Detections as wire boxes: a mesh for each frame whose edges a wireframe modifier shows as thin bars."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Protocol
+
+import bpy
+import numpy as np
+
+from ...names import KINDS
+from .objects import (
+    DETECTION_ROLE,
+    add_attribute,
+    add_object,
+    clear,
+    collection,
+    new_mesh,
+    only_for_the_eye,
+    plain,
+    set_inputs,
+)
+from .traffic import key_visibility, shown_at
+
+
+class Boxes(Protocol):
+    """The boxes of a frame, as `detection.boxes.DetectedBoxes` has them."""
+
+    centre_m: np.ndarray
+    size_m: np.ndarray
+    heading_rad: np.ndarray
+    kind: np.ndarray
+    confidence: np.ndarray
+
+
+_NAME = "Detections"
+# Linear RGB by kind, like no paint of vehicles and no colour of points on them.
+_COLOURS = dict(zip(KINDS, ((0.0, 0.75, 1.0), (1.0, 0.05, 0.65), (1.0, 1.0, 1.0)), strict=True))
+_BAR_M = 0.09  # seen from across the road about a pixel
+# Of a box of length, width and height 1: its corners below and above, counter-clockwise from the front left, and the
+# ends of a line across its roof that says where the front is.
+_CORNERS = [(x, y, z) for z in (-0.5, 0.5) for x, y in ((0.5, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5))]
+_VERTICES = np.array([*_CORNERS, (0.25, 0.5, 0.5), (0.25, -0.5, 0.5)])
+_SIDES = [(row, (row + 1) % 4, 4 + (row + 1) % 4, 4 + row) for row in range(4)]
+_FACES = np.array([(3, 2, 1, 0), (8, 5, 6, 9), (4, 8, 9, 7), *_SIDES])
+
+
+def show_detections(scene: bpy.types.Scene, boxes: Boxes | None) -> None:
+    """Wire boxes of a frame's detections, in place of earlier ones; None only takes these away.
+
+    Every vertex has the attributes `kind`, an index into `KINDS`, and `confidence`; of each box the first eight are its
+    corners.
+    """
+    into = collection(scene, _NAME, DETECTION_ROLE)
+    clear(into)
+    if boxes is not None:
+        _new_boxes(into, _NAME, boxes)
+
+
+def animate_detections(
+    scene: bpy.types.Scene, of_frame: Mapping[int, Boxes], frames: Sequence[int], time_step_s: float
+) -> None:
+    """Wire boxes of several frames, in place of earlier ones, each frame's from its moment to the next frame's.
+
+    Parameters
+    ----------
+    of_frame : mapping of int to Boxes
+        By the numbers of their frames; those of other frames are left out.
+    frames : sequence of int
+        That the scene's vehicles drive through, as `traffic.animate` shows them.
+    time_step_s : float
+        Time between consecutive frame numbers [s].
+    """
+    show_detections(scene, None)
+    into = collection(scene, _NAME, DETECTION_ROLE)
+    for number, following in pairwise([*frames, None]):
+        if number not in of_frame:
+            continue
+        item = _new_boxes(into, f"{_NAME} {number}", of_frame[number])
+        first = shown_at(number, frames[0], time_step_s, scene.render.fps)
+        if number != frames[0]:
+            key_visibility(item, shown=False, at=scene.frame_start)
+        key_visibility(item, shown=True, at=first)
+        if following is not None:
+            end = shown_at(following, frames[0], time_step_s, scene.render.fps)
+            key_visibility(item, shown=False, at=end)
+    scene.frame_set(scene.frame_start)
+
+
+def _new_boxes(into, name, boxes):
+    cos, sin, zero = np.cos(boxes.heading_rad), np.sin(boxes.heading_rad), np.zeros(len(boxes.heading_rad))
+    turn = np.array([(cos, sin, zero), (-sin, cos, zero), (zero, zero, zero + 1.0)]).transpose(2, 0, 1)  # of rows
+    vertices = boxes.centre_m[:, None] + (boxes.size_m[:, None] * _VERTICES) @ turn
+    first = len(_VERTICES) * np.arange(len(vertices))
+    mesh = new_mesh(
+        name,
+        vertices.reshape(-1, 3),
+        (first[:, None, None] + _FACES).reshape(-1, 4),
+        [_material(kind) for kind in KINDS],
+        np.repeat(boxes.kind, len(_FACES)),
+    )
+    for attribute in ("kind", "confidence"):
+        add_attribute(mesh, attribute, np.repeat(getattr(boxes, attribute), len(_VERTICES)))
+    item = add_object(into, name, mesh)
+    item.modifiers.new("Wire", "WIREFRAME").thickness = _BAR_M
+    only_for_the_eye(item)
+    return item
+
+
+def _material(kind):
+    """Shines by itself: seen in any light, also in the shadow of a lorry."""
+    colour = _COLOURS[kind]
+    material = plain(f"Detected {kind}", colour)
+    shine = "Emission Color" if bpy.app.version >= (4, 0) else "Emission"
+    inputs = {"Base Color": (0.0, 0.0, 0.0, 1.0), shine: (*colour, 1.0), "Emission Strength": 1.0}
+    set_inputs(material, "BSDF_PRINCIPLED", inputs)
+    return material
