@@ -68,6 +68,7 @@ FLEET = {
     "motorcycle": (Body("motorcycle", 1.0, (1.25, 1.6)),),
 }
 """The bodies of each kind of vehicle, as `HEIGHTS_M` names the kinds, the usual one first."""
+KIND_OF_BODY = {body.name: kind for kind, bodies in FLEET.items() for body in bodies}
 _KINDS = (*CLASSES, "long_truck")
 _LENGTHS_M = (3.5, 5.5)  # between which heights go with lengths
 
