@@ -72,6 +72,25 @@ def test_the_inclinometer_readings_are_the_slopes_of_the_sensors_axes(sheet, til
     assert number_in(text, r"(-?[\d.]+) deg a quarter turn clockwise") == pytest.approx(aside, abs=0.051)
 
 
+def test_beside_a_slope_readings_stay_those_of_a_plumb_mast(sheet):
+    level = sheet(yaw_deg=40.0)
+    slope = {"grade_percent": 4.0, "cross_fall_percent": 2.0, "crown_percent": 2.5}
+    text = sheet({"road": slope}, yaw_deg=40.0)
+    kept = [line for line in text.splitlines() if line in level.splitlines()]
+    for start in ("Height ", "Position", "Lean", "Yaw", "Cable", "- Inclinometer"):
+        assert any(line.startswith(start) for line in kept)
+    assert "The road rises 4 % ahead and falls 2 % to the right:" in text
+    assert "its middle is 0." in text
+    assert "are not in the model: look for them" in text
+    # Plumb, z upwards: the ray from the head meets z = 0.04 x + 0.02 y.
+    pose = pose_at(MOUNT | {"yaw_deg": 40.0})
+    x, y, z = pose.to_world(np.array([[0.0, math.cos(math.radians(15.0)), -math.sin(math.radians(15.0))]]))[0]
+    spot = np.array([x, y, z]) * 4.0 / (0.04 * x + 0.02 * y - z) + [0.0, 0.0, 4.0]
+    found = number_in(text, r"meets the ground ([\d.]+) m from the pole")
+    assert found == pytest.approx(np.linalg.norm(spot), abs=0.051)
+    assert found > number_in(level, r"meets the ground ([\d.]+) m from the pole") + 0.1  # it looks downhill
+
+
 def test_the_target_stands_where_the_lowest_ring_meets_the_ground(sheet):
     expected = 4.0 / math.tan(math.radians(15.0 + 15.0))
     assert number_in(sheet(), r"meets the ground ([\d.]+) m from the pole") == pytest.approx(expected, abs=0.051)

@@ -64,7 +64,7 @@ def test_ranges_are_those_of_a_tilted_world_about_a_plumb_lidar(site):
     corners = tilted(vehicle_triangles(frame).corners, grade, cross_fall)
     foot = tilted(np.array([[MOUNT["x_m"], MOUNT["y_m"], 0.0]]), grade, cross_fall)[0]
     assert foot[2] == pytest.approx(grade * foot[0] + cross_fall * foot[1], abs=1e-12)
-    head = foot + [0.0, 0.0, MOUNT["height_m"]]
+    head = foot + np.array([0.0, 0.0, MOUNT["height_m"]])
     rays = rays_of(lattice, MOUNT)
     hits = ExactCaster(corners, closed=True).cast(np.tile(head, (len(rays), 1)), rays)
     # The ground: z = grade x + cross_fall y.
@@ -186,14 +186,18 @@ def test_headers_have_the_pose_in_the_road_frame_and_the_plumb_mounting(site):
 
 def test_the_head_of_a_leaning_mast_keeps_out_of_boxes():
     box = {"centre_m": [1.0, -1.0, 4.0], "size_m": [1.0, 1.0, 1.0]}
-    level, steep = (
-        load_scenario(
-            "i80",
-            {key: (value, "x") for key, value in {("world", "boxes"): [box], ("road", "grade_percent"): grade}.items()},
-        )
-        for grade in (0.0, 12.0)
-    )
     mount = dict.fromkeys(COORDINATES, 0.0) | {"x_m": 0.3, "y_m": -1.0, "height_m": 4.2}
-    check_mount_is_clear(level, [], {"--x": mount})
-    with pytest.raises(InputError, match="inside 'box 1'"):
-        check_mount_is_clear(steep, [], {"--x": mount})
+    for grade, inside in ((0.0, False), (12.0, True)):
+        scene = load_scenario("i80", {("world", "boxes"): ([box], "x"), ("road", "grade_percent"): (grade, "x")})
+        if inside:
+            with pytest.raises(InputError, match="inside 'box 1'"):
+                check_mount_is_clear(scene, [], {"--x": mount})
+        else:
+            check_mount_is_clear(scene, [], {"--x": mount})
+
+
+def test_files_of_scenery_are_refused_beside_a_slope():
+    mesh = ("world", "mesh"), ("site.obj", "x")
+    assert load_scenario("i80", dict([mesh, (("road", "crown_percent"), (2.0, "x"))])).world.mesh
+    with pytest.raises(InputError, match="plumb; allowed: boxes"):
+        load_scenario("i80", dict([mesh, (("road", "grade_percent"), (2.0, "x"))]))

@@ -43,6 +43,7 @@ from ..world.blender.objects import hang, pose_of
 
 SCHEMA = 1  # of what is saved in a .blend file
 _DIGITS = 6  # that single precision keeps of a number
+_POSE_DIGITS = 4  # of metres and degrees: it keeps these within a kilometre
 _UNITS = {"m": ("LENGTH", "NONE"), "deg": ("ROTATION", "ANGLE"), "s": ("TIME", "NONE")}  # unit and subtype by suffix
 _PATH = {"subtype": "FILE_PATH"}
 if bpy.app.version >= (4, 5, 0):  # before, every path could be relative to the .blend file
@@ -296,8 +297,8 @@ def _pose_setter(key):
 
 
 def coordinates_of(lidar: bpy.types.Object) -> dict[str, float]:
-    """The six coordinates of a LiDAR's mounting [m, degrees], on a mast that is plumb."""
-    return {key: round(value, 4) + 0.0 for key, value in plumb(pose_of(lidar), road_of(lidar)).items()}
+    """The six coordinates of a LiDAR's mounting [m, degrees], on a plumb mast, rounded to what Blender holds."""
+    return {key: round(value, _POSE_DIGITS) + 0.0 for key, value in plumb(pose_of(lidar), road_of(lidar)).items()}
 
 
 def road_of(lidar: bpy.types.Object) -> RoadFrame:

@@ -160,7 +160,7 @@ def scenario_of(
         where=where,
         traffic=traffic,
         road=road,
-        world=_world(tables["world"]),
+        world=_world(tables["world"], road),
         sensor=sensor,
         deployment=deployment,
         region=region,
@@ -337,8 +337,14 @@ def _traffic(table: TomlTable) -> TrafficSettings:
     return traffic if traffic.frame_ids or spread else replace(traffic, frames=DEFAULT_COUNT)
 
 
-def _world(table: TomlTable) -> WorldSettings:
+def _world(table: TomlTable, road: RoadFrame) -> WorldSettings:
     world = table.read_as(WorldSettings)
+    file = next((key for key in ("blend", "mesh") if getattr(world, key)), None)
+    if file and not road.is_level:
+        raise InputError(
+            f"{table.where(file)}: is given beside a [road] with a grade or a cross-fall, and does not say whether it "
+            "is plumb; allowed: boxes and barriers, which stand square on the road"
+        )
     named = (replace(box, name=box.name or f"box {number}") for number, box in enumerate(world.boxes, start=1))
     return replace(world, boxes=tuple(named))
 

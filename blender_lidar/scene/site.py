@@ -14,7 +14,6 @@ from ..errors import InputError
 from ..road import RoadFrame
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
-from ..sensors.pose import road_axes
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
 from ..traffic.fleet import with_variety
 from ..traffic.frames import few_vehicles
@@ -45,7 +44,7 @@ def read_scenery(scenario: Scenario, reach_m: float, mount: Mapping[str, float] 
     world = scenario.world
     centre = scenario.deployment.nominal_xy
     paths = [path for path in (world.blend, world.mesh) if path is not None]
-    files = [_near(path, world, scenario.road, centre, reach_m) for path in paths]
+    files = [_near(path, world, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
     barriers = [barrier(item.kind, item.y_m, item.x_m) for item in world.barriers]
     beside = clutter(scenario.road, world.clutter, world.clutter_seed, centre[0], reach_m, _may_hang(scenario, mount))
@@ -64,15 +63,12 @@ def _may_hang(scenario: Scenario, mount: Mapping[str, float] | None) -> list[tup
     return [(low, high) for low, high in corners]
 
 
-def _near(path: str, world: WorldSettings, road: RoadFrame, centre: tuple[float, float], reach_m: float) -> Scenery:
+def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
     """What of a file lies within reach; a file of which nothing does is most likely put in the wrong place."""
     read_site = blender_room("site", path).read_site
     heading = math.radians(world.heading_deg)
     cos, sin = math.cos(heading), math.sin(heading)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
-
-    if not road.is_level:
-        turn = turn @ road_axes(0.01 * road.grade_percent, 0.01 * road.cross_fall_percent).T  # files are plumb
 
     def to_road(points: np.ndarray) -> np.ndarray:
         return (points - np.array(world.origin_m)) @ turn
@@ -137,8 +133,8 @@ def check_mount_is_clear(
         if low[1] < left and high[1] > right:
             allowed = f"at most {right:g} or at least {left:g} m"
             raise InputError(f"{where}: the mount at y {across} m stands on the carriageway; allowed: {allowed}")
-        heads = np.sort([low[2] * along_mast[:2], high[2] * along_mast[:2]], axis=0)  # off the feet
-        head_low, head_high = low + [*heads[0], 0.0], high + [*heads[1], 0.0]
+        off_feet = np.sort(np.outer((low[2], high[2]), along_mast), axis=0) * (1.0, 1.0, 0.0)
+        head_low, head_high = low + off_feet[0], high + off_feet[1]
         for solid in solids:
             middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
             place = np.array([solid.centre_m]), np.array([solid.size_m]), np.radians([solid.heading_deg])
@@ -384,16 +380,24 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     given = {key: getattr(settings, key) for key in _OF_FORMATS}
     recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
-    if scenario.road.crown_percent:
-        above = scenario.road.crown_m(recording.centre_m[:, 1])
-        recording = recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
     if settings.lanes is None:
-        return checked_recording(recording, scenario)
+        return _on_crown(checked_recording(recording, scenario), scenario.road)
     in_lanes = np.isin(recording.lane, settings.lanes)
     if not in_lanes.any():
         present = ", ".join(map(str, np.unique(recording.lane)))
         raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
-    return checked_recording(recording.where(in_lanes), scenario)
+    return _on_crown(checked_recording(recording.where(in_lanes), scenario), scenario.road)
+
+
+def _on_crown(recording: Recording, road: RoadFrame) -> Recording:
+    """The traffic on the crown of a carriageway: boxes stand upright on the surface under their centres.
+
+    Half a car's width from there the surface lies up to 0.06 m higher or lower, with the steepest crown of 6 %.
+    """
+    if not road.crown_percent:
+        return recording
+    above = road.crown_m(recording.centre_m[:, 1])
+    return recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
 
 
 def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:

@@ -116,7 +116,7 @@ class MountingGrid:
     height_m: np.ndarray
     tilt_deg: np.ndarray
     axes: tuple[str, str] = AXES
-    road: RoadFrame = RoadFrame()
+    road: RoadFrame = field(default=RoadFrame())
 
     @property
     def grid(self) -> list[dict[str, float]]:

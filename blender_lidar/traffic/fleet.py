@@ -1,9 +1,9 @@
 """Variety of vehicles: a height and a body for each, drawn by its number, where traffic knows a height a class alone.
 
 Shares and heights are round numbers of ours for the fleets of Europe and North America, not a survey: the 5 and 95 %
-percentiles of what is sold under the name of a body. To compare: the mean boxes of nuScenes by which detectors are set up
-(the anchors of OpenPCDet and mmdetection3d) are 1.72 m high for cars, with SUVs and pick-ups among them, 2.73 for trucks,
-3.82 for trailers, 3.47 for buses, 1.44 for motorcycles with riders; the EU allows 4.0 m (directive 96/53/EC).
+percentiles of what is sold under the name of a body. To compare: the mean boxes of nuScenes by which detectors are set
+up (the anchors of OpenPCDet and mmdetection3d) are 1.72 m high for cars, with SUVs and pick-ups among them, 2.73 for
+trucks, 3.82 for trailers, 3.47 for buses, 1.44 for motorcycles with riders; the EU allows 4.0 m (directive 96/53/EC).
 """
 
 from __future__ import annotations
@@ -68,6 +68,7 @@ FLEET = {
     "motorcycle": (Body("motorcycle", 1.0, (1.25, 1.6)),),
 }
 """The bodies of each kind of vehicle, as `HEIGHTS_M` names the kinds, the usual one first."""
+KIND_OF_BODY = {body.name: kind for kind, bodies in FLEET.items() for body in bodies}
 _KINDS = (*CLASSES, "long_truck")
 _LENGTHS_M = (3.5, 5.5)  # between which heights go with lengths
 

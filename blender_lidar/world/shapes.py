@@ -14,12 +14,11 @@ import numpy as np
 
 from ..errors import unknown_name
 from ..names import DETAILS
-from ..traffic.fleet import FLEET
+from ..traffic.fleet import KIND_OF_BODY
 from .detailed_shapes import detailed_shape
 from .meshes import Shape, block, tube
 
 SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
-_KIND_OF = {body.name: kind for kind, bodies in FLEET.items() for body in bodies}
 
 
 @cache
@@ -33,14 +32,14 @@ def shape(name: str, detail: str = "body") -> Shape:
     """
     if detail not in DETAILS:
         raise unknown_name(detail, DETAILS, "level of detail")
-    if name not in _KIND_OF:
-        raise unknown_name(name, _KIND_OF, "vehicle shape")
+    if name not in KIND_OF_BODY:
+        raise unknown_name(name, KIND_OF_BODY, "vehicle shape")
     if detail == "box":
         made = block((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))
     elif detail == "body":
         made = _loft(_BODIES[name])
     else:
-        made = detailed_shape(_KIND_OF[name])
+        made = detailed_shape(KIND_OF_BODY[name])
     for array in (made.vertices, made.faces, made.surface):
         array.setflags(write=False)
     return made

@@ -263,7 +263,6 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
 _HEAD_RADIUS_M, _HEAD_HEIGHT_M, _POLE_RADIUS_M = 0.06, 0.09, 0.07
 _SIDES = 32
 _AXES_M = 0.4
-_PLACE_DIGITS, _ANGLE_DIGITS = 4, 4  # of metres and degrees: single precision keeps these within a kilometre
 _FAN_REACH_M, _BEAM_RADIUS_M = 25.0, 0.006
 _AZIMUTHS_RAD = (-math.pi / 3.0, 0.0, math.pi / 3.0)  # of the fan: across the road and obliquely ahead and back
 
@@ -318,7 +317,7 @@ def dress(lidar: bpy.types.Object, lattice: BeamLattice) -> None:
 
 
 def pose_of(lidar: bpy.types.Object) -> Pose:
-    """The mounting that a LiDAR's transform says, rounded to what Blender's single precision holds.
+    """The mounting that a LiDAR's transform says, in single precision.
 
     Raises
     ------
@@ -329,9 +328,7 @@ def pose_of(lidar: bpy.types.Object) -> Pose:
     place, turn, _ = matrix.decompose()
     if matrix.determinant() < 0.0:
         raise InputError(f"{lidar.name}: is mirrored; allowed: a LiDAR with positive scale")
-    tilts = tilts_of(np.array(turn.to_matrix()).T)  # for rows
-    x, y, height = (round(value, _PLACE_DIGITS) for value in place)
-    return Pose(x, y, height, *(math.radians(round(math.degrees(angle), _ANGLE_DIGITS)) for angle in tilts))
+    return Pose(*place, *tilts_of(np.array(turn.to_matrix()).T))  # for rows
 
 
 def matrix_of(lidar: bpy.types.Object) -> Matrix:

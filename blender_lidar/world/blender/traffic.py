@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import bpy
 import numpy as np
 
+from ...traffic.fleet import KIND_OF_BODY
 from ...traffic.vehicles import Vehicles
 from ..meshes import GLASS
 from ..shapes import shape
@@ -144,7 +145,8 @@ def _new_vehicle(into, vehicle_id, name, detail):
 
     def make():
         unit = shape(name, detail)
-        paints = [paint_of("truck" if name == "long_truck" else name), glass()]
+        kind = KIND_OF_BODY[name]
+        paints = [paint_of("truck" if kind == "long_truck" else kind), glass()]
         return new_mesh(title, unit.vertices, unit.faces, paints, unit.surface == GLASS)
 
     item = add_object(into, f"{name} {vehicle_id}", made_once(bpy.data.meshes, title, make))

@@ -1,0 +1,187 @@
+"""Variety of vehicles: heights and bodies by vehicle, the same everywhere, and news to who knows one of each class."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blender_lidar.detection.classical import ClassicalDetector
+from blender_lidar.detection.judge import judge_detector, judging_frames, sensor_at
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.settings import TrafficSettings
+from blender_lidar.scene.site import prepare, read_recording, read_recordings
+from blender_lidar.scoring import frame_scorer
+from blender_lidar.scoring.evaluation import site_evaluator
+from blender_lidar.traffic.fleet import FLEET, kind_of, with_variety
+from blender_lidar.traffic.vehicles import CLASSES, HEIGHTS_M, Recording, RepairReport
+from blender_lidar.world.triangles import shape_names
+from tests.small_scene import CASTER
+
+
+def scenario(variety, **more):
+    scene = {("world", "variety"): variety, ("model", "caster"): CASTER, ("traffic", "frames"): 6}
+    scene |= {tuple(key.split("__")): value for key, value in more.items()}
+    return load_scenario("i80", {key: (value, "x") for key, value in scene.items()})
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return {variety: read_recording(scenario(variety)) for variety in (0.0, 0.5, 1.0)}
+
+
+@pytest.fixture(scope="module")
+def sites():
+    return prepare(scenario(0.0)), prepare(scenario(1.0))
+
+
+def of_vehicles(recording):
+    """One row of each vehicle: kinds, lengths, heights and bodies."""
+    _, first = np.unique(recording.vehicle_id, return_index=True)
+    length, classes = recording.size_m[first, 0], recording.class_index[first]
+    kinds = np.array([kind_of(CLASSES[one], long) for one, long in zip(classes, length, strict=True)])
+    return kinds, length, recording.size_m[first, 2], recording.body[first]
+
+
+def table(heights, ids=None, kind="car"):
+    """A recording of vehicles in two frames, 4.4 m long."""
+    n = len(heights)
+    ids = np.arange(n) if ids is None else ids
+    size = np.column_stack([np.full(n, 4.4), np.full(n, 1.8), heights])
+    return Recording.from_rows(
+        frame=np.repeat([0, 1], n),
+        time_s=np.repeat([0.0, 0.1], n),
+        vehicle_id=np.tile(ids, 2),
+        class_index=np.full(2 * n, CLASSES.index(kind)),
+        centre_m=np.tile(np.column_stack([10.0 * np.arange(n), np.full(n, 9.0), 0.5 * np.asarray(heights)]), (2, 1)),
+        size_m=np.tile(size, (2, 1)),
+        heading_rad=np.zeros(2 * n),
+        lane=np.zeros(2 * n),
+        time_step_s=0.1,
+        source="table",
+        report=RepairReport(),
+    )
+
+
+def test_heights_differ_by_vehicle_within_those_of_their_body(recordings):
+    kinds, length, height, body = of_vehicles(recordings[1.0])
+    assert set(kinds) == {"car", "van", "truck", "long_truck", "motorcycle"}
+    for kind in set(kinds):
+        mine = kinds == kind
+        assert len(np.unique(height[mine])) == mine.sum() > 10
+        assert np.std(height[mine]) > 0.05
+        for row, one in enumerate(FLEET[kind]):
+            of_body = mine & (body == row)
+            assert of_body.any()
+            low, high = one.height_m
+            assert (height[of_body] >= low - 1e-9).all()
+            assert (height[of_body] <= high + 1e-9).all()
+            if row > 0:
+                assert (length[of_body] >= one.length_m[0]).all()
+                assert (length[of_body] <= one.length_m[1]).all()
+    suv = (kinds == "car") & (body == 2)
+    assert np.corrcoef(length[suv], height[suv])[0, 1] > 0.4
+    assert height[kinds == "car"].mean() == pytest.approx(1.5, abs=0.05)
+
+
+def test_strength_scales_the_spread_and_without_it_nothing_changes(recordings):
+    spread = {}
+    for variety, recording in recordings.items():
+        kinds, _, height, body = of_vehicles(recording)
+        car = kinds == "car"
+        spread[variety] = np.std(height[car]), (body[car] > 0).mean()
+        floor = recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2]
+        np.testing.assert_allclose(floor, 0.0, atol=1e-12)
+    assert spread[0.0] == (0.0, 0.0)
+    assert 0.02 < spread[0.5][0] < 0.6 * spread[1.0][0]
+    assert spread[0.5][1] == pytest.approx(0.5 * spread[1.0][1], abs=0.04)
+    assert with_variety(recordings[0.0], 0.0, 1) is recordings[0.0]
+
+
+def test_a_vehicle_stays_itself_whatever_else_there_is(recordings):
+    whole = recordings[1.0]
+    some = read_recording(scenario(1.0, traffic__lanes=(2, 3)))
+    rows = np.isin(whole.lane, (2, 3))
+    for column in ("size_m", "centre_m", "body"):
+        np.testing.assert_array_equal(getattr(some, column), getattr(whole, column)[rows])
+    for number in whole.vehicle_id[:40]:
+        mine = whole.vehicle_id == number
+        assert len(np.unique(whole.size_m[mine, 2])) == len(np.unique(whole.body[mine])) == 1
+
+
+def test_the_seed_and_the_recording_count():
+    base = scenario(1.0)
+    twice = replace(base, further_traffic=(replace(base.traffic, name="again"),))
+    assert isinstance(twice.further_traffic[0], TrafficSettings)
+    first, second = read_recordings(twice)
+    assert (first.size_m[:, 2] != second.size_m[:, 2]).mean() > 0.9
+    np.testing.assert_array_equal(first.size_m, read_recording(base).size_m)
+    joined = read_recording(twice)
+    _, first_rows = np.unique(joined.vehicle_id, return_index=True)
+    assert len(np.unique(joined.size_m[first_rows, 2])) > 0.99 * len(first_rows)
+    assert (joined.body > 0).any()
+    other = read_recording(scenario(1.0, world__variety_seed=2))
+    assert (other.size_m[:, 2] != first.size_m[:, 2]).mean() > 0.9
+
+
+def test_heights_of_their_own_stay_and_those_of_a_class_are_scaled():
+    own = table([1.4, 1.5, 1.62])
+    varied = with_variety(own, 1.0, 1)
+    np.testing.assert_array_equal(varied.size_m, own.size_m)
+    np.testing.assert_array_equal(with_variety(table([1.62]), 1.0, 1).size_m, table([1.62]).size_m)
+    assert with_variety(table([1.5]), 1.0, 1).size_m[0, 2] != 1.5
+    usual, higher = (with_variety(table([height] * 3), 1.0, 1).size_m[:, 2] for height in (HEIGHTS_M["car"], 1.8))
+    np.testing.assert_allclose(higher, usual * 1.8 / 1.5, rtol=1e-12)
+    raised = table([1.5] * 3)
+    raised = raised.with_columns(centre_m=raised.centre_m + np.array([0.0, 0.0, 0.2]))
+    varied = with_variety(raised, 1.0, 1)
+    np.testing.assert_allclose(varied.centre_m[:, 2] - 0.5 * varied.size_m[:, 2], 0.2, atol=1e-12)
+    negative = with_variety(table([1.5] * 2, np.array([-3, 7])), 1.0, 1)
+    assert len(np.unique(negative.size_m[:, 2])) == 2
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_scores_see_the_same_bodies_as_clouds(compiled, sites, monkeypatch):
+    if not compiled:
+        monkeypatch.setattr(frame_scorer, "numba_works", lambda: False)
+    site = sites[1]
+    mount = dict(site.scenario.baseline) | {"height_m": 4.0, "tilt_x_deg": 15.0}
+    shown = set()
+    for frame in site.search[:3]:
+        shown |= set(shape_names(frame.vehicles).tolist())
+        cloud = sensor_at(site, mount).scan(frame.vehicles)
+        expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
+        seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see(
+            [site.scenario.pose(mount)]
+        )
+        np.testing.assert_array_equal(seen.points[0], expected)
+    assert {"car", "hatchback", "suv"} < shown
+
+
+def test_scores_are_the_same_whatever_the_number_of_workers(sites):
+    site = sites[1]
+    poses = [site.scenario.baseline_pose]
+    found = []
+    for workers in (1, 2):
+        scenario = replace(site.scenario, model=replace(site.scenario.model, workers=workers))
+        with site_evaluator(replace(site, scenario=scenario), site.search) as evaluator:
+            found.append(evaluator.totals(poses).objective)
+    np.testing.assert_array_equal(*found)
+
+
+def test_who_knows_one_height_of_each_class_is_wrong_about_most(sites):
+    pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")
+    off = []
+    for site in sites:
+        mount = dict(site.scenario.baseline)
+        detector = ClassicalDetector(site.observation.lattice, (mount["x_m"], mount["y_m"]))
+        judged, errors = judge_detector(site, mount, detector), []
+        for boxes, frame in zip(judged.boxes, judging_frames(site)[0], strict=True):
+            cars = frame.vehicles.select(frame.vehicles.class_name == "car")
+            away = np.linalg.norm(boxes.centre_m[:, None, :2] - cars.centre_m[None, :, :2], axis=-1)
+            box, car = np.nonzero((away < 1.0) & (boxes.kind == 0)[:, None])
+            errors.append(np.abs(boxes.size_m[box, 2] - cars.size_m[car, 2]))
+        off.append(np.concatenate(errors).mean())
+    assert off[0] < 0.01
+    assert off[1] > off[0] + 0.03
