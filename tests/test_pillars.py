@@ -11,8 +11,8 @@ import pytest
 
 from blender_lidar.detection import pillar_network as network
 from blender_lidar.detection.pillars import (
-    PILLAR_M,
     GROUND_M,
+    PILLAR_M,
     SHIPPED,
     Area,
     PillarsDetector,

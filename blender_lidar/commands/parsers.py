@@ -111,11 +111,13 @@ _DETECTIONS = "CSV, nuScenes' JSON, or a folder of KITTI's label texts"
 
 
 def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    told = "what looks at the mounting's clouds of the held-out frames: pillars, a neural network (PointPillars, trained in "
-    told += (
-        "simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, your own weights of "
+    told = (
+        "what looks at the mounting's clouds of the held-out frames: pillars, a neural network (PointPillars, trained "
     )
-    told += f"the network; or FILE, the detections of your own: {_DETECTIONS}"
+    told += (
+        "in simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, your own weights "
+    )
+    told += f"of the network; or FILE, the detections of your own: {_DETECTIONS}"
     told += "" if default is None else " (default %(default)s)"
     parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=told)
 
