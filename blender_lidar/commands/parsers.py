@@ -111,13 +111,11 @@ _DETECTIONS = "CSV, nuScenes' JSON, or a folder of KITTI's label texts"
 
 
 def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    told = (
-        "what looks at the mounting's clouds of the held-out frames: pillars, a neural network (PointPillars, trained "
-    )
+    told = "what looks at the mounting's clouds of the held-out frames: pillars, a neural network (PointPillars, "
     told += (
-        "in simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, your own weights "
+        "trained in simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, weights "
     )
-    told += f"of the network; or FILE, the detections of your own: {_DETECTIONS}"
+    told += f"of your own for the network; or FILE, the detections of your own: {_DETECTIONS}"
     told += "" if default is None else " (default %(default)s)"
     parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=told)
 
