@@ -227,7 +227,9 @@ def test_what_only_breaks_ties_tells_no_poles_apart():
     seen = Observation(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4, "exact", "body", 0.05)
     scoring = Scoring(1e-6, "mean", None, "corrected", "detectable")
     plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.zeros(8, dtype=int))
-    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))
+    site = SimpleNamespace(
+        plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1), pose=pose_at)
+    )
     mount = {"x_m": 0.0, "height_m": 3.0, "tilt_x_deg": 17.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
     plans = [{**mount, "y_m": y} for y in (0.0, -20.0)]
     poles = [Pole("near", 0.0, 0.0), Pole("far", 0.0, -20.0)]

@@ -114,7 +114,8 @@ def turned_into(vehicles: Vehicles, ids: np.ndarray, kind: int) -> Vehicles:
     size[chosen] = SIZE_M[kind]
     centre[:, 2] = ground + 0.5 * size[:, 2]
     classes = np.where(chosen, kind, vehicles.class_index).astype(vehicles.class_index.dtype)
-    return replace(vehicles, size_m=size, centre_m=centre, class_index=classes)
+    body = None if vehicles.body is None else np.where(chosen, 0, vehicles.body)
+    return replace(vehicles, size_m=size, centre_m=centre, class_index=classes, body=body)
 
 
 def queued(

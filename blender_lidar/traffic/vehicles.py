@@ -160,8 +160,8 @@ class Vehicles:
         Counter-clockwise from +x [rad].
     lane : ndarray, (n,) int16
         Lane number of the source; 0 where unknown.
-    body : ndarray, (n,) int8
-        Which of the bodies of its kind each has, a row of `fleet.FLEET`; 0 the usual one, as of all unless said.
+    body : ndarray, (n,) int8, or None
+        Which of the bodies of its kind each has, a row of `fleet.FLEET`; None where all have the usual one, 0.
     """
 
     frame: int
@@ -174,10 +174,6 @@ class Vehicles:
     lane: np.ndarray
     body: np.ndarray | None = None
 
-    def __post_init__(self) -> None:
-        if self.body is None:
-            object.__setattr__(self, "body", np.zeros(len(self.vehicle_id), np.int8))
-
     def __len__(self) -> int:
         return len(self.vehicle_id)
 
@@ -188,7 +184,8 @@ class Vehicles:
 
     def select(self, which: np.ndarray) -> Vehicles:
         """The same frame with the vehicles that `which`, a (n,) mask or an index array, picks."""
-        return replace(self, **{name: getattr(self, name)[which] for name in _COLUMNS})
+        columns = ((name, getattr(self, name)) for name in _COLUMNS)
+        return replace(self, **{name: column[which] for name, column in columns if column is not None})
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,7 +77,8 @@ def _check_boxes(vehicles):
 
 def shape_names(vehicles: Vehicles) -> np.ndarray:
     """Name of the shape of each vehicle, (n,) str."""
-    each = zip(vehicles.class_name.tolist(), vehicles.size_m[:, 0].tolist(), vehicles.body.tolist(), strict=True)
+    bodies = [0] * len(vehicles) if vehicles.body is None else vehicles.body.tolist()
+    each = zip(vehicles.class_name.tolist(), vehicles.size_m[:, 0].tolist(), bodies, strict=True)
     return np.array([FLEET[kind_of(name, length)][body].name for name, length, body in each], dtype=str)
 
 
