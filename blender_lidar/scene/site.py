@@ -20,7 +20,8 @@ from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
-from .plausibility import checked_recording, nobody_there
+from .place_checks import nobody_there
+from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .scenario import Scenario

@@ -1,0 +1,177 @@
+"""Checks of places: who drives beside the carriageway, obliquely to it, or in one another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..errors import InputError
+from ..traffic.ngsim import FOOT_M
+from ..traffic.vehicles import Recording
+from .motion_checks import ASTRAY_RAD, FEWEST, FITTING, ROWS, Ways, headings, within_half_a_turn
+from .region import Region, region_of
+from .settings import Scenario
+
+_FEWEST_ON_ROAD = 0.02  # share; at an intersection, or with both directions in one recording, many drive elsewhere
+_FEW_ON_ROAD = 0.4  # are no cause to stop, but told
+_ALL_ON_ROAD = 0.95  # of a carriageway as wide that lies elsewhere
+_ALONG_RAD = math.radians(5.0)
+_MANY_ALIKE = 0.4  # share of the boxes that drive in one direction
+
+
+def _on_road(y: np.ndarray, scenario: Scenario) -> float:
+    low, high = scenario.road.carriageway_y
+    return float(((y >= low) & (y <= high)).mean())
+
+
+def _about_region(recording: Recording, scenario: Scenario) -> tuple[Recording, np.ndarray]:
+    """The boxes in the circle about the region, a sample, and which of them lie in the region."""
+    region = region_of(scenario.region, scenario.road.carriageway_y)
+    near = np.flatnonzero(region.distance(recording) <= region.radius_m)
+    near = near[np.unique(np.linspace(0, len(near) - 1, min(len(near), ROWS)).astype(int))]
+    part = recording.where(np.bincount(near, minlength=len(recording)) > 0)
+    return part, region.holds(part)
+
+
+def carriageway(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
+    """Vehicles that drive obliquely to the road, or next to none of the region on its carriageway."""
+    about, inside = _about_region(recording, scenario)
+    known = len(ways.seconds) >= FEWEST and not recording.report.periods
+    known = known and headings(recording, sample, ways, scenario) is None
+    oblique = _oblique(about.heading_rad[inside]) if known else None
+    if oblique is not None:
+        turn = within_half_a_turn(oblique + math.radians(scenario.traffic.heading_deg or 0.0))
+        at, meant = (round(math.degrees(angle), 1) + 0.0 for angle in (oblique, turn))
+        return (
+            f"vehicles in the region drive at {at:g} degrees to the road's x axis (usual: along it); probably "
+            f"[traffic] heading_deg = {meant:g}, the direction of travel in the file"
+        )
+    low, high = scenario.road.carriageway_y
+    y = about.centre_m[inside | bool(scenario.region.stretches), 1]  # beside a stretch too
+    if len(y) < FEWEST:
+        return None
+    none_there = _on_road(y, scenario) < _FEWEST_ON_ROAD
+    none_there &= not scenario.region.stretches or inside.sum() < FEWEST  # where others may drive beside it
+    if not (none_there or _lies_half_beside(y, low, high)):
+        return None
+    return (
+        f"{100 * _on_road(y, scenario):.0f} % of the boxes {'about' if scenario.region.stretches else 'in'} the region "
+        f"lie on the carriageway of [road], y {low:g} to {high:g} m, but at {_span('y', y)}; "
+        f"{_place_meant(y, recording, scenario)}"
+    )
+
+
+def _lies_half_beside(y: np.ndarray, low: float, high: float) -> bool:
+    """Whether a carriageway holds few of the boxes while one as wide that overlaps it holds all: another one does not.
+
+    `y` (n,) is where boxes lie across the road [m], `low` and `high` are the carriageway's edges [m].
+    """
+    found = np.sort(y)
+    held = np.searchsorted(found, found + (high - low), side="right") - np.arange(len(y))
+    best = found[held.argmax()]
+    few = ((y >= low) & (y <= high)).mean() < _FEW_ON_ROAD
+    return bool(few and held.max() > _ALL_ON_ROAD * len(y) and abs(best - low) < high - low)
+
+
+def _oblique(heading_rad: np.ndarray) -> float | None:
+    """The direction that most headings (n,) share [rad], where next to none of them lie along x; else None."""
+    if len(heading_rad) < FEWEST:
+        return None
+
+    def alike(axis: float) -> np.ndarray:
+        return np.abs(np.sin(heading_rad - axis)) <= math.sin(_ALONG_RAD)  # both directions
+
+    axis = max(np.radians(np.arange(180.0)), key=lambda axis: alike(axis).sum())
+    if alike(0.0).mean() >= _FEWEST_ON_ROAD or alike(axis).mean() < _MANY_ALIKE:
+        return None
+    ahead = alike(axis) & (np.cos(heading_rad - axis) > 0.0)
+    most = ahead if 2 * ahead.sum() >= alike(axis).sum() else alike(axis) & ~ahead
+    return float(np.angle(np.exp(1j * heading_rad[most]).mean()))
+
+
+def _place_meant(y: np.ndarray, recording: Recording, scenario: Scenario) -> str:
+    """What would put vehicles onto the carriageway, in words."""
+    road, ngsim = scenario.road, bool(recording.report.periods)
+    if ngsim and _on_road(y + (FOOT_M - 1.0) * road.right_edge_m, scenario) > FITTING:
+        return f"probably [road] right_edge_m = {road.right_edge_m:g} is in feet: {FOOT_M * road.right_edge_m:.4g} m"
+    if ngsim:
+        local_x = road.setback_m + road.right_edge_m - y
+        return f"check [road] right_edge_m: vehicles drive at {_span('Local_X', local_x)}"
+    if _on_road(-y, scenario) > FITTING:
+        return "probably the other side: turn [traffic] heading_deg by 180 degrees, or y is mirrored"
+    if _on_road(FOOT_M * y, scenario) > FITTING:
+        return "probably feet for metres"
+    return "check [traffic] origin_m and heading_deg, and [road] setback_m, lanes and lane_width_m"
+
+
+_FEW_BESIDE = 0.05  # share within a lane of the carriageway that is not told
+_FEW_AGAINST = 0.05  # share of the boxes on the carriageway that is not told
+
+
+def place_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
+    about, inside = _about_region(recording, scenario)
+    y, heading = about.centre_m[inside, 1], about.heading_rad[inside]
+    low, high = scenario.road.carriageway_y
+    road = f"the carriageway of [road], y {low:g} to {high:g} m"
+    if not scenario.region.stretches and len(y) and _FEWEST_ON_ROAD <= _on_road(y, scenario) < _FEW_ON_ROAD:
+        share = f"{100 * _on_road(y, scenario):.0f} % of the boxes in the region"
+        yield f"{share} lie on {road}; check [traffic] and [road]"
+    y_about, along = about.centre_m[:, 1], np.abs(np.sin(about.heading_rad)) < math.sin(ASTRAY_RAD)
+    lane = scenario.road.lane_width_m
+    next_to = along & ~inside & (y_about > low - lane) & (y_about < high + lane) & ((y_about < low) | (y_about > high))
+    beside = next_to.sum() / max(len(y) + next_to.sum(), 1)
+    if scenario.region.stretches and len(y) and beside > _FEW_BESIDE:
+        share = f"{100 * beside:.0f} % of the boxes on it and within a lane beside it"
+        yield f"{share} lie beside {road}, and do not count; check [road] setback_m and lanes, and [traffic] origin_m"
+    against = np.cos(heading[(y >= low) & (y <= high)]) < -math.cos(ASTRAY_RAD)
+    if len(against) >= FEWEST and against.mean() > _FEW_AGAINST:
+        yield (
+            f"{100 * against.mean():.0f} % of the region's boxes on {road}, drive against +x and count as the others "
+            "do; if they belong to another carriageway, check [road] setback_m and lanes, or give [region] keep_out"
+        )
+
+
+_MOST_OVERLAPS = 0.2  # pairs for each box
+
+
+def overlaps(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
+    """Boxes that stand in one another."""
+    report = recording.report
+    boxes = report.overlap_frames * len(recording) / len(recording.frames)
+    if boxes < FEWEST or report.overlaps <= _MOST_OVERLAPS * boxes:
+        return None
+    if any("no vehicle_types" in note for note in report.notes):
+        meant = "vehicles are smaller than SUMO's defaults: give their [traffic] vehicle_types"
+    elif np.ptp(recording.centre_m[:, :2], axis=0).max() < 1.0:
+        meant = "x_m and y_m are degrees of longitude and latitude: give metres"
+    else:
+        meant = "vehicles are there twice under other ids, or x_m and y_m are not the boxes' centres"
+    seen = f"{report.overlaps:,} pairs of boxes overlap among {boxes:,.0f}"
+    return f"{seen} (usual: none, or a few in a hundred); probably {meant}"
+
+
+# --- Where vehicles are --------------------------------------------------------------------------------------------
+
+
+def nobody_there(recording: Recording, region: Region, frames: int, scenario: Scenario) -> InputError:
+    """The error for a region where nobody drives: where vehicles are, and the keys that move one to the other."""
+    x, y = recording.centre_m[:, 0], recording.centre_m[:, 1]
+    beside = np.abs(x - region.centre_xy[0]) <= region.radius_m
+    if beside.any() and _on_road(y[beside], scenario) < _FEWEST_ON_ROAD:
+        meant = _place_meant(y[beside], recording, scenario)
+    elif recording.report.periods:
+        meant = f"check [road] station_m (such as {scenario.road.station_m + np.median(x):.0f}) and [region]"
+    else:
+        meant = "check [traffic] origin_m and heading_deg, and [region]"
+    return InputError(
+        f"{recording.source}: no vehicle in the region, within {region.radius_m:g} m of x {region.centre_xy[0]:g} m, y "
+        f"{region.centre_xy[1]:g} m, in the {frames} searched frames; in the road frame vehicles drive at "
+        f"{_span('x', x)}, {_span('y', y)}; {meant}"
+    )
+
+
+def _span(name: str, values: np.ndarray) -> str:
+    low, high = np.quantile(values, [0.05, 0.95]) + 0.0
+    return f"{name} {low:.0f} to {high:.0f} m"
