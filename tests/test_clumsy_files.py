@@ -101,7 +101,7 @@ CAUSES = {  # what the line says of each
     "clock time": "csv:2: time_s is '08:00:00'",
     "half a turn": "reversed, by half a turn",
     "compass headings": "clockwise from north",
-    "y to the right": "or y is mirrored",
+    "y to the right": "y is mirrored",
     "x and y swapped": "or x and y are swapped",
     "length and width swapped": "columns swapped: width_m holds the length",
     "a class that nobody knows": "csv:2: unknown class 'lorry'; allowed: car, van",

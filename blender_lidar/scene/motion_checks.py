@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 
 from ..traffic import format_of
 from ..traffic.ngsim import FOOT_M
+from ..traffic.tracks import central_velocity, held_heading
 from ..traffic.vehicles import Placing, Recording
 from .settings import Scenario
 
 ROWS = 20_000  # of a sample
 FEWEST = 20  # boxes, or ways of vehicles, that tell anything
-UNITS = {"feet": FOOT_M, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
+UNITS = {"feet": FOOT_M, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "decimetres": 0.1}
 FITTING = 0.8  # share that a guess must set right
 
 # --- How vehicles have moved --------------------------------------------------------------------------------------
@@ -38,6 +40,7 @@ class Ways:
     """
 
     def __init__(self, recording: Recording) -> None:
+        self._recording = recording
         frames, apart = len(recording.frames), 1
         found = self._between(recording, apart)
         while (np.hypot(*found[0].T) >= _FAR_ENOUGH_M).sum() < _MOVED_SHARE * len(found[0]) and apart < _MOST_APART:
@@ -63,6 +66,11 @@ class Ways:
             parts.append((moved, seconds, before.heading_rad[one] + 0.5 * turn))
         return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
+    @cached_property
+    def tracks(self) -> Tracks:
+        """Whole tracks, of a share of the vehicles where there are many."""
+        return Tracks(self._recording)
+
     @property
     def speed_m_s(self) -> np.ndarray:
         """Their speeds, (w,) [m/s]."""
@@ -79,6 +87,34 @@ class Ways:
     def mean_astray(self, heading_rad: np.ndarray) -> float:
         """The circular mean of how far they are off [rad]: noise of positions leaves it where it is."""
         return float(np.angle(np.exp(1j * self.astray(heading_rad)).mean()))
+
+
+_TRACK_ROWS = 100_000
+
+
+class Tracks:
+    """Tracks of whole vehicles, row by row in order of time.
+
+    Attributes
+    ----------
+    vehicle : ndarray, (n,) int
+    xy : ndarray, (n, 2)
+        Places [m].
+    velocity : ndarray, (n, 2)
+        By central differences over about two seconds [m/s]; NaN for vehicles in one frame only.
+    heading_rad : ndarray, (n,)
+        As the recording has it [rad].
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        of_row = np.unique(recording.vehicle_id, return_inverse=True)[1].reshape(-1)
+        kept = np.flatnonzero(of_row % -(-len(of_row) // _TRACK_ROWS) == 0)
+        kept = kept[np.lexsort((recording.frame[kept], of_row[kept]))]
+        time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[kept])]
+        self.vehicle, self.xy = of_row[kept], recording.centre_m[kept, :2]
+        self.heading_rad = recording.heading_rad[kept]
+        self.velocity = central_velocity(self.vehicle, time_s - recording.frame_time_s[0], self.xy)
+        self.speed_m_s = np.hypot(*self.velocity.T)
 
 
 def within_half_a_turn(angle):
@@ -110,8 +146,8 @@ def time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
     speed = f"{usual:.2g}" if usual < 100.0 else f"{usual:.0f}"
     seen = f"moving vehicles drive {speed} m/s (usual: 2 to 40) with frames {step:.3g} s apart"
     if fast < low:
-        cause = "milliseconds" if usual < 0.1 else "frame numbers"
-        return f"{seen}; probably {cause} for seconds: check time_s and [traffic] time_step_s"
+        cause = "milliseconds for seconds" if usual < 0.1 else "frame numbers for seconds, or a jam that crawls"
+        return f"{seen}; probably {cause}: check time_s and [traffic] time_step_s"
     if ways.share_astray(ways.heading_rad) > _MOST_ASTRAY:
         return f"{seen}, in no direction; probably vehicles are numbered anew in each frame: check vehicle_id"
     apart = "probably frames are further apart (check time_s and [traffic] time_step_s)"
@@ -130,7 +166,7 @@ def headings(recording: Recording, sample: Recording, ways: Ways, scenario: Scen
         return None
     share, mean = ways.share_astray(ways.heading_rad), abs(ways.mean_astray(ways.heading_rad))
     if share <= _MOST_ASTRAY and mean <= _MEAN_ASTRAY_RAD:
-        return None
+        return _standing_astray(ways.tracks) or _bends_not_followed(ways.tracks)
     settings = scenario.traffic
     placing = Placing(settings.origin_m or (0.0, 0.0), settings.heading_deg or 0.0)
     in_file = within_half_a_turn(ways.heading_rad + math.radians(placing.heading_deg))
@@ -153,4 +189,49 @@ def headings(recording: Recording, sample: Recording, ways: Ways, scenario: Scen
     return (
         f"moving vehicles head {math.degrees(mean):.0f} degrees off their motion in the mean (usual: under 2), "
         f"{100 * share:.0f} % of them more than 30 (usual: none); probably {guess}"
+    )
+
+
+_STANDS_M_S = 0.5
+_FEW = 0.02  # share of the boxes
+
+
+def _standing_astray(tracks: Tracks) -> str | None:
+    """Headings of vehicles that stand, off those with which they came or leave: made of noise, or of nothing."""
+    known, _ = held_heading(tracks.vehicle, tracks.velocity, np.nan)
+    stands = (tracks.speed_m_s < _STANDS_M_S) & ~np.isnan(known)
+    astray = np.abs(within_half_a_turn(tracks.heading_rad - known)[stands]) > ASTRAY_RAD
+    if stands.sum() < FEWEST or astray.mean() <= _MOST_ASTRAY or astray.sum() <= _FEW * len(stands):
+        return None
+    return (
+        f"{100 * astray.mean():.0f} % of the boxes that stand point more than 30 degrees off the way they came or go "
+        "(usual: none), as no vehicle turns on the spot; probably headings are made from the motion, and are noise or "
+        "0 where there is none: keep the last one"
+    )
+
+
+_CELL_M = 20.0
+_FAST_M_S = 5.0  # against the noise of positions
+_BENDS_ASTRAY_RAD = math.radians(4.0)  # real and generated recordings: at most 1.5 degrees
+
+
+def _bends_not_followed(tracks: Tracks) -> str | None:
+    """Headings that are right in the mean and off the motion place by place, as of one number on a bend."""
+    fast = tracks.speed_m_s > _FAST_M_S
+    velocity, heading = tracks.velocity[fast], tracks.heading_rad[fast]
+    astray = np.exp(1j * (np.arctan2(velocity[:, 1], velocity[:, 0]) - heading))
+    cell = np.floor(tracks.xy[fast] / _CELL_M)
+    eighth = np.rint(heading / (0.25 * math.pi)) % 8
+    place = np.unique(np.column_stack([cell, eighth]), axis=0, return_inverse=True)[1].reshape(-1)
+    boxes = np.bincount(place)
+    mean = np.angle(np.bincount(place, astray.real) + 1j * np.bincount(place, astray.imag))
+    told = boxes >= FEWEST
+    if not told.any():
+        return None
+    off = math.sqrt(np.average(np.square(mean[told]), weights=boxes[told]))
+    if off <= _BENDS_ASTRAY_RAD:
+        return None
+    return (
+        f"place by place vehicles head {math.degrees(off):.0f} degrees off their motion (usual: under 2), though not "
+        "in the mean; probably headings do not follow the road's bends: one direction for all, or that of a chord"
     )

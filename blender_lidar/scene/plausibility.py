@@ -13,6 +13,7 @@ from itertools import permutations
 import numpy as np
 
 from ..errors import InputError
+from ..traffic.ngsim import FOOT_M
 from ..traffic.vehicles import CLASSES, Recording
 from .motion_checks import FEWEST, FITTING, ROWS, UNITS, Ways, headings, time_step
 from .place_checks import carriageway, overlaps, place_notes
@@ -47,7 +48,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
             raise InputError(f"{recording.source}: {text}; to go on all the same: --accept {name}")
         if text:
             warnings.append((name, text))
-    notes = (*recording.report.notes, *place_notes(recording, scenario))
+    notes = (*recording.report.notes, *place_notes(recording, scenario, "carriageway" in dict(warnings)))
     return replace(recording, report=replace(recording.report, warnings=tuple(warnings), notes=notes))
 
 
@@ -81,7 +82,13 @@ _SIZES_M = {  # least and largest length, width and height
     "bus": ((4.0, 60.0), (1.5, 3.6), (1.8, 5.0)),
     "motorcycle": ((0.8, 4.0), (0.25, 2.0), (0.6, 2.6)),
 }
-_MOST_ODD = 0.5  # share of boxes: a class that is wrong for some is no wrong unit
+_FACTORS = {
+    **{f"{unit} for metres": factor for unit, factor in UNITS.items()},
+    "half lengths for metres": 2.0,
+    "metres multiplied by 0.3048": 1.0 / FOOT_M,
+    "a slipped decimal point, ten times too small": 10.0,
+}
+_MOST_ODD, _ALL_ODD = 0.5, 0.95  # shares of boxes: a class that is wrong for some is no wrong unit
 
 
 def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
@@ -95,14 +102,10 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
     if len(sample) < FEWEST:
         return None
     if share <= _MOST_ODD:
-        return _of_one_class(sample, limits) or _heights_of_middles(sample)
+        return _of_one_class(sample, limits) or _heights_alike(sample) or _heights_of_middles(sample)
     usual = int(np.bincount(sample.class_index).argmax())
     size = " by ".join(f"{one:.3g}" for one in np.median(sample.size_m[sample.class_index == usual], axis=0))
-    names = [
-        f"{unit} for metres"
-        for unit, factor in {**UNITS, "half lengths": 2.0}.items()
-        if odd(sample.size_m * factor) < 1 - FITTING
-    ]
+    names = [meant for meant, factor in _FACTORS.items() if odd(sample.size_m * factor) < 1 - FITTING]
     columns = ("length_m", "width_m", "height_m")
     for order in permutations(range(3)):
         if odd(sample.size_m[:, order]) < 1 - FITTING:
@@ -116,16 +119,21 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
             )
     if recording.report.periods:  # whose sizes have been repaired, to the least where they were metres
         names = ["v_Length and v_Width in metres, where NGSIM has feet"]
+    if not names and share < _ALL_ODD and (told := _of_one_class(sample, limits)):
+        return told
     low, high = zip(*_SIZES_M[CLASSES[usual]], strict=True)
     return (
         f"{100 * share:.0f} % of the boxes have impossible sizes for their class: a median {CLASSES[usual]} is {size} "
         f"m (usual: {low[0]:g} to {high[0]:g} by {low[1]:g} to {high[1]:g} by {low[2]:g} to {high[2]:g} m); "
-        f"probably {names[0] if names else 'another unit'}"
+        f"probably {' or '.join(names[:2]) or 'another unit'}"
     )
 
 
+_FAR_OFF = 1.5  # times beyond what is possible: no odd class, whatever the unit
+
+
 def _of_one_class(sample: Recording, limits: np.ndarray) -> str | None:
-    """A class whose sizes are another unit's, where those of the others are right."""
+    """A class whose sizes are another unit's or far from possible, where those of the others are right."""
     for index in np.unique(sample.class_index):
         own = sample.class_index == index
         low, high = limits[own, :, 0], limits[own, :, 1]
@@ -133,11 +141,34 @@ def _of_one_class(sample: Recording, limits: np.ndarray) -> str | None:
         def fitting(factor: float, size: np.ndarray = sample.size_m[own], low=low, high=high) -> float:
             return float(((factor * size >= low) & (factor * size <= high)).all(axis=1).mean())
 
-        unit = next((name for name, factor in UNITS.items() if fitting(factor) > FITTING), None)
-        if own.sum() >= FEWEST and unit is not None and fitting(1.0) < 1.0 - FITTING:
-            size = " by ".join(f"{one:.3g}" for one in np.median(sample.size_m[own], axis=0))
-            return f"a median {CLASSES[index]} is {size} m, impossible for its class; probably {unit} for metres"
+        median = np.median(sample.size_m[own], axis=0)
+        if own.sum() < FEWEST or fitting(1.0) >= 1.0 - FITTING:
+            continue
+        meant = [name for name, factor in _FACTORS.items() if fitting(factor) > FITTING]
+        if meant or ((median < low[0] / _FAR_OFF) | (median > high[0] * _FAR_OFF)).any():
+            size = " by ".join(f"{one:.3g}" for one in median)
+            probably = " or ".join(meant) or "another unit, or another class"
+            return f"a median {CLASSES[index]} is {size} m, impossible for its class; probably {probably}"
     return None
+
+
+_LONG_M = 7.0
+_HIGHER_M = 0.2
+
+
+def _heights_alike(sample: Recording) -> str | None:
+    """Long trucks and buses that are no higher than cars: one height for all, for want of any."""
+    car = sample.class_index == CLASSES.index("car")
+    long = np.isin(sample.class_index, [CLASSES.index("truck"), CLASSES.index("bus")]) & (sample.size_m[:, 0] > _LONG_M)
+    if min(car.sum(), long.sum()) < FEWEST:
+        return None
+    usual, high = (np.median(sample.size_m[which, 2]) for which in (car, long))
+    if high > usual + _HIGHER_M:
+        return None
+    return (
+        f"median trucks and buses of over {_LONG_M:g} m are {high:.3g} m high and cars {usual:.3g} m (usual: 3 to 4 "
+        "and 1.5); probably one height for all: give height_m by class"
+    )
 
 
 _MOST_OFF_M = 0.5
