@@ -8,7 +8,8 @@ CASTERS = ("raster", "embree", "bvh", "exact")  # in the order in which "auto" t
 DETAILS = ("box", "body", "detailed")  # of vehicles, the coarsest first
 BARRIERS = ("concrete", "guard_rail")
 TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table")
-WARNINGS = ("units", "sizes", "time-step", "headings", "carriageway", "overlaps")  # of what cannot be true of traffic
+# Of what cannot be true of traffic.
+WARNINGS = ("units", "sizes", "time-step", "tracks", "headings", "carriageway", "overlaps")
 SENSOR_SUFFIXES = (".toml", ".csv")
 CLOUD_SUFFIXES = (".npz", ".pcd", ".ply", ".bin", ".las", ".laz")
 VIEWS = ("mean", "max", "min")  # how three occupancies become the P of Eq. 11

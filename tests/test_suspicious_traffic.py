@@ -9,7 +9,8 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.site import prepare
+from blender_lidar.scene.site import prepare, read_recording
+from tests import traffic_samples as ngsim
 from tests.small_scene import HEADER, done, traffic_rows, without_charts, write_scene, write_table
 from tests.test_plausibility import COLUMN, SIZES, road_at, stream, table, times
 
@@ -113,6 +114,40 @@ def seen(folder, rows, changes=None):
     return " | ".join([*site.recording.report.notes, *site.plan.notes])
 
 
+def one_id_for(count):
+    """The usual rows with ids that several vehicles have at the same time."""
+    return table(vehicle_id=lambda row: row["vehicle_id"] % count)
+
+
+def anew(ids):
+    """The usual rows, numbered on from row to row, so that an id is another vehicle's in each frame."""
+    return [[row[0], number % ids, *row[2:]] for number, row in enumerate(dense())]
+
+
+def dense(shift_m=(0.0, 0.0)):
+    """Four lanes of traffic in steps of half a second, whose second minute is shifted."""
+    rows = []
+    for row in (row for lane in range(4) for row in stream(1 + lane, 0, 3.75 + 3.5 * lane, 2.5)):
+        later = row[0] >= 60
+        rows.append([*row[:3], row[3] + shift_m[0] * later, row[4] + shift_m[1] * later, *row[5:]])
+    return sorted(row for row in rows if row[0] < 120)
+
+
+def again_from_behind():
+    """Vehicles that drive through a second time, a minute later, as others whose ids are used again."""
+    first = [row for row in dense() if row[0] < 40]
+    return first + [[row[0] + 60, *row[1:9], row[9] + 60.0] for row in first]
+
+
+def across():
+    """Dense traffic, in which a tenth of the vehicles points to the left and a tenth to the right."""
+    return [[*row[:8], {0: 90.0, 5: -90.0}.get(row[1] % 10, 0.0), row[9]] for row in dense()]
+
+
+def standing():
+    return table(x_m=lambda row: 12.0 * row["vehicle_id"] - 240.0)
+
+
 AT_33 = {"traffic": {"heading_deg": 33.0}}
 STOPS = {  # by name: the rows, the scene, and what the line says
     "headings of vehicles that stand": (queue(0.0), AT_33, "boxes that stand point more than 30.*--accept headings"),
@@ -125,6 +160,25 @@ STOPS = {  # by name: the rows, the scene, and what the line says
     "trucks of no unit": (of_class("truck", 0.15), {}, "another unit, or another class.*--accept sizes"),
     "one height for all": (table(height_m=lambda row: 1.5), {}, "one height for all.*--accept sizes"),
     "a fifth there twice": (again(0.2), {}, "boxes stand where another one does.*there twice.*--accept overlaps"),
+    "one size for all": (
+        table(length_m=lambda row: 4.4, width_m=lambda row: 1.8, height_m=lambda row: 1.5),
+        {},
+        "as a median car is; probably one size .* for all.*--accept sizes",
+    ),
+    "trucks whose width and height are swapped": (
+        [[*row[:6], row[7], row[6], *row[8:]] if row[2] == "truck" else row for row in table()],
+        {},
+        "median truck is 11 by 3.6 by 2.5 m, .*probably columns swapped: height_m holds the width.*--accept sizes",
+    ),
+    "some headings across": (across(), {}, "headings of some vehicles, .* are of another axis.*--accept headings"),
+    "several vehicles under one id": (
+        one_id_for(2),
+        {},
+        "elsewhere in the same frame.*one vehicle_id.*--accept tracks",
+    ),
+    "ids of another vehicle in each frame": (anew(50), {}, "vehicles jump, by 20 m.*one vehicle_id.*--accept tracks"),
+    "half of it shifted across": (dense((0.0, 3.0)), {}, "all vehicles jump together by 3.0 m from frame 59 to 60"),
+    "half of it shifted along": (dense((40.0, 0.0)), {}, "all vehicles jump together by 40.0 m from frame 59 to 60"),
     "a region that no mount can see": (
         shifted(x_m=100.0),
         {"region": {"centre_m": [100.0, 0.0], "radius_m": 30.0}},
@@ -143,6 +197,23 @@ NOTES = {  # by name: the rows, the scene, and what is told
         traffic_rows(),
         {"region": {"centre_m": [15.0, 0.0], "radius_m": 20.0}},
         "from any mount, and count as missed",
+    ),
+    "ids that are used again": (again_from_behind(), WIDE, "of the vehicles come again from behind"),
+    "a car park": (standing(), {}, "next to no vehicle moves in 118 s: a jam, or a car park?"),
+    "new ids in every frame": (anew(10**6), WIDE, "next to no vehicle is in more than one frame"),
+    "lanes of 2 m": (traffic_rows(), {"road": {"lane_width_m": 2.0}}, "lane_width_m is 2 m (usual: 2.4 to 5.2)"),
+    "a region beyond the recording's end": (
+        traffic_rows(),
+        {"region": {"stretches": [{"x_m": [-60.0, 20.0]}]}, **WIDE},
+        "the region reaches from x -60 to 20 m, and vehicles are recorded there from -39 to 39 m",
+    ),
+    "some boxes in one another": (
+        [
+            *dense(),
+            *([*row[:1], row[1] + 10_000, *row[2:4], row[4] + 0.6, *row[5:]] for row in dense() if row[1] % 12 == 0),
+        ],
+        WIDE,
+        "pairs of boxes overlap among 100",
     ),
     "few beside a motorway": (beside_a_motorway(), {"region": CIRCLE_40, **WIDE}, "% of the boxes in the region lie"),
     "a last frame of another day": (
@@ -164,6 +235,7 @@ RIGHT = {  # the same without the fault
     "a road at 32 degrees": (road_at(33), {"traffic": {"heading_deg": 32.0}}),
     "two carriageways": (two_carriageways(), {"region": CIRCLE_40, **WIDE}),
     "two carriageways, of one": (two_carriageways(), {"region": {"stretches": [{"x_m": [-40.0, 40.0]}]}, **WIDE}),
+    "dense traffic": (dense(), WIDE),
     "a minute without anybody": (at_another_time(lambda frame: frame >= 30, 60.0), {}),
 }
 
@@ -184,7 +256,7 @@ def test_what_may_be_wrong_is_told(case, tmp_path):
 @pytest.mark.parametrize("case", RIGHT)
 def test_what_is_right_is_told_nothing_of(case, tmp_path):
     told = seen(tmp_path, *RIGHT[case])
-    for word in ("degrees", "carriageway", "range gate", "pause"):
+    for word in ("degrees", "carriageway", "range gate", "pause", "region", "come again", "move", "overlap", "width"):
         assert word not in told
 
 
@@ -218,3 +290,28 @@ def test_init_tells_what_is_suspicious_of_what_it_proposes(mirrored, tmp_path, c
     path = write_table(tmp_path / "traffic.csv", two_carriageways(mirrored), HEADER)
     _, told = done(capsys, "init", tmp_path / "site", "--from", "table", path)
     assert ("left-hand traffic, or y is mirrored" in told) is mirrored
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({}, None),
+        (
+            {"Local_X": lambda feet: (0.3048 * feet).round(3)},
+            r"lanes lie 1\.1 m apart .* and boxes overlap: .*--accept units",
+        ),
+        ({"v_Class": lambda number: 5 - number}, None),
+    ],
+    ids=["right", "Local_X in metres", "cars that are trucks"],
+)
+def test_ngsim_with_a_wrong_column(change, told, tmp_path):
+    given = ngsim.columns(vehicles=40, frames=60)
+    given |= {name: change_of(given[name]) for name, change_of in change.items()}
+    ngsim.write(tmp_path, ngsim.native(given))
+    scene = load_scenario(write_scene(tmp_path, {"traffic": {"path": "recording.txt"}, "road": {"lanes": 6}}))
+    if told is None:
+        notes = " | ".join(read_recording(scene).report.notes)
+        assert ("absurd for their class" in notes) is ("v_Class" in change)
+    else:
+        with pytest.raises(InputError, match=told):
+            read_recording(scene)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
@@ -43,11 +44,12 @@ class Ways:
         self._recording = recording
         frames, apart = len(recording.frames), 1
         found = self._between(recording, apart)
-        while (np.hypot(*found[0].T) >= _FAR_ENOUGH_M).sum() < _MOVED_SHARE * len(found[0]) and apart < _MOST_APART:
+        while apart < min(_MOST_APART, 0.5 * frames) and (
+            len(found[0]) < FEWEST or (np.hypot(*found[0].T) >= _FAR_ENOUGH_M).sum() < _MOVED_SHARE * len(found[0])
+        ):
             apart *= 2
-            if apart >= frames:
-                break
-            found = self._between(recording, apart)
+            later = self._between(recording, apart)
+            found = max(found, later, key=lambda ways: len(ways[0])) if len(found[0]) < FEWEST else later
         far = np.hypot(*found[0].T) >= _FAR_ENOUGH_M
         self.moved_m, self.seconds, self.heading_rad = (one[far] for one in found)
 
@@ -70,6 +72,11 @@ class Ways:
     def tracks(self) -> Tracks:
         """Whole tracks, of a share of the vehicles where there are many."""
         return Tracks(self._recording)
+
+    @cached_property
+    def steps(self) -> _Steps:
+        """Their steps from row to row."""
+        return _Steps(self.tracks)
 
     @property
     def speed_m_s(self) -> np.ndarray:
@@ -104,6 +111,8 @@ class Tracks:
         By central differences over about two seconds [m/s]; NaN for vehicles in one frame only.
     heading_rad : ndarray, (n,)
         As the recording has it [rad].
+    time_s, frame : ndarray, (n,)
+        Since the recording's beginning [s], and the frame's number.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -113,7 +122,8 @@ class Tracks:
         time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[kept])]
         self.vehicle, self.xy = of_row[kept], recording.centre_m[kept, :2]
         self.heading_rad = recording.heading_rad[kept]
-        self.velocity = central_velocity(self.vehicle, time_s - recording.frame_time_s[0], self.xy)
+        self.time_s, self.frame = time_s - recording.frame_time_s[0], recording.frame[kept]
+        self.velocity = central_velocity(self.vehicle, self.time_s, self.xy)
         self.speed_m_s = np.hypot(*self.velocity.T)
 
 
@@ -149,11 +159,120 @@ def time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Sce
         cause = "milliseconds for seconds" if usual < 0.1 else "frame numbers for seconds, or a jam that crawls"
         return f"{seen}; probably {cause}: check time_s and [traffic] time_step_s"
     if ways.share_astray(ways.heading_rad) > _MOST_ASTRAY:
-        return f"{seen}, in no direction; probably vehicles are numbered anew in each frame: check vehicle_id"
+        return (
+            f"{seen}, in no direction; probably vehicles are numbered anew in each frame, or places have another unit "
+            "and axis than headings: check vehicle_id, x_m and y_m"
+        )
     apart = "probably frames are further apart (check time_s and [traffic] time_step_s)"
     units = [unit for unit, factor in UNITS.items() if _USUAL_M_S[0] <= usual * factor <= _USUAL_M_S[1]]
     of_table = bool(units) and format_of(recording.source) == "table"
     return f"{seen}; {apart}" + (f", or x_m and y_m are in {' or '.join(units)}" if of_table else "")
+
+
+_MOST_REPEATED = 0.05  # share of rows
+_JUMP_M, _MOST_JUMPING = 20.0, 0.05  # between two rows of a vehicle, with a speed that none has; share of vehicles
+_FEWEST_TOGETHER = 5  # vehicles
+_MOST_OF_FRAMES = 0.05  # in more it is no event
+_ASIDE_M, _AHEAD_M = 1.5, 5.0  # that all have jumped together, in steps of at most 2 s and 1 s
+
+
+def tracks(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
+    """Vehicles that are in two places at once or jump, each by itself or all together."""
+    report = recording.report
+    if report.repeated > max(_MOST_REPEATED * report.rows_read, FEWEST):
+        return (
+            f"{report.repeated:,} of {report.rows_read:,} rows are of a vehicle that is elsewhere in the same frame "
+            "(usual: none); probably several vehicles have one vehicle_id"
+        )
+    steps = ways.steps
+    if together := _together(steps):
+        return together
+    far = steps.distance_m > _JUMP_M
+    jumps = far & (steps.distance_m > _SPEEDS_M_S[1] * steps.seconds)
+    back = far[1:] & far[:-1] & ((steps.moved_m[1:] * steps.moved_m[:-1]).sum(axis=1) < 0.0)
+    jumps[1:] |= back & (np.diff(steps.vehicle) == 0) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= 3.0)
+    jumping, vehicles = np.unique(steps.vehicle[jumps]), len(np.unique(ways.tracks.vehicle))
+    if len(jumping) > max(_MOST_JUMPING * vehicles, _FEWEST_TOGETHER):
+        return (
+            f"{len(jumping):,} of {vehicles:,} vehicles jump, by {_JUMP_M:g} m and more and faster than any drives, or "
+            "there and back (usual: none); probably several vehicles have one vehicle_id, or frames are out of order"
+        )
+    return None
+
+
+class _Steps:
+    """From one row of a vehicle to its next: distances, seconds, and how far ahead and aside of its heading [m]."""
+
+    def __init__(self, tracks: Tracks) -> None:
+        first = np.flatnonzero(np.diff(tracks.vehicle) == 0)
+        moved = tracks.xy[first + 1] - tracks.xy[first]
+        turn = within_half_a_turn(tracks.heading_rad[first + 1] - tracks.heading_rad[first])
+        heading = tracks.heading_rad[first] + 0.5 * turn
+        self.vehicle, self.seconds = tracks.vehicle[first], tracks.time_s[first + 1] - tracks.time_s[first]
+        self.frame, self.next_frame = tracks.frame[first], tracks.frame[first + 1]
+        self.moved_m, self.distance_m = moved, np.hypot(*moved.T)
+        self.ahead_m = moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)
+        self.aside_m = moved[:, 1] * np.cos(heading) - moved[:, 0] * np.sin(heading)
+
+
+def _together(steps: _Steps) -> str | None:
+    """A step in which all vehicles jump alike, as where a camera or an origin has moved."""
+    before = np.flatnonzero((np.diff(steps.vehicle) == 0) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= 2.0))
+    now = before + 1
+    if not len(now):
+        return None
+    expected = steps.ahead_m[before] / steps.seconds[before] * steps.seconds[now]
+    faster = np.where(steps.seconds[now] <= 1.0, steps.ahead_m[now] - expected, 0.0)
+    usual = []
+    for values in (steps.aside_m[now], faster):
+        order = np.lexsort((values, steps.frame[now]))
+        frames, start, count = np.unique(steps.frame[now][order], return_index=True, return_counts=True)
+        usual.append(values[order][start + count // 2])  # the median of each frame
+    aside, ahead = usual
+    told = count >= _FEWEST_TOGETHER
+    far = np.flatnonzero(told & ((np.abs(aside) > _ASIDE_M) | (np.abs(ahead) > _AHEAD_M)))
+    if not len(far) or len(far) > max(_MOST_OF_FRAMES * told.sum(), 2):
+        return None
+    at = int(far[0])
+    next_frame = steps.next_frame[now][steps.frame[now] == frames[at]].min()
+    return (
+        f"all vehicles jump together by {math.hypot(aside[at], ahead[at]):.1f} m from frame {frames[at]} to "
+        f"{next_frame}; probably the camera or the file's origin has moved (make two recordings, each with its "
+        "origin_m), or places are rounded coarsely"
+    )
+
+
+_FEW_MOVE, _FEW_SHARED = 0.05, 0.05  # shares of vehicles
+_COME_AGAIN_M, _MOST_AGAIN = -20.0, 0.05  # ahead; share of vehicles
+
+
+def track_notes(recording: Recording, ways: Ways) -> Iterator[str]:
+    """What is suspicious of tracks and may be right, as sentences."""
+    steps, vehicles = ways.steps, len(np.unique(ways.tracks.vehicle))
+    if len(recording.frames) < 2 or vehicles < 2:
+        return
+    seen_again = len(np.unique(steps.vehicle))
+    if seen_again <= _FEW_SHARED * vehicles:
+        yield (
+            "next to no vehicle is in more than one frame: frames that are unrelated, or vehicles numbered anew in "
+            "each, which then judge what they have chosen"
+        )
+        return
+    lowest, highest = (_by_vehicle(ways.tracks, how) for how in (np.minimum, np.maximum))
+    moved = np.hypot(*(highest - lowest).T) >= _FAR_ENOUGH_M
+    if moved.mean() <= _FEW_MOVE:
+        yield f"next to no vehicle moves in {np.ptp(recording.frame_time_s):.0f} s: a jam, or a car park?"
+    again = len(np.unique(steps.vehicle[steps.ahead_m < _COME_AGAIN_M]))
+    if again > max(_MOST_AGAIN * vehicles, 1):
+        yield (
+            f"{100 * again / vehicles:.0f} % of the vehicles come again from behind: if a vehicle_id is used again for "
+            "others, these are missing among those that judge"
+        )
+
+
+def _by_vehicle(tracks: Tracks, how: np.ufunc) -> np.ndarray:
+    first = np.flatnonzero(np.diff(tracks.vehicle, prepend=-1))
+    return how.reduceat(tracks.xy, first, axis=0)
 
 
 def headings(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
@@ -231,7 +350,10 @@ def _bends_not_followed(tracks: Tracks) -> str | None:
     off = math.sqrt(np.average(np.square(mean[told]), weights=boxes[told]))
     if off <= _BENDS_ASTRAY_RAD:
         return None
+    meant = "headings do not follow the road's bends: one direction for all, or that of a chord"
+    if (np.abs(np.angle(astray)) > ASTRAY_RAD).mean() > _FEW:
+        meant = "headings of some vehicles, such as those of a class, are of another axis"
     return (
         f"place by place vehicles head {math.degrees(off):.0f} degrees off their motion (usual: under 2), though not "
-        "in the mean; probably headings do not follow the road's bends: one direction for all, or that of a chord"
+        f"in the mean; probably {meant}"
     )

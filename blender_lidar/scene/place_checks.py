@@ -129,6 +129,9 @@ def _place_meant(y: np.ndarray, heading_rad: np.ndarray, recording: Recording, s
 
 _DRIFT_RAD = (math.radians(1.5), math.radians(15.0))  # least that is told, and who still drives along the road
 _MOST_TO_THE_RIGHT = 0.8  # share of those who come the other way
+_MANY_OVERLAPS = 0.05  # pairs for each box that are told
+_FEWEST_TO_END = 100  # boxes, to tell how far traffic is recorded
+_LANE_WIDTHS_M, _USUAL_LANE_M = (2.4, 5.2), 3.5
 _FEW_BESIDE = 0.05  # share within a lane of the carriageway that is not told
 _FEW_AGAINST = 0.05  # share of the boxes on the carriageway that is not told
 
@@ -146,7 +149,10 @@ def place_notes(recording: Recording, scenario: Scenario, accepted: bool) -> Ite
         share = f"{100 * _on_road(y, scenario):.2g} % of the boxes in the region"
         yield f"{share} lie on {road}; they drive at {_span('y', y)}: check [traffic] and [road]"
     y_about, along = about.centre_m[:, 1], np.abs(np.sin(about.heading_rad)) < math.sin(ASTRAY_RAD)
-    lane = scenario.road.lane_width_m
+    lane = max(scenario.road.lane_width_m, _USUAL_LANE_M)
+    narrowest, widest = _LANE_WIDTHS_M
+    if not narrowest <= scenario.road.lane_width_m <= widest:
+        yield f"[road] lane_width_m is {scenario.road.lane_width_m:g} m (usual: {narrowest:g} to {widest:g})"
     next_to = along & ~inside & (y_about > low - lane) & (y_about < high + lane) & ((y_about < low) | (y_about > high))
     beside = next_to.sum() / max(len(y) + next_to.sum(), 1)
     if scenario.region.stretches and len(y) and beside > _FEW_BESIDE:
@@ -160,6 +166,10 @@ def place_notes(recording: Recording, scenario: Scenario, accepted: bool) -> Ite
             "do; if they belong to another carriageway, check [road] setback_m and lanes, or give [region] keep_out"
         )
     yield from _drift_notes(on_road, scenario)
+    yield from _end_notes(recording, scenario)
+    many = recording.report.overlaps / max(recording.report.overlap_frames * len(recording) / len(recording.frames), 1)
+    if _MANY_OVERLAPS < many <= _MOST_OVERLAPS:
+        yield f"{100 * many:.0f} pairs of boxes overlap among 100 (usual: none, or a few)"
     coming = np.cos(about.heading_rad) < -math.cos(ASTRAY_RAD)
     right, left = coming & (y_about < low), coming & (y_about > high)
     travel = len(against) >= FEWEST and against.mean() < 0.5
@@ -168,6 +178,27 @@ def place_notes(recording: Recording, scenario: Scenario, accepted: bool) -> Ite
             f"those who come the other way drive to the right of {road}, at {_span('y', y_about[right])}: left-hand "
             "traffic, or y is mirrored in the file; a pole on that side stands between both directions, not at the "
             "roadside"
+        )
+
+
+_SHORT_M = 10.0
+
+
+def _end_notes(recording: Recording, scenario: Scenario) -> Iterator[str]:
+    """A region that reaches beyond where anybody is recorded along the road."""
+    settings, region = scenario.region, region_of(scenario.region, scenario.road.carriageway_y)
+    x, y = recording.centre_m[:, 0], recording.centre_m[:, 1]
+    x = x[np.abs(y - region.centre_xy[1]) <= region.radius_m]
+    if settings.polygon_m is not None or len(x) < _FEWEST_TO_END:
+        return
+    spans = [one.x_m for one in settings.stretches or ()]
+    spans = spans or [(settings.centre_m[0] - settings.radius_m, settings.centre_m[0] + settings.radius_m)]
+    low, high = min(low for low, _ in spans), max(high for _, high in spans)
+    is_there = ((x >= low) & (x <= high)).any()
+    if is_there and (x.min() - low > _SHORT_M or high - x.max() > _SHORT_M):
+        yield (
+            f"the region reaches from x {low:g} to {high:g} m, and vehicles are recorded there from {x.min():.0f} to "
+            f"{x.max():.0f} m: beyond, the LiDAR is not asked to see anybody"
         )
 
 
@@ -208,8 +239,10 @@ def overlaps(recording: Recording, sample: Recording, ways: Ways, scenario: Scen
         meant = "vehicles are smaller than SUMO's defaults: give their [traffic] vehicle_types"
     elif np.ptp(recording.centre_m[:, :2], axis=0).max() < 1.0:
         meant = "x_m and y_m are degrees of longitude and latitude: give metres"
+    elif recording.report.periods:
+        meant = "vehicles are there twice under other ids, or Local_X or Local_Y is not in feet"
     else:
-        meant = "vehicles are there twice under other ids, or x_m and y_m are not the boxes' centres"
+        meant = "vehicles are there twice under other ids, or x_m and y_m are not the boxes' centres, or not in metres"
     return f"{seen} (usual: none, or a few in a hundred); probably {meant}"
 
 

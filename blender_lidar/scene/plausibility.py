@@ -6,7 +6,7 @@ stop a run, but stands in all that it tells. Suspicious places that may be right
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import permutations
 
@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InputError
 from ..traffic.ngsim import FOOT_M
 from ..traffic.vehicles import CLASSES, Recording
-from .motion_checks import FEWEST, FITTING, ROWS, UNITS, Ways, headings, time_step
+from .motion_checks import FEWEST, FITTING, ROWS, UNITS, Ways, headings, time_step, track_notes, tracks
 from .place_checks import carriageway, overlaps, place_notes
 from .settings import Scenario
 
@@ -41,24 +41,26 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
     accepted = scenario.traffic.accept or ()
     warnings = []
     for name, check in _CHECKS.items():
-        if name == "overlaps" and warnings:
+        if name in ("tracks", "overlaps") and warnings:
             continue  # they come of what is told already
         text = check(recording, sample, ways, scenario)
         if text and name not in accepted:
             raise InputError(f"{recording.source}: {text}; to go on all the same: --accept {name}")
         if text:
             warnings.append((name, text))
-    notes = (*recording.report.notes, *place_notes(recording, scenario, "carriageway" in dict(warnings)))
+    of_places = place_notes(recording, scenario, "carriageway" in dict(warnings))
+    notes = (*recording.report.notes, *_size_notes(recording), *track_notes(recording, ways), *of_places)
     return replace(recording, report=replace(recording.report, warnings=tuple(warnings), notes=notes))
 
 
 # --- Checks of sizes: what each has seen, and what is probably meant; nothing where all may be true ---------------
 
+_MOST_OVERLAPPING = 3.0  # pairs in the frames looked at for each box of a frame: 0.05 for each box of 60
 _LANE_SPACING_M = (0.7, 1.9)  # of lanes of 2.4 to 5.8 m, once more multiplied by a foot
 
 
 def _units(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
-    """NGSIM's feet that are metres: lanes lie a metre apart, and all sizes had to be repaired."""
+    """NGSIM's feet that are metres: lanes lie a metre apart, and boxes overlap or all sizes had to be repaired."""
     report = recording.report
     if not report.periods or len(sample) < FEWEST:  # which no other format has
         return None
@@ -67,19 +69,21 @@ def _units(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
     spacing = [abs(y[lane + 1] - y[lane]) for lane in lanes if lane + 1 in y]
     low, high = _LANE_SPACING_M
     narrow = bool(spacing) and low <= np.median(spacing) <= high
-    if not narrow or report.sizes_repaired < 0.5 * len(np.unique(recording.vehicle_id)):
+    repaired = report.sizes_repaired >= 0.5 * len(np.unique(recording.vehicle_id))
+    if not narrow or not (repaired or report.overlaps > _MOST_OVERLAPPING * len(sample) / len(sample.frames)):
         return None
+    seen = f"{report.sizes_repaired:,} vehicles have absurd sizes" if repaired else "boxes overlap"
     return (
-        f"lanes lie {np.median(spacing):.1f} m apart (3 to 4 m is usual) and {report.sizes_repaired:,} vehicles have "
-        "absurd sizes: NGSIM's columns are in feet, and these are probably metres; divide them by 0.3048"
+        f"lanes lie {np.median(spacing):.1f} m apart (3 to 4 m is usual) and {seen}: NGSIM's columns are in feet, and "
+        "these are probably metres; divide them by 0.3048"
     )
 
 
 _SIZES_M = {  # least and largest length, width and height
     "car": ((2.6, 8.0), (1.1, 2.8), (0.9, 2.8)),
     "van": ((2.5, 20.0), (1.1, 3.0), (1.0, 4.5)),
-    "truck": ((3.0, 40.0), (1.3, 3.6), (1.2, 5.0)),
-    "bus": ((4.0, 60.0), (1.5, 3.6), (1.8, 5.0)),
+    "truck": ((3.0, 40.0), (1.3, 3.1), (1.2, 5.0)),
+    "bus": ((5.0, 60.0), (1.5, 3.1), (1.8, 5.0)),
     "motorcycle": ((0.8, 4.0), (0.25, 2.0), (0.6, 2.6)),
 }
 _FACTORS = {
@@ -102,31 +106,44 @@ def _sizes(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
     if len(sample) < FEWEST:
         return None
     if share <= _MOST_ODD:
-        return _of_one_class(sample, limits) or _heights_alike(sample) or _heights_of_middles(sample)
+        return _heights_alike(sample) or _of_one_class(sample, limits) or _heights_of_middles(sample)
     usual = int(np.bincount(sample.class_index).argmax())
     size = " by ".join(f"{one:.3g}" for one in np.median(sample.size_m[sample.class_index == usual], axis=0))
-    names = [meant for meant, factor in _FACTORS.items() if odd(sample.size_m * factor) < 1 - FITTING]
-    columns = ("length_m", "width_m", "height_m")
-    for order in permutations(range(3)):
-        if odd(sample.size_m[:, order]) < 1 - FITTING:
-            names.append(
-                "columns swapped: "
-                + ", ".join(
-                    f"{columns[one]} holds the {name}"
-                    for one, name in zip(order, ("length", "width", "height"), strict=True)
-                    if columns[one] != f"{name}_m"
-                )
-            )
+    names = _sizes_meant(sample.size_m, lambda size: odd(size) < 1 - FITTING)
     if recording.report.periods:  # whose sizes have been repaired, to the least where they were metres
-        names = ["v_Length and v_Width in metres, where NGSIM has feet"]
-    if not names and share < _ALL_ODD and (told := _of_one_class(sample, limits)):
+        names = ["v_Length and v_Width in metres, where NGSIM has feet, or swapped"]
+    own = sample.class_index == usual
+    if not names and share < _ALL_ODD and (told := _of_one_class(sample.where(own), limits[own])):
         return told
     low, high = zip(*_SIZES_M[CLASSES[usual]], strict=True)
     return (
         f"{100 * share:.0f} % of the boxes have impossible sizes for their class: a median {CLASSES[usual]} is {size} "
         f"m (usual: {low[0]:g} to {high[0]:g} by {low[1]:g} to {high[1]:g} by {low[2]:g} to {high[2]:g} m); "
-        f"probably {' or '.join(names[:2]) or 'another unit'}"
+        + (f"probably {' or '.join(names)}" if names else "check units and columns")
     )
+
+
+def _sizes_meant(size_m: np.ndarray, fits: Callable[[np.ndarray], bool]) -> list[str]:
+    """Units with which sizes (n, 3) fit, and the order of columns that swaps fewest, in words."""
+    found = [meant for meant, factor in _FACTORS.items() if fits(size_m * factor)]
+    names = ("length", "width", "height")
+    for order in sorted(permutations(range(3)), key=lambda order: sum(one != at for at, one in enumerate(order))):
+        if fits(size_m[:, order]):
+            swapped = [
+                f"{names[one]}_m holds the {name}" for one, name in zip(order, names, strict=True) if names[one] != name
+            ]
+            return [*found, f"columns swapped: {', '.join(swapped)}"]
+    return found
+
+
+def _size_notes(recording: Recording) -> Iterator[str]:
+    """Sizes that reading has made up for most vehicles."""
+    repaired, vehicles = recording.report.sizes_repaired, len(np.unique(recording.vehicle_id))
+    if repaired > max(_MOST_ODD * vehicles, 1):
+        yield (
+            f"{repaired:,} of {vehicles:,} vehicles have a size that is missing or absurd for their class, and that of "
+            "another was taken; check v_Length and v_Width, in feet, and v_Class (2 cars, 3 trucks)"
+        )
 
 
 _FAR_OFF = 1.5  # times beyond what is possible: no odd class, whatever the unit
@@ -138,13 +155,13 @@ def _of_one_class(sample: Recording, limits: np.ndarray) -> str | None:
         own = sample.class_index == index
         low, high = limits[own, :, 0], limits[own, :, 1]
 
-        def fitting(factor: float, size: np.ndarray = sample.size_m[own], low=low, high=high) -> float:
-            return float(((factor * size >= low) & (factor * size <= high)).all(axis=1).mean())
+        def fitting(size: np.ndarray, low=low, high=high) -> float:
+            return float(((size >= low) & (size <= high)).all(axis=1).mean())
 
         median = np.median(sample.size_m[own], axis=0)
-        if own.sum() < FEWEST or fitting(1.0) >= 1.0 - FITTING:
+        if own.sum() < FEWEST or fitting(sample.size_m[own]) >= 1.0 - FITTING:
             continue
-        meant = [name for name, factor in _FACTORS.items() if fitting(factor) > FITTING]
+        meant = _sizes_meant(sample.size_m[own], lambda size, fitting=fitting: fitting(size) > FITTING)
         if meant or ((median < low[0] / _FAR_OFF) | (median > high[0] * _FAR_OFF)).any():
             size = " by ".join(f"{one:.3g}" for one in median)
             probably = " or ".join(meant) or "another unit, or another class"
@@ -153,13 +170,19 @@ def _of_one_class(sample: Recording, limits: np.ndarray) -> str | None:
 
 
 _LONG_M = 7.0
-_HIGHER_M = 0.2
+_HIGHER_M, _ALIKE_M = 0.2, 0.05
 
 
 def _heights_alike(sample: Recording) -> str | None:
-    """Long trucks and buses that are no higher than cars: one height for all, for want of any."""
+    """Trucks and buses as large as cars, or long and no higher: one size or height for all, for want of any."""
     car = sample.class_index == CLASSES.index("car")
-    long = np.isin(sample.class_index, [CLASSES.index("truck"), CLASSES.index("bus")]) & (sample.size_m[:, 0] > _LONG_M)
+    large = np.isin(sample.class_index, [CLASSES.index("truck"), CLASSES.index("bus")])
+    if min(car.sum(), large.sum()) >= FEWEST:
+        usual, other = (np.median(sample.size_m[which], axis=0) for which in (car, large))
+        if (np.abs(usual - other) <= _ALIKE_M).all():
+            size = " by ".join(f"{one:.3g}" for one in other)
+            return f"a median truck or bus is {size} m, as a median car is; probably one size was given for all"
+    long = large & (sample.size_m[:, 0] > _LONG_M)
     if min(car.sum(), long.sum()) < FEWEST:
         return None
     usual, high = (np.median(sample.size_m[which, 2]) for which in (car, long))
@@ -194,6 +217,7 @@ _CHECKS: Mapping[str, _Check] = {  # in the order of `names.WARNINGS`: causes be
     "units": _units,
     "sizes": _sizes,
     "time-step": time_step,
+    "tracks": tracks,
     "headings": headings,
     "carriageway": carriageway,
     "overlaps": overlaps,
