@@ -49,7 +49,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
         if text:
             warnings.append((name, text))
     of_places = place_notes(recording, scenario, "carriageway" in dict(warnings))
-    notes = (*recording.report.notes, *_size_notes(recording), *track_notes(recording, ways), *of_places)
+    notes = (*recording.report.notes, *_size_notes(recording, sample), *track_notes(recording, ways), *of_places)
     return replace(recording, report=replace(recording.report, warnings=tuple(warnings), notes=notes))
 
 
@@ -136,8 +136,26 @@ def _sizes_meant(size_m: np.ndarray, fits: Callable[[np.ndarray], bool]) -> list
     return found
 
 
-def _size_notes(recording: Recording) -> Iterator[str]:
-    """Sizes that reading has made up for most vehicles."""
+_SOME_ODD, _MOST_VARYING = 0.05, 0.05  # shares: of boxes, of a vehicle's length
+
+
+def _size_notes(recording: Recording, sample: Recording) -> Iterator[str]:
+    """Sizes that are impossible for some boxes, change on the way, or were made up in reading for most vehicles."""
+    limits = np.array([_SIZES_M[name] for name in CLASSES])[sample.class_index]
+    odd = ~((sample.size_m >= limits[..., 0]) & (sample.size_m <= limits[..., 1])).all(axis=1)
+    if len(sample) >= FEWEST and _SOME_ODD < odd.mean() <= _MOST_ODD:
+        size = " by ".join(f"{one:.3g}" for one in sample.size_m[odd][0])
+        name = CLASSES[sample.class_index[odd][0]]
+        yield f"{100 * odd.mean():.0f} % of the boxes have impossible sizes for their class, as a {name} of {size} m"
+    length, of_row = recording.size_m[:, 0], np.unique(recording.vehicle_id, return_inverse=True)[1].reshape(-1)
+    rows = np.bincount(of_row)
+    mean = np.bincount(of_row, length) / rows
+    varying = np.sqrt(np.bincount(of_row, np.square(length - mean[of_row])) / rows) / mean
+    if np.median(varying) > _MOST_VARYING:
+        yield (
+            f"lengths of one vehicle vary by {100 * np.median(varying):.0f} % (usual: none); give it one size in all "
+            "frames, or each its own vehicle_id"
+        )
     repaired, vehicles = recording.report.sizes_repaired, len(np.unique(recording.vehicle_id))
     if repaired > max(_MOST_ODD * vehicles, 1):
         yield (
