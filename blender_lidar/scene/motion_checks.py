@@ -118,6 +118,8 @@ class Tracks:
         As the recording has it [rad].
     time_s, frame : ndarray, (n,)
         Since the recording's beginning [s], and the frame's number.
+    length_m : ndarray, (n,)
+        Of the boxes [m].
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -126,7 +128,7 @@ class Tracks:
         kept = kept[np.lexsort((recording.frame[kept], of_row[kept]))]
         time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[kept])]
         self.vehicle, self.xy = of_row[kept], recording.centre_m[kept, :2]
-        self.heading_rad = recording.heading_rad[kept]
+        self.heading_rad, self.length_m = recording.heading_rad[kept], recording.size_m[kept, 0]
         self.time_s, self.frame = time_s - recording.frame_time_s[0], recording.frame[kept]
         self.velocity = central_velocity(self.vehicle, self.time_s, self.xy)
         self.speed_m_s = np.hypot(*self.velocity.T)
@@ -271,7 +273,7 @@ def track_notes(recording: Recording, ways: Ways) -> Iterator[str]:
     turning = math.degrees(float(np.median(np.abs(steps.turn_rad))))
     if turning > _MOST_TURNING_DEG:
         yield f"headings change by {turning:.0f} degrees from row to row (usual: under 1): are they noise?"
-    lost = _lost(recording)
+    lost = _lost(ways.tracks, recording.frames)
     if lost > _MANY_LOST:
         yield (
             f"vehicles are missing in {100 * lost:.0f} % of the frames between their first and their last, and hide "
@@ -285,12 +287,10 @@ def track_notes(recording: Recording, ways: Ways) -> Iterator[str]:
         )
 
 
-def _lost(recording: Recording) -> float:
+def _lost(tracks: Tracks, frames: np.ndarray) -> float:
     """Share of the frames between vehicles' first and last ones in which they are not there."""
-    at, of_row = np.searchsorted(recording.frames, recording.frame), recording.vehicle_id
-    order = np.lexsort((at, of_row))
-    gaps = np.diff(at[order])[np.diff(of_row[order]) == 0] - 1
-    return float(gaps.sum() / (gaps.sum() + len(recording)))
+    gaps = np.diff(np.searchsorted(frames, tracks.frame))[np.diff(tracks.vehicle) == 0] - 1
+    return float(gaps.sum() / (gaps.sum() + len(tracks.frame)))
 
 
 def _by_vehicle(tracks: Tracks, how: np.ufunc) -> np.ndarray:
@@ -359,7 +359,8 @@ _BENDS_ASTRAY_RAD = math.radians(4.0)  # real and generated recordings: at most 
 
 def _bends_not_followed(tracks: Tracks) -> str | None:
     """Headings that are right in the mean and off the motion place by place, as of one number on a bend."""
-    fast = tracks.speed_m_s > _FAST_M_S
+    fast = np.flatnonzero(tracks.speed_m_s > _FAST_M_S)
+    fast = fast[:: -(-len(fast) // ROWS) or 1]
     velocity, heading = tracks.velocity[fast], tracks.heading_rad[fast]
     astray = np.exp(1j * (np.arctan2(velocity[:, 1], velocity[:, 0]) - heading))
     cell = np.floor(tracks.xy[fast] / _CELL_M)

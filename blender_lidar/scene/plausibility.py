@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InputError
 from ..traffic.ngsim import FOOT_M
 from ..traffic.vehicles import CLASSES, Recording
-from .motion_checks import FEWEST, FITTING, ROWS, UNITS, Ways, headings, time_step, track_notes, tracks
+from .motion_checks import FEWEST, FITTING, ROWS, UNITS, Tracks, Ways, headings, time_step, track_notes, tracks
 from .place_checks import carriageway, overlaps, place_notes
 from .settings import Scenario
 
@@ -48,9 +48,9 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
             raise InputError(f"{recording.source}: {text}; to go on all the same: --accept {name}")
         if text:
             warnings.append((name, text))
-    of_places = place_notes(recording, scenario, "carriageway" in dict(warnings))
-    notes = (*recording.report.notes, *_size_notes(recording, sample), *track_notes(recording, ways), *of_places)
-    return replace(recording, report=replace(recording.report, warnings=tuple(warnings), notes=notes))
+    notes = [*recording.report.notes, *_size_notes(recording, sample, ways.tracks), *track_notes(recording, ways)]
+    notes += place_notes(recording, scenario, "carriageway" in dict(warnings))
+    return replace(recording, report=replace(recording.report, warnings=tuple(warnings), notes=tuple(notes)))
 
 
 # --- Checks of sizes: what each has seen, and what is probably meant; nothing where all may be true ---------------
@@ -139,7 +139,7 @@ def _sizes_meant(size_m: np.ndarray, fits: Callable[[np.ndarray], bool]) -> list
 _SOME_ODD, _MOST_VARYING = 0.05, 0.05  # shares: of boxes, of a vehicle's length
 
 
-def _size_notes(recording: Recording, sample: Recording) -> Iterator[str]:
+def _size_notes(recording: Recording, sample: Recording, tracks: Tracks) -> Iterator[str]:
     """Sizes that are impossible for some boxes, change on the way, or were made up in reading for most vehicles."""
     limits = np.array([_SIZES_M[name] for name in CLASSES])[sample.class_index]
     odd = ~((sample.size_m >= limits[..., 0]) & (sample.size_m <= limits[..., 1])).all(axis=1)
@@ -147,10 +147,10 @@ def _size_notes(recording: Recording, sample: Recording) -> Iterator[str]:
         size = " by ".join(f"{one:.3g}" for one in sample.size_m[odd][0])
         name = CLASSES[sample.class_index[odd][0]]
         yield f"{100 * odd.mean():.0f} % of the boxes have impossible sizes for their class, as a {name} of {size} m"
-    length, of_row = recording.size_m[:, 0], np.unique(recording.vehicle_id, return_inverse=True)[1].reshape(-1)
+    of_row = np.cumsum(np.diff(tracks.vehicle, prepend=tracks.vehicle[:1]) != 0)
     rows = np.bincount(of_row)
-    mean = np.bincount(of_row, length) / rows
-    varying = np.sqrt(np.bincount(of_row, np.square(length - mean[of_row])) / rows) / mean
+    mean = np.bincount(of_row, tracks.length_m) / rows
+    varying = np.sqrt(np.bincount(of_row, np.square(tracks.length_m - mean[of_row])) / rows) / mean
     if np.median(varying) > _MOST_VARYING:
         yield (
             f"lengths of one vehicle vary by {100 * np.median(varying):.0f} % (usual: none); give it one size in all "
