@@ -63,14 +63,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_plausible(recording: Recording, layout: RoadLayout, scene: Path) -> None:
-    """Say, while it is the file's turn to be put right, what would stop a run of the scene."""
+    """Say, while it is the file's turn to be put right, what would stop a run of the scene, and what is suspicious."""
     centre = recording.centre_m.copy()
     centre[:, :2] = layout.placing.points(centre[:, :2])
     placed = replace(recording, centre_m=centre, heading_rad=layout.placing.headings(recording.heading_rad))
     try:
-        checked_recording(placed, load_scenario(scene))
+        checked = checked_recording(placed, load_scenario(scene))
     except InputError as error:
         print(f"blender-lidar: note: a run will stop: {one_line(str(error))}", file=sys.stderr)
+        return
+    for note in checked.report.notes[len(recording.report.notes) :]:
+        print(f"blender-lidar: note: {note}", file=sys.stderr)
 
 
 def _source(args: argparse.Namespace) -> tuple[str, Path]:

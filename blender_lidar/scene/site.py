@@ -22,7 +22,8 @@ from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, crown, join
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
-from .plausibility import checked_recording, nobody_there
+from .place_checks import nobody_there
+from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .scenario import Scenario
@@ -301,6 +302,8 @@ def prepare(
         of_recording = plan.search_recording == number
         if not any(searched[at].counted.any() for at in np.flatnonzero(of_recording)):
             raise nobody_there(own, region, int(of_recording.sum()), scenario)
+    if note := _out_of_range(scenario, mount, searched):
+        plan = replace(plan, notes=(*plan.notes, note))
     judging = len({number for frame in held_out for number in frame.vehicles.vehicle_id[frame.counted].tolist()})
     if note := few_vehicles(len(plan.searched_ids), judging if held_out else None):
         plan = replace(plan, notes=(*plan.notes, note))
@@ -309,6 +312,38 @@ def prepare(
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
     observation, scoring = observation_of(scenario, lattice, caster, standing), scoring_of(scenario, searched)
     return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
+
+
+_FEW_OUT_OF_RANGE = 0.05  # share that is not told
+
+
+def _out_of_range(
+    scenario: Scenario, mount: Mapping[str, float] | None, searched: Sequence[CountedFrame]
+) -> str | None:
+    """A note where many that count are beyond the range gate of every mount that is asked about.
+
+    Raises
+    ------
+    InputError
+        Where no mount of a search could see any.
+    """
+    deployment, gate = scenario.deployment, scenario.sensor.range_gate_m
+    asked = {**deployment.fixed, **deployment.bounds} if mount is None else mount
+    poles = [{"x_m": pole.x_m, "y_m": pole.y_m} for pole in deployment.poles] if mount is None else []
+    xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
+    half = 0.5 * np.concatenate([frame.vehicles.size_m[frame.counted, 0] for frame in searched])
+    away = []
+    for place in poles or [asked]:
+        low, high = np.transpose([np.broadcast_to(place[key], 2) for key in _PLACE[:2]])
+        away.append(np.hypot(*np.maximum(np.maximum(low - xy, xy - high), 0.0).T))
+    share = (np.min(away, axis=0) - half > gate).mean()
+    if share <= _FEW_OUT_OF_RANGE:
+        return None
+    told = f"{100 * share:.0f} % of the boxes that count in the searched frames lie beyond the range gate of {gate:g} m"
+    check = "check [region], [sensor] range_gate_m and [deployment] x_m and y_m"
+    if share == 1.0 and mount is None:
+        raise InputError(f"{told} from any mount, and can never be seen; {check}")
+    return f"{told} from any mount, and count as missed; {check}"
 
 
 def observation_of(

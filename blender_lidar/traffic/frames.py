@@ -153,13 +153,17 @@ def plan_frames(
         return searched, search, rest, None if rest is None else _judging(rest, search, searched, holdout, block_s)
 
     searched, search, rest, judged = halves(holdout, block_s, notes)
+    pause = _pause(candidates)
     if judged is None and holdout:
 
         def blocks_of(holdout: float, block_s: float) -> int:
             *_, rest, judged = halves(holdout, block_s, [])
             return 0 if judged is None else len(np.unique(_blocks(judged, rest, block_s)))
 
-        notes.append(_too_short(candidates, holdout, block_s, listed is not None, blocks_of))
+        why = pause or _too_short(candidates, holdout, block_s, listed is not None, blocks_of)
+        notes.append(f"nothing is held out: {why}")
+    elif pause:
+        notes.append(pause)
     none = np.zeros(0, dtype=np.int64)
     return FramePlan(
         search=search.frames,
@@ -301,6 +305,24 @@ def _skipped(recording: Recording, whole: np.ndarray, candidates: _Frames) -> li
     return [f"{' and '.join(told)} are skipped: less than half the median traffic"]
 
 
+_LONG_PAUSE = 0.5  # share of a recording
+_PAUSE_OVER_MEDIAN = 10.0
+
+
+def _pause(candidates: _Frames) -> str | None:
+    """A note of one pause that is most of a recording, as of a wrong date; it is divided by time."""
+    since = np.diff(candidates.time_s)
+    if len(since) < 2 or since.max() <= max(_LONG_PAUSE * candidates.length_s, _PAUSE_OVER_MEDIAN * np.median(since)):
+        return None
+    at = int(since.argmax())
+    before, after = candidates.frames[at : at + 2]
+    return (
+        f"{since[at]:.0f} of the recording's {candidates.length_s:.0f} s are one pause, after {at + 1} frames (frame "
+        f"{before}) and before {len(since) - at} ({after}), and it is divided by time: put wrong times right, leave "
+        "one side out, or make two recordings, [[traffic]]"
+    )
+
+
 def few_vehicles(searched: int, judging: int | None) -> str | None:
     """A note where an answer may be chance, as so few different vehicles are searched, or judge; else None.
 
@@ -330,7 +352,7 @@ def _too_short(
     would_do = [] if share is None else [f"holdout = {share:g}"]
     would_do += [] if shorter is None else [f"block_s = {shorter} (with intervals that may be too narrow)"]
     told = f"[traffic] {' or '.join(would_do)} would do" if would_do else "no [traffic] holdout or block_s would do"
-    return f"nothing is held out: {has}, {needed} (blocks of {block_s:.0f} s, longer than a transit); {told}"
+    return f"{has}, {needed} (blocks of {block_s:.0f} s, longer than a transit); {told}"
 
 
 # --- Several recordings as one: such as a morning and an evening --------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..road import RoadFrame
-from .tracks import held_heading
+from .tracks import central_velocity, held_heading
 from .vehicles import Placing, Recording
 
 HALF_STRETCH_M = 50.0
@@ -150,15 +150,9 @@ class _Samples:
         time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[order])]
         time_s = time_s - time_s.min()
         xy = recording.centre_m[order, :2]
-        steps_s = np.diff(time_s)[np.diff(vehicle) == 0]
-        if not len(steps_s):
+        if (np.diff(vehicle) > 0).all():
             raise InputError(f"{recording.source}: no road can be proposed: no vehicle is in more than one frame")
-        half_s = max(1.0, 1.01 * float(np.median(steps_s)))
-        key = vehicle * (time_s.max() + 4.0 * half_s) + time_s
-        first = np.searchsorted(key, key - half_s - 1e-6, side="left")
-        last = np.searchsorted(key, key + half_s + 1e-6, side="right") - 1
-        with np.errstate(invalid="ignore", divide="ignore"):
-            velocity = (xy[last] - xy[first]) / (time_s[last] - time_s[first])[:, None]
+        velocity = central_velocity(vehicle, time_s, xy)
         heading, held = held_heading(vehicle, velocity, np.nan)
         if np.isnan(heading).all():
             raise InputError(f"{recording.source}: no road can be proposed: every vehicle stands")

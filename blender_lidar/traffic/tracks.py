@@ -49,6 +49,31 @@ def fitted_velocity(segment: np.ndarray, time_s: np.ndarray, position_m: np.ndar
     return np.stack(slopes, axis=1)
 
 
+def central_velocity(vehicle: np.ndarray, time_s: np.ndarray, position_m: np.ndarray) -> np.ndarray:
+    """Velocity by central differences over about two seconds, however far apart frames are.
+
+    Parameters
+    ----------
+    vehicle : ndarray, (n,) int
+        Ascending from 0.
+    time_s : ndarray, (n,)
+        From 0, ascending for each vehicle [s].
+    position_m : ndarray, (n, 2)
+
+    Returns
+    -------
+    ndarray, (n, 2)
+        [m/s]; NaN for a vehicle that is in one frame only.
+    """
+    steps_s = np.diff(time_s)[np.diff(vehicle) == 0]
+    half_s = max(1.0, 1.01 * float(np.median(steps_s))) if len(steps_s) else 1.0
+    key = vehicle * (time_s.max() + 4.0 * half_s) + time_s
+    first = np.searchsorted(key, key - half_s - 1e-6, side="left")
+    last = np.searchsorted(key, key + half_s + 1e-6, side="right") - 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (position_m[last] - position_m[first]) / (time_s[last] - time_s[first])[:, None]
+
+
 def _windows(
     group: np.ndarray, time_s: np.ndarray, half_s: float
 ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:

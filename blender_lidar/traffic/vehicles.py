@@ -408,10 +408,15 @@ def _along(vectors, axis):
     return np.abs((vectors * axis).sum(axis=-1))
 
 
+def frames_looked_at(recording: Recording) -> np.ndarray:
+    """Up to 60 frames, (k,) int64, spread evenly over a recording."""
+    total = len(recording.frames)
+    return recording.frames[np.unique(np.linspace(0, total - 1, min(total, _FRAMES_LOOKED_AT)).astype(int))]
+
+
 def with_overlaps_reported(recording: Recording) -> Recording:
     """The same recording, its report telling the overlaps of up to 60 frames spread evenly over it."""
-    total = len(recording.frames)
-    looked_at = recording.frames[np.unique(np.linspace(0, total - 1, min(total, _FRAMES_LOOKED_AT)).astype(int))]
+    looked_at = frames_looked_at(recording)
     try:
         pairs = sum(len(overlapping_pairs(recording.vehicles(frame))) for frame in looked_at)
     except InputError as error:

@@ -1,0 +1,337 @@
+"""Files that look right and are not: each stops a run or is told in a note, and right ones like them are silent."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import InputError
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare, read_recording
+from tests import traffic_samples as ngsim
+from tests.small_scene import HEADER, done, traffic_rows, without_charts, write_scene, write_table
+from tests.test_plausibility import COLUMN, SIZES, road_at, stream, table, times
+
+CIRCLE_40 = {"centre_m": [0.0, 0.0], "radius_m": 40.0}
+WIDE = {"sensor": {"range_gate_m": 60.0}}
+
+
+def queue(standing_deg=None):
+    """Rows of vehicles on a road at 33 degrees that come, stand for a minute and go on."""
+    cos, sin = math.cos(math.radians(33.0)), math.sin(math.radians(33.0))
+    rows = []
+    for frame in range(240):
+        time_s = 0.5 * frame
+        for number in range(12):
+            stop = 20.0 - 8.0 * number
+            along = min(stop, 10.0 * time_s - 150.0 - 8.0 * number)
+            if time_s > 60.0:
+                along = stop + 10.0 * max(0.0, time_s - 60.0 - 2.0 * number)
+            stands = along == stop and standing_deg is not None
+            place = [round(along * cos, 3), round(along * sin + 5.5, 3)]
+            rows.append([frame, number, "car", *place, 4.4, 1.8, 1.5, standing_deg if stands else 33.0, time_s])
+    return rows
+
+
+def bend(radius_m=300.0, heading_deg=None):
+    """Rows of vehicles on a bend to the left; headings along it unless given."""
+    rows = []
+    for frame in range(240):
+        for number in range(40):
+            along = 5.0 * frame + 30.0 * number - 1200.0
+            turn = along / radius_m
+            if abs(along) < 120.0:
+                place = [radius_m * math.sin(turn), 5.5 + radius_m * (1.0 - math.cos(turn))]
+                heading = math.degrees(turn) if heading_deg is None else heading_deg
+                rows.append([frame, number, "car", *place, 4.4, 1.8, 1.5, heading, 0.5 * frame])
+    return rows
+
+
+def jam(ahead=0.0):
+    """Rows of a dense jam of cars and trucks; places so many lengths ahead of the boxes' middles."""
+    rng = np.random.default_rng(1)
+    rows = []
+    for lane in range(2):
+        rear = 0.0
+        for number in range(60):
+            kind, size = [("car", (4.4, 1.8, 1.5)), ("truck", (12.0, 2.5, 3.5))][rng.random() < 0.25]
+            middle, rear = rear - 0.5 * size[0], rear - size[0] - rng.uniform(1.5, 3.0)
+            for frame in range(60):
+                x_m = middle + 4.0 * frame + 60.0
+                if abs(x_m) < 60.0:
+                    place = [x_m + ahead * size[0], 3.75 + 3.5 * lane]
+                    rows.append([frame, 100 * lane + number, kind, *place, *size, 0.0, 2.0 * frame])
+    return rows
+
+
+def of_class(kind, factor):
+    """The usual rows with the sizes of one class multiplied."""
+    rows = table()
+    for row in rows:
+        for name in SIZES if row[COLUMN["class"]] == kind else ():
+            row[COLUMN[name]] *= factor
+    return rows
+
+
+def again(share):
+    """The usual rows, and some vehicles of them once more under another id."""
+    rows = table()
+    return rows + [[row[0], row[1] + 1000, *row[2:]] for row in table() if row[1] % round(1 / share) == 0]
+
+
+def shifted(y_m=0.0, x_m=0.0):
+    return table(x_m=lambda row: row["x_m"] + x_m, y_m=lambda row: row["y_m"] + y_m)
+
+
+def two_carriageways(mirrored=False):
+    """Traffic to the left of the oncoming one, as where one drives on the right; in a mirror it is to its right."""
+    rows = stream(1, 0, 3.75, 2.0) + stream(2, 0, 7.25, 3.0) + stream(3, 180, 13.0, 2.0) + stream(4, 180, 16.5, 3.0)
+    for row in rows if mirrored else ():
+        row[COLUMN["y_m"]] = 11.0 - row[COLUMN["y_m"]]
+        row[COLUMN["heading_deg"]] *= -1.0
+    return rows
+
+
+def beside_a_motorway():
+    """A carriageway of few vehicles, one every half minute, under 2 % of all in a circle."""
+    return stream(1, 0, 5.5, 20.0) + [row for lane in range(6) for row in stream(10 + lane, 0, 16.0 + 4.0 * lane, 1.0)]
+
+
+def at_another_time(which, by_s):
+    rows = table()
+    for row in rows:
+        row[COLUMN["time_s"]] += by_s * which(row[COLUMN["frame"]])
+    return rows
+
+
+def seen(folder, rows, changes=None):
+    """Notes of a site with such a table."""
+    write_table(folder / "traffic.csv", rows, HEADER)
+    site = prepare(load_scenario(write_scene(folder, changes)))
+    assert site.recording.report.warnings == ()
+    return " | ".join([*site.recording.report.notes, *site.plan.notes])
+
+
+def one_id_for(count):
+    """The usual rows with ids that several vehicles have at the same time."""
+    return table(vehicle_id=lambda row: row["vehicle_id"] % count)
+
+
+def anew(ids):
+    """The usual rows, numbered on from row to row, so that an id is another vehicle's in each frame."""
+    return [[row[0], number % ids, *row[2:]] for number, row in enumerate(dense())]
+
+
+def dense(shift_m=(0.0, 0.0)):
+    """Four lanes of traffic in steps of half a second, whose second minute is shifted."""
+    rows = []
+    for row in (row for lane in range(4) for row in stream(1 + lane, 0, 3.75 + 3.5 * lane, 2.5)):
+        later = row[0] >= 60
+        rows.append([*row[:3], row[3] + shift_m[0] * later, row[4] + shift_m[1] * later, *row[5:]])
+    return sorted(row for row in rows if row[0] < 120)
+
+
+def again_from_behind():
+    """Vehicles that drive through a second time, a minute later, as others whose ids are used again."""
+    first = [row for row in dense() if row[0] < 40]
+    return first + [[row[0] + 60, *row[1:9], row[9] + 60.0] for row in first]
+
+
+def across():
+    """Dense traffic, in which a tenth of the vehicles points to the left and a tenth to the right."""
+    return [[*row[:8], {0: 90.0, 5: -90.0}.get(row[1] % 10, 0.0), row[9]] for row in dense()]
+
+
+def standing():
+    return table(x_m=lambda row: 12.0 * row["vehicle_id"] - 240.0)
+
+
+AT_33 = {"traffic": {"heading_deg": 33.0}}
+STOPS = {  # by name: the rows, the scene, and what the line says
+    "headings of vehicles that stand": (queue(0.0), AT_33, "boxes that stand point more than 30.*--accept headings"),
+    "one heading on a bend": (bend(heading_deg=0.0), {}, "do not follow the road's bends.*--accept headings"),
+    "front bumpers": (jam(0.5), {}, "middles of front bumpers.*half a length behind; .*--accept overlaps"),
+    "rear bumpers": (jam(-0.5), {}, "middles of rear bumpers.*half a length ahead; .*--accept overlaps"),
+    "trucks ten times too small": (of_class("truck", 0.1), {}, "median truck is 1.1 .*slipped decimal.*--accept sizes"),
+    "cars ten times too small": (of_class("car", 0.1), {}, "median car is 0.44 .*slipped decimal.*--accept sizes"),
+    "vans of a third": (of_class("van", 0.3048), {}, "median van is 1.58 .*multiplied by 0.3048.*--accept sizes"),
+    "trucks of no unit": (of_class("truck", 0.15), {}, "another unit, or another class.*--accept sizes"),
+    "one height for all": (table(height_m=lambda row: 1.5), {}, "one height for all.*--accept sizes"),
+    "a fifth there twice": (again(0.2), {}, "boxes stand where another one does.*there twice.*--accept overlaps"),
+    "one size for all": (
+        table(length_m=lambda row: 4.4, width_m=lambda row: 1.8, height_m=lambda row: 1.5),
+        {},
+        "as a median car is; probably one size .* for all.*--accept sizes",
+    ),
+    "trucks whose width and height are swapped": (
+        [[*row[:6], row[7], row[6], *row[8:]] if row[2] == "truck" else row for row in table()],
+        {},
+        "median truck is 11 by 3.6 by 2.5 m, .*probably columns swapped: height_m holds the width.*--accept sizes",
+    ),
+    "headings 4 degrees off": (table(heading_deg=lambda row: 4.0), {}, "head 4 degrees off their motion.*headings"),
+    "some headings across": (across(), {}, "headings of some vehicles, .* are of another axis.*--accept headings"),
+    "several vehicles under one id": (
+        one_id_for(2),
+        {},
+        "elsewhere in the same frame.*one vehicle_id.*--accept tracks",
+    ),
+    "ids of another vehicle in each frame": (anew(50), {}, "vehicles jump, by 20 m.*one vehicle_id.*--accept tracks"),
+    "half of it shifted across": (dense((0.0, 3.0)), {}, "all vehicles jump together by 3.0 m from frame 59 to 60"),
+    "half of it shifted along": (dense((40.0, 0.0)), {}, "all vehicles jump together by 40.0 m from frame 59 to 60"),
+    "a region that no mount can see": (
+        shifted(x_m=100.0),
+        {"region": {"centre_m": [100.0, 0.0], "radius_m": 30.0}},
+        "100 % of the boxes .* beyond the range gate of 20 m from any mount, and can never be seen",
+    ),
+}
+NOTES = {  # by name: the rows, the scene, and what is told
+    "heading_deg 3 degrees off": (
+        road_at(33),
+        {"traffic": {"heading_deg": 30.0}},
+        "at 3 degrees to the road's x axis, 2.1 m across it in 40 m; check [traffic] heading_deg (such as 33)",
+    ),
+    "y mirrored": (two_carriageways(mirrored=True), {"region": CIRCLE_40, **WIDE}, "left-hand traffic, or y is mirr"),
+    "an origin 4 m off": (shifted(y_m=4.0), {}, "they drive at y 8 to 11 m: check [traffic] and [road]"),
+    "a region that is half seen": (
+        traffic_rows(),
+        {"region": {"centre_m": [15.0, 0.0], "radius_m": 20.0}},
+        "from any mount, and count as missed",
+    ),
+    "ids that are used again": (again_from_behind(), WIDE, "of the vehicles come again from behind"),
+    "headings that are noise": (
+        table(heading_deg=lambda row: 20.0 * math.sin(7.0 * row["frame"] + row["vehicle_id"])),
+        {},
+        "from row to row (usual: under 1): are they noise?",
+    ),
+    "every other frame of a vehicle": (
+        [row for row in dense() if (row[0] + row[1]) % 2],
+        WIDE,
+        "% of the frames between their first and their last",
+    ),
+    "lengths that vary": (
+        table(length_m=lambda row: row["length_m"] * (1.0 + 0.3 * math.sin(3.0 * row["frame"]))),
+        {},
+        "lengths of one vehicle vary by",
+    ),
+    "some pedestrians": (
+        [[*row[:5], 0.5, 0.5, 1.75, *row[8:]] if row[1] % 5 == 0 else row for row in table()],
+        {},
+        "% of the boxes have impossible sizes for their class, as a ",
+    ),
+    "a car park": (standing(), {}, "next to no vehicle moves in 118 s: a jam, or a car park?"),
+    "new ids in every frame": (anew(10**6), WIDE, "next to no vehicle is in more than one frame"),
+    "lanes of 2 m": (traffic_rows(), {"road": {"lane_width_m": 2.0}}, "lane_width_m is 2 m (usual: 2.4 to 5.2)"),
+    "a region beyond the recording's end": (
+        traffic_rows(),
+        {"region": {"stretches": [{"x_m": [-60.0, 20.0]}]}, **WIDE},
+        "the region reaches from x -60 to 20 m, and vehicles are recorded there from -39 to 39 m",
+    ),
+    "some boxes in one another": (
+        [
+            *dense(),
+            *([*row[:1], row[1] + 10_000, *row[2:4], row[4] + 0.6, *row[5:]] for row in dense() if row[1] % 12 == 0),
+        ],
+        WIDE,
+        "pairs of boxes overlap among 100",
+    ),
+    "few beside a motorway": (beside_a_motorway(), {"region": CIRCLE_40, **WIDE}, "% of the boxes in the region lie"),
+    "a last frame of another day": (
+        at_another_time(lambda frame: frame >= 58, 86_400.0),
+        {},
+        "nothing is held out: 86402 of the recording's 86520 s are one pause, after 58 frames (frame 57)",
+    ),
+    "a first frame of another day": (
+        at_another_time(lambda frame: frame >= 2, 86_400.0),
+        {},
+        "86402 of the recording's 86520 s are one pause, after 2 frames (frame 1) and before 58 (2)",
+    ),
+}
+RIGHT = {  # the same without the fault
+    "vehicles that stand": (queue(), AT_33),
+    "a bend": (bend(), {}),
+    "a jam": (jam(), {}),
+    "a road at 33 degrees": (road_at(33), AT_33),
+    "a road at 32 degrees": (road_at(33), {"traffic": {"heading_deg": 32.0}}),
+    "two carriageways": (two_carriageways(), {"region": CIRCLE_40, **WIDE}),
+    "two carriageways, of one": (two_carriageways(), {"region": {"stretches": [{"x_m": [-40.0, 40.0]}]}, **WIDE}),
+    "dense traffic": (dense(), WIDE),
+    "a minute without anybody": (at_another_time(lambda frame: frame >= 30, 60.0), {}),
+}
+
+
+@pytest.mark.parametrize("case", STOPS)
+def test_what_cannot_be_true_stops(case, tmp_path):
+    rows, changes, told = STOPS[case]
+    with pytest.raises(InputError, match=told):
+        seen(tmp_path, rows, changes)
+
+
+@pytest.mark.parametrize("case", NOTES)
+def test_what_may_be_wrong_is_told(case, tmp_path):
+    rows, changes, told = NOTES[case]
+    assert told in seen(tmp_path, rows, changes)
+
+
+@pytest.mark.parametrize("case", RIGHT)
+def test_what_is_right_is_told_nothing_of(case, tmp_path):
+    usual = ("few different vehicles", "nothing is held out", "the first ", "the last ")
+    assert [note for note in seen(tmp_path, *RIGHT[case]).split(" | ") if note and not note.startswith(usual)] == []
+
+
+@pytest.mark.parametrize(
+    ("rows", "meant"),
+    [
+        (shifted(y_m=8.0), "check [traffic] origin_m and heading_deg, and [road]"),  # a foot would fit too
+        (table(**times(3.28084, "y_m")), "probably feet for metres"),  # lanes lie farther apart than the road is wide
+        (table(y_m=lambda row: -row["y_m"]), "y is mirrored, or [traffic] origin_m lies to the left of the road"),
+        (
+            table(
+                x_m=lambda row: -row["x_m"],
+                y_m=lambda row: -row["y_m"],
+                heading_deg=lambda row: 180.0,
+            ),
+            "turn [traffic] heading_deg by 180 degrees",
+        ),
+    ],
+    ids=["an origin 8 m off", "y in feet", "y mirrored", "half a turn"],
+)
+def test_a_cause_is_named_where_the_numbers_single_it_out(rows, meant, tmp_path):
+    wide = {"region": {"centre_m": [0.0, 0.0], "radius_m": 30.0}, **WIDE}
+    with pytest.raises(InputError) as caught:
+        seen(tmp_path, rows, wide)
+    assert meant in str(caught.value)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_init_tells_what_is_suspicious_of_what_it_proposes(mirrored, tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    path = write_table(tmp_path / "traffic.csv", two_carriageways(mirrored), HEADER)
+    _, told = done(capsys, "init", tmp_path / "site", "--from", "table", path)
+    assert ("left-hand traffic, or y is mirrored" in told) is mirrored
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({}, None),
+        (
+            {"Local_X": lambda feet: (0.3048 * feet).round(3)},
+            r"lanes lie 1\.1 m apart .* and boxes overlap: .*--accept units",
+        ),
+        ({"v_Class": lambda number: 5 - number}, None),
+    ],
+    ids=["right", "Local_X in metres", "cars that are trucks"],
+)
+def test_ngsim_with_a_wrong_column(change, told, tmp_path):
+    given = ngsim.columns(vehicles=40, frames=60)
+    given |= {name: change_of(given[name]) for name, change_of in change.items()}
+    ngsim.write(tmp_path, ngsim.native(given))
+    scene = load_scenario(write_scene(tmp_path, {"traffic": {"path": "recording.txt"}, "road": {"lanes": 6}}))
+    if told is None:
+        notes = " | ".join(read_recording(scene).report.notes)
+        assert ("absurd for their class" in notes) is ("v_Class" in change)
+    else:
+        with pytest.raises(InputError, match=told):
+            read_recording(scene)
