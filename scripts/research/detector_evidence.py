@@ -13,10 +13,19 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from statistics import median
+from timeit import timeit
 
 from arguments import SCENES, counting, parser_of, positive, run_script
 from blender_lidar.commands.report import table_text
-from blender_lidar.detection.judge import DETECTORS, JudgedDetector, detection_result, detector_at, judge_detector
+from blender_lidar.detection.judge import (
+    DETECTORS,
+    JudgedDetector,
+    detection_result,
+    detector_at,
+    judge_detector,
+    sensor_at,
+)
 from blender_lidar.files import make_folder, write_text
 from blender_lidar.report.figure import BASELINE_LOOK, OPTIMISED_LOOK, sheet
 from blender_lidar.report.summary import TextTable
@@ -63,6 +72,7 @@ def _study(args) -> None:
     for detector in args.detectors:
         own = {row["sensor"]: row["result"] for row in rows if (row["world"], row["detector"]) == ("hard", detector)}
         _draw_distances(args.out / f"distances_{Path(detector).stem}.png", own, Path(detector).stem)
+    _speed(args)
     _tell(args, "ablation", "RS-16 at the mounting, by what is in the world [%]", list(_ablation(args)))
 
 
@@ -115,6 +125,16 @@ def _ablation(args) -> Iterator[dict]:
             mount = {"given": _mounts(site, "RS-16")["given"]}
             for detector in args.detectors:
                 yield {"title": f"{name}, {Path(detector).stem}", "result": _judged(site, mount, detector, advance)}
+
+
+def _speed(args) -> None:
+    """How long PointPillars takes for a cloud, in the median of ten, by sensor."""
+    for sensor in CHOSEN:
+        site = _site(args, sensor, hard_world())
+        mount = _mounts(site, sensor)["given"]
+        detector, cloud = detector_at(site, mount, DETECTORS[0]), sensor_at(site, mount).scan(site.search[0].vehicles)
+        seconds = [timeit(lambda: detector.detect(cloud), number=1) for _ in range(10)]
+        print(f"{sensor}: {1e3 * median(seconds):.0f} ms for a cloud of {len(cloud):,} points", flush=True)
 
 
 def _tell(args, stem: str, title: str, rows: list[dict]) -> None:

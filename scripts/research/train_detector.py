@@ -188,7 +188,7 @@ def _ranges(windows: Mapping[str, Sequence[Window]]) -> dict[str, object]:
         "sensors": list(windows),
         "height_m": [min(one.lidar_m for one in every), max(one.lidar_m for one in every)],
         "lean_deg": [0.0, max(one.lean_deg for one in every)],
-        "residual_m": [0.0, float(np.nanquantile(grounds, 0.99))],
+        "residual_m": [0.0, float(np.nanquantile(grounds, 0.95))],
         "density": np.quantile(filled, [0.01, 0.99]).tolist(),
     }
 
