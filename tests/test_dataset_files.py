@@ -38,6 +38,7 @@ def scene_in(folder: Path) -> Path:
     write_table(folder / "traffic.csv", rows)
     changes = {
         "world": {"ground": False},
+        "road": {"grade_percent": 4.0, "cross_fall_percent": -3.0},
         "region": {"centre_m": [0.0, 0.0], "radius_m": 12.0},
         "sensor": {"range_gate_m": 15.0},
         "deployment": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0], "y_m": [-1.0, 0.0], "yaw_deg": [-40.0, 40.0]},
@@ -231,7 +232,7 @@ def test_an_npz_cloud_is_read_as_one_of_scan(made):
     row = scans_of(made)[3]
     assert len(cloud) > 0
     assert header["frame"] == int(row["frame"])
-    assert header["pose"]["yaw_deg"] == float(row["yaw_deg"]) != 0.0
+    assert header["mounting"]["yaw_deg"] == float(row["yaw_deg"]) != 0.0
     assert header["scan"]["station_m"] == pytest.approx(float(row["station_m"]), abs=1e-6)
 
 

@@ -121,6 +121,8 @@ class Sample:
     ----------
     scan : PlannedScan
         What was scanned, from where, and whether it trains or validates.
+    mount : mapping of str to float
+        The planned mounting in the frame of the road, which may slope [m, degrees].
     cloud : PointCloud
         In the road frame; where the LiDAR hangs off its plan, in the one that follows from the plan.
     vehicles : Vehicles
@@ -138,6 +140,7 @@ class Sample:
     """
 
     scan: PlannedScan
+    mount: Mapping[str, float]
     cloud: PointCloud
     vehicles: Vehicles
     counted: np.ndarray
@@ -312,7 +315,7 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
     points = np.bincount(row, minlength=len(vehicles))
     if scan.hangs != scan.mount:
         cloud = believed(cloud, hangs, plan.scenario.pose(scan.mount))
-    return Sample(scan, cloud, vehicles, counted, labelled, points, visibility)
+    return Sample(scan, plan.scenario.in_road(scan.mount), cloud, vehicles, counted, labelled, points, visibility)
 
 
 def samples(plan: DatasetPlan, numbers: Iterable[int] | None = None, workers: int = 1) -> Iterator[Sample]:

@@ -252,7 +252,7 @@ class _ScanWriter:
 
 def _box_columns(made: Sample) -> dict[str, np.ndarray]:
     """All vehicles of a sample, in the columns of vehicles.csv as far as they go."""
-    vehicles, mount = made.vehicles, made.scan.mount
+    vehicles, mount = made.vehicles, made.mount
     away = vehicles.centre_m[:, :2] - (mount["x_m"], mount["y_m"])
     return {
         "frame": np.full(len(vehicles), vehicles.frame),
@@ -305,7 +305,7 @@ def _seen_rows(made: Sample) -> np.ndarray:
 
 def _level_points(made: Sample) -> np.ndarray:
     """The cloud as float32 rows of x, y, z in the levelled frame of `clouds.files` [m], and intensity, 0 to 1."""
-    return np.column_stack([levelled(made.cloud.xyz, made.scan.mount), made.cloud.intensity]).astype("<f4")
+    return np.column_stack([levelled(made.cloud.xyz, made.mount), made.cloud.intensity]).astype("<f4")
 
 
 def _write_kitti(folder: Path, made: Sample, plan: DatasetPlan) -> None:
@@ -313,7 +313,7 @@ def _write_kitti(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     training, name = folder / "kitti" / "training", file_name(made.scan.number)
     rows = _seen_rows(made)
     vehicles = made.vehicles.select(rows)
-    bottom, rotation_y = kitti_camera(vehicles, made.scan.mount)
+    bottom, rotation_y = kitti_camera(vehicles, made.mount)
     alpha = np.remainder(rotation_y - np.arctan2(bottom[:, 0], bottom[:, 2]) + math.pi, 2.0 * math.pi) - math.pi
     occluded = len(_OCCLUDED) - np.searchsorted(_OCCLUDED, made.visibility[rows], side="right")
     lines = [
@@ -332,12 +332,12 @@ def _write_openpcdet(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     """OpenPCDet's custom layout, docs/CUSTOM_DATASET_TUTORIAL.md there: x ahead, y to the left, boxes by centres."""
     name, rows = file_name(made.scan.number), _seen_rows(made)
     vehicles = made.vehicles.select(rows)
-    turn = math.radians(made.scan.mount["yaw_deg"]) + 0.5 * math.pi  # of the levelled frame's x in the road frame
+    turn = math.radians(made.mount["yaw_deg"]) + 0.5 * math.pi  # of the levelled frame's x in the road frame
     lines = [
         f"{x:.3f} {y:.3f} {z:.3f} {length:.3f} {width:.3f} {height:.3f} {heading:.4f} {OBJECT_TYPES[kind]}\n"
         for kind, (x, y, z), (length, width, height), heading in zip(
             vehicles.class_index,
-            levelled(vehicles.centre_m, made.scan.mount),
+            levelled(vehicles.centre_m, made.mount),
             vehicles.size_m,
             [math.remainder(heading - turn, 2.0 * math.pi) for heading in vehicles.heading_rad.tolist()],
             strict=True,
@@ -363,7 +363,7 @@ _MAP = "maps/none.png"
 
 def _write_nuscenes(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     """A sweep, float32 rows of x, y, z [m], intensity, 0 to 255, and ring: x to the right, y ahead, z up, levelled."""
-    ahead, left, up = levelled(made.cloud.xyz, made.scan.mount).T
+    ahead, left, up = levelled(made.cloud.xyz, made.mount).T
     points = np.column_stack([-left, ahead, up, 255.0 * made.cloud.intensity, made.cloud.ring]).astype("<f4")
     write_bytes(folder / "nuscenes" / _SWEEPS / f"{file_name(made.scan.number)}.pcd.bin", points.tobytes())
 
@@ -377,7 +377,7 @@ def _finish_nuscenes(folder: Path, plan: DatasetPlan, rows: Sequence[Sequence[Ma
     of_scans = ("calibrated_sensor", "ego_pose", "scene", "sample", "sample_data", "sample_annotation", "instance")
     tables |= {name: [] for name in of_scans}
     for scan, boxes in zip(plan.scans, rows, strict=True):
-        token, mount = f"scan-{file_name(scan.number)}", scan.mount
+        token, mount = f"scan-{file_name(scan.number)}", plan.scenario.in_road(scan.mount)
         microseconds = round(plan.frames[scan.frame].time_s * 1e6)
         ahead = math.radians(mount["yaw_deg"]) + 0.5 * math.pi
         annotations = list(_annotations(token, boxes))
