@@ -24,7 +24,7 @@ from .objects import (
 from .traffic import key_visibility, shown_at
 
 
-class Detections(Protocol):
+class WireBoxes(Protocol):
     """The boxes of a frame, as `detection.boxes.DetectedBoxes` has them."""
 
     centre_m: np.ndarray
@@ -46,7 +46,7 @@ _SIDES = [(row, (row + 1) % 4, 4 + (row + 1) % 4, 4 + row) for row in range(4)]
 _FACES = np.array([(3, 2, 1, 0), (8, 5, 6, 9), (4, 8, 9, 7), *_SIDES])
 
 
-def show_detections(scene: bpy.types.Scene, boxes: Detections | None) -> None:
+def show_detections(scene: bpy.types.Scene, boxes: WireBoxes | None) -> None:
     """Wire boxes of a frame's detections, in place of earlier ones; None only takes these away.
 
     Every vertex has the attributes `kind`, an index into `KINDS`, and `confidence`; of each box the first eight are its
@@ -59,13 +59,13 @@ def show_detections(scene: bpy.types.Scene, boxes: Detections | None) -> None:
 
 
 def animate_detections(
-    scene: bpy.types.Scene, of_frame: Mapping[int, Detections], frames: Sequence[int], time_step_s: float
+    scene: bpy.types.Scene, of_frame: Mapping[int, WireBoxes], frames: Sequence[int], time_step_s: float
 ) -> None:
     """Wire boxes of several frames, in place of earlier ones, each frame's from its moment to the next frame's.
 
     Parameters
     ----------
-    of_frame : mapping of int to Detections
+    of_frame : mapping of int to WireBoxes
         By the numbers of their frames; those of other frames are left out.
     frames : sequence of int
         That the scene's vehicles drive through, as `traffic.animate` shows them.

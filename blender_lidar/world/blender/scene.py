@@ -21,7 +21,7 @@ from ...sensors.pose import Pose
 from ...signals import stops_end_at_once
 from ...traffic.vehicles import Vehicles
 from ..scenery import Scenery
-from .detections import Detections, animate_detections, show_detections
+from .detections import WireBoxes, animate_detections, show_detections
 from .objects import (
     FAN,
     SETTINGS,
@@ -203,7 +203,7 @@ class Moment:
         What stands still.
     settings : mapping or None
         The scene file's tables, for the add-on to go on with.
-    detections : mapping of int to Detections
+    detections : mapping of int to WireBoxes
         What a detector found, by the numbers of frames.
     """
 
@@ -216,7 +216,7 @@ class Moment:
     points: Mapping[str, np.ndarray] | None = None
     scenery: Scenery | None = None
     settings: Mapping[str, object] | None = None
-    detections: Mapping[int, Detections] = field(default_factory=dict)
+    detections: Mapping[int, WireBoxes] = field(default_factory=dict)
 
 
 def empty_scene() -> bpy.types.Scene:
