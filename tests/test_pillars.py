@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from blender_lidar.detection import pillar_network as network
+from blender_lidar.detection.judge import sensor_at, watched
 from blender_lidar.detection.pillars import (
     GROUND_M,
     PILLAR_M,
     SHIPPED,
     Area,
+    Ground,
     PillarsDetector,
     boxes_of,
     fit_ground,
@@ -150,11 +152,15 @@ def damaged(path, **changed):
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"head.w": np.zeros((3, 3, 4, 4))}, "another network; needed: head.w of shape (3, 3, 32, 32)"),
-        ({"out.b": None}, "needed: out.b of shape (11,)"),
-        ({"more": np.zeros(2)}, "more of shape none at all"),
-        ({"out.b": np.full(11, np.nan)}, "weights that are not finite"),
-        ({"card": None}, "needed: a model card"),
+        ({"head.w": np.zeros((3, 3, 4, 4))}, "another network; needed: head.w (3, 3, 32, 32)"),
+        ({"out.b": None}, "needed: out.b (11,)"),
+        ({"more": np.zeros(2)}, "needed: more not at all"),
+        ({"out.b": np.full(11, np.nan)}, "weights that are not finite numbers"),
+        ({"out.b": np.full(11, "one")}, "weights that are not finite numbers"),
+        ({"out.b": np.ones(11, complex)}, "weights that are not finite numbers"),
+        ({"card": None}, "has no card that says what it was trained on"),
+        ({"card": "{}"}, "has no card that says what it was trained on"),
+        ({"card": json.dumps({"trained_on": {"sensors": ["RS-16"]}})}, "trained on: sensors, height_m, "),
         ({"card": "{"}, "is no file of weights"),
     ],
 )
@@ -168,6 +174,9 @@ def test_files_that_hold_no_weights_are_refused_in_one_line(tmp_path, capsys):
     scene = write_scene(tmp_path, REGION)
     (tmp_path / "text.npz").write_text("not a zip")
     assert "is no file of weights" in refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "text.npz")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
+    assert "is no file of weights" in refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "array.npz")
     assert "there is no such file" in refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "none.npz")
     with pytest.raises(MissingFileError):
         load_weights(tmp_path / "none.npz")
@@ -179,8 +188,6 @@ def test_files_that_hold_no_weights_are_refused_in_one_line(tmp_path, capsys):
 @pytest.fixture(scope="module")
 def i80():
     """The shipped scene's site, a mounting, and a function that gives clouds of it."""
-    from blender_lidar.detection.judge import sensor_at
-
     options = {("traffic", "frames"): 4, ("model", "workers"): 1, ("world", "clutter"): 0.5}
     site = prepare(load_scenario("i80", {place: (value, place[1]) for place, value in options.items()}))
     mount = {**site.scenario.baseline, "height_m": 4.5, "tilt_x_deg": 22.0}
@@ -200,42 +207,52 @@ def found_share(site, at, boxes):
     return near[frame.counted].any(axis=1).mean(), near.any(axis=0).mean()
 
 
-@pytest.mark.parametrize("at", range(4))
-def test_most_vehicles_are_found_and_most_boxes_are_vehicles(i80, at):
+def test_most_vehicles_are_found_and_most_boxes_are_vehicles(i80):
     site, mount, cloud = i80
-    boxes = detector(site, mount).detect(cloud(at))
-    sure = boxes.select(boxes.confidence >= 0.3)
-    recall, precision = found_share(site, at, sure)
-    assert recall > 0.6
+    shares = []
+    for at in range(4):
+        boxes = detector(site, mount).detect(cloud(at))
+        shares.append(found_share(site, at, boxes.select(boxes.confidence >= 0.3)))
+        assert (boxes.size_m > 0.3).all()
+        assert ((boxes.confidence > 0.0) & (boxes.confidence <= 1.0)).all()
+    recall, precision = np.mean(shares, axis=0)
+    assert recall > 0.65
     assert precision > 0.8
-    assert (boxes.size_m > 0.3).all()
-    assert ((boxes.confidence > 0.0) & (boxes.confidence <= 1.0)).all()
 
 
-def test_boxes_move_with_the_lidar_and_its_cloud(i80):
+@pytest.mark.parametrize(("shift", "within"), [((6.4, 3.2), 1e-3), ((1.3, 0.7), 0.5)])
+def test_boxes_move_with_the_lidar_and_its_cloud(i80, shift, within):
+    """By whole coarse cells exactly, else as well as cells in another place tell."""
     site, mount, cloud = i80
-    here = detector(site, mount).detect(cloud(0))
-    shift = np.array([6.4, 3.2])
+    pose = site.scenario.pose(mount)
+    corners = np.array([(-50.0, -6.0), (50.0, 32.0)])
+    here = PillarsDetector("RS-16", pose, *corners).detect(cloud(0))
     moved = replace(cloud(0), xyz=cloud(0).xyz + np.array([*shift, 0.0]))
-    pose = site.scenario.pose(mount)
-    there = PillarsDetector(
-        "RS-16", replace(pose, x_m=pose.x_m + shift[0], y_m=pose.y_m + shift[1]), (-43.6, -2.8), (56.4, 35.2)
-    ).detect(moved)
-    assert len(here) == len(there) > 10
-    np.testing.assert_allclose(there.centre_m - here.centre_m, [[*shift, 0.0]] * len(here), atol=1e-3)
-    np.testing.assert_allclose(there.confidence, here.confidence, atol=1e-3)
+    pose = replace(pose, x_m=pose.x_m + shift[0], y_m=pose.y_m + shift[1])
+    there = PillarsDetector("RS-16", pose, *(corners + shift)).detect(moved)
+    sure = here.select(here.confidence >= 0.5)
+    assert len(sure) > 8
+    away = there.centre_m[:, None] - (sure.centre_m + np.array([*shift, 0.0]))
+    assert np.linalg.norm(away, axis=-1).min(axis=0).max() < within
 
 
-def test_a_tilt_that_is_off_by_a_degree_is_repaired_by_the_fitted_ground(i80):
+def test_a_tilt_that_is_off_by_a_degree_is_repaired_by_the_fitted_ground(i80, monkeypatch):
+    """Without it the road itself rises to where vehicles are."""
     site, mount, cloud = i80
     pose = site.scenario.pose(mount)
-    off = replace(pose, tilt_x=pose.tilt_x + math.radians(1.0))
-    measured = (cloud(0).xyz - pose.position) @ pose.rotation.T
-    believed = replace(cloud(0), xyz=off.position + measured @ off.rotation)
-    straight, tilted = (detector(site, mount).detect(one) for one in (cloud(0), believed))
-    sure = [boxes.select(boxes.confidence >= 0.3) for boxes in (straight, tilted)]
-    shares = [found_share(site, 0, boxes)[0] for boxes in sure]
-    assert shares[1] >= shares[0] - 0.1
+    off = replace(pose, tilt_x=pose.tilt_x - math.radians(1.0))
+
+    def precision():
+        shares = []
+        for at in range(4):
+            measured = (cloud(at).xyz - pose.position) @ pose.rotation.T
+            boxes = detector(site, mount).detect(replace(cloud(at), xyz=off.position + measured @ off.rotation))
+            shares.append(found_share(site, at, boxes.select(boxes.confidence >= 0.3))[1])
+        return np.mean(shares)
+
+    assert precision() > 0.8
+    monkeypatch.setattr("blender_lidar.detection.pillars.fit_ground", lambda points: Ground(0.0, 0.0, 0.0, 0.0))
+    assert precision() < 0.8
 
 
 def test_a_cloud_without_points_has_no_vehicles_and_one_with_nan_is_refused(i80):
@@ -265,6 +282,26 @@ def test_what_is_unlike_the_training_is_told_and_what_is_like_it_is_not(i80):
     bare = detector(site, mount)
     bare.detect(replace(cloud(0), xyz=cloud(0).xyz + np.array([0.0, 0.0, 3.0])))
     assert "too little ground" in " ".join(bare.notes())
+
+
+def test_traffic_off_the_road_is_told_to_be_unlike_the_training(i80):
+    site, mount, _ = i80
+    one = detector(site, mount)
+    one.check_headings(np.radians([0.0, 180.0, 3.0, -176.0]))
+    assert list(one.notes()) == []
+    one.check_headings(np.radians([0.0, 180.0, 90.0]))
+    assert "33 % of the vehicles stand more than 15 degrees off x" in one.notes()[0]
+
+
+def test_ours_look_at_the_whole_region_though_few_vehicles_are_searched(i80):
+    site, _, _ = i80
+    low, high = watched(replace(site, search=site.search[:1]))
+    right, left = site.scenario.road.carriageway_y
+    assert (low.tolist(), high.tolist()) == ([-50.0, right - 8.0], [50.0, left + 8.0])
+    beside = site.search[0].vehicles
+    far = replace(beside, centre_m=beside.centre_m + np.array([0.0, 30.0, 0.0]))
+    low, high = watched(replace(site, search=(replace(site.search[0], vehicles=far),)))
+    assert (low.tolist(), high.tolist()) == ([-50.0, -50.0], [50.0, 50.0])
 
 
 def test_nothing_is_found_where_the_network_sees_nothing():

@@ -41,13 +41,11 @@ class Detector(Protocol):
 
 
 DETECTORS = (PillarsDetector.name, ClassicalDetector.name)
-_ASIDE_M = 8.0  # beside where vehicles drive: there a detector looks too
+_ASIDE_M = 8.0
 
 
 def detector_at(site: Site, mount: Mapping[str, float], name: str) -> Detector:
     """A detector of ours for a mounting of a site: by a name of `DETECTORS`, or PointPillars with weights of one's own.
-
-    PointPillars looks where the counted vehicles of the searched frames are, and a little beside.
 
     Raises
     ------
@@ -59,10 +57,26 @@ def detector_at(site: Site, mount: Mapping[str, float], name: str) -> Detector:
     seen = site.observation
     if name == ClassicalDetector.name:
         return ClassicalDetector(seen.lattice, (mount["x_m"], mount["y_m"]), seen.imperfections)
-    places = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in site.search])
-    area = places.min(axis=0) - _ASIDE_M, places.max(axis=0) + _ASIDE_M
     weights = SHIPPED if name == PillarsDetector.name else name
-    return PillarsDetector(seen.lattice.model.name, site.scenario.pose(mount), *area, weights)
+    found = PillarsDetector(seen.lattice.model.name, site.scenario.pose(mount), *watched(site), weights)
+    heading = np.concatenate([frame.vehicles.heading_rad[frame.counted] for frame in site.search])
+    found.check_headings(heading)
+    return found
+
+
+def watched(site: Site) -> tuple[np.ndarray, np.ndarray]:
+    """Where detectors of ours look: the lower and the upper corner of a rectangle, x and y [m, road frame].
+
+    It is that of the region, but across the road no farther than 8 m beside the carriageway where all vehicles that
+    count in the searched frames keep to that.
+    """
+    region = site.region
+    low, high = (np.array(region.centre_xy) + side * region.radius_m for side in (-1.0, 1.0))
+    right, left = site.scenario.road.carriageway_y
+    y = np.concatenate([frame.vehicles.centre_m[frame.counted, 1] for frame in site.search])
+    if right - _ASIDE_M <= y.min(initial=np.inf) and y.max(initial=-np.inf) <= left + _ASIDE_M:
+        low[1], high[1] = max(low[1], right - _ASIDE_M), min(high[1], left + _ASIDE_M)
+    return low, high
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +156,7 @@ def clouds_at(
 def judge_detector(
     site: Site, mount: Mapping[str, float], detector: Detector, advance: Callable[[int], object] = lambda done: None
 ) -> JudgedDetector:
-    """Let a detector find the vehicles of the judging frames; it has seen the searched ones.
+    """Let a detector find the vehicles of the judging frames within `watched`; it has seen the searched ones.
 
     Where the scene has a tolerance, the LiDAR hangs off its plan, which the detector believes in. `advance` is told of
     each cloud that was cast.
@@ -150,9 +164,10 @@ def judge_detector(
     if detector.learns:
         detector.learn(clouds_at(site, mount, site.search, advance))
     frames, _, _ = judging_frames(site)
-    boxes, returned = [], 0
+    boxes, returned, (low, high) = [], 0, watched(site)
     for frame, cloud in zip(frames, clouds_at(site, mount, frames, advance), strict=True):
-        boxes.append(detector.detect(cloud))
+        found = detector.detect(cloud)
+        boxes.append(found.select(((found.centre_m[:, :2] >= low) & (found.centre_m[:, :2] <= high)).all(axis=1)))
         returned += int(np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id).sum())
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
     return _judged(site, mount, boxes, returned / vehicles if vehicles else None, detector.notes())

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -18,7 +19,7 @@ import numpy as np
 
 from ..clouds.scan import PointCloud
 from ..errors import InputError, printable
-from ..files import reading
+from ..files import open_file, reading
 from ..sensors.pose import Pose
 from .boxes import DetectedBoxes, no_boxes, suppressed
 from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, Weights, forward, shapes
@@ -36,7 +37,7 @@ SHIPPED = Path(__file__).with_name("data") / "pillars.npz"
 
 
 class Ground(NamedTuple):
-    """A plane: z = `level` + `slope_x` x + `slope_y` y, x and y counted from the LiDAR [m].
+    """A plane: z = `level` + `slope_x` x + `slope_y` y [m], x and y counted from the LiDAR [m], slopes by metre.
 
     `residual_m` is how far the points within 0.3 m lie off it in the median; NaN where there were too few for a plane,
     which is then z = 0.
@@ -100,6 +101,11 @@ class Area:
         first = np.floor(np.asarray(low) / coarse)
         along, across = (COARSEST * np.maximum(np.ceil(np.asarray(high) / coarse) - first, 1)).astype(int).tolist()
         return cls(tuple((coarse * first).tolist()), along, across)
+
+    def holds(self, xy: np.ndarray) -> np.ndarray:
+        """Which places (n, 2) [m, from the LiDAR] lie in it, (n,) bool."""
+        last = np.array(self.first_m) + PILLAR_M * np.array([self.along, self.across])
+        return ((xy >= self.first_m) & (xy < last)).all(axis=1)
 
 
 class Pillars(NamedTuple):
@@ -236,9 +242,17 @@ class PillarsDetector:
         self._sensor, self._pose, self._lidar = sensor, pose, pose.position
         self._area = Area.around(np.asarray(low) - self._lidar[:2], np.asarray(high) - self._lidar[:2])
         self._seen: list[tuple[float, float]] = []
+        self._told: list[str] = []
 
     def learn(self, clouds: Iterator[PointCloud]) -> None:
-        """Nothing: what it knows it was trained on."""
+        """Do nothing: it knows what it was trained on."""
+
+    def check_headings(self, heading_rad: np.ndarray) -> None:
+        """Note where vehicles, by their headings (n,) [rad], do not drive along x as those of the training did."""
+        astray = float((np.abs(np.sin(heading_rad)) > math.sin(_ALONG_RAD)).mean()) if len(heading_rad) else 0.0
+        if astray > _MOST_ASTRAY:
+            off = f"{100.0 * astray:.0f} % of the vehicles stand more than {math.degrees(_ALONG_RAD):.0f} degrees off x"
+            self._told.append(f"{self.name}: {off}; in its training all drove along it, and others are found less well")
 
     def detect(self, cloud: PointCloud) -> DetectedBoxes:
         """The vehicles of one frame.
@@ -252,6 +266,7 @@ class PillarsDetector:
             row = int(np.flatnonzero(~np.isfinite(cloud.xyz).all(axis=1))[0])
             raise InputError(f"point {row} of the cloud is {cloud.xyz[row].tolist()}; allowed: finite coordinates")
         points = cloud.xyz - [*self._lidar[:2], 0.0]
+        points = points[self._area.holds(points[:, :2])]
         ground = fit_ground(points)
         pillars = pillars_of(points, ground, float(self._lidar[2]) - ground.level, self._area)
         self._seen.append((ground.residual_m, density(pillars)))
@@ -264,7 +279,7 @@ class PillarsDetector:
 
     def notes(self) -> Sequence[str]:
         """Where the sensor, its mounting or its clouds are unlike those of the training, as sentences."""
-        trained, told = self._card["trained_on"], []
+        trained, told = self._card["trained_on"], [*self._told]
         if self._sensor not in trained["sensors"]:
             told.append(f"{self.name} was trained on {', '.join(trained['sensors'])}, not on {self._sensor}")
         lean = math.degrees(math.acos(min(1.0, float(self._pose.rotation[2, 2]))))
@@ -284,6 +299,7 @@ class PillarsDetector:
         return told
 
 
+_ALONG_RAD, _MOST_ASTRAY = math.radians(15.0), 0.05  # share of the vehicles
 _SLACK = 0.02  # of a range: what is no farther beyond it lies within
 
 
@@ -294,19 +310,40 @@ def density(pillars: Pillars) -> float:
 
 @cache
 def load_weights(path: str | Path) -> tuple[Weights, Mapping[str, object]]:
-    """Weights in float32 and the model card that stands beside them."""
+    """Weights in float32 and the model card that stands beside them.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If they cannot be read, are of another network, or their card does not say what they were trained on.
+    """
     with reading(path, "weights of PointPillars, .npz"):
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open_file(path) as stream, np.lib.npyio.NpzFile(stream) as file:
                 found = {name: file[name] for name in file.files}
             card = json.loads(str(found.pop("card", "null")))
-        except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, LookupError) as error:
             raise InputError(f"{path}: is no file of weights, .npz: {printable(str(error))}") from error
     needed = shapes()
     wrong = next((name for name in {**needed, **found} if np.shape(found.get(name)) != needed.get(name)), None)
-    if wrong is not None or not isinstance(card, dict):
-        told = "a model card" if wrong is None else f"{wrong} of shape {needed.get(wrong, 'none at all')}"
-        raise InputError(f"{path}: holds weights of another network; needed: {told}")
-    if not all(np.isfinite(array).all() for array in found.values()):
-        raise InputError(f"{path}: holds weights that are not finite")
+    if wrong is not None:
+        raise InputError(f"{path}: holds weights of another network; needed: {wrong} {needed.get(wrong, 'not at all')}")
+    if not all(array.dtype.kind == "f" and np.isfinite(array).all() for array in found.values()):
+        raise InputError(f"{path}: holds weights that are not finite numbers")
+    if not _is_card(card):
+        raise InputError(f"{path}: has no card that says what it was trained on: sensors, {', '.join(_TRAINED_RANGES)}")
     return {name: array.astype(np.float32) for name, array in found.items()}, card
+
+
+_TRAINED_RANGES = ("height_m", "lean_deg", "residual_m", "density")
+
+
+def _is_card(card: object) -> bool:
+    trained = card.get("trained_on") if isinstance(card, dict) else None
+    if not isinstance(trained, dict) or not isinstance(trained.get("sensors"), list):
+        return False
+    pairs = [trained.get(key) for key in _TRAINED_RANGES]
+    return all(
+        isinstance(pair, list) and len(pair) == 2 and all(isinstance(end, (int, float)) for end in pair)
+        for pair in pairs
+    )

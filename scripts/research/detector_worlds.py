@@ -13,6 +13,7 @@ def hard_world() -> Options:
     settings = {
         ("world", "clutter"): 1.0,
         ("world", "variety"): 1.0,
+        ("world", "variety_seed"): 1000,  # no site of the training has it
         ("road", "grade_percent"): 1.0,
         ("road", "cross_fall_percent"): 1.0,
         ("road", "crown_percent"): 2.0,
