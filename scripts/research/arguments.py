@@ -67,7 +67,7 @@ def run_script(name: str, work: Callable[[], object]) -> int:
         print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
     except ModuleNotFoundError as error:
-        print(f'{name}: {error}: pip install -e ".[fast,plots,study]"', file=sys.stderr)
+        print(f'{name}: {error}: pip install -e ".[fast,plots,study,detect]"', file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"{name}: stopped", file=sys.stderr)

@@ -13,6 +13,7 @@ machine with the same number of threads; elsewhere sums are added up in another 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 import time
@@ -21,15 +22,20 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
-import jax.numpy as jnp
+try:
+    import jax.numpy as jnp
+except ModuleNotFoundError:
+    sys.exit('train_detector: needs JAX: pip install -e ".[fast,detect,plots,sumo]"')
 import numpy as np
 
 from arguments import SCENES, counting, parser_of, positive, run_script
 from blender_lidar.detection.boxes import kind_of
 from blender_lidar.detection.dataset import TRAIN, Sample, plan_dataset, samples
 from blender_lidar.detection.pillars import PILLAR_M, Area, density, fit_ground
-from blender_lidar.files import check_place, make_folder, whole_file
+from blender_lidar.errors import InputError
+from blender_lidar.files import check_place, make_folder, read_file, whole_file, write_text
 from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.settings import MOUNTING
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.sensors.pose import Pose
@@ -38,9 +44,18 @@ from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate
 
 MOST_POINTS = {"RS-16": 4096, "RS-32": 8192, "RS-80": 16384}  # above the ground, of a window
 SENSORS = tuple(MOST_POINTS)
-HEIGHTS_M, TILTS_DEG, ASIDE_DEG, SETBACKS_M = (1.8, 5.5), (0.0, 30.0), (-3.0, 3.0), (-4.0, 0.0)
-SLOPES = {"grade_percent": (-4.0, 4.0), "cross_fall_percent": (-3.0, 3.0), "crown_percent": (0.0, 2.5)}
-MOST_CLUTTER = 2.0
+_DRAWN = {  # by site, or within it by scan: from where to where
+    "y_m": (-4.0, 0.0),
+    "height_m": (1.8, 5.5),
+    "tilt_x_deg": (0.0, 30.0),
+    "tilt_y_deg": (-3.0, 3.0),
+    "clutter": (0.0, 2.0),
+    "grade_percent": (-4.0, 4.0),
+    "cross_fall_percent": (-3.0, 3.0),
+    "crown_percent": (0.0, 2.5),
+    "variety_seed": "the number of the site",
+}
+_BY_SITE = ("clutter", "grade_percent", "cross_fall_percent", "crown_percent")
 MOUNTINGS = 60  # of a site
 CHECKPOINT_S = 60.0
 
@@ -56,9 +71,9 @@ def _arguments(argv):
     parser.add_argument(
         "--work", type=Path, default=Path("train_detector"), help="where clouds and checkpoints are kept"
     )
-    parser.add_argument("--sites", type=positive, default=12, help="of each sensor (default 12)")
+    parser.add_argument("--sites", type=positive, default=14, help="of each sensor (default 14)")
     parser.add_argument("--scans", type=positive, default=120, help="of each site (default 120)")
-    parser.add_argument("--steps", type=positive, default=6000, help="of four windows each (default 6000)")
+    parser.add_argument("--steps", type=positive, default=2400, help="of four windows each (default 2400)")
     parser.add_argument("--seed", type=int, default=1, help="of the weights and the order; the clouds stay the same")
     parser.add_argument("--workers", type=positive, default=2, help="processes that make clouds (default 2)")
     return parser.parse_args(argv)
@@ -67,17 +82,22 @@ def _arguments(argv):
 def _train(args) -> None:
     check_place(args.out, "--out")
     make_folder(args.work, "--work")
+    made_of = {
+        "traffic": {Path(path).name: hashlib.sha256(read_file(path)).hexdigest() for path in args.traffic},
+        "world": {name: value for (_, name), (value, _) in hard_world().items() if name not in _DRAWN},
+        "drawn": _DRAWN,
+    }
+    _check_work(args.work, made_of)
     windows = _windows(args)
-    kept = args.work / f"checkpoint_{args.seed}_{args.steps}.npz"
+    kept = args.work / f"checkpoint_{args.seed}_{args.steps}_{args.sites}_{args.scans}.npz"
     with counting(args.steps, "steps") as advance:
         weights = train(windows, args.seed, args.steps, kept, advance)
     card = {
         "trained_on": _ranges(windows),
+        **made_of,
+        "sites_a_sensor": args.sites,
         "scans": {sensor: len(of_sensor) for sensor, of_sensor in windows.items()},
-        "traffic": [Path(path).name for path in args.traffic],
-        "world": {name: value for (_, name), (value, _) in hard_world().items()},
-        "slopes": SLOPES,
-        "most_clutter": MOST_CLUTTER,
+        "points_left_out": {sensor: _left_out(of_sensor, MOST_POINTS[sensor]) for sensor, of_sensor in windows.items()},
         "steps": args.steps,
         "windows_a_step": BATCH,
         "seed": args.seed,
@@ -86,6 +106,14 @@ def _train(args) -> None:
     with whole_file(args.out) as temporary:
         np.savez_compressed(temporary, card=json.dumps(card), **halves)
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)
+
+
+def _check_work(folder: Path, made_of: Mapping) -> None:
+    """Refuse a folder whose clouds are of other traffic or worlds."""
+    path, told = folder / "made_of.json", json.dumps(made_of, indent=1)
+    if path.exists() and path.read_text(encoding="utf-8") != told:
+        raise InputError(f"--work: {folder}: its clouds are of other traffic or worlds; allowed: a folder of its own")
+    write_text(path, told)
 
 
 # --- Clouds -----------------------------------------------------------------------------------------------------------
@@ -121,15 +149,12 @@ def site_windows(sensor: str, number: int, traffic: Sequence[str], scans: int) -
         ("traffic", "path"): str(Path(traffic[number % len(traffic)]).resolve()),
         ("traffic", "frames"): 60,
         ("traffic", "holdout"): 0.0,
-        ("deployment", "y_m"): SETBACKS_M,
-        ("deployment", "height_m"): HEIGHTS_M,
-        ("deployment", "tilt_x_deg"): TILTS_DEG,
-        ("deployment", "tilt_y_deg"): ASIDE_DEG,
+        **{("deployment", name): limits for name, limits in _DRAWN.items() if name in MOUNTING},
         ("search", "seeds"): 1,
-        ("world", "clutter"): float(rng.uniform(0.0, MOST_CLUTTER)),
         ("world", "variety_seed"): number,
-        **{("road", name): float(rng.uniform(*limits)) for name, limits in SLOPES.items()},
     }
+    for name in _BY_SITE:
+        settings["world" if name == "clutter" else "road", name] = float(rng.uniform(*_DRAWN[name]))
     options = {place: (value, place[1]) for place, value in settings.items()}
     site = prepare(load_scenario(SCENES / "i80.toml", {**hard_world(), **options}))
     plan = plan_dataset(site, MOUNTINGS, scans, seed=number + 1)
@@ -178,12 +203,21 @@ def _from_arrays(path: Path) -> list[Window]:
     return [Window(one, other, height, lean, Area((x, y), *WINDOW)) for one, other, (height, lean, x, y) in parts]
 
 
+def _left_out(windows: Sequence[Window], most: int) -> float:
+    """Share of the points above the ground that are more than a window may have."""
+    rng = np.random.default_rng(0)
+    some = windows[:: max(1, len(windows) // 100)]
+    counts = np.array([len(shown(one, (False, False), sys.maxsize, rng)[0].cell) for one in some])
+    return float(np.maximum(counts - most, 0).sum() / max(counts.sum(), 1))
+
+
 def _ranges(windows: Mapping[str, Sequence[Window]]) -> dict[str, object]:
     """What the training covered: sensors, and from where to where mountings, ground and density went."""
     every = [one for of_sensor in windows.values() for one in of_sensor]
     rng = np.random.default_rng(0)
-    grounds = [fit_ground(one.points.astype(float)).residual_m for one in every[:: max(1, len(every) // 300)]]
-    filled = [density(shown(one, (False, False), sys.maxsize, rng)[0]) for one in every[:: max(1, len(every) // 300)]]
+    some = every[:: max(1, len(every) // 300)]
+    grounds = [fit_ground(one.points.astype(float)).residual_m for one in some]
+    filled = [density(shown(one, (False, False), sys.maxsize, rng)[0]) for one in some]
     return {
         "sensors": list(windows),
         "height_m": [min(one.lidar_m for one in every), max(one.lidar_m for one in every)],
@@ -214,7 +248,7 @@ def train(windows: dict[str, Sequence[Window]], seed: int, steps: int, kept: Pat
         rate = rate_at(step, steps)
         weights, mean, square, parts = train_step(weights, mean, square, float(step), rate, frames, targets)
         if step % 50 == 0 or step == steps:
-            advance(50, "heat {:.3f}, boxes {:.3f}".format(*map(float, parts)))
+            advance(step % 50 or 50, "heat {:.3f}, boxes {:.3f}".format(*map(float, parts)))
         if time.monotonic() - saved > CHECKPOINT_S or step == steps:
             _keep(kept, weights, mean, square, step)
             saved = time.monotonic()
