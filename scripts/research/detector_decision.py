@@ -22,7 +22,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -102,7 +102,7 @@ class Part:
     def described(self) -> dict[str, object]:
         """What its file must be of: files by their digests."""
         files = {name: _digest(name) for name in (self.traffic, *self.weights)}
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        given = {one.name: getattr(self, one.name) for one in fields(self)}
         return json.loads(json.dumps({**given, "files": files, "world": [*map(str, _world(self.world).items())]}))
 
 
@@ -193,7 +193,7 @@ _OF_FRAMES = ("frame", "vehicle_frame")
 def joined(frames: Sequence[Matches]) -> Matches:
     """Matches of several frames, each given by itself, as those of all."""
     columns = {}
-    for name in (field.name for field in fields(Matches) if field.name != "frames"):
+    for name in (column.name for column in fields(Matches) if column.name != "frames"):
         parts = [getattr(one, name) + at if name in _OF_FRAMES else getattr(one, name) for at, one in enumerate(frames)]
         columns[name] = np.concatenate(parts)
     return Matches(len(frames), **columns)
@@ -220,12 +220,18 @@ class Made:
     time_s: np.ndarray
     block_s: float
 
+    known: dict[tuple, np.ndarray] = field(default_factory=dict)
+
     def outcome(self, mounting: int, training: int, which: str, weight: np.ndarray | None = None) -> np.ndarray:
-        """One of `OUTCOMES`, (r,); `weight` (r, f) is how often each frame counts."""
-        by_criterion = self.matches[mounting][training]
-        if which == OUTCOMES[0]:
-            return recall(by_criterion[0], 0.3, weight)
-        return average_precision(by_criterion[1], weight)
+        """One of `OUTCOMES`, (r,); `weight` (r, f) is how often each frame counts. Kept, as metrics choose alike."""
+        place = mounting, training, which, None if weight is None else hash(weight.tobytes())
+        if place not in self.known:
+            by_criterion = self.matches[mounting][training]
+            if which == OUTCOMES[0]:
+                self.known[place] = recall(by_criterion[0], 0.3, weight)
+            else:
+                self.known[place] = average_precision(by_criterion[1], weight)
+        return self.known[place]
 
 
 def made(part: Part, path: Path, workers: int) -> Made:
@@ -254,8 +260,8 @@ def made(part: Part, path: Path, workers: int) -> Made:
         for place in _places(part):
             mounting, training, row = place
             whole = joined([matches[mounting][training][row] for _, matches in frames])
-            for field in fields(Matches):
-                arrays[_key(place, field.name)] = getattr(whole, field.name)
+            for column in fields(Matches):
+                arrays[_key(place, column.name)] = getattr(whole, column.name)
         with whole_file(path) as temporary:
             np.savez_compressed(temporary, **arrays)
     with np.load(path, allow_pickle=False) as file:
@@ -265,7 +271,7 @@ def made(part: Part, path: Path, workers: int) -> Made:
     matches = [[[None] * len(CRITERIA) for _ in part.weights] for _ in part.mounts]
     for place in _places(part):
         mounting, training, row = place
-        columns = {field.name: held[_key(place, field.name)] for field in fields(Matches)}
+        columns = {column.name: held[_key(place, column.name)] for column in fields(Matches)}
         matches[mounting][training][row] = Matches(**{**columns, "frames": int(columns["frames"])})
     return Made(held["scores"], matches, held["time_s"], float(held["block_s"]))
 
