@@ -21,6 +21,7 @@ from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, crown, join
+from .mount_checks import mount_notes
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
@@ -305,7 +306,7 @@ def prepare(
     if note := _out_of_range(scenario, mount, searched):
         plan = replace(plan, notes=(*plan.notes, note))
     judging = len({number for frame in held_out for number in frame.vehicles.vehicle_id[frame.counted].tolist()})
-    plan = replace(plan, notes=(*plan.notes, *_same_notes(recordings, names)))
+    plan = replace(plan, notes=(*plan.notes, *_same_notes(recordings, names), *mount_notes(scenario, mount)))
     if note := few_vehicles(len(plan.searched_ids), judging if held_out else None):
         plan = replace(plan, notes=(*plan.notes, note))
     searched = _weighted(searched, plan.search_recording, scenario)
