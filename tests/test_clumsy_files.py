@@ -50,6 +50,7 @@ READ = {
     "spaces after commas": text(separator=", "),
     "capital letters": text(header=[name.title() for name in HEADER]),
     "classes in capital letters": changed(**{"class": str.upper}),
+    "a minus as it is printed": text().replace("-", "\u2212"),
     "a separator at the end of each row": edited(lambda lines: [[*line, ""] for line in lines]),
 }
 REFUSED = {

@@ -106,6 +106,8 @@ def test_two_copies_of_one_recording_score_as_it_does_with_intervals_from_twice_
     twice = evaluated(capsys, scene_of(tmp_path, MORNING, MORNING | {"name": "again"}), tmp_path / "b")
     assert twice["objective_per_vehicle"] == pytest.approx(alone["objective_per_vehicle"], rel=1e-12)
     assert twice["holdout"]["blocks"] == 2 * alone["holdout"]["blocks"]
+    told = "have the same vehicles in the same places: check their paths"
+    assert [told in " ".join(one["notes"]) for one in (alone, twice)] == [False, True]
     width = [np.diff(one["holdout"]["interval_90"])[0] for one in (alone, twice)]
     assert 0.4 * width[0] < width[1] < 0.75 * width[0]  # 1 over the root of 2, and more degrees of freedom
 

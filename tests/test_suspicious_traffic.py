@@ -139,6 +139,17 @@ def again_from_behind():
     return first + [[row[0] + 60, *row[1:9], row[9] + 60.0] for row in first]
 
 
+def once_more(x_m=0.0):
+    """The usual two minutes, and the same with other ids two minutes later, so many metres ahead."""
+    later = [[row[0] + 60, row[1] + 1000, row[2], row[3] + x_m, *row[4:9], row[9] + 120.0] for row in table()]
+    return table() + later
+
+
+def in_lanes(factor=1.0, y_m=0.0):
+    """Four lanes whose places across are multiplied and moved."""
+    return [[*row[:4], factor * row[4] + y_m, *row[5:]] for row in dense()]
+
+
 def across():
     """Dense traffic, in which a tenth of the vehicles points to the left and a tenth to the right."""
     return [[*row[:8], {0: 90.0, 5: -90.0}.get(row[1] % 10, 0.0), row[9]] for row in dense()]
@@ -148,6 +159,7 @@ def standing():
     return table(x_m=lambda row: 12.0 * row["vehicle_id"] - 240.0)
 
 
+FOUR_LANES = {"road": {"lanes": 4}, **WIDE}
 AT_33 = {"traffic": {"heading_deg": 33.0}}
 STOPS = {  # by name: the rows, the scene, and what the line says
     "headings of vehicles that stand": (queue(0.0), AT_33, "boxes that stand point more than 30.*--accept headings"),
@@ -178,6 +190,16 @@ STOPS = {  # by name: the rows, the scene, and what the line says
         "elsewhere in the same frame.*one vehicle_id.*--accept tracks",
     ),
     "ids of another vehicle in each frame": (anew(50), {}, "vehicles jump, by 20 m.*one vehicle_id.*--accept tracks"),
+    "the same minutes twice": (
+        once_more(),
+        {},
+        "50 % of the places are taken again to the centimetre 120 s later, .*more than once.*--accept tracks",
+    ),
+    "lanes that no table names": (
+        traffic_rows(),
+        {"region": {"stretches": [{"x_m": [-20.0, 20.0], "lanes": [1, 2]}]}},
+        "check .region. stretches: of lanes 1, 2, it names no lanes",
+    ),
     "half of it shifted across": (dense((0.0, 3.0)), {}, "all vehicles jump together by 3.0 m from frame 59 to 60"),
     "half of it shifted along": (dense((40.0, 0.0)), {}, "all vehicles jump together by 40.0 m from frame 59 to 60"),
     "a region that no mount can see": (
@@ -236,6 +258,8 @@ NOTES = {  # by name: the rows, the scene, and what is told
         WIDE,
         "pairs of boxes overlap among 100",
     ),
+    "places multiplied by 1.1": (in_lanes(factor=1.1), FOUR_LANES, "3.85 m apart, but [road] lane_width_m is 3.5 m"),
+    "an origin 1.5 m off": (in_lanes(y_m=1.5), FOUR_LANES, "vehicles drive 1.5 m beside the middles of the lanes"),
     "few beside a motorway": (beside_a_motorway(), {"region": CIRCLE_40, **WIDE}, "% of the boxes in the region lie"),
     "a last frame of another day": (
         at_another_time(lambda frame: frame >= 58, 86_400.0),
@@ -257,6 +281,9 @@ RIGHT = {  # the same without the fault
     "two carriageways": (two_carriageways(), {"region": CIRCLE_40, **WIDE}),
     "two carriageways, of one": (two_carriageways(), {"region": {"stretches": [{"x_m": [-40.0, 40.0]}]}, **WIDE}),
     "dense traffic": (dense(), WIDE),
+    "four lanes": (in_lanes(), FOUR_LANES),
+    "four lanes, driven on the left of each": (in_lanes(y_m=0.6), FOUR_LANES),
+    "minutes that are alike": (once_more(1.7), {}),
     "a minute without anybody": (at_another_time(lambda frame: frame >= 30, 60.0), {}),
 }
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..traffic import format_of
+from ..traffic.layout import density_peaks
 from ..traffic.ngsim import FOOT_M
 from ..traffic.vehicles import Recording, frames_looked_at, overlapping_pairs
 from .motion_checks import ASTRAY_RAD, FEWEST, FITTING, ROWS, Ways, headings, within_half_a_turn
@@ -166,6 +167,7 @@ def place_notes(recording: Recording, scenario: Scenario, accepted: bool) -> Ite
             "do; if they belong to another carriageway, check [road] setback_m and lanes, or give [region] keep_out"
         )
     yield from _drift_notes(on_road, scenario)
+    yield from _lane_notes(y[(y >= low - lane) & (y <= high + lane) & along[inside]], scenario)
     yield from _end_notes(recording, scenario)
     many = recording.report.overlaps / max(recording.report.overlap_frames * len(recording) / len(recording.frames), 1)
     if _MANY_OVERLAPS < many <= _MOST_OVERLAPS:
@@ -178,6 +180,36 @@ def place_notes(recording: Recording, scenario: Scenario, accepted: bool) -> Ite
             f"those who come the other way drive to the right of {road}, at {_span('y', y_about[right])}: left-hand "
             "traffic, or y is mirrored in the file; a pole on that side stands between both directions, not at the "
             "roadside"
+        )
+
+
+_MOST_OFF_LANE_M, _ABOUT_LANE_M, _MOST_WIDER = 1.0, 0.7, 0.08
+_FEWEST_IN_LANES = 100  # boxes
+
+
+def _lane_notes(y: np.ndarray, scenario: Scenario) -> Iterator[str]:
+    """Two lanes and more, told by where boxes lie across the road (n,) [m], that are not those of [road]."""
+    if len(y) < _FEWEST_IN_LANES:
+        return
+    lanes = np.sort(density_peaks(y, np.ones(len(y))))
+    in_lanes = (np.abs(y[:, None] - lanes) <= _ABOUT_LANE_M).any(axis=1).mean()
+    spacing = np.diff(lanes)
+    width = scenario.road.lane_width_m
+    if len(lanes) < 2 or in_lanes <= FITTING or spacing.max() > 1.2 * spacing.min():
+        return
+    apart = float(spacing.mean())
+    if abs(apart / width - 1.0) > _MOST_WIDER:
+        yield (
+            f"vehicles drive in {len(lanes)} lanes {apart:.2f} m apart, but [road] lane_width_m is {width:g} m; if "
+            "that is right, check the unit and scale of the places"
+        )
+        return
+    off = (lanes - scenario.road.carriageway_y[0]) / width - 0.5
+    off = width * (off - np.rint(off))
+    if np.abs(off).min() > _MOST_OFF_LANE_M:
+        yield (
+            f"vehicles drive {np.abs(off).mean():.1f} m beside the middles of the lanes of [road], at y "
+            f"{', '.join(f'{one:.1f}' for one in lanes)} m; check [road] setback_m and where the file's origin is put"
         )
 
 
@@ -287,6 +319,10 @@ def nobody_there(recording: Recording, region: Region, frames: int, scenario: Sc
     beside = np.abs(x - region.centre_xy[0]) <= region.radius_m
     if beside.any() and _on_road(y[beside], scenario) < _FEWEST_ON_ROAD:
         meant = _place_meant(y[beside], recording.heading_rad[beside], recording, scenario)
+    elif asked := {lane for one in scenario.region.stretches or () for lane in one.lanes or ()}:
+        there = ", ".join(map(str, np.unique(recording.lane[recording.lane != 0]).tolist()))
+        meant = f"its lanes are {there}" if there else "it names no lanes"
+        meant = f"check [region] stretches: of lanes {', '.join(map(str, sorted(asked)))}, {meant}"
     elif recording.report.periods:
         meant = f"check [road] station_m (such as {scenario.road.station_m + np.median(x):.0f}) and [region]"
     else:

@@ -25,6 +25,7 @@ _NUMBERS = {
 }
 _EXISTS = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False, "": None}
 _MOST = 1000
+_NEAREST_M = 0.05
 
 
 def read_poles(path: str | Path) -> tuple[Pole, ...]:
@@ -53,6 +54,12 @@ def read_poles(path: str | Path) -> tuple[Pole, ...]:
             poles[pole.name] = pole
     if not poles or len(poles) > _MOST:
         raise InputError(f"{path}: has {len(poles)} poles; allowed: 1 to {_MOST}")
+    places = np.array([(pole.x_m, pole.y_m) for pole in poles.values()])
+    if 0.0 < np.hypot(*np.ptp(places, axis=0)) < _NEAREST_M:
+        raise InputError(
+            f"{path}: all {len(poles)} poles stand within {_NEAREST_M:g} m, about x_m {places[0, 0]:g} and y_m "
+            f"{places[0, 1]:g}; probably degrees of longitude and latitude; allowed: metres in the road frame"
+        )
     return tuple(poles.values())
 
 

@@ -19,6 +19,7 @@ from ..road import RoadFrame
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
+from .mount_checks import check_degrees
 from .poles import read_poles
 from .region import check_polygon, region_of
 from .settings import (
@@ -255,6 +256,9 @@ def _heights(deployment: Deployment) -> tuple[float, float]:
 
 def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]]) -> None:
     """Refuse to search angles that say the same orientation in more than one way."""
+    for key in searched:
+        if key in ANGLES or key in LEAN:
+            check_degrees(table.where(key), key, searched[key])
     width = {key: high - low for key, (low, high) in searched.items()}
     for key in ("yaw_deg", *LEAN):
         if width.get(key, 0.0) > 360.0:

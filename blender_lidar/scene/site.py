@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, crown, join
+from .mount_checks import mount_notes
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
@@ -305,6 +306,7 @@ def prepare(
     if note := _out_of_range(scenario, mount, searched):
         plan = replace(plan, notes=(*plan.notes, note))
     judging = len({number for frame in held_out for number in frame.vehicles.vehicle_id[frame.counted].tolist()})
+    plan = replace(plan, notes=(*plan.notes, *_same_notes(recordings, names), *mount_notes(scenario, mount)))
     if note := few_vehicles(len(plan.searched_ids), judging if held_out else None):
         plan = replace(plan, notes=(*plan.notes, note))
     searched = _weighted(searched, plan.search_recording, scenario)
@@ -312,6 +314,17 @@ def prepare(
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
     observation, scoring = observation_of(scenario, lattice, caster, standing), scoring_of(scenario, searched)
     return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
+
+
+def _same_notes(recordings: Sequence[Recording], names: Sequence[str]) -> Iterator[str]:
+    """Recordings that are one, as where a path was copied."""
+    for number, one in enumerate(recordings):
+        for before, name in zip(recordings[:number], names, strict=False):
+            if np.array_equal(before.frame, one.frame) and np.array_equal(before.centre_m[:, :2], one.centre_m[:, :2]):
+                yield (
+                    f"recordings {name} and {names[number]} have the same vehicles in the same places: check their "
+                    "paths; one that counts twice makes intervals too narrow"
+                )
 
 
 _FEW_OUT_OF_RANGE = 0.05  # share that is not told

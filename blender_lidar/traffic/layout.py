@@ -295,7 +295,7 @@ def _lanes(v: np.ndarray, near: _Samples) -> _Lanes | None:
     """Lanes from where vehicles drive across the road, `v` (n,) [m]; None where they are too few."""
     if len(np.unique(near.vehicle)) < _FEWEST_VEHICLES:
         return None
-    peaks = _density_peaks(v, near.speed)
+    peaks = density_peaks(v, near.speed)
     recorded = _recorded_lanes(v, near)
     centres, numbers = recorded if recorded and len(recorded[0]) >= len(_neighbours(peaks)) else (peaks, ())
     kept = _neighbours(centres)
@@ -315,7 +315,7 @@ def _lanes(v: np.ndarray, near: _Samples) -> _Lanes | None:
     return _Lanes(centres, numbers, width, float(first) - 0.5 * width, count)
 
 
-def _density_peaks(v: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def density_peaks(v: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Peaks of a kernel density estimate with a lane's depth of valley between them, the highest first [m]."""
     step, sigma = 0.05, 0.4
     low = v.min() - 3.0

@@ -288,6 +288,9 @@ class Rows:
         return found
 
 
+_MINUS = "\u2212"  # as spreadsheets of some countries write it
+
+
 def numbers(values: np.ndarray) -> np.ndarray:
     """Numbers, texts or None as numbers, (n,) float64; NaN where one is none, or missing."""
     if values.dtype != object:
@@ -298,7 +301,7 @@ def numbers(values: np.ndarray) -> np.ndarray:
             return values.astype(np.float64)
     except (TypeError, ValueError):
         pass
-    return np.array([number(str(value)) for value in values])
+    return np.array([number(str(value).replace(_MINUS, "-")) for value in values])
 
 
 def codes(rows: Rows, name: str, index: dict[str, int]) -> np.ndarray:
