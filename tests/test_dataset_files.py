@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -17,6 +18,7 @@ import pytest
 from blender_lidar.clouds.files import read_cloud
 from blender_lidar.commands import dataset as verb
 from blender_lidar.detection import dataset_files
+from blender_lidar.detection.scores import MEASURES
 from blender_lidar.names import DATASET_LAYOUTS
 from blender_lidar.scoring.workers import Workers
 from tests.nuscenes_devkit_check import MARGIN_M
@@ -281,6 +283,162 @@ def test_what_was_stopped_goes_on_and_has_the_same_bytes(made, tmp_path, capsys,
     said, err = done(capsys, *asked)
     assert (err, drawn[-1]) == ("", SCANS - 1)
     assert f"Data set in {out}: 4 mountings of the RS-16" in said
+
+
+# --- A detector judged on it ------------------------------------------------------------------------------------------
+
+
+def kitti_results(made: Path, path: Path) -> Path:
+    path.mkdir()
+    for labels in (made / "kitti" / "training" / "label_2").iterdir():
+        (path / labels.name).write_text("".join(f"{line} 0.9\n" for line in labels.read_text().splitlines()))
+    return path
+
+
+def csv_results(made: Path, path: Path) -> Path:
+    names = ("class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "heading_deg")
+    rows = [
+        [number, *(row[name] for name in names), 0.9]
+        for number in range(SCANS)
+        for row in boxes_of(made, number, seen=True)
+    ]
+    return write_table(path, rows, ("frame", *names, "confidence"))
+
+
+def nuscenes_results(made: Path, path: Path) -> Path:
+    tables = made / "nuscenes" / "v1.0-trainval"
+    samples, annotations, instances = (
+        json.loads((tables / f"{name}.json").read_text()) for name in ("sample", "sample_annotation", "instance")
+    )
+    category = {row["token"]: row["category_token"] for row in instances}
+    results = {row["token"]: [] for row in samples}
+    for row in annotations:
+        if row["num_lidar_pts"]:
+            box = {key: row[key] for key in ("sample_token", "translation", "size", "rotation")}
+            name = category[row["instance_token"]].split(".")[1]
+            results[row["sample_token"]].append({**box, "detection_name": name, "detection_score": 0.9})
+    path.write_text(json.dumps({"meta": {"use_lidar": True}, "results": results}))
+    return path
+
+
+RESULTS = {"label_2": kitti_results, "own.csv": csv_results, "own.json": nuscenes_results}
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_labels_as_detections_find_every_vehicle_with_a_return(name, made, tmp_path, capsys):
+    """Each in the frame of its layout: the road slopes, and the mountings have yaws."""
+    own = RESULTS[name](made, tmp_path / name)
+    said, _ = done(capsys, "detect", made, "--detector", own, "--out", tmp_path / "judged")
+    validating = [row for row in scans_of(made) if row["split"] == "val"]
+    assert f"{len(validating)} scans of split val (8 frames), labelled vehicles within 12 m of x 0 m" in said
+    result = json.loads((tmp_path / "judged" / "detection.json").read_text())
+    given = result["mountings"]["given"]
+    counts = [int(row["counted"]) for row in validating]
+    assert (result["scan_ids"], given["vehicles"]) == ([int(row["scan"]) for row in validating], sum(counts))
+    assert result["blocks"] == len({row["block"] for row in validating}) > 2
+    of_all = [row for scan in validating for row in boxes_of(made, int(scan["scan"])) if row["counted"] == "1"]
+    assert given["with_return"] == sum(int(row["points"]) > 0 for row in of_all) / sum(counts)
+    assert 0.5 < given["with_return"] < 1.0
+    for measure in MEASURES:
+        assert given[measure] == pytest.approx(1.0 if "precision" in measure else given["with_return"])
+        low, high = given["interval_90"][measure]
+        assert 0.0 <= low <= given[measure] <= high <= 1.0
+    assert {kind: one["recall_0.3"] > 0.5 for kind, one in given["by_kind"].items()} == dict.fromkeys(
+        ("car", "truck or bus", "motorcycle"), True
+    )
+    again = "--detector", tmp_path / "judged" / "label_2", "--out", tmp_path / "again", "--json"
+    assert json.loads(done(capsys, "detect", made, *again)[0])["mountings"] == result["mountings"]
+
+
+def test_pillars_looks_at_the_clouds_from_each_mounting(made, tmp_path, capsys):
+    said, _ = done(capsys, "detect", made, "--out", tmp_path / "judged")
+    result = json.loads((tmp_path / "judged" / "detection.json").read_text())
+    given = result["mountings"]["given"]
+    assert given["recall_0.3"] > 0.7 * given["with_return"]
+    assert given["precision_0.3"] > 0.7
+    assert [note for note in result["notes"] if "too little ground" in note and "at 4 of 4 mountings" in note]
+    assert said.count("too little ground") == 1
+    assert len(list((tmp_path / "judged" / "label_2").iterdir())) == result["scans"]
+
+
+def test_without_a_validating_scan_all_judge_and_it_is_said(tmp_path, capsys):
+    scene = write_scene(tmp_path, {"traffic": {"holdout": 0.0}})
+    done(capsys, "dataset", scene, "--mountings", 1, "--scans", 2, "--out", tmp_path / "set")
+    said, _ = done(capsys, "detect", tmp_path / "set", "--out", tmp_path / "judged")
+    assert "; 2 scans (2 frames), " in said
+    assert "No scan of the data set validates: all judge, though a detector may have been trained on them." in said
+    result = json.loads((tmp_path / "judged" / "detection.json").read_text())
+    assert not result["held_out"]
+    assert result["mountings"]["given"]["interval_90"]["recall_0.3"] is None  # of too few blocks
+
+
+@pytest.fixture
+def tables(made, tmp_path):
+    """The data set without its clouds, to be damaged."""
+    (tmp_path / "set").mkdir()
+    for name in ("dataset.json", "scans.csv"):
+        shutil.copy(made / name, tmp_path / "set" / name)
+    shutil.copytree(made / "boxes", tmp_path / "set" / "boxes")
+    return tmp_path / "set"
+
+
+def edited(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def test_a_damaged_data_set_is_refused_in_a_line(made, tables, tmp_path, capsys):
+    own = csv_results(made, tmp_path / "own.csv")
+    asked = "detect", tables, "--detector", own, "--out", tmp_path / "judged"
+
+    def told() -> str:
+        return refused(capsys, tmp_path, *asked)
+
+    whole = (tables / "dataset.json").read_text()
+    no_region = {key: value for key, value in json.loads(whole).items() if key != "region"}
+    bad_region = json.loads(whole) | {"region": {"centre_m": 5, "radius_m": "gate", "stretches": []}}
+    for content in (whole[:500], "[]", json.dumps(no_region), json.dumps(bad_region)):
+        (tables / "dataset.json").write_text(content)
+        assert "dataset.json: is damaged, or of another version: " in told()
+    (tables / "dataset.json").rename(tables / "unfinished.json")
+    assert "is an unfinished data set; give the command that began it again" in told()
+    (tables / "dataset.json").write_text(whole)
+    edited(tables / "scans.csv", "\n3,", "\n4,")
+    assert "its scans are not numbered from 0 on" in told()
+    edited(tables / "scans.csv", ",block,", ",blocks,")
+    assert "scans.csv:1: no column block" in told()
+    shutil.copy(made / "scans.csv", tables / "scans.csv")
+    number = next(int(row["scan"]) for row in scans_of(made) if row["split"] == "val")
+    table = tables / "boxes" / f"{number:06d}.csv"
+    text = table.read_text()
+    table.write_text(text.replace(text.splitlines()[1].split(",")[2], "lorry"))
+    assert f"{number:06d}.csv: unknown class 'lorry'" in told()
+    table.unlink()
+    assert f"{number:06d}.csv: there is no such file" in told()
+
+
+def test_detections_and_detectors_that_do_not_fit_are_refused(made, tables, tmp_path, capsys):
+    def told(*more: object, of: Path = made) -> str:
+        return refused(capsys, tmp_path, "detect", of, *more, "--out", tmp_path / "judged")
+
+    own = kitti_results(made, tmp_path / "label_2")
+    number = next(int(row["scan"]) for row in scans_of(made) if row["split"] == "val")
+    (own / f"{number:06d}.txt").unlink()
+    line = told("--detector", own)
+    assert f"lacks 1 of the 13 scans of split val of the data set, such as {number}" in line
+    (own / "000999.txt").touch()
+    assert "has detections of number 999; allowed: scans 0 to 23" in told("--detector", own)
+    (tmp_path / "own.csv").write_text((made / "boxes" / "000000.csv").read_text())
+    assert "own.csv:1: no column confidence" in told("--detector", tmp_path / "own.csv")
+    assert "learns the empty scene from clouds of one mounting" in told("--detector", "classical")
+    assert "--height: is of a scene, and" in told("--height", 4)
+    assert "no such file" in told("--detector", "pillar")
+    assert "000001.npz: there is no such file" in told(of=tables)
+    edited(tables / "dataset.json", '"npz",', "")
+    assert "has no NPZ clouds but kitti, openpcdet, nuscenes; allowed" in told(of=tables)
+    line = refused(capsys, tmp_path, "detect", made / "npz", "--detector", own, "--out", tmp_path / "judged")
+    assert "a file is judged by detect SCENE --detector FILE" in line
 
 
 # --- What is refused --------------------------------------------------------------------------------------------------

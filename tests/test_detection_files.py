@@ -48,6 +48,19 @@ def test_what_is_written_is_read_again(written, tmp_path):
         assert_alike(read[number], found[number], 2)
 
 
+def test_each_number_may_have_a_mounting_of_its_own(tmp_path):
+    poses = [POSE | {"x_m": 10.0 * number, "yaw_deg": 50.0 * number} for number in range(3)]
+    found = {number: random_boxes(5, number) for number in (0, 2)}
+    write_kitti_labels(tmp_path / "label_2", found, poses)
+    read = read_detected(tmp_path / "label_2", poses)
+    for number in (0, 2):
+        assert_alike(read[number], found[number], 2)
+    for name, write in (("boxes.csv", write_detected), ("label_2", write_kitti_labels)):
+        write(tmp_path / name, {3: found[2]}, *([POSE] if name == "label_2" else []))
+        with pytest.raises(InputError, match=f"{name}: has detections of number 3; allowed: scans 0 to 2"):
+            read_detected(tmp_path / name, poses)
+
+
 def test_the_camera_of_kitti_looks_along_the_x_axis_of_the_levelled_cloud():
     """As KITTI's calibration says of a camera in the LiDAR: x_cam = -y, y_cam = -z, z_cam = x."""
     boxes = random_boxes(10, 4)

@@ -16,6 +16,7 @@ from blender_lidar.detection.scores import (
     Matches,
     average_precision,
     by_distance,
+    intervals,
     match,
     measured,
     paired_intervals,
@@ -202,6 +203,22 @@ def test_a_detector_beside_itself_differs_by_nothing_and_one_that_misses_some_lo
     fewer = paired_intervals([kept] * 3, [matches] * 3, block, 1)["ap_centre_2m"]
     assert fewer["difference"] < 0.0
     assert fewer["interval_90"][0] < fewer["difference"] < fewer["interval_90"][1] < 0.0
+
+
+def test_the_interval_of_one_detector_is_about_its_value_and_within_0_and_1():
+    matches = [random_matches(5)] * 3
+    block = np.arange(matches[0].frames)
+    ends = intervals(matches, block, 1)
+    for name, measure in MEASURES.items():
+        low, high = ends[name]
+        assert 0.0 <= low < float(measure(matches, None)[0]) < high <= 1.0
+    assert set(intervals(matches, block // len(block), 1).values()) == {None}  # a single block
+
+
+def test_distances_may_be_from_another_lidar_in_each_frame():
+    boxes, frame = boxes_at([(0, 0)], [0.9]), frame_of([(0, 0)])
+    found = match([boxes] * 2, [frame] * 2, REGION, np.array([(3.0, 4.0), (0.0, 2.0)]), CENTRE)
+    assert found.distance_m.tolist() == found.vehicle_distance_m.tolist() == [5.0, 2.0]
 
 
 def test_paired_intervals_hold_the_truth_as_often_as_they_say():

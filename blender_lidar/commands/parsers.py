@@ -201,13 +201,15 @@ def _scan(subparsers) -> None:
 
 def _detect(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "detect", "detect.run", "SCENE.toml|CLOUDS", "judge a detector at a mounting"),
+        *(subparsers, "detect", "detect.run", "SCENE.toml|DATASET|CLOUDS", "judge a detector at a mounting"),
         "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline: recall, precision "
         "and average precision, with paired intervals, the boxes as CSV and as KITTI's labels, and a picture of one "
-        "frame. Given a folder of NPZ clouds it writes their boxes.",
+        "frame. Given a data set it judges the detector on the scans that validate, each from its mounting; given a "
+        "folder of NPZ clouds it writes their boxes.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector classical",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
+        "i80_set --detector my_label_2",
         "clouds --out boxes",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--workers", "--cluster"))

@@ -88,6 +88,8 @@ class DatasetPlan:
         How far from its middle vehicles are looked at [m].
     frames : tuple of Vehicles
         The searched and the held-out frames, as recorded.
+    blocks, recordings : ndarray of int64, (f,)
+        Block of time of each frame, of which each split counts its own, and its recording, from 0.
     mounts : tuple of mappings
         Six coordinates each [m, degrees].
     scans : tuple of PlannedScan
@@ -103,6 +105,8 @@ class DatasetPlan:
     region: Region
     reach_m: float
     frames: tuple[Vehicles, ...]
+    blocks: np.ndarray
+    recordings: np.ndarray
     mounts: tuple[Mapping[str, float], ...]
     scans: tuple[PlannedScan, ...]
     taught_ids: np.ndarray
@@ -206,8 +210,10 @@ def plan_dataset(
     if world.clutter:
         observation = replace(observation, scenery=standing_scenery(bare, observation.caster, None))
     nobody = np.zeros(0, dtype=np.int64)
-    given = site.scenario, observation, site.region, site.reach_m, frames, mounts, tuple(planned)
-    plan = DatasetPlan(*given, nobody, seed, tuple(notes))
+    blocks = np.concatenate([site.plan.search_block, site.plan.holdout_block])
+    recordings = np.concatenate([site.plan.search_recording, site.plan.holdout_recording])
+    seen = site.scenario, observation, site.region, site.reach_m, frames, blocks, recordings
+    plan = DatasetPlan(*seen, mounts, tuple(planned), nobody, seed, tuple(notes))
     taught = [nobody]
     for scan in planned:
         if scan.split == TRAIN:

@@ -217,6 +217,8 @@ def _scan_columns(plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]
         "scan": [scan.number for scan in scans],
         "split": [scan.split for scan in scans],
         "frame": [plan.frames[scan.frame].frame for scan in scans],
+        "recording": plan.recordings[[scan.frame for scan in scans]],
+        "block": plan.blocks[[scan.frame for scan in scans]],
         "mounting": [scan.mounting for scan in scans],
         **{key: [scan.mount[key] for scan in scans] for key in scans[0].mount},
         **{f"hangs_{key}": [scan.hangs[key] for scan in scans] for key in scans[0].hangs},

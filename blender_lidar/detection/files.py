@@ -33,9 +33,11 @@ _COLUMNS = {
     "confidence": Column("0 to 1", 0.0, 1.0),
 }
 _KITTI_NAMES = ("Car", "Truck", "Cyclist")  # by kind
+Mountings = Mapping[str, float] | Sequence[Mapping[str, float]]
+"""The mounting of all frames [m, degrees], or one for each number from 0 on."""
 
 
-def read_detected(path: str | Path, pose: Mapping[str, float]) -> dict[int, DetectedBoxes]:
+def read_detected(path: str | Path, pose: Mountings) -> dict[int, DetectedBoxes]:
     """The detections of frames in the road frame, by the number of their frame.
 
     What is no vehicle is left out: pedestrians, cones.
@@ -46,8 +48,9 @@ def read_detected(path: str | Path, pose: Mapping[str, float]) -> dict[int, Dete
         A CSV file as `write_detected` writes it; nuScenes' JSON of results in the road frame, whose tokens end with the
         number of the frame; or a folder of KITTI's label texts with scores, named by their frames, in the camera frame
         that `kitti_camera` describes.
-    pose : mapping of str to float
-        The mounting [m, degrees] that KITTI's boxes are seen from.
+    pose : mapping of str to float, or sequence of such
+        The mounting [m, degrees] that KITTI's boxes are seen from; or one for each number from 0 on, and then there may
+        be no other number.
 
     Raises
     ------
@@ -60,7 +63,17 @@ def read_detected(path: str | Path, pose: Mapping[str, float]) -> dict[int, Dete
     found = _read_nuscenes(path) if path.suffix.lower() == ".json" else _read_csv(path)
     if not found:
         raise InputError(f"{path}: has no detection of a vehicle")
+    for number in found:
+        _mounting(pose, number, path)
     return found
+
+
+def _mounting(pose: Mountings, number: int, where: str | Path) -> Mapping[str, float]:
+    if isinstance(pose, Mapping):
+        return pose
+    if not 0 <= number < len(pose):
+        raise InputError(f"{where}: has detections of number {number}; allowed: scans 0 to {len(pose) - 1}")
+    return pose[number]
 
 
 def _kind(name: str, where: str) -> int | None:
@@ -148,14 +161,14 @@ def _half_turn(angle: np.ndarray) -> np.ndarray:
     return np.arctan2(np.sin(angle), np.cos(angle))
 
 
-def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], pose: Mapping[str, float]) -> None:
+def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], pose: Mountings) -> None:
     """Write detections as KITTI's label texts with scores, ``NNNNNN.txt`` by frame, in the frame of `kitti_camera`.
 
     There is no image: its box is -1, truncation, occlusion and alpha are not known.
     """
     make_folder(Path(folder), "--out")
     for number, boxes in of_frame.items():
-        bottom, rotation_y = kitti_camera(boxes, pose)
+        bottom, rotation_y = kitti_camera(boxes, _mounting(pose, number, folder))
         lines = [
             f"{_KITTI_NAMES[kind]} -1 -1 -10 -1 -1 -1 -1 {height:.3f} {width:.3f} {length:.3f} "
             f"{x:.3f} {y:.3f} {z:.3f} {turn:.4f} {confidence:.4f}\n"
@@ -166,11 +179,11 @@ def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes]
         write_text(Path(folder) / f"{number:06d}.txt", "".join(lines))
 
 
-def _read_kitti(folder: Path, pose: Mapping[str, float]) -> dict[int, DetectedBoxes]:
+def _read_kitti(folder: Path, pose: Mountings) -> dict[int, DetectedBoxes]:
     paths = sorted(path for path in folder.glob("*.txt") if path.stem.isdecimal())
     if not paths:
         raise MissingFileError(f"{folder}: has no KITTI label texts, named like 000100.txt")
-    return {int(path.stem): _kitti_boxes(path, pose) for path in paths}
+    return {int(path.stem): _kitti_boxes(path, _mounting(pose, int(path.stem), folder)) for path in paths}
 
 
 def _kitti_boxes(path: Path, pose: Mapping[str, float]) -> DetectedBoxes:

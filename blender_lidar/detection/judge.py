@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -19,7 +20,7 @@ from ..scene.site import Site
 from ..sensors.pose import Pose
 from .boxes import KINDS, DetectedBoxes, no_boxes
 from .classical import ClassicalDetector
-from .files import read_detected
+from .files import Mountings, read_detected
 from .pillars import SHIPPED, PillarsDetector
 from .scores import CRITERIA, Matches, by_distance, match, measured, paired_intervals
 
@@ -42,6 +43,16 @@ class Detector(Protocol):
 
 DETECTORS = (PillarsDetector.name, ClassicalDetector.name)
 _ASIDE_M = 8.0
+
+
+def is_weights(detector: str) -> bool:
+    """Whether it is a file of weights, and so a detector of ours."""
+    return Path(detector).suffix.lower() == ".npz"
+
+
+def is_ours(detector: str) -> bool:
+    """Whether it looks at clouds; else it is a file of detections."""
+    return detector in DETECTORS or is_weights(detector)
 
 
 def detector_at(site: Site, mount: Mapping[str, float], name: str) -> Detector:
@@ -170,12 +181,18 @@ def judge_detector(
         boxes.append(found.select(((found.centre_m[:, :2] >= low) & (found.centre_m[:, :2] <= high)).all(axis=1)))
         returned += int(np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id).sum())
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
-    return _judged(site, mount, boxes, returned / vehicles if vehicles else None, detector.notes())
+    with_return = returned / vehicles if vehicles else None
+    return judged_boxes(boxes, partial(matches_of, site, mount, boxes), with_return, detector.notes())
 
 
-def _judged(site: Site, mount: Mapping[str, float], boxes, with_return: float | None, notes=()) -> JudgedDetector:
-    kinds = [matches_of(site, mount, boxes, kind) for kind in range(len(KINDS))]
-    return JudgedDetector(boxes, matches_of(site, mount, boxes), kinds, with_return, notes)
+def judged_boxes(
+    boxes: Sequence[DetectedBoxes],
+    matched: Callable[[int | None], Sequence[Matches]],
+    with_return: float | None,
+    notes: Sequence[str] = (),
+) -> JudgedDetector:
+    """Detections of frames, judged; `matched` gives their matches by each of `CRITERIA`, of one kind or, None, all."""
+    return JudgedDetector(boxes, matched(None), [matched(kind) for kind in range(len(KINDS))], with_return, notes)
 
 
 def matches_of(
@@ -202,14 +219,20 @@ def judged_from_file(site: Site, mount: Mapping[str, float], path: str) -> Judge
         If it cannot be read, or lacks judging frames; a CSV file has no rows of frames without boxes, but must have
         some.
     """
-    of_frame = read_detected(path, site.scenario.in_road(mount))
     numbers = [frame.vehicles.frame for frame in judging_frames(site)[0]]
+    boxes = boxes_from_file(path, site.scenario.in_road(mount), numbers, "judging frames")
+    return judged_boxes(boxes, partial(matches_of, site, mount, boxes), None)
+
+
+def boxes_from_file(path: str | Path, pose: Mountings, numbers: Sequence[int], what: str) -> list[DetectedBoxes]:
+    """The boxes of some frames from a file, as for `judged_from_file`; `what` these numbers are of."""
+    of_frame = read_detected(path, pose)
     missing = [number for number in numbers if number not in of_frame]
     whole = Path(path).is_dir() or Path(path).suffix.lower() == ".json"
     if len(missing) == len(numbers) or (missing and whole):
         few = ", ".join(map(str, missing[:3]))
-        raise InputError(f"{path}: lacks {len(missing)} of the {len(numbers)} judging frames, such as {few}")
-    return _judged(site, mount, [of_frame.get(number, no_boxes()) for number in numbers], None)
+        raise InputError(f"{path}: lacks {len(missing)} of the {len(numbers)} {what}, such as {few}")
+    return [of_frame.get(number, no_boxes()) for number in numbers]
 
 
 def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]) -> dict[str, object]:
@@ -219,16 +242,9 @@ def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]
     """
     frames, block, recording = judging_frames(site)
     mountings, baseline = {}, next(iter(judged.values()))
-    every = [away for one in judged.values() for m in one.matches for away in (m.distance_m, m.vehicle_distance_m)]
-    farthest = max((float(away.max(initial=0.0)) for away in every), default=0.0)
+    farthest = max(map(farthest_m, judged.values()), default=0.0)
     for mounting, one in judged.items():
-        mountings[mounting] = {
-            "with_return": one.with_return,
-            "without_boxes": sum(not len(boxes) for boxes in one.boxes),
-            **measured(one.matches),
-            "by_distance": by_distance(one.matches, farthest),
-            "by_kind": {kind: measured(matches) for kind, matches in zip(KINDS, one.of_kinds, strict=True)},
-        }
+        mountings[mounting] = measured_groups(one, farthest)
         if one is not baseline:
             gain = paired_intervals(one.matches, baseline.matches, block, site.scenario.search.seed, recording)
             mountings[mounting]["over_baseline"] = gain
@@ -239,4 +255,21 @@ def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]
         "held_out": bool(len(site.holdout)),
         "blocks": len(np.unique(block)),
         "mountings": mountings,
+    }
+
+
+def farthest_m(judged: JudgedDetector) -> float:
+    """Distance of the farthest vehicle, hit or false alarm from the LiDAR [m]."""
+    every = (away for one in judged.matches for away in (one.distance_m, one.vehicle_distance_m))
+    return max(float(away.max(initial=0.0)) for away in every)
+
+
+def measured_groups(judged: JudgedDetector, farthest: float) -> dict[str, object]:
+    """All that is told of one mounting: of all vehicles, by distance up to the `farthest` [m], and by kind."""
+    return {
+        "with_return": judged.with_return,
+        "without_boxes": sum(not len(boxes) for boxes in judged.boxes),
+        **measured(judged.matches),
+        "by_distance": by_distance(judged.matches, farthest),
+        "by_kind": {kind: measured(matches) for kind, matches in zip(KINDS, judged.of_kinds, strict=True)},
     }

@@ -89,7 +89,7 @@ def match(
     detected: Sequence[DetectedBoxes],
     frames: Sequence[CountedFrame],
     region: Region,
-    lidar_xy: tuple[float, float],
+    lidar_xy: tuple[float, float] | np.ndarray,
     criterion: Criterion,
     kind: int | None = None,
 ) -> Matches:
@@ -101,20 +101,20 @@ def match(
     frames : sequence of CountedFrame, f
     region : Region
         Where a detection that meets nothing is a false alarm.
-    lidar_xy : (float, float)
-        What distances are counted from [m].
+    lidar_xy : (float, float), or ndarray, (f, 2)
+        What distances are counted from [m], of each frame where they differ.
     criterion : Criterion
     kind : int, optional
         Only boxes and vehicles of this kind, as if there were no others: a box on another kind is a false alarm.
     """
     parts = []
-    for boxes, frame in zip(detected, frames, strict=True):
+    for boxes, frame, lidar in zip(detected, frames, np.broadcast_to(lidar_xy, (len(frames), 2)), strict=True):
         vehicles, counted = frame.vehicles, frame.counted
         if kind is not None:
             boxes = boxes.select(boxes.kind == kind)
             there = ~counted | (kind_of(vehicles.class_index) == kind)
             vehicles, counted = vehicles.select(there), counted[there]
-        parts.append(_matched(boxes, vehicles, counted, region, lidar_xy, criterion))
+        parts.append(_matched(boxes, vehicles, counted, region, lidar, criterion))
     of_frame = np.arange(len(frames))
     detections, found = (
         np.concatenate([np.zeros((0, width)), *(part[side] for part in parts)]) for side, width in enumerate((3, 2))
@@ -265,28 +265,44 @@ def paired_intervals(
     seed : int
         For the resampling.
     """
+    told = _with_intervals((one, other), block, seed, recording)
+    return {name: {"difference": value, "interval_90": ends} for name, (value, ends) in told.items()}
+
+
+def intervals(
+    by: Sequence[Matches], block: np.ndarray, seed: int, recording: np.ndarray | None = None
+) -> dict[str, list[float] | None]:
+    """The 90 % interval over blocks of time of each of `MEASURES`, as for `paired_intervals`, within 0 and 1."""
+    told = _with_intervals((by,), block, seed, recording)
+    return {name: None if ends is None else np.clip(ends, 0.0, 1.0).tolist() for name, (_, ends) in told.items()}
+
+
+def _with_intervals(
+    sides: Sequence[Sequence[Matches]], block: np.ndarray, seed: int, recording: np.ndarray | None
+) -> dict[str, tuple[float | None, list[float] | None]]:
+    """Each of `MEASURES` of one side, or its difference between two, and the interval."""
     labels, row = np.unique(block, return_inverse=True)
     row = row.reshape(-1)
-    sides = [[_of_blocks(matches, row, len(labels)) for matches in side] for side in (one, other)]
+    sides = [[_of_blocks(matches, row, len(labels)) for matches in side] for side in sides]
     frames = (at for side in sides for matches in side for at in (matches.vehicle_frame, matches.frame))
     filled = np.bincount(np.concatenate([*frames]), minlength=len(labels))  # a block may have false alarms alone
     stratum = None if recording is None else of_blocks(recording, block)
     found = {}
     for name, measure in MEASURES.items():
-        whole = float(np.subtract(*(measure(side, None)[0] for side in sides)))
+        whole = float(np.subtract.reduce([measure(side, None)[0] for side in sides]))
         if np.isnan(whole):
-            found[name] = {"difference": None, "interval_90": None}
+            found[name] = None, None
             continue
         undefined: list[float] = []
 
-        def difference(weight, measure=measure, whole=whole, undefined=undefined) -> np.ndarray:
-            values = np.subtract(*(measure(side, weight) for side in sides))
+        def statistic(weight, measure=measure, whole=whole, undefined=undefined) -> np.ndarray:
+            values = np.subtract.reduce([measure(side, weight) for side in sides])
             undefined.append(np.isnan(values).mean())
             return np.where(np.isnan(values), whole, values)
 
-        ends = statistic_interval_90(difference, filled, seed, stratum)
+        ends = statistic_interval_90(statistic, filled, seed, stratum)
         known = ends is not None and max(undefined) <= _MOST_UNDEFINED
-        found[name] = {"difference": whole, "interval_90": list(ends) if known else None}
+        found[name] = whole, list(ends) if known else None
     return found
 
 

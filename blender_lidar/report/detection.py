@@ -36,16 +36,18 @@ def detection_text(result: Mapping) -> str:
     if given["with_return"] is not None:
         said += f"; {_percent(given['with_return'])} % have a return at all"
     empty = given.get("without_boxes", 0)
-    return said + (f"; {empty} of the {result['frames']} frames have no detection." if empty else ".")
+    scenes = f"{result['scans']} scans" if "scans" in result else f"{result['frames']} frames"
+    return said + (f"; {empty} of the {scenes} have no detection." if empty else ".")
 
 
 def detection_table(result: Mapping) -> TextTable:
-    """Recall always with precision, AP, and groups of vehicles, in per cent, for each mounting."""
-    names = list(result["mountings"])
-    scores = [result["mountings"][name] for name in names]
-    over = scores[-1].get("over_baseline")
-    head = [("[%]", 1), *((name, 1) for name in names), *([("difference", 1), ("90 %", 1)] if over else [])]
-    blank = [""] * (2 * bool(over))
+    """Recall always with precision, AP, and groups of vehicles, in per cent, for each mounting or all of a data set."""
+    scores = list(result["mountings"].values())
+    names, unit = (["all mountings"], "scan") if "scans" in result else (list(result["mountings"]), "frame")
+    over, ends_of = scores[-1].get("over_baseline"), scores[-1].get("interval_90")
+    more = ["difference", "90 %"] if over else ["90 %"] if ends_of else []
+    head = [("[%]", 1), *((name, 1) for name in names), *((m, 1) for m in more)]
+    blank = [""] * len(more)
     rows = [("vehicles", *(f"{one['vehicles']:,}" for one in scores), *blank)]
     if all(one["with_return"] is not None for one in scores):
         rows.append(("with a return", *(_percent(one["with_return"]) for one in scores), *blank))
@@ -55,8 +57,10 @@ def detection_table(result: Mapping) -> TextTable:
             difference, ends = over[key]["difference"], over[key]["interval_90"]
             cells += ["-" if difference is None else f"{100 * difference:+.1f}"]
             cells += ["-" if ends is None else " to ".join(f"{100 * end:+.1f}" for end in ends)]
+        elif ends_of:
+            cells += ["-" if ends_of[key] is None else " to ".join(map(_percent, ends_of[key]))]
         rows.append((text, *cells))
-    rows.append(("false alarms a frame at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores), *blank))
+    rows.append((f"false alarms a {unit} at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores), *blank))
     sections = [("", rows)]
     for group, title in (("by_distance", "By distance"), ("by_kind", "By kind")):
         of_group = []

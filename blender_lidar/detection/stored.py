@@ -1,0 +1,317 @@
+"""Detections in stored clouds: those of one mounting that `scan` wrote, and a data set's, where they are judged."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from ..clouds.files import read_cloud
+from ..clouds.scan import PointCloud
+from ..errors import InputError, one_line, unknown_name
+from ..files import read_text, reading
+from ..road import RoadFrame
+from ..scene.observation import CountedFrame
+from ..scene.region import Region, region_of
+from ..scene.settings import COORDINATES, RegionSettings, StretchSettings, plumb, pose_at
+from ..sensors.beams import beam_lattice
+from ..sensors.imperfections import Imperfections
+from ..sensors.model import load_model, model_names
+from ..traffic.source import Column, TableLayout, fields_of, first_lines, read_rows
+from ..traffic.table import BOX_COLUMNS
+from ..traffic.vehicles import CLASSES, Vehicles
+from .boxes import DetectedBoxes
+from .classical import ClassicalDetector
+from .dataset import VAL
+from .dataset_files import BOXES, DATASET, SCANS, UNFINISHED, file_name
+from .judge import JudgedDetector, boxes_from_file, farthest_m, is_ours, judged_boxes, measured_groups
+from .pillars import SHIPPED, PillarsDetector
+from .scores import CRITERIA, Matches, intervals, match
+
+Progress = Callable[[int], Callable[[int], object]]  # given how many clouds there are, what is told of those done
+
+
+def _pillars(name: str, sensor: str, mount: Mapping[str, float], low: np.ndarray, high: np.ndarray) -> PillarsDetector:
+    """PointPillars, shipped or by a file of weights, at a mounting in the road frame, between two corners [m]."""
+    return PillarsDetector(sensor, pose_at(mount), low, high, SHIPPED if name == PillarsDetector.name else name)
+
+
+# --- Clouds of one mounting -------------------------------------------------------------------------------------------
+
+_FEWEST_CLOUDS = 5  # from which a background can be learnt
+
+
+def detect_in_clouds(
+    folder: Path, name: str, progress: Progress
+) -> tuple[dict[int, DetectedBoxes], Mapping[str, float], Sequence[str]]:
+    """What a detector of ours finds in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them.
+
+    The classical one learns the background from them.
+
+    Returns
+    -------
+    found : dict of int to DetectedBoxes
+        By frame.
+    mount : mapping of str to float
+        The mounting in the road frame [m, degrees].
+    notes : sequence of str
+
+    Raises
+    ------
+    InputError
+        For clouds that cannot be read or are not of one mounting.
+    """
+    paths = sorted(folder.glob("*.npz"))
+    learns = name == ClassicalDetector.name
+    if len(paths) < (_FEWEST_CLOUDS if learns else 1):
+        few = f"has {len(paths)} .npz clouds, as scan --frame-ids writes them"
+        wanted = f"{_FEWEST_CLOUDS} or more, to learn the empty scene from" if learns else "at least one"
+        raise InputError(f"{folder}: {few}; allowed: {wanted}")
+    headers = [read_cloud(path)[1] for path in paths]
+    first, frames = headers[0], [header["frame"] for header in headers]
+    for path, header in zip(paths, headers, strict=True):
+        if any(header[key] != first[key] for key in ("sensor", "rotation_hz", "pose")):
+            raise InputError(f"{path}: is of another sensor or mounting than {paths[0]}; allowed: the same")
+        if frames.count(header["frame"]) > 1:
+            raise InputError(f"{path}: is of frame {header['frame']}, as another cloud is; allowed: one of each")
+    if first["sensor"] not in model_names():
+        raise InputError(f"{paths[0]}: its sensor {first['sensor']!r} is of a table of its own; detect at its scene")
+    lattice = beam_lattice(load_model(first["sensor"]), first["rotation_hz"])
+    pose, losses = first["pose"], first.get("imperfections", {})
+    at = np.array([pose["x_m"], pose["y_m"]])
+    if learns:
+        imperfections = Imperfections(losses.get("range_noise_m", 0.0), losses.get("dropout", 0.0))
+        detector = ClassicalDetector(lattice, tuple(at), imperfections)
+    else:
+        detector = _pillars(name, first["sensor"], pose, at - first["range_m"][1], at + first["range_m"][1])
+    advance = progress((1 + learns) * len(paths))
+
+    def clouds() -> Iterator[PointCloud]:
+        for path in paths:
+            cloud = read_cloud(path)[0]
+            if cloud.ring.max(initial=0) >= lattice.rings:
+                raise InputError(f"{path}: has ring {cloud.ring.max()}; the {first['sensor']} has {lattice.rings}")
+            yield cloud
+            advance(1)
+
+    if learns:
+        detector.learn(clouds())
+    found = dict(zip(frames, map(detector.detect, clouds()), strict=True))
+    return found, pose, detector.notes()
+
+
+# --- Data sets --------------------------------------------------------------------------------------------------------
+
+_WHOLE = Column("a whole number of at least 0", low=0, whole=True)
+_FLAG = Column("0 or 1", 0, 1, whole=True)
+_ABOUT = ("scene", "sensor", "region", "caster", "layouts", "seed", "warnings", "versions")
+_OF_SCANS = {
+    **dict.fromkeys(("scan", "frame", "recording", "block", "mounting"), _WHOLE),
+    **dict.fromkeys(COORDINATES, Column("a number", -1e6, 1e6)),
+}
+_OF_BOXES = {
+    **{name: column for name, column in BOX_COLUMNS.items() if name not in ("time_s", "lane")},
+    **{"points": _WHOLE, "counted": _FLAG},
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredDataset:
+    """A data set as its folder tells it.
+
+    Attributes
+    ----------
+    folder : Path
+    about : mapping
+        What dataset.json says of it, by `_ABOUT`.
+    region : Region
+        Where a box that meets nothing is a false alarm.
+    scans : mapping of str to ndarray, (n,)
+        Columns of scans.csv.
+    mounts : sequence of mappings, n
+        The planned mounting of each scan in the frame of the road [m, degrees].
+    judging : ndarray of int, (k,)
+        The scans that judge: those that validate, or all where none does.
+    """
+
+    folder: Path
+    about: Mapping[str, object]
+    region: Region
+    scans: Mapping[str, np.ndarray]
+    mounts: Sequence[Mapping[str, float]]
+    judging: np.ndarray
+
+    @property
+    def validates(self) -> bool:
+        """Whether the judging scans are those of the split val."""
+        return bool((self.scans["split"] == VAL).any())
+
+    def boxes(self, number: int) -> tuple[CountedFrame, np.ndarray]:
+        """The vehicles of a scan, and the returns from each, (v,)."""
+        path = self.folder / BOXES / f"{file_name(number)}.csv"
+        table = _read_columns(path, _OF_BOXES, "class")
+        known = {name: row for row, name in enumerate(CLASSES)}
+        for name in table["class"]:
+            if name not in known:
+                raise unknown_name(name, CLASSES, "class", str(path))
+        vehicles = Vehicles(
+            frame=int(self.scans["frame"][number]),
+            time_s=0.0,
+            vehicle_id=table["vehicle_id"].astype(np.int64),
+            class_index=np.array([known[name] for name in table["class"]], dtype=np.int8),
+            centre_m=np.column_stack([table[name] for name in ("x_m", "y_m", "z_m")]),
+            size_m=np.column_stack([table[name] for name in ("length_m", "width_m", "height_m")]),
+            heading_rad=np.radians(table["heading_deg"]),
+            lane=np.zeros(len(table["class"]), dtype=np.int16),
+        )
+        return CountedFrame(vehicles, table["counted"] > 0.0), table["points"]
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether `dataset` wrote a folder, or began to."""
+    return any((folder / name).exists() for name in (DATASET, UNFINISHED))
+
+
+def read_dataset(folder: Path) -> StoredDataset:
+    """A data set, but for its boxes and clouds.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If it is not finished, or damaged.
+    """
+    path = folder / DATASET
+    if not path.exists():
+        raise InputError(f"{folder}: is an unfinished data set; give the command that began it again")
+    with reading(path, "the dataset.json of a data set"):
+        try:
+            content = json.loads(read_text(path))
+            about, road, told = {key: content[key] for key in _ABOUT}, RoadFrame(**content["road"]), content["region"]
+            stretches = tuple(StretchSettings(one["x_m"]) for one in told["stretches"])
+            region = region_of(RegionSettings(**{**told, "stretches": stretches}), road.carriageway_y)
+            _corners(region)
+        except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+            told = f"is damaged, or of another version: {one_line(f'{type(error).__name__}: {error}')}"
+            raise InputError(f"{path}: {told}; make the data set again") from error
+    scans = _read_columns(folder / SCANS, _OF_SCANS, "split")
+    count = len(scans["scan"])
+    if not count or (scans["scan"] != np.arange(count)).any():
+        raise InputError(f"{folder / SCANS}: is damaged: its scans are not numbered from 0 on; make the data set again")
+    mounts = [{key: float(scans[key][row]) for key in COORDINATES} for row in range(count)]
+    if not road.is_level:
+        mounts = [plumb(pose_at(mount, road), RoadFrame()) for mount in mounts]
+    validating = np.flatnonzero(scans["split"] == VAL)
+    return StoredDataset(folder, about, region, scans, mounts, validating if len(validating) else np.arange(count))
+
+
+def _read_columns(path: Path, columns: Mapping[str, Column], text: str) -> dict[str, np.ndarray]:
+    """Columns of a table of a data set: numbers, and one of texts."""
+    line, header = first_lines(path)[0]
+    layout = TableLayout(fields_of(header), ",", line + 1)
+    layout.check([*columns, text], (), f"{path}:{line}")
+    parts = list(read_rows(path, layout, columns, [text]))
+    found = {
+        name: np.concatenate([np.zeros(0), *(rows.numbers(name, column) for rows in parts)])
+        for name, column in columns.items()
+    }
+    return {**found, text: np.array([word for rows in parts for word in rows.columns[text].tolist()], dtype=str)}
+
+
+def judge_on_dataset(stored: StoredDataset, name: str, progress: Progress) -> JudgedDetector:
+    """Judge a detector on the judging scans: PointPillars, or a file of detections by the numbers of the scans.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        For a file that cannot be read or lacks scans, a data set without NPZ clouds, and for the classical detector.
+    """
+    numbers, notes = stored.judging.tolist(), []
+    frames, points = zip(*map(stored.boxes, numbers), strict=True)
+    returns = np.concatenate([of[frame.counted] for frame, of in zip(frames, points, strict=True)]) > 0.0
+    if is_ours(name):
+        boxes, notes = _detected(stored, name, progress(len(numbers)))
+    else:
+        what = f"scans{' of split val' * stored.validates} of the data set"
+        boxes = boxes_from_file(name, stored.mounts, numbers, what)
+    lidars = np.array([[stored.mounts[number][key] for key in ("x_m", "y_m")] for number in numbers])
+
+    def matched(kind: int | None) -> list[Matches]:
+        return [match(boxes, frames, stored.region, lidars, criterion, kind) for criterion in CRITERIA]
+
+    if not stored.validates:
+        told = "no scan of the data set validates: all judge, though a detector may have been trained on them"
+        notes = [told, *notes]
+    return judged_boxes(boxes, matched, float(returns.mean()) if len(returns) else None, notes)
+
+
+def check_clouds(stored: StoredDataset, name: str) -> None:
+    """Refuse a detector of ours that cannot look at the clouds of a data set."""
+    if name == ClassicalDetector.name:
+        told = "learns the empty scene from clouds of one mounting, and those of a data set have many"
+        raise InputError(f"--detector: {name} {told}; judge it by detect SCENE --detector {name}")
+    if is_ours(name) and "npz" not in stored.about["layouts"]:
+        told = f"has no NPZ clouds but {', '.join(stored.about['layouts'])}"
+        raise InputError(f"{stored.folder}: {told}; allowed: a data set of --layout npz, or --detector FILE")
+
+
+def _detected(stored: StoredDataset, name: str, advance: Callable[[int], object]):
+    """What PointPillars finds in the judging scans, and its notes."""
+    detectors, boxes = {}, []
+    low, high = _corners(stored.region)
+    for number in stored.judging.tolist():
+        cloud, header = read_cloud(stored.folder / "npz" / f"{file_name(number)}.npz")
+        mount, mounting = stored.mounts[number], stored.scans["mounting"][number]
+        if mounting not in detectors:
+            at, reach = np.array([mount["x_m"], mount["y_m"]]), header["range_m"][1]
+            corners = np.maximum(low, at - reach), np.minimum(high, at + reach)
+            detectors[mounting] = _pillars(name, stored.about["sensor"], mount, *corners)
+        boxes.append(detectors[mounting].detect(cloud))
+        advance(1)
+    return boxes, _gathered([detector.notes() for detector in detectors.values()])
+
+
+def _corners(region: Region) -> tuple[np.ndarray, np.ndarray]:
+    """Opposite corners of the rectangle about a region [m]."""
+    circle = np.add.outer((-region.radius_m, region.radius_m), region.centre_xy)
+    spans = [corner for x_m, y_m, _ in region.stretches for corner in zip(x_m, y_m, strict=True)]
+    corners = np.array(region.polygon or spans or circle, dtype=float)
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def _gathered(notes: Sequence[Sequence[str]]) -> list[str]:
+    """The notes of many mountings, once each, by how many have them: they differ in their numbers."""
+    alike: dict[str, list[str]] = {}
+    for note in chain(*notes):
+        alike.setdefault(re.sub(r"[0-9.]+", "", note), []).append(note)
+    return [f"{some[0]} (so or alike at {len(some)} of {len(notes)} mountings)" for some in alike.values()]
+
+
+def dataset_result(stored: StoredDataset, name: str, judged: JudgedDetector) -> dict[str, object]:
+    """What was found in the judging scans, for a result file, as `judge.detection_result`; `name` is the detector's."""
+    about = {key: stored.about[key] for key in ("scene", "sensor", "region", "caster")}
+    frame, recording, block = (stored.scans[key][stored.judging] for key in ("frame", "recording", "block"))
+    return {
+        "dataset": stored.folder.resolve().name,
+        **about,
+        "criteria": [criterion.name for criterion in CRITERIA],
+        "detector": name,
+        "scans": len(stored.judging),
+        "scan_ids": stored.judging.tolist(),
+        "frames": len(np.unique(frame)),
+        "held_out": stored.validates,
+        "blocks": len(np.unique(block)),
+        "mountings": {
+            "given": {
+                **measured_groups(judged, farthest_m(judged)),
+                "interval_90": intervals(judged.matches, block, stored.about["seed"], recording),
+            }
+        },
+        "warnings": stored.about["warnings"],
+        "notes": list(judged.notes),
+        "versions": stored.about["versions"],
+    }
