@@ -10,16 +10,15 @@ import numpy as np
 import pytest
 
 from blender_lidar.detection import pillar_network as network
+from blender_lidar.detection.ground import Ground, fit_ground
 from blender_lidar.detection.judge import sensor_at, watched
 from blender_lidar.detection.pillars import (
     GROUND_M,
     PILLAR_M,
     SHIPPED,
     Area,
-    Ground,
     PillarsDetector,
     boxes_of,
-    fit_ground,
     load_weights,
     pillars_of,
 )

@@ -16,6 +16,7 @@ from ..errors import MissingExtraError
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
 from .boxes import KINDS, DetectedBoxes, boxes_of_rows, no_boxes, suppressed
+from .ground import fit_ground
 
 _CAR, _LARGE, _SMALL = (KINDS.index(name) for name in ("car", "truck or bus", "motorcycle"))
 _USUAL_M = {_CAR: (4.5, 1.8, 1.5), _LARGE: (9.0, 2.5, 3.2), _SMALL: (2.1, 0.8, 1.4)}
@@ -139,17 +140,24 @@ class ClassicalDetector:
     def detect(self, cloud: PointCloud) -> DetectedBoxes:
         """The vehicles of one frame."""
         nearer = cloud.range_m < self._background[self._beam(cloud)] - self._nearer_m
-        points = cloud.xyz[nearer]
+        from_lidar = cloud.xyz - [*self._lidar, 0.0]
+        ground = fit_ground(from_lidar)
+        points = np.column_stack([cloud.xyz[nearer, :2], ground.above(from_lidar[nearer])])
         if not len(points):
             return no_boxes()
         label = self._cluster.fit_predict(points[:, :2])
         order = np.argsort(label, kind="stable")
         ends = np.flatnonzero(np.diff(label[order], append=label.max() + 1)) + 1
         clusters = [rows for rows in np.split(order, ends[:-1]) if label[rows[0]] >= 0]  # -1: DBSCAN's noise
-        return suppressed(boxes_of_rows([self._box(points[rows]) for rows in clusters]), _MOST_IOU)
+        boxes = suppressed(boxes_of_rows([self._box(points[rows]) for rows in clusters]), _MOST_IOU)
+        boxes.centre_m[:, 2] += ground.height(boxes.centre_m[:, :2] - self._lidar)
+        return boxes
 
     def _box(self, points: np.ndarray) -> tuple[float, ...]:
-        """The box of one cluster (n, 3) [m], a row of `boxes_of_rows`: as large as a vehicle, away from the LiDAR."""
+        """The box of one cluster (n, 3) [m], a row of `boxes_of_rows`: as large as a vehicle, away from the LiDAR.
+
+        Heights are counted from the ground.
+        """
         heading = 0.0 if len(points) < self._settings.turned_points else l_shape_heading(points[:, :2])
         turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
         local = points[:, :2] @ turn  # along and across

@@ -31,7 +31,8 @@ import numpy as np
 from arguments import SCENES, counting, parser_of, positive, run_script
 from blender_lidar.detection.boxes import kind_of
 from blender_lidar.detection.dataset import TRAIN, Sample, plan_dataset, samples
-from blender_lidar.detection.pillars import PILLAR_M, Area, density, fit_ground
+from blender_lidar.detection.ground import fit_ground
+from blender_lidar.detection.pillars import PILLAR_M, Area, density
 from blender_lidar.errors import InputError
 from blender_lidar.files import check_place, make_folder, read_file, whole_file, write_text
 from blender_lidar.scene.scenario import load_scenario
