@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.clouds.files import levelled
-from blender_lidar.detection.judge import _believed, sensor_at
+from blender_lidar.detection.judge import believed, sensor_at
 from blender_lidar.errors import InputError
 from blender_lidar.road import RoadFrame
 from blender_lidar.scene.scenario import load_scenario, pose_at
@@ -128,13 +128,11 @@ def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
 
 def test_who_believes_in_a_level_road_sees_the_ground_off_it(site):
     cloud = sensor_at(site, MOUNT).scan(site.search[0].vehicles)
-    believed = _believed(cloud, site.scenario.pose(MOUNT), pose_at(MOUNT))
+    seen = believed(cloud, site.scenario.pose(MOUNT), pose_at(MOUNT))
     ground = cloud.vehicle_id < 0
     far = ground & (cloud.xyz[:, 0] > 20.0)
-    np.testing.assert_allclose(
-        believed.xyz[far, 2], 0.06 * believed.xyz[far, 0] - 0.025 * believed.xyz[far, 1] - 0.205, atol=2e-3
-    )
-    assert believed.xyz[far, 2].min() > 0.15  # what a detector takes for the ground lies below
+    np.testing.assert_allclose(seen.xyz[far, 2], 0.06 * seen.xyz[far, 0] - 0.025 * seen.xyz[far, 1] - 0.205, atol=2e-3)
+    assert seen.xyz[far, 2].min() > 0.15  # what a detector takes for the ground lies below
 
 
 def test_signs():
