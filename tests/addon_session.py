@@ -593,6 +593,24 @@ def check_a_scan_beside_a_slope_is_that_of_the_command_line():
     assert not any(item.name.startswith("carriageway") for item in scene.objects)
 
 
+def check_a_lidar_keeps_its_coordinates_when_the_slope_of_its_road_changes():
+    scene, lidar = loaded()
+    road = scene.blender_lidar.road
+    road.grade_percent, road.cross_fall_percent = 6.0, 2.5
+    assert properties.coordinates_of(lidar) == POSE
+    scenario = session.scenario_from(scene, lidar)
+    assert np.abs(pose_of(lidar).rotation - scenario.pose(POSE).rotation).max() < 1e-6
+    assert np.abs(pose_of(lidar).rotation - pose_at(POSE).rotation).max() > 0.02
+    scene.cursor.location = (3.0, -1.0, 4.0)
+    assert bpy.ops.lidar.add() == {"FINISHED"}
+    added = next(item for item in lidars(scene) if item != lidar)
+    upright = dict.fromkeys(POSE, 0.0) | {"x_m": 3.0, "y_m": -1.0, "height_m": 4.0}
+    assert properties.coordinates_of(added) == upright
+    road.grade_percent, road.cross_fall_percent = 0.0, 0.0
+    assert (properties.coordinates_of(lidar), properties.coordinates_of(added)) == (POSE, upright)
+    assert np.abs(pose_of(lidar).rotation - pose_at(POSE).rotation).max() < 1e-6
+
+
 def prepared(scenario, place):
     """The one frame that the panel shows, as a run has it."""
     traffic = replace(scenario.traffic, frame_ids=(FRAME,), frames=None, holdout=0.0)
@@ -780,7 +798,7 @@ def check_wrong_input_is_one_line_and_changes_nothing():
 
 
 def check_what_build_writes_is_taken_over():
-    path = example(sensor={"dropout": 0.1, "range_noise_m": 0.02})
+    path = example(sensor={"dropout": 0.1, "range_noise_m": 0.02}, road={"grade_percent": 4.0})
     out = FOLDER / "built.blend"
     assert command_line(["build", str(path), "--frame", str(FRAME), "--out", str(out), *OPTIONS]) == 0
     bpy.ops.wm.open_mainfile(filepath=str(out))

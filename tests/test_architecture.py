@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import textwrap
@@ -95,6 +96,20 @@ def imports(path):
             base = package[: len(package) - node.level + 1] + (node.module or "").split(".") * bool(node.module)
             found += [(".".join([*base, alias.name]), True) for alias in node.names]
     return found
+
+
+def test_names_that_only_type_checkers_import_are_there():
+    for path in SOURCES:
+        for block in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(block, ast.If) and getattr(block.test, "id", "") == "TYPE_CHECKING":
+                for node in (node for node in block.body if isinstance(node, ast.ImportFrom) and node.level):
+                    source = path.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+                    source = (
+                        source.with_suffix(".py") if source.with_suffix(".py").is_file() else source / "__init__.py"
+                    )
+                    text = source.read_text(encoding="utf-8")
+                    for name in (alias.name for alias in node.names):
+                        assert re.search(rf"^(class |def |from .*\b)?{name}\b", text, re.MULTILINE), f"{path}: {name}"
 
 
 def room(path):

@@ -14,7 +14,7 @@ from blender_lidar.scene.settings import TrafficSettings
 from blender_lidar.scene.site import prepare, read_recording, read_recordings
 from blender_lidar.scoring import frame_scorer
 from blender_lidar.scoring.evaluation import site_evaluator
-from blender_lidar.traffic.fleet import FLEET, kind_of, with_variety
+from blender_lidar.traffic.fleet import BODIES, FLEET, KIND_OF_BODY, kind_of, with_variety
 from blender_lidar.traffic.vehicles import CLASSES, HEIGHTS_M, Recording, RepairReport
 from blender_lidar.world.triangles import shape_names
 from tests.small_scene import CASTER
@@ -37,11 +37,17 @@ def sites():
 
 
 def of_vehicles(recording):
-    """One row of each vehicle: kinds, lengths, heights and bodies."""
+    """One row of each vehicle: kinds, lengths, heights and bodies, as rows of `FLEET`."""
     _, first = np.unique(recording.vehicle_id, return_index=True)
     length, classes = recording.size_m[first, 0], recording.class_index[first]
     kinds = np.array([kind_of(CLASSES[one], long) for one, long in zip(classes, length, strict=True)])
-    return kinds, length, recording.size_m[first, 2], recording.body[first]
+    names = [[body.name for body in FLEET[kind]] for kind in kinds]
+    drawn = [
+        of_kind[0] if body == 0 else BODIES[body - 1]
+        for of_kind, body in zip(names, recording.body[first], strict=True)
+    ]
+    rows = np.array([of_kind.index(name) for of_kind, name in zip(names, drawn, strict=True)])
+    return kinds, length, recording.size_m[first, 2], rows
 
 
 def table(heights, ids=None, kind="car"):
@@ -120,7 +126,7 @@ def test_the_seed_and_the_recording_count():
     joined = read_recording(twice)
     _, first_rows = np.unique(joined.vehicle_id, return_index=True)
     assert len(np.unique(joined.size_m[first_rows, 2])) > 0.99 * len(first_rows)
-    assert (joined.body > 0).any()
+    assert len(np.unique(joined.body)) > 5
     other = read_recording(scenario(1.0, world__variety_seed=2))
     assert (other.size_m[:, 2] != first.size_m[:, 2]).mean() > 0.9
 
@@ -139,6 +145,27 @@ def test_heights_of_their_own_stay_and_those_of_a_class_are_scaled():
     np.testing.assert_allclose(varied.centre_m[:, 2] - 0.5 * varied.size_m[:, 2], 0.2, atol=1e-12)
     negative = with_variety(table([1.5] * 2, np.array([-3, 7])), 1.0, 1)
     assert len(np.unique(negative.size_m[:, 2])) == 2
+
+
+def test_a_body_is_of_the_vehicle_however_it_is_measured_in_a_frame():
+    once = table([3.0] * 40, kind="truck")
+    length = np.where(np.arange(len(once)) < 40, 8.95, 9.05)  # of all trucks in the first frame, and in the second
+    once = once.with_columns(size_m=np.column_stack([length, once.size_m[:, 1:]]))
+    varied = with_variety(once, 1.0, 1)
+    first, second = (shape_names(varied.vehicles(frame)) for frame in (0, 1))
+    np.testing.assert_array_equal(first, second)
+    assert {KIND_OF_BODY[name] for name in first} == {"truck"}
+    np.testing.assert_array_equal(varied.size_m[:40, 2], varied.size_m[40:, 2])
+    assert len(np.unique(varied.size_m[:, 2])) == 40
+    classes = np.where(np.arange(len(once)) < 40, CLASSES.index("van"), once.class_index).astype(np.int8)
+    sometimes = with_variety(once.with_columns(class_index=classes), 1.0, 1)
+    np.testing.assert_array_equal(*(shape_names(sometimes.vehicles(frame)) for frame in (0, 1)))
+
+
+def test_who_has_a_height_of_its_own_has_a_body_as_high():
+    height = np.repeat([1.45, 1.54, 1.62, 2.5], 100)
+    names = shape_names(with_variety(table(height), 1.0, 1).vehicles(0)).reshape(4, 100)
+    assert [set(one) for one in names] == [{"car", "hatchback"}, {"hatchback", "suv"}, {"suv"}, {"car"}]
 
 
 @pytest.mark.parametrize("compiled", [True, False])

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.clouds.files import levelled
-from blender_lidar.detection.judge import _believed, sensor_at
+from blender_lidar.detection.judge import believed, sensor_at
 from blender_lidar.errors import InputError
 from blender_lidar.road import RoadFrame
 from blender_lidar.scene.scenario import load_scenario, pose_at
 from blender_lidar.scene.settings import COORDINATES, plumb
-from blender_lidar.scene.site import check_mount_is_clear, prepare
+from blender_lidar.scene.site import check_mount_is_clear, prepare, read_recording
 from blender_lidar.scoring import frame_scorer
 from blender_lidar.sensors.pose import rotation_matrix
 from blender_lidar.world.triangles import vehicle_triangles
@@ -112,6 +112,24 @@ def test_a_crown_is_two_planes_on_which_vehicles_stand(crowned):
     assert (cloud.range_m[~of_ground] <= surface[~of_ground] + 1e-9).all()
 
 
+@pytest.mark.parametrize(("surveyed", "lifted"), [(0.0, True), (0.04, True), (0.3, False)])
+def test_boxes_that_do_not_stand_at_z_0_are_not_lifted_to_the_crown(surveyed, lifted, tmp_path):
+    table = "frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg,z_m\n" + "".join(
+        f"{frame},{number},car,{20 * number + 2 * frame},{y},4.5,1.8,1.5,0,{0.75 + surveyed * (number + 2) / 6}\n"
+        for frame in range(20)
+        for number, y in enumerate((4.0, 8.0, 13.0, 16.0, 20.0))
+    )
+    (tmp_path / "surveyed.csv").write_text(table)
+    scene = {("traffic", "path"): str(tmp_path / "surveyed.csv"), ("traffic", "format"): "table"}
+    scene |= {("traffic", "time_step_s"): 0.1, ("road", "crown_percent"): 2.0}
+    recording = read_recording(load_scenario("i80", {key: (value, "x") for key, value in scene.items()}))
+    floor = recording.centre_m[:, 2] - 0.75
+    offset = surveyed * (recording.vehicle_id + 2) / 6
+    crown = 0.02 * (10.98 - abs(recording.centre_m[:, 1] - 12.98))
+    np.testing.assert_allclose(floor, offset + crown if lifted else offset, atol=1e-12)
+    assert any("not lifted to the crown" in note for note in recording.report.notes) != lifted
+
+
 @pytest.mark.parametrize("compiled", [True, False])
 def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
     if not compiled:
@@ -128,13 +146,11 @@ def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
 
 def test_who_believes_in_a_level_road_sees_the_ground_off_it(site):
     cloud = sensor_at(site, MOUNT).scan(site.search[0].vehicles)
-    believed = _believed(cloud, site.scenario.pose(MOUNT), pose_at(MOUNT))
+    seen = believed(cloud, site.scenario.pose(MOUNT), pose_at(MOUNT))
     ground = cloud.vehicle_id < 0
     far = ground & (cloud.xyz[:, 0] > 20.0)
-    np.testing.assert_allclose(
-        believed.xyz[far, 2], 0.06 * believed.xyz[far, 0] - 0.025 * believed.xyz[far, 1] - 0.205, atol=2e-3
-    )
-    assert believed.xyz[far, 2].min() > 0.15  # what a detector takes for the ground lies below
+    np.testing.assert_allclose(seen.xyz[far, 2], 0.06 * seen.xyz[far, 0] - 0.025 * seen.xyz[far, 1] - 0.205, atol=2e-3)
+    assert seen.xyz[far, 2].min() > 0.15  # what a detector takes for the ground lies below
 
 
 def test_signs():
@@ -187,8 +203,9 @@ def test_headers_have_the_pose_in_the_road_frame_and_the_plumb_mounting(site):
 def test_the_head_of_a_leaning_mast_keeps_out_of_boxes():
     box = {"centre_m": [1.0, -1.0, 4.0], "size_m": [1.0, 1.0, 1.0]}
     mount = dict.fromkeys(COORDINATES, 0.0) | {"x_m": 0.3, "y_m": -1.0, "height_m": 4.2}
-    for grade, inside in ((0.0, False), (12.0, True)):
-        scene = load_scenario("i80", {("world", "boxes"): ([box], "x"), ("road", "grade_percent"): (grade, "x")})
+    higher = box | {"centre_m": [1.0, -1.0, 4.68]}  # its floor, at 4.18 m, lies above a head that leans by 12 %
+    for grade, item, inside in ((0.0, box, False), (12.0, box, True), (12.0, higher, False)):
+        scene = load_scenario("i80", {("world", "boxes"): ([item], "x"), ("road", "grade_percent"): (grade, "x")})
         if inside:
             with pytest.raises(InputError, match="inside 'box 1'"):
                 check_mount_is_clear(scene, [], {"--x": mount})

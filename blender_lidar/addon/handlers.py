@@ -35,7 +35,10 @@ def adopt_all() -> None:
 
 
 def on_change(block: bpy.types.ID, table: str) -> None:
-    """Show another frame, or dress the LiDAR as its new model; what is wrong stands at the top of the tab."""
+    """Show another frame, hang LiDARs beside a road that slopes otherwise, or dress one as its new model.
+
+    What is wrong stands at the top of the tab.
+    """
     scene = block if isinstance(block, bpy.types.Scene) else next(iter(block.users_scene), None)
     if scene is None:
         return
@@ -47,6 +50,8 @@ def on_change(block: bpy.types.ID, table: str) -> None:
             with properties.silently():
                 group.frame = session.nearest_frame(recording, group.frame)
             operators.show_frame(scene, session.vehicles_of(scene))
+        elif table == "road":
+            properties.hang_again(scene)
         elif table == "sensor" and block != scene:
             operators.dress(block, operators.lattice_of(session.sensor_of(block)))
     except BlenderLidarError as error:

@@ -19,7 +19,7 @@ from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
 from ..run.optimise import evaluate_site
 from ..scene.scenario import load_scenario, scenario_of
-from ..scene.settings import leaning
+from ..scene.settings import COORDINATES, leaning, pose_at
 from ..scene.site import check_mount_is_clear, lattice_of, prepare, read_recording, standing_scenery
 from ..sensors.pose import Pose
 from ..traffic import Recording
@@ -194,7 +194,9 @@ class LIDAR_OT_add(bpy.types.Operator):
         if not _shows(context.view_layer.layer_collection, into):
             raise InputError(f"collection {into.name} is excluded from this view layer; tick it in the Outliner")
         x, y, z = scene.cursor.location
-        lidar = add_lidar(scene, Pose(x, y, max(z, properties.exact(scene.blender_lidar.baseline.height_m))))
+        place = {**dict.fromkeys(COORDINATES, 0.0), "x_m": x, "y_m": y}
+        place["height_m"] = max(z, properties.exact(scene.blender_lidar.baseline.height_m))
+        lidar = add_lidar(scene, pose_at(place, properties.sloping(scene)))
         for item in context.selected_objects:
             item.select_set(False)
         context.view_layer.objects.active = lidar
@@ -255,8 +257,9 @@ def _fill_from(scene, tables):
     group = scene.blender_lidar
     known = {name: table for name, table in tables.items() if name in properties.DECLARED}
     scenario = scenario_of(known, source=f"scene {scene.name}")
-    session.fill_scene(scene, scenario)
-    with properties.silently():
+    with properties.silently():  # its LiDARs hang beside that road already
+        session.fill_scene(scene, scenario)
+        properties.hang_as_they_are(scene)
         group.loaded, group.frame = Path(scenario.traffic.path).is_file(), tables["frame"]
 
 

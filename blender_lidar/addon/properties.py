@@ -7,7 +7,7 @@ precision and angles in radians: `values_of` gives them back as they were typed.
 # Not from __future__ import annotations: Blender reads properties from annotations as they are.
 import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import bpy
@@ -39,7 +39,7 @@ from ..scene.settings import (
 )
 from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
-from ..world.blender.objects import hang, pose_of
+from ..world.blender.objects import hang, lidars, pose_of
 
 SCHEMA = 1  # of what is saved in a .blend file
 _DIGITS = 6  # that single precision keeps of a number
@@ -166,7 +166,8 @@ _TRAFFIC = _chosen(
     "traffic", "path", "format", "period", "origin_m", "heading_deg", "time_step_s", "frames", "holdout", "block_s"
 )
 _ROAD = _chosen("road", "station_m", "right_edge_m", "setback_m", "lanes", "lane_width_m")
-_ROAD |= _chosen("road", "grade_percent", "cross_fall_percent", "crown_percent")
+_SLOPES = ("grade_percent", "cross_fall_percent")
+_ROAD |= _chosen("road", *_SLOPES, "crown_percent")
 _WORLD = _chosen("world", "detail", "ground", "variety", "variety_seed")
 _OBJECTIVE = _chosen("objective", "threshold", "cell_m")
 _SEARCH = _chosen("search", "particles", "iterations", "seed")
@@ -259,6 +260,9 @@ class LIDAR_PG_scene(bpy.types.PropertyGroup):
     )
     at_s: FloatProperty(name="Time", unit="TIME", options={"HIDDEN"}, description="Time of the frame in its recording")
     active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimised")
+    hung_on: FloatVectorProperty(
+        size=2, options={"HIDDEN"}, description="Grade and cross fall of the road beside which the LiDARs hang"
+    )
 
 
 for _table in TABLES:
@@ -296,19 +300,42 @@ def _pose_setter(key):
     return put
 
 
-def coordinates_of(lidar: bpy.types.Object) -> dict[str, float]:
-    """The six coordinates of a LiDAR's mounting [m, degrees], on a plumb mast, rounded to what Blender holds."""
-    return {key: round(value, _POSE_DIGITS) + 0.0 for key, value in plumb(pose_of(lidar), road_of(lidar)).items()}
+def coordinates_of(lidar: bpy.types.Object, road: RoadFrame | None = None) -> dict[str, float]:
+    """The six coordinates of a LiDAR's mounting [m, degrees], on a plumb mast, rounded to what Blender holds.
+
+    The mast stands beside a `road`, its scene's unless said.
+    """
+    place = plumb(pose_of(lidar), road_of(lidar) if road is None else road)
+    return {key: round(value, _POSE_DIGITS) + 0.0 for key, value in place.items()}
 
 
 def road_of(lidar: bpy.types.Object) -> RoadFrame:
     """The road that the LiDAR's scene has, as far as its mast is concerned: its slopes."""
     scene = next(iter(lidar.users_scene), None)
-    if scene is None:
-        return RoadFrame()
-    road = scene.blender_lidar.road
-    keys = ("grade_percent", "cross_fall_percent")
-    return RoadFrame(**{key: exact(getattr(road, key)) for key in keys})
+    return RoadFrame() if scene is None else sloping(scene)
+
+
+def sloping(scene: bpy.types.Scene) -> RoadFrame:
+    """The road that the panel's fields say, as far as masts are concerned."""
+    return RoadFrame(**{key: exact(getattr(scene.blender_lidar.road, key)) for key in _SLOPES})
+
+
+def hang_as_they_are(scene: bpy.types.Scene) -> None:
+    """Take a scene's LiDARs for hung beside its road as it slopes now."""
+    scene.blender_lidar.hung_on = [getattr(sloping(scene), key) for key in _SLOPES]
+
+
+def hang_again(scene: bpy.types.Scene) -> None:
+    """Hang a scene's LiDARs by their coordinates beside its road as it slopes now; mirrored ones have none."""
+    now, before = sloping(scene), dict(zip(_SLOPES, map(exact, scene.blender_lidar.hung_on), strict=True))
+    before = RoadFrame(**before)
+    if now == before:
+        return
+    hang_as_they_are(scene)
+    for lidar in lidars(scene):
+        if lidar.users_scene[0] == scene:
+            with suppress(InputError):
+                hang(lidar, pose_at(coordinates_of(lidar, before), now))
 
 
 class LIDAR_PG_lidar(bpy.types.PropertyGroup):

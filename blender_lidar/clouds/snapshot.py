@@ -22,7 +22,7 @@ from ..world.needs_blender import blender_room
 from .scan import PointCloud, scan
 
 if TYPE_CHECKING:
-    from ..world.blender.detections import Boxes
+    from ..world.blender.detections import WireBoxes
     from ..world.blender.scene import Moment
 
 
@@ -84,7 +84,7 @@ class MountedSensor:
         }
 
     def moment(
-        self, vehicles: Vehicles, *, with_cloud: bool = True, detections: Mapping[int, Boxes] = MappingProxyType({})
+        self, vehicles: Vehicles, *, with_cloud: bool = True, detections: Mapping[int, WireBoxes] = MappingProxyType({})
     ) -> Moment:
         """A frame, what the sensor sees of it and what a detector found, for `world.blender.scene`."""
         moment_class = blender_room("scene", "a scene to be shown").Moment

@@ -135,14 +135,14 @@ def check_mount_is_clear(
         if low[1] < left and high[1] > right:
             allowed = f"at most {right:g} or at least {left:g} m"
             raise InputError(f"{where}: the mount at y {across} m stands on the carriageway; allowed: {allowed}")
-        off_feet = np.sort(np.outer((low[2], high[2]), along_mast), axis=0) * (1.0, 1.0, 0.0)
-        head_low, head_high = low + off_feet[0], high + off_feet[1]
+        off_feet = np.sort(np.outer((low[2], high[2]), along_mast), axis=0)
+        head_low, head_high = low * (1.0, 1.0, 0.0) + off_feet[0], high * (1.0, 1.0, 0.0) + off_feet[1]
         for solid in solids:
             middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
             place = np.array([solid.centre_m]), np.array([solid.size_m]), np.radians([solid.heading_deg])
             if (
-                low[2] <= middle + half
-                and high[2] >= middle - half
+                head_low[2] <= middle + half
+                and head_high[2] >= middle - half
                 and footprints_meet(*place, head_low, head_high).any()
             ):
                 raise InputError(f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move one of them")
@@ -437,15 +437,26 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     return _on_crown(checked_recording(recording.where(in_lanes), scenario), scenario.road)
 
 
+_ON_PLANE_M, _MOST_OFF_PLANE = 0.05, 0.05  # floors this near z = 0 stand on it; share of boxes that may not
+
+
 def _on_crown(recording: Recording, road: RoadFrame) -> Recording:
     """The traffic on the crown of a carriageway: boxes stand upright on the surface under their centres.
 
-    Half a car's width from there the surface lies up to 0.06 m higher or lower, with the steepest crown of 6 %.
+    Half a car's width from there the surface lies up to 0.06 m higher or lower, with the steepest crown of 6 %. Boxes
+    that do not stand on the plane z = 0, as surveyed ones, stay where they are, and a note says so.
     """
     if not road.crown_percent:
         return recording
-    above = road.crown_m(recording.centre_m[:, 1])
-    return recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
+    floor, above = recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2], road.crown_m(recording.centre_m[:, 1])
+    if (abs(floor) > _ON_PLANE_M).mean() <= _MOST_OFF_PLANE:
+        return recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
+    off = np.median(floor - above)
+    note = (
+        f"the boxes' floors are not at z = 0 but at {np.median(floor):.2f} m (median): they are not lifted to the "
+        f"crown of [road], and stand {abs(off):.2f} m {'above' if off > 0.0 else 'below'} its surface (median)"
+    )
+    return replace(recording, report=replace(recording.report, notes=(*recording.report.notes, note)))
 
 
 def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:

@@ -1,10 +1,10 @@
 """Variety of vehicles: a height and a body for each, drawn by its number, where traffic knows a height a class alone.
 
-Shares and heights are round numbers of ours for the fleets of Europe and North America, not a survey: the 5 and 95 %
-percentiles of what is sold under the name of a body. To compare: the mean boxes of nuScenes by which detectors are set
-up (the anchors of OpenPCDet and mmdetection3d) are 1.72 m high for cars, with SUVs and pick-ups among them, 2.73 for
-trucks, 3.82 for trailers, 3.47 for buses, 1.44 for motorcycles with riders; the EU allows 4.0 m (directive 96/53/EC),
-and trailers of the US have 4.11 m.
+Shares and heights are round numbers of ours for the fleets of Europe and North America, not a survey: heights are
+uniform between the 5 and 95 % points of what is sold under the name of a body. To compare: the mean boxes of nuScenes
+by which detectors are set up (the anchors of OpenPCDet and mmdetection3d) are 1.72 m high for cars, with SUVs and
+pick-ups among them, 2.73 for trucks, 3.82 for trailers, 3.47 for buses, 1.44 for motorcycles with riders; the EU allows
+4.0 m (directive 96/53/EC), most of the USA 13 ft 6 in, 4.11 m.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .tracks import heights
 from .vehicles import CLASSES, HEIGHTS_M, LONG_TRUCK_M, Recording
 
 
@@ -28,7 +27,7 @@ class Body:
     share : float
         How many have it, among those whose length allows it.
     height_m : (float, float)
-        Between what heights nine in ten of them are, at the longer ends where height goes with length.
+        The 5 and 95 % points of their heights, between which these are drawn uniform but for what goes with length.
     length_m : (float, float)
         How long they are [m].
     with_length : float
@@ -70,6 +69,8 @@ FLEET = {
 }
 """The bodies of each kind of vehicle, as `HEIGHTS_M` names the kinds, the usual one first."""
 KIND_OF_BODY = {body.name: kind for kind, bodies in FLEET.items() for body in bodies}
+BODIES = tuple(KIND_OF_BODY)
+"""All of them by name; `Vehicles.body` counts into them from 1 on."""
 _KINDS = (*CLASSES, "long_truck")
 _LENGTHS_M = (3.5, 5.5)  # between which heights go with lengths
 
@@ -85,7 +86,9 @@ def with_variety(recording: Recording, variety: float, seed: int, number: int = 
     """The same traffic with a height and a body for each vehicle, which stay its own in all frames.
 
     Heights are drawn where all vehicles of a kind have the same one, as in recordings without heights and in SUMO's
-    with one type a class; who has a height of its own keeps it. Boxes stay where they stand: their floor is kept.
+    with one type a class; who has a height of its own keeps it, and has a body that may be as high. Kinds are of
+    vehicles, by their most frequent class and their median length, whatever was measured in a frame. Boxes stay where
+    they stand: their floor is kept.
 
     Parameters
     ----------
@@ -100,30 +103,53 @@ def with_variety(recording: Recording, variety: float, seed: int, number: int = 
     """
     if not variety:
         return recording
-    length, kind = recording.size_m[:, 0], recording.class_index.astype(np.int64)
-    kind[(kind == CLASSES.index("truck")) & (length >= LONG_TRUCK_M)] = len(CLASSES)
-    rows = np.stack([recording.vehicle_id, kind])
-    (vehicle, _), first, of = np.unique(rows, axis=1, return_index=True, return_inverse=True)
-    body, factor = np.zeros(len(first), np.int8), np.ones(len(first))
-    for row, at in enumerate(first.tolist()):
-        rng = np.random.default_rng([seed, number, int(vehicle[row]) % 2**64])
-        body[row], factor[row] = _drawn(_KINDS[kind[at]], length[at], variety, rng)
-    of = of.reshape(-1)
-    size, usual = recording.size_m.copy(), heights(recording.class_index, length)
+    vehicle, of = np.unique(recording.vehicle_id, return_inverse=True)
+    kind, length = _kinds(recording, of)
+    rows = kind[of]
+    own = np.zeros(len(vehicle), dtype=bool)
     for each in np.unique(kind):
-        mine = np.flatnonzero(kind == each)
-        given, several = size[mine, 2], len(np.unique(of[mine])) > 1
-        if (given == given[0]).all() and (several or given[0] == usual[mine[0]]):
-            size[mine, 2] *= factor[of[mine]]
-    centre = recording.centre_m.copy()
+        given = recording.size_m[rows == each, 2]
+        several = (kind == each).sum() > 1
+        own[kind == each] = (given != given[0]).any() or not (several or given[0] == HEIGHTS_M[_KINDS[each]])
+    height = _medians(recording.size_m[:, 2], of)
+    body, factor = np.zeros(len(vehicle), np.int8), np.ones(len(vehicle))
+    for at, identity in enumerate(vehicle.tolist()):
+        rng = np.random.default_rng([seed, number, identity % 2**64])
+        name, drawn = _drawn(_KINDS[kind[at]], length[at], height[at] if own[at] else None, variety, rng)
+        body[at], factor[at] = 1 + BODIES.index(name), 1.0 if own[at] else drawn
+    size, centre = recording.size_m.copy(), recording.centre_m.copy()
+    size[:, 2] *= factor[of]
     centre[:, 2] += 0.5 * (size[:, 2] - recording.size_m[:, 2])
     return recording.with_columns(size_m=size, centre_m=centre, body=body[of])
 
 
-def _drawn(kind: str, length_m: float, variety: float, rng: np.random.Generator) -> tuple[int, float]:
-    """A body of a kind, as its row in `FLEET`, and by how much its height is more than the usual one."""
+def _kinds(recording: Recording, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each vehicle its kind, a row of `_KINDS`, by its most frequent class and its median length, and that [m]."""
+    counts = np.bincount(of * len(CLASSES) + recording.class_index, minlength=(of.max(initial=-1) + 1) * len(CLASSES))
+    kind, length = counts.reshape(-1, len(CLASSES)).argmax(axis=1), _medians(recording.size_m[:, 0], of)
+    kind[(kind == CLASSES.index("truck")) & (length >= LONG_TRUCK_M)] = len(CLASSES)
+    return kind, length
+
+
+def _medians(values: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """The lower median of the values of each vehicle: one of them."""
+    counts = np.bincount(of)
+    return values[np.lexsort((values, of))[np.cumsum(counts) - counts + (counts - 1) // 2]]
+
+
+def _drawn(
+    kind: str, length_m: float, own_height_m: float | None, variety: float, rng: np.random.Generator
+) -> tuple[str, float]:
+    """The name of a body of a kind, and by how much its height is more than the usual one.
+
+    Where a vehicle has a height of its own, it is within those of the body, or this is the usual one.
+    """
     bodies = FLEET[kind]
-    share = np.array([one.share * (one.length_m[0] <= length_m <= one.length_m[1]) for one in bodies])
+    fits = [one.length_m[0] <= length_m <= one.length_m[1] for one in bodies]
+    if own_height_m is not None:
+        holds = [one.height_m[0] <= own_height_m <= one.height_m[1] for one in bodies]
+        fits = np.logical_and(fits, holds)
+    share = np.array([one.share for one in bodies]) * fits
     other, choice, height = rng.random(3)
     row = 0
     if other < variety and share.any():
@@ -133,4 +159,4 @@ def _drawn(kind: str, length_m: float, variety: float, rng: np.random.Generator)
     along = np.clip((length_m - shortest) / (longest - shortest), 0.0, 1.0)
     rank = (1.0 - abs(with_length)) * height + abs(with_length) * (along if with_length > 0.0 else 1.0 - along)
     drawn = body.height_m[0] + rank * (body.height_m[1] - body.height_m[0])
-    return row, 1.0 + variety * (drawn / HEIGHTS_M[kind] - 1.0)
+    return body.name, 1.0 + variety * (drawn / HEIGHTS_M[kind] - 1.0)

@@ -161,7 +161,7 @@ class Vehicles:
     lane : ndarray, (n,) int16
         Lane number of the source; 0 where unknown.
     body : ndarray, (n,) int8, or None
-        Which of the bodies of its kind each has, a row of `fleet.FLEET`; None where all have the usual one, 0.
+        Which of `fleet.BODIES` each has, from 1 on; 0: the usual one of its class and length, None: all have that.
     """
 
     frame: int

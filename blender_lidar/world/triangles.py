@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..traffic.fleet import FLEET, kind_of
+from ..traffic.fleet import BODIES, FLEET, kind_of
 from ..traffic.vehicles import Vehicles
 from .meshes import Shape
 from .shapes import shape
@@ -79,7 +79,8 @@ def shape_names(vehicles: Vehicles) -> np.ndarray:
     """Name of the shape of each vehicle, (n,) str."""
     bodies = [0] * len(vehicles) if vehicles.body is None else vehicles.body.tolist()
     each = zip(vehicles.class_name.tolist(), vehicles.size_m[:, 0].tolist(), bodies, strict=True)
-    return np.array([FLEET[kind_of(name, length)][body].name for name, length, body in each], dtype=str)
+    usual = (BODIES[body - 1] if body else FLEET[kind_of(name, length)][0].name for name, length, body in each)
+    return np.array(list(usual), dtype=str)
 
 
 def place(unit_points: np.ndarray, centre: np.ndarray, size: np.ndarray, heading: np.ndarray) -> np.ndarray:
