@@ -82,13 +82,29 @@ def test_beside_a_slope_readings_stay_those_of_a_plumb_mast(sheet):
     assert "The road rises 4 % ahead and falls 2 % to the right:" in text
     assert "its middle is 0." in text
     assert "are not in the model: look for them" in text
-    # Plumb, z upwards: the ray from the head meets z = 0.04 x + 0.02 y.
+    # Plumb, z upwards: the ray from the head meets z = 0.04 x + 0.02 y where there is no crown.
+    flat = sheet({"road": slope | {"crown_percent": 0.0}}, yaw_deg=40.0)
     pose = pose_at(MOUNT | {"yaw_deg": 40.0})
     x, y, z = pose.to_world(np.array([[0.0, math.cos(math.radians(15.0)), -math.sin(math.radians(15.0))]]))[0]
     spot = np.array([x, y, z]) * 4.0 / (0.04 * x + 0.02 * y - z) + [0.0, 0.0, 4.0]
-    found = number_in(text, r"meets the ground ([\d.]+) m from the pole")
+    found = number_in(flat, TARGET)
     assert found == pytest.approx(np.linalg.norm(spot), abs=0.051)
-    assert found > number_in(level, r"meets the ground ([\d.]+) m from the pole") + 0.1  # it looks downhill
+    assert found > number_in(level, TARGET) + 0.1  # it looks downhill
+    assert number_in(text, TARGET) < found  # a crown stands nearer
+
+
+TARGET = r"meets the ground ([\d.]+) m from the pole"
+
+
+def test_the_target_on_a_crown_stands_on_its_surface(sheet):
+    """Found by going along the beam in steps of a millimetre; two lanes of 3.5 m begin 2 m away."""
+    text = sheet({"road": {"crown_percent": 6.0}}, tilt_x_deg=15.0)
+    along = np.arange(0.0, 20.0, 0.001)
+    y, z = along * math.cos(math.radians(30.0)), 4.0 - along * math.sin(math.radians(30.0))
+    surface = 0.06 * np.clip(3.5 - np.abs(y - 5.5), 0.0, None)
+    first = np.flatnonzero(z <= surface)[0]
+    assert surface[first] > 0.05
+    assert number_in(text, TARGET) == pytest.approx(y[first], abs=0.06)
 
 
 def test_the_target_stands_where_the_lowest_ring_meets_the_ground(sheet):

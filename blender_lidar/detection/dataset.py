@@ -1,7 +1,8 @@
 """A data set for detectors: which scans there are, and each as a labelled point cloud; nothing here knows of files.
 
 A scan is a frame of the traffic under a random mounting. The traffic may be moved along the road, as if the site stood
-at another station of it, and mirrored, as if the LiDAR stood at the other roadside.
+at another station of it, and mirrored along it, so that it comes from the other side: left-hand traffic seen from the
+same kerb.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from io import BytesIO, StringIO
 from pathlib import Path
 
@@ -163,7 +163,9 @@ class DatasetFolder:
             elif layout != "npz":
                 make_folder(self.path / layout / "ImageSets", "--out")
                 for split in (TRAIN, VAL):
-                    names = "".join(f"{file_name(scan.number)}\n" for scan in plan.scans if scan.split == split)
+                    # Loaders of both layouts fail at a scan without a label.
+                    listed = (scan for scan, boxes in zip(plan.scans, rows, strict=True) if _has_label(boxes))
+                    names = "".join(f"{file_name(scan.number)}\n" for scan in listed if scan.split == split)
                     write_text(self.path / layout / "ImageSets" / f"{split}.txt", names)
         splits = {
             split: [one for scan, one in zip(plan.scans, rows, strict=True) if scan.split == split]
@@ -174,6 +176,7 @@ class DatasetFolder:
             labelled = [row for one in of_split for row in one if row["labelled"] == "1"]
             result[split] = {
                 "scans": len(of_split),
+                "without_labels": sum(not _has_label(one) for one in of_split),
                 "frames": len({scan.frame for scan in plan.scans if scan.split == split}),
                 "labelled": len(labelled),
                 "with_return": sum(int(row["points"]) > 0 for row in labelled),
@@ -252,6 +255,11 @@ class _ScanWriter:
         return number
 
 
+def _has_label(boxes: Sequence[Mapping[str, str]]) -> bool:
+    """Whether formats that cannot say how many points a box has label a vehicle of these rows."""
+    return any(row["labelled"] == "1" and int(row["points"]) > 0 for row in boxes)
+
+
 def _box_columns(made: Sample) -> dict[str, np.ndarray]:
     """All vehicles of a sample, in the columns of vehicles.csv as far as they go."""
     vehicles, mount = made.vehicles, made.mount
@@ -274,7 +282,8 @@ def _box_columns(made: Sample) -> dict[str, np.ndarray]:
 def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     """The cloud as `scan` writes it, and arrays of the vehicles, one row each, whose names begin with ``box_``."""
     vehicles, scan, seen = made.vehicles, made.scan, plan.observation
-    sensor = MountedSensor(plan.scenario, scan.mount, seen.lattice, seen.caster, None)
+    drawn = replace(plan.scenario, sensor=replace(plan.scenario.sensor, noise_seed=scan.seed))
+    sensor = MountedSensor(drawn, scan.mount, seen.lattice, seen.caster, None)
     told = {key: value for key, value in asdict(scan).items() if key not in ("frame", "mount")}
     boxes = {
         "vehicle_id": vehicles.vehicle_id,

@@ -15,7 +15,7 @@ from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..scene.observation import CountedFrame
 from ..scene.region import Region
-from ..scene.scenario import Scenario
+from ..scene.scenario import COORDINATE_LIMITS, Scenario
 from ..scene.site import Site
 from ..sensors.pose import Pose
 from .boxes import KINDS, DetectedBoxes, no_boxes
@@ -135,7 +135,8 @@ def hung_off_by(scenario: Scenario, mount: Mapping[str, float], rng: np.random.G
     errors = {
         key: width * rng.uniform(-1.0, 1.0) for key, width in (tolerance.half_widths if tolerance else {}).items()
     }
-    return {key: value + errors.get(key, 0.0) for key, value in mount.items()}
+    hung = {key: value + errors.get(key, 0.0) for key, value in mount.items()}
+    return {key: min(max(value, COORDINATE_LIMITS[key][0]), COORDINATE_LIMITS[key][1]) for key, value in hung.items()}
 
 
 def believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:

@@ -80,10 +80,11 @@ def _slopes(site):
     """How the road slopes under a plumb mast, and what the height is measured from."""
     road, lines = site.scenario.road, []
     if not road.is_level:
-        side = "right" if road.cross_fall_percent >= 0.0 else "left"
-        fall = abs(road.cross_fall_percent)
+        grade, fall = road.grade_percent, road.cross_fall_percent
+        ahead = f"{'rises' if grade > 0.0 else 'falls'} {abs(grade):g} % ahead" if grade else ""
+        aside = f"falls {abs(fall):g} % to the {'right' if fall > 0.0 else 'left'}" if fall else ""
         lines += [
-            f"The road rises {road.grade_percent:g} % ahead and falls {fall:g} % to the {side}:",
+            f"The road {' and '.join(filter(None, (ahead, aside)))}:",
             "the height is plumb, above the plane of the road where that meets the mast,",
             "and lean, yaw and falls are against the vertical, not the road",
         ]
@@ -120,6 +121,9 @@ def _bearing(axis):
     return f"{names[nearest]}{turned}"
 
 
+_CROWN_STEPS = 20  # each comes nearer by the crown's slope over the beam's
+
+
 def _lowest_beam(site, mount):
     """Where the lowest ring meets the ground in the direction of zero azimuth."""
     pose = site.scenario.pose(mount)
@@ -128,6 +132,9 @@ def _lowest_beam(site, mount):
     if ray[2] >= 0:
         return "At zero azimuth the lowest ring does not meet the ground."
     spot = pose.position - pose.height_m / ray[2] * ray
+    for _ in range(_CROWN_STEPS):  # on a crown the surface lies higher there, and so the place nearer
+        rise = float(site.scenario.road.crown_m(spot[1:2])[0])
+        spot = pose.position - (pose.height_m - rise) / ray[2] * ray
     reach = math.hypot(spot[0] - mount["x_m"], spot[1] - mount["y_m"])
     return f"At zero azimuth the lowest ring meets the ground {reach:.1f} m from the pole: put a target there."
 
