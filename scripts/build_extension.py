@@ -26,7 +26,7 @@ from blender_lidar import __version__, bl_info  # noqa: E402
 from blender_lidar.toml_table import to_toml  # noqa: E402
 
 NAME = "blender_lidar"
-KEPT = (".py", ".toml", ".css", ".gz")
+KEPT = (".py", ".toml", ".css", ".gz", ".npz")
 WHEELS = ("numba", "llvmlite", "embreex")
 # What pip calls each of Blender's platforms, the newest first.
 PLATFORMS = {

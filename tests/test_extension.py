@@ -42,6 +42,7 @@ def test_the_zip_is_small_and_has_one_folder_with_all_of_the_package(made):
     package = {path.relative_to(ROOT).as_posix() for path in (ROOT / "blender_lidar").rglob("*.py")}
     assert package <= set(names)
     assert {"blender_lidar/LICENSE", "blender_lidar/scenes/i80.toml", "blender_lidar/report/report.css"} <= set(names)
+    assert "blender_lidar/detection/data/pillars.npz" in names
     assert manifest["version"] == blender_lidar.__version__
     assert ".".join(map(str, blender_lidar.bl_info["version"])) == blender_lidar.__version__
 

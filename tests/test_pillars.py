@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from tests.refusals import refused
-from tests.small_scene import REGION, done, write_scene
+from tests.small_scene import CASTER, REGION, done, write_scene
 
 AREA = Area((-12.8, -6.4), 64, 32)
 LIDAR_M = 4.5
@@ -187,10 +188,10 @@ def test_files_that_hold_no_weights_are_refused_in_one_line(tmp_path, capsys):
 @pytest.fixture(scope="module")
 def i80():
     """The shipped scene's site, a mounting, and a function that gives clouds of it."""
-    options = {("traffic", "frames"): 4, ("model", "workers"): 1, ("world", "clutter"): 0.5}
+    options = {("traffic", "frames"): 4, ("model", "caster"): CASTER, ("world", "clutter"): 0.5}
     site = prepare(load_scenario("i80", {place: (value, place[1]) for place, value in options.items()}))
     mount = {**site.scenario.baseline, "height_m": 4.5, "tilt_x_deg": 22.0}
-    return site, mount, lambda at: sensor_at(site, mount).scan(site.search[at].vehicles)
+    return site, mount, cache(lambda at: sensor_at(site, mount).scan(site.search[at].vehicles))
 
 
 def detector(site, mount, **changed):
