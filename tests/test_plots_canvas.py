@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from blender_lidar.detection.boxes import corners_of
 from blender_lidar.errors import MissingExtraError, OutputError
 from blender_lidar.report import figure as canvas
-from blender_lidar.report.cloud_figures import footprints
 from blender_lidar.report.run_figures import cell_means, covering_edges, plot_by_distance, plot_convergence
 from tests.chart_samples import chart_arguments, history, lightness, outcome, table, vehicles, with_tables
 
@@ -168,7 +168,7 @@ def test_shares_of_cells_equal_a_loop_over_the_cells(seed, number):
 
 def test_footprints_equal_corners_turned_one_by_one():
     boxes = vehicles(11, 20)
-    corners = footprints(boxes)
+    corners = corners_of(boxes)
     for index in range(20):
         x, y, _ = boxes.centre_m[index]
         length, width, _ = boxes.size_m[index]

@@ -190,11 +190,6 @@ STOPS = {  # by name: the rows, the scene, and what the line says
         "elsewhere in the same frame.*one vehicle_id.*--accept tracks",
     ),
     "ids of another vehicle in each frame": (anew(50), {}, "vehicles jump, by 20 m.*one vehicle_id.*--accept tracks"),
-    "the same minutes twice": (
-        once_more(),
-        {},
-        "50 % of the places are taken again to the centimetre 120 s later, .*more than once.*--accept tracks",
-    ),
     "lanes that no table names": (
         traffic_rows(),
         {"region": {"stretches": [{"x_m": [-20.0, 20.0], "lanes": [1, 2]}]}},
@@ -231,6 +226,11 @@ NOTES = {  # by name: the rows, the scene, and what is told
         [row for row in dense() if (row[0] + row[1]) % 2],
         WIDE,
         "% of the frames between their first and their last",
+    ),
+    "the same minutes twice": (
+        once_more(),
+        {},
+        "50 % of the places are taken again to the centimetre 120 s later, by other vehicles: if the same minutes",
     ),
     "lengths that vary": (
         table(length_m=lambda row: row["length_m"] * (1.0 + 0.3 * math.sin(3.0 * row["frame"]))),

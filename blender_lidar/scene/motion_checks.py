@@ -194,9 +194,6 @@ def tracks(recording: Recording, sample: Recording, ways: Ways, scenario: Scenar
     steps = ways.steps
     if together := _together(steps):
         return together
-    shared = len(np.unique(steps.vehicle)) > _FEW_SHARED * len(np.unique(ways.tracks.vehicle))
-    if shared and (again := _there_again(recording)):
-        return again
     far = steps.distance_m > _JUMP_M
     jumps = far & (steps.distance_m > _SPEEDS_M_S[1] * steps.seconds)
     back = far[1:] & far[:-1] & ((steps.moved_m[1:] * steps.moved_m[:-1]).sum(axis=1) < 0.0)
@@ -261,6 +258,7 @@ def _there_again(recording: Recording) -> str | None:
     """Places to the centimetre that others take again after one and the same time: copies of the same minutes.
 
     Vehicles that follow each other at even distances take each other's places too, but the leader is still there then.
+    A simulation that draws nothing may repeat itself as well.
     """
     place = (np.rint(_CENTIMETRES * recording.centre_m[:, :2]).astype(np.int64) * _HASHED).sum(axis=1)
     kept = np.flatnonzero(place % -(-len(place) // _TRACK_ROWS) == 0)  # of one place all or none
@@ -286,8 +284,7 @@ def _there_again(recording: Recording) -> str | None:
         return None
     return (
         f"{100 * share:.0f} % of the places are taken again to the centimetre {lag / _CENTIMETRES:g} s later, by other "
-        "vehicles (usual: none); probably the same minutes are there more than once, so that what is held out is what "
-        "was searched: leave out all but one"
+        "vehicles: if the same minutes are there more than once, what is held out is what was searched"
     )
 
 
@@ -309,6 +306,8 @@ def track_notes(recording: Recording, ways: Ways) -> Iterator[str]:
             "each, which then judge what they have chosen"
         )
         return
+    if repeats := _there_again(recording):
+        yield repeats
     lowest, highest = (_by_vehicle(ways.tracks, how) for how in (np.minimum, np.maximum))
     moved = np.hypot(*(highest - lowest).T) >= _FAR_ENOUGH_M
     if moved.mean() <= _FEW_MOVE:
