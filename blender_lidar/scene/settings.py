@@ -805,23 +805,23 @@ def pose_at(coordinates: Mapping[str, float], road: RoadFrame | None = None) -> 
     pose = Pose(x_m, y_m, height_m, *map(math.radians, angles))
     if road is None or road.is_level:
         return pose
-    from ..sensors.pose import tilts_of
+    from ..sensors.pose import tilts_of, turned
 
     axes = _axes(road)
     x, y, z = (pose.height_m * axes[:, 2]).tolist()  # along the mast
-    return Pose(x_m + x, y_m + y, z, *tilts_of(pose.rotation @ axes.T))
+    return Pose(x_m + x, y_m + y, z, *tilts_of(turned(pose.rotation, axes.T)))
 
 
 def plumb(pose: Pose, road: RoadFrame) -> dict[str, float]:
     """The six coordinates [m, degrees] by which `pose_at` gives a pose in the frame of a road."""
-    from ..sensors.pose import tilts_of
+    from ..sensors.pose import tilts_of, turned
 
     place, angles = (pose.x_m, pose.y_m, pose.height_m), (pose.tilt_x, pose.tilt_y, pose.yaw)
     if not road.is_level:
         axes = _axes(road)
         x, y, z = axes[:, 2].tolist()
         height = pose.height_m / z
-        place, angles = (pose.x_m - height * x, pose.y_m - height * y, height), tilts_of(pose.rotation @ axes)
+        place, angles = (pose.x_m - height * x, pose.y_m - height * y, height), tilts_of(turned(pose.rotation, axes))
     return dict(zip(COORDINATES, (*place, *map(math.degrees, angles)), strict=True))
 
 

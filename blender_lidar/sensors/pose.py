@@ -83,8 +83,13 @@ def tilts_of(rotation: np.ndarray) -> tuple[float, float, float]:
     """Tilts and yaw [rad] of an orientation (3, 3), as `rotation_matrix` takes them."""
     upright = float(rotation[0, 2]), math.hypot(rotation[1, 2], rotation[2, 2])
     tilt_x = math.atan2(-rotation[1, 2], rotation[2, 2])
-    level = _about_x(tilt_x).T @ rotation
+    level = turned(_about_x(tilt_x).T, rotation)
     return tilt_x, math.atan2(*upright), math.atan2(-level[1, 0], level[1, 1])
+
+
+def turned(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """``one @ other`` of (3, 3) each, to the last digit the same in every process, as BLAS does not promise."""
+    return np.einsum("ij,jk->ik", one, other)
 
 
 # --- A road that is not level, beside which masts are plumb all the same ----------------------------------------------
