@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,8 +19,11 @@ import pytest
 from blender_lidar.clouds.files import read_cloud
 from blender_lidar.commands import dataset as verb
 from blender_lidar.detection import dataset_files
+from blender_lidar.detection.dataset import plan_dataset, sample
 from blender_lidar.detection.scores import MEASURES
 from blender_lidar.names import DATASET_LAYOUTS
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
 from tests.nuscenes_devkit_check import MARGIN_M
 from tests.refusals import refused
@@ -254,6 +258,14 @@ def test_two_workers_write_the_same_bytes(made, tmp_path, capsys, monkeypatch):
     done(capsys, *words(made.parent / "scene.toml", tmp_path / "again"), "--workers", 2)
     assert made_by[0].count == 2
     assert digests(tmp_path / "again") == digests(made)
+
+
+def test_clouds_tell_the_versions_of_the_plan_in_whichever_process_they_are_made(made, tmp_path):
+    site = prepare(load_scenario(made.parent / "scene.toml"))
+    plan = replace(plan_dataset(site, 1, 1), versions={"blender_lidar": "as planned"})
+    (tmp_path / "npz").mkdir()
+    dataset_files.DATASET_WRITERS["npz"][1](tmp_path, sample(plan, 0), plan)
+    assert read_cloud(tmp_path / "npz" / "000000.npz")[1]["versions"] == plan.versions
 
 
 def test_what_was_stopped_goes_on_and_has_the_same_bytes(made, tmp_path, capsys, monkeypatch):

@@ -63,7 +63,6 @@ class LIDAR_PT_traffic(bpy.types.Panel):
             row.operator("lidar.step_frame", text="", icon="TRIA_RIGHT")
             layout.label(text=f"At {group.at_s:.1f} s")
         layout.prop(group.world, "detail", text="Vehicles")
-        layout.prop(group.world, "variety")
 
 
 @panel("Road and File", LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})
@@ -76,6 +75,7 @@ class LIDAR_PT_road(bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         rows(layout, group.road, *properties.TABLES["road"])
         rows(layout, group.traffic, "format", "period", "origin_m", "heading_deg", "time_step_s")
+        layout.prop(group.world, "variety")
         layout.label(text="Vehicles count within")
         rows(layout, group.region, "centre_m", "with_gate", *([] if group.region.with_gate else ["radius_m"]))
 

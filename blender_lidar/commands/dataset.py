@@ -13,7 +13,6 @@ from ..detection.dataset_files import DatasetFolder
 from ..errors import InputError
 from ..names import DATASET_LAYOUTS
 from ..report.summary import as_sentence, warnings_text
-from ..scene.provenance import versions
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
 from ..toml_table import settings_of
@@ -73,7 +72,7 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
         "mountings": [dict(mount) for mount in plan.mounts],
         "warnings": site.recording.report.warnings_as_dicts(),
         "notes": [*site.plan.notes, *plan.notes],
-        "versions": versions(site.observation.caster),
+        "versions": plan.versions,
     }
 
 

@@ -20,6 +20,7 @@ from ..casting.protocol import StandingScenery
 from ..clouds.scan import FrameScan, PointCloud, Turn
 from ..errors import InputError
 from ..scene.observation import Observation
+from ..scene.provenance import versions
 from ..scene.region import Region
 from ..scene.scenario import Scenario
 from ..scene.site import Site, footprints_meet, standing_scenery
@@ -99,6 +100,8 @@ class DatasetPlan:
     seed : int
     notes : tuple of str
         What could not be had, as sentences.
+    versions : mapping of str to str
+        Of what the clouds depend on, in whichever process they are made.
     """
 
     scenario: Scenario
@@ -113,6 +116,7 @@ class DatasetPlan:
     taught_ids: np.ndarray
     seed: int
     notes: tuple[str, ...]
+    versions: Mapping[str, str]
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -214,7 +218,7 @@ def plan_dataset(
     blocks = np.concatenate([site.plan.search_block, site.plan.holdout_block])
     recordings = np.concatenate([site.plan.search_recording, site.plan.holdout_recording])
     seen = site.scenario, observation, site.region, site.reach_m, frames, blocks, recordings
-    plan = DatasetPlan(*seen, mounts, tuple(planned), nobody, seed, tuple(notes))
+    plan = DatasetPlan(*seen, mounts, tuple(planned), nobody, seed, tuple(notes), versions(observation.caster))
     taught = [nobody]
     for scan in planned:
         if scan.split == TRAIN:

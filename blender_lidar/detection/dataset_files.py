@@ -295,7 +295,7 @@ def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     }
     more = {f"box_{name}": values for name, values in boxes.items()}
     path = folder / "npz" / f"{file_name(scan.number)}.npz"
-    write_npz(path, made.cloud, {**sensor.cloud_header(vehicles), "scan": told}, more)
+    write_npz(path, made.cloud, {**sensor.cloud_header(vehicles), "versions": plan.versions, "scan": told}, more)
 
 
 _KITTI_TYPES = ("Car", "Van", "Truck", "Truck", "Cyclist")  # by class: KITTI has no bus, and no motorcycle

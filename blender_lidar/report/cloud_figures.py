@@ -273,7 +273,7 @@ def plot_detections(
             for axes in stretches:
                 entries = _draw_found(axes, frame, one)
             hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
-            alarms = len(one.boxes) - hits - np.count_nonzero(one.ignored)
+            alarms = len(one.boxes) - int(hits) - int(np.count_nonzero(one.ignored))
             told = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
             stretches[0].set_title(f"{one.name}: {mounting_text(one.mount)}\n{told}")
         legend_below(figure, entries, columns=4)
