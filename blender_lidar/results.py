@@ -18,7 +18,7 @@ from .errors import InputError
 from .files import write_bytes
 from .report.summary import answer, key_figures, warnings_text
 from .run.folder import Outcome
-from .scene.settings import COORDINATES
+from .scene.mounting import COORDINATES
 from .scene.site import Site
 from .traffic.vehicles import Vehicles
 

@@ -24,8 +24,9 @@ import numpy as np
 import blender_lidar
 from blender_lidar.addon import handlers, live, operators, properties, session
 from blender_lidar.cli import main as command_line
-from blender_lidar.scene.scenario import load_scenario, pose_at, scenario_of
-from blender_lidar.scene.settings import COORDINATES, DECLARED, MOUNTING_OR_LEAN
+from blender_lidar.scene.mounting import COORDINATES, MOUNTING_OR_LEAN, pose_at
+from blender_lidar.scene.scenario import load_scenario, scenario_of
+from blender_lidar.scene.settings import DECLARED
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.pose import Pose

@@ -16,8 +16,8 @@ from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance,
 from blender_lidar.road import RoadFrame
 from blender_lidar.run.folder import Outcome
 from blender_lidar.run.verdict import ScoreMap
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.observation import CountedFrame
-from blender_lidar.scene.settings import COORDINATES
 from blender_lidar.studies.compare.detectors import Decline, Scatter
 from blender_lidar.traffic.vehicles import Vehicles
 

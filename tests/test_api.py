@@ -16,8 +16,8 @@ import blender_lidar as bl
 from blender_lidar.errors import InputError
 from blender_lidar.report.summary import answer
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.settings import COORDINATES
 from tests.small_scene import CASTER, done, write_scene
 
 ROOT = Path(__file__).parents[1]

@@ -9,7 +9,8 @@ from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.detection.classical import ClassicalDetector
 from blender_lidar.detection.judge import judge_detector, judging_frames, matches_of, sensor_at
 from blender_lidar.road import RoadFrame
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring import frame_scorer
 from blender_lidar.world.clutter import Walkers, clutter, leaves

@@ -11,7 +11,8 @@ from blender_lidar.clouds.scan import scan
 from blender_lidar.detection import dataset
 from blender_lidar.detection.dataset import TRAIN, VAL, plan_dataset, sample, samples
 from blender_lidar.errors import InputError
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from tests.small_scene import traffic_rows, write_scene, write_table
 

@@ -24,7 +24,8 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main
 from blender_lidar.optimise import de_pso, maximise
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.scoring.scores import VehicleScores, mountings_of

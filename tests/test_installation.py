@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.report.installation import installation_text
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from tests.small_scene import write_scene
 

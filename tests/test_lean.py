@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import blender_lidar as bl
 from blender_lidar.errors import InputError
-from blender_lidar.scene.scenario import load_scenario, pose_at
-from blender_lidar.scene.settings import leaning, six_coordinates, with_lean
+from blender_lidar.scene.mounting import leaning, pose_at, six_coordinates, with_lean
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.pose import lean_matrix, lean_of, rotation_matrix, tilts_of

@@ -13,10 +13,10 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.run.verdict import rank_poles
+from blender_lidar.scene.mounting import Pole, pose_at
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.poles import read_poles
-from blender_lidar.scene.scenario import load_scenario, pose_at
-from blender_lidar.scene.settings import Pole
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model

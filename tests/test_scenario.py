@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.scene.scenario import COORDINATES, load_scenario, scenario_of
-from blender_lidar.scene.settings import Tolerance
+from blender_lidar.scene.mounting import COORDINATES, Tolerance
+from blender_lidar.scene.scenario import load_scenario, scenario_of
 from blender_lidar.sensors.model import load_model
 from blender_lidar.toml_table import to_toml
 from tests.scene_texts import MINIMAL, own_sensor, refusal, scene

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.run.verdict import POINTS, ScoreMap, map_scores, near_best_threshold
-from blender_lidar.scene.scenario import Deployment, pose_at
+from blender_lidar.scene.mounting import Deployment, pose_at
 from blender_lidar.scoring.evaluation import Totals
 from blender_lidar.statistics import FEWEST_BLOCKS, interval_90, resampled_weights
 

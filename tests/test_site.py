@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from blender_lidar.scene import site as site_module
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recordings
 from tests.small_scene import FRAME_STEP_S, traffic_rows, write_scene, write_table
 

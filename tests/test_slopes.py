@@ -14,8 +14,8 @@ from blender_lidar.clouds.files import levelled
 from blender_lidar.detection.judge import believed, sensor_at
 from blender_lidar.errors import InputError
 from blender_lidar.road import RoadFrame
-from blender_lidar.scene.scenario import load_scenario, pose_at
-from blender_lidar.scene.settings import COORDINATES, plumb
+from blender_lidar.scene.mounting import COORDINATES, plumb, pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import check_mount_is_clear, prepare, read_recording
 from blender_lidar.scoring import frame_scorer
 from blender_lidar.sensors.pose import rotation_matrix

@@ -13,7 +13,8 @@ import pytest
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.report.stability import HEADINGS, STABILITY_REPORT
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer

@@ -22,8 +22,8 @@ from blender_lidar.run.tolerance import (
     objective_over,
     orthogonal_array,
 )
-from blender_lidar.scene.scenario import COORDINATE_LIMITS, COORDINATES, load_scenario, pose_at
-from blender_lidar.scene.settings import Tolerance
+from blender_lidar.scene.mounting import COORDINATE_LIMITS, COORDINATES, Tolerance, pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Totals, site_evaluator
 from blender_lidar.statistics import block_sums, ratio_interval_90, statistic_interval_90

@@ -13,8 +13,9 @@ from blender_lidar.report.summary import definitions, group_tables
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import fresh_auto_search
 from blender_lidar.run.verdict import map_scores
+from blender_lidar.scene.mounting import Deployment
 from blender_lidar.scene.observation import Observation, Scoring, check_weights, vehicle_weights
-from blender_lidar.scene.scenario import Deployment, load_scenario
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import ObjectiveSettings, ZoneSettings
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator

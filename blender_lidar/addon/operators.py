@@ -18,8 +18,8 @@ from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
 from ..run.optimise import evaluate_site
+from ..scene.mounting import COORDINATES, leaning, pose_at
 from ..scene.scenario import load_scenario, scenario_of
-from ..scene.settings import COORDINATES, leaning, pose_at
 from ..scene.site import check_mount_is_clear, lattice_of, prepare, read_recording, standing_scenery
 from ..sensors.pose import Pose
 from ..traffic import Recording

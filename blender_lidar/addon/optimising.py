@@ -23,8 +23,9 @@ from ..compiled import within_blender
 from ..errors import InputError
 from ..run.folder import RESULT
 from ..run.verdict import POINTS
-from ..scene.scenario import Scenario, pose_at
-from ..scene.settings import COORDINATES, DECLARED, MOUNTING_OR_LEAN
+from ..scene.mounting import COORDINATES, MOUNTING_OR_LEAN, pose_at
+from ..scene.scenario import Scenario
+from ..scene.settings import DECLARED
 from ..world.blender.objects import hang
 from ..world.blender.site import open_scenery
 from ..world.scenery import Scenery

@@ -5,7 +5,7 @@ import math
 import bpy
 
 from ..errors import BlenderLidarError
-from ..scene.settings import ANGLES
+from ..scene.mounting import ANGLES
 from . import operators, properties, session
 
 _TAB = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "LiDAR"}

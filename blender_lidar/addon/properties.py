@@ -24,19 +24,8 @@ from bpy.props import (
 from ..errors import InputError
 from ..names import METRIC_NAMES
 from ..road import RoadFrame
-from ..scene.settings import (
-    COORDINATES,
-    DATASHEET,
-    DECLARED,
-    GATE,
-    LEANS,
-    MOUNTING_OR_LEAN,
-    SEARCHED,
-    leaning,
-    plumb,
-    pose_at,
-    with_lean,
-)
+from ..scene.mounting import COORDINATES, LEANS, MOUNTING_OR_LEAN, SEARCHED, leaning, plumb, pose_at, with_lean
+from ..scene.settings import DATASHEET, DECLARED, GATE
 from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
 from ..world.blender.objects import hang, lidars, pose_of

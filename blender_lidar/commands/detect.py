@@ -42,9 +42,9 @@ from ..report.cloud_figures import draw_detections
 from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
 from ..run.folder import DETECTION
+from ..scene.mounting import six_coordinates
 from ..scene.provenance import versions
 from ..scene.scenario import shipped_scenes
-from ..scene.settings import six_coordinates
 from ..scene.site import Site, prepare
 from .options import default_folder, mounting_from, new_folder, scenario_from
 from .progress import Progress

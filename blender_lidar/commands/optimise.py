@@ -14,8 +14,8 @@ from ..report.installation import installation_text
 from ..report.page import write_report
 from ..run.folder import INSTALLATION, Outcome, RunFolder
 from ..run.optimise import ended_search, evaluate_site, optimise_site
+from ..scene.mounting import COORDINATES
 from ..scene.scenario import Scenario
-from ..scene.settings import COORDINATES
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
 from .options import default_folder, mounting_from, scenario_from

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from ..errors import InputError, MissingExtraError, shown, unknown_name
 from ..plugins import IN_A_FILE
-from ..scene.settings import DECLARED, MOUNTING_OR_LEAN, six_coordinates
+from ..scene.mounting import MOUNTING_OR_LEAN, six_coordinates
+from ..scene.settings import DECLARED
 from ..toml_table import Setting, checked, limits_text
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..report.stability import STABILITY_REPORT
-from ..scene.settings import MOUNTING_OR_LEAN
+from ..scene.mounting import MOUNTING_OR_LEAN
 from ..scene.site import prepare
 from ..studies.driver import StudyFolder
 from ..studies.findings import check_one_place, check_searched

@@ -13,9 +13,10 @@ import numpy as np
 from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
+from ..scene.mounting import COORDINATE_LIMITS
 from ..scene.observation import CountedFrame
 from ..scene.region import Region
-from ..scene.scenario import COORDINATE_LIMITS, Scenario
+from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..sensors.pose import Pose
 from .boxes import KINDS, DetectedBoxes, no_boxes

@@ -16,9 +16,10 @@ from ..clouds.scan import PointCloud
 from ..errors import InputError, one_line, unknown_name
 from ..files import read_text, reading
 from ..road import RoadFrame
+from ..scene.mounting import COORDINATES, plumb, pose_at
 from ..scene.observation import CountedFrame
 from ..scene.region import Region, region_of
-from ..scene.settings import COORDINATES, RegionSettings, StretchSettings, plumb, pose_at
+from ..scene.settings import RegionSettings, StretchSettings
 from ..sensors.beams import beam_lattice
 from ..sensors.imperfections import Imperfections
 from ..sensors.model import load_model, model_names

@@ -10,7 +10,7 @@ from dataclasses import asdict
 import numpy as np
 
 from ..run.tolerance import tolerance_text
-from ..scene.scenario import pose_at
+from ..scene.mounting import pose_at
 from ..scene.site import Site
 from .summary import conditions, costliest_text, judged, kept_text, optimum_text, region_text, warnings_text, worth
 

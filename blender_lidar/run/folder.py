@@ -29,8 +29,9 @@ from ..files import (
 )
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import READINGS
+from ..scene.mounting import COORDINATES, LEANS
 from ..scene.provenance import check_identity
-from ..scene.settings import COORDINATES, LEANS, Scenario
+from ..scene.settings import Scenario
 from ..toml_table import to_toml
 from .verdict import WEIGHT, ScoreMap, columns_for
 

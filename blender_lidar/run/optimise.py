@@ -17,9 +17,9 @@ from ..optimise.hardened import Polish
 from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
 from ..optimise.search import joined_history
 from ..plugins import short_name
+from ..scene.mounting import MOUNTING_OR_LEAN, Pole, with_lean
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
-from ..scene.settings import MOUNTING_OR_LEAN, Pole, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs

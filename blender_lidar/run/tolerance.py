@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..road import RoadFrame
-from ..scene.scenario import COORDINATE_LIMITS, pose_at
-from ..scene.settings import COORDINATES, Tolerance
+from ..scene.mounting import COORDINATE_LIMITS, COORDINATES, Tolerance, pose_at
 from ..scoring.evaluation import Evaluator, Totals
 from ..sensors.pose import Pose
 from ..statistics import block_sums, of_blocks, statistic_interval_90

@@ -14,8 +14,7 @@ import numpy as np
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..metrics.vehicle_metrics import TIE_BREAKER
 from ..metrics.vgop import entropy
-from ..scene.scenario import Deployment, pose_at
-from ..scene.settings import Pole, leaning, with_lean
+from ..scene.mounting import Deployment, Pole, leaning, pose_at, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 
 if TYPE_CHECKING:
-    from .settings import Deployment, Scenario
+    from .mounting import Deployment
+    from .settings import Scenario
 
 _ROUND_DEG = 5.0
 _FEWEST_DECIMALS = 2

@@ -20,37 +20,37 @@ from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
 from .mount_checks import check_degrees
-from .poles import read_poles
-from .region import check_polygon, region_of
-from .settings import (
+from .mounting import (
     ANGLES,
     COORDINATE_LIMITS,
-    COORDINATES,
-    DATASHEET,
-    DECLARED,
     DEPLOYMENT,
-    GATE,
     LEAN,
     MOUNTING,
     MOUNTING_OR_LEAN,
-    POLES,
     Deployment,
+    Tolerance,
+    has_lean,
+    six_coordinates,
+)
+from .poles import read_poles
+from .region import check_polygon, region_of
+from .settings import (
+    DATASHEET,
+    DECLARED,
+    GATE,
+    POLES,
     ModelSettings,
     ObjectiveSettings,
     RegionSettings,
     Scenario,
     SearchSettings,
     SensorSettings,
-    Tolerance,
     TrafficSettings,
     WorldSettings,
-    has_lean,
     is_sensor_file,
-    pose_at,
-    six_coordinates,
 )
 
-__all__ = ["COORDINATES", "COORDINATE_LIMITS", "Deployment", "Scenario", "load_scenario", "pose_at", "scenario_of"]
+__all__ = ["Scenario", "load_scenario", "scenario_of"]
 
 _FEW_COORDINATES, _SEEDS = 2, 3  # with more of them so many searches: one alone may end anywhere
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")

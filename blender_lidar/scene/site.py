@@ -22,13 +22,14 @@ from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, crown, join
 from .mount_checks import mount_notes
+from .mounting import COORDINATES
 from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .scenario import Scenario
-from .settings import COORDINATES, BarrierSettings, BoxSettings, ObjectiveSettings, SensorSettings, WorldSettings
+from .settings import BarrierSettings, BoxSettings, ObjectiveSettings, SensorSettings, WorldSettings
 
 # --- The scenery that a scene's [world] describes: files that Blender reads, boxes and barriers, in the road frame -
 

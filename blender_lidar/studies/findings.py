@@ -16,8 +16,8 @@ from ..errors import InputError
 from ..metrics.metric import Metric
 from ..road import RoadFrame
 from ..run.verdict import AXES
-from ..scene.scenario import Scenario, pose_at
-from ..scene.settings import leaning, with_lean
+from ..scene.mounting import leaning, pose_at, with_lean
+from ..scene.scenario import Scenario
 from ..sensors.pose import Pose
 from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90, ratio_interval_90
 from .driver import Landscape, percent

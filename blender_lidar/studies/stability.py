@@ -19,7 +19,7 @@ from ..road import RoadFrame
 from ..run.optimise import fresh_search
 from ..run.tolerance import installed, losses_over_tolerance, objective_over, tolerance_text
 from ..run.verdict import vehicle_table
-from ..scene.settings import ANGLES, COORDINATES, Tolerance, with_lean
+from ..scene.mounting import ANGLES, COORDINATES, Tolerance, with_lean
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import with_fewer_frames

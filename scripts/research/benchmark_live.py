@@ -19,7 +19,8 @@ import numpy as np
 
 from blender_lidar.clouds.live import LiveFrame
 from blender_lidar.clouds.snapshot import entropy_of_points, entropy_of_vehicles, vertices_of
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recording
 from blender_lidar.world.blender.objects import new_mesh
 from blender_lidar.world.blender.points import build_cloud, colours_by, write_cloud

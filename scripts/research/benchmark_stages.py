@@ -23,9 +23,10 @@ from blender_lidar.metrics.vgop import entropy, pe_vgop
 from blender_lidar.optimise.solve import SearchResult
 from blender_lidar.optimise.solve import run as run_search
 from blender_lidar.run.optimise import fresh_search
+from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scene.region import Region
-from blender_lidar.scene.scenario import Scenario, load_scenario, pose_at
+from blender_lidar.scene.scenario import Scenario, load_scenario
 from blender_lidar.scene.site import Site, lattice_of, prepare, read_recording
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer

@@ -26,7 +26,7 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import LidarModel, load_model
 
 Mounting = tuple[float, float]  # height [m], tilt across the road [deg]
-Coordinates = dict[str, float]  # all six, as `scenario.pose_at` takes them
+Coordinates = dict[str, float]  # all six, as `mounting.pose_at` takes them
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
 
 

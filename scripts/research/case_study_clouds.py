@@ -9,8 +9,8 @@ from blender_lidar.clouds.files import write_cloud
 from blender_lidar.clouds.snapshot import mounted_sensor
 from blender_lidar.optimise.objective import detectable
 from blender_lidar.report.cloud_figures import Sight, plot_clouds
+from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.observation import CountedFrame
-from blender_lidar.scene.scenario import pose_at
 from blender_lidar.scene.site import Site
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from case_study import Coordinates

@@ -8,7 +8,7 @@ import numpy as np
 
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.run.verdict import distance_bands, vehicle_table
-from blender_lidar.scene.scenario import pose_at
+from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.site import Site
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.statistics import FEWEST_BLOCKS, block_sums, ratio_interval_90, resampled_weights, student_t_95

@@ -13,7 +13,7 @@ from blender_lidar.optimise import run
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.run.optimise import fresh_search
 from blender_lidar.run.verdict import AXES, ScoreMap, judge, map_scores, near_best_threshold
-from blender_lidar.scene.scenario import Deployment, pose_at
+from blender_lidar.scene.mounting import Deployment, pose_at
 from blender_lidar.scene.site import Site
 from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.statistics import FEWEST_BLOCKS, block_sums, resampled_weights

@@ -25,7 +25,8 @@ from blender_lidar.errors import InputError
 from blender_lidar.files import write_text
 from blender_lidar.optimise import SEARCHES, GridSearch, run
 from blender_lidar.run.optimise import asked_objective, fresh_auto_search, fresh_search, rung_costs
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator, workplace_of
 from blender_lidar.statistics import block_sums, linear_interval_90, student_t_95

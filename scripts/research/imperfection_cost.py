@@ -18,7 +18,8 @@ import numpy as np
 from arguments import SCENES, parser_of, positive, run_script
 from benchmark_stages import MOUNTINGS, SWARM, swarm_about
 from blender_lidar.casting.protocol import StandingScenery
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections

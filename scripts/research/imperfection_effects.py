@@ -19,7 +19,8 @@ from blender_lidar.commands.options import add_pose, mounting_from
 from blender_lidar.metrics.catalogue import metric_named
 from blender_lidar.optimise import vehicle_score
 from blender_lidar.run.verdict import metric_values, vehicle_table
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, lattice_of, prepare, standing_scenery
 from blender_lidar.scoring.evaluation import Evaluator
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import Objective
-from blender_lidar.scene.scenario import COORDINATES, Deployment, load_scenario
+from blender_lidar.scene.mounting import COORDINATES, Deployment
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recording
 from blender_lidar.scoring.evaluation import site_evaluator
 

@@ -19,7 +19,8 @@ from blender_lidar.metrics.catalogue import metric_named
 from blender_lidar.optimise import READINGS, SEARCHES, run
 from blender_lidar.run.optimise import fresh_search
 from blender_lidar.run.verdict import map_scores
-from blender_lidar.scene.scenario import load_scenario, pose_at
+from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
 

@@ -35,8 +35,8 @@ from blender_lidar.detection.ground import fit_ground
 from blender_lidar.detection.pillars import PILLAR_M, Area, density
 from blender_lidar.errors import InputError
 from blender_lidar.files import check_place, make_folder, read_file, whole_file, write_text
+from blender_lidar.scene.mounting import MOUNTING
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.settings import MOUNTING
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.sensors.pose import Pose
