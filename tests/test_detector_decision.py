@@ -101,7 +101,7 @@ def test_what_is_done_is_kept_and_of_its_own_settings_alone(study, tmp_path, cap
     copy.write_bytes((scene / "i80_sample.csv.gz").read_bytes())
     words = ["--choose", str(scene / "i80_sample.csv.gz"), "--judge", str(copy), "--weights", str(SHIPPED)]
     words += ["--out", str(tmp_path / "out"), "--sensors", "RS-16", "--worlds", "clean", "--heights", "2"]
-    words += ["--fixed", "2", "--choose-frames", "1", "--judge-frames", "2", "--workers", "1"]
+    words += ["--fixed", "3", "--choose-frames", "1", "--judge-frames", "2", "--workers", "1"]
     assert study.main(words) == 2
     assert "is the traffic that chooses; allowed: other traffic" in capsys.readouterr().err
     import gzip
@@ -112,7 +112,10 @@ def test_what_is_done_is_kept_and_of_its_own_settings_alone(study, tmp_path, cap
     assert "too few blocks" in told
     first = json.loads((tmp_path / "out" / "decision.json").read_text())
     assert first["caster"]
-    assert len(first["rows"]) == len(METRICS) * 2 * 2
+    asked = {row["metric"] for row in first["rows"]}
+    assert len(first["rows"]) == len(asked) * 2 * 2
+    assert set(METRICS) > asked > {PE_VGOP.name, "points"}
+    assert not asked & {"distance", study.HEIGHT}  # both mountings are 2 m high and in one place
     assert study.main(words) == 0
     assert capsys.readouterr().out == told
     words[words.index("--choose-frames") + 1] = "2"

@@ -14,6 +14,7 @@ from blender_lidar.detection import pillar_network as network
 from blender_lidar.detection.ground import Ground, fit_ground
 from blender_lidar.detection.judge import sensor_at, watched
 from blender_lidar.detection.pillars import (
+    BARE_GROUND_M,
     GROUND_M,
     PILLAR_M,
     SHIPPED,
@@ -90,6 +91,17 @@ def test_pillars_hold_every_raised_point_of_the_area_in_its_cell_and_count_the_r
     assert counted.shape == (2,)
     on_ground, above = np.rint(np.expm1(3.0 * pillars.cells[0, ..., :2])).sum(axis=(0, 1))
     assert (on_ground, above) == (inside.sum() - len(raised), len(raised))
+
+
+def test_bare_ground_is_counted_nearby_alone_and_farther_out_where_something_rises_from_it():
+    near, far = BARE_GROUND_M - 1.0, BARE_GROUND_M + 1.0
+    points = np.array([[near, 0.1, 0.0], [-far, 0.1, 0.0], [far, 0.1, 0.0], [far, 0.1, 1.0]])
+    area = Area.around((-60.0, 0.0), (60.0, 1.0))
+    cells = pillars_of(points, fit_ground(np.empty((0, 3))), LIDAR_M, area).cells[0]
+    column = np.floor((points[:, :2] - area.first_m) / PILLAR_M).astype(int)
+    on_ground = np.rint(np.expm1(3.0 * cells[..., 0]))
+    assert [on_ground[tuple(place)] for place in column[:3]] == [1.0, 0.0, 1.0]
+    assert on_ground.sum() == 2.0
 
 
 def test_an_area_covers_what_it_is_asked_for_in_whole_coarse_cells():

@@ -27,6 +27,9 @@ from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, W
 
 PILLAR_M = 0.4
 GROUND_M = 0.15  # what lies lower above the fitted ground is ground
+# Bare ground farther away is not shown: weak returns left little of it in the training, so that gaps in it, which a
+# scene without weak returns has, would be taken for vehicles.
+BARE_GROUND_M = 52.0
 _HIGHEST_M = 6.0  # nothing above is of a vehicle
 _LEAST_CONFIDENCE = 0.05
 _MOST_IOU = 0.1
@@ -108,14 +111,16 @@ def pillars_of(points: np.ndarray, ground: Ground, lidar_m: float, area: Area) -
 
 
 def _cell_features(area: Area, on_ground: np.ndarray, raised: np.ndarray) -> np.ndarray:
-    """Points on the ground and above it, and where the LiDAR is seen from each cell, (1, x, y, 5)."""
+    """Points on the ground, bare only within `BARE_GROUND_M`, and above it, and where the LiDAR is, (1, x, y, 5)."""
     x, y = (
         first + (np.arange(count) + 0.5) * PILLAR_M
         for first, count in zip(area.first_m, (area.along, area.across), strict=True)
     )
     x, y = np.meshgrid(x, y, indexing="ij")
     away = np.hypot(x, y)
-    counts = (np.log1p(one).reshape(x.shape) / 3.0 for one in (on_ground, raised))
+    on_ground, raised = on_ground.reshape(x.shape), raised.reshape(x.shape)
+    on_ground = np.where((away > BARE_GROUND_M) & (raised == 0), 0, on_ground)
+    counts = (np.log1p(one) / 3.0 for one in (on_ground, raised))
     return np.stack([*counts, x / away, y / away, away / 50.0], axis=-1).astype(np.float32)[None]
 
 
