@@ -100,8 +100,8 @@ def test_what_is_done_is_kept_and_of_its_own_settings_alone(study, tmp_path, cap
     copy = tmp_path / "other.csv.gz"
     copy.write_bytes((scene / "i80_sample.csv.gz").read_bytes())
     words = ["--choose", str(scene / "i80_sample.csv.gz"), "--judge", str(copy), "--weights", str(SHIPPED)]
-    words += ["--out", str(tmp_path / "out"), "--sensors", "RS-16", "--worlds", "clean", "--heights", "2"]
-    words += ["--fixed", "3", "--choose-frames", "1", "--judge-frames", "2", "--workers", "1"]
+    words += ["--out", str(tmp_path / "out"), "--sensors", "RS-16", "--worlds", "clean", "--heights", "2", study.FREE]
+    words += ["--fixed", "3", "--free", "3", "--choose-frames", "1", "--judge-frames", "2", "--workers", "1"]
     assert study.main(words) == 2
     assert "is the traffic that chooses; allowed: other traffic" in capsys.readouterr().err
     import gzip
@@ -112,10 +112,14 @@ def test_what_is_done_is_kept_and_of_its_own_settings_alone(study, tmp_path, cap
     assert "too few blocks" in told
     first = json.loads((tmp_path / "out" / "decision.json").read_text())
     assert first["caster"]
-    asked = {row["metric"] for row in first["rows"]}
-    assert len(first["rows"]) == len(asked) * 2 * 2
-    assert set(METRICS) > asked > {PE_VGOP.name, "points"}
-    assert not asked & {"distance", study.HEIGHT}  # both mountings are 2 m high and in one place
+    chose = {h: {row["metric"] for row in first["rows"] if row["heights"] == h} for h in ("2", study.FREE)}
+    assert len(first["rows"]) == sum(map(len, chose.values())) * 2 * 2
+    assert {PE_VGOP.name, "points"} < chose["2"]
+    assert study.HEIGHT not in chose["2"]
+    assert "distance" not in chose["2"] | chose[study.FREE]  # all mountings are in one place
+    of_height = [row for row in first["rows"] if (row["metric"], row["sensor"]) == (study.HEIGHT, "RS-16")]
+    heights_m = [mount["height_m"] for mount in study.mountings("RS-16", study.FREE, 3)]
+    assert {row["metrics_choice"]["height_m"] for row in of_height} == {max(heights_m)}
     assert study.main(words) == 0
     assert capsys.readouterr().out == told
     words[words.index("--choose-frames") + 1] = "2"
