@@ -14,7 +14,6 @@ from blender_lidar.detection import pillar_network as network
 from blender_lidar.detection.ground import Ground, fit_ground
 from blender_lidar.detection.judge import sensor_at, watched
 from blender_lidar.detection.pillars import (
-    BARE_GROUND_M,
     GROUND_M,
     PILLAR_M,
     SHIPPED,
@@ -94,10 +93,10 @@ def test_pillars_hold_every_raised_point_of_the_area_in_its_cell_and_count_the_r
 
 
 def test_bare_ground_is_counted_nearby_alone_and_farther_out_where_something_rises_from_it():
-    near, far = BARE_GROUND_M - 1.0, BARE_GROUND_M + 1.0
+    near, far = 49.0, 51.0
     points = np.array([[near, 0.1, 0.0], [-far, 0.1, 0.0], [far, 0.1, 0.0], [far, 0.1, 1.0]])
     area = Area.around((-60.0, 0.0), (60.0, 1.0))
-    cells = pillars_of(points, fit_ground(np.empty((0, 3))), LIDAR_M, area).cells[0]
+    cells = pillars_of(points, fit_ground(np.empty((0, 3))), LIDAR_M, area, 50.0).cells[0]
     column = np.floor((points[:, :2] - area.first_m) / PILLAR_M).astype(int)
     on_ground = np.rint(np.expm1(3.0 * cells[..., 0]))
     assert [on_ground[tuple(place)] for place in column[:3]] == [1.0, 0.0, 1.0]
@@ -319,6 +318,13 @@ def test_ours_look_at_the_whole_region_though_few_vehicles_are_searched(i80):
 def test_nothing_is_found_where_the_network_sees_nothing():
     quiet = np.full((8, 8, network.OUTPUTS), -9.0)
     assert len(boxes_of(quiet, Area((0.0, 0.0), 16, 16))) == 0
+
+
+def test_a_scene_without_ground_is_told_of(tmp_path, capsys):
+    scene = write_scene(tmp_path, {**REGION, "world": {"ground": False}})
+    out, _ = done(capsys, "detect", scene, "--out", tmp_path / "found")
+    assert "The scene has no ground" in out
+    assert "has no ground" in " ".join(json.loads((tmp_path / "found" / "detection.json").read_text())["notes"])
 
 
 def test_the_verb_judges_it_without_an_extra_and_tells_what_is_unlike(tmp_path, capsys):

@@ -166,6 +166,9 @@ def clouds_at(
         advance(1)
 
 
+_NO_GROUND = "the scene has no ground, by which detectors level each cloud: they find less, and less exactly"
+
+
 def judge_detector(
     site: Site, mount: Mapping[str, float], detector: Detector, advance: Callable[[int], object] = lambda done: None
 ) -> JudgedDetector:
@@ -184,7 +187,8 @@ def judge_detector(
         returned += int(np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id).sum())
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
     with_return = returned / vehicles if vehicles else None
-    return judged_boxes(boxes, partial(matches_of, site, mount, boxes), with_return, detector.notes())
+    notes = [*detector.notes(), *([] if site.scenario.world.ground else [_NO_GROUND])]
+    return judged_boxes(boxes, partial(matches_of, site, mount, boxes), with_return, notes)
 
 
 def judged_boxes(

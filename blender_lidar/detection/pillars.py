@@ -27,10 +27,10 @@ from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, W
 
 PILLAR_M = 0.4
 GROUND_M = 0.15  # what lies lower above the fitted ground is ground
-# Bare ground farther away is not shown: weak returns left little of it in the training, so that gaps in it, which a
-# scene without weak returns has, would be taken for vehicles.
-BARE_GROUND_M = 52.0
 _HIGHEST_M = 6.0  # nothing above is of a vehicle
+# Farther away, weak returns left little bare ground in the training; where a scene has it, gaps in it were taken for
+# vehicles, so that it is not shown.
+_BARE_GROUND_M = 52.0
 _LEAST_CONFIDENCE = 0.05
 _MOST_IOU = 0.1
 _MOST_BOXES = 500  # in one frame
@@ -70,7 +70,9 @@ class Pillars(NamedTuple):
     cells: np.ndarray
 
 
-def pillars_of(points: np.ndarray, ground: Ground, lidar_m: float, area: Area) -> Pillars:
+def pillars_of(
+    points: np.ndarray, ground: Ground, lidar_m: float, area: Area, bare_ground_m: float = math.inf
+) -> Pillars:
     """Points sorted into pillars, with their features; those on the ground are only counted.
 
     Parameters
@@ -82,6 +84,8 @@ def pillars_of(points: np.ndarray, ground: Ground, lidar_m: float, area: Area) -
     lidar_m : float
         Height of the LiDAR [m].
     area : Area
+    bare_ground_m : float
+        How far away ground is counted from which nothing rises [m].
     """
     column = np.floor((points[:, :2] - area.first_m) / PILLAR_M).astype(np.int64)
     height = ground.above(points)
@@ -107,11 +111,11 @@ def pillars_of(points: np.ndarray, ground: Ground, lidar_m: float, area: Area) -
             (lidar_m - xyz[:, 2]) / np.maximum(reach, 1.0),
         ]
     )
-    return Pillars(features.astype(np.float32), cell, _cell_features(area, on_ground, here))
+    return Pillars(features.astype(np.float32), cell, _cell_features(area, on_ground, here, bare_ground_m))
 
 
-def _cell_features(area: Area, on_ground: np.ndarray, raised: np.ndarray) -> np.ndarray:
-    """Points on the ground, bare only within `BARE_GROUND_M`, and above it, and where the LiDAR is, (1, x, y, 5)."""
+def _cell_features(area: Area, on_ground: np.ndarray, raised: np.ndarray, bare_ground_m: float) -> np.ndarray:
+    """Points on the ground and above it, and where the LiDAR is seen from each cell, (1, x, y, 5)."""
     x, y = (
         first + (np.arange(count) + 0.5) * PILLAR_M
         for first, count in zip(area.first_m, (area.along, area.across), strict=True)
@@ -119,7 +123,7 @@ def _cell_features(area: Area, on_ground: np.ndarray, raised: np.ndarray) -> np.
     x, y = np.meshgrid(x, y, indexing="ij")
     away = np.hypot(x, y)
     on_ground, raised = on_ground.reshape(x.shape), raised.reshape(x.shape)
-    on_ground = np.where((away > BARE_GROUND_M) & (raised == 0), 0, on_ground)
+    on_ground = np.where((away > bare_ground_m) & (raised == 0), 0, on_ground)
     counts = (np.log1p(one) / 3.0 for one in (on_ground, raised))
     return np.stack([*counts, x / away, y / away, away / 50.0], axis=-1).astype(np.float32)[None]
 
@@ -224,7 +228,7 @@ class PillarsDetector:
         points = cloud.xyz - [*self._lidar[:2], 0.0]
         points = points[self._area.holds(points[:, :2])]
         ground = fit_ground(points)
-        pillars = pillars_of(points, ground, float(self._lidar[2]) - ground.level, self._area)
+        pillars = pillars_of(points, ground, float(self._lidar[2]) - ground.level, self._area, _BARE_GROUND_M)
         self._seen.append((ground.residual_m, density(pillars)))
         if not len(pillars.cell):
             return no_boxes()
