@@ -274,9 +274,7 @@ def made(part: Part, path: Path, workers: int) -> Made:
     with np.load(path, allow_pickle=False) as file:
         held = {name: file[name] for name in file.files}
     if json.loads(str(held["part"])) != told:
-        raise InputError(
-            f"{path}: is of other code, traffic, weights or mountings; allowed: an --out of its own"
-        )
+        raise InputError(f"{path}: is of other code, traffic, weights or mountings; allowed: an --out of its own")
     matches = [[[None] * len(CRITERIA) for _ in part.weights] for _ in part.mounts]
     for place in _places(part):
         mounting, training, row = place
