@@ -28,8 +28,8 @@ from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, W
 PILLAR_M = 0.4
 GROUND_M = 0.15  # what lies lower above the fitted ground is ground
 _HIGHEST_M = 6.0  # nothing above is of a vehicle
-# Farther away, weak returns left little bare ground in the training; where a scene has it, gaps in it were taken for
-# vehicles, so that it is not shown.
+# Ground with nothing above it is not shown beyond: weak returns left little of it in the training, and where a scene has
+# it, gaps in it were taken for vehicles.
 _BARE_GROUND_M = 52.0
 _LEAST_CONFIDENCE = 0.05
 _MOST_IOU = 0.1
@@ -85,7 +85,7 @@ def pillars_of(
         Height of the LiDAR [m].
     area : Area
     bare_ground_m : float
-        How far away ground is counted from which nothing rises [m].
+        Farther from the LiDAR, points on the ground count only in cells with points above it [m].
     """
     column = np.floor((points[:, :2] - area.first_m) / PILLAR_M).astype(np.int64)
     height = ground.above(points)
