@@ -28,8 +28,8 @@ from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, W
 PILLAR_M = 0.4
 GROUND_M = 0.15  # what lies lower above the fitted ground is ground
 _HIGHEST_M = 6.0  # nothing above is of a vehicle
-# Ground with nothing above it is not shown beyond: weak returns left little of it in the training, and where a scene has
-# it, gaps in it were taken for vehicles.
+# Ground with nothing above it is not shown beyond: weak returns left little of it in the training, and where a scene
+# has it, gaps in it were taken for vehicles.
 _BARE_GROUND_M = 52.0
 _LEAST_CONFIDENCE = 0.05
 _MOST_IOU = 0.1
