@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import blender_lidar
+from blender_lidar.casting import is_available
 from blender_lidar.compiled import numba_works
 
 pytestmark = pytest.mark.skipif(not numba_works(), reason="Numba, of the extra fast, is not installed")
@@ -104,3 +105,77 @@ def test_a_type_of_compiled_code_that_has_moved_to_another_module_ends_no_run(pa
     (tmp_path / "package" / "shapes.py").unlink()
     assert package(forms=PAIR, added=ADDED.format(module="forms")) == "3.0 0\n"
     assert package() == "3.0 1\n"
+
+
+KERNELS = """
+import sys
+
+sys.path[:0] = [{root!r}]
+compilations = []
+
+
+def compiled_for(casters):
+    '''Names of the functions that are compiled, not found, while every kernel is used; one is compiled always.'''
+    if "bvh" in casters:
+        import bpy
+    from numba import njit
+    from numba.core import event
+
+    class Listener(event.Listener):
+        def on_start(self, started):
+            compilations.append(started.data["dispatcher"].py_func.__name__)
+
+        def on_end(self, ended):
+            pass
+
+    event.register("numba:compile", Listener())
+
+    @njit
+    def always():
+        return 1
+
+    always()
+    import numpy as np
+
+    from blender_lidar.casting.protocol import StandingScenery
+    from blender_lidar.metrics.vgop import pe_vgop
+    from blender_lidar.scene.observation import Observation
+    from blender_lidar.scoring.frame_scorer import FrameScorer
+    from blender_lidar.sensors.beams import beam_lattice
+    from blender_lidar.sensors.model import load_model
+    from blender_lidar.sensors.pose import Pose
+    from blender_lidar.world.scenery import barrier
+    from tests.sample_traffic import dense_traffic
+
+    vehicles, pose = dense_traffic(vehicles=8, length_m=30.0), Pose(height_m=4.1, tilt_x=0.3)
+    lattice = beam_lattice(load_model("RS-16"), stride=20)
+    for caster in casters:
+        scenery = StandingScenery(barrier("concrete", 10.0, (-40.0, 40.0)), caster)
+        seen = Observation(lattice, 50.0, 0.4, caster, "box", 0.05, scenery=scenery)
+        scorer = FrameScorer(vehicles, np.ones(len(vehicles), dtype=bool), seen)
+        scorer.see([pose])
+        scorer.see([pose], keep_returns=True)
+        pe_vgop(*scorer.vehicle_points(pose), vehicles.size_m)
+        scorer.shapes.tree.cast(pose.position, pose.to_world(lattice.directions.reshape(-1, 3)))
+    return compilations
+
+
+if __name__ == "__main__":
+    from blender_lidar.scoring.workers import Workers
+
+    print(compiled_for(sys.argv[1:]))
+    workers = Workers(compiled_for, 2)
+    print(workers.submit(sys.argv[1:]).result())
+    workers.close()
+"""
+
+
+def test_no_kernel_is_compiled_again_by_a_second_process_a_worker_or_within_blender(tmp_path):
+    """The index of `rasterise` named `Mesh`, of a module that imports it: it could not be read, and was removed."""
+    script = tmp_path / "kernels.py"
+    script.write_text(KERNELS.format(root=str(Path(__file__).parents[1])))
+    run = [sys.executable, script, *(name for name in ("raster", "embree", "bvh") if is_available(name))]
+    for _ in range(2):  # the first leaves what has not been kept before
+        done = subprocess.run(run, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    assert done.stdout == "['always']\n" * 2

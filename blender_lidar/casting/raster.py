@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from .culling import ray_directions
 from .protocol import FARTHEST, Caster, Revolution
-from .rasterise import RUN, DepthBuffer, LatticeTable, depth_buffer, lattice_table, rasterise, undecided_beams
+from .rasterise import RUN, DepthBuffer, LatticeTable, Mesh, depth_buffer, lattice_table, rasterise, undecided_beams
 
 _spare: dict[int, DepthBuffer] = {}  # by number of beams
 
@@ -85,29 +84,6 @@ _MIXERS = tuple(  # odd, else arbitrary
     map(np.uint64, (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93))
 )
 _RADIUS_ROUNDING = 1e-12  # relative: what rounding may take off a radius
-
-
-class Mesh(NamedTuple):
-    """Mesh of shared vertices, ready to be rasterised.
-
-    Attributes
-    ----------
-    vertices : ndarray, (v, 3)
-        Each place once [m].
-    faces : ndarray of int32, (m, 3)
-        Rows of the corners of each triangle.
-    middle, radius : ndarray, (r, 3) and (r,)
-        Sphere about each run of `RUN` triangles [m].
-    low, high : ndarray, (s, 3)
-        Boxes about runs that share no vertex with each other [m]: a solid lies within one of them.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    middle: np.ndarray
-    radius: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
 
 
 def mesh_of(corners: np.ndarray) -> Mesh:

@@ -19,7 +19,32 @@ from .kernels import EDGE, NEARER, TOUCH, is_behind, is_within, signed_distance,
 
 RUN = 16  # triangles with a sphere about them: neighbours in the list tend to be neighbours in space
 
-# --- The lattice's sines and cosines, and the depth buffer ------------------------------------------------------------
+# --- Triangles, the lattice's sines and cosines, and the depth buffer -------------------------------------------------
+# Types stand beside the kernels that take them: an index of stored code that names a type of a module which imports
+# this one cannot be read while this one is imported.
+
+
+class Mesh(NamedTuple):
+    """Mesh of shared vertices, ready to be rasterised.
+
+    Attributes
+    ----------
+    vertices : ndarray, (v, 3)
+        Each place once [m].
+    faces : ndarray of int32, (m, 3)
+        Rows of the corners of each triangle.
+    middle, radius : ndarray, (r, 3) and (r,)
+        Sphere about each run of `RUN` triangles [m].
+    low, high : ndarray, (s, 3)
+        Boxes about runs that share no vertex with each other [m]: a solid lies within one of them.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    middle: np.ndarray
+    radius: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
 
 
 class LatticeTable(NamedTuple):
