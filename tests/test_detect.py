@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from blender_lidar.clouds.files import read_cloud
-from blender_lidar.detection.classical import l_shape_heading
+from blender_lidar.detection.classical import ClassicalDetector, l_shape_heading
 from blender_lidar.detection.scores import MEASURES
+from blender_lidar.detection.stored import StoredClouds
 from blender_lidar.errors import InputError
 from blender_lidar.report import cloud_figures
+from blender_lidar.scoring.workers import Workers
 from tests.refusals import refused
 from tests.report_samples import Page
 from tests.small_scene import HEADER, REGION, cli, done, traffic_rows, without_charts, write_scene, write_table
@@ -27,6 +29,22 @@ CLASSICAL = ("--detector", "classical")
 def scene(tmp_path):
     pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")
     return write_scene(tmp_path, REGION)
+
+
+@pytest.fixture
+def all_start(monkeypatch):
+    """Pools wait until all their processes have started, so that each has a part in the work; their sizes."""
+    counts, start = [], Workers.__init__
+
+    def ready(self, function, processes=1):
+        start(self, function, processes)
+        self.await_ready()
+        counts.append(self.count)
+
+    monkeypatch.setattr(Workers, "__init__", ready)
+    monkeypatch.setattr("blender_lidar.detection.judge.CLOUDS_A_PROCESS", 1)
+    without_charts(monkeypatch)
+    return counts
 
 
 @pytest.mark.parametrize("heading_deg", [-40.0, -7.0, 0.0, 13.0, 44.0])
@@ -54,6 +72,22 @@ def test_what_it_finds_is_there_and_most_is_found(scene, tmp_path, capsys):
     assert (tmp_path / "found" / "detections.png").exists() == (find_spec("matplotlib") is not None)
     again, _ = done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "again", "--json")
     assert json.loads(again) == result
+
+
+@pytest.mark.parametrize(("of", "detector"), [("scene", "pillars"), ("clouds", "classical"), ("set", "pillars")])
+def test_workers_change_nothing(of, detector, scene, tmp_path, capsys, all_start):
+    if of == "clouds":
+        done(capsys, "scan", scene, "--frame-ids", "5:40:5", *MOUNT, "--out", tmp_path / of)
+    if of == "set":
+        done(capsys, "dataset", scene, "--mountings", 2, "--scans", 20, "--out", tmp_path / of)
+    files = []
+    for workers in (1, 2):
+        out, asked = tmp_path / f"found_{workers}", scene if of == "scene" else tmp_path / of
+        done(capsys, "detect", asked, "--detector", detector, "--workers", workers, "--out", out)
+        files.append({path.name: path.read_bytes() for path in out.rglob("*.*")})
+    assert files[0] == files[1]
+    assert files[0]["detections.csv"].count(b"\n") > 9
+    assert all_start[-1] == 2
 
 
 def test_what_is_accepted_of_the_traffic_is_told_first(scene, tmp_path, capsys):
@@ -112,6 +146,51 @@ def test_clouds_of_a_scan_give_boxes(scene, tmp_path, capsys):
     rows = (tmp_path / "found" / "detections.csv").read_text().splitlines()
     assert f"{len(rows) - 1} boxes in 8 clouds" in out
     assert len(rows) > 9
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {"name": "OS1-32", "columns": 2048, "rotation_hz": 10.0},
+        {"name": "OS1-32", "columns": 512, "rotation_hz": 20.0},
+        {"rotation_hz": 5.0},
+        {"unit_spread_deg": 0.2, "unit": 3, "range_noise_m": 0.02},
+    ],
+    ids=["more columns", "fewer columns", "another rate", "another unit"],
+)
+def test_each_point_of_a_stored_cloud_is_on_its_own_beam(sensor, tmp_path, capsys):
+    scene = write_scene(tmp_path, REGION | {"sensor": sensor})
+    done(capsys, "scan", scene, "--frame", 5, *MOUNT, "--out", tmp_path / "cloud.npz")
+    clouds = StoredClouds.of(tmp_path / "cloud.npz")
+    cloud = clouds(tmp_path / "cloud.npz")
+    beam = ClassicalDetector(clouds.lattice, (0.0, 0.0)).beam(cloud)
+    assert len(np.unique(beam)) == len(cloud) > 2000
+    ring, slot = np.divmod(beam, clouds.lattice.columns)
+    np.testing.assert_array_equal(ring, cloud.ring)
+    np.testing.assert_allclose(clouds.lattice.azimuth_rad(ring, slot), cloud.azimuth_rad, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda header: header.pop("range_m"), "cloud.npz: its header range_m: is missing"),
+        (lambda header: header["pose"].pop("tilt_y_deg"), "cloud.npz: its header: pose tilt_y_deg: is missing"),
+        (lambda header: header.pop("azimuth_step_deg"), "cloud.npz: its header azimuth_step_deg: is missing"),
+        (lambda header: header.update(azimuth_step_deg=0.7), "cloud.npz: RS-16 cannot be set to 514 columns a turn"),
+        (lambda header: header.update(sensor="mine"), "its sensor 'mine' is of a table of its own"),
+    ],
+)
+def test_a_header_that_lacks_something_is_refused_in_a_line(change, told, tmp_path, capsys):
+    scene = write_scene(tmp_path, REGION)
+    path = tmp_path / "clouds" / "cloud.npz"
+    path.parent.mkdir()
+    done(capsys, "scan", scene, "--frame", 5, *MOUNT, "--out", path)
+    with np.load(path) as stored:
+        content = {name: stored[name] for name in stored.files}
+    header = json.loads(str(content["header"]))
+    change(header)
+    np.savez(path, **content | {"header": json.dumps(header)})
+    assert told in refused(capsys, tmp_path, "detect", path.parent, "--out", tmp_path / "found")
 
 
 def test_a_cloud_is_read_as_it_was_written(scene, tmp_path, capsys):

@@ -45,8 +45,11 @@ from ..run.folder import DETECTION
 from ..scene.mounting import six_coordinates
 from ..scene.provenance import versions
 from ..scene.scenario import shipped_scenes
+from ..scene.settings import ModelSettings
 from ..scene.site import Site, prepare
-from .options import default_folder, mounting_from, new_folder, scenario_from
+from ..scoring.evaluation import workplace_of
+from ..toml_table import settings_of
+from .options import default_folder, given_options, mounting_from, new_folder, scenario_from
 from .progress import Progress
 from .report import table_text
 
@@ -147,9 +150,10 @@ def _judged(detector: str, site: Site, mounts: Mapping[str, Mapping[str, float]]
     if not is_ours(detector):
         return {"given": judged_from_file(site, mounts["given"], detector)}
     made = {name: detector_at(site, mount, detector) for name, mount in mounts.items()}
+    workers = workplace_of(site.scenario.model).processes
     learnt = sum(len(site.search) for one in made.values() if one.learns)
     with closing(Progress(learnt + len(made) * len(judging_frames(site)[0]), "clouds")) as progress:
-        return {name: judge_detector(site, mounts[name], one, progress.advance) for name, one in made.items()}
+        return {name: judge_detector(site, mounts[name], one, workers, progress.advance) for name, one in made.items()}
 
 
 def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], Mountings]], result: dict) -> None:
@@ -168,7 +172,7 @@ def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], 
 
 # --- Folders: a data set, or clouds -----------------------------------------------------------------------------------
 
-_OF_FOLDERS = ("scene", "detector", "out", "verb", "run", "left_out")
+_OF_FOLDERS = ("scene", "detector", "out", "workers", "verb", "run", "left_out")
 
 
 def _run_dataset(args: argparse.Namespace) -> int:
@@ -180,7 +184,7 @@ def _run_dataset(args: argparse.Namespace) -> int:
     folder = Path(args.out) if args.out is not None else new_folder(f"{stored.folder.resolve().name}_detection")
     _check_folder(folder)
     with ExitStack() as stack:
-        judged = judge_on_dataset(stored, args.detector, _progress(stack))
+        judged = judge_on_dataset(stored, args.detector, _workers(args), _progress(stack))
     result = dataset_result(stored, args.detector, judged)
     _write(folder, {"": (dict(zip(result["scan_ids"], judged.boxes, strict=True)), stored.mounts)}, result)
     if args.json:
@@ -203,7 +207,7 @@ def _run_clouds(args: argparse.Namespace) -> int:
     folder = Path(args.out) if args.out is not None else new_folder("detections")
     _check_folder(folder)
     with ExitStack() as stack:
-        found, mount, notes = detect_in_clouds(Path(args.scene), args.detector, _progress(stack))
+        found, mount, notes = detect_in_clouds(Path(args.scene), args.detector, _workers(args), _progress(stack))
     make_folder(folder, "--out")
     write_detected(folder / "detections.csv", found)
     write_kitti_labels(folder / "label_2", found, mount)
@@ -217,6 +221,12 @@ def _refuse_options(args: argparse.Namespace, what: str, taken: Sequence[str] = 
     for name, value in vars(args).items():
         if name not in (*_OF_FOLDERS, *taken) and value not in (None, False):
             raise InputError(f"--{name.replace('_', '-')}: is of a scene, and {args.scene} is {what}")
+
+
+def _workers(args: argparse.Namespace) -> int:
+    """How many processes look at clouds of a folder."""
+    given = given_options(args, {"workers": settings_of(ModelSettings)["workers"]})
+    return workplace_of(ModelSettings(**given)).processes
 
 
 def _progress(stack: ExitStack) -> Callable[[int], Callable[[int], object]]:

@@ -212,7 +212,7 @@ def _detect(subparsers) -> None:
         "i80_set --detector my_label_2",
         "clouds --out boxes",
     )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--workers", "--cluster"))
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
     add_pose(parser)
     _detector(parser, "pillars")
     _output(parser, verbose=False)

@@ -6,8 +6,7 @@ The sensor does not move, so that what each beam usually meets is the empty scen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -28,37 +27,13 @@ _MOST_FITTED = 200  # points
 _MOST_IOU = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class ClassicalSettings:
-    """What was tuned, on the shipped traffic at another station (Local_Y 330 m) than the shipped scene's.
-
-    Attributes
-    ----------
-    quantile : float
-        Of the ranges that a beam measures in the frames that the background is learnt from: vehicles come nearer.
-    least_share : float
-        Of those frames, in which a beam must return for a background: else it looks into the sky. Less so many returns
-        as drop-out takes, with three standard deviations.
-    nearer_m, nearer_deviations : float
-        A return is no background if it is nearer by so much [m], and so many standard deviations of the range noise.
-    apart_m : float
-        DBSCAN's epsilon: returns within belong together, seen from above [m].
-    least_points : int
-        DBSCAN's least number of points for a cluster.
-    sure_points : float
-        Points of a cluster that make a confidence of a half.
-    turned_points : int
-        With fewer points the heading is the road's.
-    """
-
-    quantile: float = 0.9
-    least_share: float = 0.9
-    nearer_m: float = 0.3
-    nearer_deviations: float = 5.0
-    apart_m: float = 0.9
-    least_points: int = 2
-    sure_points: float = 5.0
-    turned_points: int = 40
+# What was tuned, on the shipped traffic at another station (Local_Y 330 m) than the shipped scene's.
+_QUANTILE = 0.9  # of the ranges that a beam measures in the frames that teach the background: vehicles come nearer
+_LEAST_SHARE = 0.9  # of those frames, in which a beam must return for a background: else it looks into the sky
+_NEARER_M, _NEARER_DEVIATIONS = 0.3, 5.0  # a return is no background nearer by these, the second of the range noise
+_APART_M, _LEAST_POINTS = 0.9, 2  # DBSCAN's epsilon, seen from above, and the fewest points of a cluster
+_SURE_POINTS = 5.0  # of a cluster, that make a confidence of a half
+_TURNED_POINTS = 40  # with fewer the heading is the road's
 
 
 def dbscan_class() -> type:
@@ -88,7 +63,6 @@ class ClassicalDetector:
         Where it hangs [m, road frame].
     imperfections : Imperfections
         Its range noise and drop-out, of which the background must make nothing.
-    settings : ClassicalSettings
 
     Raises
     ------
@@ -99,66 +73,65 @@ class ClassicalDetector:
     name, learns = "classical", True
 
     def __init__(
-        self,
-        lattice: BeamLattice,
-        lidar_xy: tuple[float, float],
-        imperfections: Imperfections = PERFECT,
-        settings: ClassicalSettings = ClassicalSettings(),
+        self, lattice: BeamLattice, lidar_xy: tuple[float, float], imperfections: Imperfections = PERFECT
     ) -> None:
-        self._lattice, self._lidar, self._settings = lattice, np.array(lidar_xy), settings
-        self._cluster = dbscan_class()(eps=settings.apart_m, min_samples=settings.least_points)
+        self._lattice, self._lidar = lattice, np.array(lidar_xy)
+        self._cluster = dbscan_class()(eps=_APART_M, min_samples=_LEAST_POINTS)
         self._background = np.full(lattice.rings * lattice.columns, np.inf)
-        self._nearer_m = settings.nearer_m + settings.nearer_deviations * imperfections.range_noise_m
+        self._nearer_m = _NEARER_M + _NEARER_DEVIATIONS * imperfections.range_noise_m
         self._dropout = imperfections.dropout
 
-    def learn(self, clouds: Iterable[PointCloud]) -> None:
-        """Take from some frames what each beam meets of the scene without vehicles; nothing where few return."""
-        images = np.sort([self._range_image(cloud).astype(np.float32) for cloud in clouds], axis=0)
-        returned = np.isfinite(images).sum(axis=0)
-        at = np.ceil(self._settings.quantile * (returned - 1)).astype(int)
-        background = np.take_along_axis(images, np.maximum(at, 0)[None], axis=0)[0]
-        lost = len(images) * self._dropout
-        needed = self._settings.least_share * len(images) - lost - 3.0 * math.sqrt(lost * (1.0 - self._dropout))
-        self._background = np.where(returned >= max(needed, 1.0), background, np.inf)
-
-    def _range_image(self, cloud: PointCloud) -> np.ndarray:
-        """Range of each beam, (beams,) [m]; inf where nothing returned."""
-        image = np.full(len(self._background), np.inf)
-        image[self._beam(cloud)] = cloud.range_m
+    def range_image(self, cloud: PointCloud) -> np.ndarray:
+        """Range of each beam, (beams,) float32 [m]; inf where nothing returned."""
+        image = np.full(len(self._background), np.inf, dtype=np.float32)
+        image[self.beam(cloud)] = cloud.range_m
         return image
 
-    def _beam(self, cloud: PointCloud) -> np.ndarray:
+    def learn(self, range_images: Sequence[np.ndarray]) -> None:
+        """Take from some frames what each beam meets of the scene without vehicles; nothing where few return.
+
+        A beam may return in fewer frames by as many as drop-out takes, with three standard deviations.
+        """
+        images = np.sort(range_images, axis=0)
+        returned = np.isfinite(images).sum(axis=0)
+        at = np.ceil(_QUANTILE * (returned - 1)).astype(int)
+        background = np.take_along_axis(images, np.maximum(at, 0)[None], axis=0)[0]
+        lost = len(images) * self._dropout
+        needed = _LEAST_SHARE * len(images) - lost - 3.0 * math.sqrt(lost * (1.0 - self._dropout))
+        self._background = np.where(returned >= max(needed, 1.0), background, np.inf)
+
+    def beam(self, cloud: PointCloud) -> np.ndarray:
         """Flat index of each point's beam in the lattice, ``ring * columns + slot``."""
         ring = cloud.ring.astype(np.int64)
         slot = np.rint((cloud.azimuth_rad - self._lattice.slot_azimuth0_rad[ring]) / self._lattice.step_rad)
         return ring * self._lattice.columns + slot.astype(np.int64) % self._lattice.columns
 
-    def notes(self) -> Sequence[str]:
+    def notes(self, seen: Sequence[None] = ()) -> Sequence[str]:
         """Nothing: it learns from where it looks."""
         return ()
 
-    def detect(self, cloud: PointCloud) -> DetectedBoxes:
-        """The vehicles of one frame."""
-        nearer = cloud.range_m < self._background[self._beam(cloud)] - self._nearer_m
+    def detect(self, cloud: PointCloud) -> tuple[DetectedBoxes, None]:
+        """The vehicles of one frame, and nothing for `notes`."""
+        nearer = cloud.range_m < self._background[self.beam(cloud)] - self._nearer_m
         from_lidar = cloud.xyz - [*self._lidar, 0.0]
         ground = fit_ground(from_lidar)
         points = np.column_stack([cloud.xyz[nearer, :2], ground.above(from_lidar[nearer])])
         if not len(points):
-            return no_boxes()
+            return no_boxes(), None
         label = self._cluster.fit_predict(points[:, :2])
         order = np.argsort(label, kind="stable")
         ends = np.flatnonzero(np.diff(label[order], append=label.max() + 1)) + 1
         clusters = [rows for rows in np.split(order, ends[:-1]) if label[rows[0]] >= 0]  # -1: DBSCAN's noise
         boxes = suppressed(boxes_of_rows([self._box(points[rows]) for rows in clusters]), _MOST_IOU)
         boxes.centre_m[:, 2] += ground.height(boxes.centre_m[:, :2] - self._lidar)
-        return boxes
+        return boxes, None
 
     def _box(self, points: np.ndarray) -> tuple[float, ...]:
         """The box of one cluster (n, 3) [m], a row of `boxes_of_rows`: as large as a vehicle, away from the LiDAR.
 
         Heights are counted from the ground.
         """
-        heading = 0.0 if len(points) < self._settings.turned_points else l_shape_heading(points[:, :2])
+        heading = 0.0 if len(points) < _TURNED_POINTS else l_shape_heading(points[:, :2])
         turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
         local = points[:, :2] @ turn  # along and across
         low, high = local.min(axis=0), local.max(axis=0)
@@ -175,7 +148,7 @@ class ClassicalDetector:
         middle = 0.5 * (low + high)
         centre = np.where(lidar > high, high - 0.5 * size, np.where(lidar < low, low + 0.5 * size, middle))
         height = max(top, height)
-        confidence = len(points) / (len(points) + self._settings.sure_points)
+        confidence = len(points) / (len(points) + _SURE_POINTS)
         return (*(turn @ centre).tolist(), 0.5 * height, *size.tolist(), height, heading, kind, confidence)
 
 

@@ -58,6 +58,18 @@ def file_name(number: int) -> str:
     return f"{number:06d}"
 
 
+def read_json(path: Path, what: str) -> dict:
+    """The content of a JSON file of a data set; refused where it is damaged."""
+    with reading(path, what):
+        try:
+            content = json.loads(read_text(path))
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{path}: is damaged; make the data set again, in another folder") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: is damaged: it holds no table; make the data set again, in another folder")
+    return content
+
+
 # --- The folder -------------------------------------------------------------------------------------------------------
 
 
@@ -197,13 +209,8 @@ class DatasetFolder:
         path = self.path / name
         if not path.exists():
             return None
-        with reading(path, "a file of a data set"):
-            try:
-                content = json.loads(read_text(path))
-            except (ValueError, RecursionError) as error:
-                raise InputError(f"{path}: is damaged; give another --out") from error
-        stored = content.get("identity") if isinstance(content, dict) else None
-        check_identity(stored, identity, f"{self.path}: the data set there", "--out")
+        content = read_json(path, "a file of a data set")
+        check_identity(content.get("identity"), identity, f"{self.path}: the data set there", "--out")
         return content
 
     def _scans_done(self, content: Mapping, total: int) -> set[int]:

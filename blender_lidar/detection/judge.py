@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
+from ..road import RoadFrame
 from ..scene.mounting import COORDINATE_LIMITS
 from ..scene.observation import CountedFrame
 from ..scene.region import Region
 from ..scene.scenario import Scenario
 from ..scene.site import Site
+from ..scoring.workers import Workers
 from ..sensors.pose import Pose
+from ..traffic.vehicles import Vehicles
 from .boxes import KINDS, DetectedBoxes, no_boxes
 from .classical import ClassicalDetector
 from .files import Mountings, read_detected
@@ -27,23 +31,21 @@ from .scores import CRITERIA, Matches, by_distance, match, measured, paired_inte
 
 
 class Detector(Protocol):
-    """What finds vehicles in the point clouds of one mounting."""
+    """What finds vehicles in the clouds of one mounting; one that learns has `range_image` and `learn` besides."""
 
     name: str
     learns: bool
 
-    def learn(self, clouds: Iterator[PointCloud]) -> None:
-        """Look at other frames of the same mounting first."""
+    def detect(self, cloud: PointCloud) -> tuple[DetectedBoxes, Any]:
+        """The vehicles of one frame, and what `notes` needs to know of it."""
 
-    def detect(self, cloud: PointCloud) -> DetectedBoxes:
-        """The vehicles of one frame."""
-
-    def notes(self) -> Sequence[str]:
-        """What was unlike what it is made for, as sentences."""
+    def notes(self, seen: Sequence[Any]) -> Sequence[str]:
+        """What was unlike what it is made for in the frames that were `seen`, as sentences."""
 
 
 DETECTORS = (PillarsDetector.name, ClassicalDetector.name)
 _ASIDE_M = 8.0
+CLOUDS_A_PROCESS = 12  # fewer are done before another process has started
 
 
 def is_weights(detector: str) -> bool:
@@ -68,7 +70,7 @@ def detector_at(site: Site, mount: Mapping[str, float], name: str) -> Detector:
     """
     seen = site.observation
     if name == ClassicalDetector.name:
-        return ClassicalDetector(seen.lattice, (mount["x_m"], mount["y_m"]), seen.imperfections)
+        return ClassicalDetector(seen.lattice, foot_xy(mount), seen.imperfections)
     weights = SHIPPED if name == PillarsDetector.name else name
     found = PillarsDetector(seen.lattice.model.name, site.scenario.pose(mount), *watched(site), weights)
     heading = np.concatenate([frame.vehicles.heading_rad[frame.counted] for frame in site.search])
@@ -146,48 +148,90 @@ def believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:
     return replace(cloud, xyz=planned.position + measured @ planned.rotation)
 
 
+def foot_xy(mount: Mapping[str, float]) -> tuple[float, float]:
+    """Where a mounting stands, seen from above [m]."""
+    return float(mount["x_m"]), float(mount["y_m"])
+
+
 def sensor_at(site: Site, mount: Mapping[str, float]) -> MountedSensor:
     """The site's sensor at a mounting."""
     seen = site.observation
     return MountedSensor(site.scenario, mount, seen.lattice, seen.caster, seen.scenery)
 
 
-def clouds_at(
-    site: Site,
-    mount: Mapping[str, float],
-    frames: Sequence[CountedFrame],
-    advance: Callable[[int], object] = lambda done: None,
-) -> Iterator[PointCloud]:
-    """What a detector is given of frames at a mounting, which hangs off where the scene has a tolerance."""
-    hangs = hung_off(site, mount)
-    sensor = sensor_at(site, hangs)
-    for frame in frames:
-        yield believed(sensor.scan(frame.vehicles), *map(site.scenario.pose, (hangs, mount)))
-        advance(1)
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudsAt:
+    """What a detector is given of frames at a mounting: called with the vehicles of one.
+
+    Attributes
+    ----------
+    sensor : MountedSensor
+        Where it hangs.
+    planned : Pose
+        Where the detector believes it to hang.
+    """
+
+    sensor: MountedSensor
+    planned: Pose
+
+    def __call__(self, vehicles: Vehicles) -> PointCloud:
+        return believed(self.sensor.scan(vehicles), self.sensor.scenario.pose(self.sensor.mount), self.planned)
+
+
+def clouds_at(site: Site, mount: Mapping[str, float]) -> CloudsAt:
+    """The clouds of a mounting, which hangs off its plan where the scene has a tolerance."""
+    return CloudsAt(sensor_at(site, hung_off(site, mount)), site.scenario.pose(mount))
+
+
+def of_each(
+    make: Callable[[Any], Any], items: Sequence[Any], workers: int, advance: Callable[[int], object]
+) -> list[Any]:
+    """What `make` makes of each item, in their order, by up to so many processes; `advance` is given 1 for each."""
+    made = []
+    with closing(Workers(make, max(1, min(workers, len(items) // CLOUDS_A_PROCESS)))) as pool:
+        for one in pool.each(items):
+            made.append(one)
+            advance(1)
+    return made
+
+
+def range_image(detector: ClassicalDetector, clouds: Callable[[Any], PointCloud], item: Any) -> np.ndarray:
+    """What a detector that learns takes from one of its clouds."""
+    return detector.range_image(clouds(item))
+
+
+def _look(detector: Detector, clouds: CloudsAt, frame: CountedFrame) -> tuple[DetectedBoxes, Any, int]:
+    """A frame's detections, what the notes need, and how many counted vehicles have a return."""
+    cloud = clouds(frame.vehicles)
+    returned = np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id)
+    return *detector.detect(cloud), int(returned.sum())
 
 
 _NO_GROUND = "the scene has no ground, by which detectors level each cloud: they find less, and less exactly"
 
 
 def judge_detector(
-    site: Site, mount: Mapping[str, float], detector: Detector, advance: Callable[[int], object] = lambda done: None
+    site: Site,
+    mount: Mapping[str, float],
+    detector: Detector,
+    workers: int = 1,
+    advance: Callable[[int], object] = lambda done: None,
 ) -> JudgedDetector:
-    """Let a detector find the vehicles of the judging frames within `watched`; it has seen the searched ones.
+    """Let a detector find the vehicles of the judging frames within `watched`; one that learns sees the searched first.
 
-    Where the scene has a tolerance, the LiDAR hangs off its plan, which the detector believes in. `advance` is told of
-    each cloud that was cast.
+    Where the scene has a tolerance, the LiDAR hangs off its plan, which the detector believes in. Clouds are cast by so
+    many processes; `advance` is given 1 for each.
     """
+    clouds, (frames, _, _) = clouds_at(site, mount), judging_frames(site)
     if detector.learns:
-        detector.learn(clouds_at(site, mount, site.search, advance))
-    frames, _, _ = judging_frames(site)
-    boxes, returned, (low, high) = [], 0, watched(site)
-    for frame, cloud in zip(frames, clouds_at(site, mount, frames, advance), strict=True):
-        found = detector.detect(cloud)
-        boxes.append(found.select(((found.centre_m[:, :2] >= low) & (found.centre_m[:, :2] <= high)).all(axis=1)))
-        returned += int(np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id).sum())
+        vehicles = [frame.vehicles for frame in site.search]
+        detector.learn(of_each(partial(range_image, detector, clouds), vehicles, workers, advance))
+    found, seen, returned = zip(*of_each(partial(_look, detector, clouds), frames, workers, advance), strict=True)
+    low, high = watched(site)
+    boxes = [one.select(((one.centre_m[:, :2] >= low) & (one.centre_m[:, :2] <= high)).all(axis=1)) for one in found]
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
-    with_return = returned / vehicles if vehicles else None
-    notes = [*detector.notes(), *([] if site.scenario.world.ground else [_NO_GROUND])]
+    with_return = sum(returned) / vehicles if vehicles else None
+    notes = [*detector.notes(seen), *([] if site.scenario.world.ground else [_NO_GROUND])]
     return judged_boxes(boxes, partial(matches_of, site, mount, boxes), with_return, notes)
 
 
@@ -206,14 +250,13 @@ def matches_of(
 ) -> list[Matches]:
     """Detections of the judging frames, matched by each of `CRITERIA`; of all kinds or of one."""
     frames, _, _ = judging_frames(site)
-    lidar, region = (float(mount["x_m"]), float(mount["y_m"])), region_of_alarms(site)
-    return [match(boxes, frames, region, lidar, criterion, kind) for criterion in CRITERIA]
+    region = region_of_alarms(site.region, site.scenario.road)
+    return [match(boxes, frames, region, foot_xy(mount), criterion, kind) for criterion in CRITERIA]
 
 
-def region_of_alarms(site: Site) -> Region:
-    """Where false alarms count: in the region, in stretches on the carriageway, whatever lanes they are of."""
-    carriageway = site.scenario.road.carriageway_y
-    return replace(site.region, stretches=[(x, carriageway, None) for x, _, _ in site.region.stretches])
+def region_of_alarms(region: Region, road: RoadFrame) -> Region:
+    """Where false alarms count: in the region where vehicles count, but a stretch of lanes in all lanes."""
+    return replace(region, stretches=[(x, road.carriageway_y, None) for x, _, _ in region.stretches])
 
 
 def judged_from_file(site: Site, mount: Mapping[str, float], path: str) -> JudgedDetector:

@@ -9,7 +9,7 @@ import json
 import math
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -201,11 +201,7 @@ class PillarsDetector:
         self._weights, self._card = load_weights(SHIPPED if weights is None else weights)
         self._sensor, self._pose, self._lidar = sensor, pose, pose.position
         self._area = Area.around(np.asarray(low) - self._lidar[:2], np.asarray(high) - self._lidar[:2])
-        self._seen: list[tuple[float, float]] = []
         self._told: list[str] = []
-
-    def learn(self, clouds: Iterator[PointCloud]) -> None:
-        """Do nothing: it knows what it was trained on."""
 
     def check_headings(self, heading_rad: np.ndarray) -> None:
         """Note where vehicles, by their headings (n,) [rad], do not drive along x as those of the training did."""
@@ -214,8 +210,8 @@ class PillarsDetector:
             off = f"{100.0 * astray:.0f} % of the vehicles stand more than {math.degrees(_ALONG_RAD):.0f} degrees off x"
             self._told.append(f"{self.name}: {off}; in its training all drove along it, and others are found less well")
 
-    def detect(self, cloud: PointCloud) -> DetectedBoxes:
-        """The vehicles of one frame.
+    def detect(self, cloud: PointCloud) -> tuple[DetectedBoxes, tuple[float, float]]:
+        """The vehicles of one frame; and for `notes` how uneven its ground is [m], and its `density`.
 
         Raises
         ------
@@ -229,22 +225,22 @@ class PillarsDetector:
         points = points[self._area.holds(points[:, :2])]
         ground = fit_ground(points)
         pillars = pillars_of(points, ground, float(self._lidar[2]) - ground.level, self._area, _BARE_GROUND_M)
-        self._seen.append((ground.residual_m, density(pillars)))
+        seen = ground.residual_m, density(pillars)
         if not len(pillars.cell):
-            return no_boxes()
+            return no_boxes(), seen
         boxes = boxes_of(forward(self._weights, *pillars)[0], self._area)
         boxes.centre_m[:, 2] += ground.height(boxes.centre_m[:, :2])
         boxes.centre_m[:, :2] += self._lidar[:2]
-        return boxes
+        return boxes, seen
 
-    def notes(self) -> Sequence[str]:
-        """Where the sensor, its mounting or its clouds are unlike those of the training, as sentences."""
+    def notes(self, seen: Sequence[tuple[float, float]] = ()) -> Sequence[str]:
+        """Where the sensor, its mounting or the clouds that were `seen` are unlike the training's, as sentences."""
         trained, told = self._card["trained_on"], [*self._told]
         if self._sensor not in trained["sensors"]:
             told.append(f"{self.name} was trained on {', '.join(trained['sensors'])}, not on {self._sensor}")
         lean = math.degrees(math.acos(min(1.0, float(self._pose.rotation[2, 2]))))
         mounting = {"height_m": (self._pose.height_m, "hangs {} m high"), "lean_deg": (lean, "leans by {} degrees")}
-        residual, points = np.array(self._seen).reshape(-1, 2).T
+        residual, points = np.array(seen).reshape(-1, 2).T
         if len(residual) and np.isnan(residual).mean() > 0.5:
             told.append(f"{self.name}: most clouds have too little ground for a plane; heights are counted from z = 0")
         elif len(residual):

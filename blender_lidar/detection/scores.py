@@ -186,22 +186,20 @@ def average_precision(matches: Matches, weight: np.ndarray | None = None) -> np.
     """
     weight = _of_frames(matches, weight)
     vehicles = weight @ np.bincount(matches.vehicle_frame, minlength=matches.frames)
-    _, step = np.unique(-matches.confidence, return_inverse=True)  # the surest first
-    counts = np.zeros((2, matches.frames, int(step.max(initial=-1)) + 1))
-    np.add.at(counts, (0, matches.frame, step), 1.0)
-    np.add.at(counts, (1, matches.frame, step), matches.hit)
-    all_taken, all_hits = np.cumsum(counts, axis=2)
-    area = np.zeros(len(weight))
-    for first in range(0, len(weight), _RESAMPLES_AT_ONCE):
-        some = weight[first : first + _RESAMPLES_AT_ONCE]
-        taken, hits = some @ all_taken, some @ all_hits
+    order = np.argsort(-matches.confidence, kind="stable")
+    frame, hit = matches.frame[order], matches.hit[order].astype(float)
+    last = np.flatnonzero(np.diff(matches.confidence[order], append=-np.inf))  # of those that are equally sure
+    area, at_once = np.zeros(len(weight)), max(1, _MOST_AT_ONCE // max(len(order), 1))
+    for first in range(0, len(weight), at_once):
+        counts = weight[first : first + at_once, frame]
+        taken, hits = np.cumsum(counts, axis=1)[:, last], np.cumsum(counts * hit, axis=1)[:, last]
         precise = np.divide(hits, taken, out=np.zeros_like(hits), where=taken > 0.0)
         envelope = np.maximum.accumulate(precise[:, ::-1], axis=1)[:, ::-1]
-        area[first : first + _RESAMPLES_AT_ONCE] = (np.diff(hits, axis=1, prepend=0.0) * envelope).sum(axis=1)
+        area[first : first + at_once] = (np.diff(hits, axis=1, prepend=0.0) * envelope).sum(axis=1)
     return area / np.where(vehicles > 0, vehicles, np.nan)
 
 
-_RESAMPLES_AT_ONCE = 100  # memory: so many times the different confidences
+_MOST_AT_ONCE = 2_000_000  # detections times resamples: memory grows with the detections alone
 
 
 def _of_frames(matches: Matches, weight: np.ndarray | None) -> np.ndarray:

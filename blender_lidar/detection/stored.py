@@ -2,39 +2,67 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..clouds.files import read_cloud
 from ..clouds.scan import PointCloud
-from ..errors import InputError, one_line, unknown_name
-from ..files import read_text, reading
+from ..errors import InputError, unknown_name
 from ..road import RoadFrame
 from ..scene.mounting import COORDINATES, plumb, pose_at
 from ..scene.observation import CountedFrame
 from ..scene.region import Region, region_of
-from ..scene.settings import RegionSettings, StretchSettings
-from ..sensors.beams import beam_lattice
-from ..sensors.imperfections import Imperfections
+from ..scene.settings import RegionSettings, SensorSettings
+from ..scene.site import lattice_of
+from ..sensors.beams import BeamLattice
 from ..sensors.model import load_model, model_names
+from ..toml_table import Setting, TomlTable
 from ..traffic.source import Column, TableLayout, fields_of, first_lines, read_rows
 from ..traffic.table import BOX_COLUMNS
 from ..traffic.vehicles import CLASSES, Vehicles
 from .boxes import DetectedBoxes
 from .classical import ClassicalDetector
 from .dataset import VAL
-from .dataset_files import BOXES, DATASET, SCANS, UNFINISHED, file_name
-from .judge import JudgedDetector, boxes_from_file, farthest_m, is_ours, judged_boxes, measured_groups
+from .dataset_files import BOXES, DATASET, SCANS, UNFINISHED, file_name, read_json
+from .judge import (
+    Detector,
+    JudgedDetector,
+    boxes_from_file,
+    farthest_m,
+    foot_xy,
+    is_ours,
+    judged_boxes,
+    measured_groups,
+    of_each,
+    range_image,
+    region_of_alarms,
+)
 from .pillars import SHIPPED, PillarsDetector
 from .scores import CRITERIA, Matches, intervals, match
 
-Progress = Callable[[int], Callable[[int], object]]  # given how many clouds there are, what is told of those done
+Progress = Callable[[int], Callable[[int], object]]  # given how many clouds there are, what is called for those done
+
+
+def mounting_of(values: Mapping[str, object], where: str) -> dict[str, float]:
+    """The six coordinates of a mounting [m, degrees] from a file of ours; `where` it stands.
+
+    Raises
+    ------
+    InputError
+        Where one is missing or no number.
+    """
+    table = TomlTable({key: values[key] for key in COORDINATES if key in values}, where)
+    return table.read(dict.fromkeys(COORDINATES, Setting(low=-_FARTHEST, high=_FARTHEST)))
+
+
+_FARTHEST = 1e9
 
 
 def _pillars(name: str, sensor: str, mount: Mapping[str, float], low: np.ndarray, high: np.ndarray) -> PillarsDetector:
@@ -45,10 +73,76 @@ def _pillars(name: str, sensor: str, mount: Mapping[str, float], low: np.ndarray
 # --- Clouds of one mounting -------------------------------------------------------------------------------------------
 
 _FEWEST_CLOUDS = 5  # from which a background can be learnt
+_OF_HEADERS = {
+    "sensor": Setting(kind=str),
+    "rotation_hz": Setting(above=0.0),
+    "azimuth_step_deg": Setting(above=0.0, high=180.0),
+    "range_m": Setting(kind=tuple[float, float], low=0.0),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredClouds:
+    """The clouds of one mounting, by their paths, as its first header describes them.
+
+    Attributes
+    ----------
+    first : Path
+    header : mapping
+    sensor : SensorSettings
+    lattice : BeamLattice
+    mount : mapping of str to float
+        The mounting in the road frame [m, degrees].
+    """
+
+    first: Path
+    header: Mapping[str, object]
+    sensor: SensorSettings
+    lattice: BeamLattice
+    mount: Mapping[str, float]
+
+    @classmethod
+    def of(cls, path: Path) -> StoredClouds:
+        header = read_cloud(path)[1]
+        where = f"{path}: its header"
+        told = TomlTable({key: header[key] for key in _OF_HEADERS if key in header}, where).read(_OF_HEADERS)
+        name, rate = told["sensor"], told["rotation_hz"]
+        if name not in model_names():
+            raise InputError(f"{path}: its sensor {name!r} is of a table of its own; detect at its scene")
+        columns = round(360.0 / told["azimuth_step_deg"])
+        imperfect = header.get("imperfections", {})
+        settings = {"name": name, "rotation_hz": rate, "range_gate_m": told["range_m"][1], **imperfect}
+        try:
+            if columns != load_model(name).columns(rate):
+                settings["columns"] = columns
+            sensor = TomlTable(settings, where).read_as(SensorSettings)
+            lattice = lattice_of(sensor)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        return cls(path, header, sensor, lattice, mounting_of(header["pose"], f"{where}: pose"))
+
+    def read(self, path: Path) -> tuple[PointCloud, int]:
+        """A cloud and its frame; refused where another sensor or mounting made it."""
+        cloud, header = read_cloud(path)
+        if any(header.get(key) != self.header[key] for key in (*_OF_HEADERS, "pose")):
+            raise InputError(f"{path}: is of another sensor or mounting than {self.first}; allowed: the same")
+        if cloud.ring.max(initial=0) >= self.lattice.rings:
+            name = self.lattice.model.name
+            raise InputError(f"{path}: has ring {cloud.ring.max()}; the {name} has {self.lattice.rings}")
+        return cloud, header["frame"]
+
+    def __call__(self, path: Path) -> PointCloud:
+        return self.read(path)[0]
+
+
+def _look(detector: Detector, clouds: StoredClouds, path: Path) -> tuple[int, DetectedBoxes, Any]:
+    """The frame of a cloud, its detections, and what the notes need."""
+    cloud, frame = clouds.read(path)
+    return frame, *detector.detect(cloud)
 
 
 def detect_in_clouds(
-    folder: Path, name: str, progress: Progress
+    folder: Path, name: str, workers: int, progress: Progress
 ) -> tuple[dict[int, DetectedBoxes], Mapping[str, float], Sequence[str]]:
     """What a detector of ours finds in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them.
 
@@ -73,47 +167,38 @@ def detect_in_clouds(
         few = f"has {len(paths)} .npz clouds, as scan --frame-ids writes them"
         wanted = f"{_FEWEST_CLOUDS} or more, to learn the empty scene from" if learns else "at least one"
         raise InputError(f"{folder}: {few}; allowed: {wanted}")
-    headers = [read_cloud(path)[1] for path in paths]
-    first, frames = headers[0], [header["frame"] for header in headers]
-    for path, header in zip(paths, headers, strict=True):
-        if any(header[key] != first[key] for key in ("sensor", "rotation_hz", "pose")):
-            raise InputError(f"{path}: is of another sensor or mounting than {paths[0]}; allowed: the same")
-        if frames.count(header["frame"]) > 1:
-            raise InputError(f"{path}: is of frame {header['frame']}, as another cloud is; allowed: one of each")
-    if first["sensor"] not in model_names():
-        raise InputError(f"{paths[0]}: its sensor {first['sensor']!r} is of a table of its own; detect at its scene")
-    lattice = beam_lattice(load_model(first["sensor"]), first["rotation_hz"])
-    pose, losses = first["pose"], first.get("imperfections", {})
-    at = np.array([pose["x_m"], pose["y_m"]])
+    clouds = StoredClouds.of(paths[0])
+    at, advance = np.array(foot_xy(clouds.mount)), progress((1 + learns) * len(paths))
     if learns:
-        imperfections = Imperfections(losses.get("range_noise_m", 0.0), losses.get("dropout", 0.0))
-        detector = ClassicalDetector(lattice, tuple(at), imperfections)
+        detector = ClassicalDetector(clouds.lattice, tuple(at), clouds.sensor.imperfections)
+        detector.learn(of_each(partial(range_image, detector, clouds), paths, workers, advance))
     else:
-        detector = _pillars(name, first["sensor"], pose, at - first["range_m"][1], at + first["range_m"][1])
-    advance = progress((1 + learns) * len(paths))
-
-    def clouds() -> Iterator[PointCloud]:
-        for path in paths:
-            cloud = read_cloud(path)[0]
-            if cloud.ring.max(initial=0) >= lattice.rings:
-                raise InputError(f"{path}: has ring {cloud.ring.max()}; the {first['sensor']} has {lattice.rings}")
-            yield cloud
-            advance(1)
-
-    if learns:
-        detector.learn(clouds())
-    found = dict(zip(frames, map(detector.detect, clouds()), strict=True))
-    return found, pose, detector.notes()
+        reach = clouds.sensor.range_gate_m
+        detector = _pillars(name, clouds.lattice.model.name, clouds.mount, at - reach, at + reach)
+    frames, boxes, seen = zip(*of_each(partial(_look, detector, clouds), paths, workers, advance), strict=True)
+    if len(set(frames)) < len(frames):
+        twice = next(frame for row, frame in enumerate(frames) if frame in frames[:row])
+        raise InputError(f"{folder}: frame {twice} has several clouds; allowed: one of each frame")
+    return dict(zip(frames, boxes, strict=True)), clouds.mount, detector.notes(seen)
 
 
 # --- Data sets --------------------------------------------------------------------------------------------------------
 
 _WHOLE = Column("a whole number of at least 0", low=0, whole=True)
 _FLAG = Column("0 or 1", 0, 1, whole=True)
-_ABOUT = ("scene", "sensor", "region", "caster", "layouts", "seed", "warnings", "versions")
+_ABOUT = {
+    **dict.fromkeys(("scene", "sensor", "caster"), Setting(kind=str)),
+    "region": Setting(kind=RegionSettings),
+    "road": Setting(kind=RoadFrame),
+    "layouts": Setting(kind=tuple[str, ...]),
+    "seed": Setting(kind=int),
+    "range_gate_m": Setting(above=0.0),
+    "warnings": Setting(kind=list),
+}
 _OF_SCANS = {
-    **dict.fromkeys(("scan", "frame", "recording", "block", "mounting"), _WHOLE),
-    **dict.fromkeys(COORDINATES, Column("a number", -1e6, 1e6)),
+    **dict.fromkeys(("scan", "recording", "block", "mounting"), _WHOLE),
+    "frame": Column("a whole number", whole=True),
+    **dict.fromkeys(COORDINATES, Column("a number", -_FARTHEST, _FARTHEST)),
 }
 _OF_BOXES = {
     **{name: column for name, column in BOX_COLUMNS.items() if name not in ("time_s", "lane")},
@@ -129,7 +214,7 @@ class StoredDataset:
     ----------
     folder : Path
     about : mapping
-        What dataset.json says of it, by `_ABOUT`.
+        The content of dataset.json.
     region : Region
         Where a box that meets nothing is a false alarm.
     scans : mapping of str to ndarray, (n,)
@@ -189,21 +274,15 @@ def read_dataset(folder: Path) -> StoredDataset:
     path = folder / DATASET
     if not path.exists():
         raise InputError(f"{folder}: is an unfinished data set; give the command that began it again")
-    with reading(path, "the dataset.json of a data set"):
-        try:
-            content = json.loads(read_text(path))
-            about, road, told = {key: content[key] for key in _ABOUT}, RoadFrame(**content["road"]), content["region"]
-            stretches = tuple(StretchSettings(one["x_m"]) for one in told["stretches"])
-            region = region_of(RegionSettings(**{**told, "stretches": stretches}), road.carriageway_y)
-            _corners(region)
-        except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
-            told = f"is damaged, or of another version: {one_line(f'{type(error).__name__}: {error}')}"
-            raise InputError(f"{path}: {told}; make the data set again") from error
+    about = read_json(path, "the dataset.json of a data set")
+    told = TomlTable({key: about[key] for key in _ABOUT if key in about}, str(path)).read(_ABOUT)
+    road: RoadFrame = told["road"]
+    region = region_of_alarms(region_of(told["region"], road.carriageway_y), road)
     scans = _read_columns(folder / SCANS, _OF_SCANS, "split")
     count = len(scans["scan"])
     if not count or (scans["scan"] != np.arange(count)).any():
         raise InputError(f"{folder / SCANS}: is damaged: its scans are not numbered from 0 on; make the data set again")
-    mounts = [{key: float(scans[key][row]) for key in COORDINATES} for row in range(count)]
+    mounts = [mounting_of({key: scans[key].tolist()[row] for key in COORDINATES}, str(folder)) for row in range(count)]
     if not road.is_level:
         mounts = [plumb(pose_at(mount, road), RoadFrame()) for mount in mounts]
     validating = np.flatnonzero(scans["split"] == VAL)
@@ -223,7 +302,7 @@ def _read_columns(path: Path, columns: Mapping[str, Column], text: str) -> dict[
     return {**found, text: np.array([word for rows in parts for word in rows.columns[text].tolist()], dtype=str)}
 
 
-def judge_on_dataset(stored: StoredDataset, name: str, progress: Progress) -> JudgedDetector:
+def judge_on_dataset(stored: StoredDataset, name: str, workers: int, progress: Progress) -> JudgedDetector:
     """Judge a detector on the judging scans: PointPillars, or a file of detections by the numbers of the scans.
 
     Raises
@@ -235,11 +314,11 @@ def judge_on_dataset(stored: StoredDataset, name: str, progress: Progress) -> Ju
     frames, points = zip(*map(stored.boxes, numbers), strict=True)
     returns = np.concatenate([of[frame.counted] for frame, of in zip(frames, points, strict=True)]) > 0.0
     if is_ours(name):
-        boxes, notes = _detected(stored, name, progress(len(numbers)))
+        boxes, notes = _detected(stored, name, workers, progress(len(numbers)))
     else:
         what = f"scans{' of split val' * stored.validates} of the data set"
         boxes = boxes_from_file(name, stored.mounts, numbers, what)
-    lidars = np.array([[stored.mounts[number][key] for key in ("x_m", "y_m")] for number in numbers])
+    lidars = np.array([foot_xy(stored.mounts[number]) for number in numbers])
 
     def matched(kind: int | None) -> list[Matches]:
         return [match(boxes, frames, stored.region, lidars, criterion, kind) for criterion in CRITERIA]
@@ -260,20 +339,30 @@ def check_clouds(stored: StoredDataset, name: str) -> None:
         raise InputError(f"{stored.folder}: {told}; allowed: a data set of --layout npz, or --detector FILE")
 
 
-def _detected(stored: StoredDataset, name: str, advance: Callable[[int], object]):
-    """What PointPillars finds in the judging scans, and its notes."""
-    detectors, boxes = {}, []
-    low, high = _corners(stored.region)
-    for number in stored.judging.tolist():
-        cloud, header = read_cloud(stored.folder / "npz" / f"{file_name(number)}.npz")
-        mount, mounting = stored.mounts[number], stored.scans["mounting"][number]
-        if mounting not in detectors:
-            at, reach = np.array([mount["x_m"], mount["y_m"]]), header["range_m"][1]
-            corners = np.maximum(low, at - reach), np.minimum(high, at + reach)
-            detectors[mounting] = _pillars(name, stored.about["sensor"], mount, *corners)
-        boxes.append(detectors[mounting].detect(cloud))
-        advance(1)
-    return boxes, _gathered([detector.notes() for detector in detectors.values()])
+def _look_at_scan(stored: StoredDataset, detectors: Mapping[int, PillarsDetector], number: int):
+    """The detections in a scan, and what the notes need to know of its cloud."""
+    cloud, _ = read_cloud(stored.folder / "npz" / f"{file_name(number)}.npz")
+    return detectors[int(stored.scans["mounting"][number])].detect(cloud)
+
+
+def _detected(
+    stored: StoredDataset, name: str, workers: int, advance: Callable[[int], object]
+) -> tuple[list[DetectedBoxes], list[str]]:
+    """What PointPillars finds in the judging scans, each from its mounting, and its notes."""
+    numbers, (low, high), reach = stored.judging.tolist(), _corners(stored.region), stored.about["range_gate_m"]
+    mounting, detectors = stored.scans["mounting"].astype(int).tolist(), {}
+    for number in numbers:
+        mount = stored.mounts[number]
+        at = np.array(foot_xy(mount))
+        corners = np.maximum(low, at - reach), np.minimum(high, at + reach)
+        detectors[mounting[number]] = _pillars(name, stored.about["sensor"], mount, *corners)
+    found = of_each(partial(_look_at_scan, stored, detectors), numbers, workers, advance)
+    seen = {
+        each: [one for number, (_, one) in zip(numbers, found, strict=True) if mounting[number] == each]
+        for each in detectors
+    }
+    notes = [detector.notes(seen[each]) for each, detector in detectors.items()]
+    return [boxes for boxes, _ in found], _gathered(notes)
 
 
 def _corners(region: Region) -> tuple[np.ndarray, np.ndarray]:

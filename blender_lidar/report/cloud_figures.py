@@ -239,8 +239,10 @@ def draw_detections(
     frame, sure = frames[number], []
     for name, one in judged.items():
         boxes = one.boxes[number].select(one.boxes[number].confidence >= _SURE)
-        (cloud,) = clouds_at(site, mounts[name], [frame])
-        met = meetings(boxes, frame.vehicles, frame.counted, region_of_alarms(site), CRITERIA[0])
+        cloud = clouds_at(site, mounts[name])(frame.vehicles)
+        met = meetings(
+            boxes, frame.vehicles, frame.counted, region_of_alarms(site.region, site.scenario.road), CRITERIA[0]
+        )
         sure.append(Found(name.capitalize(), mounts[name], cloud, boxes, *met))
     title = f"{site.model.name}: what the detector {Path(detector).stem} finds in frame {frame.vehicles.frame}"
     of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"

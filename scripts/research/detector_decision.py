@@ -189,8 +189,8 @@ class FrameWork:
         there, planned = site.scenario.pose(hangs), site.scenario.pose(mount)
         cloud = believed(scan.cloud(there, scan.turn(there)), there, planned)
         at = mount["x_m"], mount["y_m"]
-        found = [one.detect(cloud) for one in self.detectors[number]]
-        region = region_of_alarms(site)
+        found = [one.detect(cloud)[0] for one in self.detectors[number]]
+        region = region_of_alarms(site.region, site.scenario.road)
         return [[match([boxes], [frame], region, at, criterion) for criterion in CRITERIA] for boxes in found]
 
 
