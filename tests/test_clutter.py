@@ -148,10 +148,11 @@ def test_clutter_is_a_false_alarm_to_a_detector_that_has_not_seen_it_before(site
     """Such as one that was set up in winter, or trained where nothing stood."""
     mount = dict(sites[0].scenario.baseline)
     detector = ClassicalDetector(sites[0].observation.lattice, (0.0, 0.0))
-    detector.learn(sensor_at(sites[0], mount).scan(frame.vehicles) for frame in sites[0].search)
+    empty = sensor_at(sites[0], mount)
+    detector.learn([detector.range_image(empty.scan(frame.vehicles)) for frame in sites[0].search])
     alarms = []
     for site in sites:
         frames, _, _ = judging_frames(site)
-        boxes = [detector.detect(sensor_at(site, mount).scan(frame.vehicles)) for frame in frames]
+        boxes = [detector.detect(sensor_at(site, mount).scan(frame.vehicles))[0] for frame in frames]
         alarms.append((~matches_of(site, mount, boxes)[0].hit).sum() / len(frames))
     assert alarms[1] > alarms[0] + 5.0
