@@ -92,6 +92,22 @@ def test_walkers_move_along_the_roadside_and_keep_their_distance_from_it():
         assert scenery.digest == Walkers(ROAD, 1.0, 1, AT_ZERO).at(time_s).digest
 
 
+@pytest.mark.parametrize("x_m", [-3000.0, 450.0, 2000.0])
+def test_walkers_are_as_many_about_any_place_and_move_on_where_two_look(x_m):
+    here, there = (middles(Walkers(ROAD, 1.0, 1, [((x, 0.0), (x, 0.0))]).at(60.0)) for x in (x_m, x_m + 300.0))
+    assert len(here) == pytest.approx(2 * 15, abs=12)
+    assert (np.abs(here[:, 0] - x_m) <= 500.0).all()
+    both = [np.round(some[np.abs(some[:, 0] - x_m - 150.0) < 340.0], 6) for some in (here, there)]
+    assert sorted(map(tuple, both[0])) == sorted(map(tuple, both[1]))
+    assert len(both[0]) > 5
+
+
+def test_walkers_are_about_every_pole_of_several():
+    places = [((x, 0.0), (x, 0.0)) for x in (0.0, 2600.0)]
+    x = middles(Walkers(ROAD, 1.0, 1, places).at(60.0))[:, 0]
+    assert (np.histogram(x, np.arange(-500.0, 3101.0, 600.0))[0] > 5).all()
+
+
 @pytest.fixture(scope="module")
 def sites():
     pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")

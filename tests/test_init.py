@@ -122,6 +122,27 @@ def test_at_an_intersection_the_busiest_approach_is_proposed_and_the_others_are_
     assert others == pytest.approx([-170.0, -80.0, 100.0], abs=0.5)
 
 
+@pytest.mark.parametrize("radius_m", [60.0, 120.0, -150.0])
+def test_a_bend_is_measured_however_sharp_it_is_and_is_one_carriageway(tmp_path, radius_m):
+    """A loop has a tangent in every direction, and one carriageway."""
+    rows = []
+    for number in range(40):
+        for time in np.arange(0.0, 60.0, 0.5):
+            along = 10.0 * time - 12.0 * number
+            if 0.0 <= along <= 4.5 * abs(radius_m):
+                turn = along / radius_m
+                x, y = radius_m * math.sin(turn), radius_m * (1.0 - math.cos(turn))
+                rows.append(
+                    sumo_samples.row(time, id=str(number), x=x, y=y, angle=90.0 - math.degrees(turn), lane="a_0")
+                )
+    layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows))
+    told = next(note for note in layout.notes if "bends" in note)
+    assert float(told.split()[4]) == pytest.approx(math.degrees(50.0 / abs(radius_m)), abs=2.0)
+    sagitta = max(abs(end) for end in layout.stretch_m) ** 2 / (2.0 * abs(radius_m))
+    assert sagitta <= 1.1
+    assert not any("another carriageway" in note for note in layout.notes)
+
+
 def test_the_shipped_samples_lanes_and_edge_are_found():
     layout = proposed(shipped_scenes()["i80"].with_name("i80_sample.csv.gz"), follows_x=True)
     road = layout.road()
@@ -228,6 +249,25 @@ def test_what_would_stop_a_run_is_told_at_once(tmp_path, monkeypatch, capsys):
     assert run("init", tmp_path / "site", tmp_path / "traffic.csv") == 0
     assert "a run will stop: " in (told := capsys.readouterr().err)
     assert "--accept sizes" in told
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 33.0, 121.0])
+def test_init_says_that_a_run_will_stop_where_one_does_and_nowhere_else(heading_deg, tmp_path, monkeypatch, capsys):
+    """Tractors and trailers whose boxes touch: which ones overlap by a rounding depends on the frame of reference."""
+    without_charts(monkeypatch)
+    cos, sin = math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))
+    rows = []
+    for row in traffic_rows():
+        for part, length, ahead in ((0, 6.0, 5.0), (1, 10.0, -3.0)):
+            x, y = row[3] + ahead, row[4]
+            place = [round(x * cos - y * sin, 2), round(x * sin + y * cos, 2)]
+            rows.append([row[0], 2 * row[1] + part, "truck", *place, length, 2.5, 3.6, heading_deg, row[9]])
+    write_table(tmp_path / "traffic.csv", rows)
+    assert run("init", tmp_path / "site", tmp_path / "traffic.csv") == 0
+    told = capsys.readouterr().err
+    how = ("--height", 4, "--frames", 3, "--caster", CASTER, "--detail", "box", "--workers", 1)
+    assert run("evaluate", tmp_path / "site" / "scene.toml", *how, "--out", tmp_path / "run") == 0
+    assert "a run will stop" not in told
 
 
 def test_the_example_runs_and_the_pictures_are_drawn(tmp_path):

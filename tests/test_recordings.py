@@ -13,7 +13,7 @@ from blender_lidar.run.folder import SCENE, RunFolder
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.toml_table import to_toml
-from blender_lidar.traffic import RepairReport
+from blender_lidar.traffic import Recording, RepairReport, joined_recordings
 from tests.refusals import refused
 from tests.small_scene import (
     MAPPED,
@@ -125,6 +125,21 @@ def test_frames_and_vehicles_of_the_second_recording_are_counted_on_from_a_power
     assert (joined.centre_m == alone.centre_m).all()
     assert (joined.vehicle_id == 100 + alone.vehicle_id).all()
     assert joined.time_s == alone.time_s
+
+
+@pytest.mark.parametrize("first", [-5, -9, -1000, 0, 7])
+def test_frames_of_joined_recordings_stay_apart_whatever_number_they_begin_with(first):
+    def recorded(x_m):
+        frame = np.arange(first, first + 15)
+        columns = {"vehicle_id": np.ones(15), "class_index": np.zeros(15), "heading_rad": np.zeros(15)}
+        columns |= {"centre_m": np.full((15, 3), x_m), "size_m": np.ones((15, 3)), "lane": np.zeros(15)}
+        given = {"frame": frame, "time_s": 0.1 * frame, "time_step_s": 0.1, "source": "x", "report": RepairReport()}
+        return Recording.from_rows(**given, **columns)
+
+    joined = joined_recordings([recorded(0.0), recorded(100.0), recorded(200.0)], ["a", "b", "c"])
+    assert len(joined.frames) == 45
+    assert (joined.counts == 1).all()
+    assert joined.centre_m[:, 0].tolist() == [0.0] * 15 + [100.0] * 15 + [200.0] * 15
 
 
 def test_a_search_over_two_recordings_resumes_and_its_scene_reads_as_it_was(tmp_path, capsys):

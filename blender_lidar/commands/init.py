@@ -23,6 +23,7 @@ from ..scene.settings import TrafficSettings
 from ..toml_table import settings_of, to_toml
 from ..traffic import Recording, format_of, read_traffic
 from ..traffic.layout import SETBACK_M, RoadLayout, propose_layout
+from ..traffic.vehicles import counted
 from .options import given_options
 
 SCENE, PICTURE = "scene.toml", "scene.png"
@@ -223,7 +224,7 @@ def _told(recording: Recording, layout: RoadLayout, kind: str, written: list[str
     heading = "" if kind == "ngsim" else f", heading {layout.placing.heading_deg:g} deg"
     low, high = _region_m(layout)
     lines = [
-        ("Traffic", f"{recording.source}: {kind}, {len(recording.frames):,} frames in {seconds:.0f} s"),
+        ("Traffic", f"{recording.source}: {kind}, {counted(len(recording.frames), 'frame')} in {seconds:.0f} s"),
         ("Road", f"{lanes} of {layout.lane_width_m:g} m{heading}, from {layout.vehicles:,} vehicles"),
         (
             "Pole",

@@ -233,8 +233,8 @@ def minus(text: str) -> str:
 
 
 def as_sentence(text: str) -> str:
-    """A text that begins with a capital letter and ends with a full stop."""
-    return f"{text[0].upper()}{text[1:]}."
+    """A text that begins with a capital letter and ends with a full stop, if with no question mark."""
+    return f"{text[0].upper()}{text[1:]}{'' if text.endswith('?') else '.'}"
 
 
 def span(metric: Metric, ends: Sequence[float], more: int = 0, sign: str = "-") -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..statistics import FEWEST_BLOCKS
-from .vehicles import Recording, RepairReport, Vehicles, unknown_frame
+from .vehicles import Recording, RepairReport, Vehicles, counted, unknown_frame
 
 # --- Which frames of a recording are fit to be analysed ---------------------------------------------------
 
@@ -262,7 +262,8 @@ def _spread(part: _Frames, count: int | None, spacing_s: float | None, notes: li
     else:
         chosen = part.where(_nearest_to_multiples(part.time_s, spacing_s, count))
     if count is not None and len(chosen.frames) < count:
-        notes.append(f"{len(chosen.frames)} frames instead of {count}: the searched part of the recording has no more")
+        has = counted(len(chosen.frames), "frame")
+        notes.append(f"{has} instead of {count}: the searched part of the recording has no more")
     return chosen
 
 
@@ -316,10 +317,11 @@ def _pause(candidates: _Frames) -> str | None:
         return None
     at = int(since.argmax())
     before, after = candidates.frames[at : at + 2]
+    first = f"{counted(at + 1, 'frame')} (frame {before})"
     return (
-        f"{since[at]:.0f} of the recording's {candidates.length_s:.0f} s are one pause, after {at + 1} frames (frame "
-        f"{before}) and before {len(since) - at} ({after}), and it is divided by time: put wrong times right, leave "
-        "one side out, or make two recordings, [[traffic]]"
+        f"{since[at]:.0f} of the recording's {candidates.length_s:.0f} s are one pause, after {first} and before "
+        f"{len(since) - at} ({after}), and it is divided by time: put wrong times right, leave one side out, or make "
+        "two recordings, [[traffic]]"
     )
 
 
@@ -362,7 +364,8 @@ def joined_recordings(recordings: Sequence[Recording], names: Sequence[str]) -> 
     """Several recordings as one.
 
     Frames and vehicles of the second are counted on from a power of ten that no number reaches, of the third from
-    twice that: with 10000, frame 12345 is frame 2345 of the second. Each keeps its own time.
+    twice that: with 10000, frame 12345 is frame 2345 of the second. Each keeps its own time. Negative frame numbers
+    are counted on as well: with 100, frame 95 is frame -5 of the second.
 
     Parameters
     ----------
@@ -379,7 +382,7 @@ def joined_recordings(recordings: Sequence[Recording], names: Sequence[str]) -> 
         return recordings[0]
     step = _steps(recordings)
     if len(recordings) * step["vehicle_id"] > _LARGEST_NUMBER:
-        largest = max(int(np.abs(one.vehicle_id).max()) for one in recordings)
+        largest = max(int(one.vehicle_id.max()) for one in recordings)
         raise InputError(f"{' and '.join(names)}: a vehicle is called {largest}; allowed in several: up to 14 digits")
 
     def column(name: str) -> np.ndarray:
@@ -418,9 +421,9 @@ _LARGEST_NUMBER = 2**53  # what a float still holds exactly
 
 
 def _steps(recordings: Sequence[Recording]) -> dict[str, int]:
-    """Powers of ten above all numbers of frames and of vehicles."""
-    largest = {name: max(int(np.abs(getattr(one, name)).max()) for one in recordings) for name in _COUNTED_ON}
-    return {name: 10 ** len(str(number)) for name, number in largest.items()}
+    """Powers of ten above all numbers of frames and of vehicles, and above their whole range where some are below 0."""
+    ends = {name: np.concatenate([getattr(one, name) for one in recordings]) for name in _COUNTED_ON}
+    return {name: 10 ** len(str(int(found.max()) - min(int(found.min()), 0))) for name, found in ends.items()}
 
 
 _COUNTED_ON = ("frame", "vehicle_id")

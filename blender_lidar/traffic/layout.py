@@ -29,8 +29,10 @@ _SETBACKS_M = (SETBACK_M, 3.0, 4.0, 6.0, 8.0, 10.0)
 _CLEAR_M = 1.0  # about the pole
 _BIN_M = 5.0  # along the road
 _MOST_BINS = 2000
+_CHORD_M = 25.0
 _BEND_RAD = math.radians(2.0)
 _MANY_VEHICLES = 12  # on each lane
+_MANY_THE_SAME = 0.8  # share of the vehicles of two carriageways that are one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,14 +106,23 @@ def propose_layout(recording: Recording, *, follows_x: bool = False) -> RoadLayo
     samples = _Samples.of(recording)
     directions = np.zeros(1) if follows_x else _directions(samples)
     found = [each for direction in directions if (each := _carriageway(samples, float(direction), follows_x))]
+    found = _different(found)
     if not found:
         way = "along Local_Y" if follows_x else "one way on a stretch that no others cross"
         raise InputError(
             f"{recording.source}: no road can be proposed: fewer than {_FEWEST_VEHICLES} vehicles drive {way}, with "
             "room for a pole beside them"
         )
-    found.sort(key=lambda each: -each.vehicles)
     return _with_others(found)
+
+
+def _different(found: list[tuple[RoadLayout, np.ndarray]]) -> list[RoadLayout]:
+    """Carriageways, the busiest first, without those that the vehicles of a busier one come to: it bends or turns."""
+    kept: list[tuple[RoadLayout, np.ndarray]] = []
+    for layout, vehicles in sorted(found, key=lambda each: -each[0].vehicles):
+        if all(np.isin(vehicles, others).mean() <= _MANY_THE_SAME for _, others in kept):
+            kept.append((layout, vehicles))
+    return [layout for layout, _ in kept]
 
 
 def _with_others(found: list[RoadLayout]) -> RoadLayout:
@@ -201,8 +212,8 @@ def _directions(samples: _Samples) -> np.ndarray:
 # --- A carriageway in one direction -----------------------------------------------------------------------
 
 
-def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> RoadLayout | None:
-    """The busiest carriageway in about a direction, or None where there is no stretch of one."""
+def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> tuple[RoadLayout, np.ndarray] | None:
+    """The busiest carriageway in about a direction, and who comes to its pole; None where there is no stretch."""
     along = everything.where(everything.off(direction) <= _ALONG_RAD).thinned()
     if not len(along.xy):
         return None
@@ -223,7 +234,7 @@ def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> Roa
             return None
         place = place + _unturned(found.station, 0.0, direction)
         half_m = found.half_m
-    return _layout(found, lanes, place, direction)
+    return _layout(found, lanes, place, direction), found.vehicles
 
 
 def _unturned(along: float, across: float, direction: float) -> np.ndarray:
@@ -373,7 +384,7 @@ class _Station:
     extent: tuple[float, float]
     stretch: tuple[float, float]
     half_m: float  # for which the road is straight enough
-    vehicles: int
+    vehicles: np.ndarray  # who comes to it
     notes: tuple[str, ...]
 
 
@@ -421,26 +432,47 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _
         free &= dense >= 0.9 * dense[free].max()
         merit = np.minimum(middles - extent[0], extent[1] - middles)
     chosen = float(middles[free][merit[free].argmax()])
-    turn = _within_half_turn(everything.heading - direction)
-    halves = [turn[along & (everything.speed > 0.0) & (np.abs(u - chosen - shift) < 25.0)] for shift in (-25.0, 25.0)]
-    bend = abs(np.median(halves[1]) - np.median(halves[0])) if all(map(len, halves)) else 0.0
+    bend = abs(_bend(everything, np.flatnonzero(along & (np.abs(u - chosen) <= 2.0 * _BIN_M))))
     half, notes = HALF_STRETCH_M, []
     if bend > _BEND_RAD:  # as far as the road stays within a metre of its tangent
         half = max(10.0, min(half, math.floor(math.sqrt(2.0 / (bend / 50.0)))))
         notes.append(f"the road bends by {math.degrees(bend):.0f} deg within 50 m, and a scene's is straight")
     stretch = max(extent[0], chosen - half) - chosen, min(extent[1], chosen + half) - chosen
     coming = along & (u >= chosen + stretch[0]) & (u <= chosen + _BIN_M)  # not those that join beyond a crossing
-    vehicles = len(np.unique(everything.vehicle[coming]))
-    if vehicles < _FEWEST_VEHICLES:
+    vehicles = np.unique(everything.vehicle[coming])
+    if len(vehicles) < _FEWEST_VEHICLES:
         return None
-    if vehicles < _MANY_VEHICLES * max(lanes.count, 2):
-        notes.append(f"only {vehicles} vehicles: little to go by, and a lane that none of them used cannot be seen")
+    if len(vehicles) < _MANY_VEHICLES * max(lanes.count, 2):
+        notes.append(
+            f"only {len(vehicles)} vehicles: little to go by, and a lane that none of them used cannot be seen"
+        )
     if len(crossings):
         groups = np.split(crossings, 1 + np.flatnonzero(np.diff(crossings) > 2))
         nearest = min(groups, key=lambda group: np.abs(middles[group] - chosen).min())
         first, last = edges[nearest[0]] - chosen, edges[nearest[-1] + 1] - chosen
         notes.append(f"others cross this carriageway between x {first:.0f} and {last:.0f} m: an intersection?")
     return _Station(chosen, setback, (extent[0] - chosen, extent[1] - chosen), stretch, half, vehicles, tuple(notes))
+
+
+def _bend(everything: _Samples, here: np.ndarray) -> float:
+    """By how much a road turns to the left within 50 m: the median of those whose rows are `here` at the pole [rad].
+
+    It is the angle between two chords of 25 m along each vehicle's own way, before and after the pole or, where tracks
+    end there, as near to it as they go: no bend is too sharp to be seen.
+    """
+    here = here[np.unique(everything.vehicle[here], return_index=True)[1]]
+    same = np.diff(everything.vehicle) == 0
+    way = np.append(0.0, np.cumsum(np.where(same, np.hypot(*np.diff(everything.xy, axis=0).T), 0.0)))
+    first, end = (np.searchsorted(everything.vehicle, everything.vehicle[here], side) for side in ("left", "right"))
+    middle = np.maximum(np.minimum(way[here], way[end - 1] - _CHORD_M), way[first] + _CHORD_M)
+    rows = [np.clip(np.searchsorted(way, middle + shift - 0.1), first, end - 1) for shift in (-_CHORD_M, 0.0, _CHORD_M)]
+    lengths = np.diff(way[rows], axis=0)
+    long = (lengths > 0.5 * _CHORD_M).all(axis=0)
+    if not long.any():
+        return 0.0
+    chords = np.diff(everything.xy[np.array(rows)[:, long]], axis=0)
+    turn = np.diff(np.arctan2(chords[..., 1], chords[..., 0]), axis=0)[0]
+    return float(np.median(_within_half_turn(turn) * 4.0 * _CHORD_M / lengths[:, long].sum(axis=0)))
 
 
 def _clear(everything: _Samples, u, v, direction: float, line: float, edges: np.ndarray) -> np.ndarray:
@@ -468,6 +500,6 @@ def _layout(found: _Station, lanes: _Lanes, place: np.ndarray, direction: float)
         lane_numbers=lanes.numbers,
         stretch_m=found.stretch,
         extent_m=found.extent,
-        vehicles=found.vehicles,
+        vehicles=len(found.vehicles),
         notes=found.notes,
     )

@@ -94,13 +94,13 @@ class RepairReport:
         chosen = [f"location {self.location}"] if len(self.locations) > 1 else []
         chosen += [f"period {self.period}"] if len(self.periods) > 1 else []
         of_what = f" ({', '.join(chosen)})" if chosen else ""
-        used = f"{self.rows_used:,} of {_counted(self.rows_read, 'row')} used{of_what}"
+        used = f"{self.rows_used:,} of {counted(self.rows_read, 'row')} used{of_what}"
         happened = [*lost, *sizes] if losses else [*lost, *changed, *sizes, *headings]
-        lines = [f"{_counted(count, noun)} {outcome}" for count, noun, outcome in happened if count]
+        lines = [f"{counted(count, noun)} {outcome}" for count, noun, outcome in happened if count]
         if losses:
             return [printable(line) for line in (used, *lines)] if lines or self.rows_used < self.rows_read else []
         if self.overlaps:
-            pairs, frames = _counted(self.overlaps, "pair"), _counted(self.overlap_frames, "frame")
+            pairs, frames = counted(self.overlaps, "pair"), counted(self.overlap_frames, "frame")
             lines.append(f"{pairs} of overlapping boxes in {frames} looked at")
         return [printable(line) for line in (used, *lines, *self.notes)]
 
@@ -115,7 +115,8 @@ class RepairReport:
         return [{"name": name, "text": text} for name, text in self.warnings]
 
 
-def _counted(count: int, noun: str) -> str:
+def counted(count: int, noun: str) -> str:
+    """A count and its noun: ``"1 frame"``, ``"2 boxes"``."""
     plural = "es" if noun.endswith("x") else "s"
     return f"{count:,} {noun}{plural if count != 1 else ''}"
 
@@ -286,7 +287,7 @@ class Recording:
 def unknown_frame(frame: int, recording: Recording) -> InputError:
     """The error for a frame number that `recording` does not have."""
     frames = recording.frames
-    has = f"the recording has {len(frames)} frames from {frames[0]} to {frames[-1]}"
+    has = f"the recording has {counted(len(frames), 'frame')} from {frames[0]} to {frames[-1]}"
     nearest = min(frames.tolist(), key=lambda one: abs(one - frame))
     return InputError(f"{recording.source}: no frame {frame}; {has}, {nearest} is the nearest")
 
@@ -326,11 +327,15 @@ class Placing:
 # --- Vehicles that stand in one another: a defect of recordings that is reported, not repaired ------------
 
 _FRAMES_LOOKED_AT = 60
+_TOUCHING_M = 0.02
 _MOST_NEAR_PAIRS = 2_000_000  # in one frame; ten thousand vehicles spread over a city have some 200,000
 
 
 def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
     """Pairs of vehicles whose oriented boxes overlap, seen from above: sweep and prune, then separating axes.
+
+    Boxes that touch, as those of a tractor and its trailer, do not overlap: 2 cm of overlap are within the digits that
+    files are rounded to.
 
     Parameters
     ----------
@@ -347,7 +352,8 @@ def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
     InputError
         If millions of pairs are close enough to overlap.
     """
-    centre, half, heading = vehicles.centre_m[:, :2], vehicles.size_m[:, :2] / 2, vehicles.heading_rad
+    centre, heading, half = vehicles.centre_m[:, :2], vehicles.heading_rad, vehicles.size_m[:, :2] / 2
+    half = half - np.minimum(0.5 * _TOUCHING_M, 0.1 * half)
     reach = np.hypot(half[:, 0], half[:, 1])
     along = centre[:, np.abs(centre - centre.mean(axis=0)).sum(axis=0).argmax()] if len(vehicles) else reach
     order = np.argsort(along - reach, kind="stable")

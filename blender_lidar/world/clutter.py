@@ -167,12 +167,13 @@ _WALKERS = 1.5  # on 100 m of a roadside with strength 1
 _AWAY_M = (1.0, 4.0)
 _CYCLISTS = 0.3  # share
 _SPEEDS_M_S = ((0.0, 1.8), (3.0, 6.0))  # of pedestrians, some of whom hardly move, and of cyclists
+_TALL_M = (1.5, 1.9)
 _BESIDE_M = 1.0  # about places where the LiDAR may hang
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Walkers:
-    """Pedestrians and cyclists who move along both roadsides: no background that could be learnt.
+    """Pedestrians and cyclists who move along both roadsides, over and over on each km: no learnable background.
 
     Attributes
     ----------
@@ -188,8 +189,10 @@ class Walkers:
     keep_clear: Sequence[tuple[Sequence[float], Sequence[float]]]
 
     def at(self, time_s: float) -> Scenery:
-        """Where they are at a time [s], within 500 m of x = 0."""
+        """Those within 500 m along the road of where the LiDAR may hang, at a time [s]."""
         right, left = self.road.carriageway_y
+        first_m = min(float(low[0]) for low, _ in self.keep_clear)
+        last_m = max(float(high[0]) for _, high in self.keep_clear)
         parts = []
         for side in (0, 1):
             seeds = [self.seed, side, _WALKER_SEED]
@@ -197,30 +200,31 @@ class Walkers:
                 rng = np.random.default_rng([*seeds, number])
                 cycles = int(rng.random() < _CYCLISTS)
                 along = rng.choice([-1.0, 1.0]) * rng.uniform(*_SPEEDS_M_S[cycles])
-                x = (rng.random() * _RING_M + along * time_s) % _RING_M - 0.5 * _RING_M
-                away = rng.uniform(*_AWAY_M)
+                nearest = first_m - 0.5 * _RING_M + (rng.random() * _RING_M + along * time_s - first_m) % _RING_M
+                away, tall = rng.uniform(*_AWAY_M), rng.uniform(*_TALL_M)
                 y = right - away if side == 0 else left + away
-                if not any(
-                    low[0] - _BESIDE_M <= x <= high[0] + _BESIDE_M and low[1] - _BESIDE_M <= y <= high[1] + _BESIDE_M
-                    for low, high in self.keep_clear
-                ):
-                    parts.append((_cyclist if cycles else _pedestrian)(x, y, 0.0 if along >= 0.0 else math.pi, rng))
+                made = _cyclist if cycles else _pedestrian
+                for x in np.arange(
+                    nearest, last_m + 0.5 * _RING_M, _RING_M
+                ).tolist():  # the same ones again on the next km
+                    if not any(
+                        (abs(np.clip((x, y), low, high) - (x, y)) <= _BESIDE_M).all() for low, high in self.keep_clear
+                    ):
+                        parts.append(made(x, y, 0.0 if along >= 0.0 else math.pi, tall))
         return join(parts)
 
 
 _WALKER_SEED = 2**32 - 1  # no cell of `clutter`
 
 
-def _pedestrian(x: float, y: float, heading: float, rng: np.random.Generator) -> Scenery:
+def _pedestrian(x: float, y: float, heading: float, tall: float) -> Scenery:
     """Legs, trunk and head, as boxes."""
-    tall = rng.uniform(1.5, 1.9)
     legs = box("legs", (x, y, 0.24 * tall), (0.25, 0.3, 0.48 * tall), heading)
     trunk = box("trunk", (x, y, 0.66 * tall), (0.28, 0.45, 0.36 * tall), heading)
     return _one("pedestrian", legs, trunk, box("head", (x, y, 0.93 * tall), (0.2, 0.17, 0.14 * tall), heading))
 
 
-def _cyclist(x: float, y: float, heading: float, rng: np.random.Generator) -> Scenery:
+def _cyclist(x: float, y: float, heading: float, tall: float) -> Scenery:
     """A cycle and its rider, as boxes."""
-    tall = rng.uniform(1.5, 1.9)
     rider = box("rider", (x, y, 0.72 * tall), (0.5, 0.45, 0.5 * tall), heading)
     return _one("cyclist", box("cycle", (x, y, 0.5), (1.75, 0.1, 1.0), heading), rider)
