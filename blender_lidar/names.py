@@ -17,7 +17,7 @@ DATASET_LAYOUTS = ("npz", "kitti", "openpcdet", "nuscenes")
 VIEWS = ("mean", "max", "min")  # how three occupancies become the P of Eq. 11
 READINGS = ("corrected", "paper")
 SEARCHES = ("hardened", "de-pso", "grid", "random")  # the first unless said
-VEHICLE_METRICS = (  # of single vehicles in a cloud
+METRIC_NAMES = (  # the first unless said
     "pe-vgop",
     "detectable",
     "view-coverage",
@@ -33,15 +33,6 @@ VEHICLE_METRICS = (  # of single vehicles in a cloud
     "ap-entropy",
     "distance",
 )
-SCENE_METRICS = (  # learnt from a scene's traffic
-    "s-mig",
-    "covered-entropy",
-    "m-sog",
-    "expected-visibility",
-    "ground-density",
-    "ground-nuc",
-)
-METRIC_NAMES = VEHICLE_METRICS + SCENE_METRICS  # the first unless said
 
 DEFAULT_CELL_M = 0.05  # side of an occupancy cell, the paper's mu
 PARTICLES, ITERATIONS = 20, 100  # the paper's N and T, section V.A

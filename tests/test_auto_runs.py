@@ -171,7 +171,6 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, finished, key, ca
         {"world": {"boxes": [{"centre_m": [4.0, 1.0, 1.0], "size_m": [0.5, 0.5, 2.0]}]}},
         {"sensor": {"range_noise_m": 0.02, "dropout": 0.1}},
         {"objective": {"metric": "log-points"}},
-        {"objective": {"metric": "s-mig"}},
         {"search": {"method": "grid"}},
         {"search": {"method": "de-pso"}},
         {"search": {"method": "random"}},

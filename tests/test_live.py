@@ -13,7 +13,6 @@ from blender_lidar.clouds.live import LiveFrame
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.metrics.metric import Field
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.scoring.scores import VehicleScores, mountings_of
@@ -76,8 +75,7 @@ def test_a_look_has_the_cloud_of_a_scan_and_the_scores_of_a_scorer_wherever_it_i
 
 @pytest.mark.parametrize("metric", sorted(METRICS))
 def test_every_metric_scores_a_look_as_it_scores_a_frame(metric):
-    field = Field((0.0, 0.0), 50.0, (2.0, 24.0)) if METRICS[metric].learn else None
-    scoring = replace(SCORING, metric=metric, field=field)
+    scoring = replace(SCORING, metric=metric)
     seen = observation("exact", ROUGH)
     expected = VehicleScores(scoring, seen, [FRAME]).of(
         FRAME, FrameScorer(TRAFFIC, FRAME.counted, seen), DRAG[:1], mountings_of(DRAG[:1])

@@ -1,4 +1,4 @@
-"""Runs with every metric: what is maximised, stored and told, and what a metric with a memory is given."""
+"""Runs with every metric: what is maximised, stored and told."""
 
 from __future__ import annotations
 
@@ -15,19 +15,16 @@ import tests.research  # noqa: F401
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.metrics.metric import NEEDS_VIEW, Field, Metric, vehicle_returns
+from blender_lidar.metrics.metric import vehicle_returns
 from blender_lidar.metrics.vehicle_metrics import TIE_BREAKER
 from blender_lidar.report.html import escaped
-from blender_lidar.report.summary import answer, group_table, objective_text
+from blender_lidar.report.summary import answer, objective_text
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.run.verdict import METRIC_VALUE, distance_bands, vehicle_table
+from blender_lidar.run.verdict import METRIC_VALUE, vehicle_table
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.settings import DECLARED
-from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
+from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer
-from blender_lidar.scoring.scores import mountings_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -39,17 +36,16 @@ pytestmark = pytest.mark.usefixtures("quick")
 
 SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
 POSES = [Pose(height_m=2.0), Pose(1.0, -0.5, 4.1, 0.33), Pose(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4)]
-OTHERS = [name for name in METRICS if name != "pe-vgop"]
+OTHERS = ("detectable", "points", "distance", "ap-entropy")
 
 
 FRAMES = counted_frames(2)
-WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and NEEDS_VIEW not in METRICS[name].needs]
 
 
 # --- sums -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", WITHOUT_MEMORY)
+@pytest.mark.parametrize("name", METRICS)
 @pytest.mark.parametrize("loss", [None, -0.25])
 def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_mounting_alone(name, loss):
     metric, scoring = METRICS[name], Scoring(0.005, "mean", loss, "corrected", name)
@@ -148,7 +144,7 @@ def test_a_share_is_told_in_per_cent_its_differences_in_points_its_sum_in_vehicl
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """Searches of three mountings of a small scene with every metric but PE-VGOP."""
+    """Searches of three mountings of a small scene with metrics of each kind."""
     folder = tmp_path_factory.mktemp("metrics")
     scene = write_scene(folder, {"traffic": {"frames": 3}, "search": {"method": "random", "iterations": 1}})
     with pytest.MonkeyPatch.context() as patch:
@@ -196,7 +192,7 @@ def test_what_is_told_of_a_run_has_the_metrics_unit_and_no_other(runs, name):
         assert "bits" not in sheet
 
 
-@pytest.mark.parametrize("name", ["points", "distance", "expected-visibility", "m-sog"])
+@pytest.mark.parametrize("name", ["points", "distance"])
 def test_a_vehicle_gains_what_a_metric_of_vehicles_has_more_of_and_the_objective_all_else(runs, name):
     said = answer(result_of(runs / name))
     assert ("a vehicle gains " in said or "a vehicle loses " in said) == (name == "points")
@@ -224,13 +220,6 @@ def test_groups_of_vehicles_are_scored_by_the_metric(runs):
         near = [row for row in csv.DictReader(stream) if row["split"] == "search" and float(row["distance_m"]) < 10.0]
     mean = -sum(float(row["distance_m"]) for row in near) / len(near)
     assert f"\N{MINUS SIGN}{abs(mean):.2f}" in (runs / "distance" / "report.html").read_text(encoding="utf-8")
-
-
-def test_groups_of_vehicles_have_no_share_of_what_a_scene_is_worth(runs):
-    folder = RunFolder(runs / "s-mig")
-    ((_, rows),) = group_table("distance", distance_bands, folder.read_outcome()).sections
-    for _, *cells, _ in rows:
-        assert [cell == "-" for cell in cells] == 2 * [True, True, False, False]
 
 
 def test_a_run_with_another_metric_has_its_charts(tmp_path, capsys, monkeypatch):
@@ -274,7 +263,6 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
         ("distance", None, "corrected", "minus the distance of every vehicle, detectable or not"),
         ("detectable", None, "corrected", "1 for every detectable vehicle, 0 for every other one"),
         ("detectable", -0.5, "corrected", "1 for every detectable vehicle, less 0.5 for every other one"),
-        ("s-mig", None, "corrected", "the S-MIG, of the scene of each frame, once for every vehicle in it"),
         (
             "points",
             -1.0,
@@ -298,83 +286,3 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
 def test_the_objective_in_words(metric, loss, reading, text):
     result = {"metric": metric, "reading": reading, "identity": {"[objective] loss": loss}}
     assert objective_text(result) == text
-
-
-# --- metrics with a memory --------------------------------------------------------------------------------------------
-
-
-class Memory:
-    """Scores a vehicle by how many boxes of all frames lie nearer to its mounting than itself."""
-
-    def __init__(self) -> None:
-        self.contexts, self.views = [], []
-
-    def learn(self, context):
-        self.contexts.append(context)
-        places = np.concatenate([frame.centre_m[frame.counted, :2] for frame in context.frames])
-
-        def score(returns):
-            self.views.append(returns.view)
-            view = returns.view
-            near = np.hypot(*(places - view.mountings.origin_m[:, None, :2]).transpose(2, 0, 1))
-            own = returns.distance_m.reshape(len(view.mountings), -1)
-            return (near[:, None] < own[..., None]).sum(axis=2).reshape(-1).astype(float)
-
-        return score
-
-
-@pytest.fixture
-def memory(monkeypatch):
-    made = Memory()
-    declared = DECLARED["objective"]
-    allowed = (*declared["metric"].allowed, "memory")
-    monkeypatch.setitem(declared, "metric", replace(declared["metric"], allowed=allowed))
-    monkeypatch.setitem(
-        METRICS, "memory", Metric("memory", "memory", "", True, needs=frozenset({NEEDS_VIEW}), learn=made.learn)
-    )
-    return made
-
-
-def test_a_metric_learns_from_the_frames_that_it_scores_be_they_searched_or_held_out(memory, tmp_path):
-    site = prepare(load_scenario(write_scene(tmp_path, {"objective": {"metric": "memory"}})))
-    for frames in (site.search, site.holdout):
-        places = [frame.vehicles.centre_m[frame.counted, :2].tolist() for frame in frames]
-        with site_evaluator(site, frames) as evaluator:
-            totals = evaluator.totals(POSES)
-        for row, pose in enumerate(POSES):
-            for column, frame in enumerate(frames):
-                expected = 0
-                for place in frame.vehicles.centre_m[frame.counted, :2].tolist():
-                    own = math.dist(place, (pose.x_m, pose.y_m))
-                    expected += sum(math.dist(other, (pose.x_m, pose.y_m)) < own for of in places for other in of)
-                assert totals.objective[row, column] == expected
-    assert len(memory.contexts) == 2  # once for each evaluator
-    for context, frames in zip(memory.contexts, (site.search, site.holdout), strict=True):
-        assert [boxes.frame for boxes in context.frames] == [frame.vehicles.frame for frame in frames]
-        assert context.directions.shape == (16, site.observation.lattice.columns, 3)
-        assert (context.min_range_m, context.max_range_m) == (0.4, 20.0)
-        assert context.field == Field((0.0, 0.0), 20.0, (2.0, 9.0))
-
-
-def test_a_metric_is_told_where_from_and_at_which_boxes_mountings_look(memory, tmp_path):
-    site = prepare(load_scenario(write_scene(tmp_path, {"objective": {"metric": "memory"}})))
-    with site_evaluator(site, site.search) as evaluator:
-        evaluator.totals(POSES)
-    assert len(memory.views) == len(site.search)
-    assert len({id(view.mountings) for view in memory.views}) == 1  # what depends on them alone can be kept
-    frames = {frame.vehicles.centre_m.tobytes(): frame for frame in site.search}
-    for view in memory.views:
-        frame = frames.pop(view.boxes.centre_m.tobytes())
-        np.testing.assert_array_equal(view.boxes.counted, frame.counted)
-        n = int(frame.counted.sum())
-        assert view.to_rows(np.array([1.0, 2.0, 3.0])).tolist() == [1.0] * n + [2.0] * n + [3.0] * n
-    beams = np.array([[0.0, 1.0, 0.0], [0.6, 0.0, -0.8]])
-    for pose, rotation, origin in zip(POSES, view.mountings.rotation, view.mountings.origin_m, strict=True):
-        np.testing.assert_allclose(beams @ rotation, pose.to_world(beams), atol=1e-12)
-        assert origin.tolist() == pose.position.tolist()
-
-
-def test_a_metric_with_a_memory_scores_nothing_before_it_has_learnt(memory):
-    with pytest.raises(InputError, match="metric 'memory' learns from a scene's traffic"):
-        METRICS["memory"].values(vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.ones((1, 3))))
-    assert len(mountings_of([])) == 0

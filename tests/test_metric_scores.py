@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.metrics.metric import NEEDS_VIEW
 from tests.small_scene import cli, done
-
-WITHOUT_MEMORY = [name for name in METRICS if METRICS[name].learn is None and NEEDS_VIEW not in METRICS[name].needs]
 
 
 @pytest.fixture
@@ -62,7 +59,7 @@ def test_score_tells_the_detectable_share_in_per_cent(cloud, capsys):
 def test_score_offers_the_metrics_that_it_can_make_and_no_others(capsys):
     out, _ = done(capsys, "score", "--help")
     offered = "".join(out.split()).split("orof")[1].split("output:")[0]
-    assert offered.split(",") == WITHOUT_MEMORY
+    assert offered.split(",") == list(METRICS)
 
 
 def test_score_says_no_more_than_before_unless_asked(cloud, capsys):
@@ -77,11 +74,11 @@ def test_score_says_no_more_than_before_unless_asked(cloud, capsys):
 
 def test_score_with_all_metrics_leaves_out_what_the_cloud_cannot_give_and_says_so(cloud, capsys):
     out, err = done(capsys, *cloud, "--metric", "all", "--json")
-    assert set(json.loads(out)["metrics"]) == {*WITHOUT_MEMORY} - {"distance"}
+    assert set(json.loads(out)["metrics"]) == {*METRICS} - {"distance"}
     assert err.startswith("blender-lidar: note: left out: ")
     assert "distance" in err
     out, _ = done(capsys, *cloud, "--metric", "all", "--lidar", 1.0, 2.0, "--json")
-    assert set(json.loads(out)["metrics"]) == {*WITHOUT_MEMORY}
+    assert set(json.loads(out)["metrics"]) == {*METRICS}
 
 
 @pytest.mark.parametrize(
@@ -90,7 +87,6 @@ def test_score_with_all_metrics_leaves_out_what_the_cloud_cannot_give_and_says_s
         (["--metric", "log-point"], "--metric: unknown metric 'log-point'; did you mean 'log-points'?"),
         (["--metric", "distance"], "--metric: distance needs to know where the LiDAR is; give --lidar X Y"),
         (["--metric", "distance", "--lidar", "nan", "0"], "--lidar: is nan; allowed: a number"),
-        (["--metric", "s-mig"], "metric 's-mig' learns from a scene's traffic"),
     ],
 )
 def test_metrics_that_score_cannot_make_are_refused(cloud, capsys, words, expected):

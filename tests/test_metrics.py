@@ -16,7 +16,7 @@ from blender_lidar.metrics.metric import NEEDS_POINTS, vehicle_returns
 from blender_lidar.metrics.vehicle_metrics import expected_precision, voxel_entropy, voxel_occupancy
 from blender_lidar.metrics.vgop import pe_vgop, to_vehicle_frame
 
-OF_RETURNS = [name for name in METRICS if METRICS[name].learn is None and METRICS[name].needs <= {NEEDS_POINTS}]
+OF_RETURNS = [name for name in METRICS if METRICS[name].needs <= {NEEDS_POINTS}]
 """Metrics of a vehicle's returns alone."""
 GROW_WITH_POINTS = (
     *("view-coverage", "sum-of-views", "points", "log-points"),
@@ -243,7 +243,7 @@ def test_merit_turns_the_sign_of_metrics_in_which_lower_is_better():
     values = np.array([1.0, 2.0])
     for name, metric in METRICS.items():
         better_first = metric.merit(values)[0] > metric.merit(values)[1]
-        assert better_first == (name in ("distance", "ap-entropy", "ground-nuc")), name
+        assert better_first == (name in ("distance", "ap-entropy")), name
 
 
 # --- entropy of the position ------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -12,10 +13,12 @@ import pytest
 
 import blender_lidar as bl
 from blender_lidar.errors import BlenderLidarError, InputError
+from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.optimise import make_search, run
 from blender_lidar.optimise.solve import OwnSearch
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.verdict import METRIC_VALUE
+from blender_lidar.studies.variations import metric_variations
 from tests.small_scene import cli, done, write_scene
 from tests.waiting import WAIT_S
 
@@ -43,6 +46,23 @@ class Drawn:
 
     def tell(self, values):
         pass
+"""
+
+
+CROWDED = """
+import numpy as np
+import blender_lidar
+
+@blender_lidar.metric(learns=True, needs=["view"], unit="boxes", decimals=1, tells="how many boxes were nearer")
+def crowded(scene):
+    places = np.concatenate([frame.centre_m[frame.counted, :2] for frame in scene.frames])
+
+    def score(returns):
+        origin, boxes = returns.view.mountings.origin_m[:, None, :2], returns.view.boxes
+        own, others = (np.linalg.norm(xy - origin, axis=2) for xy in (boxes.centre_m[boxes.counted, :2], places))
+        return (others[:, None] < own[..., None]).sum(axis=2).ravel()
+
+    return score
 """
 
 
@@ -95,6 +115,52 @@ def test_a_metric_in_a_file_has_the_digits_of_ours_in_workers_too(tmp_path, own,
     assert one.result["metric"] == f"{(tmp_path / 'own.py').resolve()}:views"
     assert one.result["identity"] == two.result["identity"]
     assert "own.py:views, file with SHA-256" in one.result["identity"]["[objective] metric"]
+
+
+def test_a_metric_that_learns_does_so_from_the_frames_that_it_scores_searched_or_held_out(tmp_path, own, capsys):
+    name = f"{own(CROWDED)}:crowded"
+    scene = write_scene(tmp_path, MAPPED)
+    words = ("--metric", name, "--frames", 3, "--workers", 2, "--out", tmp_path / "run")
+    done(capsys, "optimise", scene, *BUDGET, *words)
+    run, site = outcome(tmp_path / "run"), bl.load_scene(scene, metric=name, frames=3)
+    mount = np.array([site.scenario.deployment.pose([4.0, 0.0]).position[:2]])
+    for split, frames in (("search", site.search), ("holdout", site.holdout)):
+        places = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in frames])
+        away = np.linalg.norm(places - mount, axis=1)
+        expected = [sum(other < mine for other in away.tolist()) for mine in away.tolist()]
+        chosen = run.optimised["split"] == split
+        np.testing.assert_array_equal(run.optimised[METRIC_VALUE][chosen], expected)
+    assert "boxes" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_metric_learns_from_boxes_beams_range_and_the_carriageway_within_the_region(tmp_path, own):
+    saved = "    import pickle\n    pickle.dump(scene, open(__file__ + '.seen', 'wb'))\n    return lambda returns: None"
+    path = own(CROWDED[: CROWDED.index("    places")] + saved)
+    site = bl.load_scene(write_scene(tmp_path, MAPPED), metric=f"{path}:crowded", workers=1)
+    with pytest.raises(InputError, match="gave object values; allowed: numbers"):
+        bl.score_mounting(site, height_m=4.0)
+    context = pickle.loads(Path(f"{path}.seen").read_bytes())
+    assert [boxes.frame for boxes in context.frames] == [frame.vehicles.frame for frame in site.search]
+    np.testing.assert_array_equal(context.directions, site.observation.lattice.directions)
+    assert (context.min_range_m, context.max_range_m) == (0.4, 20.0)
+    assert (context.field.centre_xy_m, context.field.radius_m) == ((0.0, 0.0), 20.0)
+    assert context.field.polygon_m == ((-20.0, 2.0), (20.0, 2.0), (20.0, 9.0), (-20.0, 9.0))
+
+
+def test_a_cloud_has_no_scene_to_learn_from(tmp_path, own):
+    path = own(CROWDED)
+    site = bl.load_scene(write_scene(tmp_path), workers=1)
+    with pytest.raises(InputError, match=r"learns from a scene's traffic; allowed: in a run of a scene"):
+        bl.score_cloud(bl.scan_frame(site, site.search[0].vehicles.frame), metrics=[f"{path}:crowded"])
+
+
+def test_a_chart_of_a_metric_that_learns_compares_it_with_those_of_the_catalogue(tmp_path, own):
+    pytest.importorskip("scipy")
+    path = own(CROWDED)
+    site = bl.load_scene(write_scene(tmp_path, MAPPED), metric=f"{path}:crowded", workers=1)
+    changed = [one.changed(site) for one in metric_variations(site) if one.what == "other metric"]
+    assert [one.scoring.metric for one in changed] == list(METRICS)
+    assert {one.scoring.field for one in changed} == {site.scoring.field}
 
 
 def test_a_scene_file_finds_its_plugins_from_its_own_folder_and_so_does_the_scene_of_a_run(tmp_path, own, capsys):
@@ -209,6 +275,8 @@ METRIC_FAULTS = {
     "f = 1": "own.py:f: is a int; allowed: a function with @blender_lidar.metric",
     "def f(returns):\n    return returns.count": "is a function; allowed: a function with @blender_lidar.metric",
     "import blender_lidar as bl\n@bl.metric(needs=['points', 'colour'])\ndef f(returns): pass": "unknown need 'colour'",
+    "import blender_lidar as bl\n@bl.metric(learns=True)\ndef f(scene): scene.roads": "line 3: AttributeError",
+    "import blender_lidar as bl\n@bl.metric(learns=True)\ndef f(scene):\n    return 1": "gave a int, having learnt",
     "import blender_lidar as bl\n@bl.metric\ndef f(returns):\n    return 1 / 0": "line 4: ZeroDivisionError",
     "import blender_lidar as bl\n@bl.metric\ndef f(returns):\n    return returns.count[1:]": r"gave shape \(\d+,\)",
     "import blender_lidar as bl\n@bl.metric\ndef f(returns):\n    return returns.count * float('nan')": "is not finite",

@@ -1,4 +1,4 @@
-"""Metrics of a whole scene in a run: their identities, their worst habits, and that each of them drives a search."""
+"""Metrics of a whole scene, a plug-in that learns: identities, bad habits, and that they drive a search."""
 
 from __future__ import annotations
 
@@ -9,32 +9,48 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import tests.research  # noqa: F401
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
-from blender_lidar.metrics import scene_metrics
-from blender_lidar.metrics.catalogue import METRICS, metric_named
 from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
-from blender_lidar.metrics.scene_metrics import ROAD_VOXEL_M, Road, field_area, ground_points, nuc
 from blender_lidar.metrics.voxel_grid import covered_voxels
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
+from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.scoring.scores import VehicleScores, mountings_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from tests.refusals import refused
-from tests.sample_traffic import dense_traffic, joined
+from scene_metrics import (
+    DISC_RADIUS_M,
+    NAMES,
+    OPTIONS,
+    ROAD_VOXEL_M,
+    Road,
+    SceneScore,
+    _neighbours,
+    field_area,
+    ground_points,
+    nuc,
+)
+from tests.sample_traffic import dense_traffic
 from tests.small_scene import done, without_charts, write_scene
 from tests.test_occupancy_priors import covered_entropy, expected_visibility, m_sog, s_mig
 
-NAMES = [name for name, metric in METRICS.items() if metric.learn is not None]
-WITH_PRIOR = ("s-mig", "covered-entropy", "m-sog", "expected-visibility")
+WITH_PRIOR = NAMES[:4]
 LATTICE = beam_lattice(load_model("RS-16"), stride=4)
 SEEN = Observation(LATTICE, 30.0, 0.4, "exact", "box", 0.05)
-FIELD = Field((0.0, 0.0), 30.0, (2.0, 23.96))
+
+
+def field_between(right, left, radius_m=30.0, x_m=0.0, y_m=0.0):
+    """A straight carriageway between two y, as far as a circle reaches."""
+    ends = x_m - radius_m, x_m + radius_m
+    return Field((x_m, y_m), radius_m, [(ends[0], right), (ends[1], right), (ends[1], left), (ends[0], left)])
+
+
+FIELD = field_between(2.0, 23.96)
 POSES = [Pose(height_m=2.0), Pose(height_m=4.1, tilt_x=0.33), Pose(1.0, -1.0, 3.0, 0.1, 0.1, 0.4)]
 OUT_OF_REACH = Pose(height_m=40.0)
 
@@ -51,7 +67,7 @@ FRAMES = frames_of(6)
 
 
 def scoring(name, field=FIELD):
-    return Scoring(0.005, "mean", None, "corrected", name, field)
+    return Scoring(0.005, "mean", None, "corrected", OPTIONS[name], field)
 
 
 def context(frames=FRAMES, lattice=LATTICE):
@@ -66,9 +82,9 @@ def per_vehicle(name, poses=POSES, frames=FRAMES):
 def published(name, pose, road):
     """The value as its formula has it, from the prior and the voxels alone."""
     covered = covered_voxels(road.grid, pose.position, road.beams @ pose.rotation, 30.0, 0.4)
-    if name == "expected-visibility":
+    if name == "expected_visibility":
         return expected_visibility(road.frames.prior, road.reached(pose.position, pose.rotation))
-    return {"s-mig": s_mig, "covered-entropy": covered_entropy, "m-sog": m_sog}[name](road.frames, covered)
+    return {"s_mig": s_mig, "covered_entropy": covered_entropy, "m_sog": m_sog}[name](road.frames, covered)
 
 
 @pytest.mark.parametrize("name", WITH_PRIOR)
@@ -77,23 +93,6 @@ def test_the_objective_per_vehicle_is_the_published_value_under_the_frames_own_p
     expected = [published(name, pose, road) for pose in POSES]
     np.testing.assert_allclose(per_vehicle(name), expected, rtol=1e-9)
     assert np.ptp(expected) > 1e-3
-
-
-def test_the_prior_is_the_share_of_frames_weighted_by_their_counted_vehicles():
-    road = Road(context())
-    counted = [int(frame.counted.sum()) for frame in FRAMES]
-    assert len(set(counted)) > 2
-    voxel = int(np.argmax(road.frames.prior))
-    x, y, z = road.grid.centres(np.array([voxel]))[0]
-    inside = 0
-    for frame, weight in zip(FRAMES, counted, strict=True):
-        vehicles = frame.vehicles
-        dx, dy = x - vehicles.centre_m[:, 0], y - vehicles.centre_m[:, 1]
-        cos, sin = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)
-        length, width, height = 0.5 * vehicles.size_m.T
-        holds = (abs(cos * dx + sin * dy) <= length) & (abs(cos * dy - sin * dx) <= width)
-        inside += weight * bool((holds & (abs(z - vehicles.centre_m[:, 2]) <= height)).any())
-    assert road.frames.prior[voxel] == pytest.approx(inside / sum(counted))
 
 
 def test_frames_have_their_own_shares_of_a_value_so_that_blocks_of_time_differ():
@@ -112,25 +111,15 @@ def test_a_value_does_not_depend_on_where_the_frames_origin_is(name):
         replace(frame, vehicles=replace(frame.vehicles, centre_m=frame.vehicles.centre_m + by)) for frame in FRAMES
     ]
     poses = [replace(pose, x_m=pose.x_m + by[0], y_m=pose.y_m + by[1]) for pose in POSES]
-    field = Field((40.0, -12.0), 30.0, (-10.0, 11.96))
+    field = field_between(-10.0, 11.96, x_m=40.0, y_m=-12.0)
     with Evaluator(moved, SEEN, scoring(name, field)) as evaluator:
         found = evaluator.totals(poses).per_vehicle()
     np.testing.assert_allclose(found, per_vehicle(name), rtol=1e-3)
 
 
-def test_all_vehicles_of_a_frame_have_its_value():
-    for name in NAMES:
-        scores = VehicleScores(scoring(name), SEEN, FRAMES)
-        scorer = FrameScorer(FRAMES[2].vehicles, FRAMES[2].counted, SEEN)
-        values = scores.of(FRAMES[2], scorer, POSES, mountings_of(POSES)).values
-        assert values.shape == (3, FRAMES[2].counted.sum())
-        assert (np.ptp(values, axis=1) == 0.0).all()
-        assert np.ptp(values[:, 0]) > 0.0
-
-
 def test_the_frame_and_the_company_in_which_mountings_are_scored_do_not_matter():
     """What is kept from one call to the next belongs to the mounting."""
-    for name in ("m-sog", "expected-visibility", "ground-nuc"):
+    for name in ("m_sog", "expected_visibility", "ground_nuc"):
         together = VehicleScores(scoring(name), SEEN, FRAMES)
         for frame in (FRAMES[3], FRAMES[0]):
             scorer = FrameScorer(frame.vehicles, frame.counted, SEEN)
@@ -144,14 +133,14 @@ def test_the_frame_and_the_company_in_which_mountings_are_scored_do_not_matter()
 
 def test_each_mounting_is_valued_once_for_all_frames_however_many_are_scored_together(monkeypatch):
     """A swarm may be larger than what is kept from one to the next."""
-    monkeypatch.setattr(scene_metrics, "_MOUNTINGS_KEPT", 2)
+    monkeypatch.setattr("scene_metrics._MOUNTINGS_KEPT", 2)
     asked = []
 
     def value(_, origin, rotation):
         asked.append(origin[2])
         return origin[2]
 
-    score = scene_metrics.SceneScore(context(), lambda known: known, value)
+    score = SceneScore(context(), lambda known: known, value)
     mountings = mountings_of([Pose(height_m=height) for height in (2.0, 3.0, 4.0, 5.0)])
     for frame in (*FRAMES, *FRAMES):
         n = 4 * frame.counted.sum()
@@ -161,54 +150,16 @@ def test_each_mounting_is_valued_once_for_all_frames_however_many_are_scored_tog
     assert asked == [2.0, 3.0, 4.0, 5.0]
 
 
-def test_two_workers_give_the_same_bits_as_one():
-    made = scoring("expected-visibility")
-    with Evaluator(FRAMES, SEEN, made) as alone, Evaluator(FRAMES, SEEN, made, workers=2) as pair:
-        assert alone.totals(POSES).objective.tobytes() == pair.totals(POSES).objective.tobytes()
-
-
 # --- what the metrics reward ------------------------------------------------------------------------------------------
 
 
 def test_a_lidar_that_reaches_nothing_has_the_best_s_mig_and_m_sog_and_the_worst_of_all_others():
     for name in NAMES:
         road, nothing = per_vehicle(name, [POSES[1], OUT_OF_REACH])
-        if name in ("s-mig", "m-sog"):
+        if name in ("s_mig", "m_sog"):
             assert nothing == 0.0 > road, name
         else:
             assert nothing < road, name
-
-
-def lorries(number, y):
-    """A wall of lorries along a lane, as a frame's vehicles."""
-    one = dense_traffic(seed=3, vehicles=1, frame=number)
-    x = np.arange(-24.0, 25.0, 12.0)
-    return replace(
-        one.select(np.zeros(len(x), dtype=int)),
-        vehicle_id=np.arange(len(x)) + 900,
-        centre_m=np.column_stack([x, np.full(len(x), y), np.full(len(x), 1.9)]),
-        size_m=np.full((len(x), 3), [11.8, 2.4, 3.8]),
-        heading_rad=np.zeros(len(x)),
-    )
-
-
-def test_no_vehicle_stops_a_beam_of_s_mig_but_traffic_dims_expected_visibility():
-    """Lorries in every second frame between the LiDAR and the lanes behind."""
-    plain, walled, pose = [], [], Pose(height_m=2.0)
-    for number, frame in enumerate(frames_of(6, seed=50)):
-        far = frame.vehicles.select(frame.vehicles.centre_m[:, 1] > 6.0)
-        far = joined(far, lorries(number, 18.2))  # so that the regions are as high
-        plain.append(CountedFrame(far, np.ones(len(far), dtype=bool)))
-        with_wall = joined(far, lorries(number, 3.2)) if number % 2 else far
-        walled.append(CountedFrame(with_wall, np.arange(len(with_wall)) < len(far)))
-    roads = [Road(context(frames)) for frames in (plain, walled)]
-    assert roads[0].grid == roads[1].grid
-    behind = roads[0].grid.centres(np.arange(len(roads[0].grid)))[:, 1] > 6.0
-    covered = [road.covered(pose.position, pose.rotation) & behind for road in roads]
-    np.testing.assert_array_equal(*covered)
-    assert covered[0].sum() > 1000
-    before, after = (road.reached(pose.position, pose.rotation)[covered[0]].mean() for road in roads)
-    assert after < 0.8 * before
 
 
 def test_thinned_beams_are_beams_less_than_a_voxel_apart_and_cover_nearly_all():
@@ -224,17 +175,6 @@ def test_thinned_beams_are_beams_less_than_a_voxel_apart_and_cover_nearly_all():
         whole = covered_voxels(road.grid, pose.position, every @ pose.rotation, 30.0, 0.4)
         assert not (thinned & ~whole).any()
         assert thinned.sum() > 0.93 * whole.sum()
-
-
-def test_voxels_nearer_than_the_sensor_reports_are_neither_covered_nor_reached():
-    every, kept = Road(context()), Road(replace(context(), min_range_m=12.0))
-    away = np.linalg.norm(every.grid.centres(np.arange(len(every.grid))) - POSES[1].position, axis=1)
-    far = away >= 12.0 - 0.5 * math.sqrt(3.0) * ROAD_VOXEL_M
-    covered, reached = (look(POSES[1].position, POSES[1].rotation) for look in (kept.covered, kept.reached))
-    assert every.covered(POSES[1].position, POSES[1].rotation)[~far].any()
-    for found in (covered, reached):
-        assert found[far].any()
-        assert not found[~far].any()
 
 
 # --- ground returns ---------------------------------------------------------------------------------------------------
@@ -255,22 +195,81 @@ def test_ground_returns_are_those_of_a_scan_of_the_empty_road(pose):
     inside = (cloud[:, 1] >= 2.0) & (cloud[:, 1] <= 23.96) & (np.hypot(cloud[:, 0], cloud[:, 1]) <= 30.0)
     points = ground_points(context(), pose.position, pose.rotation)
     np.testing.assert_allclose(points, cloud[inside, :2], atol=1e-9)
-    area = field_area(30.0, (2.0, 23.96))
-    found = [per_vehicle(name, [pose])[0] for name in ("ground-density", "ground-nuc")]
+    area = field_area(FIELD)
+    found = [per_vehicle(name, [pose])[0] for name in ("ground_density", "ground_nuc")]
     np.testing.assert_allclose(found, [len(points) / area, -nuc(points, area)], rtol=1e-12)
     assert (len(points) > 0) == (pose is not OUT_OF_REACH)
 
 
+AREA_M2 = 20.0 * 30.0
+
+
+def slow_nuc(points, area, radius, discs, seed):
+    """Every disc against every point."""
+    share = math.pi * radius**2 / area
+    picked = [points[int(u * len(points))] for u in np.random.default_rng(seed).random(discs)]
+    ratio = [sum(math.dist(point, centre) <= radius for point in points) / (len(points) * share) for centre in picked]
+    mean = sum(ratio) / discs
+    return math.sqrt(sum((x - mean) ** 2 for x in ratio) / discs)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("pairs", [1, 40, 1 << 20])
+def test_non_uniformity_equals_the_slow_loop_however_many_pairs_are_looked_at_together(seed, pairs, monkeypatch):
+    monkeypatch.setattr("scene_metrics._PAIRS_AT_A_TIME", pairs)
+    rng = np.random.default_rng(seed)
+    radius = float(rng.uniform(0.3, 6.0))
+    points = np.concatenate([rng.uniform([-10, 2], [10, 32], (200, 2)), rng.normal([3.0, 8.0], 0.4, (100, 2))])
+    expected = slow_nuc(points, AREA_M2, radius, 80, seed)
+    assert nuc(points, AREA_M2, radius, 80, seed) == pytest.approx(expected, rel=1e-12)
+    assert expected > 0.1
+
+
+@pytest.mark.parametrize("width", [0.0, 0.3, 1.4])
+def test_returns_of_a_single_ring_that_lie_in_a_line_are_counted_once(width):
+    points = np.random.default_rng(8).uniform([-10.0, 5.0], [10.0, 5.0 + width], (150, 2))
+    for turned in (points, points[:, ::-1]):
+        assert nuc(turned, AREA_M2, 0.7, 60, 4) == pytest.approx(slow_nuc(turned, AREA_M2, 0.7, 60, 4), rel=1e-12)
+
+
+def test_points_on_the_rim_of_a_disc_count_and_whole_radii_apart_are_found():
+    """Points on a lattice of the radius: each has itself and, but for the border, four neighbours on the rim."""
+    step = np.arange(7) * 0.5
+    points = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
+    found = _neighbours(points, points, 0.5)
+    border = np.isin(points, (0.0, 3.0)).sum(axis=1)
+    np.testing.assert_array_equal(found, 5 - border)
+
+
+def test_a_single_return_is_perfectly_uniform_and_none_is_worst():
+    """Why NUC alone places no sensor."""
+    assert nuc(np.array([[1.0, 2.0]]), AREA_M2) == 0.0
+    assert nuc(np.full((500, 2), 3.0), AREA_M2) == 0.0
+    worst = nuc(np.zeros((0, 2)), AREA_M2)
+    assert worst == pytest.approx(0.5 * AREA_M2 / (math.pi * DISC_RADIUS_M**2))
+    two = np.concatenate([np.zeros((50, 2)), np.array([[10.0, 10.0]] * 50), np.array([[20.0, 0.0]])])
+    assert 0.0 < nuc(two, AREA_M2) < worst
+
+
+def test_the_area_of_a_field_equals_that_of_many_thin_strips():
+    for radius, low, high in ((50.0, 2.0, 23.96), (20.0, 2.0, 30.0), (20.0, -8.0, 9.0)):
+        y = np.linspace(low, high, 400_001)
+        thin = np.sqrt(np.maximum(radius**2 - y**2, 0.0))
+        strips = 2.0 * float(np.sum(0.5 * (thin[1:] + thin[:-1]) * np.diff(y)))
+        assert field_area(field_between(low, high, radius)) == pytest.approx(strips, rel=1e-6)
+    assert field_area(field_between(-30.0, 30.0, 20.0)) == pytest.approx(math.pi * 400.0)
+    corner = Field((0.0, 0.0), 10.0, [(0.0, 0.0), (0.0, 3.0), (4.0, 0.0)])  # a triangle within the circle, clockwise
+    assert field_area(corner) == pytest.approx(6.0)
+    quarter = Field((1.0, 2.0), 10.0, [(1.0, 2.0), (50.0, 2.0), (50.0, 60.0), (1.0, 60.0)])
+    assert field_area(quarter) == pytest.approx(25.0 * math.pi)
+
+
+def test_a_region_that_holds_no_carriageway_is_refused():
+    with pytest.raises(InputError, match=r"a region of 20 m .* holds none of the carriageway"):
+        field_area(field_between(25.0, 30.0, 20.0))
+
+
 # --- what is refused --------------------------------------------------------------------------------------------------
-
-
-def test_without_a_scene_there_is_nothing_to_learn_from():
-    nothing = VehicleReturns(np.ones((1, 3)), np.zeros(1, dtype=np.int64), np.zeros((1, 3)))
-    for name in NAMES:
-        with pytest.raises(InputError, match="learns from a scene's traffic"):
-            metric_named(name).values(nothing)
-        with pytest.raises(InputError, match="learns from a scene's traffic"):
-            VehicleScores(scoring(name, None), SEEN, FRAMES)
 
 
 def test_frames_in_which_nothing_counts_have_no_values():
@@ -280,27 +279,27 @@ def test_frames_in_which_nothing_counts_have_no_values():
             assert evaluator.totals(POSES).objective.tolist() == [[0.0] * 6] * 3
 
 
-def test_traffic_beside_the_carriageway_is_refused_in_one_line(tmp_path, capsys):
-    traffic = {"frames": 3, "accept": ["carriageway"]}
-    scene = write_scene(tmp_path, {"road": {"setback_m": 12.0}, "deployment": {"y_m": 10.5}, "traffic": traffic})
-    line = refused(capsys, tmp_path, "optimise", scene, "--metric", "s-mig", "--out", tmp_path / "run")
-    assert "metric 's-mig' looks at the carriageway of [road], y 12 to 19 m" in line
-    assert not (tmp_path / "run" / "result.json").exists()
+def test_traffic_beside_the_carriageway_is_refused_in_one_line():
+    made = scoring("s_mig", field_between(-23.96, -2.0))
+    with (
+        Evaluator(FRAMES, SEEN, made) as evaluator,
+        pytest.raises(
+            InputError, match=r"s_mig', line \d+: InputError: no vehicle of the frames is on the carriageway"
+        ),
+    ):
+        evaluator.totals(POSES)
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_each_metric_drives_a_search_and_is_judged_on_a_prior_of_the_held_out_frames(
-    name, tmp_path, capsys, monkeypatch
-):
+@pytest.mark.parametrize("name", ["expected_visibility", "ground_nuc"])
+def test_a_metric_drives_a_search_and_is_judged_on_a_prior_of_the_held_out_frames(name, tmp_path, capsys, monkeypatch):
     without_charts(monkeypatch)
     scene = write_scene(tmp_path)
-    out, _ = done(capsys, "optimise", scene, "--metric", name, "--out", tmp_path / "run", "--json")
+    out, _ = done(capsys, "optimise", scene, "--metric", OPTIONS[name], "--out", tmp_path / "run", "--json")
     result = json.loads(out)
-    assert result["metric"] == name
-    scenario = load_scenario(scene, {("objective", "metric"): (name, "--metric")})
+    scenario = load_scenario(scene, {("objective", "metric"): (OPTIONS[name], "--metric")})
     site = prepare(scenario)
     best = scenario.deployment.pose([result["deployment"]["height_m"]])
     for frames, stored in ((site.search, result), (site.holdout, result["holdout"])):
@@ -308,24 +307,11 @@ def test_each_metric_drives_a_search_and_is_judged_on_a_prior_of_the_held_out_fr
             found, base = evaluator.totals([best, scenario.baseline_pose]).per_vehicle()
         assert stored["objective_per_vehicle"] == pytest.approx(found, rel=1e-9)
         assert found != base
-    assert result["holdout"]["interval_90"] is not None
-    assert (tmp_path / "run" / "vehicles.csv").exists()
 
 
-def test_searching_for_s_mig_hides_the_road_that_its_positive_form_uncovers(tmp_path):
+def test_searching_for_s_mig_hides_the_road_that_its_positive_form_uncovers():
     """The degenerate sign, in a search that may tilt the LiDAR away."""
-    bounds = {
-        "deployment": {"height_m": 4.0, "tilt_x_deg": [-40.0, 25.0]},
-        "search": {"method": "grid", "particles": 9},
-    }
-    scene = write_scene(tmp_path, bounds)
-    share, tilt = {}, {}
-    for name in ("s-mig", "covered-entropy"):
-        site = prepare(load_scenario(scene, {("objective", "metric"): (name, "--metric")}))
-        tilts = np.linspace(-40.0, 25.0, 14)
-        with site_evaluator(site, site.search) as evaluator:
-            totals = evaluator.totals([Pose(height_m=4.0, tilt_x=math.radians(angle)) for angle in tilts])
-        best = int(np.argmax(totals.per_vehicle()))
-        share[name], tilt[name] = totals.detectable_share()[best], tilts[best]
-    assert tilt["s-mig"] < 0.0 < tilt["covered-entropy"]
-    assert share["s-mig"] < 0.5 * share["covered-entropy"]
+    tilts = np.linspace(-0.7, 0.45, 14)
+    poses = [Pose(height_m=4.0, tilt_x=tilt) for tilt in tilts]
+    turned_away, uncovered = (tilts[np.argmax(per_vehicle(name, poses))] for name in ("s_mig", "covered_entropy"))
+    assert turned_away < 0.0 < uncovered

@@ -119,7 +119,7 @@ def change(section, what, value, verdict, loss, interval, tilts):
 CHANGES = [
     change("traffic", "density", "light", "stable", -0.02, [-0.04, 0.0], [22.0, 24.0]),
     change("metric", "cell size", "2.5 cm", "fragile", 0.08, [0.01, 0.15], [19.0]),
-    change("metric", "other metric", "s-mig", "fails", 1.8, None, [1.0]),
+    change("metric", "other metric", "points", "fails", 1.8, None, [1.0]),
     change("metric", "delta of Eq. 11", "0.02", "stable", -0.378, [-0.7, -0.02], [18.0]),
 ]
 OPTIMUM = {"section": "traffic", "what": "optimum", "value": "", "verdict": "stable"}

@@ -216,7 +216,7 @@ def _made_ready(scenario: Scenario, vehicles: Vehicles) -> LiveFrame:
     frame = CountedFrame(vehicles, region.holds(vehicles), vehicle_weights(vehicles, scenario.objective))
     scenery = standing_scenery(scenario, caster, None)
     observation = observation_of(scenario, lattice_of(scenario.sensor), caster, scenery)
-    scoring = scoring_of(scenario, [frame]) if frame.counted.any() else None
+    scoring = scoring_of(scenario) if frame.counted.any() else None
     return LiveFrame(frame, observation, scoring, ground=scenario.world.ground)
 
 

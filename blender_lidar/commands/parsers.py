@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
-from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, DETAILS, VEHICLE_METRICS, VIEWS
+from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, DETAILS, METRIC_NAMES, VIEWS
 from ..scene.settings import TrafficSettings
 from ..studies.compare import FRAMES_FILE, LABEL_MARGIN_M, MEASURED_LOSSES, OURS
 from ..toml_table import setting, settings_of
@@ -304,7 +304,7 @@ def _render(subparsers) -> None:
 # --- Clouds and metrics without a simulation, and beside reality ------------------------------------------------------
 
 _METRIC = "another metric beside PE-VGOP, again for more: all, FILE.py:NAME, or of "
-_METRIC += ", ".join(VEHICLE_METRICS)
+_METRIC += ", ".join(METRIC_NAMES)
 
 
 @dataclass(frozen=True, slots=True)

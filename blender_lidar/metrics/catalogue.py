@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -9,20 +10,18 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..plugins import METRICS_OF_OTHERS, called, faults_told, is_plugin, load_plugin, plugin_names
-from . import scene_metrics as scene
 from . import vehicle_metrics as vehicle
 from .metric import (
     NEEDS_DETECTABLE,
     NEEDS_DISTANCE,
     NEEDS_POINTS,
-    NEEDS_VIEW,
     Metric,
     SceneContext,
     Score,
     VehicleReturns,
 )
 
-# --- What each tells of a vehicle or a scene, to end a sentence -------------------------------------------------------
+# --- What each tells of a vehicle, to end a sentence ------------------------------------------------------------------
 
 _HIT = "of its top, side and front the beams hit"
 _BEAMS = "how many beams return from it"
@@ -31,10 +30,6 @@ _IN_VOXELS = f"what share of the voxels of {vehicle.OCCUPANCY_VOXEL_M} m in its 
 _AS_ENTROPY = f"{_IN_VOXELS}, turned into an entropy"
 _UNSURE_PLACE = "how uncertain a detector is expected to leave its position"
 _AWAY = "how far from the LiDAR it is, horizontally"
-_SURE, _UNSURE = "how certain the voxels of the road are", "how uncertain the voxels of the road are"
-_CROSSED, _CROSSED_MEAN = "together, that beams cross", "in the mean, that beams cross"
-_MET = "how many occupied voxels beams can be expected to meet"
-_DENSELY, _UNEVENLY = "how densely beams sample the empty road", "how unevenly beams sample the empty road"
 
 # --- The metrics ------------------------------------------------------------------------------------------------------
 
@@ -52,18 +47,8 @@ def _voxel_entropy(voxel_m: float) -> Metric:
     return _of_points(f"voxel-entropy-{voxel_m}", f"voxel entropy ({voxel_m} m)", "bits", score, tells)
 
 
-def _of_scene(name, label, unit, values, tells, decimals, *, prepare=scene.Road, lower_is_better=False) -> Metric:
-    learn, needs = partial(scene.SceneScore, prepare=prepare, values=values), frozenset({NEEDS_VIEW})
-    return Metric(name, label, unit, not lower_is_better, None, needs, learn, tells, decimals, of_scene=True)
-
-
-def _itself(context: SceneContext) -> SceneContext:
-    return context
-
-
-_of_ground = partial(_of_scene, prepare=_itself)
 _ENOUGH = f"whether enough {_HIT} to reach the threshold; PE-VGOP breaks ties"
-_VIEWS, _NUC = "sum of the views' occupancies", "non-uniformity of ground returns (NUC)"
+_VIEWS = "sum of the views' occupancies"
 PE_VGOP = _of_vehicle("pe-vgop", "PE-VGOP", "bits", vehicle.view_entropy, f"how much {_HIT}")
 VIEW_COVERAGE = _of_points("view-coverage", "view coverage", "", vehicle.view_coverage, f"how much {_HIT}, from 0 to 1")
 _DETECTABLE = _of_vehicle(
@@ -90,14 +75,6 @@ _ALL = (
     _of_vehicle(
         *("distance", "distance", "m"), vehicle.distance, _AWAY, 2, needs=[NEEDS_DISTANCE], lower_is_better=True
     ),
-    _of_scene("s-mig", "S-MIG", "nats", scene.s_mig, f"{_SURE}, {_CROSSED}", 1),
-    _of_scene(
-        *("covered-entropy", "entropy of covered voxels", "nats"), scene.covered_entropy, f"{_UNSURE}, {_CROSSED}", 1
-    ),
-    _of_scene("m-sog", "M-SOG", "nats", scene.m_sog, f"{_SURE}, {_CROSSED_MEAN}", 4),
-    _of_scene("expected-visibility", "expected visibility", "voxels", scene.visible_voxels, _MET, 1),
-    _of_ground("ground-density", "density of ground returns", "points/m²", scene.density_on_ground, _DENSELY, 3),
-    _of_ground("ground-nuc", _NUC, "", scene.nuc_on_ground, _UNEVENLY, 3, lower_is_better=True),
 )
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 
@@ -118,7 +95,18 @@ def metric_named(name: str, where: str = "") -> Metric:
     if not isinstance(found, Metric):
         prefix = f"{where}: " if where else ""
         raise InputError(f"{prefix}{name}: is a {type(found).__name__}; allowed: a function with @blender_lidar.metric")
-    return replace(found, score=partial(_scored, f"metric {name!r}", found.score))
+    what = f"metric {name!r}"
+    if found.learn is not None:
+        return replace(found, learn=partial(_learnt, what, found.learn))
+    return replace(found, score=partial(_scored, what, found.score))
+
+
+def _learnt(what: str, learn: Callable[[SceneContext], Score], context: SceneContext) -> Score:
+    """The score that a plug-in makes of a scene, its values checked."""
+    score = called(what, learn, context)
+    if not callable(score):
+        raise InputError(f"{what}: gave a {type(score).__name__}, having learnt; allowed: a function of the returns")
+    return partial(_scored, what, score)
 
 
 def _scored(what: str, score: Score, returns: VehicleReturns) -> np.ndarray:

@@ -6,7 +6,7 @@ new one is a function of `VehicleReturns`, with a line in `catalogue`, or decora
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -82,28 +82,24 @@ class View:
     mountings: Mountings
     boxes: FrameBoxes
 
-    def to_rows(self, value: np.ndarray) -> np.ndarray:
-        """A value of each mounting (s,), for a metric of a whole scene, as the value of each of its vehicles (s n,)."""
-        return np.repeat(value, np.count_nonzero(self.boxes.counted))
-
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """The part of the carriageway that a LiDAR is asked to see, the same for every mounting.
+    """The part of the carriageway that a LiDAR is asked to see, the same for every mounting: a polygon within a circle.
 
     Attributes
     ----------
     centre_xy_m : tuple of float
-        Middle of the region whose vehicles count [m].
+        Middle of the circle about the region whose vehicles count [m].
     radius_m : float
         Its radius [m].
-    y_m : tuple of float
-        The carriageway's right and left edge [m].
+    polygon_m : sequence of (x, y)
+        Corners of the carriageway's outline, as far as the circle reaches [m].
     """
 
     centre_xy_m: tuple[float, float]
     radius_m: float
-    y_m: tuple[float, float]
+    polygon_m: Sequence[Sequence[float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,11 +235,9 @@ class Metric:
     learn : callable or None
         For a metric with a memory, such as a prior of where vehicles drive: makes the score of a `SceneContext`.
     tells : str
-        What it tells of a vehicle or of the scene, to end a sentence.
+        What it tells of a vehicle, to end a sentence.
     decimals : int
         Digits after the point that matter in a vehicle's value.
-    of_scene : bool
-        Whether it scores a frame as a whole, whose vehicles then all have the same value.
     of_share : bool
         Whether its mean is the share of vehicles of which something is true: told in per cent, its differences in
         percentage points, its sum as a number of vehicles. `decimals` are then those of the per cent.
@@ -258,7 +252,6 @@ class Metric:
     learn: Callable[[SceneContext], Score] | None = None
     tells: str = ""
     decimals: int = 3
-    of_scene: bool = False
     of_share: bool = False
 
     def learnt(self, context: SceneContext | None) -> Metric:
@@ -338,6 +331,7 @@ def metric(
     decimals: int = 3,
     lower_is_better: bool = False,
     needs: Iterable[str] = (),
+    learns: bool = False,
 ) -> Metric | Callable[[Score], Metric]:
     """Decorator: a metric of one's own, from a function of `VehicleReturns` that gives (n,) finite values.
 
@@ -346,6 +340,9 @@ def metric(
         @blender_lidar.metric(tells="what share of its roof the beams hit")
         def roof(returns):
             return returns.occupancy[:, 0]
+
+    One that `learns` is given a `SceneContext` instead, once for the searched frames and once for those held out, and
+    gives the function of `VehicleReturns` that scores these frames.
 
     Parameters
     ----------
@@ -360,6 +357,8 @@ def metric(
     needs : iterable of str
         What it needs of `VehicleReturns` beside sizes, counts and occupancies: ``"points"`` (and ``vehicle``),
         ``"distance_m"``, ``"view"``, ``"detectable"``.
+    learns : bool
+        Whether it learns from a scene before it scores.
 
     Raises
     ------
@@ -372,7 +371,8 @@ def metric(
 
     def decorated(score: Score) -> Metric:
         name = score.__name__
-        told = {"tells": tells, "decimals": decimals}
-        return Metric(name, label or name.replace("_", " "), unit, not lower_is_better, score, frozenset(needs), **told)
+        made = {"learn": score} if learns else {"score": score}
+        made |= {"needs": frozenset(needs), "tells": tells, "decimals": decimals}
+        return Metric(name, label or name.replace("_", " "), unit, not lower_is_better, **made)
 
     return decorated if score is None else decorated(score)

@@ -206,7 +206,7 @@ def _draw_region(axes: Axes, score_map: ScoreMap, threshold: float) -> Line2D:
 def plot_by_distance(path: str | Path, run: Outcome) -> None:
     """Draw the detectable share, the mean score and the number of vehicles by distance band, before and after."""
     result, metric = run.result, metric_named(run.result["metric"])
-    if metric.of_scene or metric.of_share:  # the value of a scene is no vehicle's, and the share is drawn anyway
+    if metric.of_share:  # which is drawn anyway
         metric = PE_VGOP
     column = "entropy_bits" if metric is PE_VGOP else METRIC_VALUE
     distances = [table["distance_m"] for table in (run.baseline, run.optimised)]

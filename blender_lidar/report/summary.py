@@ -183,8 +183,6 @@ def objective_text(result: Mapping) -> str:
     if loss is not None and result["reading"] != "corrected":
         instead = "" if metric is PE_VGOP else f", with {merit} in place of the entropy"
         return f"Eq. 10 of the paper as printed{instead}"
-    if loss is None and metric.of_scene:
-        return f"{merit}, of the scene of each frame, once for every vehicle in it"
     if loss is None and metric.of_share:
         return f"{merit_of} every detectable vehicle, 0 for every other one"
     if loss is None:
@@ -218,9 +216,8 @@ def definitions(result: Mapping) -> dict[str, str]:
             "detectable share counts every vehicle once."
         )
     if metric.tells:
-        what = "the scene" if metric.of_scene else "each vehicle"
         direction = "" if metric.higher_is_better else "; lower is better"
-        words["objective"] += f" For {what} the metric, {metric.name}, tells {metric.tells}{direction}."
+        words["objective"] += f" For each vehicle the metric, {metric.name}, tells {metric.tells}{direction}."
     return words
 
 
@@ -384,10 +381,8 @@ def worth(result: Mapping) -> str:
     found, base, _ = judged(result)
     gain, metric = _gain(found, base), metric_named(result["metric"])
     amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.difference(abs(gain))}"
-    # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better, and what
-    # a scene gains is not a vehicle's.
-    of_vehicles = metric.higher_is_better and not metric.of_scene
-    gained = f"a vehicle {amount}" if of_vehicles else f"the objective {amount} per vehicle"
+    # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better.
+    gained = f"a vehicle {amount}" if metric.higher_is_better else f"the objective {amount} per vehicle"
     if metric.of_share:
         weighted = "by their weights " if weights_text(result) else ""
         gained = f"{weighted}that is {metric.number(abs(gain))} {'more' if gain >= 0.0 else 'fewer'} of 100 vehicles"
@@ -514,7 +509,7 @@ def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarra
         cells = []
         for split in splits:
             of = chosen & (run.baseline["split"] == split)
-            scored = weight[of].any() and not metric.of_scene
+            scored = weight[of].any()
             cells += [metric.number(np.average(score[of], weights=weight[of])) if scored else "-" for score in scores]
             cells += [f"{100 * table['detectable'][of].mean():.1f}" if of.any() else "-" for table in tables]
         rows.append((group, *cells, f"{chosen.sum():,}"))

@@ -9,13 +9,12 @@ import numpy as np
 
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
-from ..metrics.catalogue import PE_VGOP, metric_named
+from ..metrics.catalogue import PE_VGOP
 from ..metrics.metric import Field, FrameBoxes
-from ..road import RoadFrame
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..traffic.vehicles import Vehicles
-from .region import Region, polygon_holds
+from .region import polygon_holds
 from .settings import ObjectiveSettings
 
 
@@ -99,7 +98,7 @@ class Scoring:
     """What is made of what a mounting sees: the metric, and the settings of Eqs. 10 and 11.
 
     `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do. `field` is where
-    metrics of a whole scene look; None serves all others.
+    metrics that learn from a scene look; None serves all others.
     """
 
     threshold: float
@@ -162,23 +161,3 @@ def check_weights(
             f"{where} class_weights, zones: leave no vehicle of the held-out frames a weight above 0, so that nothing "
             "judges the answer; give more of them a weight, or more frames, or [traffic] holdout = 0"
         )
-
-
-def scene_field(metric: str, road: RoadFrame, region: Region, searched: Sequence[CountedFrame]) -> Field | None:
-    """Where a metric with a memory looks, the carriageway within the region's circle; None for any other metric.
-
-    Raises
-    ------
-    InputError
-        When no counted vehicle of the searched frames is there.
-    """
-    if metric_named(metric).learn is None:
-        return None
-    low, high = road.carriageway_y
-    y = np.concatenate([frame.vehicles.centre_m[frame.counted, 1] for frame in searched])
-    if not ((y >= low) & (y <= high)).any():
-        raise InputError(
-            f"metric {metric!r} looks at the carriageway of [road], y {low:g} to {high:g} m, where no vehicle of the "
-            "searched frames is; check [road] and [traffic]"
-        )
-    return Field(region.centre_xy, region.radius_m, (low, high))

@@ -11,6 +11,7 @@ import numpy as np
 from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
+from ..metrics.metric import Field
 from ..road import RoadFrame
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
@@ -23,7 +24,7 @@ from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, crown, join
 from .mount_checks import mount_notes
 from .mounting import COORDINATES
-from .observation import CountedFrame, Observation, Scoring, check_weights, scene_field, vehicle_weights
+from .observation import CountedFrame, Observation, Scoring, check_weights, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
@@ -313,7 +314,7 @@ def prepare(
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
-    observation, scoring = observation_of(scenario, lattice, caster, standing), scoring_of(scenario, searched)
+    observation, scoring = observation_of(scenario, lattice, caster, standing), scoring_of(scenario)
     return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
 
 
@@ -377,16 +378,13 @@ def observation_of(
     )
 
 
-def scoring_of(scenario: Scenario, searched: Sequence[CountedFrame]) -> Scoring:
-    """What a scene makes of what is seen; metrics with a memory look where the searched frames have vehicles.
-
-    Raises
-    ------
-    InputError
-        When a metric with a memory has nothing to look at.
-    """
-    asked, region = scenario.objective, region_of(scenario.region, scenario.road.carriageway_y)
-    field = scene_field(asked.metric, scenario.road, region, searched)
+def scoring_of(scenario: Scenario) -> Scoring:
+    """What a scene makes of what is seen."""
+    asked, (right, left) = scenario.objective, scenario.road.carriageway_y
+    region = region_of(scenario.region, (right, left))
+    (x, _), reach = region.centre_xy, region.radius_m
+    outline = ((x - reach, right), (x + reach, right), (x + reach, left), (x - reach, left))
+    field = Field(region.centre_xy, reach, outline)
     return Scoring(asked.threshold, asked.view, asked.loss, asked.reading, asked.metric, field)
 
 

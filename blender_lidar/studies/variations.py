@@ -17,7 +17,7 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
 from ..road import RoadFrame
-from ..scene.observation import CountedFrame, scene_field
+from ..scene.observation import CountedFrame
 from ..scene.site import Site, lattice_of
 from ..sensors.beams import beam_lattice
 from ..traffic.vehicles import CLASSES, Vehicles
@@ -230,8 +230,7 @@ def _with_scoring(site: Site, **settings) -> Site:
 
 def _with_metric(site: Site, name: str) -> Site:
     """The site with another metric and, as a scene has it that says nothing else, no loss for a missed vehicle."""
-    field = scene_field(name, site.scenario.road, site.region, site.search)
-    return _with_scoring(site, metric=name, loss=None, field=field)
+    return _with_scoring(site, metric=name, loss=None)
 
 
 # --- sensor: other units of it, noise, lost returns, azimuths ---------------------------------------------------------

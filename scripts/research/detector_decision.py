@@ -47,6 +47,7 @@ from blender_lidar.scoring.scores import VehicleScores, mountings_of
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.statistics import statistic_interval_90, student_t
 from detector_worlds import Options, hard_world
+from scene_metrics import OPTIONS
 
 SENSORS = ("RS-16", "RS-32", "RS-80")
 HEIGHTS_M, TILTS_DEG = (2.0, 4.5), (0.0, 25.0)
@@ -59,7 +60,7 @@ COUNTS = {"free": 40, "fixed": 20, "choose_frames": 60, "judge_frames": 180}  # 
 FEWEST_TRAININGS = 2
 MEAN = "mean"
 HEIGHT = "height"  # the control: who knows nothing but that higher is better
-CHOOSERS = (*METRICS, HEIGHT)
+CHOOSERS = (*METRICS, *OPTIONS, HEIGHT)
 _SEED = 20261125
 
 
@@ -153,13 +154,13 @@ class FrameWork:
 
     @cached_property
     def metrics(self) -> dict[str, VehicleScores]:
-        """Every metric of the catalogue, each by what it gives a vehicle, as `optimise --metric` has it."""
+        """Every metric of vehicles and of scenes, each by what it gives a vehicle, as `optimise --metric` has it."""
         site, scenario = self.site, self.site.scenario
         found = {}
-        for name in METRICS:
+        for name, option in {**{name: name for name in METRICS}, **OPTIONS}.items():
             loss = scenario.objective.loss if name == PE_VGOP.name else None
-            own = replace(scenario, objective=replace(scenario.objective, metric=name, loss=loss))
-            found[name] = VehicleScores(scoring_of(own, site.search), site.observation, site.search)
+            own = replace(scenario, objective=replace(scenario.objective, metric=option, loss=loss))
+            found[name] = VehicleScores(scoring_of(own), site.observation, site.search)
         return found
 
     @cached_property

@@ -14,10 +14,12 @@ from scipy.stats import spearmanr
 from arguments import SCENES, overrides_of, parser_of, run_script
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS, metric_named
+from blender_lidar.plugins import short_name
 from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
+from scene_metrics import OPTIONS
 
 OURS = "pe-vgop"
 
@@ -28,7 +30,9 @@ def main(argv: list[str] | None = None) -> int:
 
 def print_choices(args):
     """Print the table, a row as soon as it is known."""
-    names = [metric_named(name.strip(), "--metrics").name for name in args.metrics.split(",")]
+    names = [name.strip() for name in args.metrics.split(",")]
+    for name in names:
+        metric_named(name, "--metrics")
     ours = map_of(args, OURS)
     print(f"{'maximised':<25}{'height [m]':>12}{'tilt [deg]':>12}{'detectable [%]':>16}{'with PE-VGOP':>14}")
     for name in names:
@@ -39,7 +43,7 @@ def print_choices(args):
         alike = np.nan if flat else spearmanr(scores.per_vehicle, ours.per_vehicle, axis=None).statistic
         told = (f"{scores.height_m[best[0]]:.2f}", f"{scores.tilt_deg[best[1]]:.1f}", f"{share:.1f}")
         chosen = "{:>12}{:>12}{:>16}".format(*(("-",) * 3 if flat else told))
-        print(f"{name:<25}{chosen}{alike:>14.2f}", flush=True)
+        print(f"{short_name(name):<25}{chosen}{alike:>14.2f}", flush=True)
 
 
 def map_of(args, name):
@@ -56,7 +60,9 @@ def map_of(args, name):
 def _arguments(argv):
     parser = parser_of(__doc__, SCENES / "i80.toml")
     parser.add_argument("--sensor")
-    parser.add_argument("--metrics", default=",".join(METRICS), help="divided by commas (default all)")
+    parser.add_argument(
+        "--metrics", default=",".join((*METRICS, *OPTIONS.values())), help="divided by commas (default all)"
+    )
     return parser.parse_args(argv)
 
 

@@ -1,5 +1,7 @@
 """Scene metrics: S-MIG, covered entropy, M-SOG, expected visibility, density and NUC of ground returns.
 
+    blender-lidar optimise SCENE.toml --metric scripts/research/scene_metrics.py:s_mig
+
 They look at the carriageway within the range gate, not at a vehicle. For the objective the value of a scene counts once
 for every counted vehicle of a frame: the mean per vehicle is then the scene's value, and frames weigh as they do with
 other metrics, by their vehicles.
@@ -19,14 +21,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, wraps
+from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from .metric import Field, SceneContext, VehicleReturns
-from .occupancy_prior import OccupiedFrames, reach_probability
-from .voxel_grid import VoxelGrid, covered_voxels
+import blender_lidar as bl
+from blender_lidar.errors import InputError
+from blender_lidar.metrics.metric import Field, Metric, SceneContext, VehicleReturns
+from blender_lidar.metrics.occupancy_prior import OccupiedFrames, reach_probability
+from blender_lidar.metrics.voxel_grid import VoxelGrid, covered_voxels
+from blender_lidar.scene.region import polygon_holds
+
+NAMES = ("s_mig", "covered_entropy", "m_sog", "expected_visibility", "ground_density", "ground_nuc")
+OPTIONS = {name: f"{Path(__file__).resolve()}:{name}" for name in NAMES}  # what `--metric` calls each
 
 # --- How densely and how evenly beams sample the empty road: the two surrogate metrics of Cai and others --
 
@@ -69,20 +77,33 @@ def nuc(
     return float(np.std(within)) / (len(points_m) * share)
 
 
-def field_area(radius_m: float, y_m: tuple[float, float]) -> float:
-    """Area of the part of a strip between two y that lies in a disc about the origin [m²].
+def field_area(field: Field) -> float:
+    """Area of the part of a polygon that lies in a circle [m²].
 
-    Parameters
-    ----------
-    radius_m : float
-        The disc's radius R [m].
-    y_m : tuple of float
-        From y to y [m].
+    Raises
+    ------
+    InputError
+        When there is none.
     """
-    low, high = np.clip(y_m, -radius_m, radius_m)
-    # The integral of 2 sqrt(R^2 - y^2).
-    below = [y * math.sqrt(radius_m**2 - y**2) + radius_m**2 * math.asin(y / radius_m) for y in (low, high)]
-    return max(below[1] - below[0], 0.0)
+    corners = np.asarray(field.polygon_m, dtype=float) - field.centre_xy_m
+    area = abs(sum(_swept(*edge, field.radius_m) for edge in zip(corners, np.roll(corners, -1, axis=0), strict=True)))
+    if not area > 1e-9 * field.radius_m**2:
+        raise InputError(f"a region of {field.radius_m:g} m about {field.centre_xy_m} holds none of the carriageway")
+    return area
+
+
+def _swept(start, stop, radius):
+    """Area within a circle about 0 that the line from there to an edge sweeps along it, counter-clockwise above 0."""
+    way = stop - start
+    square, middle = way @ way, start @ way
+    root = max(middle**2 - square * (start @ start - radius**2), 0.0)  # 0 where the edge's line misses the circle
+    enter, leave = (start + np.clip((-middle + side * math.sqrt(root)) / square, 0.0, 1.0) * way for side in (-1, 1))
+    turned = _turn(start, enter) + _turn(leave, stop)  # before it enters the circle and after it has left it
+    return 0.5 * (radius**2 * turned + enter[0] * leave[1] - enter[1] * leave[0])
+
+
+def _turn(one, other):
+    return math.atan2(one[0] * other[1] - one[1] * other[0], one @ other)
 
 
 def _neighbours(points, centres, radius):
@@ -116,6 +137,8 @@ def _neighbours(points, centres, radius):
 ROAD_VOXEL_M = 0.4
 """That of the published code for expected visibility: a car is about 11 x 5 x 4 voxels. S-MIG's authors take 0.05 m,
 with which a carriageway has 70 million. Sums grow with the number of voxels: those of two sizes do not compare."""
+_SURE, _UNSURE = "how certain the voxels of the road are, ", "how uncertain the voxels of the road are, "
+_NUC = "non-uniformity of ground returns (NUC)"
 _MOUNTINGS_KEPT = 128  # at least; as many as are scored together, where these are more
 
 
@@ -140,15 +163,19 @@ class Road:
 
     def __init__(self, context: SceneContext) -> None:
         field = context.field
-        (x, y), reach = field.centre_xy_m, field.radius_m
+        corners, centre = np.asarray(field.polygon_m, dtype=float), np.asarray(field.centre_xy_m)
+        low, high = np.clip(
+            [corners.min(axis=0), corners.max(axis=0)], centre - field.radius_m, centre + field.radius_m
+        )
         top = max(float((boxes.centre_m[:, 2] + 0.5 * boxes.size_m[:, 2]).max(initial=0.0)) for boxes in context.frames)
-        right, left = np.clip(field.y_m, y - reach, y + reach)
-        self.grid = VoxelGrid.covering((x - reach, right, 0.0), (x + reach, left, max(top, ROAD_VOXEL_M)), ROAD_VOXEL_M)
+        self.grid = VoxelGrid.covering((*low, 0.0), (*high, max(top, ROAD_VOXEL_M)), ROAD_VOXEL_M)
         self.frames = OccupiedFrames(
             [self.grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad) for boxes in context.frames],
             len(self.grid),
             [np.count_nonzero(boxes.counted) for boxes in context.frames],
         )
+        if not self.frames.prior.any():
+            raise InputError("no vehicle of the frames is on the carriageway of [road]; check [road] and [traffic]")
         apart = 2.0 * np.pi / context.directions.shape[1] * context.max_range_m
         self.beams = context.directions[:, :: max(int(ROAD_VOXEL_M / apart), 1)].reshape(-1, 3)
         self._ranges = context.max_range_m, context.min_range_m
@@ -156,6 +183,10 @@ class Road:
     def covered(self, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Which voxels a mounting's beams cross, (voxels,) bool."""
         return covered_voxels(self.grid, origin_m, _turned(self.beams, rotation), *self._ranges)
+
+    def surprisal(self, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """Entropy of the voxels that a mounting's beams cross, as each frame's surprisal [nats], (f,)."""
+        return self.frames.surprisal(self.covered(origin_m, rotation))
 
     def reached(self, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Probability that a mounting's best beam gets to each voxel, (voxels,)."""
@@ -188,7 +219,7 @@ class SceneScore:
             return np.zeros(0)
         most = max(_MOUNTINGS_KEPT, len(mountings))
         of_frames = [self._of(*mount, most) for mount in zip(mountings.origin_m, mountings.rotation, strict=True)]
-        return returns.view.to_rows(np.array([value[self._row[boxes.frame]] for value in of_frames]))
+        return np.repeat([value[self._row[boxes.frame]] for value in of_frames], np.count_nonzero(boxes.counted))
 
     @cached_property
     def _ready(self):
@@ -219,17 +250,31 @@ def _turned(directions, rotation):
 
 
 def _holds(field: Field, points):
-    across = (points[:, 1] >= field.y_m[0]) & (points[:, 1] <= field.y_m[1])
-    return across & (np.hypot(*(points - field.centre_xy_m).T) <= field.radius_m)
+    within = np.hypot(*(points - field.centre_xy_m).T) <= field.radius_m
+    return within & polygon_holds(field.polygon_m, points)
 
 
-def _area(field: Field):
-    area = field_area(field.radius_m, (field.y_m[0] - field.centre_xy_m[1], field.y_m[1] - field.centre_xy_m[1]))
-    if not area > 0.0:
-        raise InputError(f"a region of {field.radius_m:g} m about {field.centre_xy_m} holds none of the carriageway")
-    return area
+def _of_scene(prepare: Callable, **told) -> Callable:
+    """Decorator: a metric from the values that `SceneScore` takes; `told` goes to `blender_lidar.metric`."""
+
+    def decorated(values: Callable) -> Metric:
+        @wraps(values)
+        def learn(scene: SceneContext) -> SceneScore:
+            return SceneScore(scene, prepare, values)
+
+        return bl.metric(learn, needs=["view"], learns=True, **told)
+
+    return decorated
 
 
+def _itself(scene: SceneContext) -> SceneContext:
+    return scene
+
+
+_TOGETHER = {"unit": "nats", "decimals": 1}
+
+
+@_of_scene(Road, label="entropy of covered voxels", tells=_UNSURE + "together, that beams cross", **_TOGETHER)
 def covered_entropy(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Entropy H(POG | L) of the voxels that a mounting's beams cross, as surprisal in each frame [nats], (f,).
 
@@ -237,9 +282,10 @@ def covered_entropy(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> n
     rewards a sensor for covering what is uncertain, where vehicles are sometimes but not always. No published metric
     has this sign with this formula; see `s_mig` for why it is needed. Higher is better.
     """
-    return road.frames.surprisal(road.covered(origin_m, rotation))
+    return road.surprisal(origin_m, rotation)
 
 
+@_of_scene(Road, label="S-MIG", tells=_SURE + "together, that beams cross", **_TOGETHER)
 def s_mig(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """S-MIG as published, minus the sum of H(p) over covered voxels, as surprisal in each frame [nats], (f,).
 
@@ -251,9 +297,10 @@ def s_mig(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     every voxel that a beam adds lowers it. It was meant for set-ups with as many beams in the same region, and is of
     use between such alone; a search that may turn beams away from the road will do so.
     """
-    return 0.0 - covered_entropy(road, origin_m, rotation)
+    return 0.0 - road.surprisal(origin_m, rotation)
 
 
+@_of_scene(Road, label="M-SOG", unit="nats", decimals=4, tells=_SURE + "in the mean, that beams cross")
 def m_sog(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """M-SOG, minus the mean of H(p) over covered voxels, as surprisal in each frame [nats], (f,); 0 without any.
 
@@ -269,7 +316,8 @@ def m_sog(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return 0.0 - road.frames.surprisal(covered) / max(np.count_nonzero(covered), 1)
 
 
-def visible_voxels(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+@_of_scene(Road, unit="voxels", decimals=1, tells="how many occupied voxels beams can be expected to meet")
+def expected_visibility(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Expected visibility: occupied voxels that a beam can be expected to meet in each frame, (f,); higher is better.
 
     What the group of Ma, Zheng and Easa places roadside LiDARs by, sum of p_k prod_{j<k} (1 - p_j) in the mean over the
@@ -281,15 +329,19 @@ def visible_voxels(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np
     return road.frames.sums(road.reached(origin_m, rotation))
 
 
-def density_on_ground(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
+@_of_scene(
+    _itself, label="density of ground returns", unit="points/m²", tells="how densely beams sample the empty road"
+)
+def ground_density(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
     """Returns of a mounting from the empty road per area of the field, N / A [points/m²]; higher is better.
 
     Cai et al., ICRA 2023, arXiv:2211.15975 (PCSim, `ComputeDNUC.py`). It falls with the square of distance, so that the
     metres next to the pole decide it. It knows no vehicles: neither where they drive nor what they hide.
     """
-    return len(ground_points(context, origin_m, rotation)) / _area(context.field)
+    return len(ground_points(context, origin_m, rotation)) / field_area(context.field)
 
 
-def nuc_on_ground(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
+@_of_scene(_itself, label=_NUC, lower_is_better=True, tells="how unevenly beams sample the empty road")
+def ground_nuc(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
     """`nuc` of a mounting over the empty road."""
-    return nuc(ground_points(context, origin_m, rotation), _area(context.field))
+    return nuc(ground_points(context, origin_m, rotation), field_area(context.field))
