@@ -4,28 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import subprocess
-import sys
 from functools import partial
 
 import numpy as np
 import pytest
 
-import tests.research
 from benchmark import main
-from benchmark_growth import (
-    RADIUS_M,
-    Measured,
-    Series,
-    dense_frame,
-    grow,
-    points_of,
-    power_law,
-    resident_mib,
-    steps,
-    with_rings,
-)
-from benchmark_report import Found, document, draw, machine, report
 from benchmark_rivals import SPARSE, rivals_missing, rivals_of
 from benchmark_stages import (
     Entry,
@@ -34,7 +18,6 @@ from benchmark_stages import (
     Timing,
     in_rounds,
     optimisations,
-    quartiles,
     stage_entries,
     whole_of,
 )
@@ -43,7 +26,6 @@ from blender_lidar.errors import InputError
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.vehicles import overlapping_pairs
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import write_scene
 
@@ -165,91 +147,6 @@ def test_ratios_are_of_pairs_within_a_round_so_that_a_busy_moment_cancels_and_th
     assert timing("ours", [[1.0, 2.0, 90.0], [3.0, 4.0, 90.0]]).quartiles == (2.5, 3.0, 3.5)
 
 
-# --- growth -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("exponent", [-1.0, 0.0, 0.5, 2.0])
-def test_of_a_power_law_the_exponent_is_found_without_error(exponent):
-    x = np.array([1.0, 2.0, 4.0, 8.0, 256.0])
-    law = power_law(x.tolist(), (3.0 * x**exponent).tolist())
-    assert law == pytest.approx((exponent, 0.0, 3.0), abs=1e-12)
-
-
-def test_the_standard_error_is_that_of_least_squares_and_where_no_law_can_be_fitted_there_is_none():
-    rng, x = np.random.default_rng(0), np.geomspace(1.0, 256.0, 9)
-    y = x**1.2 * np.exp(rng.normal(0.0, 0.1, len(x)))
-    away, rest = np.log(x) - np.log(x).mean(), np.log(y) - np.log(y).mean()
-    slope = away @ rest / (away @ away)
-    error = np.sqrt(np.sum((rest - slope * away) ** 2) / 7 / (away @ away))  # of nine points with two parameters
-    assert power_law(x.tolist(), y.tolist())[:2] == pytest.approx((slope, error))
-    assert power_law([1.0, 4.0], [1.0, 2.0])[:2] == (pytest.approx(0.5), None)
-    for x, y in (([2.0], [1.0]), ([1.0, 2.0], [0.0, 1.0]), ([1.0, 2.0], [1.0, None])):
-        assert power_law(x, y) is None
-
-
-def test_made_up_vehicles_stand_apart_within_reach_the_first_of_more_being_those_of_fewer():
-    for vehicles in (1, 10, 1000):
-        frame = dense_frame(vehicles, frame=3)
-        assert len(frame.vehicles) == frame.counted.sum() == vehicles
-        assert (np.hypot(*frame.vehicles.centre_m[:, :2].T) < RADIUS_M).all()
-        assert len(overlapping_pairs(frame.vehicles)) == 0
-    few, many = dense_frame(10).vehicles, dense_frame(300).vehicles
-    np.testing.assert_array_equal(few.centre_m, many.centre_m[:10])
-    assert not np.array_equal(few.centre_m, dense_frame(10, frame=1).vehicles.centre_m)
-    with pytest.raises(InputError, match="allowed: 1 to"):
-        dense_frame(100_000)
-
-
-def test_growth_goes_from_one_to_all_and_changes_one_thing_at_a_time():
-    every = steps(most_workers=6)
-    assert (every["frames"], every["workers"]) == ([1, 2, 4, 8, 16, 32, 64, 128, 256], [1, 2, 4, 6])
-    for over, values in every.items():
-        points = points_of(over, values, "exact", "box", "RS-16")
-        assert [getattr(point, over) for point in points] == values
-        others = [name for name in ("caster", "frames", "vehicles", "rings", "workers") if name != over]
-        assert len({tuple(getattr(point, name) for name in others) for point in points}) == 1
-    model = load_model("RS-80")
-    made = with_rings(model, 128)
-    assert (made.rings, beam_lattice(made).columns) == (128, beam_lattice(model).columns)
-    assert made.elevation_rad[[0, -1]] == pytest.approx(model.elevation_rad[[0, -1]])
-    assert np.ptp(np.diff(made.elevation_rad)) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_peak_memory_holds_what_was_held_for_a_moment():
-    """In a process of its own: an allocator that keeps what was freed, as Blender brings one, hands it out again."""
-    if resident_mib() is None:
-        pytest.skip("this system does not tell")
-    program = """
-import numpy as np
-from benchmark_growth import peak_mib, resident_mib
-before = resident_mib()
-np.ones(64 << 17)  # 64 MiB, gone at once
-print(peak_mib() - before)
-"""
-    where = {"cwd": tests.research.RESEARCH, "capture_output": True, "text": True, "check": True}
-    assert 32.0 < float(subprocess.run([sys.executable, "-c", program], **where).stdout) < 128.0
-
-
-def test_growth_is_measured_in_processes_of_their_own_and_what_was_measured_before_an_interruption_is_kept(monkeypatch):
-    kept = []
-    series = grow("vehicles", [2, 4], 1, (HERE[0], "box", "RS-16"), kept.append)
-    assert [each.x for each in kept] == [[2], [2, 4]]
-    assert all(each.median > 0.0 for each in series.seconds)
-    for peak, above in zip(series.peak_mib, series.above_mib, strict=True):
-        assert (peak is None and above is None) or peak > above >= 0.0
-
-    def measured(point):
-        if point.vehicles == 8:
-            raise KeyboardInterrupt
-        return Measured(0.1 * point.vehicles, 0.1, 100.0 + point.vehicles, float(point.vehicles))
-
-    monkeypatch.setattr("benchmark_growth.in_fresh_process", measured)
-    with pytest.raises(KeyboardInterrupt):
-        grow("vehicles", [2, 4, 8], 3, ("raster", "box", "RS-16"), kept.append)
-    assert kept[-1].x == [2, 4]
-    assert kept[-1].time_law.exponent == pytest.approx(1.0)
-
-
 # --- end to end -------------------------------------------------------------------------------------------------------
 
 
@@ -267,7 +164,6 @@ def test_a_whole_benchmark_of_a_small_scene_says_and_stores_what_it_found(tmp_pa
     assert any("the metric alone" in name for name in names)
     assert len(found["optimisations"]) == len(FAST)
     assert found["frame"]["beams"] == 16 * load_model("RS-16").columns(20.0)
-    assert found["growth"] == []
     assert found["left_out"].keys() >= rivals_missing().keys()
     for row in found["times"] + found["optimisations"]:
         assert 0.0 < row["seconds"]["low"] <= row["seconds"]["median"] <= row["seconds"]["high"]
@@ -293,21 +189,6 @@ def test_ctrl_c_leaves_what_was_measured_in_a_whole_file(tmp_path, capsys, monke
     assert found["stopped"]
     assert len(row["rounds"]) == 3
     assert row["name"] in out
-
-
-def test_growth_is_told_by_its_exponents_in_text_json_and_picture(tmp_path):
-    seconds = [quartiles(np.array([x, x, x])) for x in (0.1, 0.2, 0.4)]
-    grown = Series("frames", "raster", [1, 2, 4], seconds, [0.1, 0.2, 0.4], [110.0, 120.0, 140.0], [10.0, 20.0, 40.0])
-    found = Found(growth=[grown])
-    (stored,) = json.loads(json.dumps(document(found, machine())))["growth"]
-    assert (stored["over"], stored["x"]) == ("frames", [1, 2, 4])
-    assert [stored[law]["exponent"] for law in ("time_law", "memory_law")] == pytest.approx([1.0, 1.0])
-    assert "over frames, raster: time ^ 1.00 \N{PLUS-MINUS SIGN} 0.00, memory ^ 1.00" in report(found, machine())
-    unknown = grown._replace(peak_mib=[None] * 3, above_mib=[None] * 3)  # where memory cannot be told
-    assert "memory ^ no exponent" in report(Found(growth=[unknown]), machine())
-    pytest.importorskip("matplotlib")
-    draw(tmp_path / "times.png", Found(times={"ours": timing("ours", [[0.1], [0.2]])}), machine())
-    assert (tmp_path / "times.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("words", [["no/such/scene.toml"], ["--json", "no/such/folder/b.json"]])

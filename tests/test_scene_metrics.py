@@ -14,10 +14,11 @@ from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
 from blender_lidar.metrics.voxel_grid import covered_voxels
+from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.scoring.scores import VehicleScores, mountings_of
 from blender_lidar.sensors.beams import beam_lattice
@@ -36,7 +37,7 @@ from scene_metrics import (
     nuc,
 )
 from tests.sample_traffic import dense_traffic
-from tests.small_scene import done, without_charts, write_scene
+from tests.small_scene import MAPPED, done, without_charts, write_scene
 from tests.test_occupancy_priors import covered_entropy, expected_visibility, m_sog, s_mig
 
 WITH_PRIOR = NAMES[:4]
@@ -315,3 +316,23 @@ def test_searching_for_s_mig_hides_the_road_that_its_positive_form_uncovers():
     poses = [Pose(height_m=4.0, tilt_x=tilt) for tilt in tilts]
     turned_away, uncovered = (tilts[np.argmax(per_vehicle(name, poses))] for name in ("s_mig", "covered_entropy"))
     assert turned_away < 0.0 < uncovered
+
+
+def test_metric_choices_names_the_best_point_of_each_metrics_own_map(tmp_path, capsys):
+    pytest.importorskip("scipy")
+    import metric_choices
+
+    scene, names = write_scene(tmp_path, MAPPED), ("pe-vgop", "distance", OPTIONS["ground_density"])
+    assert metric_choices.main([str(scene), "--metrics", ",".join(names)]) == 0
+    rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()[1:]}
+    scenario = load_scenario(scene, {("objective", "metric"): (names[-1], "--metric")})
+    site = prepare(scenario)
+    with site_evaluator(site, site.search) as evaluator:
+        found = map_scores(evaluator, scenario.deployment, dict(scenario.baseline), site.plan.search_block)
+    height, tilt = np.unravel_index(np.argmax(found.per_vehicle), found.per_vehicle.shape)
+    expected = [f"{found.height_m[height]:.2f}", f"{found.tilt_deg[tilt]:.1f}"]
+    assert rows["scene_metrics.py:ground_density"][:2] == expected
+    assert rows["distance"] == ["-", "-", "-", "nan"]  # the same wherever it hangs
+    assert rows["pe-vgop"][3] == "1.00"
+    assert metric_choices.main([str(scene), "--metrics", "pe-vgob"]) == 2
+    assert "did you mean 'pe-vgop'" in capsys.readouterr().err

@@ -27,8 +27,8 @@ from .view_grids import ViewGrids, cell_counts
 #   0.16 m), are hit in a lorry as easily as in a car.
 # Cell and h are the best of this form on 55 labelled cars of KITTI's train split, frozen before any other car was
 # looked at. These cars cannot tell this form from the plain sum of the three s, or from the better of side and front
-# in place of the root; bearing decided. `scripts/research/choose_view_coverage.py` does it again, and
-# `docs/evidence/reproduction.md` has what it is worth on the other split.
+# in place of the root; bearing decided. `scripts/research/choose_view_coverage.py` of commit 030385c
+# does it again, and `docs/evidence/reproduction.md` has what it is worth on the other split.
 
 CELL_M = 0.2
 HALF_SHARE = 0.5

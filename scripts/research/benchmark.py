@@ -1,14 +1,12 @@
-"""Time frames, ours by stage beside what others cast with, in one run; and how time and memory grow.
+"""Time frames, ours by stage beside what others cast with, in one run.
 
     python scripts/research/benchmark.py [SCENE.toml] [--sensor RS-80] [--detail body] [--frames 10] [--repeats 7]
-        [--caster NAME] [--growth] [--only ours|rivals|metric|whole|growth] [--json FILE] [--picture FILE]
+        [--caster NAME] [--only ours|rivals|metric|whole] [--json FILE] [--picture FILE]
 
 Rounds are interleaved: everything is timed once in each, one after another, so that a busy moment of the machine falls
-on all. Medians and quartiles are over the rounds, ratios of pairs within the same round. --growth measures 1 to 256
-frames, 10 to 1,000 vehicles, 16 to 128 rings and 1 to all processors, each point in a process of its own.
-`--only ours --frames 2
---repeats 5` times our stages alone, for before and after, in two minutes. Ctrl-C ends it; what was measured until
-then is printed and stored.
+on all. Medians and quartiles are over the rounds, ratios of pairs within the same round. `--only ours --frames 2
+--repeats 5` times our stages alone, for before and after, in two minutes. Ctrl-C ends it; what was measured until then
+is printed and stored.
 """
 
 from __future__ import annotations
@@ -22,7 +20,6 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"  # one core
 
 from arguments import SCENES, counting, parser_of, positive, run_script
-from benchmark_growth import grow, steps
 from benchmark_report import Found, document, draw, machine, report
 from benchmark_rivals import rivals_missing, rivals_of
 from benchmark_stages import (
@@ -41,7 +38,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.shapes import DETAILS
 
 USUAL = ("rivals", "metric", "whole")
-PARTS = ("ours", *USUAL, "growth")  # "rivals" are timed beside ours
+PARTS = ("ours", *USUAL)  # "rivals" are timed beside ours
 _TOO_SLOW = "exact"  # for a frame of this size minutes go by
 
 
@@ -58,10 +55,7 @@ def _arguments(argv):
     parser.add_argument(
         "--caster", action="append", choices=CASTERS, help="may be repeated; all that are installed but exact"
     )
-    parser.add_argument("--growth", action="store_true", help="growth over frames, vehicles, rings and workers too")
     parser.add_argument("--only", choices=PARTS, help="one part alone")
-    parser.add_argument("--most-frames", type=positive, default=256, help="where growth over frames ends; 256")
-    parser.add_argument("--most-workers", type=positive, help="where growth over workers ends")
     parser.add_argument("--json", metavar="FILE")
     parser.add_argument("--picture", metavar="FILE.png")
     return parser.parse_args(argv)
@@ -87,7 +81,6 @@ def _benchmark(args) -> None:
 
 def _carry_out(args, found: Found) -> None:
     parts = {args.only} if args.only else {*USUAL}
-    parts |= {"growth"} if args.growth else set()
     installed = [name for name in CASTERS if name != _TOO_SLOW and is_available(name)]
     casters = [resolve(name, "--caster") for name in dict.fromkeys(args.caster)] if args.caster else installed
     found.left_out |= {f"caster {name}": "it is not installed" for name in CASTERS if not is_available(name)}
@@ -103,8 +96,6 @@ def _carry_out(args, found: Found) -> None:
     if "whole" in parts:
         few = optimisations(args.scene, overrides, casters)
         _time("whole optimisations", [few], min(args.repeats, 3), found.wholes, warm=False)
-    if "growth" in parts:
-        _grow(args, load_scenario(args.scene, overrides).world.detail, casters, found)
 
 
 def _frames(args, scenario, casters: Sequence[str], parts: set[str], found: Found) -> None:
@@ -122,23 +113,6 @@ def _frames(args, scenario, casters: Sequence[str], parts: set[str], found: Foun
         _time("frames", columns, args.repeats, found.times)
     finally:
         without_numba.close()
-
-
-def _grow(args, detail: str, casters: Sequence[str], found: Found) -> None:
-    """All series with every caster that is fast enough for it."""
-    chosen = args.caster or [name for name in casters if name != "bvh"]
-    if set(casters) - set(chosen):
-        found.left_out["growth of bvh"] = "minutes for 256 frames; asked for by --caster bvh"
-    for caster in chosen:
-        for over, values in steps(args.most_frames, args.most_workers).items():
-            place = len(found.growth)
-            with counting(args.repeats * len(values), f"growth over {over}, {caster}") as advance:
-
-                def keep(series, place=place, advance=advance):
-                    found.growth[place:] = [series]
-                    advance(1)
-
-                grow(over, values, args.repeats, (caster, detail, args.sensor), keep)
 
 
 def _time(what: str, columns, rounds: int, into: dict, *, warm: bool = True) -> None:

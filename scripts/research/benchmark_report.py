@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from benchmark_growth import FRAMES_FOR_WORKERS, VEHICLES, PowerLaw, Series, processors
 from benchmark_rivals import RAW, RIVALS
-from benchmark_stages import METRIC, SWARM, Quartiles, Timing
+from benchmark_stages import METRIC, Quartiles, Timing
 from blender_lidar.report.figure import BASELINE_LOOK, INK, OPTIMISED_LOOK, SMALL_PT, sheet
 
 
@@ -22,7 +21,6 @@ class Found:
     about: dict[str, object] = field(default_factory=dict)
     times: dict[str, Timing] = field(default_factory=dict)
     wholes: dict[str, Timing] = field(default_factory=dict)
-    growth: list[Series] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     stopped: bool = False
 
@@ -45,7 +43,7 @@ def machine() -> dict[str, object]:
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {
         "processor": names[0] if names else platform.processor() or platform.machine(),
-        "processors": processors(),
+        "processors": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "libraries": libraries,
@@ -63,7 +61,6 @@ def document(found: Found, here: Mapping[str, object]) -> dict[str, object]:
         "frame": found.about,
         "times": [_timing(each, found.beside_raw(each)) for each in found.times.values()],
         "optimisations": [_timing(each, None) for each in found.wholes.values()],
-        "growth": [_series(each) for each in found.growth],
         "left_out": found.left_out,
         "stopped": found.stopped,
     }
@@ -72,15 +69,6 @@ def document(found: Found, here: Mapping[str, object]) -> dict[str, object]:
 def _timing(timing: Timing, beside: Quartiles | None) -> dict[str, object]:
     row = {**timing._asdict(), "seconds": timing.quartiles._asdict(), "rounds": timing.seconds.tolist()}
     return row if beside is None else {**row, "times_raw_embree": beside._asdict()}
-
-
-def _series(series: Series) -> dict[str, object]:
-    laws = {"time_law": series.time_law, "memory_law": series.memory_law}
-    return {
-        **series._asdict(),
-        "seconds": [each._asdict() for each in series.seconds],
-        **{name: None if law is None else law._asdict() for name, law in laws.items()},
-    }
 
 
 # --- text -------------------------------------------------------------------------------------------------------------
@@ -93,17 +81,9 @@ def report(found: Found, here: Mapping[str, object]) -> str:
     libraries = ", ".join(f"{name} {of}" for name, of in here["libraries"].items())
     load = "" if here["load"] is None else f", load {here['load']:.1f}"
     head = f"{here['processor']}, {here['processors']} processors, Python {here['python']}, {libraries}{load}"
-    parts = [_times(found), _wholes(found), _growth(found)]
+    parts = [_times(found), _wholes(found)]
     parts.append(f"left out: {name} ({why})" for name, why in found.left_out.items())
     return "\n\n".join(text for text in (head, *map("\n".join, parts)) if text)
-
-
-def exponent_text(law: PowerLaw | None) -> str:
-    """An exponent with its standard error."""
-    if law is None:
-        return "no exponent"
-    error = "" if law.standard_error is None else f" \N{PLUS-MINUS SIGN} {law.standard_error:.2f}"
-    return f"{law.exponent:.2f}{error}"
 
 
 def _times(found: Found) -> Iterator[str]:
@@ -141,28 +121,13 @@ def _wholes(found: Found) -> Iterator[str]:
         yield _line(timing, 1.0)
 
 
-def _growth(found: Found) -> Iterator[str]:
-    if found.growth:
-        yield (
-            f"growth: a swarm of {SWARM} mountings, {VEHICLES} vehicles within 150 m in a frame, one frame "
-            f"({FRAMES_FOR_WORKERS} for workers), one process; but for what grows\n"
-            "seconds as medians, trees being ready; MiB resident at most, above what libraries take"
-        )
-    for series in found.growth:
-        memory = exponent_text(series.memory_law)
-        yield f"over {series.over}, {series.caster}: time ^ {exponent_text(series.time_law)}, memory ^ {memory}"
-        for x, seconds, ready, peak, above in zip(*series[2:], strict=True):
-            held = "" if peak is None or above is None else f"{peak:9.1f} MiB at most,{above:9.1f} above"
-            yield f"  {x:>6,} {seconds.median:10.4f} s  ready in {ready:8.4f} s {held}".rstrip()
-
-
 # --- picture ----------------------------------------------------------------------------------------------------------
 
 _ROW_MM, _HEAD_MM = 5.2, 30.0
 
 
 def draw(path: str | Path, found: Found, here: Mapping[str, object]) -> None:
-    """Write a PNG of the frames' times; optimisations and growth are in the text alone."""
+    """Write a PNG of the frames' times; optimisations are in the text alone."""
     about, times = found.about, list(found.times.values())
     subtitle = f"{here['processor']}, Python {here['python']}"
     if about:

@@ -1,4 +1,4 @@
-"""What casters get wrong under attack, counted against the float64 oracle: a line for each of 25 attacks.
+"""What casters get wrong under attack, counted against the float64 oracle: a line for each of 17 attacks.
 
     python scripts/research/caster_attacks.py [--quick] [--seed 1]
 

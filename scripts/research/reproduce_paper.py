@@ -1,4 +1,4 @@
-"""The paper's case study made again: Table II, Figs. 8 and 9, and how far to trust them.
+"""The paper's case study made again: Table II, Fig. 9, and how far to trust them.
 
     python scripts/research/reproduce_paper.py [--traffic FILE] [--out DIR] [--resume] [--quick]
 
@@ -17,17 +17,15 @@ from math import prod
 import numpy as np
 
 from arguments import SCENES, counting, overrides_of, parser_of, run_script
-from blender_lidar.errors import MissingExtraError
-from blender_lidar.files import make_folder, write_text
+from blender_lidar.files import write_text
 from blender_lidar.optimise import READINGS
 from blender_lidar.scene.provenance import versions
 from blender_lidar.scene.site import Site
 from blender_lidar.signals import stops_watched
 from blender_lidar.statistics import interval_90
 from blender_lidar.studies.driver import StudyFolder
-from case_study import EVEN, FULL, PUBLISHED, QUICK, SENSORS, CaseStudy, baseline_of, coordinates, open_case
+from case_study import EVEN, FULL, PUBLISHED, QUICK, SENSORS, CaseStudy, baseline_of, open_case
 from case_study import with_even_beams as even
-from case_study_clouds import draw_clouds, write_clouds
 from case_study_distance import by_distance, decomposition
 from case_study_optima import (
     WIDE,
@@ -44,7 +42,7 @@ from case_study_optima import (
 )
 from case_study_report import report_text, tables
 
-RESULT, REPORT, CLOUDS = "case_study.json", "report.md", "clouds"
+RESULT, REPORT = "case_study.json", "report.md"
 NEAR_BEST = (0.01, 0.05)  # shares of the gain
 
 
@@ -77,35 +75,23 @@ def study(args) -> None:
     case = open_case(args.scene, overrides_of(args), QUICK if args.quick else FULL)
     with opened(case, args.out, args.resume) as folder:
         result = reproduce(case, folder)
-        written = write_results(case, folder, result)
+        written = write_results(folder, result)
     print(report_text(result))
     print(f"Results in {folder.path}: {', '.join(written)}", file=sys.stderr)
 
 
 def opened(case: CaseStudy, out, resume: bool):
     """The study's folder, locked."""
-    return StudyFolder(out, case.identity(), (RESULT, REPORT, CLOUDS)).locked(resume=resume)
+    return StudyFolder(out, case.identity(), (RESULT, REPORT)).locked(resume=resume)
 
 
-def write_results(case: CaseStudy, folder: StudyFolder, result: dict) -> list[str]:
-    """Write tables, clouds, pictures where matplotlib is installed, the page and, last, the result; returns names."""
+def write_results(folder: StudyFolder, result: dict) -> list[str]:
+    """Write tables, the page and, last, the result; returns names."""
     texts = {**tables(result), REPORT: report_text(result)}
     for name, text in texts.items():
         write_text(folder.file(name), text)
-    written = list(texts)
-    make_folder(folder.file(CLOUDS), "--out")
-    for sensor in SENSORS:
-        site, of = case.site(sensor), result["sensors"][sensor]
-        heights_tilts = {"baseline": baseline_of(site), "optimised": (of["height_m"], of["tilt_deg"])}
-        mounts = {name: coordinates(site, at) for name, at in heights_tilts.items()}
-        written += write_clouds(site, folder.file(CLOUDS), mounts)
-        try:
-            draw_clouds(site, folder.file(f"fig8_{sensor.lower()}.png"), mounts)
-            written.append(f"fig8_{sensor.lower()}.png")
-        except MissingExtraError as error:
-            print(f"no picture: {error}", file=sys.stderr)
     write_text(folder.file(RESULT), json.dumps(result, indent=2) + "\n")
-    return [*written, RESULT]
+    return [*texts, RESULT]
 
 
 def reproduce(case: CaseStudy, folder: StudyFolder) -> dict:
