@@ -8,19 +8,15 @@ from pathlib import Path
 
 from blender_lidar.report.figure import FAINT, OPTIMISED_LOOK, sheet
 from search_judgement import SHOWN, Part
-from search_problems import DIMENSIONS, NAMES
-from search_solvers import CHOICES, OURS, SOLVERS
+from search_solvers import OURS, SOLVERS
 
 
-def report_text(judged: Mapping, tuned: Mapping[str, list[dict]]) -> str:
-    """All tables; `tuned` holds what each choice solved."""
-    found = []
-    if judged["parts"]:
-        found += [_verdict(judged["verdict"]), _successes(judged["parts"]), *map(_part, judged["parts"])]
-        found += [_compared(judged["compared"]), _groups(judged["groups"])]
-    if tuned:
-        found.append(_tuning(tuned))
-    return "\n".join(found)
+def report_text(judged: Mapping) -> str:
+    """All tables."""
+    if not judged["parts"]:
+        return ""
+    found = [_verdict(judged["verdict"]), _successes(judged["parts"]), *map(_part, judged["parts"])]
+    return "\n".join([*found, _compared(judged["compared"]), _groups(judged["groups"])])
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -95,22 +91,6 @@ def _groups(groups: Sequence[Mapping]) -> str:
         f"Of the {len(groups)} comparisons of final regrets by group of problems and rival, {better} are "
         f"significantly in our favour and {len(clear) - better} against us (Wilcoxon, Holm).\n"
     )
-
-
-def _tuning(tuned: Mapping[str, list[dict]]) -> str:
-    head = ["solved [%]", "all", *(f"{d}-D" for d in DIMENSIONS), *NAMES]
-    rows = []
-    for name in CHOICES:
-        if found := tuned.get(name):
-            parts = [[row for row in found if row["dimension"] == d] for d in DIMENSIONS]
-            parts += [[row for row in found if row["problem"] == problem] for problem in NAMES]
-            rows.append([name, *map(_solved, [found, *parts])])
-    seeds = next(iter(tuned.values()))[0]["seeds"]
-    return f"## Tuning\n\nOn the development problems alone, {seeds} seeds.\n\n{table(head, rows)}"
-
-
-def _solved(rows: Sequence[Mapping]) -> str:
-    return f"{100 * sum(row['solved'] for row in rows) / sum(row['seeds'] for row in rows):.0f}"
 
 
 # Ours is the heavy one; the others are told apart by colour, lightness and dash.

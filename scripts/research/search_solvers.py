@@ -14,9 +14,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import optimize
 
-from blender_lidar.optimise import HardenedSettings, make_search
+from blender_lidar.optimise import make_search
 from blender_lidar.optimise import run as run_search
-from blender_lidar.optimise.hardened import Hardened
 from search_problems import Problem
 
 
@@ -75,16 +74,6 @@ def solve(solver: Solver, objective: Counted, seed: int) -> dict:
     with contextlib.suppress(BudgetSpent):
         solver(objective, seed)
     return objective.record()
-
-
-def hardened(**settings: object) -> Solver:
-    """Our search with settings in place of its own."""
-
-    def solve(objective: Counted, seed: int) -> None:
-        use = HardenedSettings(**{"evaluations": objective.budget, **settings})
-        run_search(Hardened(objective.lower, objective.upper, seed=seed, settings=use), objective)
-
-    return solve
 
 
 def ours(name: str, reading: str = "corrected") -> Solver:
@@ -157,7 +146,7 @@ def cma_es(objective: Counted, seed: int) -> None:
 OURS = "hardened"
 SCIPY_POPULATION = 5  # docs/evidence/search.md tells how it was tuned
 SOLVERS: dict[str, Solver] = {
-    OURS: hardened(),
+    OURS: ours("hardened"),
     "DE-PSO": ours("de-pso"),
     "DE-PSO as printed": ours("de-pso", "paper"),
     "grid": ours("grid"),
@@ -168,26 +157,3 @@ SOLVERS: dict[str, Solver] = {
 }
 DE_PSO_FORMS = ("DE-PSO", "DE-PSO as printed")
 RIVALS = tuple(name for name in SOLVERS if name != OURS)
-
-# What was tried on the development problems, and nowhere else: settings of ours, and of SciPy's as many.
-CHOICES: dict[str, Solver] = {
-    "hardened, as frozen": hardened(),
-    "hardened, 10 particles": hardened(particles=10),
-    "hardened, 40 particles": hardened(particles=40),
-    "hardened, no flights": hardened(flights=0.0),
-    "hardened, 40 % flights": hardened(flights=0.4),
-    "hardened, greed 0.2": hardened(greed=0.2),
-    "hardened, greed 0.4": hardened(greed=0.4),
-    "hardened, never turned": hardened(turned=0.0),
-    "hardened, always turned": hardened(turned=1.0),
-    "hardened, opening 0.03": hardened(opening=0.03),
-    "hardened, opening 0.25": hardened(opening=0.25),
-    "hardened, opening 0.75": hardened(opening=0.75),
-    "hardened, no climbs": hardened(climbs=False),
-    **{f"SciPy DE, population {size}": scipy_de(size) for size in (2, 3, 4, 5, 6, 8, 10, 15)},
-    "SciPy DE, population 5, Sobol": scipy_de(5, init="sobol"),
-    "SciPy DE, population 5, rand1bin": scipy_de(5, strategy="rand1bin"),
-    "SciPy DE, population 8, currenttobest1bin": scipy_de(8, strategy="currenttobest1bin"),
-    "SciPy DE, population 5, best1exp": scipy_de(5, strategy="best1exp"),
-    "CMA-ES, as judged": cma_es,
-}

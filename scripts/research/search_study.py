@@ -1,11 +1,11 @@
 """How the searches do beside each other and beside other people's: the tables of docs/evidence/search.md made again.
 
-    python scripts/research/search_study.py [--out DIR] [--resume] [--part bbob] [--traffic FILE] [--quick] [--tune]
+    python scripts/research/search_study.py [--out DIR] [--resume] [--part bbob] [--traffic FILE] [--quick]
 
 Judges on BBOB in 2, 3 and 5 dimensions and on scenes/i80.toml with two and with five coordinates searched, 2,000
-evaluations to a run; with --traffic FILE the scene is judged on that recording besides. With --tune it makes the record
-of the tuning instead, on the development problems alone. What is done is stored instance by instance; a study that was
-stopped goes on with --resume, and --report reports what there is. It needs the extra `study`.
+evaluations to a run; with --traffic FILE the scene is judged on that recording besides. What is done is stored
+instance by instance; a study that was stopped goes on with --resume, and --report reports what there is. It needs the
+extra `study`.
 """
 
 from __future__ import annotations
@@ -36,23 +36,18 @@ from search_problems import (
     BBOB_DIMENSIONS,
     BBOB_FUNCTIONS,
     CASES,
-    DIMENSIONS,
     INSTANCES,
-    NAMES,
-    TARGET,
     Problem,
     bbob_problem,
-    development_problem,
     scene_problem,
 )
 from search_report import draw_ecdf, report_text
-from search_solvers import CHOICES, SOLVERS, Counted, solve
+from search_solvers import SOLVERS, Counted, solve
 
 SCENE = SCENES / "i80.toml"
 FIRST_BBOB = 125  # 1 to 9 and 32 to 124 judged earlier versions of the hardened search
 FIRST_SCENE = 63  # a seed; which frames an instance looks at depends on it modulo `INSTANCES`
 PARTS = ("bbob", *CASES)
-TUNING_SEEDS = 1000  # the first of them; none is judged on
 PAGE, NUMBERS = "search.md", "search.json"
 PICTURES = {
     "search_ecdf_bbob.png": ("BBOB", "BBOB: how soon f - f* falls below targets from 100 to 1e-8"),
@@ -70,7 +65,6 @@ def _arguments(argv):
     parser.add_argument("--resume", action="store_true", help="go on with the study in --out that was stopped")
     parser.add_argument("--seeds", type=positive, default=31, help="instances and seeds of every problem; 31")
     parser.add_argument("--quick", action="store_true", help="2 seeds and 200 evaluations, to see that all works")
-    parser.add_argument("--tune", action="store_true", help="the record of the tuning, on the development problems")
     parser.add_argument("--part", action="append", choices=PARTS, help="only this part; may be given again")
     parser.add_argument(
         "--traffic", action="append", default=[], metavar="FILE", help="a further recording; may be given again"
@@ -82,31 +76,31 @@ def _arguments(argv):
 
 def _study(args):
     seeds, budget = (2, 200) if args.quick else (args.seeds, 2000)
-    tuned, judged = tuning(seeds, budget), judging(PARTS, seeds, budget, SCENE, args.traffic)
-    wanted = tuned if args.tune else [task for task in judged if task.part in (args.part or PARTS)]
+    judged = judging(PARTS, seeds, budget, SCENE, args.traffic)
+    wanted = [task for task in judged if task.part in (args.part or PARTS)]
     folder = StudyFolder(args.out, study_identity(SCENE, seeds, budget, args.traffic), (PAGE, NUMBERS, *PICTURES))
     with folder.locked(resume=args.resume):
         if not args.report:
-            with counting(len(wanted), "tuning" if args.tune else "judging") as advance:
+            with counting(len(wanted), "judging") as advance:
                 carry_out(folder, wanted, args.workers, advance)
-        written = write_results(folder, [*tuned, *judged])
+        written = write_results(folder, judged)
     print(f"Results in {folder.path}: {', '.join(written)}", file=sys.stderr)
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A piece of the study that can be carried out apart: what all solvers make of one instance, or one choice tuned.
+    """A piece of the study that can be carried out apart: what all solvers make of one instance.
 
     Attributes
     ----------
     name : str
         Of its stage.
     part : str
-        "bbob", a name of `CASES`, or "tuning".
+        "bbob", or a name of `CASES`.
     what : str
-        The dimension of BBOB, or the choice that is tuned.
+        The dimension of BBOB.
     instance : int
-        Which instance, and which seed; of the tuning how many.
+        Which instance, and which seed.
     budget : int
         Evaluations of each run.
     scene, traffic : str
@@ -128,7 +122,7 @@ class Task:
 
     def run(self) -> list[dict]:
         """One dictionary for each run: solver, problem, and what `Counted.record` keeps."""
-        return list({"tuning": self._tuning, "bbob": self._bbob}.get(self.part, self._scene)())
+        return list(self._bbob() if self.part == "bbob" else self._scene())
 
     def _bbob(self) -> Iterator[dict]:
         for function in BBOB_FUNCTIONS:
@@ -144,16 +138,6 @@ class Task:
     def _judged(self, problem: Problem, name: str) -> dict:
         found = solve(SOLVERS[name], Counted(problem, self.budget), self.instance)
         return {"solver": name, "problem": problem.name, "optimum": problem.best, **found}
-
-    def _tuning(self) -> Iterator[dict]:
-        for problem_name in NAMES:
-            for dimension in DIMENSIONS:
-                solved = 0
-                for seed in range(TUNING_SEEDS, TUNING_SEEDS + self.instance):
-                    problem = development_problem(problem_name, dimension, seed)
-                    found = solve(CHOICES[self.what], Counted(problem, self.budget), seed)
-                    solved += -found["best"][-1] <= TARGET
-                yield {"problem": problem_name, "dimension": dimension, "solved": solved, "seeds": self.instance}
 
 
 def judging(
@@ -178,11 +162,6 @@ def judging(
                 name = f"{case}_{instance}".replace(" ", "_")
                 found.append(Task(name, case, "", instance, budget, str(scene), str(recording)))
     return [task for task in found if task.part in parts]
-
-
-def tuning(seeds: int, budget: int) -> list[Task]:
-    """The pieces of the tuning: one for each choice."""
-    return [Task(f"tuning_{place}", "tuning", choice, seeds, budget) for place, choice in enumerate(CHOICES)]
 
 
 def carry_out(folder: StudyFolder, tasks: Iterable[Task], workers: int, done: Callable[[int], None]) -> None:
@@ -224,11 +203,10 @@ def study_identity(scene: str | Path, seeds: int, budget: int, traffic: Sequence
 def write_results(folder: StudyFolder, tasks: Sequence[Task]) -> list[str]:
     """Report what is stored of `tasks`, with pictures where matplotlib is installed; the names of the files."""
     stored = [(task, folder.stage(task.name, task.run)) for task in tasks if folder.holds(task.name)]
-    tuned = {task.what: rows for task, rows in stored if task.part == "tuning"}
     parts = parts_of(stored)
     judged = judgement(parts)
-    write_text(folder.file(PAGE), report_text(judged, tuned))
-    write_text(folder.file(NUMBERS), json.dumps({**judged, "tuning": tuned}, indent=1) + "\n")
+    write_text(folder.file(PAGE), report_text(judged))
+    write_text(folder.file(NUMBERS), json.dumps(judged, indent=1) + "\n")
     written = [PAGE, NUMBERS]
     for name, (label, title) in PICTURES.items():
         chosen = [part for part in parts if part.label.startswith(label)]
