@@ -170,17 +170,21 @@ STOPS = {  # by name: the rows, the scene, and what the line says
     "cars ten times too small": (of_class("car", 0.1), {}, "median car is 0.44 .*slipped decimal.*--accept sizes"),
     "vans of a third": (of_class("van", 0.3048), {}, "median van is 1.58 .*multiplied by 0.3048.*--accept sizes"),
     "trucks of no unit": (of_class("truck", 0.15), {}, "another unit, or another class.*--accept sizes"),
-    "one height for all": (table(height_m=lambda row: 1.5), {}, "one height for all.*--accept sizes"),
+    "one height for all": (
+        table(height_m=lambda row: 1.5),
+        {},
+        "11 by 2.5 by 1.5 m, as high as a median car.*one size or height for all.*--accept sizes",
+    ),
     "a fifth there twice": (again(0.2), {}, "boxes stand where another one does.*there twice.*--accept overlaps"),
     "one size for all": (
         table(length_m=lambda row: 4.4, width_m=lambda row: 1.8, height_m=lambda row: 1.5),
         {},
-        "as a median car is; probably one size .* for all.*--accept sizes",
+        "4.4 by 1.8 by 1.5 m, as high as a median car.*one size or height for all.*--accept sizes",
     ),
     "trucks whose width and height are swapped": (
         [[*row[:6], row[7], row[6], *row[8:]] if row[2] == "truck" else row for row in table()],
         {},
-        "median truck is 11 by 3.6 by 2.5 m, .*probably columns swapped: height_m holds the width.*--accept sizes",
+        "median truck is 11 by 3.6 by 2.5 m .*probably columns swapped: height_m holds the width.*--accept sizes",
     ),
     "headings 4 degrees off": (table(heading_deg=lambda row: 4.0), {}, "head 4 degrees off their motion.*headings"),
     "some headings across": (across(), {}, "headings of some vehicles, .* are of another axis.*--accept headings"),
@@ -230,7 +234,7 @@ NOTES = {  # by name: the rows, the scene, and what is told
     "the same minutes twice": (
         once_more(),
         {},
-        "50 % of the places are taken again to the centimetre 120 s later, by other vehicles: if the same minutes",
+        "50 % of the frames are there again to the centimetre 120 s later, with other vehicles: if the same minutes",
     ),
     "lengths that vary": (
         table(length_m=lambda row: row["length_m"] * (1.0 + 0.3 * math.sin(3.0 * row["frame"]))),

@@ -1,137 +1,98 @@
-"""Checks of motion: wrong time steps and headings, told by the ways that vehicles go."""
+"""Checks of motion: wrong time steps, ids and headings, seen from how vehicles move."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from ..traffic import format_of
-from ..traffic.ngsim import FOOT_M
 from ..traffic.tracks import central_velocity, held_heading
 from ..traffic.vehicles import Placing, Recording
+from . import usual
 from .settings import Scenario
 
-ROWS = 20_000  # of a sample
-FEWEST = 20  # boxes, or ways of vehicles, that tell anything
-UNITS = {"feet": FOOT_M, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "decimetres": 0.1}
-FITTING = 0.8  # share that a guess must set right
-
-# --- How vehicles have moved --------------------------------------------------------------------------------------
-
-_MOST_APART = 64  # frames
-_PAIRS = 40  # of frames
-_FAR_ENOUGH_M = 2.0  # against the noise of positions
-_MOVED_SHARE = 0.25
+# --- How vehicles move --------------------------------------------------------------------------------------------
 
 
-class Ways:
-    """Where vehicles have gone between pairs of frames, spread over a recording and as far apart as it takes.
+class Moves(NamedTuple):
+    """From rows of vehicles to later ones of the same, (m,) each: first row, seconds, metres (m, 2), headings [rad]."""
 
-    Attributes
-    ----------
-    moved_m : ndarray, (w, 2)
-        From a vehicle's place in one frame to that in the other, where it is at least 2 m [m].
-    seconds : ndarray, (w,)
-        Between the two [s].
-    heading_rad : ndarray, (w,)
-        The middle of its headings in both [rad].
-    """
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-        frames, apart = len(recording.frames), 1
-        found = self._between(recording, apart)
-        while apart < min(_MOST_APART, 0.5 * frames) and (
-            len(found[0]) < FEWEST or (np.hypot(*found[0].T) >= _FAR_ENOUGH_M).sum() < _MOVED_SHARE * len(found[0])
-        ):
-            apart *= 2
-            later = self._between(recording, apart)
-            found = max(found, later, key=lambda ways: len(ways[0])) if len(found[0]) < FEWEST else later
-        far = np.hypot(*found[0].T) >= _FAR_ENOUGH_M
-        self.moved_m, self.seconds, self.heading_rad = (one[far] for one in found)
-
-    @staticmethod
-    def _between(recording: Recording, apart: int) -> tuple[np.ndarray, ...]:
-        frames = recording.frames
-        pairs = int(np.clip(ROWS / max(np.median(recording.counts), 1), 4, _PAIRS))
-        last = len(frames) - 1 - apart
-        parts = [(np.zeros((0, 2)), np.zeros(0), np.zeros(0))]
-        for at in np.unique(np.linspace(0, last, min(pairs, last + 1)).astype(int)) if last >= 0 else ():
-            before, after = recording.vehicles(frames[at]), recording.vehicles(frames[at + apart])
-            _, one, other = np.intersect1d(before.vehicle_id, after.vehicle_id, return_indices=True)
-            moved = after.centre_m[other, :2] - before.centre_m[one, :2]
-            turn = within_half_a_turn(after.heading_rad[other] - before.heading_rad[one])
-            seconds = np.full(len(one), after.time_s - before.time_s)
-            parts.append((moved, seconds, before.heading_rad[one] + 0.5 * turn))
-        return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
-
-    @cached_property
-    def tracks(self) -> Tracks:
-        """Whole tracks, of a share of the vehicles where there are many."""
-        return Tracks(self._recording)
-
-    @cached_property
-    def steps(self) -> _Steps:
-        """Their steps from row to row."""
-        return _Steps(self.tracks)
+    row: np.ndarray
+    later: np.ndarray
+    seconds: np.ndarray
+    moved_m: np.ndarray
+    heading_rad: np.ndarray  # the middle of both
+    turn_rad: np.ndarray
 
     @property
-    def speed_m_s(self) -> np.ndarray:
-        """Their speeds, (w,) [m/s]."""
-        return np.hypot(*self.moved_m.T) / self.seconds
+    def distance_m(self) -> np.ndarray:
+        return np.hypot(*self.moved_m.T)
 
     def astray(self, heading_rad: np.ndarray) -> np.ndarray:
-        """How far headings are off the directions of motion, counter-clockwise, (w,) [rad]."""
+        """How far headings are off the directions of motion, counter-clockwise, (m,) [rad]."""
         return within_half_a_turn(np.arctan2(self.moved_m[:, 1], self.moved_m[:, 0]) - heading_rad)
 
     def share_astray(self, heading_rad: np.ndarray) -> float:
-        """The share of headings that are more than 30 degrees off."""
-        return float((np.abs(self.astray(heading_rad)) > ASTRAY_RAD).mean())
-
-    def mean_astray(self, heading_rad: np.ndarray) -> float:
-        """The circular mean of how far they are off [rad]: noise of positions leaves it where it is."""
-        return float(np.angle(np.exp(1j * self.astray(heading_rad)).mean()))
-
-    def is_astray(self, heading_rad: np.ndarray) -> bool:
-        """Whether that mean is more than 3 degrees and three of its standard errors."""
-        error = np.std(self.astray(heading_rad)) / math.sqrt(len(self.seconds))
-        return abs(self.mean_astray(heading_rad)) > _MEAN_ASTRAY_RAD + 3.0 * float(error)
-
-
-_TRACK_ROWS = 100_000
+        return float((np.abs(self.astray(heading_rad)) > usual.ASTRAY_RAD).mean())
 
 
 class Tracks:
-    """Tracks of whole vehicles, row by row in order of time.
+    """Tracks of vehicles, row by row in order of time; of a share of the vehicles where there are many.
 
     Attributes
     ----------
     vehicle : ndarray, (n,) int
+        From 0, ascending.
     xy : ndarray, (n, 2)
         Places [m].
-    velocity : ndarray, (n, 2)
-        By central differences over about two seconds [m/s]; NaN for vehicles in one frame only.
-    heading_rad : ndarray, (n,)
-        As the recording has it [rad].
-    time_s, frame : ndarray, (n,)
-        Since the recording's beginning [s], and the frame's number.
-    length_m : ndarray, (n,)
-        Of the boxes [m].
+    heading_rad, time_s, frame, length_m : ndarray, (n,)
+        As the recording has them, times since its beginning.
     """
 
     def __init__(self, recording: Recording) -> None:
         of_row = np.unique(recording.vehicle_id, return_inverse=True)[1].reshape(-1)
-        kept = np.flatnonzero(of_row % -(-len(of_row) // _TRACK_ROWS) == 0)
+        kept = np.flatnonzero(of_row % -(-len(of_row) // usual.TRACK_ROWS) == 0)
         kept = kept[np.lexsort((recording.frame[kept], of_row[kept]))]
         time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[kept])]
-        self.vehicle, self.xy = of_row[kept], recording.centre_m[kept, :2]
-        self.heading_rad, self.length_m = recording.heading_rad[kept], recording.size_m[kept, 0]
+        self.vehicle = np.unique(of_row[kept], return_inverse=True)[1].reshape(-1)
+        self.xy, self.heading_rad = recording.centre_m[kept, :2], recording.heading_rad[kept]
         self.time_s, self.frame = time_s - recording.frame_time_s[0], recording.frame[kept]
-        self.velocity = central_velocity(self.vehicle, self.time_s, self.xy)
-        self.speed_m_s = np.hypot(*self.velocity.T)
+        self.length_m = recording.size_m[kept, 0]
+
+    @property
+    def vehicles(self) -> int:
+        """How many there are."""
+        return int(self.vehicle.max(initial=-1)) + 1
+
+    def moves(self, rows: int) -> Moves:
+        """From each row to that so many rows later."""
+        first = np.flatnonzero(self.vehicle[rows:] == self.vehicle[:-rows])
+        later = first + rows
+        turn = within_half_a_turn(self.heading_rad[later] - self.heading_rad[first])
+        seconds, moved = self.time_s[later] - self.time_s[first], self.xy[later] - self.xy[first]
+        return Moves(first, later, seconds, moved, self.heading_rad[first] + 0.5 * turn, turn)
+
+    @cached_property
+    def steps(self) -> Moves:
+        """From each row to the next."""
+        return self.moves(1)
+
+    @cached_property
+    def ways(self) -> Moves:
+        """A sample of moves of 5 m and more, over as many rows as it takes until a fifth of all are."""
+        rows, found, far = 1, self.steps, self.steps.distance_m >= usual.MOVED_M
+        while rows < usual.MOST_ROWS_APART and far.sum() < max(usual.FEWEST, usual.MANY * len(far)):
+            rows *= 2
+            over = self.moves(rows)
+            if (more := over.distance_m >= usual.MOVED_M).sum() < far.sum():
+                break
+            found, far = over, more
+        kept = np.flatnonzero(far)
+        return Moves(*(column[kept[:: -(-len(kept) // usual.SAMPLE) or 1]] for column in found))
 
 
 def within_half_a_turn(angle):
@@ -140,219 +101,103 @@ def within_half_a_turn(angle):
 
 # --- The checks: what each has seen, and what is probably meant; nothing where all may be true --------------------
 
-_SPEEDS_M_S = (1.5, 70.0)  # nine of ten that move at all are slower than the one, or one of ten faster than the other
-_USUAL_M_S = (2.0, 40.0)
-_FASTEST_MEDIAN_M_S = 44.0  # 160 km/h
-_LONGEST_CRAWL_S = 60.0
-ASTRAY_RAD = math.radians(30.0)
-_MOST_ASTRAY = 0.25  # share of ways
-_MEAN_ASTRAY_RAD = math.radians(3.0)  # real and generated recordings: at most 0.3 degrees
 
-
-def time_step(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
+def time_step(recording: Recording, tracks: Tracks) -> str | None:
     """Speeds that no traffic has: a wrong time step, or vehicles that are numbered anew in each frame."""
-    if len(ways.seconds) < FEWEST:
+    ways = tracks.ways
+    if len(ways.seconds) < usual.FEWEST:
         return None
-    usual, fast = np.quantile(ways.speed_m_s, [0.5, 0.9])
-    low, high = _SPEEDS_M_S
-    if (low <= fast <= high and usual <= _FASTEST_MEDIAN_M_S) or (
-        fast < low and np.ptp(recording.frame_time_s) <= _LONGEST_CRAWL_S
-    ):
+    median, fast = np.quantile(ways.distance_m / ways.seconds, [0.5, 0.9])
+    crawls = fast < usual.CRAWL_M_S and np.ptp(recording.frame_time_s) > usual.CRAWL_S
+    if not crawls and median <= usual.FASTEST_MEDIAN_M_S:
         return None
     step = np.median(np.diff(recording.frame_time_s))
-    speed = f"{usual:.2g}" if usual < 100.0 else f"{usual:.0f}"
+    speed = f"{median:.2g}" if median < 100.0 else f"{median:.0f}"
     seen = f"moving vehicles drive {speed} m/s (usual: 2 to 40) with frames {step:.3g} s apart"
-    if fast < low:
-        cause = "milliseconds for seconds" if usual < 0.1 else "frame numbers for seconds, or a jam that crawls"
+    if crawls:
+        cause = "milliseconds for seconds" if median < 0.1 else "frame numbers for seconds, or a jam that crawls"
         return f"{seen}; probably {cause}: check time_s and [traffic] time_step_s"
-    if ways.share_astray(ways.heading_rad) > _MOST_ASTRAY:
+    if ways.share_astray(ways.heading_rad) > usual.MANY:
         return (
             f"{seen}, in no direction; probably vehicles are numbered anew in each frame, or places have another unit "
             "and axis than headings: check vehicle_id, x_m and y_m"
         )
+    low, high = usual.USUAL_M_S
+    units = [unit for unit, factor in usual.UNITS.items() if low <= median * factor <= high]
+    in_units = bool(units) and format_of(recording.source) == "table"
     apart = "probably frames are further apart (check time_s and [traffic] time_step_s)"
-    units = [unit for unit, factor in UNITS.items() if _USUAL_M_S[0] <= usual * factor <= _USUAL_M_S[1]]
-    of_table = bool(units) and format_of(recording.source) == "table"
-    return f"{seen}; {apart}" + (f", or x_m and y_m are in {' or '.join(units)}" if of_table else "")
+    return f"{seen}; {apart}" + (f", or x_m and y_m are in {' or '.join(units)}" if in_units else "")
 
 
-_MOST_REPEATED = 0.05  # share of rows
-_JUMP_M, _MOST_JUMPING = 20.0, 0.05  # between two rows of a vehicle, with a speed that none has; share of vehicles
-_FEWEST_TOGETHER = 5  # vehicles
-_MOST_OF_FRAMES = 0.05  # in more it is no event
-_ASIDE_M, _AHEAD_M = 1.5, 5.0  # that all have jumped together, in steps of at most 2 s and 1 s
-
-
-def tracks(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
+def jumps(recording: Recording, tracks: Tracks) -> str | None:
     """Vehicles that are in two places at once or jump, each by itself or all together."""
-    report = recording.report
-    if report.repeated > max(_MOST_REPEATED * report.rows_read, FEWEST):
+    report, steps = recording.report, tracks.steps
+    if report.repeated > max(usual.SOME * report.rows_read, usual.FEWEST):
         return (
             f"{report.repeated:,} of {report.rows_read:,} rows are of a vehicle that is elsewhere in the same frame "
             "(usual: none); probably several vehicles have one vehicle_id"
         )
-    steps = ways.steps
-    if together := _together(steps):
+    if together := _together(tracks):
         return together
-    far = steps.distance_m > _JUMP_M
-    jumps = far & (steps.distance_m > _SPEEDS_M_S[1] * steps.seconds)
+    far = steps.distance_m > usual.JUMP_M
+    jump = far & (steps.distance_m > usual.FASTEST_M_S * steps.seconds)
     back = far[1:] & far[:-1] & ((steps.moved_m[1:] * steps.moved_m[:-1]).sum(axis=1) < 0.0)
-    jumps[1:] |= back & (np.diff(steps.vehicle) == 0) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= 3.0)
-    jumping, vehicles = np.unique(steps.vehicle[jumps]), len(np.unique(ways.tracks.vehicle))
-    if len(jumping) > max(_MOST_JUMPING * vehicles, _FEWEST_TOGETHER):
-        return (
-            f"{len(jumping):,} of {vehicles:,} vehicles jump, by {_JUMP_M:g} m and more and faster than any drives, or "
-            "there and back (usual: none); probably several vehicles have one vehicle_id, or frames are out of order"
-        )
-    return None
+    jump[1:] |= back & _next(tracks) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= usual.AGAIN_S)
+    jumping = len(np.unique(tracks.vehicle[steps.row[jump]]))
+    if jumping <= max(usual.SOME * tracks.vehicles, usual.FEWEST_TOGETHER):
+        return None
+    return (
+        f"{jumping:,} of {tracks.vehicles:,} vehicles jump, by {usual.JUMP_M:g} m and more and faster than any drives, "
+        "or there and back (usual: none); probably several vehicles have one vehicle_id, or frames are out of order"
+    )
 
 
-class _Steps:
-    """From one row of a vehicle to its next: distances, seconds, and how far ahead and aside of its heading [m]."""
-
-    def __init__(self, tracks: Tracks) -> None:
-        first = np.flatnonzero(np.diff(tracks.vehicle) == 0)
-        moved = tracks.xy[first + 1] - tracks.xy[first]
-        turn = within_half_a_turn(tracks.heading_rad[first + 1] - tracks.heading_rad[first])
-        heading, self.turn_rad = tracks.heading_rad[first] + 0.5 * turn, turn
-        self.vehicle, self.seconds = tracks.vehicle[first], tracks.time_s[first + 1] - tracks.time_s[first]
-        self.frame, self.next_frame = tracks.frame[first], tracks.frame[first + 1]
-        self.moved_m, self.distance_m = moved, np.hypot(*moved.T)
-        self.ahead_m = moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)
-        self.aside_m = moved[:, 1] * np.cos(heading) - moved[:, 0] * np.sin(heading)
+def _next(tracks: Tracks) -> np.ndarray:
+    """Which steps, but for the first, follow one of the same vehicle."""
+    return np.diff(tracks.vehicle[tracks.steps.row]) == 0
 
 
-def _together(steps: _Steps) -> str | None:
+def _together(tracks: Tracks) -> str | None:
     """A step in which all vehicles jump alike, as where a camera or an origin has moved."""
-    before = np.flatnonzero((np.diff(steps.vehicle) == 0) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= 2.0))
-    now = before + 1
+    steps = tracks.steps
+    now = 1 + np.flatnonzero(_next(tracks) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= usual.TOGETHER_S))
     if not len(now):
         return None
-    expected = steps.ahead_m[before] / steps.seconds[before] * steps.seconds[now]
-    faster = np.where(steps.seconds[now] <= 1.0, steps.ahead_m[now] - expected, 0.0)
-    usual = []
-    for values in (steps.aside_m[now], faster):
-        order = np.lexsort((values, steps.frame[now]))
-        frames, start, count = np.unique(steps.frame[now][order], return_index=True, return_counts=True)
-        usual.append(values[order][start + count // 2])  # the median of each frame
-    aside, ahead = usual
-    told = count >= _FEWEST_TOGETHER
-    far = np.flatnonzero(told & ((np.abs(aside) > _ASIDE_M) | (np.abs(ahead) > _AHEAD_M)))
-    if not len(far) or len(far) > max(_MOST_OF_FRAMES * told.sum(), 2):
+    cos, sin = np.cos(steps.heading_rad), np.sin(steps.heading_rad)
+    ahead = steps.moved_m[:, 0] * cos + steps.moved_m[:, 1] * sin
+    aside = (steps.moved_m[:, 1] * cos - steps.moved_m[:, 0] * sin)[now]
+    faster = ahead[now] - ahead[now - 1] / steps.seconds[now - 1] * steps.seconds[now]
+    faster[steps.seconds[now] > 0.5 * usual.TOGETHER_S] = 0.0
+    frames, of = np.unique(tracks.frame[steps.row[now]], return_inverse=True)
+    middle = [_medians_of(values, of.reshape(-1)) for values in (aside, faster)]
+    enough = np.bincount(of.reshape(-1)) >= usual.FEWEST_TOGETHER
+    far = np.flatnonzero(enough & ((np.abs(middle[0]) > usual.ASIDE_M) | (np.abs(middle[1]) > usual.AHEAD_M)))
+    if not len(far) or len(far) > max(usual.SOME * enough.sum(), 2):
         return None
-    at = int(far[0])
-    next_frame = steps.next_frame[now][steps.frame[now] == frames[at]].min()
+    at = far[0]
+    later = tracks.frame[steps.later[now]][of.reshape(-1) == at].min()
     return (
-        f"all vehicles jump together by {math.hypot(aside[at], ahead[at]):.1f} m from frame {frames[at]} to "
-        f"{next_frame}; probably the camera or the file's origin has moved (make two recordings, each with its "
-        "origin_m), or places are rounded coarsely"
+        f"all vehicles jump together by {math.hypot(middle[0][at], middle[1][at]):.1f} m from frame {frames[at]} to "
+        f"{later}; probably the camera or the file's origin has moved (make two recordings, each with its origin_m), "
+        "or places are rounded coarsely"
     )
 
 
-_CENTIMETRES = 100
-_MOST_AGAIN_LATER = 0.2  # share of places; of real and generated recordings at most a hundredth
-_HASHED = np.array([2_654_435_761, 40_503])
+def _medians_of(values: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """The median of the values of each group (n,), numbered from 0 without gaps."""
+    count = np.bincount(of)
+    return values[np.lexsort((values, of))][np.cumsum(count) - count + count // 2]
 
 
-def _there_again(recording: Recording) -> str | None:
-    """Places to the centimetre that others take again after one and the same time: copies of the same minutes.
-
-    Vehicles that follow each other at even distances take each other's places too, but the leader is still there then.
-    A simulation that draws nothing may repeat itself as well.
-    """
-    place = (np.rint(_CENTIMETRES * recording.centre_m[:, :2]).astype(np.int64) * _HASHED).sum(axis=1)
-    kept = np.flatnonzero(place % -(-len(place) // _TRACK_ROWS) == 0)  # of one place all or none
-    kept = kept[np.lexsort((recording.frame[kept], place[kept]))]
-    place, vehicle = place[kept], recording.vehicle_id[kept]
-    arrives = np.append(True, (np.diff(place) != 0) | (np.diff(vehicle) != 0))  # rows of one that stands are one
-    kept, place, vehicle = kept[arrives], place[arrives], vehicle[arrives]
-    time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[kept])]
-    again = np.flatnonzero(np.diff(place) == 0)
-    if len(again) < FEWEST:
-        return None
-    later = np.rint(_CENTIMETRES * (time_s[again + 1] - time_s[again])).astype(np.int64)
-    lags, counts = np.unique(later, return_counts=True)
-    lag = lags[counts.argmax()]
-    share = counts.max() / len(place)
-    alike = again[later == lag]
-    if share <= _MOST_AGAIN_LATER or len(np.unique(vehicle[alike])) < _FEWEST_TOGETHER:
-        return None
-    alike = alike[np.linspace(0, len(alike) - 1, min(len(alike), _PAIRS)).astype(int)]
-    frames = recording.frame[kept[alike + 1]].tolist()
-    still = [one in recording.vehicles(frame).vehicle_id for one, frame in zip(vehicle[alike], frames, strict=True)]
-    if np.mean(still) > _FEW_STILL:
-        return None
-    return (
-        f"{100 * share:.0f} % of the places are taken again to the centimetre {lag / _CENTIMETRES:g} s later, by other "
-        "vehicles: if the same minutes are there more than once, what is held out is what was searched"
-    )
-
-
-_FEW_STILL = 0.1  # share
-_MOST_TURNING_DEG, _MANY_LOST = 3.0, 0.2
-_FEW_MOVE, _FEW_SHARED = 0.05, 0.05  # shares of vehicles
-_COME_AGAIN_M, _MOST_AGAIN = -20.0, 0.05  # ahead; share of vehicles
-
-
-def track_notes(recording: Recording, ways: Ways) -> Iterator[str]:
-    """What is suspicious of tracks and may be right, as sentences."""
-    steps, vehicles = ways.steps, len(np.unique(ways.tracks.vehicle))
-    if len(recording.frames) < 2 or vehicles < 2:
-        return
-    seen_again = len(np.unique(steps.vehicle))
-    if seen_again <= _FEW_SHARED * vehicles:
-        yield (
-            "next to no vehicle is in more than one frame: frames that are unrelated, or vehicles numbered anew in "
-            "each, which then judge what they have chosen"
-        )
-        return
-    if repeats := _there_again(recording):
-        yield repeats
-    lowest, highest = (_by_vehicle(ways.tracks, how) for how in (np.minimum, np.maximum))
-    moved = np.hypot(*(highest - lowest).T) >= _FAR_ENOUGH_M
-    if moved.mean() <= _FEW_MOVE:
-        yield f"next to no vehicle moves in {np.ptp(recording.frame_time_s):.0f} s: a jam, or a car park?"
-    turning = math.degrees(float(np.median(np.abs(steps.turn_rad))))
-    if turning > _MOST_TURNING_DEG:
-        yield f"headings change by {turning:.0f} degrees from row to row (usual: under 1): are they noise?"
-    lost = _lost(ways.tracks, recording.frames)
-    if lost > _MANY_LOST:
-        yield (
-            f"vehicles are missing in {100 * lost:.0f} % of the frames between their first and their last, and hide "
-            "nothing there"
-        )
-    again = len(np.unique(steps.vehicle[steps.ahead_m < _COME_AGAIN_M]))
-    if again > max(_MOST_AGAIN * vehicles, 1):
-        yield (
-            f"{100 * again / vehicles:.0f} % of the vehicles come again from behind: if a vehicle_id is used again for "
-            "others, these are missing among those that judge"
-        )
-
-
-def _lost(tracks: Tracks, frames: np.ndarray) -> float:
-    """Share of the frames between vehicles' first and last ones in which they are not there."""
-    gaps = np.diff(np.searchsorted(frames, tracks.frame))[np.diff(tracks.vehicle) == 0] - 1
-    return float(gaps.sum() / (gaps.sum() + len(tracks.frame)))
-
-
-def _by_vehicle(tracks: Tracks, how: np.ufunc) -> np.ndarray:
-    first = np.flatnonzero(np.diff(tracks.vehicle, prepend=-1))
-    return how.reduceat(tracks.xy, first, axis=0)
-
-
-def headings(recording: Recording, sample: Recording, ways: Ways, scenario: Scenario) -> str | None:
+def headings(tracks: Tracks, scenario: Scenario) -> str | None:
     """Headings off the motion: radians, a compass's bearings, mirrored, reversed, or of another axis."""
-
-    def fits(heading: np.ndarray) -> bool:
-        return ways.share_astray(heading) < 1 - FITTING and not ways.is_astray(heading)
-
-    if len(ways.seconds) < FEWEST:
+    ways = tracks.ways
+    if len(ways.seconds) < usual.FEWEST:
         return None
-    share, mean = ways.share_astray(ways.heading_rad), abs(ways.mean_astray(ways.heading_rad))
-    if share <= _MOST_ASTRAY and not ways.is_astray(ways.heading_rad):
-        return _standing_astray(ways.tracks) or _bends_not_followed(ways.tracks)
-    settings = scenario.traffic
-    placing = Placing(settings.origin_m or (0.0, 0.0), settings.heading_deg or 0.0)
+    share, off = ways.share_astray(ways.heading_rad), _off_rad(tracks, ways.heading_rad)
+    if share <= usual.MANY and off <= usual.OFF_RAD:
+        return _standing_astray(tracks)
+    placing = Placing(heading_deg=scenario.traffic.heading_deg or 0.0)
     in_file = within_half_a_turn(ways.heading_rad + math.radians(placing.heading_deg))
     meant = {
         "reversed, by half a turn": in_file + math.pi,
@@ -365,27 +210,51 @@ def headings(recording: Recording, sample: Recording, ways: Ways, scenario: Scen
     degrees = np.degrees(in_file)
     if (np.abs(degrees) <= 2 * math.pi + 0.02).all():
         meant = {"radians for degrees": degrees, **meant}  # the number was the angle in radians
-    guess = next((name for name, heading in meant.items() if fits(placing.headings(heading))), None)
     turned = np.where(np.abs(ways.astray(ways.heading_rad)) > 0.5 * math.pi, math.pi, 0.0)
-    if guess is None and fits(ways.heading_rad + turned):
-        guess = "one direction's headings for the vehicles of both, or several vehicles under one vehicle_id"
-    guess = guess or "of another axis than x_m and y_m, or vehicles are numbered anew in each frame"
+    both = "one direction's headings for the vehicles of both, or several vehicles under one vehicle_id"
+    meant = {name: placing.headings(heading) for name, heading in meant.items()} | {both: ways.heading_rad + turned}
+    guess = "of another axis than x_m and y_m, or vehicles are numbered anew in each frame"
+    if share <= usual.MINORITY and abs(np.exp(1j * ways.astray(ways.heading_rad)).mean().imag) <= usual.OFF_RAD:
+        guess = "headings do not follow the road's bends: one direction for all, or that of a chord"
+        if share > usual.FEW:
+            guess = "headings of some vehicles, such as those of a class, are of another axis"
+    for name, heading in meant.items():
+        if ways.share_astray(heading) < 1.0 - usual.MOST and _off_rad(tracks, heading) <= usual.OFF_RAD:
+            guess = name
+            break
     return (
-        f"moving vehicles head {math.degrees(mean):.0f} degrees off their motion in the mean (usual: under 2), "
+        f"moving vehicles head {math.degrees(off):.0f} degrees off their motion, place by place (usual: under 2), "
         f"{100 * share:.0f} % of them more than 30 (usual: none); probably {guess}"
     )
 
 
-_STANDS_M_S = 0.5
-_FEW = 0.02  # share of the boxes
+def _off_rad(tracks: Tracks, heading_rad: np.ndarray) -> float:
+    """How far headings of the ways are off the motion: root mean square of the means place by place, less their noise.
+
+    A place is a square of 20 m and an eighth of the directions; with few boxes all are one place.
+    """
+    ways = tracks.ways
+    astray = np.exp(1j * ways.astray(heading_rad))
+    cell = np.floor(tracks.xy[ways.row] / usual.CELL_M)
+    eighth = np.rint(heading_rad / (0.25 * math.pi)) % 8
+    place = np.unique(np.column_stack([cell, eighth]), axis=0, return_inverse=True)[1].reshape(-1)
+    if np.bincount(place).max() < usual.FEWEST:
+        place[:] = 0
+    boxes = np.bincount(place)
+    mean = (np.bincount(place, astray.real) + 1j * np.bincount(place, astray.imag)) / boxes
+    noise = 2.0 * (1.0 - np.abs(mean)) / boxes  # the square of a mean's standard error
+    enough = boxes >= usual.FEWEST
+    square = np.average((np.square(np.angle(mean)) - noise)[enough], weights=boxes[enough])
+    return math.sqrt(max(0.0, square))
 
 
 def _standing_astray(tracks: Tracks) -> str | None:
     """Headings of vehicles that stand, off those with which they came or leave: made of noise, or of nothing."""
-    known, _ = held_heading(tracks.vehicle, tracks.velocity, np.nan)
-    stands = (tracks.speed_m_s < _STANDS_M_S) & ~np.isnan(known)
-    astray = np.abs(within_half_a_turn(tracks.heading_rad - known)[stands]) > ASTRAY_RAD
-    if stands.sum() < FEWEST or astray.mean() <= _MOST_ASTRAY or astray.sum() <= _FEW * len(stands):
+    velocity = central_velocity(tracks.vehicle, tracks.time_s, tracks.xy)
+    known, _ = held_heading(tracks.vehicle, velocity, np.nan)
+    stands = (np.hypot(*velocity.T) < usual.STANDS_M_S) & ~np.isnan(known)
+    astray = np.abs(within_half_a_turn(tracks.heading_rad - known)[stands]) > usual.ASTRAY_RAD
+    if stands.sum() < usual.FEWEST or astray.mean() <= usual.MANY or astray.sum() <= usual.FEW * len(stands):
         return None
     return (
         f"{100 * astray.mean():.0f} % of the boxes that stand point more than 30 degrees off the way they came or go "
@@ -394,32 +263,77 @@ def _standing_astray(tracks: Tracks) -> str | None:
     )
 
 
-_CELL_M = 20.0
-_FAST_M_S = 5.0  # against the noise of positions
-_BENDS_ASTRAY_RAD = math.radians(4.0)  # real and generated recordings: at most 1.5 degrees
+# --- What is suspicious and may be right --------------------------------------------------------------------------
 
 
-def _bends_not_followed(tracks: Tracks) -> str | None:
-    """Headings that are right in the mean and off the motion place by place, as of one number on a bend."""
-    fast = np.flatnonzero(tracks.speed_m_s > _FAST_M_S)
-    fast = fast[:: -(-len(fast) // ROWS) or 1]
-    velocity, heading = tracks.velocity[fast], tracks.heading_rad[fast]
-    astray = np.exp(1j * (np.arctan2(velocity[:, 1], velocity[:, 0]) - heading))
-    cell = np.floor(tracks.xy[fast] / _CELL_M)
-    eighth = np.rint(heading / (0.25 * math.pi)) % 8
-    place = np.unique(np.column_stack([cell, eighth]), axis=0, return_inverse=True)[1].reshape(-1)
-    boxes = np.bincount(place)
-    mean = np.angle(np.bincount(place, astray.real) + 1j * np.bincount(place, astray.imag))
-    told = boxes >= FEWEST
-    if not told.any():
+def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
+    """What is suspicious of tracks, as sentences."""
+    steps, vehicles = tracks.steps, tracks.vehicles
+    if len(recording.frames) < 2 or vehicles < 2:
+        return
+    if len(np.unique(tracks.vehicle[steps.row])) <= usual.SOME * vehicles:
+        yield (
+            "next to no vehicle is in more than one frame: frames that are unrelated, or vehicles numbered anew in "
+            "each, which then judge what they have chosen"
+        )
+        return
+    if repeats := _there_again(recording):
+        yield repeats
+    first = np.flatnonzero(np.diff(tracks.vehicle, prepend=-1))
+    extent = np.maximum.reduceat(tracks.xy, first) - np.minimum.reduceat(tracks.xy, first)
+    if (np.hypot(*extent.T) >= usual.MOVED_M).mean() <= usual.SOME:
+        yield f"next to no vehicle moves in {np.ptp(recording.frame_time_s):.0f} s: a jam, or a car park?"
+    turning = math.degrees(float(np.median(np.abs(steps.turn_rad))))
+    if turning > usual.TURN_DEG:
+        yield f"headings change by {turning:.0f} degrees from row to row (usual: under 1): are they noise?"
+    of_row = tracks.vehicle
+    mean = np.bincount(of_row, tracks.length_m) / np.bincount(of_row)
+    varying = np.sqrt(np.bincount(of_row, np.square(tracks.length_m - mean[of_row])) / np.bincount(of_row)) / mean
+    if np.median(varying) > usual.LENGTH_VARIES:
+        yield (
+            f"lengths of one vehicle vary by {100 * np.median(varying):.0f} % (usual: none); give it one size in all "
+            "frames, or each its own vehicle_id"
+        )
+    at = np.searchsorted(recording.frames, tracks.frame)
+    gaps = int((at[steps.later] - at[steps.row] - 1).sum())
+    if gaps > usual.MANY * (gaps + len(at)):
+        yield (
+            f"vehicles are missing in {100 * gaps / (gaps + len(at)):.0f} % of the frames between their first and "
+            "their last, and hide nothing there"
+        )
+    ahead = steps.moved_m[:, 0] * np.cos(steps.heading_rad) + steps.moved_m[:, 1] * np.sin(steps.heading_rad)
+    again = len(np.unique(tracks.vehicle[steps.row[ahead < -usual.JUMP_M]]))
+    if again > max(usual.SOME * vehicles, 1):
+        yield (
+            f"{100 * again / vehicles:.0f} % of the vehicles come again from behind: if a vehicle_id is used again for "
+            "others, the later ones are left out of the check on held-out traffic"
+        )
+
+
+_MIXED = np.array([2_654_435_761, 40_503])  # odd factors, to give each place a number of its own
+
+
+def _there_again(recording: Recording) -> str | None:
+    """Frames whose boxes stand to the centimetre where those of an earlier one stood: copies of the same minutes.
+
+    Vehicles that follow each other at even distances do so too, but some of them are in both frames.
+    """
+    place = (np.rint(100.0 * recording.centre_m[:, :2]).astype(np.int64) * _MIXED).sum(axis=1)
+    first = np.append(0, np.cumsum(recording.counts))
+    looks = np.add.reduceat(place * place, first[:-1])
+    order = np.argsort(looks, kind="stable")
+    same = np.flatnonzero((np.diff(looks[order]) == 0) & (recording.counts[order[:-1]] > 1))
+
+    def others(one: int, other: int) -> bool:
+        ids = (recording.vehicle_id[first[at] : first[at + 1]] for at in (one, other))
+        return not np.intersect1d(*ids).size
+
+    again = [(one, other) for one, other in zip(order[same], order[same + 1], strict=True) if others(one, other)]
+    share = len(again) / len(looks)
+    if share <= usual.MANY:
         return None
-    off = math.sqrt(np.average(np.square(mean[told]), weights=boxes[told]))
-    if off <= _BENDS_ASTRAY_RAD:
-        return None
-    meant = "headings do not follow the road's bends: one direction for all, or that of a chord"
-    if (np.abs(np.angle(astray)) > ASTRAY_RAD).mean() > _FEW:
-        meant = "headings of some vehicles, such as those of a class, are of another axis"
+    later = np.median([recording.frame_time_s[other] - recording.frame_time_s[one] for one, other in again])
     return (
-        f"place by place vehicles head {math.degrees(off):.0f} degrees off their motion (usual: under 2), though not "
-        f"in the mean; probably {meant}"
+        f"{100 * share:.0f} % of the frames are there again to the centimetre {later:g} s later, with other vehicles: "
+        "if the same minutes are there more than once, what is held out is what was searched"
     )

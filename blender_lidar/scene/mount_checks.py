@@ -10,13 +10,12 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
+from . import usual
 
 if TYPE_CHECKING:
     from .mounting import Deployment
     from .settings import Scenario
 
-_ROUND_DEG = 5.0
-_FEWEST_DECIMALS = 2
 _ANGLES = ("tilt_x_deg", "tilt_y_deg", "yaw_deg", "lean_deg", "lean_direction_deg", "spin_deg")
 _OF_A_CIRCLE = ("yaw_deg", "lean_direction_deg", "spin_deg")
 
@@ -29,9 +28,9 @@ def in_radians(key: str, ends: tuple[float, ...]) -> tuple[float, ...] | None:
     """
     most = math.tau if key in _OF_A_CIRCLE else 0.5 * math.pi
     decimals = [len(f"{abs(end):.12g}".partition(".")[2]) for end in ends]
-    if max(decimals) < _FEWEST_DECIMALS:
+    if max(decimals) < usual.DECIMALS:
         return None
-    degrees = tuple(_ROUND_DEG * round(math.degrees(end) / _ROUND_DEG) for end in ends)
+    degrees = tuple(usual.ROUND_DEG * round(math.degrees(end) / usual.ROUND_DEG) for end in ends)
     for end, rounded in zip(ends, degrees, strict=True):
         step = 10.0 ** -max(decimals)  # ends are rounded alike: 0.5 beside 0.25 is 0.50
         if abs(end) > most + step or abs(end - math.radians(rounded)) > 0.51 * step:
@@ -48,18 +47,13 @@ def check_degrees(where: str, key: str, ends: tuple[float, float]) -> None:
         Naming degrees, and how to search such a narrow interval all the same.
     """
     meant = in_radians(key, ends)
-    if meant is None or (key in _OF_A_CIRCLE and ends[1] - ends[0] < math.radians(_ROUND_DEG)):
+    if meant is None or (key in _OF_A_CIRCLE and ends[1] - ends[0] < math.radians(usual.ROUND_DEG)):
         return
     low, high = meant
     raise InputError(
         f"{where}: is [{ends[0]:g}, {ends[1]:g}] degrees; probably radians: [{low:g}, {high:g}] in degrees, the unit "
         "here; to search so narrow an interval give other bounds, such as a hundredth wider"
     )
-
-
-_HIGHEST_USUAL_M = 20.0
-_LARGEST_USUAL_NOISE_M = 0.2
-_ACROSS = 0.5  # cosine of an angle to the road's normal within which a direction is towards it or away
 
 
 def mount_notes(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Iterator[str]:
@@ -73,10 +67,10 @@ def mount_notes(scenario: Scenario, mount: Mapping[str, float] | None = None) ->
                 yield f"{key} of {name} is {coordinates[key]:g} degrees; is that {meant[0]:g} degrees in radians?"
     places = deployment.places if mount is None else ()
     highest = max([place.bounds["height_m"][1] if "height_m" in place.bounds else 0.0 for place in places], default=0.0)
-    if highest > _HIGHEST_USUAL_M:
+    if highest > usual.HIGHEST_M:
         yield f"heights up to {highest:g} m are searched (usual: 2 to 12, a gantry or a lamp): metres above the road?"
     noise = scenario.sensor.range_noise_m or 0.0
-    if noise > _LARGEST_USUAL_NOISE_M:
+    if noise > usual.NOISE_M:
         yield f"[sensor] range_noise_m is {noise:g} m (data sheets: 0.01 to 0.05 m): centimetres?"
     away = [place for place in places if _leans_away(place, scenario.road.carriageway_y)]
     if away:
@@ -98,4 +92,4 @@ def _leans_away(place: Deployment, carriageway_y: tuple[float, float]) -> bool:
     towards_y = math.cos(math.radians(turn)) * (1.0 if high > 0.0 else -1.0)
     y = place.bounds.get("y_m") or (place.fixed["y_m"],) * 2
     right, left = carriageway_y
-    return bool((y[1] <= right and towards_y < -_ACROSS) or (y[0] >= left and towards_y > _ACROSS))
+    return bool((y[1] <= right and towards_y < -usual.ACROSS) or (y[0] >= left and towards_y > usual.ACROSS))

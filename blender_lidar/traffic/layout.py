@@ -22,8 +22,8 @@ _ALONG_RAD, _CROSSING_RAD = np.radians([15.0, 30.0])  # of the road: who drives 
 _MOST_SAMPLES = 200_000
 _FEWEST_VEHICLES = 3
 _FEW = 0.02  # share of the traffic that makes no lane, and no crossing
-_LANE_WIDTHS_M = (2.4, 5.2)
-_USUAL_LANE_M = 3.5
+LANE_WIDTHS_M = (2.4, 5.2)
+USUAL_LANE_M = 3.5
 SETBACK_M = 2.0
 _SETBACKS_M = (SETBACK_M, 3.0, 4.0, 6.0, 8.0, 10.0)
 _CLEAR_M = 1.0  # about the pole
@@ -313,12 +313,12 @@ def _lanes(v: np.ndarray, near: _Samples) -> _Lanes | None:
     numbers = tuple(number for centre, number in sorted(zip(centres, numbers, strict=False)) if centre in kept)
     centres = np.sort(kept)
     if len(centres) == 1:
-        width, first = _USUAL_LANE_M, centres[0]
+        width, first = USUAL_LANE_M, centres[0]
         count = 1
     else:  # by least squares, as one width is all that a scene has
         apart = np.diff(centres)
         usual = float(np.median(apart[apart <= 1.5 * apart.min()]))
-        usual = usual if usual <= _LANE_WIDTHS_M[1] else usual / 2.0  # with an unused lane between
+        usual = usual if usual <= LANE_WIDTHS_M[1] else usual / 2.0  # with an unused lane between
         place = np.concatenate([[0], np.cumsum(np.maximum(np.rint(apart / usual), 1))])
         width, first = np.polyfit(place, centres, 1)
         count = int(place[-1]) + 1
@@ -338,7 +338,7 @@ def density_peaks(v: np.ndarray, weight: np.ndarray) -> np.ndarray:
     kept: list[int] = []
     for top in tops[np.argsort(-density[tops], kind="stable")]:
         between = (density[min(top, other) : max(top, other) + 1].min() for other in kept)
-        apart = all(abs(top - other) * step >= _LANE_WIDTHS_M[0] for other in kept)
+        apart = all(abs(top - other) * step >= LANE_WIDTHS_M[0] for other in kept)
         if apart and all(valley <= 0.8 * density[top] for valley in between):
             kept.append(int(top))
     return low + (np.array(kept) + 0.5) * step
@@ -360,7 +360,7 @@ def _recorded_lanes(v: np.ndarray, near: _Samples) -> tuple[np.ndarray, tuple[in
     centres = np.array([np.median(one) for one in across])
     spread = max(float(np.median(np.abs(one - centre))) for one, centre in zip(across, centres, strict=True))
     apart = np.diff(np.sort(centres))
-    if spread > 0.25 * _LANE_WIDTHS_M[1] or (apart < _LANE_WIDTHS_M[0]).any():
+    if spread > 0.25 * LANE_WIDTHS_M[1] or (apart < LANE_WIDTHS_M[0]).any():
         return None
     return centres, tuple(numbers.tolist())
 
@@ -368,7 +368,7 @@ def _recorded_lanes(v: np.ndarray, near: _Samples) -> tuple[np.ndarray, tuple[in
 def _neighbours(centres: np.ndarray) -> np.ndarray:
     """The lanes of one carriageway: the first, and those at most an unused lane from the next."""
     kept, rest = [centres[0]], list(centres[1:])
-    while near := [one for one in rest if min(abs(one - other) for other in kept) <= 2.1 * _USUAL_LANE_M]:
+    while near := [one for one in rest if min(abs(one - other) for other in kept) <= 2.1 * USUAL_LANE_M]:
         kept += near
         rest = [one for one in rest if one not in near]
     return np.array(kept)
