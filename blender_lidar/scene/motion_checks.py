@@ -235,7 +235,7 @@ def _off_rad(tracks: Tracks, heading_rad: np.ndarray) -> float:
     """
     ways = tracks.ways
     astray = np.exp(1j * ways.astray(heading_rad))
-    cell = np.floor(tracks.xy[ways.row] / usual.CELL_M)
+    cell = np.floor(tracks.xy[ways.row] / usual.PLACE_M)
     eighth = np.rint(heading_rad / (0.25 * math.pi)) % 8
     place = np.unique(np.column_stack([cell, eighth]), axis=0, return_inverse=True)[1].reshape(-1)
     if np.bincount(place).max() < usual.FEWEST:

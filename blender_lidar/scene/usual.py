@@ -55,7 +55,7 @@ AGAIN_S = 3.0  # who jumps back within this was no vehicle that left and came ag
 ASTRAY_RAD = math.radians(30.0)  # of a heading off the motion: no vehicle drifts so
 OFF_RAD = math.radians(3.0)  # of headings off the motion, place by place: real and generated ones are up to 1.5
 TURN_DEG = 3.0  # from row to row in the median: real and generated ones are under 1
-CELL_M = 20.0  # a place: within it no street bends by much
+PLACE_M = 20.0  # a place: within it no street bends by much
 
 # --- Road
 LANES_APART_M = (0.7, 1.9)  # of lanes of 2.4 to 5.8 m, once more multiplied by a foot
