@@ -33,14 +33,6 @@ def test_the_donors_of_a_jump_are_distinct_and_not_the_particle(particles, archi
     assert 0 <= k.min() <= k.max() < particles + archived
 
 
-def test_every_pair_of_donors_is_drawn_equally_often():
-    rng = generator(1)
-    pairs = distinct_donors(np.full(20_000, 1), *(rng.integers(3, size=20_000) for _ in range(2)))
-    _, counts = np.unique(pairs, axis=1, return_counts=True)
-    assert counts.size == 9  # j of 3 others, k of the 3 that are left
-    assert counts == pytest.approx(20_000 / 9, rel=0.08)
-
-
 def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
     swarm = AdaptiveSwarm(generator(3), 10, 2, flights=0.3, greed=0.2, turned=0.5)
     for _ in range(60):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -89,29 +88,6 @@ def test_what_lies_on_a_face_is_not_lost_to_rounding(heading, size, centre):
     assert points_in_boxes(points, *box).tolist() == [0] * len(points)
     millimetres = box[0], box[1].round(3), box[2]
     assert points_in_boxes(points, *millimetres).tolist() == [0] * len(points)
-
-
-def test_a_turned_box_holds_what_lies_along_it_and_not_what_lies_along_x():
-    turned = (*CAR[:2], np.array([0.5 * np.pi]))
-    points = np.array([[0.0, 1.9, 0.5], [1.9, 0.0, 0.5], [0.9, -1.9, 0.5]])
-    assert points_in_boxes(points, *turned).tolist() == [0, NO_BOX, 0]
-
-
-def test_where_boxes_overlap_the_nearest_centre_has_the_point():
-    centre = np.array([[0.0, 0.0, 0.75], [3.0, 0.0, 0.75]])
-    size, heading = np.repeat(CAR[1], 2, axis=0), np.zeros(2)
-    points = np.array([[1.2, 0.0, 0.5], [1.8, 0.0, 0.5], [1.5, 0.0, 0.5], [-1.9, 0.0, 0.5]])
-    assert points_in_boxes(points, centre, size, heading).tolist() == [0, 1, 0, 0]
-    assert points_in_boxes(points[[0, 1, 3]], centre[::-1], size, heading).tolist() == [1, 0, 1]
-
-
-@pytest.mark.parametrize(
-    ("clearance", "expected"),
-    [(0.0, [0] * 4), (0.001, [NO_BOX, 0, 0, 0]), (0.1, [NO_BOX, NO_BOX, 0, 0]), (0.5, [NO_BOX] * 3 + [0])],
-)
-def test_points_just_above_the_floor_are_ground(clearance, expected):
-    points = np.array([[0.0, 0.0, -0.001], [0.0, 0.0, 0.05], [0.0, 0.0, 0.2], [0.0, 0.0, 0.6]])
-    assert points_in_boxes(points, *CAR, ground_clearance_m=clearance).tolist() == expected
 
 
 def test_without_boxes_or_points_nothing_belongs_to_anything():

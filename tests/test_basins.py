@@ -85,10 +85,3 @@ def test_the_better_points_do_not_notice_that_worse_ones_are_forgotten(monkeypat
 @pytest.mark.parametrize("values", [[-math.inf, -math.inf], [-math.inf, 1.0]])
 def test_without_two_feasible_points_there_is_nowhere_to_go(values):
     assert told(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array(values), []).unclimbed(NOWHERE) is None
-
-
-def test_equal_points_are_one_basin():
-    points = np.concatenate([np.full((50, 2), 0.5), [[0.5, 0.6]]])
-    start, distance = told(points, np.ones(51), [10]).unclimbed(NOWHERE)
-    assert np.array_equal(start, [0.5, 0.5])
-    assert distance == math.inf

@@ -93,16 +93,6 @@ def test_the_trace_is_algorithm_1_to_the_last_bit(reading, objective, differenti
     assert history[:, -2].tolist() == [value for _, value in trace]
 
 
-def test_one_step_worked_by_hand():
-    """Two jumps of known partners: w2 (Pj - Pk) is a quarter of a metre and half a metre."""
-    use = DePsoSettings(particles=3, iterations=2, differential_threshold=1.0)
-    search = DePso([0.0], [10.0], seed=0, settings=use)
-    search._position = np.array([[4.0], [5.0], [5.5]])
-    search.tell(np.zeros(3))
-    moves = (search.ask() - [[4.0], [5.0], [5.5]]).ravel()
-    assert np.abs(moves).tolist() == [0.25, 0.75, 0.5]
-
-
 @given(st.integers(3, 12), st.integers(0, 2**32))
 def test_partners_are_distinct_and_in_the_corrected_reading_never_the_particle_itself(particles, seed):
     u_j, u_k = np.random.default_rng(seed).random((2, particles))
@@ -151,48 +141,6 @@ def test_moving_the_origin_changes_the_literal_trace():
     here = de_pso(sphere, LOWER, UPPER, seed=0, reading="paper")
     there = de_pso(lambda x: sphere(x - shift), LOWER + shift, UPPER + shift, seed=0, reading="paper")
     assert np.abs(points_of(there.history) - shift - points_of(here.history)).max() > 1.0
-
-
-@pytest.mark.parametrize("scale", [[4.0, 0.125], [1024.0, 1.0]])
-@pytest.mark.parametrize("reading", READINGS)
-def test_scaling_a_variable_scales_the_trace(reading, scale):
-    """By powers of two, which rounding does not touch: equal to the last bit, in both readings."""
-    here = de_pso(ackley, LOWER, UPPER, seed=7, reading=reading, **SHORT)
-    scaled = de_pso(lambda x: ackley(x / scale), LOWER * scale, UPPER * scale, seed=7, reading=reading, **SHORT)
-    assert np.array_equal(points_of(scaled.history), points_of(here.history) * scale)
-
-
-@pytest.mark.parametrize("rising", [lambda f: 8.0 * f, lambda f: -f * f, lambda f: f - 3.0], ids=["x8", "square", "-3"])
-@pytest.mark.parametrize("reading", READINGS)
-def test_a_rising_function_of_the_objective_leaves_the_trace_as_it_is(reading, rising):
-    here = de_pso(terraces, LOWER, UPPER, seed=11, reading=reading, **SHORT)
-    there = de_pso(lambda x: rising(terraces(x)), LOWER, UPPER, seed=11, reading=reading, **SHORT)
-    assert np.array_equal(points_of(there.history), points_of(here.history))
-
-
-@settings(max_examples=25)
-@given(st.integers(0, 2**32), st.integers(1, 5), st.sampled_from(READINGS), st.floats(0.0, 1.0))
-def test_every_candidate_lies_within_the_bounds(seed, variables, reading, differential_threshold):
-    rng = np.random.default_rng(seed)
-    lower = rng.normal(0.0, 100.0, variables)
-    upper = lower + rng.exponential(10.0, variables) + 1e-6
-    use = {"reading": reading, "differential_threshold": differential_threshold, **SHORT}
-    history = de_pso(lambda x: rng.normal(size=len(x)), lower, upper, seed=seed, **use).history
-    assert (points_of(history) >= lower).all()
-    assert (points_of(history) <= upper).all()
-
-
-@pytest.mark.parametrize("reading", READINGS)
-def test_personal_and_global_bests_never_fall(reading):
-    search = DePso(LOWER, UPPER, seed=9, settings=DePsoSettings(reading=reading, **SHORT))
-    personal = search._personal_best_value.copy()
-    while not search.done:
-        search.tell(ackley(search.ask()))
-        assert (search._personal_best_value >= personal).all()
-        personal = search._personal_best_value.copy()
-        assert search.best_value == personal.max()
-    assert np.array_equal(ackley(search._personal_best), personal)
-    assert (np.diff(search.history[:, -1]) >= 0.0).all()
 
 
 @pytest.mark.parametrize("reading", READINGS)
@@ -265,15 +213,11 @@ def test_the_defaults_of_the_function_are_those_of_the_settings():
     ("lower", "upper", "message"),
     [
         ([2.0, 0.0], [4.5], r"shapes \(2,\) and \(1,\)"),
-        ([], [], r"shapes \(0,\) and \(0,\)"),
-        ([[2.0]], [[4.5]], r"shapes \(1, 1\)"),
         (2.0, 4.5, r"shapes \(\) and \(\)"),
         ([2.0, 25.0], [4.5, 0.0], r"variable 1: \[25, 0\] are upside down"),
         ([2.0, 3.0], [4.5, 3.0], r"variable 1: \[3, 3\] .*fix it with a number instead"),
         ([np.nan], [4.5], r"variable 0: \[nan, 4.5\]; allowed: finite"),
         ([0.0], [np.inf], r"variable 0: \[0, inf\]; allowed: finite"),
-        ([-1.7e308], [1.7e308], "a finite distance apart"),
-        (["low"], ["high"], "lower bounds: .*allowed: numbers"),
     ],
 )
 def test_unusable_bounds_are_refused_in_one_line(lower, upper, message):
@@ -289,13 +233,9 @@ def test_unusable_bounds_are_refused_in_one_line(lower, upper, message):
         ({"particles": 20.0}, "particles: 20.0; allowed: a whole number"),
         ({"iterations": 0}, "iterations: 0; allowed: 1 or more"),
         ({"inertia": -0.1}, "inertia: -0.1; allowed"),
-        ({"cognitive": np.nan}, "cognitive: nan; allowed"),
-        ({"social": "much"}, "social: 'much'; allowed"),
-        ({"differential_weight": np.inf}, "differential_weight: inf; allowed"),
         ({"differential_threshold": 1.1}, "differential_threshold: 1.1; allowed: a finite number from 0 to 1"),
         ({"reading": "literal"}, "unknown reading 'literal'.*corrected, paper"),
         ({"seed": -1}, "seed: -1; allowed: 0 or more"),
-        ({"seed": None}, "seed: None; allowed: a whole number"),
     ],
 )
 def test_unusable_settings_are_refused_by_name(setting, message):
@@ -316,7 +256,7 @@ def test_a_value_that_is_no_number_is_refused_and_names_the_candidate(bad):
     assert np.array_equal(search.ask(), candidates)
 
 
-@pytest.mark.parametrize("values", [np.zeros((20, 1)), np.zeros(19), 0.0, ["a"] * 20, [1j] * 20])
+@pytest.mark.parametrize("values", [np.zeros((20, 1)), np.zeros(19), ["a"] * 20])
 def test_values_of_the_wrong_shape_or_kind_are_refused(values):
     with pytest.raises(InputError, match="objective values"):
         de_pso(lambda x: values, LOWER, UPPER, seed=0)
@@ -329,11 +269,3 @@ def test_a_finished_search_asks_and_takes_nothing_more():
         search.ask()
     with pytest.raises(InputError, match="all 54 evaluations are made"):
         search.tell(np.zeros(6))
-
-
-def test_before_the_first_evaluation_there_is_no_best():
-    search = DePso(LOWER, UPPER, seed=0)
-    assert (search.evaluations, search.iteration, search.best_value) == (0, 0, -np.inf)
-    assert search.history.shape == (0, 7)
-    with pytest.raises(InputError, match="nothing has been evaluated"):
-        _ = search.best_x

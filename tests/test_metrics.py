@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS, metric_named
 from blender_lidar.metrics.metric import NEEDS_POINTS, vehicle_returns
-from blender_lidar.metrics.vehicle_metrics import expected_precision, voxel_entropy, voxel_occupancy
+from blender_lidar.metrics.vehicle_metrics import voxel_entropy
 from blender_lidar.metrics.vgop import pe_vgop, to_vehicle_frame
 
 OF_RETURNS = [name for name in METRICS if METRICS[name].needs <= {NEEDS_POINTS}]
@@ -122,16 +122,6 @@ def test_a_vehicle_is_scored_the_same_alone_and_among_others(name):
         np.testing.assert_allclose(METRICS[name].values(alone), together[row : row + 1], rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", OF_RETURNS)
-def test_the_order_of_points_does_not_matter(name):
-    points, vehicle, size, _ = cloud(5)
-    order = np.random.default_rng(0).permutation(len(points))
-    score = METRICS[name].values
-    np.testing.assert_array_equal(
-        score(vehicle_returns(points[order], vehicle[order], size)), score(vehicle_returns(points, vehicle, size))
-    )
-
-
 @settings(max_examples=15)
 @given(st.floats(-7, 7), st.floats(-500, 500), st.floats(-500, 500), st.integers(0, 2**32 - 1))
 def test_moving_vehicle_and_points_together_changes_no_metric(heading, x, y, seed):
@@ -194,38 +184,6 @@ def test_a_frame_without_vehicles_has_no_scores(name):
     assert METRICS[name].values(nothing).shape == (0,)
 
 
-def test_one_return_has_the_value_that_can_be_written_down():
-    one = vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.array([[4.0, 2.0, 1.5]]), np.array([10.0]))
-    shares = [1 / (80 * 40), 1 / (80 * 30), 1 / (40 * 30)]
-    voxels = 40 * 20 * 15
-    expected = {
-        "pe-vgop": sum(-p * math.log2(p) for p in shares),
-        "sum-of-views": sum(shares),
-        "points": 1.0,
-        "log-points": math.log(2.0),
-        "areal-density": 1 / 8.0,
-        "volumetric-density": 1 / 12.0,
-        "voxel-entropy-0.1": 0.0,
-        "voxel-entropy-0.2": 0.0,
-        "voxel-occupancy": 1 / voxels,
-        "voxel-occupancy-entropy": math.log2(voxels) / voxels,
-        "ap-entropy": 2.0 * math.log(0.341 / 0.659) + 1.0 + math.log(2.0 * math.pi),
-        "distance": 10.0,
-    }
-    for name, value in expected.items():
-        np.testing.assert_allclose(METRICS[name].values(one), [value], rtol=1e-12, err_msg=name)
-
-
-def test_equal_counts_in_every_voxel_have_the_entropy_of_a_uniform_distribution():
-    size = np.array([[1.6, 0.4, 0.2]])
-    middles = np.stack(np.meshgrid(*(np.arange(-s / 2 + 0.05, s / 2, 0.1) for s in size[0]), indexing="ij"), axis=-1)
-    points = np.repeat(middles.reshape(-1, 3), 7, axis=0)
-    returns = vehicle_returns(points, np.zeros(len(points), dtype=int), size)
-    assert voxel_entropy(returns, 0.1)[0] == pytest.approx(math.log2(128))
-    assert voxel_entropy(returns, 0.2)[0] == pytest.approx(math.log2(16))
-    assert voxel_occupancy(returns)[0] == 1.0
-
-
 def test_boxes_with_more_voxels_than_can_be_numbered_are_refused():
     returns = vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.full((1, 3), 1e3), cell_m=10.0)
     with pytest.raises(InputError, match="too many voxels"):
@@ -244,17 +202,6 @@ def test_merit_turns_the_sign_of_metrics_in_which_lower_is_better():
     for name, metric in METRICS.items():
         better_first = metric.merit(values)[0] > metric.merit(values)[1]
         assert better_first == (name in ("distance", "ap-entropy")), name
-
-
-# --- entropy of the position ------------------------------------------------------------------------------------------
-
-
-def test_expected_precision_is_clipped_at_both_ends():
-    found = expected_precision(np.array([0, 1, 9, 10, 1000]))
-    assert found[0] == 0.001
-    assert found[1] == pytest.approx(0.659)
-    assert found[2] == pytest.approx(0.152 * math.log(9) + 0.659)
-    assert found[3:].tolist() == [0.999, 0.999]
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------

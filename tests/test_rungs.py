@@ -24,7 +24,6 @@ from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.fidelity import (
     Fidelity,
     coarse_observation,
-    coarsest_stride,
     far_apart,
     make_rungs,
     spread_order,
@@ -84,12 +83,6 @@ def test_cells_grow_with_the_stride_and_the_reference_stays_as_it_is(site):
     assert coarse.lattice.columns == round(seen.lattice.columns / 4)
 
 
-def test_the_stride_is_a_power_of_two_that_leaves_about_four_thousand_beams(site):
-    stride, lattice = coarsest_stride(site.observation), site.observation.lattice
-    assert math.log2(stride).is_integer()
-    assert 2800 <= lattice.columns * lattice.rings / stride < 5700
-
-
 def test_diverse_candidates_begin_with_the_best_and_keep_apart_while_they_can():
     rng = np.random.default_rng(1)
     x = rng.random((200, 2))
@@ -99,11 +92,6 @@ def test_diverse_candidates_begin_with_the_best_and_keep_apart_while_they_can():
     apart = np.abs(x[rows][:, None] - x[rows]).max(axis=2) + np.eye(10)
     assert apart.min() > 0.1
     assert len(set(diverse(x / 1e6, values, 10, 0.1))) == 10
-
-
-def test_diverse_candidates_keep_apart_from_what_is_taken_already():
-    x = np.array([[0.5], [0.52], [0.7], [0.9]])
-    assert diverse(x, np.array([4.0, 3.0, 2.0, 1.0]), 3, 0.1, taken=[2]) == [2, 0, 3]
 
 
 def test_the_same_mounting_is_not_taken_twice():
@@ -179,7 +167,3 @@ def test_no_more_go_on_than_may_and_the_best_is_always_among_them():
         ):
             assert len(kept) == len(set(kept.tolist())) <= 5
             assert kept[0] == objective.sum(axis=1).argmax()
-
-
-def test_candidates_that_are_equal_on_every_frame_all_stay():
-    assert len(survivors(np.ones((4, 6)), np.arange(6), 4)) == 4

@@ -44,23 +44,6 @@ def test_more_of_any_view_never_lowers_it(shares, view, more):
     assert 0.0 <= coverage(shares) <= 1.0 + 1e-15
 
 
-def test_one_more_return_never_lowers_it_where_pe_vgop_falls():
-    rng = np.random.default_rng(5)
-    points = rng.uniform(-0.5, 0.5, (20_000, 3)) * CAR
-    vehicle = np.zeros(len(points), dtype=int)
-    values = {name: [] for name in ("view-coverage", "pe-vgop")}
-    for number in (10, 100, 1_000, 5_000, 20_000):
-        returns = vehicle_returns(points[:number], vehicle[:number], CAR[None])
-        for name, series in values.items():
-            series.append(METRICS[name].values(returns)[0])
-    assert (np.diff(values["view-coverage"]) >= 0.0).all()
-    assert (np.diff(values["pe-vgop"]) < 0.0).any()
-
-
-def test_side_and_front_trade_places():
-    assert coverage(np.array([0.2, 0.5, 0.1])) == coverage(np.array([0.2, 0.1, 0.5]))
-
-
 def test_it_depends_less_on_bearing_than_pe_vgop_and_the_number_of_returns_do():
     lattice = beam_lattice(load_model("HDL-64E-S2"), 10.0)
     beams = lattice.directions.reshape(-1, 3)

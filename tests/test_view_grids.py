@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blender_lidar.errors import InputError
 from blender_lidar.metrics import view_grids
 from blender_lidar.metrics.view_grids import ViewGrids
 
@@ -67,13 +66,6 @@ def test_large_grids_are_not_kept(monkeypatch):
     for _ in range(2):
         np.testing.assert_array_equal(grids.occupancy(local, vehicle), expected)
         assert grids._marks.nbytes == 0
-
-
-def test_a_box_without_extent_and_an_unknown_reading_are_refused():
-    with pytest.raises(InputError, match="positive"):
-        ViewGrids(np.array([[4.5, 0.0, 1.5]]))
-    with pytest.raises(InputError, match="corrected, paper"):
-        ViewGrids(np.ones((1, 3)), 0.05, "literal")
 
 
 @pytest.mark.skipif(not view_grids.numba_works(), reason="Numba is not installed")
