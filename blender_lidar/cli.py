@@ -68,12 +68,14 @@ def _told(argv: Sequence[str] | None) -> int:
 
 
 def _carried_out(argv: Sequence[str] | None) -> int:
-    parser, words = _parser(), sys.argv[1:] if argv is None else argv
+    (parser, verbs), words = _parsers(), sys.argv[1:] if argv is None else argv
     try:
         for word in words:
             if word.startswith("--") and word.endswith("=--"):  # of which argparse makes an empty list
                 parser.error(f"argument {word[:-3]}: expected one argument")
-        args = parser.parse_args(words)
+        args, unknown = parser.parse_known_args(words)
+        if unknown:  # argparse would name the help of the whole command line
+            verbs[args.verb].error(f"unrecognized arguments: {' '.join(unknown)}")
     except SystemExit as stop:  # argparse has printed what was wrong, or the help
         return GOOD if not stop.code else WRONG_INPUT
     module, function = args.run.split(".")
@@ -133,12 +135,13 @@ def _drop_stdout() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    """The parser of the whole command line, and that of each verb."""
     parser = _OneLineParser(prog="blender-lidar", description=question)
     parser.add_argument("--version", action="version", version=f"blender_lidar {__version__}")
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=_OneLineParser)
     add_verbs(subparsers)
-    return parser
+    return parser, subparsers.choices
 
 
 def _check_numpy() -> None:

@@ -196,32 +196,56 @@ def folder_lock(folder: Path) -> Iterator[None]:
 @contextmanager
 def _lock_file(folder: Path) -> Iterator[None]:
     path = folder / ".lock"
-    make_folder(folder, "--out")
+    stream = _locked_stream(path, folder)
     try:
-        stream = path.open("a")
-    except OSError as error:
-        raise output_error(f"--out: {folder}: cannot be written", error) from error
-    with stream:
-        _take(stream, folder)
+        yield
+    finally:
+        with suppress(OSError):  # while it is held: whoever has opened it by now sees that it is gone
+            path.unlink()
+        stream.close()
+        with suppress(OSError):  # Windows removes no open file, so neither this one of ours nor one that others hold
+            path.unlink()
+
+
+def _locked_stream(path: Path, folder: Path) -> IO[str]:
+    """The lock's file, open and locked; it is still the one of that name, which its last holder may have removed."""
+    while True:
+        make_folder(folder, "--out")  # a run that fails removes the folder that it has made
         try:
-            yield
-        finally:
-            with suppress(OSError):
-                path.unlink()
+            stream = path.open("a")
+        except OSError as error:
+            raise output_error(f"--out: {folder}: cannot be written", error) from error
+        try:
+            _take(stream, folder)
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                    return stream
+        except BaseException:
+            stream.close()
+            raise
+        stream.close()
 
 
 def _take(stream: IO[str], folder: Path) -> None:
+    """Lock an open file as the system does it, by `fcntl` or, on Windows, by `msvcrt`."""
     try:
-        import fcntl
-    except ImportError:  # a system without such locks
-        return
-    try:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise OutputError(f"--out: {folder}: another run is at work there") from error
-    except OSError as error:  # a file system without them
+        try:
+            import fcntl
+        except ImportError:
+            import msvcrt
+
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _HELD_BY_ANOTHER:
+            raise OutputError(f"--out: {folder}: another run is at work there") from error
+        # a file system without locks
         text = f"{folder}: another run there would not be noticed, as it cannot be locked: {error.strerror}"
         warnings.warn(text, stacklevel=2)
+
+
+_HELD_BY_ANOTHER = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK}
 
 
 # --- CSV tables: a header line, then rows; numbers with the digits that matter ----------------------------

@@ -229,26 +229,6 @@ def program(body):
     return textwrap.dedent(head) + textwrap.dedent(body)
 
 
-@pytest.mark.parametrize("frames", [5, 160])
-def test_a_worker_that_dies_while_it_starts_is_an_error_and_no_hang(frames):
-    """Here the child cannot find the main program, which came from standard input.
-
-    Many frames are more than a pipe holds, so that whoever writes them to a child that has died waits for ever.
-    """
-    body = f"""
-        try:
-            with Evaluator(counted_frames({frames}), SEEN, SCORING, workers=2) as evaluator:
-                evaluator.workers.await_ready()
-                print("started")
-        except WorkerError as error:
-            print("refused:", error)
-        """
-    done = subprocess.run(
-        [sys.executable], input=program(body), cwd=ROOT, capture_output=True, text=True, timeout=WAIT_S
-    )
-    assert done.stdout.startswith("refused: a worker process ended abruptly")
-
-
 def test_a_system_that_lets_only_some_workers_start_is_an_error_and_no_hang(monkeypatch):
     before, start, started = set(multiprocessing.active_children()), SpawnProcess.start, []
 
@@ -282,7 +262,6 @@ def test_nothing_stays_of_what_workers_read_when_they_start_nor_of_workers_that_
 
 @pytest.mark.skipif(not is_available("bvh"), reason="the library of bvh is not installed")
 def test_workers_start_from_a_program_that_has_imported_bpy(tmp_path):
-    """They import it as well, before anything else, as part of the program."""
     path = tmp_path / "run.py"
     body = """
         import sys

@@ -126,7 +126,7 @@ def test_what_to_expect_comes_from_frames_that_did_not_choose_the_mounting(sheet
     assert "held-out traffic" in text
     assert "70.0 % of the vehicles are detectable instead of 25.0 % under the baseline" in text
     assert "(90 % interval of the gain 0.500 to 1.250)" in " ".join(text.split())
-    assert "the traffic that chose it" in sheet()
+    assert "Expected, on the traffic that was used to choose the mounting" in sheet()
 
 
 @pytest.mark.parametrize(

@@ -101,6 +101,8 @@ def test_shipped_scenes_and_a_mounting_by_hand(tmp_path):
     assert [note.partition(" degrees")[0] for note in mount_notes(given, mount)] == [
         "tilt_x_deg of the mounting is 0.26"
     ]
+    (high,) = mount_notes(given, {**given.baseline, "height_m": 45.0})
+    assert high.startswith("height_m of the mounting is 45 m (usual: 2 to 12")
 
 
 def test_poles_that_look_away_are_counted(tmp_path):

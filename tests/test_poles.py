@@ -11,12 +11,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from blender_lidar.commands.report import describe_site
 from blender_lidar.errors import InputError
 from blender_lidar.run.verdict import rank_poles
 from blender_lidar.scene.mounting import Pole, pose_at
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.poles import read_poles
 from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
@@ -142,6 +144,13 @@ def test_each_pole_is_searched_as_it_would_be_alone_and_judged_on_the_same_frame
         rows = list(csv.DictReader(stream))
     assert [row["name"] for row in rows] == [pole["name"] for pole in result["poles"]]
     assert load_scenario(folder / "run" / "scene.toml").deployment == load_scenario(scene).deployment
+
+
+def test_the_heights_that_are_said_to_be_searched_are_those_of_the_poles(tmp_path):
+    """They were those of [deployment], from which poles of a table with heights of its own differ."""
+    rows = "left,0,0,,3,5,,\nright,1,0,,3,8,,\n"
+    said = describe_site(prepare(load_scenario(scene_with(tmp_path, rows))))
+    assert "2 poles; on each: height 3 to 8 m, as each pole allows" in said
 
 
 def test_the_answer_names_its_pole_and_those_that_cannot_be_told_apart(tmp_path, capsys):

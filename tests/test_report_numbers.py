@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from blender_lidar.report.summary import answer, key_figures, optimum_text
+from blender_lidar.report.summary import answer, cautions, counted, key_figures, optimum_text
 from blender_lidar.run.folder import RunFolder
 from tests.report_samples import Page, change, page_of, result_of
 
@@ -137,11 +137,30 @@ def test_the_answer_hides_no_doubt(stored_runs):
     assert "too few blocks of time for an interval" in answer(result | {"holdout": held | {"interval_90": None}})
     assert answer(result | {"objective": base["objective"]}).startswith("No mounting that was tried is better")
     whole = answer(result_of(RunFolder(stored_runs / "whole")))
-    assert "on the traffic that chose it" in whole
+    assert "on the traffic that was used to choose the mounting" in whole
     assert "nothing was held out" in whole
     given = answer(result_of(RunFolder(stored_runs / "given")))
     assert given.startswith("The RS-16 4.00")
     assert "tilted -3.0° along it, turned 5.0°" in given
+
+
+def test_a_sensor_of_ones_own_is_named_as_a_name(stored_runs):
+    result = result_of(RunFolder(stored_runs / "searched"))
+    assert answer(result | {"sensor": "own"}).startswith('Hang the LiDAR "own" ')
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.0, "No vehicle is"), (1.0, "Every vehicle is"), (0.5, "")])
+def test_a_threshold_that_tells_no_mountings_apart_is_named(stored_runs, share, said):
+    result, shares = result_of(RunFolder(stored_runs / "searched")), {"detectable_share": share}
+    base = result["baseline"] | {"holdout": result["baseline"]["holdout"] | shares}
+    found = " ".join(cautions(result | {"holdout": result["holdout"] | shares, "baseline": base}))
+    assert ("[objective] threshold is 0.005; try a " in found) == bool(said)
+    assert said in found
+
+
+def test_one_of_a_kind_is_told_in_the_singular():
+    assert [counted(number, "frame") for number in (0, 1, 2000)] == ["0 frames", "1 frame", "2,000 frames"]
+    assert counted(2, "box") == "2 boxes"
 
 
 def test_cautions_repairs_sheet_scene_and_versions_are_there(folder):

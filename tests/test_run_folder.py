@@ -9,10 +9,12 @@ import sys
 import tomllib
 from base64 import b64encode
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from blender_lidar import files
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError, OutputError
 from blender_lidar.files import write_text
@@ -317,6 +319,53 @@ def test_two_runs_at_once_in_one_folder_are_refused(tmp_path, capsys):
     assert line == f"blender-lidar: --out: {tmp_path / 'run'}: another run is at work there"
     assert not list((tmp_path / "run").iterdir())
     assert main(["optimise", str(tmp_path / "scene.toml"), "--out", str(tmp_path / "run")]) == 0
+
+
+def lock_as_windows(monkeypatch):
+    """Let there be no `fcntl`, and a `msvcrt` that locks as that of Windows."""
+    fcntl = pytest.importorskip("fcntl")
+    msvcrt = SimpleNamespace(LK_NBLCK=2)
+    msvcrt.locking = lambda stream, how, size: fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", msvcrt)
+
+
+@pytest.mark.parametrize("system", ["posix", "windows"])
+def test_a_lock_whose_file_was_removed_between_opening_and_locking_it_is_none(tmp_path, monkeypatch, system):
+    """A second run opened the file, the first ended and removed it, the second locked what no third would find."""
+    if system == "windows":
+        lock_as_windows(monkeypatch)
+    first, take = RunFolder(tmp_path).locked(), files._take
+    first.__enter__()
+
+    def take_late(*given):
+        monkeypatch.setattr(files, "_take", take)
+        first.__exit__(None, None, None)
+        take(*given)
+
+    monkeypatch.setattr(files, "_take", take_late)
+    with RunFolder(tmp_path).locked():
+        assert (tmp_path / ".lock").exists()
+        with pytest.raises(OutputError, match="another run is at work there"), RunFolder(tmp_path).locked():
+            pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_system_that_removes_no_open_file_leaves_no_lock_either(tmp_path, monkeypatch):
+    lock_as_windows(monkeypatch)
+    unlink, opened = Path.unlink, []
+
+    def refuse(path, **how):
+        if path.name == ".lock" and not opened[-1].closed:
+            raise PermissionError("is open")
+        unlink(path, **how)
+
+    take = files._take
+    monkeypatch.setattr(files, "_take", lambda stream, folder: (opened.append(stream), take(stream, folder)))
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(ValueError, match="early"), RunFolder(tmp_path / "run").locked():
+        raise ValueError("early")
+    assert not (tmp_path / "run").exists()
 
 
 def _write_two(folder, *names):

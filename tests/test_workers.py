@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import subprocess
+import sys
+import textwrap
 import time
+from functools import partial
 from pathlib import Path
 from statistics import median
 
 import pytest
 
+from blender_lidar.errors import WorkerError
 from blender_lidar.scoring.workers import Workers
+from tests.small_scene import write_scene
+from tests.waiting import WAIT_S
+
+ROOT = Path(__file__).parents[1]
 
 
 def slowly(number: int, seconds: float = 0.0) -> tuple[int, int]:
@@ -124,3 +133,69 @@ def test_closing_ends_the_others():
     work.close()
     assert len(children) == 2
     assert not any(child.is_alive() for child in children)
+
+
+class Dying:
+    """Ends the process that it is unpickled in; it is larger than a pipe holds."""
+
+    def __reduce__(self):
+        return os._exit, (1,), b"0" * 1_000_000
+
+
+def test_a_worker_that_dies_while_it_starts_is_an_error_and_no_hang():
+    work = Workers(partial(len, Dying()), 2)
+    try:
+        with pytest.raises(WorkerError, match="a worker process ended abruptly, perhaps for want of memory"):
+            work.await_ready()
+    finally:
+        work.close()
+
+
+def python(*words, **how):
+    """Another Python in the working folder of the tests; it must end well."""
+    done = subprocess.run(
+        [sys.executable, *map(str, words)], cwd=ROOT, capture_output=True, text=True, timeout=WAIT_S, **how
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize("piped", [True, False], ids=["from a pipe", "a file"])
+def test_a_script_that_starts_workers_needs_no_guard(tmp_path, piped):
+    """What is started must not run the script again, and finds no file of one that came through a pipe."""
+    script = textwrap.dedent(
+        f"""
+        import blender_lidar as bl
+
+        print("once")
+        site = bl.load_scene({str(write_scene(tmp_path))!r}, workers=2)
+        with bl.api.site_evaluator(site, site.search) as evaluator:
+            evaluator.workers.await_ready()
+            pose = site.scenario.pose(site.scenario.baseline)
+            print(evaluator.workers.count, len(evaluator.totals([pose]).objective))
+        """
+    )
+    (tmp_path / "script.py").write_text(script)
+    said = (
+        python("-", input=script)
+        if piped
+        else python(tmp_path / "script.py", env={**os.environ, "PYTHONPATH": str(ROOT)})
+    )
+    assert said == ["once", "2 1"]
+
+
+def test_what_a_script_defines_is_found_by_its_workers_below_its_guard(tmp_path):
+    script = """
+        from blender_lidar.scoring.workers import Workers
+
+        def doubled(number):
+            return 2 * number
+
+        if __name__ == "__main__":
+            work = Workers(doubled, 2)
+            work.await_ready()
+            print(work.map(range(4)))
+            work.close()
+        """
+    (tmp_path / "script.py").write_text(textwrap.dedent(script))
+    assert python(tmp_path / "script.py", env={**os.environ, "PYTHONPATH": str(ROOT)}) == ["[0, 2, 4, 6]"]

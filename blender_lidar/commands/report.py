@@ -21,6 +21,7 @@ from ..report.summary import (
     as_sentence,
     cautions,
     comparison_table,
+    counted,
     definitions,
     group_tables,
     imperfections_text,
@@ -51,9 +52,12 @@ def describe_site(site: Site, *, searched: bool = True, verbose: bool = False) -
 
 def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
     scenario, boxes = site.scenario, sum(int(frame.counted.sum()) for frame in site.search)
-    searched_traffic = f"{len(site.search)} frames with {boxes:,} boxes of {len(site.plan.searched_ids):,} vehicles"
+    searched_traffic = f"{counted(len(site.search), 'frame')} with {counted(boxes, 'box')} of "
+    searched_traffic += counted(len(site.plan.searched_ids), "vehicle")
     columns = f" with {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
-    held_out = f"; {len(site.holdout)} held-out frames judge" if len(site.holdout) else "; none is held out"
+    held_out = "; no frame is held out"
+    if site.holdout:
+        held_out = f"; {counted(len(site.holdout), 'held-out frame')} for the check"
     return [
         ("Sensor", f"{site.model.name}{columns}, range gate {site.observation.max_range_m:g} m"),
         ("", _assumed_text(site)),
@@ -79,8 +83,8 @@ def _all_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
         ("Scenery", scenery_text(scenery_counts(site))),
         (
             "Traffic",
-            f"{_traffic_text(site)}: {len(site.recording.frames)} frames, "
-            f"{np.median(site.recording.counts):.0f} vehicles in the median one",
+            f"{_traffic_text(site)}: {counted(len(site.recording.frames), 'frame')}, "
+            f"{counted(round(np.median(site.recording.counts)), 'vehicle')} in the median one",
         ),
         *(("", line) for line in site.recording.report.lines()),
         ("Region", f"vehicles count {region_text(asdict(scenario.region))}"),
@@ -155,8 +159,8 @@ def files(folder: RunFolder, charts: Sequence[str]) -> str:
 
 def _frames(frames, block):
     """How many frames and vehicles, and in how many blocks of time."""
-    number, counted = len(np.unique(block)), sum(int(frame.counted.sum()) for frame in frames)
-    return f"{len(frames)} frames, {counted} vehicles within the gate, in {number} block{'s' * (number != 1)}"
+    number, boxes = len(np.unique(block)), sum(int(frame.counted.sum()) for frame in frames)
+    return f"{counted(len(frames), 'frame')}, {counted(boxes, 'box')} within the gate, in {counted(number, 'block')}"
 
 
 def _tolerance_text(scenario, searched):
@@ -187,10 +191,11 @@ def _search_text(scenario):
 
 
 def _ranges(scenario):
-    """The searched coordinates, each with its bounds."""
-    bounds, poles = scenario.deployment.bounds, len(scenario.deployment.poles)
-    return (f"{poles} poles, on each " if poles else "") + ", ".join(
-        f"{name} {bounds[key][0]:g} to {bounds[key][1]:g} {unit}"
-        for key, (name, unit) in COORDINATE_NAMES.items()
-        if key in bounds
-    )
+    """The searched coordinates, each with its bounds; over all poles, which may have heights of their own."""
+    deployment, poles, ranges = scenario.deployment, len(scenario.deployment.poles), []
+    for key, (name, unit) in COORDINATE_NAMES.items():
+        bounds = {place.bounds[key] for place in deployment.places if key in place.bounds}
+        if bounds:
+            own = ", as each pole allows" if len(bounds) > 1 else ""
+            ranges.append(f"{name} {min(bounds)[0]:g} to {max(high for _, high in bounds):g} {unit}{own}")
+    return (f"{counted(poles, 'pole')}; on each: " if poles else "") + ", ".join(ranges)

@@ -71,7 +71,7 @@ def _accepted(result):
 def _above_foot(result):
     """How high above the pole's foot, where that is known."""
     if not result.get("pole"):
-        return "             from the pole's foot so much more as it lies below the road, less as it lies above"
+        return "             measured from the pole's foot, add the depth of the foot below the road"
     pole, height = result["pole"], result["deployment"]["height_m"]
     return f"             {height - pole['foot_z_m']:.2f} m from the foot of pole {pole['name']}"
 

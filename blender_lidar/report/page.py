@@ -25,6 +25,7 @@ from .summary import (
     cautions,
     comparison_table,
     conditions,
+    counted,
     definitions,
     frames_word,
     group_tables,
@@ -236,9 +237,9 @@ def _heading(run: Outcome):
         traffic = read_toml(scene)["traffic"]
         traffic = " and ".join(Path(one["path"]).name for one in (traffic if isinstance(traffic, list) else [traffic]))
     held = result["holdout"]
-    frames = f"{result['vehicles']:,} vehicles in {result['frames']} {frames_word(result)} frames"
+    frames = f"{counted(result['vehicles'], 'vehicle')} in {counted(result['frames'], f'{frames_word(result)} frame')}"
     if held:
-        frames += f", {held['vehicles']:,} in {held['frames']} held-out ones"
+        frames += f", {held['vehicles']:,} in {counted(held['frames'], 'held-out one')}"
     figures = [element("div", element("dt", what), element("dd", figure)) for what, figure in key_figures(result)]
     return element(
         "header",

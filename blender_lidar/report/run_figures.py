@@ -31,7 +31,7 @@ from .figure import (
     say_empty,
     sheet,
 )
-from .summary import leans, mounting_text, sharp_of, sides, was_searched
+from .summary import counted, leans, mounting_text, sharp_of, sides, was_searched
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,7 +83,7 @@ def _about(result: Mapping, *, judged: bool = False) -> str:
     metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
     return (
         f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
-        f"{result['vehicles']} vehicles in {result['frames']} frames{metric}"
+        f"{counted(result['vehicles'], 'vehicle')} in {counted(result['frames'], 'frame')}{metric}"
         f"{', and held-out frames' if judged and result['holdout'] else ''}"
     )
 

@@ -17,6 +17,7 @@ from ..optimise import vehicle_score
 from ..run.folder import Outcome
 from ..run.tolerance import tolerance_text
 from ..run.verdict import distance_bands, lanes, metric_values, vehicle_weight
+from ..sensors.model import model_names
 
 COORDINATE_NAMES = {
     "height_m": ("height", "m"),
@@ -111,7 +112,8 @@ def judged(result: Mapping) -> tuple[Mapping, Mapping, str]:
     """Scores of the mounting and of the baseline where they are judged, and what traffic that is."""
     if result["holdout"] is not None:
         return result["holdout"], result["baseline"]["holdout"], "held-out traffic"
-    return result, result["baseline"], "the traffic that chose it" if was_searched(result) else "the scored traffic"
+    on = "the traffic that was used to choose the mounting" if was_searched(result) else "the scored traffic"
+    return result, result["baseline"], on
 
 
 def frames_word(result: Mapping) -> str:
@@ -171,8 +173,7 @@ def scenery_text(counts: Mapping[str, int] | None) -> str:
     """How much scenery stood there, in a few words; empty where the scene has none."""
     if counts is None:
         return ""
-    told = (f"{counts[what + 's']:,} {what}{'s' * (counts[what + 's'] != 1)}" for what in ("object", "triangle"))
-    return f"{', '.join(told)} within reach"
+    return f"{', '.join(counted(counts[what + 's'], what) for what in ('object', 'triangle'))} within reach"
 
 
 def objective_text(result: Mapping) -> str:
@@ -222,6 +223,11 @@ def definitions(result: Mapping) -> dict[str, str]:
 
 
 # --- How a number, a gain, an interval are told -----------------------------------------------------------------------
+
+
+def counted(number: int, what: str) -> str:
+    """A number of things: ``"1 frame"``, ``"2,000 frames"``, ``"2 boxes"``."""
+    return f"{number:,} {what}{('es' if what.endswith('x') else 's') * (number != 1)}"
 
 
 def minus(text: str) -> str:
@@ -362,9 +368,14 @@ def worst_text(result: Mapping) -> str:
     return "of the recordings {} is seen worst: {} per vehicle, {} over all by their weights".format(worst, *values)
 
 
+def sensor_text(result: Mapping) -> str:
+    """The sensor's name; that of a user's own beam table in quotes, as it may be any word."""
+    return result["sensor"] if result["sensor"] in model_names() else f'LiDAR "{result["sensor"]}"'
+
+
 def _what_to_do(result):
     """The sentence's beginning: hang it there, or that nothing tried is better than the baseline."""
-    sensor, place = result["sensor"], place_text(result["deployment"], leans=leans(result))
+    sensor, place = sensor_text(result), place_text(result["deployment"], leans=leans(result))
     if not was_searched(result):
         return f"The {sensor} {place}"
     if not better_than_baseline(result):
@@ -395,7 +406,7 @@ def worth(result: Mapping) -> str:
 def _interval(result, metric, gain):
     """The 90 % interval of the gain and what doubt it leaves, or why there is none."""
     if result["holdout"] is None:
-        return "; nothing was held out, so that there is no interval"
+        return "; nothing was held out, so there is no independent check and no interval"
     if result["holdout"]["interval_90"] is None:
         return "; there are too few blocks of time for an interval"
     low, high = result["holdout"]["interval_90"]
@@ -533,7 +544,7 @@ _WIDTHS = {"height_m": "height_m", "tilt_x_deg": "tilt_deg", "tilt_y_deg": "tilt
 def cautions(result: Mapping) -> list[str]:
     """What tolerance, search and map say about how far to trust the optimum, as sentences."""
     notes = (kept_text(result), costliest_text(result), _against_sharp(result), worst_text(result))
-    found = [as_sentence(note) for note in notes if note]
+    found = [as_sentence(note) for note in (*notes, _undecided_by_threshold(result)) if note]
     if not was_searched(result):
         return found
     if not better_than_baseline(result):
@@ -556,8 +567,7 @@ def cautions(result: Mapping) -> list[str]:
         tried = sum(rung["candidates"] for rung in result["rungs"])
         found.append(
             f"Of {tried:,} mountings {result['evaluations']:,} were scored with all frames and beams, the others with "
-            "fewer (fidelity auto); no grid was, so that what the search has missed is not known: --fidelity full "
-            "draws it."
+            "fewer (fidelity auto). No grid was scored to check the search; --fidelity full scores one."
         )
     if result["map"]:
         found += _map_notes(result, "mounting found" if sharp_of(result) is None else "sharp mounting")
@@ -565,6 +575,19 @@ def cautions(result: Mapping) -> list[str]:
         *found,
         *(as_sentence(text) for text in (poles_text(result), seeds_text(result), optimum_text(result)) if text),
     ]
+
+
+def _undecided_by_threshold(result):
+    """Why the detectable share says nothing, where every vehicle is detectable, or none, under both mountings."""
+    found, base, on = judged(result)
+    if found["detectable_share"] != base["detectable_share"] or 0.0 < found["detectable_share"] < 1.0:
+        return ""
+    every, change = ("every", "higher") if found["detectable_share"] else ("no", "lower")
+    threshold = result["identity"]["[objective] threshold"]
+    return (
+        f"{every} vehicle is detectable under either mounting on {on}, so the detectable share does not tell them "
+        f"apart: [objective] threshold is {threshold:g}; try a {change} one"
+    )
 
 
 def _bounds(result, key):

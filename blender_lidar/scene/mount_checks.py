@@ -56,6 +56,9 @@ def check_degrees(where: str, key: str, ends: tuple[float, float]) -> None:
     )
 
 
+_USUAL_HEIGHTS = "(usual: 2 to 12, a gantry or a lamp): metres above the road?"
+
+
 def mount_notes(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Iterator[str]:
     """What is suspicious of mountings and sensor and may be right, as sentences; `mount` is one given by hand."""
     deployment = scenario.deployment
@@ -65,10 +68,12 @@ def mount_notes(scenario: Scenario, mount: Mapping[str, float] | None = None) ->
             meant = in_radians(key, (coordinates.get(key, 0.0),))
             if meant:
                 yield f"{key} of {name} is {coordinates[key]:g} degrees; is that {meant[0]:g} degrees in radians?"
+        if coordinates.get("height_m", 0.0) > usual.HIGHEST_M:
+            yield f"height_m of {name} is {coordinates['height_m']:g} m {_USUAL_HEIGHTS}"
     places = deployment.places if mount is None else ()
     highest = max([place.bounds["height_m"][1] if "height_m" in place.bounds else 0.0 for place in places], default=0.0)
     if highest > usual.HIGHEST_M:
-        yield f"heights up to {highest:g} m are searched (usual: 2 to 12, a gantry or a lamp): metres above the road?"
+        yield f"heights up to {highest:g} m are searched {_USUAL_HEIGHTS}"
     noise = scenario.sensor.range_noise_m or 0.0
     if noise > usual.NOISE_M:
         yield f"[sensor] range_noise_m is {noise:g} m (data sheets: 0.01 to 0.05 m): centimetres?"

@@ -27,6 +27,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from ..errors import WorkerError
@@ -147,8 +148,9 @@ class Workers:
         """
         try:
             self._folder = tempfile.TemporaryDirectory(prefix="blender_lidar-")
-            with (Path(self._folder.name) / _FUNCTION).open("wb") as file:
-                pickle.dump(self._function, file, pickle.HIGHEST_PROTOCOL)
+            content = pickle.dumps(self._function, pickle.HIGHEST_PROTOCOL)
+            self._needs_main = b"__main__" in content
+            (Path(self._folder.name) / _FUNCTION).write_bytes(content)
         except OSError as error:
             raise WorkerError(
                 f"the temporary folder {tempfile.tempdir or ''} cannot be written, which worker processes need: "
@@ -158,7 +160,7 @@ class Workers:
     def _start(self) -> None:
         others, before = self.count - 1, set(multiprocessing.active_children())
         try:
-            with _failures_told(), stops_deferred(), _as_children_take_it_over():
+            with _failures_told(), stops_deferred(), _as_children_take_it_over(self._needs_main):
                 context = multiprocessing.get_context("spawn")
                 start = (_start_worker, (Path(self._folder.name), context.Barrier(others)))
                 self._executor = ProcessPoolExecutor(others, context, *start)
@@ -191,15 +193,16 @@ def _failures_told() -> Iterator[None]:
         yield
     except BrokenProcessPool as error:
         time.sleep(_STOP_ON_ITS_WAY_S)  # a SIGTERM to all of us may have reached a worker first; ours ends this here
-        raise WorkerError(
-            "a worker process ended abruptly: for want of memory (try --workers 1), or in a Python file whose work is "
-            'not under `if __name__ == "__main__":`'
-        ) from error
+        raise WorkerError("a worker process ended abruptly, perhaps for want of memory; try --workers 1") from error
 
 
 @contextmanager
-def _as_children_take_it_over() -> Iterator[None]:
+def _as_children_take_it_over(needs_main: bool) -> Iterator[None]:
     """Environment, `sys.path` and blocked signals as processes that are started here are to take them over.
+
+    A spawned process would run the main script first, under another name, so that a script without
+    ``if __name__ == "__main__":`` would start everything again, and one read from a pipe has no file to run. Unless it
+    `needs_main`, because the function that it calls is defined there, it is given an empty main module.
 
     One thread each multiplies their small matrices. They find the bpy that was installed: once imported, it puts
     folders of its own first, where there is another one that works inside Blender alone. Ctrl-C and the closing of the
@@ -210,6 +213,9 @@ def _as_children_take_it_over() -> Iterator[None]:
     posix = hasattr(signal, "pthread_sigmask")
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP}) if posix else None
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    main = sys.modules["__main__"]
+    if not needs_main:
+        sys.modules["__main__"] = ModuleType("__main__")
     try:
         if posix:
             resource_tracker.ensure_running()  # later its start would let SIGINT through again
@@ -219,6 +225,7 @@ def _as_children_take_it_over() -> Iterator[None]:
             sys.path = [folder for folder in path if not Path(folder).is_relative_to(own)]
         yield
     finally:
+        sys.modules["__main__"] = main
         for name in _ONE_THREAD:
             del os.environ[name]
         os.environ.update({name: value for name, value in threads.items() if value is not None})
