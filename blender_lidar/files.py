@@ -49,9 +49,8 @@ def whole_file(path: str | Path) -> Iterator[Path]:
             raise OSError("is there and is not a regular file")
         temporary.touch(exist_ok=False)
         yield temporary
-        if not _synced_later:
-            with temporary.open("rb+") as stream:
-                os.fsync(stream.fileno())  # a name must never point to a file whose content a power cut would lose
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())  # a name must never point to a file whose content a power cut would lose
         temporary.replace(path)
     except OutputError:  # says already what and where
         raise
@@ -60,29 +59,6 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
-
-
-_synced_later = False
-
-
-@contextmanager
-def synced_later() -> Iterator[None]:
-    """While it lasts, files are written whole but not forced to the disk one by one, which takes longer than they do.
-
-    For thousands of files: the caller calls `sync_files` before it says anywhere that they are there.
-    """
-    global _synced_later
-    before, _synced_later = _synced_later, True
-    try:
-        yield
-    finally:
-        _synced_later = before
-
-
-def sync_files() -> None:
-    """Force to the disk what all processes have written, where the system can."""
-    if hasattr(os, "sync"):
-        os.sync()
 
 
 def sweep(folder: Path) -> None:

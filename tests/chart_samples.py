@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from blender_lidar.detection.boxes import DetectedBoxes
 from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.compare_figures import plot_against, plot_declines
 from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
@@ -19,6 +18,7 @@ from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.studies.compare.detectors import Decline, Scatter
+from blender_lidar.traffic.boxes import DetectedBoxes
 from blender_lidar.traffic.vehicles import Vehicles
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 bpy = pytest.importorskip("bpy")
 
-from blender_lidar.detection.boxes import DetectedBoxes, corners_of
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic.boxes import DetectedBoxes, corners_of
 from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, role, sensor_matrix
 from blender_lidar.world.blender.points import build_cloud, write_cloud
 from blender_lidar.world.blender.scene import build_scene, empty_scene, render_picture, save_blend

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blender_lidar.detection.boxes import (
+from blender_lidar.traffic.boxes import (
     KINDS,
     DetectedBoxes,
     bev_iou,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from blender_lidar.clouds.files import levelled
-from blender_lidar.detection.boxes import KINDS, DetectedBoxes, corners_of
 from blender_lidar.detection.files import kitti_camera, read_detected, write_detected, write_kitti_labels
 from blender_lidar.errors import InputError, MissingFileError
+from blender_lidar.traffic.boxes import KINDS, DetectedBoxes, corners_of
 
 POSE = {"x_m": 3.0, "y_m": -2.0, "height_m": 4.5, "tilt_x_deg": 20.0, "tilt_y_deg": 0.0, "yaw_deg": 35.0}
 

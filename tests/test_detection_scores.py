@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.detection.boxes import DetectedBoxes, join_boxes
 from blender_lidar.detection.scores import (
     CRITERIA,
     MEASURES,
@@ -25,6 +24,7 @@ from blender_lidar.detection.scores import (
 )
 from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.region import Region
+from blender_lidar.traffic.boxes import DetectedBoxes, join_boxes
 from blender_lidar.traffic.vehicles import CLASSES, Vehicles
 
 REGION = Region((0.0, 0.0), 50.0)

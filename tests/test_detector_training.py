@@ -8,9 +8,9 @@ import pytest
 jnp = pytest.importorskip("jax.numpy", reason="JAX, of the extra detect, is not installed")
 
 import tests.research  # noqa: F401
-from blender_lidar.detection.boxes import bev_iou, boxes_of_rows
 from blender_lidar.detection.pillar_network import forward, shapes
 from blender_lidar.detection.pillars import SHIPPED, Area, boxes_of, load_weights
+from blender_lidar.traffic.boxes import bev_iou, boxes_of_rows
 from pillar_training import (
     WINDOW,
     JaxOperations,

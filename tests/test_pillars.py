@@ -146,10 +146,10 @@ def test_cells_that_are_joined_come_apart_again():
 
 
 def test_the_weights_that_ship_are_small_and_say_what_they_were_trained_on():
-    weights, card = load_weights(SHIPPED)
+    weights, trained = load_weights(SHIPPED)
     assert SHIPPED.stat().st_size < 1_000_000
     assert {name: array.shape for name, array in weights.items()} == network.shapes()
-    assert {"sensors", "height_m", "lean_deg", "residual_m", "density"} <= set(card["trained_on"])
+    assert {"sensors", "height_m", "lean_deg", "residual_m", "density"} == set(trained)
 
 
 def damaged(path, **changed):
@@ -169,9 +169,9 @@ def damaged(path, **changed):
         ({"out.b": np.full(11, np.nan)}, "weights that are not finite numbers"),
         ({"out.b": np.full(11, "one")}, "weights that are not finite numbers"),
         ({"out.b": np.ones(11, complex)}, "weights that are not finite numbers"),
-        ({"card": None}, "has no card that says what it was trained on"),
-        ({"card": "{}"}, "has no card that says what it was trained on"),
-        ({"card": json.dumps({"trained_on": {"sensors": ["RS-16"]}})}, "trained on: sensors, height_m, "),
+        ({"card": None}, "weights.npz: its card: is None; allowed: a table"),
+        ({"card": "{}"}, "[trained_on] sensors: is missing"),
+        ({"card": json.dumps({"trained_on": {"sensors": ["RS-16"]}})}, "[trained_on] height_m: is missing"),
         ({"card": "{"}, "is no file of weights"),
     ],
 )

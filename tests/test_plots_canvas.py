@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_lidar.detection.boxes import corners_of
 from blender_lidar.errors import MissingExtraError, OutputError
 from blender_lidar.report import figure as canvas
 from blender_lidar.report.run_figures import cell_means, covering_edges, plot_by_distance, plot_convergence
+from blender_lidar.traffic.boxes import corners_of
 from tests.chart_samples import chart_arguments, history, lightness, outcome, table, vehicles, with_tables
 
 

@@ -17,12 +17,12 @@ from ..scene.scenario import Scenario
 from ..scene.settings import ObjectiveSettings
 from ..scene.site import lattice_of, standing_scenery
 from ..sensors.beams import BeamLattice
+from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
 from .scan import PointCloud, scan
 
 if TYPE_CHECKING:
-    from ..world.blender.detections import WireBoxes
     from ..world.blender.scene import Moment
 
 
@@ -84,7 +84,11 @@ class MountedSensor:
         }
 
     def moment(
-        self, vehicles: Vehicles, *, with_cloud: bool = True, detections: Mapping[int, WireBoxes] = MappingProxyType({})
+        self,
+        vehicles: Vehicles,
+        *,
+        with_cloud: bool = True,
+        detections: Mapping[int, DetectedBoxes] = MappingProxyType({}),
     ) -> Moment:
         """A frame, what the sensor sees of it and what a detector found, for `world.blender.scene`."""
         moment_class = blender_room("scene", "a scene to be shown").Moment

@@ -11,12 +11,10 @@ from contextlib import ExitStack, closing
 from dataclasses import asdict
 from pathlib import Path
 
-from ..detection.boxes import DetectedBoxes
 from ..detection.classical import ClassicalDetector, dbscan_class
 from ..detection.files import Mountings, write_detected, write_kitti_labels
 from ..detection.judge import (
     DETECTORS,
-    JudgedDetector,
     detection_result,
     detector_at,
     hung_off,
@@ -49,6 +47,7 @@ from ..scene.settings import ModelSettings
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
 from ..toml_table import settings_of
+from ..traffic.boxes import DetectedBoxes
 from .options import default_folder, given_options, mounting_from, new_folder, scenario_from
 from .progress import Progress
 from .report import table_text
@@ -59,28 +58,34 @@ _OURS = (DETECTION, _PICTURE, "detections.csv", "detections_baseline.csv", "labe
 
 def run(args: argparse.Namespace) -> int:
     """Detect at a mounting of a scene, on a data set or in clouds; returns the exit code."""
-    if Path(args.scene).is_dir() and args.scene not in shipped_scenes():
-        return (_run_dataset if is_dataset(Path(args.scene)) else _run_clouds)(args)
+    place = Path(args.scene)
+    if place.is_dir() and args.scene not in shipped_scenes():
+        return (_run_dataset if is_dataset(place) else _run_clouds)(args, place)
     check_detector(args.detector)
     scenario = scenario_from(args)
     mount = mounting_from(args, scenario)
-    folder = Path(args.out if args.out is not None else default_folder(scenario, "detection"))
-    _check_folder(folder)
-    site = prepare(scenario, mount)
-    result = judge_at(site, mount, args.detector, folder)
+    folder = _folder(args, lambda: default_folder(scenario, "detection"))
+    result = judge_at(prepare(scenario, mount), mount, args.detector, folder)
+    frames = f"{result['frames']} {'held-out' if result['held_out'] else 'searched'} frames"
+    return _print(args, folder, result, f"{frames}, vehicles {region_text(result['region'])}")
+
+
+def _folder(args: argparse.Namespace, default: Callable[[], Path]) -> Path:
+    """The folder that the results go to, not yet made; a place that cannot be used is refused."""
+    folder = default() if args.out is None else Path(args.out)
+    check_folder(folder, "--out")
+    check_unused(folder, "--out", "detect", lambda path: path.name in _OURS)
+    return folder
+
+
+def _print(args: argparse.Namespace, folder: Path, result: Mapping, judged: str) -> int:
+    """Print what was found in what was `judged`; returns the exit code."""
     if args.json:
         print(json.dumps(result, indent=2))
         return 0
-    frames = f"{result['frames']} {'held-out' if result['held_out'] else 'searched'} frames"
-    where = region_text(asdict(scenario.region))
-    print("\n".join([*warnings_text(result), f"Detector   {args.detector}; {frames}, vehicles {where}\n"]))
+    print("\n".join([*warnings_text(result), f"Detector   {args.detector}; {judged}\n"]))
     print("\n\n".join([told(result), f"Results in {folder}", *map(as_sentence, result["notes"])]))
     return 0
-
-
-def _check_folder(folder: Path) -> None:
-    check_folder(folder, "--out")
-    check_unused(folder, "--out", "detect", lambda path: path.name in _OURS)
 
 
 def check_detector(detector: str) -> None:
@@ -115,7 +120,15 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
     mounts = {"baseline": six_coordinates(dict(site.scenario.baseline)), "given": dict(mount)}
     if mounts["baseline"] == mounts["given"] or not is_ours(detector):
         del mounts["baseline"]
-    judged = _judged(detector, site, mounts)
+    if is_ours(detector):
+        made = {name: detector_at(site, mounting, detector) for name, mounting in mounts.items()}
+        workers = workplace_of(site.scenario.model).processes
+        learnt = sum(len(site.search) for one in made.values() if one.learns)
+        with closing(Progress(learnt + len(made) * len(judging_frames(site)[0]), "clouds")) as progress:
+            advance = progress.advance
+            judged = {name: judge_detector(site, mounts[name], one, workers, advance) for name, one in made.items()}
+    else:
+        judged = {"given": judged_from_file(site, mount, detector)}
     result = {
         "scene": Path(site.scenario.source).name,
         "sensor": site.model.name,
@@ -129,10 +142,9 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
         "notes": [*site.plan.notes, *judged["given"].notes],
         "versions": versions(site.observation.caster),
     }
-    numbers = [frame.vehicles.frame for frame in judging_frames(site)[0]]
     found = {
         "" if name == "given" else f"_{name}": (
-            dict(zip(numbers, one.boxes, strict=True)),
+            dict(zip(result["frame_ids"], one.boxes, strict=True)),
             site.scenario.in_road(mounts[name]),
         )
         for name, one in judged.items()
@@ -143,17 +155,6 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
     except MissingExtraError as error:
         print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
     return result
-
-
-def _judged(detector: str, site: Site, mounts: Mapping[str, Mapping[str, float]]) -> dict[str, JudgedDetector]:
-    """What the detector makes of each mounting; a file of detections is of the mounting that is given."""
-    if not is_ours(detector):
-        return {"given": judged_from_file(site, mounts["given"], detector)}
-    made = {name: detector_at(site, mount, detector) for name, mount in mounts.items()}
-    workers = workplace_of(site.scenario.model).processes
-    learnt = sum(len(site.search) for one in made.values() if one.learns)
-    with closing(Progress(learnt + len(made) * len(judging_frames(site)[0]), "clouds")) as progress:
-        return {name: judge_detector(site, mounts[name], one, workers, progress.advance) for name, one in made.items()}
 
 
 def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], Mountings]], result: dict) -> None:
@@ -175,39 +176,31 @@ def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], 
 _OF_FOLDERS = ("scene", "detector", "out", "workers", "verb", "run", "left_out")
 
 
-def _run_dataset(args: argparse.Namespace) -> int:
+def _run_dataset(args: argparse.Namespace, place: Path) -> int:
     """Judge a detector on the scans of a data set that validate; returns the exit code."""
     _refuse_options(args, "a data set", ("json",))
-    stored = read_dataset(Path(args.scene))
+    stored = read_dataset(place)
     check_clouds(stored, args.detector)
     check_detector(args.detector)
-    folder = Path(args.out) if args.out is not None else new_folder(f"{stored.folder.resolve().name}_detection")
-    _check_folder(folder)
+    folder = _folder(args, lambda: new_folder(f"{place.resolve().name}_detection"))
     with ExitStack() as stack:
         judged = judge_on_dataset(stored, args.detector, _workers(args), _progress(stack))
     result = dataset_result(stored, args.detector, judged)
     _write(folder, {"": (dict(zip(result["scan_ids"], judged.boxes, strict=True)), stored.mounts)}, result)
-    if args.json:
-        print(json.dumps(result, indent=2))
-        return 0
     scans = f"{result['scans']:,} scans{' of split val' * stored.validates} ({result['frames']} frames)"
-    where = f"labelled vehicles {region_text(result['region'])}"
-    print("\n".join([*warnings_text(result), f"Detector   {args.detector}; {scans}, {where}\n"]))
-    print("\n\n".join([told(result), f"Results in {folder}", *map(as_sentence, result["notes"])]))
-    return 0
+    return _print(args, folder, result, f"{scans}, labelled vehicles {region_text(result['region'])}")
 
 
-def _run_clouds(args: argparse.Namespace) -> int:
+def _run_clouds(args: argparse.Namespace, place: Path) -> int:
     """Detect in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them; returns the exit code."""
     check_detector(args.detector)
     if not is_ours(args.detector):
         told = f"clouds are looked at by {' or '.join(DETECTORS)}; a file is judged by detect SCENE --detector FILE"
         raise InputError(f"--detector: {args.detector}: {told}, or by detect DATASET --detector FILE")
     _refuse_options(args, "a folder of clouds")
-    folder = Path(args.out) if args.out is not None else new_folder("detections")
-    _check_folder(folder)
+    folder = _folder(args, lambda: new_folder("detections"))
     with ExitStack() as stack:
-        found, mount, notes = detect_in_clouds(Path(args.scene), args.detector, _workers(args), _progress(stack))
+        found, mount, notes = detect_in_clouds(place, args.detector, _workers(args), _progress(stack))
     make_folder(folder, "--out")
     write_detected(folder / "detections.csv", found)
     write_kitti_labels(folder / "label_2", found, mount)

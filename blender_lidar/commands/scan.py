@@ -11,7 +11,6 @@ import numpy as np
 
 from ..clouds.files import SUSTECHPOINTS_PARTS, check_cloud_name, write_cloud, write_sustechpoints
 from ..clouds.snapshot import MountedSensor, mounted_sensor
-from ..detection.boxes import DetectedBoxes
 from ..detection.files import read_detected
 from ..errors import InputError
 from ..files import check_place, check_unused, make_folder
@@ -24,6 +23,7 @@ from ..scene.scenario import Scenario, load_scenario
 from ..scene.site import check_mount_is_clear, frame_of, read_recording
 from ..toml_table import Setting, checked
 from ..traffic import Recording
+from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
 from .options import mounting_from, parse_frames, scenario_from

@@ -14,7 +14,7 @@ from ..clouds.scan import PointCloud
 from ..errors import MissingExtraError
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
-from .boxes import KINDS, DetectedBoxes, boxes_of_rows, no_boxes, suppressed
+from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, no_boxes, suppressed
 from .ground import fit_ground
 
 _CAR, _LARGE, _SMALL = (KINDS.index(name) for name in ("car", "truck or bus", "motorcycle"))

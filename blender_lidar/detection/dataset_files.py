@@ -1,7 +1,7 @@
 """Data sets as files: NPZ, KITTI's layout, OpenPCDet's custom one and nuScenes' tables; written in parallel, resumed.
 
-Each scan has its files, which are whole or not there, and a row in the lists and tables that are written at the end.
-Until then a checkpoint says which scans are on the disk.
+Each scan has its files, which are whole or not there, that of its boxes last, and a row in the lists and tables that
+are written at the end.
 """
 
 from __future__ import annotations
@@ -9,10 +9,8 @@ from __future__ import annotations
 import csv
 import json
 import math
-import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -30,22 +28,19 @@ from ..files import (
     read_text,
     reading,
     sweep,
-    sync_files,
-    synced_later,
     write_bytes,
     write_columns,
     write_text,
 )
 from ..names import DATASET_LAYOUTS
 from ..scene.provenance import check_identity
-from ..scoring.workers import Workers
 from ..traffic.vehicles import CLASSES
 from .dataset import TRAIN, VAL, DatasetPlan, Sample, sample
-from .files import kitti_camera
+from .files import kitti_camera, kitti_labels
+from .judge import foot_xy, of_each
 
 DATASET, UNFINISHED, SCANS, BOXES = "dataset.json", "unfinished.json", "scans.csv", "boxes"
 _OURS = (DATASET, UNFINISHED, SCANS, BOXES, *DATASET_LAYOUTS)
-_CHECKPOINT_S = 10.0
 _DECIMALS = {
     **dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "heading_deg"), 6),
     "distance_m": 3,
@@ -131,39 +126,15 @@ class DatasetFolder:
         with folder_lock(self.path):
             if (finished := self._read(DATASET, identity)) is not None:
                 return finished
-            unfinished = self._read(UNFINISHED, identity)
-            done = set() if unfinished is None else self._scans_done(unfinished, len(plan))
+            self._read(UNFINISHED, identity)  # refuses that of another plan
             for name in (BOXES, *(part for layout in layouts for part in DATASET_WRITERS[layout][0])):
                 make_folder(self.path / name, "--out")
                 sweep(self.path / name)
-            self._write_scans(plan, layouts, identity, done, workers, progress(len(plan), len(done)))
+            write_text(self.path / UNFINISHED, json.dumps({"identity": identity}))
+            done = {int(path.stem) for path in (self.path / BOXES).glob("[0-9]*.csv")}  # each the last of its scan
+            left = [number for number in range(len(plan)) if number not in done]
+            of_each(_ScanWriter(self.path, plan, tuple(layouts)), left, workers, progress(len(plan), len(done)))
             return self._finish(plan, layouts, {"identity": identity, **about})
-
-    def _write_scans(self, plan, layouts, identity, done: set[int], workers, advance) -> None:
-        def remember(there: set[int]) -> None:
-            sync_files()
-            first = next(number for number in range(len(plan) + 1) if number not in there)
-            told = {"identity": identity, "scans_done": first, "also": sorted(one for one in there if one > first)}
-            write_text(self.path / UNFINISHED, json.dumps(told))
-
-        remember(done)  # what else is there has not been forced to the disk
-        for path in (self.path / BOXES).glob("[0-9]*.csv"):
-            if int(path.stem) not in done:
-                path.unlink()
-        at = time.monotonic()
-        try:
-            with closing(Workers(_ScanWriter(self.path, plan, tuple(layouts)), workers)) as pool:
-                for _ in pool.each([number for number in range(len(plan)) if number not in done]):
-                    advance(1)
-                    if time.monotonic() - at > _CHECKPOINT_S:
-                        remember(self._scans_there())
-                        at = time.monotonic()
-        finally:
-            remember(self._scans_there())
-
-    def _scans_there(self) -> set[int]:
-        """The scans all whose files are written: that of its boxes is the last."""
-        return {int(path.stem) for path in (self.path / BOXES).glob("[0-9]*.csv")}
 
     def _finish(self, plan: DatasetPlan, layouts: Sequence[str], about: Mapping[str, object]) -> dict[str, object]:
         """Write lists, tables and, last, dataset.json."""
@@ -213,12 +184,6 @@ class DatasetFolder:
         check_identity(content.get("identity"), identity, f"{self.path}: the data set there", "--out")
         return content
 
-    def _scans_done(self, content: Mapping, total: int) -> set[int]:
-        done, also = content.get("scans_done"), content.get("also")
-        if not isinstance(done, int) or not 0 <= done <= total or not isinstance(also, list):
-            raise InputError(f"{self.path / UNFINISHED}: is damaged; give another --out")
-        return {*range(done), *also} & set(range(total))
-
 
 def _scan_columns(plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]) -> dict[str, np.ndarray]:
     """The columns of scans.csv."""
@@ -254,11 +219,9 @@ class _ScanWriter:
 
     def __call__(self, number: int) -> int:
         made = sample(self.plan, number)
-        with synced_later():
-            for layout in self.layouts:
-                DATASET_WRITERS[layout][1](self.folder, made, self.plan)
-            path = self.folder / BOXES / f"{file_name(number)}.csv"
-            write_columns(path, _box_columns(made), _DECIMALS)
+        for layout in self.layouts:
+            DATASET_WRITERS[layout][1](self.folder, made, self.plan)
+        write_columns(self.folder / BOXES / f"{file_name(number)}.csv", _box_columns(made), _DECIMALS)
         return number
 
 
@@ -269,8 +232,8 @@ def _has_label(boxes: Sequence[Mapping[str, str]]) -> bool:
 
 def _box_columns(made: Sample) -> dict[str, np.ndarray]:
     """All vehicles of a sample, in the columns of vehicles.csv as far as they go."""
-    vehicles, mount = made.vehicles, made.mount
-    away = vehicles.centre_m[:, :2] - (mount["x_m"], mount["y_m"])
+    vehicles = made.vehicles
+    away = vehicles.centre_m[:, :2] - foot_xy(made.mount)
     return {
         "frame": np.full(len(vehicles), vehicles.frame),
         "vehicle_id": vehicles.vehicle_id,
@@ -334,15 +297,12 @@ def _write_kitti(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     bottom, rotation_y = kitti_camera(vehicles, made.mount)
     alpha = np.remainder(rotation_y - np.arctan2(bottom[:, 0], bottom[:, 2]) + math.pi, 2.0 * math.pi) - math.pi
     occluded = len(_OCCLUDED) - np.searchsorted(_OCCLUDED, made.visibility[rows], side="right")
-    lines = [
-        f"{_KITTI_TYPES[kind]} 0.00 {hidden} {angle:.4f} -1 -1 -1 -1 {height:.3f} {width:.3f} {length:.3f} "
-        f"{x:.3f} {y:.3f} {z:.3f} {turn:.4f}\n"
-        for kind, hidden, angle, (length, width, height), (x, y, z), turn in zip(
-            vehicles.class_index, occluded, alpha, vehicles.size_m, bottom, rotation_y, strict=True
-        )
+    heads = [
+        f"{_KITTI_TYPES[kind]} 0.00 {hidden} {angle:.4f}"
+        for kind, hidden, angle in zip(vehicles.class_index, occluded, alpha, strict=True)
     ]
     write_bytes(training / "velodyne" / f"{name}.bin", _level_points(made).tobytes())
-    write_text(training / "label_2" / f"{name}.txt", "".join(lines))
+    write_text(training / "label_2" / f"{name}.txt", kitti_labels(heads, vehicles, made.mount))
     write_text(training / "calib" / f"{name}.txt", _KITTI_CALIBRATION)
 
 

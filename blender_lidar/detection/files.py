@@ -13,8 +13,9 @@ import numpy as np
 from ..clouds.files import levelled
 from ..errors import InputError, MissingFileError, printable, unknown_name
 from ..files import make_folder, read_text, reading, write_columns, write_text
+from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
 from ..traffic.source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
-from .boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
+from ..traffic.vehicles import Vehicles
 
 _CAR, _LARGE, _SMALL = range(len(KINDS))
 _KINDS_OF_NAMES = {
@@ -136,8 +137,8 @@ def _by_frame(frame: np.ndarray, boxes: DetectedBoxes) -> dict[int, DetectedBoxe
 # --- KITTI's label text -----------------------------------------------------------------------------------------------
 
 
-def kitti_camera(boxes: DetectedBoxes, pose: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """DetectedBoxes as KITTI's labels have them: bottom centres (n, 3) [m] and rotation_y (n,) [rad].
+def kitti_camera(boxes: DetectedBoxes | Vehicles, pose: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes as KITTI's labels have them: bottom centres (n, 3) [m] and rotation_y (n,) [rad].
 
     The LiDAR frame is that of the ``.bin`` files of `clouds.files`: levelled, x along the LiDAR's +y, y along its -x, z
     up. The camera stands where the LiDAR does and looks along its x: x right, y down, z ahead.
@@ -168,19 +169,27 @@ def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes]
     """
     make_folder(Path(folder), "--out")
     for number, boxes in of_frame.items():
-        bottom, rotation_y = kitti_camera(boxes, _mounting(pose, number, folder))
-        lines = [
-            f"{_KITTI_NAMES[kind]} -1 -1 -10 -1 -1 -1 -1 {height:.3f} {width:.3f} {length:.3f} "
-            f"{x:.3f} {y:.3f} {z:.3f} {turn:.4f} {confidence:.4f}\n"
-            for kind, (length, width, height), (x, y, z), turn, confidence in zip(
-                boxes.kind, boxes.size_m, bottom, rotation_y, boxes.confidence, strict=True
-            )
-        ]
-        write_text(Path(folder) / f"{number:06d}.txt", "".join(lines))
+        heads = [f"{_KITTI_NAMES[kind]} -1 -1 -10" for kind in boxes.kind]
+        scores = [f" {confidence:.4f}" for confidence in boxes.confidence]
+        text = kitti_labels(heads, boxes, _mounting(pose, number, folder), scores)
+        write_text(Path(folder) / f"{number:06d}.txt", text)
+
+
+def kitti_labels(
+    heads: Sequence[str], boxes: DetectedBoxes | Vehicles, pose: Mapping[str, float], scores: Sequence[str] = ()
+) -> str:
+    """Lines of KITTI's label text: type, truncation, occlusion and alpha, no box in an image, the box, a score."""
+    bottom, rotation_y = kitti_camera(boxes, pose)
+    return "".join(
+        f"{head} -1 -1 -1 -1 {height:.3f} {width:.3f} {length:.3f} {x:.3f} {y:.3f} {z:.3f} {turn:.4f}{score}\n"
+        for head, (length, width, height), (x, y, z), turn, score in zip(
+            heads, boxes.size_m, bottom, rotation_y, scores or [""] * len(heads), strict=True
+        )
+    )
 
 
 def _read_kitti(folder: Path, pose: Mountings) -> dict[int, DetectedBoxes]:
-    paths = sorted(path for path in folder.glob("*.txt") if path.stem.isdecimal())
+    paths = sorted(path for path in folder.glob("*.txt") if re.fullmatch("-?[0-9]+", path.stem))
     if not paths:
         raise MissingFileError(f"{folder}: has no KITTI label texts, named like 000100.txt")
     return {int(path.stem): _kitti_boxes(path, _mounting(pose, int(path.stem), folder)) for path in paths}

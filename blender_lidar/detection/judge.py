@@ -22,8 +22,8 @@ from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..scoring.workers import Workers
 from ..sensors.pose import Pose
+from ..traffic.boxes import KINDS, DetectedBoxes, no_boxes
 from ..traffic.vehicles import Vehicles
-from .boxes import KINDS, DetectedBoxes, no_boxes
 from .classical import ClassicalDetector
 from .files import Mountings, read_detected
 from .pillars import SHIPPED, PillarsDetector

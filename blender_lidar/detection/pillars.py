@@ -21,7 +21,8 @@ from ..clouds.scan import PointCloud
 from ..errors import InputError, printable
 from ..files import open_file, reading
 from ..sensors.pose import Pose
-from .boxes import DetectedBoxes, no_boxes, suppressed
+from ..toml_table import Setting, TomlTable
+from ..traffic.boxes import DetectedBoxes, no_boxes, suppressed
 from .ground import Ground, fit_ground
 from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, Weights, forward, shapes
 
@@ -198,7 +199,7 @@ class PillarsDetector:
         high: Sequence[float],
         weights: str | Path | None = None,
     ) -> None:
-        self._weights, self._card = load_weights(SHIPPED if weights is None else weights)
+        self._weights, self._trained = load_weights(SHIPPED if weights is None else weights)
         self._sensor, self._pose, self._lidar = sensor, pose, pose.position
         self._area = Area.around(np.asarray(low) - self._lidar[:2], np.asarray(high) - self._lidar[:2])
         self._told: list[str] = []
@@ -235,7 +236,7 @@ class PillarsDetector:
 
     def notes(self, seen: Sequence[tuple[float, float]] = ()) -> Sequence[str]:
         """Where the sensor, its mounting or the clouds that were `seen` are unlike the training's, as sentences."""
-        trained, told = self._card["trained_on"], [*self._told]
+        trained, told = self._trained, [*self._told]
         if self._sensor not in trained["sensors"]:
             told.append(f"{self.name} was trained on {', '.join(trained['sensors'])}, not on {self._sensor}")
         lean = math.degrees(math.acos(min(1.0, float(self._pose.rotation[2, 2]))))
@@ -266,7 +267,7 @@ def density(pillars: Pillars) -> float:
 
 @cache
 def load_weights(path: str | Path) -> tuple[Weights, Mapping[str, object]]:
-    """Weights in float32 and the model card that stands beside them.
+    """Weights in float32, and what they were trained on as the model card beside them says.
 
     Raises
     ------
@@ -286,20 +287,13 @@ def load_weights(path: str | Path) -> tuple[Weights, Mapping[str, object]]:
         raise InputError(f"{path}: holds weights of another network; needed: {wrong} {needed.get(wrong, 'not at all')}")
     if not all(array.dtype.kind == "f" and np.isfinite(array).all() for array in found.values()):
         raise InputError(f"{path}: holds weights that are not finite numbers")
-    if not _is_card(card):
-        raise InputError(f"{path}: has no card that says what it was trained on: sensors, {', '.join(_TRAINED_RANGES)}")
-    return {name: array.astype(np.float32) for name, array in found.items()}, card
+    table = TomlTable(card, f"{path}: its card").table("trained_on")
+    trained = table.read(_TRAINED_ON)
+    return {name: array.astype(np.float32) for name, array in found.items()}, trained
 
 
-_TRAINED_RANGES = ("height_m", "lean_deg", "residual_m", "density")
-
-
-def _is_card(card: object) -> bool:
-    trained = card.get("trained_on") if isinstance(card, dict) else None
-    if not isinstance(trained, dict) or not isinstance(trained.get("sensors"), list):
-        return False
-    pairs = [trained.get(key) for key in _TRAINED_RANGES]
-    return all(
-        isinstance(pair, list) and len(pair) == 2 and all(isinstance(end, (int, float)) for end in pair)
-        for pair in pairs
-    )
+_RANGE = Setting(kind=tuple[float, float])
+_TRAINED_ON = {
+    "sensors": Setting(kind=tuple[str, ...]),
+    **dict.fromkeys(("height_m", "lean_deg", "residual_m", "density"), _RANGE),
+}

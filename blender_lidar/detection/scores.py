@@ -15,8 +15,8 @@ import numpy as np
 from ..scene.observation import CountedFrame
 from ..scene.region import Region
 from ..statistics import of_blocks, statistic_interval_90
+from ..traffic.boxes import DetectedBoxes, bev_iou, kind_of
 from ..traffic.vehicles import Vehicles
-from .boxes import DetectedBoxes, bev_iou, kind_of
 
 CONFIDENCES = (0.1, 0.3)  # at which recall and precision are told, as the paper's Table III has them
 MISSED = -1.0  # in place of the confidence of a vehicle's detection

@@ -24,10 +24,10 @@ from ..scene.site import lattice_of
 from ..sensors.beams import BeamLattice
 from ..sensors.model import load_model, model_names
 from ..toml_table import Setting, TomlTable
+from ..traffic.boxes import DetectedBoxes
 from ..traffic.source import Column, TableLayout, fields_of, first_lines, read_rows
 from ..traffic.table import BOX_COLUMNS
 from ..traffic.vehicles import CLASSES, Vehicles
-from .boxes import DetectedBoxes
 from .classical import ClassicalDetector
 from .dataset import VAL
 from .dataset_files import BOXES, DATASET, SCANS, UNFINISHED, file_name, read_json

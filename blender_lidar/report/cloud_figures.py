@@ -14,7 +14,6 @@ import numpy as np
 
 from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
-from ..detection.boxes import DetectedBoxes, corners_of
 from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_of_alarms
 from ..detection.scores import CONFIDENCES, CRITERIA, meetings
 from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
@@ -22,6 +21,7 @@ from ..run.folder import Outcome
 from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.frame_scorer import FrameScorer
+from ..traffic.boxes import DetectedBoxes, corners_of
 from ..traffic.vehicles import Vehicles
 from .figure import (
     FAINT,

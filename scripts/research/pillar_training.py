@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from blender_lidar.detection.boxes import KINDS
 from blender_lidar.detection.ground import fit_ground
 from blender_lidar.detection.pillar_network import (
     HEAT,
@@ -26,6 +25,7 @@ from blender_lidar.detection.pillar_network import (
     shapes,
 )
 from blender_lidar.detection.pillars import PILLAR_M, Area, Pillars, pillars_of
+from blender_lidar.traffic.boxes import KINDS
 
 WINDOW = 256, 96  # cells along and across: 102.4 x 38.4 m
 BATCH = 4  # windows of one sensor

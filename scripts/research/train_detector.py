@@ -29,7 +29,6 @@ except ModuleNotFoundError:
 import numpy as np
 
 from arguments import SCENES, counting, parser_of, positive, run_script
-from blender_lidar.detection.boxes import kind_of
 from blender_lidar.detection.dataset import TRAIN, Sample, plan_dataset, samples
 from blender_lidar.detection.ground import fit_ground
 from blender_lidar.detection.pillars import PILLAR_M, Area, density
@@ -40,6 +39,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic.boxes import kind_of
 from detector_worlds import hard_world
 from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate_at, shown, train_step
 

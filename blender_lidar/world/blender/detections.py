@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Protocol
 
 import bpy
 import numpy as np
 
 from ...names import KINDS
+from ...traffic.boxes import DetectedBoxes
 from .objects import (
     DETECTION_ROLE,
     add_attribute,
@@ -23,17 +23,6 @@ from .objects import (
 )
 from .traffic import key_visibility, shown_at
 
-
-class WireBoxes(Protocol):
-    """The boxes of a frame, as `detection.boxes.DetectedBoxes` has them."""
-
-    centre_m: np.ndarray
-    size_m: np.ndarray
-    heading_rad: np.ndarray
-    kind: np.ndarray
-    confidence: np.ndarray
-
-
 _NAME = "Detections"
 # Linear RGB by kind, like no paint of vehicles and no colour of points on them.
 _COLOURS = dict(zip(KINDS, ((0.0, 0.75, 1.0), (1.0, 0.05, 0.65), (1.0, 1.0, 1.0)), strict=True))
@@ -46,7 +35,7 @@ _SIDES = [(row, (row + 1) % 4, 4 + (row + 1) % 4, 4 + row) for row in range(4)]
 _FACES = np.array([(3, 2, 1, 0), (8, 5, 6, 9), (4, 8, 9, 7), *_SIDES])
 
 
-def show_detections(scene: bpy.types.Scene, boxes: WireBoxes | None) -> None:
+def show_detections(scene: bpy.types.Scene, boxes: DetectedBoxes | None) -> None:
     """Wire boxes of a frame's detections, in place of earlier ones; None only takes these away.
 
     Every vertex has the attributes `kind`, an index into `KINDS`, and `confidence`; of each box the first eight are its
@@ -59,13 +48,13 @@ def show_detections(scene: bpy.types.Scene, boxes: WireBoxes | None) -> None:
 
 
 def animate_detections(
-    scene: bpy.types.Scene, of_frame: Mapping[int, WireBoxes], frames: Sequence[int], time_step_s: float
+    scene: bpy.types.Scene, of_frame: Mapping[int, DetectedBoxes], frames: Sequence[int], time_step_s: float
 ) -> None:
     """Wire boxes of several frames, in place of earlier ones, each frame's from its moment to the next frame's.
 
     Parameters
     ----------
-    of_frame : mapping of int to WireBoxes
+    of_frame : mapping of int to DetectedBoxes
         By the numbers of their frames; those of other frames are left out.
     frames : sequence of int
         That the scene's vehicles drive through, as `traffic.animate` shows them.

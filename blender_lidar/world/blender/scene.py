@@ -19,9 +19,10 @@ from ...road import RoadFrame
 from ...sensors.beams import BeamLattice
 from ...sensors.pose import Pose
 from ...signals import stops_end_at_once
+from ...traffic.boxes import DetectedBoxes
 from ...traffic.vehicles import Vehicles
 from ..scenery import Scenery
-from .detections import WireBoxes, animate_detections, show_detections
+from .detections import animate_detections, show_detections
 from .objects import (
     FAN,
     SETTINGS,
@@ -203,7 +204,7 @@ class Moment:
         What stands still.
     settings : mapping or None
         The scene file's tables, for the add-on to go on with.
-    detections : mapping of int to WireBoxes
+    detections : mapping of int to DetectedBoxes
         What a detector found, by the numbers of frames.
     """
 
@@ -216,7 +217,7 @@ class Moment:
     points: Mapping[str, np.ndarray] | None = None
     scenery: Scenery | None = None
     settings: Mapping[str, object] | None = None
-    detections: Mapping[int, WireBoxes] = field(default_factory=dict)
+    detections: Mapping[int, DetectedBoxes] = field(default_factory=dict)
 
 
 def empty_scene() -> bpy.types.Scene:

@@ -4,22 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
 
 from ..names import KINDS
-from ..traffic.vehicles import CLASSES
+from .vehicles import CLASSES, Vehicles
 
 _KIND_OF_CLASS = np.array([KINDS.index({"van": "car", "truck": KINDS[1], "bus": KINDS[1]}.get(c, c)) for c in CLASSES])
-
-
-class Footprints(Protocol):
-    """What has a footprint: `DetectedBoxes`, or `traffic.Vehicles`."""
-
-    centre_m: np.ndarray
-    size_m: np.ndarray
-    heading_rad: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +70,7 @@ def kind_of(class_index: np.ndarray) -> np.ndarray:
 # --- Overlap from above -----------------------------------------------------------------------------------------------
 
 
-def corners_of(boxes: Footprints) -> np.ndarray:
+def corners_of(boxes: DetectedBoxes | Vehicles) -> np.ndarray:
     """Corners of footprints, (n, 4, 2) [m], counter-clockwise from the front left one."""
     half = 0.5 * boxes.size_m[:, None, :2] * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
     cos, sin = np.cos(boxes.heading_rad)[:, None], np.sin(boxes.heading_rad)[:, None]
@@ -87,7 +78,7 @@ def corners_of(boxes: Footprints) -> np.ndarray:
     return boxes.centre_m[:, None, :2] + turned
 
 
-def bev_iou(boxes: Footprints, others: Footprints) -> np.ndarray:
+def bev_iou(boxes: DetectedBoxes | Vehicles, others: DetectedBoxes | Vehicles) -> np.ndarray:
     """Rotated bird's-eye-view IoU: intersection over union of footprints, (n, m), 0 to 1.
 
     The corners of an intersection of convex polygons are the corners of each that lie in the other, and where their
