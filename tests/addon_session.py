@@ -25,7 +25,7 @@ import blender_lidar
 from blender_lidar.addon import handlers, live, operators, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.mounting import COORDINATES, MOUNTING_OR_LEAN, pose_at
-from blender_lidar.scene.scenario import load_scenario, scenario_of
+from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import DECLARED
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
@@ -682,24 +682,21 @@ def check_every_field_of_the_panel_comes_back_as_it_was_typed():
     known["road"].pop("setback_m")
     path = example(**known)
     first = load_scenario(path)
-    session.fill_scene(scene, first)
-    lidar = operators.add_lidar(scene, pose_at(POSE), first.as_tables()["sensor"])
-    properties.fill_bounds(lidar, first.as_tables()["deployment"])
-    for _ in range(2):
-        tables = session.tables_of(scene, lidar)
-        for name, table in known.items():
-            for key, value in table.items():
-                assert tables[name][key] == value, (name, key, value, tables[name][key])
-        scenario = session.scenario_from(scene, lidar)
-        again = scenario_of(tables)
-        assert again.as_tables() == scenario.as_tables()
-        assert scenario.as_tables()["sensor"] == first.as_tables()["sensor"]
-        for name in ("road", "objective", "region", "baseline", "world"):
-            assert scenario.as_tables()[name] == first.as_tables()[name], name
-        session.fill_scene(scene, scenario)
-        properties.fill_sensor(lidar, scenario.as_tables()["sensor"])
-    bounds = session.tables_of(scene, lidar, searched=True)["deployment"]
-    assert bounds["height_m"] == [2.0, 4.5]
+    tables = first.with_whole_paths()
+    session.fill_scene(scene, tables, "", first)
+    lidar = operators.add_lidar(scene, pose_at(POSE))
+    properties.fill_lidar(lidar, tables, "", first)
+    for group in (scene.blender_lidar, lidar.lidar):  # nothing is kept of the file, so that the fields say all
+        assert group.kept
+        group.kept = ""
+    fields = session.fields_of(scene) | {"sensor": properties.sensor_table(lidar)}
+    for name, table in known.items():
+        for key, value in table.items():
+            assert fields[name][key] == value, (name, key, value, fields[name][key])
+    scenario = session.scenario_from(scene, lidar).as_tables()
+    for name in ("road", "objective", "region", "baseline", "world", "sensor"):
+        assert scenario[name] == first.as_tables()[name], name
+    assert scenario["deployment"]["height_m"] == (2.0, 4.5)
 
 
 def check_every_property_is_as_its_setting_is_declared():

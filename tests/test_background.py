@@ -6,12 +6,14 @@ import json
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main as command_line
+from blender_lidar.commands.background import heard, tell
 from blender_lidar.compiled import numba_works
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.scenery import box
@@ -29,10 +31,10 @@ def begin(tmp_path):
 
     def made(scenery=None, **changes):
         scene = write_scene(tmp_path / "scene", REGION | {"model": {"caster": "embree", "workers": 1}} | changes)
-        tables = {name: dict(table) for name, table in load_scenario(scene).as_tables().items()}
+        scenario = replace(load_scenario(scene), where=None)
         labels = {("baseline", "x_m, y_m"): "LiDAR panel: Baseline"}
         order, told, run = tmp_path / "order", tmp_path / "told", tmp_path / "run"
-        order.write_bytes(pickle.dumps({"tables": tables, "labels": labels, "source": "s", "scenery": scenery}))
+        order.write_bytes(pickle.dumps({"scenario": scenario, "labels": labels, "scenery": scenery}))
         code = "import sys; sys.modules['matplotlib'] = None  # charts take longer than all else\n"
         code += (
             f"from blender_lidar.commands.background import main; raise SystemExit(main({str(order)!r}, {str(run)!r}))"
@@ -40,7 +42,7 @@ def begin(tmp_path):
         with told.open("wb") as stream:
             command = [sys.executable, "-c", code]
             started.append(subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=stream, stderr=stream))
-        return started[-1], run, lambda: [json.loads(line) for line in told.read_text().splitlines()]
+        return started[-1], run, lambda: [values for line in told.read_text().splitlines() if (values := heard(line))]
 
     yield made
     for process in started:
@@ -59,6 +61,31 @@ def test_it_comes_to_what_the_command_line_does_and_tells_how_far_it_is(begin, q
     assert done == sorted(done)
     assert done[-1] >= one["evaluations"]
     assert told()[-1]["best"] == one["objective"]
+
+
+def test_a_window_hears_messages_and_nothing_else_that_is_printed(capsys):
+    tell("progress", done=3, best=1.5)
+    tell("progress", done=3, best=None)
+    tell("problem", problem="no")
+    messages = [heard(line) for line in capsys.readouterr().out.splitlines()]
+    assert messages == [{"done": 3, "best": 1.5}, {"done": 3, "best": None}, {"problem": "no"}]
+    lines = (
+        "Read blend",
+        "{",
+        "3",
+        "null",
+        '["done"]',
+        '{"done": 3, "best": 1.0}',
+        '{"folder": "/", "_process": null}',
+    )
+    marked = (
+        {"blender_lidar": "progress", "done": 3},
+        {"blender_lidar": "progress", "done": "3", "best": 1.0},
+        {"blender_lidar": "progress", "done": 3, "best": 1.0, "folder": "/"},
+        {"blender_lidar": "result", "result": {}},
+        {"blender_lidar": ["progress"]},
+    )
+    assert not any(map(heard, (*lines, *map(json.dumps, marked))))
 
 
 def test_what_is_given_besides_hides_vehicles(begin):

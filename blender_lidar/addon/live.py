@@ -20,7 +20,7 @@ from ..traffic.vehicles import Vehicles
 from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, lidars, role
 from ..world.blender.points import cloud_of, colour_cloud, colours_by, show_cloud
 from ..world.blender.preview import VisibleObjects
-from ..world.blender.site import is_scenery
+from ..world.blender.site import is_own
 from ..world.blender.traffic import colour_vehicles
 from . import properties, session
 
@@ -108,12 +108,10 @@ def _update_one(scene, lidar, shown, objects) -> bool:
         return False
     shown.seen = now
     vehicles = session.vehicles_of(scene)
-    if shown.frame is None:
+    frame = shown.frame
+    if frame is None or frame.frame.vehicles.frame != vehicles.frame or session.dragged_off(lidar, place):
         shown.scenario, shown.baseline = session.scenario_from(scene, lidar), None
-    frame = session.live_frame(scene, lidar) if shown.frame is None else shown.frame
-    if frame.frame.vehicles.frame != vehicles.frame:
-        frame, shown.baseline = session.live_frame(scene, lidar), None
-    shown.frame = frame
+        frame = shown.frame = session.live_frame(scene, lidar)
     if shown.baseline is None:
         shown.baseline = frame.look(shown.scenario.baseline_pose, [objects])
     shown.look = look = frame.look(shown.scenario.pose(place), [objects])
@@ -235,7 +233,7 @@ def on_update(scene, depsgraph=None, *_) -> None:
     """Mark what Blender has evaluated again; of the user's own objects, forget trees of those with a new shape."""
     for change in () if depsgraph is None else depsgraph.updates:
         item = change.id.original
-        if change.is_updated_geometry and isinstance(item, bpy.types.Object) and is_scenery(item):
+        if change.is_updated_geometry and isinstance(item, bpy.types.Object) and is_own(item):
             for objects in _state.objects.values():
                 objects.forget()
             break

@@ -1,7 +1,6 @@
 """What the panel's buttons do: load traffic, add a LiDAR, scan and score, set the baseline, export."""
 
 import json
-import time
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -19,16 +18,19 @@ from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
 from ..run.optimise import evaluate_site
 from ..scene.mounting import COORDINATES, leaning, pose_at
-from ..scene.scenario import load_scenario, scenario_of
-from ..scene.site import check_mount_is_clear, lattice_of, prepare, read_recording, standing_scenery
+from ..scene.scenario import load_scenario, scenario_of, shipped_scenes
+from ..scene.site import check_mount_is_clear, lattice_of, prepare, read_recordings, standing_scenery
 from ..sensors.pose import Pose
+from ..toml_table import read_toml
 from ..traffic import Recording
 from ..traffic.vehicles import Vehicles
 from ..world.blender.objects import (
     PART,
     SENSOR,
     SETTINGS,
+    STANDING,
     build_road,
+    build_scenery,
     collection,
     dress,
     lidars,
@@ -39,6 +41,7 @@ from ..world.blender.objects import (
 from ..world.blender.points import colour_cloud, show_cloud
 from ..world.blender.site import open_scenery
 from ..world.blender.traffic import show_vehicles
+from ..world.scenery import Scenery
 from . import properties, session
 
 _LEAST_REACH_M = 120.0  # of the road that is shown
@@ -81,11 +84,14 @@ class NeedsTraffic:
 # --- Traffic ----------------------------------------------------------------------------------------------------------
 
 
-def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int) -> None:
-    """Show the road and the frame of a recording that is nearest to a number."""
+def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scenery: Scenery | None) -> None:
+    """Show the road, what a scene file has standing there, and the frame of a recording nearest to a number."""
     group = scene.blender_lidar
     scenario = session.scenario_from(scene)
     build_road(scene, scenario.road, max(_LEAST_REACH_M, scenario.sensor.range_gate_m))
+    build_scenery(scene, scenery)
+    for item in collection(scene, "Scenery", STANDING).objects:
+        item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned
     with properties.silently():
         group.loaded, group.frame = True, session.nearest_frame(recording, frame)
     show_frame(scene, recording.vehicles(group.frame))
@@ -108,9 +114,10 @@ class LIDAR_OT_load(bpy.types.Operator):
         scene = context.scene
         path = bpy.path.abspath(scene.blender_lidar.traffic.path)
         if path.lower().endswith(".toml"):
-            return _take_over(self, scene, load_scenario(path))
+            return _take_over(self, context, Path(path))
+        scenery = _standing(session.scenario_from(scene, session.active_lidar(scene)))
         recording = session.recording_of(scene)
-        show_traffic(scene, recording, scene.blender_lidar.frame)
+        show_traffic(scene, recording, scene.blender_lidar.frame, scenery)
         return _loaded(self, recording)
 
 
@@ -122,27 +129,35 @@ class LIDAR_OT_load_example(bpy.types.Operator):
     @told
     def execute(self, context):
         """Fill the panel with the shipped scene."""
-        return _take_over(self, context.scene, session.example_scenario())
+        return _take_over(self, context, shipped_scenes()["i80"])
 
 
-def _take_over(operator, scene, scenario):
+def _take_over(operator, context, path):
     """Fill the panel with a scene file's settings, show its traffic, and let a LiDAR hang there if there is none."""
+    scene = context.scene
     session.check_unit(scene)
-    recording = read_recording(scenario)
-    session.fill_scene(scene, scenario)
-    found, tables = session.active_lidar(scene), scenario.as_tables()
+    scenario = load_scenario(path)
+    tables, folder = read_toml(path), str(path.resolve().parent)
+    recordings, scenery = read_recordings(scenario), _standing(scenario)
+    session.fill_scene(scene, tables, folder, scenario)
+    found = session.active_lidar(scene)
     if found is None:  # where what is not searched is as the file says
-        found = add_lidar(
-            scene, scenario.pose(leaning(scenario.baseline, **scenario.deployment.fixed)), tables["sensor"]
-        )
-    else:
-        properties.fill_sensor(found, tables["sensor"])
-        dress(found, lattice_of(scenario.sensor))
-    properties.fill_bounds(found, tables["deployment"])
-    session.keep(scene, recording)
+        fixed = scenario.deployment.places[0].fixed
+        found = add_lidar(scene, scenario.pose(leaning(scenario.baseline, **fixed)))
+    properties.fill_lidar(found, tables, folder, scenario)
+    dress(found, lattice_of(scenario.sensor))
+    select(context, found)
+    recording = session.keep(scene, session.scenario_from(scene), recordings)
     ids = scenario.traffic.frame_ids
-    show_traffic(scene, recording, ids[0] if ids else int(recording.frames[len(recording.frames) // 2]))
+    show_traffic(scene, recording, ids[0] if ids else int(recording.frames[len(recording.frames) // 2]), scenery)
     return _loaded(operator, recording)
+
+
+def _standing(scenario):
+    """What a scene's [world] has standing there at the start of its traffic."""
+    if not scenario.world.has_scenery:
+        return None
+    return standing_scenery(scenario, resolve(scenario.model.caster, "caster"), None).at(0.0).scenery
 
 
 def _loaded(operator, recording):
@@ -169,15 +184,22 @@ class LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
 # --- LiDARs -----------------------------------------------------------------------------------------------------------
 
 
-def add_lidar(scene: bpy.types.Scene, pose: Pose, sensor: dict | None = None) -> bpy.types.Object:
-    """A new LiDAR at a mounting, dressed, with [sensor] of a scene or the usual one."""
+def add_lidar(scene: bpy.types.Scene, pose: Pose) -> bpy.types.Object:
+    """A new LiDAR at a mounting, dressed, with the usual sensor."""
     lidar = new_lidar(collection(scene, "LiDAR", SENSOR), pose)
     lidar.lidar.schema = properties.SCHEMA
-    if sensor is not None:
-        properties.fill_sensor(lidar, sensor)
     dress(lidar, lattice_of(session.sensor_of(lidar)))
     scene.blender_lidar.active = lidar.name
     return lidar
+
+
+def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
+    """Let a LiDAR alone be selected and active, so that G moves it, where the view layer has it."""
+    if lidar.name in context.view_layer.objects:
+        for item in context.selected_objects:
+            item.select_set(False)
+        context.view_layer.objects.active = lidar
+        lidar.select_set(True)
 
 
 class LIDAR_OT_add(bpy.types.Operator):
@@ -196,11 +218,7 @@ class LIDAR_OT_add(bpy.types.Operator):
         x, y, z = scene.cursor.location
         place = {**dict.fromkeys(COORDINATES, 0.0), "x_m": x, "y_m": y}
         place["height_m"] = max(z, properties.exact(scene.blender_lidar.baseline.height_m))
-        lidar = add_lidar(scene, pose_at(place, properties.sloping(scene)))
-        for item in context.selected_objects:
-            item.select_set(False)
-        context.view_layer.objects.active = lidar
-        lidar.select_set(True)
+        select(context, add_lidar(scene, pose_at(place, properties.sloping(scene))))
         return {"FINISHED"}
 
 
@@ -210,7 +228,7 @@ def _shows(layer: bpy.types.LayerCollection, of: bpy.types.Collection) -> bool:
 
 
 class LIDAR_OT_choose(bpy.types.Operator):
-    """Make this LiDAR the active object"""
+    """Select this LiDAR"""
 
     bl_idname, bl_label, bl_options = "lidar.choose", "Choose", {"REGISTER", "UNDO"}
     name: StringProperty(options={"SKIP_SAVE"})
@@ -223,7 +241,7 @@ class LIDAR_OT_choose(bpy.types.Operator):
             self.report({"ERROR"}, f"no LiDAR {self.name!r} in this view layer")
             return {"CANCELLED"}
         scene.blender_lidar.active = lidar.name
-        context.view_layer.objects.active = lidar
+        select(context, lidar)
         return {"FINISHED"}
 
 
@@ -232,35 +250,34 @@ def adopt(scene: bpy.types.Scene) -> None:
     remove_orphans(scene)
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
-        _fill_from(scene, _stored(scene))
+        _fill_from(scene)
     for lidar in lidars(scene):
         if lidar.lidar.schema == 0:
             if SETTINGS in lidar:
-                tables = _stored(lidar)
-                properties.fill_sensor(lidar, tables["sensor"])
-                properties.fill_bounds(lidar, tables["deployment"])
+                properties.fill_lidar(lidar, *_stored(lidar))
             lidar.lidar.schema = properties.SCHEMA
         if not any(role(child) == PART for child in lidar.children):
             dress(lidar, lattice_of(session.sensor_of(lidar)))
 
 
 def _stored(block):
-    """The settings that `build` wrote with a scene or a LiDAR."""
+    """What `build` wrote with a scene or a LiDAR: tables with whole paths, so no folder, and the same as a scenario."""
     try:
-        return json.loads(block[SETTINGS])
+        tables = json.loads(block[SETTINGS])
     except (TypeError, ValueError) as error:
         raise InputError(f"{block.name}: its property {SETTINGS} is damaged: {error}") from error
+    tables = {name: table for name, table in tables.items() if name in properties.DECLARED}
+    return tables, "", scenario_of(tables, source=f"scene {block.name}")
 
 
-def _fill_from(scene, tables):
+def _fill_from(scene):
     """Take over what `build` wrote into a scene: its settings and the frame that it shows."""
-    group = scene.blender_lidar
-    known = {name: table for name, table in tables.items() if name in properties.DECLARED}
-    scenario = scenario_of(known, source=f"scene {scene.name}")
+    group, stored = scene.blender_lidar, _stored(scene)
     with properties.silently():  # its LiDARs hang beside that road already
-        session.fill_scene(scene, scenario)
+        session.fill_scene(scene, *stored)
         properties.hang_as_they_are(scene)
-        group.loaded, group.frame = Path(scenario.traffic.path).is_file(), tables["frame"]
+        traffic = stored[-1].traffic
+        group.loaded, group.frame = Path(traffic.path).is_file(), json.loads(scene[SETTINGS])["frame"]
 
 
 # --- Scan and score ---------------------------------------------------------------------------------------------------
@@ -279,15 +296,14 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         place = properties.coordinates_of(lidar)
         scenario, vehicles = session.scenario_from(scene, lidar), session.vehicles_of(scene)
         check_mount_is_clear(scenario, [vehicles], {lidar.name: place})
-        ready = session.live_frame(scene, lidar)
+        ready = session.live_frame(scene, lidar, exact=True)
         objects = session.exact_objects(scene, context.view_layer, scenario)
         look = ready.look(scenario.pose(place), objects)
         bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
         points = vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits))
         colour_cloud(show_cloud(lidar, points), lidar.lidar.colour_by)
-        started, group = time.perf_counter(), lidar.lidar
         session.store(lidar, vehicles, place, look, ready.look(scenario.baseline_pose, objects))
-        group.look_s = time.perf_counter() - started
+        group = lidar.lidar
         told_of = "" if look.scored is None else f", objective {group.objective:.2f}"
         self.report({"INFO"}, f"{lidar.name}: {group.points:,} points on frame {vehicles.frame}{told_of}")
         return {"FINISHED"}
@@ -378,7 +394,7 @@ class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
         place = properties.coordinates_of(lidar)
         check_unused(Path(self.directory), "folder", "run")
         objects = open_scenery(scene, context.view_layer)
-        scenario, recordings = session.scenario_from(scene, lidar), [session.recording_of(scene)]
+        scenario, recordings = session.scenario_from(scene, lidar), session.recordings_of(scene)
         site = prepare(scenario, place, scenery=objects, recordings=recordings)
         with RunFolder(self.directory).locked() as folder:
             result = evaluate_site(site, folder, place)

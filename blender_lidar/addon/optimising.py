@@ -12,13 +12,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
+from collections import deque
 from contextlib import suppress
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
 import bpy
 
 from ..casting import BVH, resolve
+from ..commands.background import heard
 from ..compiled import within_blender
 from ..errors import InputError
 from ..run.folder import RESULT
@@ -32,8 +36,9 @@ from ..world.scenery import Scenery
 from . import operators, panels, properties, session
 
 _EVERY_S = 0.05  # between two looks at how far it is
+_LEAST_S, _RECENT_S = 2.0, 20.0  # from what its rate is known, and how much of the past tells it
 _PACKAGE = Path(__file__).resolve().parents[1]
-_ORDER, _TOLD = "order.pickle", "told.txt"
+_ORDER, _PRINTED = "order.pickle", "printed.txt"
 
 
 def started(code: str, *, in_blender: bool, **how: object) -> subprocess.Popen:
@@ -69,10 +74,8 @@ class Optimisation:
 
     Parameters
     ----------
-    tables : dict
-        What is searched, as the tables of a scene file.
     scenario : Scenario
-        The same, checked.
+        What is searched.
     scenery : Scenery
         The user's own objects, which hide vehicles.
 
@@ -90,48 +93,78 @@ class Optimisation:
         What went wrong, in a line.
     """
 
-    def __init__(self, tables: dict, scenario: Scenario, scenery: Scenery) -> None:
-        use, deployment = scenario.search, scenario.deployment
-        self.done, self.best, self.result, self.problem = 0, None, None, ""
-        self.total = use.seeds * use.particles * use.iterations
-        self.total += math.prod(POINTS) if all(axis in deployment.bounds for axis in deployment.axes) else 0
+    def __init__(self, scenario: Scenario, scenery: Scenery) -> None:
+        use = scenario.search
+        self.done, self.total, self.best, self.result, self.problem = 0, 0, None, None, ""
+        self._recent: deque[tuple[float, int]] = deque()  # when how many were done
+        for place in scenario.deployment.places:
+            searches = use.seeds + (scenario.objective.tolerance is not None)
+            self.total += searches * use.particles * use.iterations
+            self.total += math.prod(POINTS) if all(axis in place.bounds for axis in place.axes) else 0
         self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
-        self._read = 0  # bytes of what it has told
+        self._read = 0  # bytes of what it has printed
         self.folder = self._root / "run"
-        tables = tables | {"model": {key: value for key, value in tables["model"].items() if key != "workers"}}
         keys = [(name, key) for name in DECLARED for key in ("", "x_m, y_m", *DECLARED[name])]
-        labels = {(name, key): properties.where(name, key) for name, key in keys}
-        order = {"tables": tables, "labels": labels, "source": scenario.source, "scenery": scenery}
+        labels = {place: scenario.where(*place) for place in keys}
+        order = {"scenario": replace(scenario, where=None), "labels": labels, "scenery": scenery}
         (self._root / _ORDER).write_bytes(pickle.dumps(order))
         in_blender = resolve(scenario.model.caster) == BVH or bool(scenario.world.blend or scenario.world.mesh)
         code = f"os._exit(main({str(self._root / _ORDER)!r}, {str(self.folder)!r}))"
-        with (self._root / _TOLD).open("wb") as told:
-            self._process = started(code, in_blender=in_blender, stdout=told, stderr=subprocess.STDOUT)
+        with (self._root / _PRINTED).open("wb") as printed:
+            self._process = started(code, in_blender=in_blender, stdout=printed, stderr=subprocess.STDOUT)
 
     def is_alive(self) -> bool:
         """Look how far it is, and whether it goes on."""
         if self._process is None:
             return False
         code = self._process.poll()
-        with (self._root / _TOLD).open("rb") as stream:
+        with (self._root / _PRINTED).open("rb") as stream:
             stream.seek(self._read)
-            told = stream.read()
-        whole = told[: told.rfind(b"\n") + 1]  # less a line that is being written
+            new = stream.read()
+        whole = new[: new.rfind(b"\n") + 1]  # less a line that is being written
         self._read += len(whole)
         for line in whole.decode("utf-8", errors="replace").splitlines():
-            with suppress(ValueError):  # Blender's own lines
-                vars(self).update(json.loads(line) if line.startswith("{") else {})
+            self._hear(heard(line))
         if code is None:
             return True
         if code == 0:
             self.result, self.problem = json.loads((self.folder / RESULT).read_text(encoding="utf-8")), ""
             (self._root / _ORDER).unlink()
         else:
-            lines = (self._root / _TOLD).read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = (self._root / _PRINTED).read_text(encoding="utf-8", errors="replace").splitlines()
             errors = [line for line in lines if "Error" in line]
             self.problem = self.problem or " ".join([f"the search ended abruptly ({code})", *errors[-1:]])
         self._close()
         return False
+
+    def _hear(self, values: dict) -> None:
+        self.problem = values.get("problem", self.problem)
+        if "done" in values:
+            self.done, self.best = values["done"], values["best"]
+            self._recent.append((time.monotonic(), self.done))
+            while self._recent[-1][0] - self._recent[0][0] > _RECENT_S:
+                self._recent.popleft()
+
+    @property
+    def left_s(self) -> float | None:
+        """How long it still takes at its present rate [s]; None before that is known."""
+        if not self._recent or self._recent[-1][0] - self._recent[0][0] < _LEAST_S:
+            return None
+        (since, before), (_, now) = self._recent[0], self._recent[-1]
+        rate = (now - before) / (time.monotonic() - since)
+        return max(self.total - self.done, 0) / rate if rate > 0.0 else None
+
+    def keep(self, name: str) -> Path:
+        """Move the run beside the .blend file, where that is saved, so that it stays; returns where it is."""
+        if bpy.data.filepath:
+            runs = Path(f"{Path(bpy.data.filepath).with_suffix('')}_runs")
+            stem = bpy.path.clean_name(name)
+            number = next(number for number in range(1, 10_000) if not (runs / f"{stem}_{number}").exists())
+            with suppress(OSError):  # such as a folder that is read-only: it stays in the session's
+                runs.mkdir(exist_ok=True)
+                self.folder = Path(shutil.move(self.folder, runs / f"{stem}_{number}"))
+                shutil.rmtree(self._root, ignore_errors=True)
+        return self.folder
 
     def wait(self) -> None:
         """Wait until it ends."""
@@ -169,10 +202,10 @@ def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.O
     BlenderLidarError
         For fields that cannot be used, or where no coordinate is searched.
     """
-    scenario = session.scenario_from(scene, lidar, searched=True)
-    if not scenario.deployment.bounds:
+    scenario = session.scenario_from(scene, lidar, here=False)
+    if not all(place.bounds for place in scenario.deployment.places):
         raise InputError("LiDAR panel: Optimise: every coordinate is fixed; switch at least one on")
-    return Optimisation(session.tables_of(scene, lidar, searched=True), scenario, open_scenery(scene, layer))
+    return Optimisation(scenario, open_scenery(scene, layer))
 
 
 def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
@@ -184,7 +217,8 @@ def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
     group.found_gain = held.get("gain_over_baseline", 0.0)
     group.found_interval = held.get("interval_90") or (0.0, 0.0)
     group.found_judged, group.found_unit = result["holdout"] is not None, result["metric_unit"]
-    group.found_folder, group.found = str(job.folder), True
+    folder = job.keep(lidar.name)
+    group.found_folder, group.found = bpy.path.relpath(str(folder)) if bpy.data.filepath else str(folder), True
 
 
 class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
@@ -260,7 +294,8 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
             return {"CANCELLED"}
         keep_result(lidar, job)
         bpy.ops.ed.undo_push(message="Optimise LiDAR")
-        self.report({"INFO"}, found_text(lidar.lidar))
+        kept = lidar.lidar.found_folder if bpy.data.filepath else "until Blender ends, as this file is not saved yet"
+        self.report({"INFO"}, f"{found_text(lidar.lidar)}; its report is kept {kept}")
         return {"FINISHED"}
 
 
@@ -332,7 +367,7 @@ class LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
 
     def execute(self, context):
         """Open it."""
-        page = Path(session.needed_lidar(context.scene).lidar.found_folder) / "report.html"
+        page = Path(bpy.path.abspath(session.needed_lidar(context.scene).lidar.found_folder)) / "report.html"
         if not page.is_file():
             self.report({"ERROR"}, f"{page}: is gone; optimise again")
             return {"CANCELLED"}
@@ -340,14 +375,7 @@ class LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
         return {"FINISHED"}
 
 
-# --- What is to be expected, and the panel ----------------------------------------------------------------------------
-
-
-def expected_s(scene: bpy.types.Scene, group: bpy.types.PropertyGroup) -> float:
-    """How long an optimisation may take [s], from the time of the last scan's cast; 0 where there was none."""
-    search = scene.blender_lidar.search
-    mountings = search.particles * search.iterations + math.prod(POINTS)
-    return group.look_s * mountings * scene.blender_lidar.traffic.frames
+# --- The panel --------------------------------------------------------------------------------------------------------
 
 
 @panels.panel("Optimise", panels.LIDAR_PT_main.__name__, bl_order=5)
@@ -366,6 +394,7 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
             if getattr(group, f"{key}_on"):
                 row.prop(group, f"{key}_low", text="")
                 row.prop(group, f"{key}_high", text="")
+        column.prop(group, "poles")
         settings = layout.column()
         settings.enabled = job is None
         panels.rows(settings, shared.traffic, "frames", "holdout")
@@ -378,11 +407,16 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
             else:
                 layout.label(text=text)
             layout.label(text="" if job.best is None else f"Best so far {job.best:.2f}")
+            left = job.left_s
+            layout.label(
+                text=""
+                if left is None
+                else f"About {left:.0f} s left"
+                if left < 90
+                else f"About {left / 60:.0f} min left"
+            )
             layout.label(text="Escape stops it.")
             return
-        expected = expected_s(scene, group)
-        if expected:
-            layout.label(text=f"About {expected:.0f} s" if expected < 120 else f"About {expected / 60:.0f} min")
         layout.operator("lidar.optimise", icon="VIEWZOOM")
         if group.found:
             box = layout.box().column(align=True)

@@ -1,6 +1,7 @@
 """The panels: the sidebar's tab LiDAR says what is done, Properties > Object what belongs to one LiDAR."""
 
 import math
+from pathlib import Path
 
 import bpy
 
@@ -76,8 +77,15 @@ class LIDAR_PT_road(bpy.types.Panel):
         rows(layout, group.road, *properties.TABLES["road"])
         rows(layout, group.traffic, "format", "period", "origin_m", "heading_deg", "time_step_s")
         layout.prop(group.world, "variety")
-        layout.label(text="Vehicles count within")
-        rows(layout, group.region, "centre_m", "with_gate", *([] if group.region.with_gate else ["radius_m"]))
+        lines = session.without_field(context.scene, session.active_lidar(context.scene))
+        region = properties.kept(group).tables.get("region", {})
+        if not (region.get("polygon_m") or region.get("stretches")):
+            layout.label(text="Vehicles count within")
+            rows(layout, group.region, "centre_m", "with_gate", *([] if group.region.with_gate else ["radius_m"]))
+        if lines:
+            layout.label(text=f"Kept from {Path(group.source).name}:", icon="FILE_TEXT")
+        for line in lines:
+            layout.label(text=line)
 
 
 class OfTraffic:

@@ -1,14 +1,17 @@
 """The panel's properties, made from the one declaration of each setting: unit, range, default and tooltip.
 
 `Scene.blender_lidar` holds what a scene has once, `Object.lidar` what each LiDAR has. Blender keeps numbers in single
-precision and angles in radians: `values_of` gives them back as they were typed.
+precision and angles in radians: `values_of` gives them back as they were typed. What a scene file says is kept beside
+the fields that it has filled, `Kept`: only fields that were changed since replace it.
 """
 
 # Not from __future__ import annotations: Blender reads properties from annotations as they are.
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple, get_origin
 
 import bpy
 from bpy.props import (
@@ -24,16 +27,30 @@ from bpy.props import (
 from ..errors import InputError
 from ..names import METRIC_NAMES
 from ..road import RoadFrame
-from ..scene.mounting import COORDINATES, LEANS, MOUNTING_OR_LEAN, SEARCHED, leaning, plumb, pose_at, with_lean
-from ..scene.settings import DATASHEET, DECLARED, GATE
+from ..scene.mounting import (
+    ANGLES,
+    COORDINATES,
+    LEANS,
+    MOUNTING_OR_LEAN,
+    SEARCHED,
+    leaning,
+    plumb,
+    pose_at,
+    six_coordinates,
+    with_lean,
+)
+from ..scene.scenario import Scenario
+from ..scene.settings import DATASHEET, DECLARED, GATE, is_sensor_file
 from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
 from ..world.blender.objects import hang, lidars, pose_of
 
 SCHEMA = 1  # of what is saved in a .blend file
 _DIGITS = 6  # that single precision keeps of a number
+_SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _POSE_DIGITS = 4  # of metres and degrees: it keeps these within a kilometre
 _UNITS = {"m": ("LENGTH", "NONE"), "deg": ("ROTATION", "ANGLE"), "s": ("TIME", "NONE")}  # unit and subtype by suffix
+OWN = "own"  # in place of a name: what a file of the user's says
 _PATH = {"subtype": "FILE_PATH"}
 if bpy.app.version >= (4, 5, 0):  # before, every path could be relative to the .blend file
     _PATH["options"] = {"PATH_SUPPORTS_BLEND_RELATIVE"}
@@ -61,6 +78,48 @@ def silently() -> Iterator[None]:
         yield
     finally:
         _silent = before
+
+
+# --- What a scene file says beside the panel's fields -----------------------------------------------------------------
+
+
+class Kept(NamedTuple):
+    """What a scene or a LiDAR was filled with.
+
+    Attributes
+    ----------
+    tables : dict
+        The scene file's own tables; none where nothing was loaded.
+    folder : str
+        Where relative paths among them start from.
+    fields : dict
+        What the panel's fields said when they had been filled, by table and key.
+    """
+
+    tables: dict[str, dict]
+    folder: str
+    fields: dict[str, dict]
+
+
+def kept(group: bpy.types.PropertyGroup) -> Kept:
+    """What a scene's or a LiDAR's group was filled with."""
+    return Kept(**json.loads(group.kept)) if group.kept else Kept({}, "", {})
+
+
+def keep(group: bpy.types.PropertyGroup, tables: dict, folder: str, fields: dict) -> None:
+    """Keep with a scene or a LiDAR what it has just been filled with."""
+    group.kept = json.dumps(Kept(tables, folder, fields)._asdict())
+
+
+def changed(before: Kept, fields: dict[str, dict]) -> dict[tuple[str, str], tuple[object, str]]:
+    """The fields that are not as they were filled, as `scenario_of` takes what replaces a file's settings."""
+    found = {}
+    for table, now in fields.items():
+        then = before.fields.get(table, {})
+        found |= {
+            (table, key): (now.get(key), where(table, key)) for key in {**then, **now} if now.get(key) != then.get(key)
+        }
+    return found
 
 
 # --- A property from a declaration ------------------------------------------------------------------------------------
@@ -112,7 +171,8 @@ def made_from(key: str, declared: Setting, table: str, **more: object):
         look |= dict(zip(("unit", "subtype"), _UNITS[unit], strict=True))
     if kind is float:
         return FloatProperty(**settings | bounds | look | {"default": scale * float(default or 0.0)} | more)
-    return FloatVectorProperty(**settings | bounds | look | {"size": 2, "default": (0.0, 0.0)} | more)
+    # Of map coordinates single precision would keep metres.
+    return StringProperty(**settings | {"description": f"{told}: two numbers, such as 565432.1, 4184321.9"} | more)
 
 
 def exact(value: float, key: str = "") -> float:
@@ -127,11 +187,12 @@ def values_of(group: bpy.types.PropertyGroup, keys: Mapping[str, Setting]) -> di
         value = getattr(group, key)
         if isinstance(value, float):
             value = exact(value, key)
-        elif not isinstance(value, bool | int | str):
-            value = [exact(part, key) for part in value]
-        left_open = declared.default in (None, ...) and (value in ("", 0) or value == [0.0, 0.0])
-        if not left_open:
-            found[key] = value
+        if declared.default in (None, ...) and value in ("", 0):
+            continue
+        if get_origin(declared.kind) is tuple:
+            with suppress(ValueError):  # what is no pair of numbers is refused as it is
+                value = [float(part) for part in value.split(",")]
+        found[key] = value
     return found
 
 
@@ -142,7 +203,7 @@ def fill(group: bpy.types.PropertyGroup, keys: Mapping[str, Setting], values: Ma
         if value is None:
             group.property_unset(key)
         elif isinstance(value, list | tuple):
-            setattr(group, key, [math.radians(part) if key.endswith("_deg") else part for part in value])
+            setattr(group, key, ", ".join(f"{part:.15g}" for part in value))
         else:
             setattr(group, key, math.radians(value) if key.endswith("_deg") else value)
 
@@ -173,6 +234,7 @@ TABLES = {
     "model": _MODEL,
 }
 """The settings that a scene has once, by table of the scene file."""
+_USUAL = {"x_m": (-10.0, 10.0), "y_m": (-5.0, 0.0), **SEARCHED}  # bounds of a row that is switched on
 SIX = {key: MOUNTING_OR_LEAN[key] for key in COORDINATES}
 
 
@@ -237,9 +299,10 @@ class LIDAR_PG_scene(bpy.types.PropertyGroup):
     loaded: BoolProperty(default=False, options={"HIDDEN"})
     source: StringProperty(default="", options={"HIDDEN"}, description="Scene file that the settings came from")
     problem: StringProperty(default="", options={"HIDDEN"}, description="What is wrong with a field")
+    kept: StringProperty(default="", options={"HIDDEN"}, description="The scene file's own tables, as JSON")
     metric: EnumProperty(
         name="Objective",
-        items=[(name, name, "") for name in METRIC_NAMES],
+        items=[*((name, name, "") for name in METRIC_NAMES), (OWN, "The scene file's own", "")],
         default=METRIC_NAMES[0],
         update=_changed("objective"),
         description=DECLARED["objective"]["metric"].help,
@@ -263,9 +326,6 @@ LIDAR_PG_scene.__annotations__ |= {
 
 
 # --- A LiDAR ------------------------------------------------------------------------------------------------------
-
-
-_OWN = "own"
 
 
 def _pose_getter(key):
@@ -331,9 +391,10 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
     """What belongs to one LiDAR; its transform is its pose."""
 
     schema: IntProperty(default=0, options={"HIDDEN"})
+    kept: StringProperty(default="", options={"HIDDEN"}, description="[sensor] and [deployment] of the file, as JSON")
     name_: EnumProperty(
         name="Model",
-        items=[*((name, name, "") for name in model_names()), (_OWN, "Beam table of your own", "A TOML or CSV file")],
+        items=[*((name, name, "") for name in model_names()), (OWN, "Beam table of your own", "A TOML or CSV file")],
         default="RS-16",
         update=_changed("sensor"),
         description=DECLARED["sensor"]["name"].help,
@@ -356,6 +417,9 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
         items=[(key, key.capitalize(), "") for key in ("range", "ring", "vehicle", "intensity", "entropy")],
         description="What colours the points",
     )
+    poles: StringProperty(
+        name="Poles", description="Table of candidate places that are searched in place of X and Y", **_PATH
+    )
     scanned_frame: IntProperty(default=-1, options={"HIDDEN"})
     scanned_at: FloatVectorProperty(size=6, options={"HIDDEN"})
     points: IntProperty(options={"HIDDEN"})
@@ -364,7 +428,6 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
     detectable_share: FloatProperty(options={"HIDDEN"})
     baseline_objective: FloatProperty(options={"HIDDEN"})
     baseline_share: FloatProperty(options={"HIDDEN"})
-    look_s: FloatProperty(options={"HIDDEN"}, description="Time that one cast took")
     found: BoolProperty(options={"HIDDEN"})
     found_at: FloatVectorProperty(size=6, options={"HIDDEN"})
     found_before: FloatVectorProperty(size=6, options={"HIDDEN"})
@@ -380,7 +443,7 @@ for _key, _declared in MOUNTING_OR_LEAN.items():
     LIDAR_PG_lidar.__annotations__[_key] = made_from(
         _key, _declared, "deployment", get=_pose_getter(_key), set=_pose_setter(_key), update=None
     )
-    _low, _high = SEARCHED.get(_key, (_declared.low, _declared.high))
+    _low, _high = _USUAL.get(_key, (_declared.low, _declared.high))
     _scale = math.radians(1.0) if _key.endswith("_deg") else 1.0
     LIDAR_PG_lidar.__annotations__ |= {
         f"{_key}_on": BoolProperty(
@@ -392,48 +455,66 @@ for _key, _declared in MOUNTING_OR_LEAN.items():
 
 
 def sensor_table(lidar: bpy.types.Object) -> dict[str, object]:
-    """[sensor] of a LiDAR, as a scene file has it."""
+    """What a LiDAR's fields say of [sensor]."""
     group = lidar.lidar
-    name = bpy.path.abspath(group.table_path) if group.name_ == _OWN else group.name_
+    name = bpy.path.abspath(group.table_path) if group.name_ == OWN else group.name_
     table = {"name": name, **values_of(group, SENSOR)}
     if group.datasheet:
         table |= {"range_noise_m": DATASHEET, "range_at_10_percent_m": DATASHEET}
     return table
 
 
-def fill_sensor(lidar: bpy.types.Object, table: Mapping[str, object]) -> None:
-    """Set a LiDAR's properties to [sensor] of a scene."""
-    group, name = lidar.lidar, str(table["name"])
-    if name in model_names():
-        group.name_ = name
+def fill_lidar(lidar: bpy.types.Object, tables: Mapping[str, Mapping], folder: str, scenario: Scenario) -> None:
+    """Set a LiDAR's fields to a scene's sensor and what it searches, and keep [sensor] as the `tables` of it say."""
+    group, found = lidar.lidar, scenario.as_tables()
+    sensor, deployment = found["sensor"], found["deployment"]
+    if sensor["name"] in model_names():
+        group.name_ = sensor["name"]
     else:
-        group.name_, group.table_path = _OWN, str(Path(name).resolve())
-    fill(group, SENSOR, {key: value for key, value in table.items() if value != DATASHEET})
-    group.schema = SCHEMA
-
-
-def fill_bounds(lidar: bpy.types.Object, table: Mapping[str, object]) -> None:
-    """Let those coordinates of a LiDAR be searched that [deployment] of a scene gives two bounds [m, degrees]."""
-    group = lidar.lidar
+        group.name_, group.table_path = OWN, str(Path(sensor["name"]).resolve())
+    fill(group, SENSOR, sensor)
+    group.poles = str(Path(deployment.pop("poles")).resolve()) if scenario.deployment.poles else ""
     for key in MOUNTING_OR_LEAN:
-        bounds, scale = table.get(key), math.radians(1.0) if key.endswith("_deg") else 1.0
+        bounds, scale = deployment.get(key), math.radians(1.0) if key.endswith("_deg") else 1.0
         searched = isinstance(bounds, list | tuple)
         setattr(group, f"{key}_on", searched)
         for end, value in zip(("low", "high"), bounds if searched else (), strict=False):
             setattr(group, f"{key}_{end}", scale * value)
+    own = {
+        str(Path(folder, key).resolve()) if is_sensor_file(key) else key: value
+        for key, value in tables["sensor"].items()
+    }
+    fields = {"sensor": sensor_table(lidar), "deployment": _bounds_of(group)}
+    keep(group, {"sensor": own | {"name": sensor_table(lidar)["name"]}, "deployment": deployment}, folder, fields)
+    group.schema = SCHEMA
 
 
-def deployment_table(lidar: bpy.types.Object, *, searched: bool) -> dict[str, object]:
-    """[deployment] of a LiDAR: where it hangs, and, if it is to be `searched`, the bounds of the rows that are on."""
-    group, place = lidar.lidar, with_lean(coordinates_of(lidar))
-    on = [key for key in MOUNTING_OR_LEAN if searched and getattr(group, f"{key}_on")]
-    leans = [key for key in on if key in LEANS]
-    keys = [key for key in COORDINATES if not leans or not key.startswith(("tilt", "yaw"))] + (
-        list(LEANS) * bool(leans)
-    )
-    table: dict[str, object] = {key: place[key] or 0.0 for key in keys}
-    for key in on:
-        table[key] = [exact(getattr(group, f"{key}_{end}"), key) for end in ("low", "high")]
+def _bounds_of(group: bpy.types.PropertyGroup) -> dict[str, list[float]]:
+    """Between what bounds a LiDAR's rows that are on have it searched [m, degrees]."""
+    on = [key for key in MOUNTING_OR_LEAN if getattr(group, f"{key}_on")]
+    return {key: [exact(getattr(group, f"{key}_{end}"), key) for end in ("low", "high")] for key in on}
+
+
+def deployment_table(lidar: bpy.types.Object) -> dict[str, object]:
+    """[deployment] of a LiDAR: where it hangs, and the bounds of the rows that are on.
+
+    A coordinate that is as the scene file had it keeps the file's number, which has more digits than Blender holds.
+    """
+    group, place, before = lidar.lidar, with_lean(coordinates_of(lidar)), kept(lidar.lidar)
+    filled = before.fields.get("deployment", {})
+    filed, bounds = before.tables.get("deployment", {}), _bounds_of(group)
+    fixed = {key: value for key, value in filed.items() if isinstance(value, float) and key not in bounds}
+    leans = bounds.keys() & set(LEANS) or ("lean_deg" in filed and not bounds.keys() & set(ANGLES))
+    turn = {key: place[key] or 0.0 for key in (LEANS if leans else ANGLES)}
+    as_filed = {key: fixed.get(key, value) for key, value in turn.items()}
+    table = {key: place[key] for key in ("x_m", "y_m", "height_m")}
+    table |= {key: fixed[key] for key in table if key in fixed and abs(fixed[key] - table[key]) < _SAME_M}
+    now, then = (pose_at(six_coordinates({**table, **angles})).rotation for angles in (turn, as_filed))
+    table |= as_filed if abs(now - then).max() < _SAME_ROTATION else turn
+    table |= {key: filed[key] if pair == filled.get(key) else pair for key, pair in bounds.items()}
+    if group.poles:
+        table = {key: value for key, value in table.items() if key not in ("x_m", "y_m") or key in bounds}
+        table["poles"] = bpy.path.abspath(group.poles)
     return table
 
 

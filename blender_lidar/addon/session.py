@@ -7,29 +7,31 @@ undo leaves as it is, or by their names where Blender has none.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import bpy
 
 from ..casting import resolve
 from ..casting.protocol import StandingScenery
-from ..clouds.live import LiveFrame, Look
+from ..clouds.live import DRAG_M, LiveFrame, Look
 from ..errors import InputError
+from ..names import METRIC_NAMES
 from ..scene.observation import CountedFrame, vehicle_weights
 from ..scene.region import region_of
-from ..scene.scenario import Scenario, load_scenario, scenario_of, shipped_scenes
-from ..scene.settings import SensorSettings
-from ..scene.site import lattice_of, observation_of, read_recording, scoring_of, standing_scenery
-from ..traffic import Recording, Vehicles, instants
+from ..scene.scenario import Scenario, scenario_of
+from ..scene.settings import GATE, SensorSettings
+from ..scene.site import lattice_of, observation_of, read_recordings, scoring_of, standing_scenery
+from ..traffic import Recording, Vehicles, instants, joined_recordings
 from ..traffic.vehicles import unknown_frame
 from ..world.blender.objects import is_lidar, lidars
 from ..world.blender.site import open_scenery
 from . import properties
 
-_EXAMPLE = "i80"
-_RECORDINGS: dict[str, tuple[str, Recording]] = {}  # by scene: what it was read with, and the traffic
+_RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
-_FRAMES: dict[str, tuple[str, LiveFrame]] = {}  # by LiDAR
+_FRAMES: dict[str, tuple[str, str, Mapping[str, float], LiveFrame]] = {}  # by LiDAR: what and where it was made for
 
 
 def uid_of(block: bpy.types.ID) -> str:
@@ -63,37 +65,61 @@ def needed_lidar(scene: bpy.types.Scene) -> bpy.types.Object:
     return lidar
 
 
-# --- Settings: the panel's fields as a scene -----------------------------------------------------------------------
+# --- Settings: a scene file, and the panel's fields as changes to it --------------------------------------------------
 
 
-def tables_of(
-    scene: bpy.types.Scene, lidar: bpy.types.Object | None = None, *, searched: bool = False
-) -> dict[str, dict[str, object]]:
-    """The panel's fields as the tables of a scene file; of a LiDAR its pose is fixed unless it is to be `searched`."""
+def fields_of(scene: bpy.types.Scene) -> dict[str, dict[str, object]]:
+    """What the panel's fields say of a scene, as the tables of a scene file."""
     group = scene.blender_lidar
     tables = {name: properties.values_of(getattr(group, name), keys) for name, keys in properties.TABLES.items()}
-    traffic = tables["traffic"]
-    traffic["path"] = bpy.path.abspath(str(traffic.get("path", "")))
-    tables["objective"]["metric"] = group.metric
+    tables["traffic"]["path"] = bpy.path.abspath(str(tables["traffic"].get("path", "")))
+    if group.metric in METRIC_NAMES:
+        tables["objective"]["metric"] = group.metric
     tables["region"] = group.region.table()
     tables["baseline"] = properties.values_of(group.baseline, properties.SIX)
-    if lidar is not None:
-        tables["sensor"] = properties.sensor_table(lidar)
-        tables["model"]["workers"] = 1  # processes would need a Python of their own with bpy
-        tables["deployment"] = properties.deployment_table(lidar, searched=searched)
     return tables
 
 
-def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None, *, searched: bool = False) -> Scenario:
-    """The panel's settings, checked as a scene file's are.
+def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None, *, here: bool = True) -> Scenario:
+    """The scene that is scanned, scored, exported and optimised: the scene file's settings, changed as the panel says.
+
+    Parameters
+    ----------
+    scene : Scene
+    lidar : Object, optional
+        Whose sensor, mounting and bounds are the scene's.
+    here : bool
+        Whether this process casts: others would need a Python of their own with bpy.
 
     Raises
     ------
     InputError
-        Naming the panel's field; for a scene whose unit is not the metre.
+        Naming the panel's field, or the place in the scene file; for a scene whose unit is not the metre.
     """
     check_unit(scene)
-    return scenario_of(tables_of(scene, lidar, searched=searched), where=properties.where, source=f"scene {scene.name}")
+    kept = properties.kept(scene.blender_lidar)
+    tables, changes = dict(kept.tables), properties.changed(kept, fields_of(scene))
+    if lidar is not None:
+        own, changes_of_sensor = _sensor_of(lidar)
+        tables |= own | {"deployment": properties.deployment_table(lidar)}
+        changes |= changes_of_sensor
+    if here:
+        changes["model", "workers"] = 1, "the add-on"
+    where = partial(_where, scene.blender_lidar.source if kept.tables else "")
+    return scenario_of(tables, where=where, source=f"scene {scene.name}", folder=Path(kept.folder), overrides=changes)
+
+
+def _sensor_of(lidar):
+    """[sensor] of a LiDAR as its file has it, and what its fields change of that."""
+    kept = properties.kept(lidar.lidar)
+    changes = properties.changed(kept, {"sensor": properties.sensor_table(lidar)})
+    return {"sensor": kept.tables.get("sensor", {})}, changes
+
+
+def _where(source: str, table: str, key: str) -> str:
+    """What an error calls a setting: the panel's field, or the place in the scene file where the panel has none."""
+    has_field = table in ("sensor", "deployment", "baseline") or key in properties.TABLES.get(table, ())
+    return properties.where(table, key) if has_field or not source else f"{source}: [{table}] {key}".rstrip()
 
 
 def sensor_of(lidar: bpy.types.Object) -> SensorSettings:
@@ -104,8 +130,8 @@ def sensor_of(lidar: bpy.types.Object) -> SensorSettings:
     InputError
         Naming the panel's field.
     """
-    tables = {"traffic": {"path": "any"}, "sensor": properties.sensor_table(lidar)}
-    return scenario_of(tables, where=properties.where).sensor
+    tables, changes = _sensor_of(lidar)
+    return scenario_of({"traffic": {"path": "any"}, **tables}, where=properties.where, overrides=changes).sensor
 
 
 def check_unit(scene: bpy.types.Scene) -> None:
@@ -115,52 +141,83 @@ def check_unit(scene: bpy.types.Scene) -> None:
         raise InputError(f"{given}; allowed: 1, so that a unit is a metre (Scene properties, Units)")
 
 
-def fill_scene(scene: bpy.types.Scene, scenario: Scenario) -> None:
-    """Set the panel's fields to those of a scene file."""
-    group, tables = scene.blender_lidar, scenario.as_tables()
+def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, scenario: Scenario) -> None:
+    """Set the panel's fields to a scene file's settings, and keep its `tables` for all that has no field.
+
+    What such a file leaves open because of its sensor and mounting, region and baseline, is kept as it came out.
+    """
+    group, found = scene.blender_lidar, scenario.as_tables()
     for name, keys in properties.TABLES.items():
-        properties.fill(getattr(group, name), keys, tables[name])
-    group.metric, group.source = scenario.objective.metric, scenario.source
+        properties.fill(getattr(group, name), keys, found[name])
+    group.source, metric = scenario.source, scenario.objective.metric
+    group.metric = metric if metric in METRIC_NAMES else properties.OWN
     properties.fill(group.baseline, properties.SIX, scenario.baseline)
-    region = scenario.region
+    region, own = scenario.region, dict(tables.get("region", {}))
     if region.centre_m is not None:
-        group.region.centre_m = region.centre_m
-        group.region.with_gate = region.radius_m == scenario.sensor.range_gate_m
-        group.region.radius_m = region.radius_m
+        group.region.with_gate = own.get("radius_m") == GATE
+        group.region.centre_m, group.region.radius_m = region.centre_m, region.radius_m
+        own |= {"centre_m": region.centre_m, "radius_m": GATE if group.region.with_gate else region.radius_m}
+    kept = {name: table for name, table in tables.items() if name not in ("sensor", "deployment")}
+    kept |= {"region": own, "baseline": dict(scenario.baseline)}
+    properties.keep(group, kept, folder, fields_of(scene))
     group.schema = properties.SCHEMA
+
+
+def without_field(scene: bpy.types.Scene, lidar: bpy.types.Object | None) -> list[str]:
+    """What is kept of the scene file and has no field in the panel, a line for each table."""
+    tables = {**properties.kept(scene.blender_lidar).tables}
+    if lidar is not None:
+        tables["sensor"] = properties.kept(lidar.lidar).tables.get("sensor", {})
+    shown = {**properties.TABLES, "sensor": ("name", *properties.SENSOR), "region": ("centre_m", "radius_m")}
+    lines = []
+    for name, table in tables.items():
+        if isinstance(table, list):
+            lines.append(f"[{name}] {len(table)} recordings")
+            table = {key: value for one in table for key, value in one.items()}
+        fields = (*shown.get(name, ()), *(("metric",) if name == "objective" else ()))
+        keys = [key for key, value in table.items() if key not in fields and value not in (None, [], {})]
+        if keys and name != "baseline":
+            lines.append(f"[{name}] {', '.join(keys)}")
+    return lines
 
 
 # --- Traffic ----------------------------------------------------------------------------------------------------------
 
 
-def example_scenario() -> Scenario:
-    """The scene that ships with the package."""
-    return load_scenario(shipped_scenes()[_EXAMPLE])
-
-
-def recording_of(scene: bpy.types.Scene) -> Recording:
-    """The traffic of a scene, read again where its settings have changed or the file was opened anew.
+def recordings_of(scene: bpy.types.Scene) -> list[Recording]:
+    """The recordings of a scene, read again where its settings have changed or the file was opened anew.
 
     Raises
     ------
     BlenderLidarError
-        Where none is chosen, or it cannot be read.
+        Where none is chosen, or one cannot be read.
     """
-    scenario = scenario_from(scene)
-    of, key = _read_with(scenario), uid_of(scene)
+    return _read(scene)[0]
+
+
+def recording_of(scene: bpy.types.Scene) -> Recording:
+    """The same as one recording."""
+    return _read(scene)[1]
+
+
+def _read(scene):
+    scenario, key = scenario_from(scene), uid_of(scene)
+    of = _read_with(scenario)
     if key not in _RECORDINGS or _RECORDINGS[key][0] != of:
-        _RECORDINGS[key] = of, read_recording(scenario)
-    return _RECORDINGS[key][1]
+        keep(scene, scenario, read_recordings(scenario))
+    return _RECORDINGS[key][1:]
 
 
-def keep(scene: bpy.types.Scene, recording: Recording) -> None:
-    """Keep traffic that has just been read with the scene's settings."""
-    scenario = scenario_from(scene)
-    _RECORDINGS[uid_of(scene)] = _read_with(scenario), recording
+def keep(scene: bpy.types.Scene, scenario: Scenario, recordings: list[Recording]) -> Recording:
+    """Keep traffic that has just been read with a scene's settings; returns it as one recording."""
+    joined = joined_recordings(recordings, [one.name or "" for one in scenario.recordings])
+    _RECORDINGS[uid_of(scene)] = _read_with(scenario), recordings, joined
+    return joined
 
 
 def _read_with(scenario: Scenario) -> str:
-    return repr((scenario.traffic, scenario.road, scenario.region, scenario.world, _stamp(scenario.traffic.path)))
+    stamps = [_stamp(one.path) for one in scenario.recordings]
+    return repr((scenario.recordings, scenario.road, scenario.region, scenario.world, stamps))
 
 
 def _stamp(path: str) -> tuple[int, int] | None:
@@ -194,27 +251,37 @@ def nearest_frame(recording: Recording, frame: int) -> int:
 # --- Frames kept ready ------------------------------------------------------------------------------------------------
 
 
-def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object) -> LiveFrame:
-    """The frame that a scene shows, ready to be seen by one of its LiDARs from anywhere; kept until something changes.
+def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool = False) -> LiveFrame:
+    """The frame that a scene shows, ready to be seen by one of its LiDARs; kept until something changes.
+
+    It is ready for wherever the LiDAR is dragged within 60 m; `exact` has clutter kept clear of where it hangs now.
 
     Raises
     ------
     BlenderLidarError
         For settings, traffic or a frame that cannot be used.
     """
-    scenario, vehicles = scenario_from(scene, lidar), vehicles_of(scene)
-    unlike = {"deployment", "baseline", "search"}
-    tables = {name: table for name, table in scenario.as_tables().items() if name not in unlike}
-    of, key = repr((tables, vehicles.frame, _stamp(scenario.traffic.path))), uid_of(lidar)
-    if key not in _FRAMES or _FRAMES[key][0] != of:
-        _FRAMES[key] = of, _made_ready(scenario, vehicles)
-    return _FRAMES[key][1]
+    scenario, vehicles, key = scenario_from(scene, lidar), vehicles_of(scene), uid_of(lidar)
+    place, tables = properties.coordinates_of(lidar), scenario.as_tables()
+    stamps = [_stamp(path) for path in scenario.files.values()]
+    of = repr(({name: tables[name] for name in tables if name not in ("deployment", "search")}, vehicles.frame, stamps))
+    about = repr((place, tables["deployment"])) if exact and scenario.world.clutter else ""
+    before = _FRAMES.get(key)
+    if before is None or before[0] != of or (about and before[1] != about) or dragged_off(lidar, place):
+        _FRAMES[key] = of, about, place, _made_ready(scenario, vehicles, place)
+    return _FRAMES[key][-1]
 
 
-def _made_ready(scenario: Scenario, vehicles: Vehicles) -> LiveFrame:
+def dragged_off(lidar: bpy.types.Object, place: Mapping[str, float]) -> bool:
+    """Whether a LiDAR is so far from where its frame was made ready that scenery and crown may end too soon."""
+    before = _FRAMES.get(uid_of(lidar))
+    return before is not None and any(abs(place[key] - before[2][key]) > DRAG_M for key in ("x_m", "y_m"))
+
+
+def _made_ready(scenario: Scenario, vehicles: Vehicles, place: Mapping[str, float]) -> LiveFrame:
     caster, region = resolve(scenario.model.caster, "caster"), region_of(scenario.region, scenario.road.carriageway_y)
     frame = CountedFrame(vehicles, region.holds(vehicles), vehicle_weights(vehicles, scenario.objective))
-    scenery = standing_scenery(scenario, caster, None)
+    scenery = standing_scenery(scenario, caster, place, margin_m=2.0 * DRAG_M)
     observation = observation_of(scenario, lattice_of(scenario.sensor), caster, scenery)
     scoring = scoring_of(scenario) if frame.counted.any() else None
     return LiveFrame(frame, observation, scoring, ground=scenario.world.ground)

@@ -15,7 +15,7 @@ from ..scoring.scores import Scored, VehicleScores, mountings_of
 from ..sensors.pose import Pose
 from .scan import FrameScan, PointCloud, Stands
 
-_DRAG_M = 60.0  # so far to each side a LiDAR moves before the tree of the scenery is made again
+DRAG_M = 60.0  # so far to each side a LiDAR moves before the tree of the scenery is made again
 
 
 class Look(NamedTuple):
@@ -77,10 +77,10 @@ class LiveFrame:
         InputError
             When the sensor is not above the ground.
         """
-        moved = self._about is None or (np.abs(pose.position - self._about) > _DRAG_M).any()
+        moved = self._about is None or (np.abs(pose.position - self._about) > DRAG_M).any()
         if self._scenery is not None and moved:  # may have many triangles; those of vehicles are made again in no time
             self._about = pose.position
-            self._scenery.tree.make_ready(pose.position - _DRAG_M, pose.position + _DRAG_M)
+            self._scenery.tree.make_ready(pose.position - DRAG_M, pose.position + DRAG_M)
         turn = self._scan.turn(pose, also)
         return Look(self._scan.cloud(pose, turn), None if self._scores is None else self._score(pose, turn))
 

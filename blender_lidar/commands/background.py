@@ -1,7 +1,7 @@
-"""An optimisation in a process of its own, for a window that goes on meanwhile: the command line's, told in JSON lines.
+"""An optimisation in a process of its own, for a window that goes on meanwhile: the command line's, with its progress.
 
-Its order is a pickle: the `tables` of settings, the `labels` by which errors call them, their `source`, and what stands
-there besides, as `scenery`. Lines that begin with a brace say how far it is: ``done``, ``best`` and ``problem``.
+Its order is a pickle: the `scenario`, the `labels` by which errors call its settings, and what stands there besides, as
+`scenery`. It prints messages as lines of JSON, `tell`, which the window reads among whatever else is printed, `heard`.
 """
 
 from __future__ import annotations
@@ -11,19 +11,24 @@ import os
 import pickle
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 from ..clouds.live import LiveFrame
 from ..errors import BlenderLidarError
 from ..run.folder import RunFolder
 from ..run.optimise import optimise_site
-from ..scene.scenario import load_scenario, scenario_of, shipped_scenes
+from ..scene.scenario import load_scenario, shipped_scenes
 from ..scene.site import prepare
 from ..scoring.evaluation import Evaluator
 from .optimise import write_pages
 
+_MARK = "blender_lidar"  # of our messages: their kind
+_NUMBER = (int, float, type(None))
+_MESSAGES = {"progress": {"done": int, "best": _NUMBER}, "problem": {"problem": str}}
 
-class _Told:
+
+class _Listener:
     """A listener that prints how far it is."""
 
     def __init__(self) -> None:
@@ -40,12 +45,23 @@ class _Told:
         self._tell()
 
     def _tell(self) -> None:
-        tell(done=sum(self._counted.values()), best=self._best)
+        tell("progress", done=sum(self._counted.values()), best=self._best)
 
 
-def tell(**what: object) -> None:
-    """Print a line of JSON."""
-    print(json.dumps(what), flush=True)
+def tell(kind: str, **values: object) -> None:
+    """Print a message: ``progress`` with `done` and `best`, or a ``problem``."""
+    print(json.dumps({_MARK: kind, **values}), flush=True)
+
+
+def heard(line: str) -> dict[str, object]:
+    """The values of a message of `tell`; none of any other line, which Blender or a library may print."""
+    try:
+        values = json.loads(line)
+    except ValueError:
+        return {}
+    known = _MESSAGES.get(str(values.pop(_MARK, None)), {}) if isinstance(values, dict) else {}
+    right = known.keys() == values.keys() if known else False
+    return values if right and all(isinstance(values[key], kind) for key, kind in known.items()) else {}
 
 
 def main(order: str, folder: str) -> int:
@@ -53,14 +69,14 @@ def main(order: str, folder: str) -> int:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         given = pickle.loads(Path(order).read_bytes())
-        labels, source = given["labels"], given["source"]
-        scenario = scenario_of(given["tables"], where=lambda table, key: labels.get((table, key), key), source=source)
+        labels = given["labels"]
+        scenario = replace(given["scenario"], where=lambda table, key: labels.get((table, key), f"[{table}] {key}"))
         site = prepare(scenario, scenery=given["scenery"])
         with RunFolder(folder).locked() as run:
-            optimise_site(site, run, _Told())
+            optimise_site(site, run, _Listener())
             write_pages(site, run.read_outcome(), lambda note: None)
     except BlenderLidarError as error:
-        tell(problem=" ".join(str(error).split()))
+        tell("problem", problem=" ".join(str(error).split()))
         return 1
     return 0
 

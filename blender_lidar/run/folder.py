@@ -127,10 +127,8 @@ class RunFolder:
 
     def write_scene(self, scenario: Scenario) -> None:
         """Write the scene as used, every default spelt out."""
-        tables = scenario.with_whole_paths()
-        traffic = [tables.pop(name) for name in list(tables) if name.split()[0] == "traffic"]
-        tables = {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
-        write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n" + to_toml(tables))
+        text = to_toml(scenario.with_whole_paths())
+        write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n{text}")
 
     def write_checkpoint(self, identity: Mapping, batches: Sequence[Mapping]) -> None:
         """Store what the searches have asked for and were told so far, batch by batch."""

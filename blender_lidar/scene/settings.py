@@ -496,11 +496,15 @@ class Scenario:
         return tables
 
     def with_whole_paths(self) -> dict[str, dict]:
-        """`as_tables`, its paths from the root on, so that they mean the same from any folder."""
+        """`as_tables` as a file has them, paths from the root on, so that they mean the same from any folder.
+
+        Several recordings are a list.
+        """
         tables = self.as_tables()
         for (table, key), path in self.files.items():
             tables[table][key] = str(Path(path).resolve())
-        return tables
+        traffic = [tables.pop(name) for name in self._traffic_tables]
+        return {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
 
 
 DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}

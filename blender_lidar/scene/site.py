@@ -395,17 +395,22 @@ def lattice_of(sensor: SensorSettings) -> BeamLattice:
 
 
 def standing_scenery(
-    scenario: Scenario, caster: str, mount: Mapping[str, float] | None, given: Scenery | None = None
+    scenario: Scenario,
+    caster: str,
+    mount: Mapping[str, float] | None,
+    given: Scenery | None = None,
+    *,
+    margin_m: float = 0.0,
 ) -> StandingScenery | None:
     """What stands still within reach of a scene's mountings and of a `mount`, None without any.
 
-    It is what [world] says, and what is `given` besides.
+    It is what [world] says, and what is `given` besides; the reach is `margin_m` longer for a LiDAR that is moved.
     """
     crowned = scenario.road.crown_percent and scenario.world.ground
     if not scenario.world.has_scenery and not crowned and (given is None or not len(given)):
         return None
     sensor, centre = scenario.sensor, scenario.deployment.nominal_xy
-    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount, centre)
+    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount, centre) + margin_m
     scenery = read_scenery(scenario, reach, mount)
     world, clear = scenario.world, _may_hang(scenario, mount)
     walkers = Walkers(scenario.road, world.clutter, world.clutter_seed, clear) if world.clutter else None

@@ -15,7 +15,7 @@ import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
-from .site import arrays_of, is_scenery, visible_instances
+from .site import arrays_of, is_own, visible_instances
 
 _TURN = 2.0 * np.pi
 _NOTHING = (-1.0, 0.0)
@@ -57,7 +57,7 @@ class VisibleObjects:
         """Look where the visible objects of a scene are now, evaluated just before; the number of their faces."""
         meshes, self._placed = {}, []
         unit_m = scene.unit_settings.scale_length
-        for instance in visible_instances(scene, depsgraph, is_scenery):
+        for instance in visible_instances(scene, depsgraph, is_own):
             item = instance.object
             key = item.data.as_pointer()
             if key not in meshes:

@@ -113,23 +113,23 @@ def visible_triangles(
 
 
 def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, keep: Keep = lambda box: True) -> Scenery:
-    """The visible objects of the user's in a scene that is open, as exact triangles: `visible_triangles` less our own.
+    """The visible objects of the user's in a scene that is open, as exact triangles: `visible_triangles` less ours.
 
     Raises
     ------
     InputError
         If a vertex is not finite.
     """
-    found = visible_triangles(scene, lambda item: not is_scenery(item), keep, layer)
+    found = visible_triangles(scene, lambda item: not is_own(item), keep, layer)
     if not np.isfinite(found.corners).all():
         row = int(np.flatnonzero(~np.isfinite(found.corners).all(axis=(1, 2)))[0])
         raise InputError(f"{found.names[found.owner[row]]!r}: has a vertex that is not finite")
     return found
 
 
-def is_scenery(item: bpy.types.Object) -> bool:
-    """Whether an object is the user's own, or scenery of ours: not our road, vehicles, LiDAR or point cloud."""
-    return role(item) not in _NOT_SCENERY
+def is_own(item: bpy.types.Object) -> bool:
+    """Whether an object is the user's: what we show of a scene, its scenery too, its settings say already."""
+    return role(item) is None
 
 
 def visible_instances(
@@ -239,7 +239,7 @@ def read_site(path: str | Path, keep: Keep | None = None) -> Scenery:
     if suffix == ".blend":
         check_version(path)
     with quiet(), _linked_scene(path) if suffix == ".blend" else _imported_scene(path) as scene:
-        found = visible_triangles(scene, lambda item: not is_scenery(item), keep or (lambda box: True))
+        found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY, keep or (lambda box: True))
     if len(found) == 0 and keep is None:
         raise InputError(f"{path}: nothing with faces is visible in it")
     if not np.isfinite(found.corners).all():

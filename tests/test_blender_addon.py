@@ -1,0 +1,190 @@
+"""A scene file that is loaded in the add-on is the scene of the command line, whatever the panel has fields for."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from blender_lidar import addon
+from blender_lidar.addon import live, properties, session
+from blender_lidar.cli import main as command_line
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.world.blender.objects import lidars
+from tests.six_scenes import SCENES
+from tests.small_scene import REGION, without_times, write_scene
+
+
+@pytest.fixture(autouse=True)
+def registered(quick):
+    """The add-on in a new file."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    addon.register()
+    yield
+    addon.unregister()
+    bpy.ops.wm.read_homefile(use_empty=True)
+
+
+def loaded(path: Path):
+    """A scene file loaded in the open file; the LiDAR that hangs there then."""
+    bpy.context.scene.blender_lidar.traffic.path = str(path)
+    assert bpy.ops.lidar.load() == {"FINISHED"}
+    return lidars(bpy.context.scene)[0]
+
+
+def scenario():
+    scene = bpy.context.scene
+    return session.scenario_from(scene, lidars(scene)[0], here=False)
+
+
+def saved_and_opened(folder: Path):
+    """The open file saved beside the scene and opened again; its LiDAR."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "saved.blend"))
+    return lidars(bpy.context.scene)[0]
+
+
+def result_of(folder) -> dict:
+    """The result of a run but for what it is called and how long it took."""
+    result = json.loads((Path(folder) / "result.json").read_text(encoding="utf-8"))
+    return {key: value for key, value in without_times(result).items() if key != "scene"}
+
+
+@pytest.mark.parametrize("made", SCENES.values(), ids=SCENES)
+def test_optimise_and_scan_are_those_of_the_command_line(made, tmp_path):
+    path = made(tmp_path)
+    lidar = loaded(path)
+    place = properties.coordinates_of(lidar)
+    assert bpy.ops.lidar.export_cloud(filepath=str(tmp_path / "panel.npz")) == {"FINISHED"}
+    frame = bpy.context.scene.blender_lidar.frame
+    options = [f"--{key.rpartition('_')[0].replace('_', '-')}={value}" for key, value in place.items()]
+    words = ["scan", str(path), "--frame", str(frame), "--out", str(tmp_path / "line.npz"), *options]
+    assert command_line(words) == 0
+    with np.load(tmp_path / "panel.npz") as panel, np.load(tmp_path / "line.npz") as line:
+        for name in set(line) - {"header"}:
+            np.testing.assert_array_equal(panel[name], line[name], err_msg=name)
+    lidar = saved_and_opened(tmp_path)
+    assert bpy.ops.lidar.optimise() == {"FINISHED"}
+    assert command_line(["optimise", str(path), "--out", str(tmp_path / "line")]) == 0
+    assert result_of(bpy.path.abspath(lidar.lidar.found_folder)) == result_of(tmp_path / "line")
+
+
+@pytest.mark.parametrize("made", SCENES.values(), ids=SCENES)
+def test_what_is_loaded_survives_saving_and_undo_and_is_scored_live(made, tmp_path):
+    path = made(tmp_path)
+    expected = load_scenario(path).as_tables()
+    loaded(path)
+    assert scenario().as_tables() == expected
+    bpy.ops.ed.undo_push(message="loaded")
+    bpy.context.scene.blender_lidar.search.seed += 1
+    bpy.ops.ed.undo_push(message="changed")
+    assert scenario().as_tables()["search"] == expected["search"] | {"seed": expected["search"]["seed"] + 1}
+    bpy.ops.ed.undo()
+    assert scenario().as_tables() == expected
+    lidar = saved_and_opened(tmp_path)
+    assert scenario().as_tables() == expected
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    scanned = lidar.lidar.objective, lidar.lidar.points
+    lidar.lidar.live = True
+    bpy.context.view_layer.update()
+    live.update()
+    assert bpy.context.scene.blender_lidar.problem == ""
+    assert (lidar.lidar.objective, lidar.lidar.points) == scanned
+
+
+def test_a_field_that_is_changed_replaces_the_files_setting_and_nothing_else(tmp_path):
+    path = SCENES["utm_polygon"](tmp_path)
+    lidar, group, expected = loaded(path), bpy.context.scene.blender_lidar, load_scenario(path).as_tables()
+    group.traffic.frames, group.traffic.origin_m = 7, "565432.5, 5812345.625"
+    lidar.lidar.y_m, lidar.lidar.height_m_high = -0.5, 5.0
+    found = scenario().as_tables()
+    assert found["traffic"] == expected["traffic"] | {"frames": 7, "origin_m": (565432.5, 5812345.625)}
+    assert found["deployment"] == expected["deployment"] | {"y_m": -0.5, "height_m": (2.0, 5.0)}
+    assert found["region"] == expected["region"]
+    group.traffic.origin_m = "east"
+    with pytest.raises(properties.InputError, match="LiDAR panel: Traffic, Origin: is 'east'; allowed: a list of 2"):
+        scenario()
+
+
+def test_another_place_model_or_metric_leaves_open_what_the_file_left_open(tmp_path):
+    path = write_scene(tmp_path, REGION | {"sensor": {"range_gate_m": None, "range_noise_m": "datasheet"}})
+    lidar, scene = loaded(path), bpy.context.scene
+    before = scenario()
+    lidar.lidar.name_, scene.blender_lidar.metric = "VLP-16", "points"
+    for key in ("height_m", "tilt_x_deg", "tilt_y_deg", "x_m"):
+        setattr(lidar.lidar, f"{key}_on", True)
+    given = {("sensor", "name"): ("VLP-16", "--sensor"), ("objective", "metric"): ("points", "--metric")}
+    line = load_scenario(path, given)
+    assert scenario().sensor.range_noise_m == line.sensor.range_noise_m != before.sensor.range_noise_m
+    assert scenario().objective == line.objective != before.objective
+    assert scenario().search.seeds == 3 != before.search.seeds
+
+
+def test_what_several_recordings_cannot_share_is_refused_by_name(tmp_path):
+    loaded(SCENES["two_recordings_with_poles"](tmp_path))
+    group = bpy.context.scene.blender_lidar
+    group.traffic.path = str(tmp_path / "evening.csv")
+    with pytest.raises(RuntimeError, match="LiDAR panel: Traffic, File: is of one recording, but the scene has 2"):
+        bpy.ops.lidar.load()
+
+
+def test_a_setting_without_a_field_is_shown_and_an_error_in_it_names_the_file(tmp_path):
+    path = SCENES["weights_zones_and_tolerance"](tmp_path)
+    lidar, scene = loaded(path), bpy.context.scene
+    assert "[objective] class_weights, zones, tolerance, loss, view" in session.without_field(scene, lidar)
+    (tmp_path / "poles.csv").write_text("name,x_m,y_m\na,0,0\n", encoding="utf-8")
+    lidar.lidar.poles = str(tmp_path / "poles.csv")
+    with pytest.raises(properties.InputError, match=r"scene.toml: \[objective\] tolerance: is given beside"):
+        scenario()
+
+
+def test_the_crown_is_there_wherever_a_live_lidar_is_dragged(tmp_path):
+    lidar = loaded(SCENES["slope_and_crown"](tmp_path))
+    lidar.lidar.live = True
+    for x_m in (0.0, 50.0, 130.0, 131.0):
+        lidar.lidar.x_m = x_m
+        bpy.context.view_layer.update()
+        live.update()
+        xyz = live._state.shown[session.uid_of(lidar)].look.cloud.xyz
+        assert bpy.ops.lidar.export_cloud(filepath=str(tmp_path / "cloud.npz")) == {"FINISHED"}
+        with np.load(tmp_path / "cloud.npz") as line:
+            np.testing.assert_allclose(xyz, line["xyz"], rtol=0.0, atol=1e-9, err_msg=str(x_m))
+            assert ((line["vehicle_id"] < 0) & (line["xyz"][:, 2] > 0.01)).sum() > 50, x_m
+
+
+def test_a_run_stays_beside_a_saved_file_and_its_report_opens(tmp_path, monkeypatch):
+    path = SCENES["circle"](tmp_path)
+    loaded(path)
+    lidar = saved_and_opened(tmp_path)
+    assert bpy.ops.lidar.optimise() == {"FINISHED"}
+    assert lidar.lidar.found_folder == "//saved_runs/LiDAR_1"
+    assert (tmp_path / "saved_runs" / "LiDAR_1" / "report.html").is_file()
+    opened = []
+    monkeypatch.setattr("bpy.ops.wm.url_open", lambda url: opened.append(url), raising=False)
+    saved_and_opened(tmp_path)
+    assert bpy.ops.lidar.open_report() == {"FINISHED"}
+
+
+def test_how_long_it_takes_is_said_from_the_searchs_own_rate(tmp_path, monkeypatch):
+    from blender_lidar.addon import optimising
+
+    loaded(SCENES["circle"](tmp_path))
+    scene = bpy.context.scene
+    job = optimising.begin(scene, bpy.context.view_layer, lidars(scene)[0])
+    try:
+        assert job.total == 4 * 2 + math.prod(optimising.POINTS)
+        clock = iter([0.0, 1.0, 3.0, 3.0])
+        monkeypatch.setattr(optimising.time, "monotonic", lambda: next(clock))
+        for done in (10, 20, 40):
+            assert job.left_s is None
+            job._hear({"done": done, "best": 1.0})
+        assert job.left_s == pytest.approx((job.total - 40) / 10.0)
+    finally:
+        monkeypatch.undo()
+        job.stop()
