@@ -58,16 +58,6 @@ def test_every_cell_is_counted_once_by_numpy_too():
     test_grids_forget_one_cloud_before_the_next()
 
 
-def test_large_grids_are_not_kept(monkeypatch):
-    size, vehicle, local = cloud(np.random.default_rng(3))
-    expected = ViewGrids(size).occupancy(local, vehicle)
-    monkeypatch.setattr(view_grids, "_KEPT_BYTES", 100)
-    grids = ViewGrids(size)
-    for _ in range(2):
-        np.testing.assert_array_equal(grids.occupancy(local, vehicle), expected)
-        assert grids._marks.nbytes == 0
-
-
 @pytest.mark.skipif(not view_grids.numba_works(), reason="Numba is not installed")
 def test_compiled_marks_count_what_numpys_count(monkeypatch):
     """Many clouds in a row: marks of one must not be taken for those of the next, nor after they were emptied."""

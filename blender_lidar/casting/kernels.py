@@ -215,22 +215,27 @@ def _first_hits(origins, directions, reach, tree):
 
 
 @compiled
-def hidden(origin, directions, distance, tree):
-    """Occlusion test (any hit): whether something lies nearer than a distance along rays, (n,) int8; 2 is undecided.
+def hidden(origin, x, y, z, distance, tree, found):
+    """Occlusion test (any hit): whether something lies nearer than a distance along rays: `found` (n,) int8; 2: unsure.
 
-    Rays start at `origin` (3,) [m]; `directions` (n, 3) are of unit length, and `distance` is (n,) [m].
+    Rays start at `origin` (3,) [m]; the coordinates of their directions are of unit length, and `distance` is (n,) [m].
     """
-    found = np.zeros(len(distance), dtype=np.int8)
+    ox, oy, oz, whole = origin[0], origin[1], origin[2], _box(tree, 1)
+    for ray in range(len(distance)):  # most go past the box about all: without a branch, several at a time
+        per = _reciprocal(x[ray]), _reciprocal(y[ray]), _reciprocal(z[ray])
+        found[ray] = _entry(whole, ox, oy, oz, *per) <= distance[ray]
     stack, entered = np.empty(64, dtype=np.int64), np.empty(64)
     for ray in range(len(distance)):
+        if not found[ray]:
+            continue
         reach = distance[ray]
         surely = reach * (1.0 - NEARER)
-        nearest, doubted, _ = _follow(origin, directions[ray], reach, surely, tree, stack, entered)
+        nearest, doubted, _ = _follow(origin, (x[ray], y[ray], z[ray]), reach, surely, tree, stack, entered)
+        found[ray] = 0
         if nearest < surely:
             found[ray] = 1
         elif min(nearest * (1.0 - NEARER), doubted) <= reach:
             found[ray] = 2
-    return found
 
 
 @inlined
@@ -239,11 +244,11 @@ def _follow(origin, direction, reach, enough, tree, stack, entered):
 
     One that is certainly met nearer than `enough` ends it.
     """
-    low, high, order, planes = tree.low, tree.high, tree.order, tree.planes
+    order, planes = tree.order, tree.planes
     ox, oy, oz, dx, dy, dz = origin[0], origin[1], origin[2], direction[0], direction[1], direction[2]
     per_x, per_y, per_z = _reciprocal(dx), _reciprocal(dy), _reciprocal(dz)
-    leaves, nearest, doubted, first, height = len(low) // 2, np.inf, np.inf, MISS, 0
-    if _entry(low[1], high[1], ox, oy, oz, per_x, per_y, per_z) <= reach:
+    leaves, nearest, doubted, first, height = len(tree.low) // 2, np.inf, np.inf, MISS, 0
+    if _entry(_box(tree, 1), ox, oy, oz, per_x, per_y, per_z) <= reach:
         stack[0], entered[0], height = 1, 0.0, 1
     while height:
         height -= 1
@@ -252,8 +257,8 @@ def _follow(origin, direction, reach, enough, tree, stack, entered):
             continue
         if node < leaves:
             one, other = 2 * node, 2 * node + 1
-            at_one = _entry(low[one], high[one], ox, oy, oz, per_x, per_y, per_z)
-            at_other = _entry(low[other], high[other], ox, oy, oz, per_x, per_y, per_z)
+            at_one = _entry(_box(tree, one), ox, oy, oz, per_x, per_y, per_z)
+            at_other = _entry(_box(tree, other), ox, oy, oz, per_x, per_y, per_z)
             if at_one < at_other:
                 one, other, at_one, at_other = other, one, at_other, at_one
             limit = min(nearest, reach)
@@ -284,16 +289,21 @@ def _reciprocal(number):
 
 
 @inlined
-def _entry(low, high, x, y, z, per_x, per_y, per_z):
+def _box(tree, node):
+    """Least and largest coordinates of a box; of an empty one the least are inf."""
+    low, high = tree.low, tree.high
+    return low[node, 0], low[node, 1], low[node, 2], high[node, 0], high[node, 1], high[node, 2]
+
+
+@inlined
+def _entry(box, x, y, z, per_x, per_y, per_z):
     """Where a ray enters a box, inf where it misses it."""
-    if low[0] > high[0]:  # an empty one
-        return np.inf
-    a, b = (low[0] - x) * per_x, (high[0] - x) * per_x
-    c, d = (low[1] - y) * per_y, (high[1] - y) * per_y
-    e, f = (low[2] - z) * per_z, (high[2] - z) * per_z
-    enters, leaves = max(min(a, b), min(c, d), min(e, f), 0.0), min(max(a, b), max(c, d), max(e, f))
-    enters *= 1.0 - _LOOSE
-    return enters if enters <= leaves * (1.0 + _LOOSE) else np.inf
+    a, b = (box[0] - x) * per_x, (box[3] - x) * per_x
+    c, d = (box[1] - y) * per_y, (box[4] - y) * per_y
+    e, f = (box[2] - z) * per_z, (box[5] - z) * per_z
+    enters = max(max(min(a, b), min(c, d)), max(min(e, f), 0.0)) * (1.0 - _LOOSE)
+    leaves = min(min(max(a, b), max(c, d)), max(e, f)) * (1.0 + _LOOSE)
+    return enters if (box[0] < np.inf) & (enters <= leaves) else np.inf
 
 
 @inlined

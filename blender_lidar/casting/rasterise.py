@@ -48,7 +48,10 @@ class Mesh(NamedTuple):
 
 
 class LatticeTable(NamedTuple):
-    """What `rasterise` needs of a lattice: by ring, and by slot the sine and cosine of its azimuth from slot 0."""
+    """What `rasterise` needs of a lattice: by ring, and by slot the sine and cosine of its azimuth from slot 0.
+
+    Slots go on for another turn, so that those of a triangle follow each other.
+    """
 
     elevation_sine: np.ndarray
     elevation_cosine: np.ndarray
@@ -57,6 +60,7 @@ class LatticeTable(NamedTuple):
     azimuth0_cosine: np.ndarray
     slot_sine: np.ndarray
     slot_cosine: np.ndarray
+    columns: int
     step: float
 
 
@@ -95,7 +99,8 @@ class DepthBuffer(NamedTuple):
 @lru_cache(maxsize=8)
 def lattice_table(lattice: BeamLattice) -> LatticeTable:
     """What `rasterise` needs of a lattice."""
-    azimuth0, slots = np.ascontiguousarray(lattice.slot_azimuth0_rad), lattice.step_rad * np.arange(lattice.columns)
+    azimuth0, columns = np.ascontiguousarray(lattice.slot_azimuth0_rad), lattice.columns
+    slots = np.tile(lattice.step_rad * np.arange(columns), 2)
     return LatticeTable(
         np.sin(lattice.elevation_rad),
         np.cos(lattice.elevation_rad),
@@ -104,6 +109,7 @@ def lattice_table(lattice: BeamLattice) -> LatticeTable:
         np.cos(azimuth0),
         np.sin(slots),
         np.cos(slots),
+        columns,
         float(lattice.step_rad),
     )
 
@@ -203,11 +209,18 @@ def _within_half_a_turn(angle):
 
 
 @inlined
-def slots_between(first, last, step, columns):
-    """First slot between two azimuths from slot 0 on, and how many there are."""
-    slot = math.ceil(first / step)
-    tests = min(math.floor(last / step) - slot + 1, columns)
-    return slot % columns, tests
+def slots_between(first, last, per_step, columns):
+    """First slot between two azimuths from slot 0 on, and how many there are.
+
+    Both are as rounding has it: far less than the margin of the bounds.
+    """
+    slot = math.ceil(first * per_step)
+    tests = min(math.floor(last * per_step) - slot + 1, columns)
+    while slot < 0:
+        slot += columns
+    while slot >= columns:
+        slot -= columns
+    return slot, tests
 
 
 # --- Rasterising ------------------------------------------------------------------------------------------------------
@@ -248,23 +261,24 @@ def rasterise(mesh, planes, table, components, origin, rotation, reach, closed, 
     vertices, faces, middle, radius = mesh.vertices, mesh.faces, mesh.middle, mesh.radius
     sine, cosine, azimuth0 = table.elevation_sine, table.elevation_cosine, table.azimuth0
     sine0, cosine0 = table.azimuth0_sine, table.azimuth0_cosine
-    slot_sine, slot_cosine = table.slot_sine, table.slot_cosine
+    slot_sine, slot_cosine, columns, per_step = table.slot_sine, table.slot_cosine, table.columns, 1.0 / table.step
     nearest, triangle, doubted = buffer.nearest, buffer.triangle, buffer.doubted
-    touched, doubtful, number = buffer.touched, buffer.doubtful, buffer.number
+    touched, doubtful = buffer.touched, buffer.doubtful
     projected, projected_in = buffer.projected, buffer.projected_in
-    number[0] = number[1] = 0
-    backs, columns, step = not closed or _within_any(mesh.low, mesh.high, origin), len(slot_sine), table.step
+    touches, doubts, turn = np.uint64(0), np.uint64(0), np.uint64(columns)  # as signed, they might count from an end
+    least, facing = np.empty(columns), np.empty(columns)
+    backs = not closed or _within_any(mesh.low, mesh.high, origin)
     for run in range(len(radius)):
         x, y, z = middle[run, 0] - origin[0], middle[run, 1] - origin[1], middle[run, 2] - origin[2]
         if x * x + y * y + z * z > (reach + radius[run]) ** 2:
             continue
-        for t in range(run * RUN, min((run + 1) * RUN, len(faces))):
+        for t in range(np.uint64(run * RUN), np.uint64(min((run + 1) * RUN, len(faces)))):
             missing = signed_distance(planes, t, 0, origin)
             if abs(missing) <= TOUCH * size_of(planes, t, 0, origin):
                 near_surface |= is_within(planes, t, origin)
             if missing > 0.0 and not backs:
                 continue
-            a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+            a, b, c = np.uint32(faces[t, 0]), np.uint32(faces[t, 1]), np.uint32(faces[t, 2])
             for vertex in (a, b, c):
                 if projected_in[vertex] != revolution:
                     projected_in[vertex] = revolution
@@ -275,33 +289,42 @@ def rasterise(mesh, planes, table, components, origin, rotation, reach, closed, 
             first, last = azimuth_bounds(projected[a, 3], projected[b, 3], projected[c, 3])
             weights, doubt, away = _weights(planes, t, origin, inverse)
             edge = EDGE + planes[t, 12]
-            for ring in range(first_ring, last_ring):
-                slot, tests = slots_between(first - azimuth0[ring], last - azimuth0[ring], step, columns)
+            beyond = -doubt - 2.0 * edge  # most beams miss, and show it in one of the three: `facing` is a cosine
+            for ring in range(np.uint64(first_ring), np.uint64(last_ring)):
+                slot, tests = slots_between(first - azimuth0[ring], last - azimuth0[ring], per_step, columns)
+                if tests <= 0:
+                    continue
                 level, up = cosine[ring], sine[ring]
                 in_ring = _in_ring(weights, level * sine0[ring], level * cosine0[ring], up)
-                for _ in range(tests):
-                    distance, uncertain = _meeting(in_ring, slot_sine[slot], slot_cosine[slot], doubt, edge, away)
-                    beam = ring * columns + slot
-                    slot = slot + 1 if slot < columns - 1 else 0
+                begin = np.uint64(slot)
+                for k in range(np.uint64(tests)):  # without a branch: several beams at a time
+                    least[k], facing[k] = _least_weight(in_ring, slot_sine[begin + k], slot_cosine[begin + k])
+                for k in range(np.uint64(tests)):
+                    if least[k] < beyond:
+                        continue
+                    distance, uncertain = _meeting(least[k], facing[k], doubt, edge, away)
                     if distance == np.inf:
                         continue
+                    beam = begin + k
+                    beam = ring * turn + (beam if beam < turn else beam - turn)
                     if uncertain:
                         if doubted[beam] == np.inf:
-                            doubtful[number[1]] = beam
-                            number[1] += 1
+                            doubtful[doubts] = beam
+                            doubts += np.uint64(1)
                         doubted[beam] = min(doubted[beam], distance * (1.0 - NEARER))
                         continue
                     before = nearest[beam]
                     if before == np.inf:
-                        touched[number[0]] = beam
-                        number[0] += 1
+                        touched[touches] = beam
+                        touches += np.uint64(1)
                     elif abs(distance - before) <= TIE * distance:
                         x, y, z = to_world(components[0, beam], components[1, beam], components[2, beam], rotation)
-                        if is_behind(planes, t, triangle[beam], origin, x, y, z):
+                        if is_behind(planes, t, np.uint32(triangle[beam]), origin, x, y, z):
                             continue
                     elif distance > before:
                         continue
                     nearest[beam], triangle[beam] = distance, t
+    buffer.number[0], buffer.number[1] = touches, doubts
     return near_surface
 
 
@@ -349,22 +372,21 @@ def _in_ring(weights, sine, cosine, up):
 
 
 @inlined
-def _meeting(in_ring, sine, cosine, doubt, edge, away):
-    """Distance at which a beam meets a triangle, inf where it does not, and whether rounding decides that."""
+def _least_weight(in_ring, sine, cosine):
+    """The least of a triangle's three functions of a beam, and their sum."""
     a, b, c = in_ring
-    beyond = -doubt - 2.0 * edge  # most beams miss, and show it in one of the three: `facing` is a cosine
-    a = a[0] * sine + a[1] * cosine + a[2]
-    if a < beyond:
-        return np.inf, False
-    b = b[0] * sine + b[1] * cosine + b[2]
-    if b < beyond:
-        return np.inf, False
-    c = c[0] * sine + c[1] * cosine + c[2]
-    if c < beyond:
-        return np.inf, False
-    facing = a + b + c
+    a, b, c = (
+        a[0] * sine + a[1] * cosine + a[2],
+        b[0] * sine + b[1] * cosine + b[2],
+        c[0] * sine + c[1] * cosine + c[2],
+    )
+    return min(min(a, b), c), a + b + c
+
+
+@inlined
+def _meeting(least, facing, doubt, edge, away):
+    """Distance at which a beam meets a triangle, inf where it does not, and whether rounding decides that."""
     doubt += edge * max(facing, 0.0)
-    least = min(a, b, c)
     if least < -doubt:
         return np.inf, False
     if least < doubt:

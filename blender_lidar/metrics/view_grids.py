@@ -26,10 +26,8 @@ VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, fr
 
 _MOST_CELLS = 20_000  # along a side: a millimetre of a long truck; a view of more does not fit into memory
 _WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
-_KEPT_BYTES = 1 << 22  # 4 MB: larger arrays of marks are not kept from one cloud to the next
 _CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
 _WORDS_TO_SUM = 255  # of eight bytes, each 0 or 1: the sum of so many overflows no byte
-_MOST_MARKS = 255  # of a byte; then all cells are emptied
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
@@ -61,10 +59,9 @@ def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
 class ViewGrids:
     """Occupancy grids of the three views of each of n boxes (Eqs. 6 to 8), made once for any number of clouds.
 
-    Points are not sorted: every point marks its cells in one array of bytes, in which each grid begins at a whole
-    64-bit word. In NumPy eight cells at a time are then summed as one number; compiled code, which takes over where
-    Numba is installed, counts a cell when it is marked for the first time, and marks each cloud with another number so
-    that cells need not be emptied between clouds.
+    Points are not sorted: every point marks its cells in one array, in which each grid begins at a whole 64-bit word.
+    In NumPy a cell is a byte, and eight at a time are then summed as one number; in compiled code, which takes over
+    where Numba is installed, it is a bit.
 
     Parameters
     ----------
@@ -79,8 +76,8 @@ class ViewGrids:
     ----------
     cells : ndarray of int64, (3, n)
         Cells along each side of each box.
-    start : ndarray of int64, (3, n)
-        Cell at which each grid begins in the array of marks, by view and box.
+    start, words : ndarray of int64, (3, n)
+        Bit at which each grid begins in the array of bits, by view and box, and how many words of 64 bits it has.
     half_m : ndarray, (3, n)
         Half of the boxes' sides [m].
     cell_m : float
@@ -103,10 +100,12 @@ class ViewGrids:
         self._counts = self.cells.astype(float)
         sides = cells if reading == "corrected" else size / cell_m
         self._whole = np.stack([sides[:, row] * sides[:, column] for row, column in VIEW_AXES], axis=1)  # Eq. 8
-        words = -(-np.stack([self.cells[row] * self.cells[column] for row, column in VIEW_AXES]) // 8).ravel()
+        grids = np.stack([self.cells[row] * self.cells[column] for row, column in VIEW_AXES])
+        self.words = -(-grids // 64)
+        self.start = 64 * (np.cumsum(self.words) - self.words.ravel()).reshape(3, -1)
+        words = -(-grids // 8).ravel()
         first_word = np.cumsum(words) - words
-        self.start, self._bytes = (8 * first_word).reshape(3, -1), 8 * int(words.sum())
-        self._marks, self._last_mark = np.zeros(0, dtype=np.uint8), 0
+        self._byte, self._bytes = (8 * first_word).reshape(3, -1), 8 * int(words.sum())
         # Each grid is summed in parts.
         parts = -(-words // _WORDS_TO_SUM)
         self._first_part = np.cumsum(parts) - parts
@@ -128,16 +127,17 @@ class ViewGrids:
             The box that each point belongs to; in range, which is not checked here either.
         """
         if numba_works():
-            from .compiled_marks import mark_points
+            from .compiled_marks import count_cells, mark_points
 
-            counts = np.zeros((len(self), 3), dtype=np.int64)
-            mark_points(points, vehicle, self.half_m, self.cell_m, self.cells, self.start, *self.take_marks(1), counts)
+            counts, bits = np.zeros((len(self), 3), dtype=np.int64), self.no_bits()
+            mark_points(points, vehicle, self.half_m, self.cell_m, self.cells, self.start, bits)
+            count_cells(bits, self.start, self.words, counts)
             return self.shares(counts)
         marks = np.zeros(self._bytes, dtype=np.uint8)
         for first in range(0, len(points), _CHUNK_POINTS):
             chunk = slice(first, first + _CHUNK_POINTS)
             cell, count, kept = self._cells_of(points[chunk], vehicle[chunk])
-            start = _take(self.start, kept, axis=1)
+            start = _take(self._byte, kept, axis=1)
             for view, (row, column) in enumerate(VIEW_AXES):
                 marks[(cell[row] * count[column] + cell[column]).astype(np.int64) + start[view]] = 1
         return self.shares(self._marked(marks))
@@ -163,14 +163,9 @@ class ViewGrids:
         np.maximum(cell, 0.0, out=cell)
         return np.floor(cell, out=cell), count, vehicle
 
-    def take_marks(self, clouds: int) -> tuple[np.ndarray, int]:
-        """Marks of all cells for compiled code, and the first of so many numbers (255 at most) that none has."""
-        marks, first = self._marks, self._last_mark + 1
-        if len(marks) != self._bytes or self._last_mark + clouds > _MOST_MARKS:
-            marks, first = np.zeros(self._bytes, dtype=np.uint8), 1
-        self._last_mark = first + clouds - 1
-        self._marks = marks if self._bytes <= _KEPT_BYTES else marks[:0].copy()
-        return marks, first
+    def no_bits(self) -> np.ndarray:
+        """A bit for each cell for compiled code, none of them set, in words of uint64."""
+        return np.zeros(int(self.words.sum()), dtype=np.uint64)
 
     def _marked(self, marks):
         """Marked cells of each box's views, (n, 3)."""

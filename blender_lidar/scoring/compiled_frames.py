@@ -13,12 +13,12 @@ import numpy as np
 
 from ..casting import RASTER
 from ..casting.culling import ray_directions, reachable_beams
-from ..casting.kernels import NO_BOXES, directions_of, hidden, is_inside, measured, to_world
+from ..casting.kernels import NO_BOXES, directions_of, hidden, is_inside, signed_distance, to_world
 from ..casting.protocol import MISS
 from ..casting.rasterise import rasterise, undecided_beams
 from ..casting.tree import EDGE_ON
-from ..compiled import compiled
-from ..metrics.compiled_marks import mark_points
+from ..compiled import compiled, inlined
+from ..metrics.compiled_marks import OUTSIDE, cells_at, count_cells, mark
 from ..metrics.view_grids import ViewGrids
 from ..scene.observation import Observation
 from ..sensors.imperfections import STATED_REFLECTIVITY, MeasurementModel
@@ -26,8 +26,11 @@ from ..sensors.pose import Pose
 from ..world.meshes import GLASS, REFLECTIVITY
 from .frame_scorer import FrameShapes
 
-_AT_A_TIME = 64  # mountings; their marks have to differ
+_BLOCK = 512  # beams whose places stay in the fastest cache
+# Where the columns of a block begin in one array: apart by more than a vector is long, which the compiler has to know.
+_X, _Y, _Z, _FACING, _DISTANCE, _AWAY, _TOP, _SIDE, _FRONT = (np.uint64(column * _BLOCK) for column in range(9))
 _MEASURED_HERE = np.empty(0)
+_NONE, _ONE = np.uint64(0), np.uint64(1)
 
 
 class Targets(NamedTuple):
@@ -40,7 +43,7 @@ class Targets(NamedTuple):
 
 
 class Boxes(NamedTuple):
-    """The counted vehicles: centre (n, 3) [m], cosine and sine of the heading (n,), and what `mark_points` needs."""
+    """The counted vehicles: centre (n, 3) [m], cosine and sine of the heading (n,), cells as in `ViewGrids`."""
 
     centre: np.ndarray
     cosine: np.ndarray
@@ -49,6 +52,7 @@ class Boxes(NamedTuple):
     cell_m: float
     cells: np.ndarray
     start: np.ndarray
+    words: np.ndarray
 
 
 class CompiledScorer:
@@ -83,7 +87,8 @@ class CompiledScorer:
         vehicle = np.ascontiguousarray(shapes.counted_row[caster.rows])
         targets = Targets(caster.planes, vehicle, surface == GLASS, REFLECTIVITY[surface])
         centre, heading = np.ascontiguousarray(vehicles.centre_m), vehicles.heading_rad
-        boxes = Boxes(centre, np.cos(heading), np.sin(heading), grids.half_m, grids.cell_m, grids.cells, grids.start)
+        of_grids = grids.half_m, grids.cell_m, grids.cells, grids.start, grids.words
+        boxes = Boxes(centre, np.cos(heading), np.sin(heading), *of_grids)
         occluder_origin, occluders = (caster.origin, NO_BOXES) if scenery is None else scenery.occluders
         self._origins = -np.stack([caster.origin, np.zeros(3), occluder_origin])
         self._scene = targets, measurement, occluders, boxes
@@ -96,10 +101,8 @@ class CompiledScorer:
         points = np.zeros((len(poses), len(self._grids)), dtype=np.int64)
         cells = np.zeros((len(poses), len(self._grids), 3), dtype=np.int64)
         undecided = np.zeros(len(poses), dtype=bool)
-        if self._caster.name == RASTER:
-            for first in range(0, len(poses), _AT_A_TIME):
-                some = slice(first, first + _AT_A_TIME)
-                self._rasterise(poses[some], points[some], cells[some], undecided[some])
+        if self._caster.name == RASTER and poses:
+            self._rasterise(poses, points, cells, undecided)
         else:
             for row, pose in enumerate(poses):
                 undecided[row] = not self._cast(pose, points[row], cells[row])
@@ -109,7 +112,7 @@ class CompiledScorer:
         """Add what some mountings see to their rows."""
         origins = np.array([pose.position for pose in poses])[:, None] + self._origins
         mountings = origins, np.array([pose.rotation for pose in poses]), self._components
-        into = *self._grids.take_marks(len(poses)), points, cells, undecided
+        into = self._grids.no_bits(), points, cells, undecided
         with self._caster.rasterising(self._lattice, len(poses)) as (mesh, _, *needed):
             _see_revolutions(mesh, *needed, self._reach_m, *mountings, *self._scene, *into)
 
@@ -127,31 +130,35 @@ class CompiledScorer:
         triangle = self._caster.first(origin, rays, reach)
         if triangle is None:
             return False
-        into = points, cells, *self._grids.take_marks(1)
-        doubtful, certain = self.count(pose, beams, triangle, None, *into)
+        into = points, self._grids.no_bits()
+        doubtful, certain = self.mark(pose, beams, triangle, None, *into)
         if certain and len(doubtful):
             found = self._caster.decide(origin, ray_directions(self._lattice, doubtful, pose).T, reach)
-            _, certain = self.count(pose, doubtful[found.ray], found.triangle, found.distance, *into)
+            _, certain = self.mark(pose, doubtful[found.ray], found.triangle, found.distance, *into)
+        count_cells(into[1], self._grids.start, self._grids.words, cells)
         return certain
 
-    def count(self, pose, beams, triangles, distance, points, cells, marks, mark) -> tuple[np.ndarray, bool]:
-        """`count_returns` of hits at known distances (k,) [m], or at None of hits that a tree in float32 has found."""
+    def mark(self, pose, beams, triangles, distance, points, bits) -> tuple[np.ndarray, bool]:
+        """`mark_returns` of hits at known distances (k,) [m], or at None of hits that a tree in float32 has found."""
         origins, leaky = pose.position + self._origins, distance is None
         hits = beams, triangles, _MEASURED_HERE if leaky else distance, leaky, self._reach_m
-        return count_returns(*hits, origins, pose.rotation, self._components, *self._scene, marks, mark, points, cells)
+        return mark_returns(*hits, origins, pose.rotation, self._components, *self._scene, bits, points)
 
 
 @compiled
-def count_returns(
+def mark_returns(
     beams, triangles, decided, leaky, reach, origins, rotation, components, targets, measurement, occluders, boxes,
-    marks, mark, count, hit,
+    bits, count,
 ):  # fmt: skip
-    """Returns from hits, and the cells that they occupy, of one mounting (Eqs. 2 to 8).
+    """Returns from hits, and the cells that they occupy, of one LiDAR (Eqs. 2 to 8).
+
+    Beams are taken in blocks, whose columns stay in the fastest cache.
 
     Parameters
     ----------
     beams, triangles : ndarray of int, (k,)
-        Beams, and the row of `targets` that each met first; `MISS` where nothing.
+        Beams, and the row of `targets` that each met first; `MISS` where nothing. Of rasterised ones `triangles` has a
+        row for each beam of the lattice.
     decided : ndarray, (k,) or (0,)
         Distances, where they are not to be measured here [m].
     leaky : bool
@@ -163,82 +170,170 @@ def count_returns(
     rotation, components : ndarray, (3, 3) and (3, b)
         The sensor's orientation, and the lattice's beams.
     targets, measurement, occluders, boxes : Targets, MeasurementModel, BoxTree, Boxes
-    marks, mark : ndarray, int
+    bits : ndarray of uint64
         As for `mark_points`.
-    count, hit : ndarray of int64, (n,) and (n, 3)
-        Points and marked cells, which are added to.
+    count : ndarray of int64, (n,)
+        Points, which are added to.
 
     Returns
     -------
     doubtful : ndarray of int, (d,)
         Beams that are not counted yet.
     certain : bool
-        Whether no occlusion is left to rounding; if so nothing is counted.
+        Whether no occlusion is left to rounding; if one is, what was counted is worth nothing.
     """
-    planes, vehicle, glass, reflectivity = targets.planes, targets.vehicle, targets.glass, targets.reflectivity
-    near, far, noise, chance = measurement.min_range_m, measurement.max_range_m, measurement.noise_m, measurement.chance
-    loss, glass_loss, strength = measurement.loss, measurement.glass_loss, measurement.range_at_10_percent_m
-    centre, cosine, sine = boxes.centre, boxes.cosine, boxes.sine
-    noisy, lossy, weak, by_chance = len(noise) > 0, glass_loss > 0.0, strength < np.inf, len(chance) > 0
-    origin, hides, known = (origins[0, 0], origins[0, 1], origins[0, 2]), len(occluders.order) > 0, len(decided) > 0
-    by_beam = not (leaky or known)
-    px, py, pz = origins[1, 0], origins[1, 1], origins[1, 2]
-    local, row, found = np.empty((len(beams), 3)), np.empty(len(beams), dtype=np.int64), 0
-    rays, ranges = np.empty((len(beams) if hides else 0, 3)), np.empty(len(beams) if hides else 0)
+    known, hides = len(decided) > 0, len(occluders.order) > 0
+    imperfect = (
+        len(measurement.noise_m) > 0 or measurement.glass_loss > 0.0 or measurement.range_at_10_percent_m < np.inf
+    )
+    column, target, beam_of = np.empty(9 * _BLOCK), np.empty(_BLOCK, np.uint32), np.empty(_BLOCK, np.uint32)
+    lost = np.empty(_BLOCK if hides else 0, dtype=np.int8)
     doubtful, left = np.empty(len(beams) if leaky else 0, dtype=np.int64), 0
-    for k in range(len(beams)):
-        beam = beams[k]
-        t = triangles[beam] if by_beam else triangles[k]
-        if t == MISS or not (leaky or vehicle[t] >= 0):
-            continue
-        x, y, z = to_world(components[0, beam], components[1, beam], components[2, beam], rotation)  # Eq. 2
-        facing = planes[t, 0] * x + planes[t, 1] * y + planes[t, 2] * z
-        distance = decided[k] if known else measured(planes, t, origin, x, y, z)
-        if leaky and not (facing <= -EDGE_ON and is_inside(planes, t, origin, x, y, z, distance)):
-            doubtful[left] = beam
+    for first in range(0, len(beams), _BLOCK):
+        some = beams[first : first + _BLOCK]
+        its = triangles[first : first + _BLOCK] if leaky or known else triangles
+        at = decided[first : first + _BLOCK]
+        found = _gather(some, its, at, leaky, targets.vehicle, components, beam_of, target, column)
+        _measure(found, known, reach, origins[0], rotation, targets.planes, target, column)
+        if leaky:
+            left = _leave_leaks(found, origins[0], targets, beam_of, target, column, doubtful, left)
+        if imperfect:
+            _make_imperfect(found, measurement, targets, beam_of, target, column)
+        if hides and not _hide(found, origins[2], occluders, column, lost):
+            return doubtful[:left], False
+        _mark(found, measurement, origins[1], targets.vehicle, boxes, target, column, bits, count)
+    return doubtful[:left], True
+
+
+@compiled
+def _gather(beams, triangles, decided, leaky, vehicle, components, beam_of, target, column):
+    """Write down the beams of a block that met a counted vehicle, or at `leaky` hits anything; how many they are."""
+    x, y, z = components[0], components[1], components[2]
+    known, found = len(decided) > 0, np.uint64(0)
+    by_row = leaky or known
+    for k in range(len(beams)):  # without a branch, which nobody could predict
+        beam = np.uint32(beams[k])
+        met = triangles[k if by_row else beam]
+        t = np.uint32(max(met, 0))
+        target[found], beam_of[found] = t, beam
+        column[_X + found], column[_Y + found], column[_Z + found] = x[beam], y[beam], z[beam]
+        column[_DISTANCE + found] = decided[k] if known else 0.0
+        found += np.uint64((met != MISS) & (leaky | (vehicle[t] >= 0)))
+    return found
+
+
+@inlined
+def _end_of_run(target, begin, found):
+    """Where the beams end that met the same triangle: what they share is looked up once."""
+    end = begin + _ONE
+    while end < found and target[end] == target[begin]:
+        end += _ONE
+    return end
+
+
+@compiled
+def _measure(found, known, reach, origin, rotation, planes, target, column):
+    """Direction in the road frame, cosine of the incidence, distance and measured range [m]: inf where it is lost."""
+    begin = _NONE
+    while begin < found:
+        t, end = target[begin], _end_of_run(target, begin, found)
+        nx, ny, nz, missing = planes[t, 0], planes[t, 1], planes[t, 2], signed_distance(planes, t, 0, origin)
+        for k in range(begin, end):
+            x, y, z = to_world(column[_X + k], column[_Y + k], column[_Z + k], rotation)  # Eq. 2
+            facing = nx * x + ny * y + nz * z
+            distance = column[_DISTANCE + k] if known else missing / facing
+            column[_X + k], column[_Y + k], column[_Z + k], column[_FACING + k] = x, y, z, facing
+            column[_DISTANCE + k], column[_AWAY + k] = distance, distance if distance <= reach else np.inf
+        begin = end
+
+
+@compiled
+def _leave_leaks(found, origin, targets, beam_of, target, column, doubtful, left):
+    """Leave out where a tree in float32 may have leaked, which is noted in `doubtful`, and what does not count."""
+    for k in range(found):
+        t = target[k]
+        x, y, z, distance = column[_X + k], column[_Y + k], column[_Z + k], column[_DISTANCE + k]
+        sure = column[_FACING + k] <= -EDGE_ON and is_inside(targets.planes, t, origin, x, y, z, distance)
+        if not sure:
+            doubtful[left] = beam_of[k]
             left += 1
-            continue
-        v, away = vehicle[t], distance
-        if v < 0:
-            continue
-        # As `MeasurementModel.measured` has it.
+        if not sure or targets.vehicle[t] < 0:
+            column[_AWAY + k] = np.inf
+    return left
+
+
+@compiled
+def _make_imperfect(found, measurement, targets, beam_of, target, column):
+    """Range noise and lost returns, as `MeasurementModel.measured` has them."""
+    noise, chance, glass, reflectivity = measurement.noise_m, measurement.chance, targets.glass, targets.reflectivity
+    loss, glass_loss, strength = measurement.loss, measurement.glass_loss, measurement.range_at_10_percent_m
+    noisy, lossy, weak, by_chance = len(noise) > 0, glass_loss > 0.0, strength < np.inf, len(chance) > 0
+    for k in range(found):
+        t, beam, away = target[k], beam_of[k], column[_AWAY + k]
         if noisy:
             away += noise[beam]
         if lossy:
             luck = chance[beam] if by_chance else np.float32(0.0)
             if luck < loss or (glass[t] and luck < glass_loss):
-                continue
-        if weak and not distance <= strength * np.sqrt(reflectivity[t] * abs(facing) / STATED_REFLECTIVITY):
+                away = np.inf
+        if weak:
+            seen = strength * np.sqrt(reflectivity[t] * abs(column[_FACING + k]) / STATED_REFLECTIVITY)
+            if not column[_DISTANCE + k] <= seen:
+                away = np.inf
+        column[_AWAY + k] = away
+
+
+@compiled
+def _hide(found, origin, occluders, column, lost):
+    """Lose what stands behind occluders; whether that is certain."""
+    for k in range(found):
+        if column[_AWAY + k] == np.inf:  # lost already: followed nowhere
+            column[_DISTANCE + k] = 0.0
+    x, y, z = column[_X : _X + found], column[_Y : _Y + found], column[_Z : _Z + found]
+    hidden(origin, x, y, z, column[_DISTANCE : _DISTANCE + found], occluders, lost)
+    for k in range(found):
+        if lost[k] == 2:
+            return False
+        if lost[k]:
+            column[_AWAY + k] = np.inf
+    return True
+
+
+@compiled
+def _mark(found, measurement, origin, vehicle, boxes, target, column, bits, count):
+    """Count returns and mark their cells: first numbers of cells, several at a time, then bits."""
+    near, far, cell_m = measurement.min_range_m, measurement.max_range_m, boxes.cell_m
+    centre, half_m, cells, start = boxes.centre, boxes.half_m, boxes.cells, boxes.start
+    px, py, pz = origin[0], origin[1], origin[2]
+    begin = _NONE
+    while begin < found:
+        v, end, returns = vehicle[target[begin]], _end_of_run(target, begin, found), 0
+        if v < 0:
+            begin = end
             continue
-        if not (near <= away <= far and distance <= reach):
-            continue
-        dx, dy = px + away * x - centre[v, 0], py + away * y - centre[v, 1]  # Eqs. 2 and 3
-        local[found, 0], local[found, 1] = cosine[v] * dx + sine[v] * dy, cosine[v] * dy - sine[v] * dx  # Eqs. 4, 5
-        local[found, 2], row[found] = pz + away * z - centre[v, 2], v
-        if hides:
-            rays[found, 0], rays[found, 1], rays[found, 2], ranges[found] = x, y, z, distance
-        else:
-            count[v] += 1
-        found += 1
-    if hides:
-        lost, shown = hidden(origins[2], rays[:found], ranges[:found], occluders), 0
-        for k in range(found):
-            if lost[k] == 2:
-                return doubtful[:left], False
-            if not lost[k]:
-                local[shown, 0], local[shown, 1], local[shown, 2] = local[k, 0], local[k, 1], local[k, 2]
-                row[shown] = row[k]
-                count[row[k]] += 1
-                shown += 1
-        found = shown
-    mark_points(local[:found], row[:found], boxes.half_m, boxes.cell_m, boxes.cells, boxes.start, marks, mark, hit)
-    return doubtful[:left], True
+        v = np.uint64(v)
+        cx, cy, cz, cosine, sine = centre[v, 0], centre[v, 1], centre[v, 2], boxes.cosine[v], boxes.sine[v]
+        half, sides = (half_m[0, v], half_m[1, v], half_m[2, v]), (cells[0, v], cells[1, v], cells[2, v])
+        grids = float(start[0, v]), float(start[1, v]), float(start[2, v])
+        for k in range(begin, end):
+            away = column[_AWAY + k]
+            dx, dy = px + away * column[_X + k] - cx, py + away * column[_Y + k] - cy  # Eqs. 2 and 3
+            x, y, z = cosine * dx + sine * dy, cosine * dy - sine * dx, pz + away * column[_Z + k] - cz  # Eqs. 4, 5
+            top, side, front = cells_at(x, y, z, half, sides, cell_m, grids)
+            kept = (away >= near) & (away <= far)
+            column[_TOP + k], column[_SIDE + k], column[_FRONT + k] = top if kept else OUTSIDE, side, front
+            returns += kept
+        count[v] += returns
+        for k in range(begin, end):
+            if column[_TOP + k] != OUTSIDE:
+                mark(bits, column[_TOP + k], column[_SIDE + k], column[_FRONT + k])
+        begin = end
 
 
 @compiled
 def _see_revolutions(
     mesh, closed, table, buffer, number, reach, origins, rotations, components, targets, measurement, occluders, boxes,
-    marks, first_mark, points, hit, undecided,
+    bits, points, hit, undecided,
 ):  # fmt: skip
     """Rasterise revolution after revolution and add up `points` and `hit`."""
     nearest, beams = buffer.nearest, buffer.touched
@@ -253,8 +348,9 @@ def _see_revolutions(
             nearest[beams[k]] = np.inf
         if undecided[s]:
             continue
-        _, certain = count_returns(
+        _, certain = mark_returns(
             beams[:most], buffer.triangle, np.empty(0), False, reach, origins[s], rotation, components,
-            targets, measurement, occluders, boxes, marks, first_mark + s, points[s], hit[s],
+            targets, measurement, occluders, boxes, bits, points[s],
         )  # fmt: skip
+        count_cells(bits, boxes.start, boxes.words, hit[s])
         undecided[s] = not certain

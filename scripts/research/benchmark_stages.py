@@ -283,8 +283,12 @@ def _score(case: FrameCase, scorer: FrameScorer, hits: Revolution) -> np.ndarray
     """Bits of every counted vehicle, from what the beams met."""
     if scorer.compiled is None:
         return entropy(scorer.grids.occupancy(*scorer.returns_of(case.pose, hits))).sum(axis=1)
+    from blender_lidar.metrics.compiled_marks import count_cells  # not where Numba is missing
+
     points, cells = np.zeros(len(scorer), dtype=np.int64), np.zeros((len(scorer), 3), dtype=np.int64)
-    scorer.compiled.count(case.pose, *hits[:3], points, cells, *scorer.grids.take_marks(1))
+    bits = scorer.grids.no_bits()
+    scorer.compiled.mark(case.pose, *hits[:3], points, bits)
+    count_cells(bits, scorer.grids.start, scorer.grids.words, cells)
     return entropy(scorer.grids.shares(cells)).sum(axis=1)
 
 
