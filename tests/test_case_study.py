@@ -9,14 +9,14 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tests.research  # noqa: F401
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scoring.evaluation import Evaluator
-from blender_lidar.sensors.model import load_model, model_names
+from blender_lidar.sensors.model import load_model
 from blender_lidar.statistics import RESAMPLES, block_sums, interval_90, student_t_95
 from case_study import (
     AS_THE_SCENE,
@@ -27,7 +27,6 @@ from case_study import (
     coordinates,
     evenly_spaced,
     open_case,
-    variants,
     with_even_beams,
 )
 from case_study_claims import claims
@@ -86,6 +85,7 @@ def test_joint_resamples_are_those_of_a_loop_also_where_one_sensor_sees_nothing_
     assert one.map.optimum_intervals_90(1) == {"height_m": interval_90(height), "tilt_x_deg": interval_90(tilt)}
 
 
+@settings(max_examples=30)
 @given(st.lists(st.tuples(*[st.integers(0, 3)] * 3), min_size=1, max_size=30))
 def test_shares_of_an_order_equal_a_loop(rows):
     found = order_shares(dict(zip("abc", np.array(rows, dtype=float).T, strict=True)))
@@ -312,19 +312,6 @@ def test_what_is_measured_vehicle_by_vehicle_is_what_an_evaluator_sums(scene):
     assert {len(seen[name]) for name in (*MEASURES, "distance_m", "block")} == {totals.vehicles.sum()}
 
 
-def test_a_changed_region_counts_fewer_vehicles_and_a_turned_sensor_sees_along_other_azimuths(scene):
-    site = open_case(scene, {}, TINY).site("RS-16")
-    changed = {(of.what, of.value): of.change(site) for of in variants(site.scenario) if not of.overrides}
-    within = next(of for (what, _), of in changed.items() if what == "region")
-    for frame, old in zip(within.search, site.search, strict=True):
-        distance = np.hypot(*frame.vehicles.centre_m[:, :2].T)
-        np.testing.assert_array_equal(frame.counted, old.counted & (distance <= 10.0))
-    lattice = site.observation.lattice
-    turned = changed["azimuth phase", "0.33 of a step"].observation.lattice
-    moved = (turned.slot_azimuth0_rad - lattice.slot_azimuth0_rad) % lattice.step_rad
-    np.testing.assert_allclose(moved, lattice.step_rad / 3.0)
-
-
 def test_sensors_share_frames_and_blocks_as_long_as_the_widest_region_needs(scene):
     case = open_case(scene, {}, TINY)
     assert case.block_s < open_case(scene, {("sensor", "range_gate_m"): (40.0, "test")}, TINY).block_s
@@ -474,7 +461,7 @@ def test_uneven_beams_cause_a_loss_only_if_there_is_one_and_they_are_worse_at_th
     assert verdict(result, 9) == expected
 
 
-@pytest.mark.parametrize("name", model_names())
+@pytest.mark.parametrize("name", ["RS-16", "RS-80"])
 def test_even_beams_have_the_same_number_and_the_same_ends_and_one_step(name):
     model, even = load_model(name), evenly_spaced(load_model(name))
     assert even.elevation_rad[[0, -1]].tolist() == model.elevation_rad[[0, -1]].tolist()

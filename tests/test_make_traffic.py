@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import gzip
-import math
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from blender_lidar.errors import MissingExtraError, OutputError
+from blender_lidar.errors import MissingExtraError
 
 pd = pytest.importorskip("pandas")
 
@@ -132,38 +131,6 @@ def test_its_vehicles_hardly_overlap(instants):
     assert overlaps <= 2
 
 
-def test_its_neighbours_are_those_of_a_search_in_the_lane(instants):
-    frame = instants[instants["Frame_ID"] == 4500]
-    for row in frame.itertuples():
-        lane = frame[frame["Lane_ID"] == row.Lane_ID]
-        ahead, behind = lane[lane["Local_Y"] > row.Local_Y], lane[lane["Local_Y"] < row.Local_Y]
-        nearest = ahead.loc[ahead["Local_Y"].idxmin()] if len(ahead) else None
-        assert row.Preceding == (0 if nearest is None else nearest["Vehicle_ID"])
-        assert row.Following == (behind.loc[behind["Local_Y"].idxmax(), "Vehicle_ID"] if len(behind) else 0)
-        gap = 0.0 if nearest is None else nearest["Local_Y"] - row.Local_Y
-        assert row.Space_Headway == pytest.approx(gap, abs=0.011)
-
-
-def test_global_coordinates_turn_the_local_frame_without_stretching_it(sample):
-    rows = sample.iloc[:: len(sample) // 50]
-    local, turned = (rows[[f"{frame}_X", f"{frame}_Y"]].to_numpy() for frame in ("Local", "Global"))
-    (along_x, along_y), (across_x, across_y) = np.linalg.lstsq(local - local[0], turned - turned[0], rcond=None)[0][
-        ::-1
-    ]
-    assert math.hypot(along_x, along_y) == pytest.approx(1, abs=1e-4)
-    assert math.degrees(math.atan2(along_x, along_y)) == pytest.approx(-7.1, abs=0.01)
-    np.testing.assert_allclose([across_x, across_y], [along_y, -along_x], atol=1e-3)  # right of the travel
-
-
-# The functions
-
-
-def test_lanes_count_from_the_left_and_the_ramp_is_lane_7():
-    x = np.array([1.0, 11.9, 12.1, 71.9, 73.0, 90.0, 72.3, -0.2])
-    y = np.array([500.0, 500.0, 500.0, 500.0, 500.0, 100.0, 1000.0, 500.0])
-    np.testing.assert_array_equal(script.lane_of(x, y), [1, 1, 2, 6, 7, 7, 6, 1])
-
-
 def test_time_headway_of_a_stopped_follower_is_ngsims_9999_99():
     table = pd.DataFrame(
         {"Vehicle_ID": [1, 2, 3], "Frame_ID": 1, "Lane_ID": 2, "Local_Y": [90.0, 60.0, 20.0], "v_Vel": [0.0, 0.0, 10.0]}
@@ -190,34 +157,11 @@ def test_fcd_is_read_at_the_wanted_steps_and_inside_the_section_only(tmp_path):
     np.testing.assert_allclose(rows, [[0, 0, 10.0, -1.8, 5.0, 0.1], [10, 3, 502.0, -1.8, 5.0, 0.1]])
 
 
-def test_equal_tables_give_equal_files_and_no_leftovers(tmp_path):
-    table = pd.DataFrame({"a": [1, 2]})
-    for name in ("one.csv.gz", "two.csv.gz"):
-        script.write_csv(table, tmp_path / name)
-    assert (tmp_path / "one.csv.gz").read_bytes() == (tmp_path / "two.csv.gz").read_bytes()
-    assert gzip.decompress((tmp_path / "one.csv.gz").read_bytes()) == b"a\n1\n2\n"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["one.csv.gz", "two.csv.gz"]
-
-
-def test_a_file_that_cannot_be_written_leaves_nothing_behind(tmp_path):
-    (tmp_path / "taken.csv").mkdir()
-    with pytest.raises(OutputError, match=r"taken\.csv"):
-        script.write_csv(pd.DataFrame({"a": [1]}), tmp_path / "taken.csv")
-    assert [p.name for p in tmp_path.iterdir()] == ["taken.csv"]
-
-
-# The command
-
-
 @pytest.mark.parametrize(
     ("options", "named"),
     [
         (["--every-s", "0.8"], "--every-s 0.8"),
-        (["--every-s", "10.03"], "--every-s 10.03"),
-        (["--neighbour-s", "-1"], "--neighbour-s -1"),
         (["--minutes", "nan"], "--minutes"),
-        (["--minutes", "0.1"], "--every-s 10"),
-        (["--seed", "-1"], "--seed -1"),
         (["--out", "nowhere/there.csv"], "--out: nowhere/there.csv"),
     ],
 )
@@ -238,18 +182,6 @@ def test_without_sumo_it_exits_2_and_names_the_extra(tmp_path, monkeypatch, caps
     assert script.main(["--out", str(tmp_path / "x.csv")]) == 2
     assert 'pip install "blender_lidar[sumo]"' in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_failing_sumo_exits_1_with_its_reason(tmp_path, monkeypatch, capsys):
-    broken = tmp_path / "bin" / "netconvert"
-    broken.parent.mkdir()
-    broken.write_text("#!/bin/sh\necho 'Error: no roads today.' >&2\necho 'Quitting (on error).' >&2\nexit 1\n")
-    broken.chmod(0o755)
-    monkeypatch.setitem(sys.modules, "sumo", None)
-    monkeypatch.setenv("SUMO_HOME", str(tmp_path))
-    assert script.main(["--out", str(tmp_path / "x.csv")]) == 1
-    assert "netconvert failed: Error: no roads today." in capsys.readouterr().err
-    assert not (tmp_path / "x.csv").exists()
 
 
 @needs_sumo

@@ -58,13 +58,6 @@ def test_a_weight_counts_a_frame_as_often_as_it_says(occupied):
     np.testing.assert_allclose(weighted.prior, OccupiedFrames(repeated, len(GRID)).prior, atol=1e-15)
 
 
-def test_a_voxel_that_is_always_occupied_is_certain(occupied):
-    always = [np.union1d(frame, [5]) for frame in occupied]
-    prior = OccupiedFrames(always, len(GRID), np.arange(1, 13)).prior
-    assert prior[5] == 1.0
-    assert bernoulli_entropy(prior)[5] == 0.0
-
-
 @pytest.mark.parametrize(
     ("occupied", "weights", "message"),
     [
@@ -119,46 +112,6 @@ def test_the_entropy_of_an_even_chance_is_ln_2_and_of_certainty_0():
     np.testing.assert_allclose(bernoulli_entropy(p), bernoulli_entropy(1.0 - p), atol=1e-15)
 
 
-def test_a_frames_surprisal_is_that_of_the_state_of_every_covered_voxel(occupied):
-    frames = OccupiedFrames(occupied, len(GRID))
-    covered = covered_voxels(GRID, MOUNT, fan(), 12.0)
-    for number, inside in enumerate(occupied):
-        state = np.isin(np.arange(len(GRID)), inside)
-        terms = [
-            -math.log(p if filled else 1.0 - p)
-            for p, filled, met in zip(frames.prior.tolist(), state, covered, strict=True)
-            if met and 0.0 < p < 1.0
-        ]
-        assert frames.surprisal(covered)[number] == pytest.approx(sum(terms), rel=1e-12)
-
-
-def test_a_sensor_that_sees_nothing_gets_the_best_published_score(occupied):
-    """S-MIG and M-SOG as printed reward turning away; the positive form does not."""
-    frames = OccupiedFrames(occupied, len(GRID))
-    road = covered_voxels(GRID, MOUNT, fan(), 12.0)
-    sky = covered_voxels(GRID, MOUNT, fan() * [1.0, 1.0, 0.0] + [0.0, 0.0, 2.0], 12.0)
-    assert not sky.any()
-    for published in (s_mig, m_sog):
-        assert published(frames, sky) == 0.0 > published(frames, road)
-    assert covered_entropy(frames, sky) == 0.0 < covered_entropy(frames, road)
-
-
-def test_every_further_beam_lowers_s_mig_and_certain_air_raises_m_sog(occupied):
-    frames = OccupiedFrames(occupied, len(GRID))
-    few, more = (covered_voxels(GRID, MOUNT, fan()[:count], 12.0) for count in (40, 150))
-    assert s_mig(frames, more) < s_mig(frames, few)
-    assert covered_entropy(frames, more) > covered_entropy(frames, few)
-    with_air = few | (frames.prior == 0.0)
-    assert m_sog(frames, with_air) > m_sog(frames, few)
-    assert covered_entropy(frames, with_air) == pytest.approx(covered_entropy(frames, few))
-
-
-def test_a_second_beam_through_the_same_voxels_changes_nothing(occupied):
-    frames = OccupiedFrames(occupied, len(GRID))
-    once, twice = (covered_voxels(GRID, MOUNT, np.tile(fan(30), (times, 1)), 12.0) for times in (1, 2))
-    assert covered_entropy(frames, once) == covered_entropy(frames, twice) > 0.0
-
-
 # --- expected visibility ----------------------------------------------------------------------------------------------
 
 
@@ -189,38 +142,6 @@ def test_the_mean_number_of_voxels_expected_to_be_seen_is_the_visibility(occupie
     seen = frames.sums(reached)
     assert seen[3] == pytest.approx(sum(reached[voxel] for voxel in occupied[3]))
     assert np.average(seen, weights=weights) == pytest.approx(expected_visibility(frames.prior, reached), rel=1e-12)
-
-
-def test_a_wall_hides_what_lies_behind_it_and_nothing_hides_on_an_empty_road():
-    across = VoxelGrid((0.0, 2.0, 0.0), (1, 10, 1), 0.4)
-    beam, low = np.array([[0.0, 1.0, 0.0]]), np.array([0.2, 0.0, 0.2])
-    assert reach_probability(across, np.zeros(10), low, beam, 9.0).tolist() == [1.0] * 10
-    wall = np.eye(10)[4]
-    assert reach_probability(across, wall, low, beam, 9.0).tolist() == [1.0] * 5 + [0.0] * 5
-    assert expected_visibility(wall, reach_probability(across, wall, low, beam, 9.0)) == 1.0
-    half = np.full(10, 0.5)
-    np.testing.assert_allclose(reach_probability(across, half, low, beam, 9.0), 0.5 ** np.arange(10))
-
-
-def test_no_voxel_counts_for_more_than_its_probability_and_more_beams_never_see_less(occupied):
-    prior = OccupiedFrames(occupied, len(GRID)).prior
-    few, more = (reach_probability(GRID, prior, MOUNT, fan()[:count], 12.0) for count in (50, 150))
-    assert (more >= few).all()
-    assert more.max() <= 1.0
-    assert expected_visibility(prior, few) < expected_visibility(prior, more) < prior.sum()
-    np.testing.assert_array_equal(more > 0.0, covered_voxels(GRID, MOUNT, fan(), 12.0))
-
-
-def test_a_higher_mount_expects_to_see_more_of_dense_traffic():
-    lanes = [
-        GRID.in_boxes(np.array([[0.0, y, 0.8] for y in (3.5, 7.0)]), np.full((2, 3), [11.0, 2.0, 1.6]), np.zeros(2))
-    ]
-    prior = 0.5 * OccupiedFrames(lanes, len(GRID)).prior
-    low, high = (
-        expected_visibility(prior, reach_probability(GRID, prior, np.array([0.0, 0.0, z]), toward_road(z), 30.0))
-        for z in (1.0, 4.5)
-    )
-    assert high > 1.3 * low
 
 
 def toward_road(height):

@@ -120,7 +120,7 @@ def test_a_metric_in_a_file_has_the_digits_of_ours_in_workers_too(tmp_path, own,
 def test_a_metric_that_learns_does_so_from_the_frames_that_it_scores_searched_or_held_out(tmp_path, own, capsys):
     name = f"{own(CROWDED)}:crowded"
     scene = write_scene(tmp_path, MAPPED)
-    words = ("--metric", name, "--frames", 3, "--workers", 2, "--out", tmp_path / "run")
+    words = ("--metric", name, "--frames", 3, "--workers", 1, "--out", tmp_path / "run")
     done(capsys, "optimise", scene, *BUDGET, *words)
     run, site = outcome(tmp_path / "run"), bl.load_scene(scene, metric=name, frames=3)
     mount = np.array([site.scenario.deployment.pose([4.0, 0.0]).position[:2]])
@@ -270,9 +270,7 @@ def test_a_run_whose_plugin_has_changed_is_not_gone_on_with(tmp_path, own, capsy
 METRIC_FAULTS = {
     "import nothing_of_that_name": "line 1: ModuleNotFoundError: No module named 'nothing_of_that_name'",
     "def f(:\n": "own.py, line 1: SyntaxError: invalid syntax",
-    "raise SystemExit(3)": "own.py, line 1: SystemExit: 3",
     "g = 1": "defines no 'f'",
-    "f = 1": "own.py:f: is a int; allowed: a function with @blender_lidar.metric",
     "def f(returns):\n    return returns.count": "is a function; allowed: a function with @blender_lidar.metric",
     "import blender_lidar as bl\n@bl.metric(needs=['points', 'colour'])\ndef f(returns): pass": "unknown need 'colour'",
     "import blender_lidar as bl\n@bl.metric(learns=True)\ndef f(scene): scene.roads": "line 3: AttributeError",
@@ -310,13 +308,9 @@ SEARCH_FAULTS = {
     SEARCH + "    def ask(self): return self.x": "has no tell()",
     SEARCH
     + "    def ask(self): return self.x[0]\n    def tell(self, v): pass": "ask() gave float64 (2,); allowed: (s, 2)",
-    SEARCH + "    def ask(self): return []\n    def tell(self, v): pass": "ask() gave float64 (0,); allowed: (s, 2)",
-    SEARCH + "    def ask(self): return [['a', 'b']]\n    def tell(self, v): pass": "ask() gave <U1 (1, 2)",
     SEARCH + "    def ask(self): return [[1, 2], [1]]\n    def tell(self, v): pass": "ValueError",
     SEARCH
     + "    def ask(self): return [self.x[0] - 1]\n    def tell(self, v): pass": "ask() gave [1.0, -1.0]; allowed",
-    SEARCH + "    def ask(self): return self.x * float('nan')\n    def tell(self, v): pass": "TypeError",
-    SEARCH + "    def ask(self): return self.x\n    def tell(self): pass": "TypeError",
     SEARCH + "    def ask(self): return self.x\n    def tell(self, v): 1 / 0": "own.py:S', line 4: ZeroDivisionError",
 }
 

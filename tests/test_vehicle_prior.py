@@ -85,30 +85,6 @@ def test_a_vehicle_without_returns_gets_the_best_published_score():
         assert not np.signbit(published[-1])
 
 
-def test_where_no_training_vehicle_was_there_is_no_entropy():
-    prior = VehiclePrior.learn(sample(1))
-    bus = vehicle_returns(np.array([[5.9, 0.1, 1.0]]), np.array([0]), np.array([[12.0, 2.5, 3.2]]))
-    assert prior.covered_entropy(bus).tolist() == [0.0]
-
-
-def test_a_second_return_in_a_voxel_changes_nothing():
-    prior, others = VehiclePrior.learn(sample(1)), sample(2, vehicles=12)
-    twice = vehicle_returns(np.tile(others.points, (2, 1)), np.tile(others.vehicle, 2), others.size_m)
-    np.testing.assert_array_equal(prior.covered_entropy(twice), prior.covered_entropy(others))
-    np.testing.assert_array_equal(prior.m_sog(twice), prior.m_sog(others))
-
-
-def test_voxels_of_boxes_of_all_sizes_are_counted_from_their_middle():
-    """The voxel ahead of the middle, to its left and above it is the same one in a motorcycle and in a lorry."""
-    size = np.array([[2.0, 0.8, 1.2], [12.0, 2.5, 3.8], [4.5, 1.8, 1.5]])
-    one = vehicle_returns(np.array([[0.1, 0.1, 0.1], [0.15, 0.05, 0.19]]), np.array([0, 1]), size)
-    prior = VehiclePrior.learn(one)
-    assert prior.p.shape == (60, 14, 20)
-    assert prior.p[30, 7, 10] == pytest.approx(2 / 3)
-    assert prior.p.sum() == pytest.approx(2 / 3)
-    assert (prior.vehicles[30, 7, 10], prior.vehicles[0, 0, 0]) == (3, 1)
-
-
 def test_a_prior_without_vehicles_points_or_bounds_is_refused():
     returns = sample(1)
     with pytest.raises(InputError, match="no vehicle to learn from"):
