@@ -10,14 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 
 from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
-from blender_lidar.report.compare_figures import plot_against, plot_declines
 from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
 from blender_lidar.road import RoadFrame
 from blender_lidar.run.folder import Outcome
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.observation import CountedFrame
-from blender_lidar.studies.compare.detectors import Decline, Scatter
 from blender_lidar.traffic.boxes import DetectedBoxes
 from blender_lidar.traffic.vehicles import Vehicles
 
@@ -150,38 +148,15 @@ def occupancy(before: float, after: float, size: tuple[float, float, float] = CA
     }
 
 
-def decline(name: str, seed: int) -> Decline:
-    rng = np.random.default_rng(seed)
-    distance_m, mean = rng.uniform(3.0, 60.0, 80), np.linspace(1.0, 0.0, 5)
-    values = 1.0 - distance_m / 50.0 + rng.normal(0.0, 0.1, 80)
-    return Decline(
-        name, distance_m, values, np.arange(5.0, 50.0, 10.0), mean, mean - 0.1, np.append(mean[:-1] + 0.1, np.nan)
-    )
-
-
-def against(name: str, unit: str) -> Scatter:
-    rng = np.random.default_rng(3)
-    values = rng.uniform(0.0, 1.5, 60)
-    performance = np.clip(0.5 * values + rng.normal(0.0, 0.1, 60), 0.0, 1.0)
-    return Scatter(
-        name, unit, values, performance, (np.array([0.0, 0.7, 1.5]), np.array([0.1, 0.4, 0.7])), "0.85 (0.82 to 0.88)"
-    )
-
-
 def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
     """Every chart with small arguments of its own."""
     run = {"run": outcome()}
-    declines = [decline(name, seed) for seed, name in enumerate("abcde")]
-    detectors = [decline("one: confidence x IoU", 8), decline("other: confidence x IoU", 9)]
-    units = {"a": "", "b": "bits", "c": "points/m²", "d": "m"}
     return {
         "convergence": (plot_convergence, {**run, "history": history()}),
         "score_map": (plot_score_map, {**run, "score_map": score_map()}),
         "by_distance": (plot_by_distance, run),
         "blind_zones": (plot_blind_zones, {**run, "road": ROAD}),
         "clouds": (plot_clouds, {"vehicles": vehicles(4), "sights": sights(np.arange(12) % 3 > 0), **HEADINGS}),
-        "declines": (plot_declines, {"metrics": declines, "detectors": detectors, **HEADINGS}),
-        "against": (plot_against, {"metrics": [against(*of) for of in units.items()], **HEADINGS}),
         "detections": (plot_detections, detections()),
         "occupancy": (plot_occupancy, occupancy(0.02, 0.1)),
     }

@@ -215,7 +215,7 @@ def test_the_metric_and_the_search_need_numpy_alone():
 def test_every_room_but_those_of_the_extras_imports_with_numpy_alone():
     body = """
         rooms = "casting clouds commands metrics optimise report run scene scoring sensors traffic world"
-        for room in (*rooms.split(), "studies", "studies.compare"):
+        for room in (*rooms.split(), "studies"):
             package = importlib.import_module("blender_lidar." + room)
             for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
                 if module.ispkg:

@@ -214,27 +214,27 @@ def test_a_default_other_sensor_that_the_scene_does_not_suit_is_told_of_and_left
 
 def paired_file(path):
     error = {"median": 0.05, "interval_90": [0.04, 0.06]}
-    variants = [{"detail": "body", "losses": "none", "absolute_error_bits": error, "bias_bits": {"median": 0.0}}]
-    path.write_text(json.dumps({"sets": {"all": {"cars": 12, "variants": variants}}}))
+    variants = [{"detail": "body", "absolute_error_bits": error, "bias_bits": {"median": 0.0}}]
+    path.write_text(json.dumps({"vehicles": 12, "losses": "none", "variants": variants}))
     return path
 
 
 def test_the_errors_of_a_paired_comparison_stand_beside(tiny, tmp_path, capsys):
-    paired_file(tmp_path / "paired.json")
+    paired_file(tmp_path / "compare.json")
     words = ("--quick", "--other-sensor", "none", "--paired-errors", tmp_path, "--out", tmp_path / "run")
     out, _ = done(capsys, "chart", write_scene(tmp_path, MAPPED), *words)
-    assert "Against 12 real cars, median error per car [bits]: body (none) 0.050 (0.040 to 0.060)" in out
+    assert "Against 12 recorded vehicles (lost: none), median error of each [bits]: body 0.050 (0.040 to 0.060)" in out
 
 
 def test_what_is_no_paired_comparison_is_refused(tmp_path):
-    found = read_paired(paired_file(tmp_path / "paired.json"))
-    assert found["variants"] == [{"detail": "body", "losses": "none", "error_bits": 0.05, "interval_90": [0.04, 0.06]}]
-    for text in ("{}", "[]", "no JSON", '{"sets": {"all": {}}}', '{"sets": 3}'):
-        (tmp_path / "paired.json").write_text(text)
-        with pytest.raises(InputError, match=r"is no paired.json"):
+    found = read_paired(paired_file(tmp_path / "compare.json"))
+    assert found["variants"] == [{"detail": "body", "error_bits": 0.05, "interval_90": [0.04, 0.06]}]
+    for text in ("{}", "[]", "no JSON", '{"variants": [{}]}', '{"variants": 3}'):
+        (tmp_path / "compare.json").write_text(text)
+        with pytest.raises(InputError, match=r"is no compare.json"):
             read_paired(tmp_path)
-    (tmp_path / "paired.json").write_bytes(b"\xa2")
-    with pytest.raises(InputError, match=r"--paired-errors: .*is no paired.json"):
+    (tmp_path / "compare.json").write_bytes(b"\xa2")
+    with pytest.raises(InputError, match=r"--paired-errors: .*is no compare.json"):
         read_paired(tmp_path)
     with pytest.raises(MissingFileError, match="nothing: there is no such file"):
         read_paired(tmp_path / "nothing")
@@ -276,7 +276,7 @@ def test_the_other_sensor_is_part_of_what_a_resumed_chart_must_share(site):
     assert {key for key in alone if alone[key] != beside[key]} == {"chart other"}
 
 
-@pytest.mark.parametrize(("old", "new"), [("--tolerance", "--max-regret"), ("--paired", "--paired-errors")])
+@pytest.mark.parametrize(("old", "new"), [("--tolerance", "--max-regret")])
 def test_an_option_that_has_another_name_now_is_answered_with_it(capsys, tmp_path, old, new):
     line = refused(capsys, tmp_path, "chart", write_scene(tmp_path, MAPPED), old, "1%", "--out", tmp_path / "run")
     assert old in line

@@ -21,14 +21,13 @@ from blender_lidar.run.optimise import fresh_search
 from blender_lidar.run.replay import Replay
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.sensors.model import DATA_FOLDER, load_model
-from blender_lidar.studies.compare.detections import read_detections
-from blender_lidar.studies.compare.labelled import LAYOUTS, open_labelled
 from blender_lidar.studies.driver import StudyFolder
+from blender_lidar.studies.recorded import KITTI_PARTS, kitti_frame
 from blender_lidar.traffic import Recording, plan_frames, read_traffic
 from blender_lidar.traffic.sumo import read_types
 from tests import sumo_samples, traffic_samples
 from tests.fuzzing import FUZZED, fuzz, kept_promise
-from tests.labelled_samples import sample_cars, write_detections, write_kitti, write_sustech
+from tests.recorded_samples import street, write_kitti
 from tests.small_scene import HEADER, MAPPED, SETTINGS, traffic_rows, write_scene
 
 
@@ -194,35 +193,15 @@ def _of_boxes(boxes):
 
 @pytest.mark.parametrize("part", ["velodyne", "label_2", "calib"])
 def test_damaged_kitti(tmp_path, part):
-    write_kitti(tmp_path / "kitti", sample_cars(frames=1))
-    path = tmp_path / "kitti" / part / f"000000{LAYOUTS['KITTI'].folders[part]}"
+    write_kitti(tmp_path / "kitti", "000000", np.ones((200, 3)), street())
+    path = tmp_path / "kitti" / part / f"000000{KITTI_PARTS[part]}"
     sample = path.read_bytes()[:4000]
 
     def check(sweep):
         _of_boxes(sweep.boxes)
         assert np.isfinite(sweep.points).all()
 
-    assert fuzz(lambda _: open_labelled(tmp_path / "kitti").read("000000"), path, sample, check)
-
-
-def test_damaged_sustechpoints_labels(tmp_path):
-    write_sustech(tmp_path / "scene", sample_cars(frames=1))
-    path = tmp_path / "scene" / "label" / "000000.json"
-
-    def read(_):
-        return open_labelled(tmp_path / "scene").read("000000").boxes
-
-    assert fuzz(read, path, path.read_bytes(), _of_boxes)
-
-
-@pytest.mark.parametrize("name", ["cars.csv", "frames.csv"])
-def test_damaged_tables_of_detections(tmp_path, name):
-    path = write_detections(tmp_path / "cars.csv", sample_cars(frames=4))
-
-    def read(_):
-        return read_detections(path)
-
-    assert fuzz(read, tmp_path / name, (tmp_path / name).read_bytes())
+    assert fuzz(lambda _: kitti_frame(tmp_path / "kitti", "000000"), path, sample, check)
 
 
 # --- what runs have stored --------------------------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from blender_lidar.errors import BlenderLidarError, InputError
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.sensors.model import load_model
-from blender_lidar.studies.compare.detections import read_detections
 from blender_lidar.studies.driver import StudyFolder
 from blender_lidar.traffic import plan_frames, read_traffic
 from blender_lidar.traffic.sumo import read_types
@@ -145,7 +144,6 @@ READERS = {
     "sensor.csv": load_model,
     "cloud.npz": read_points,
     "cloud.pcd": read_points,
-    "cars.csv": read_detections,
     "result.json": lambda path: RunFolder(path.parent).read_outcome(),
     "vehicles.csv": lambda path: RunFolder(path.parent).read_vehicles(path.name),
 }

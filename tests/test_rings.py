@@ -11,14 +11,18 @@ import pytest
 from blender_lidar.errors import InputError
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
-from blender_lidar.studies.compare.rings import NO_POINT, Firings, Rays, crossing, recover_rings
-from tests.real_sweeps import HEIGHT_M, SENSOR, cloud_of, street
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.studies.rings import NO_POINT, Firings, Rays, crossing, recover_rings
+from tests.recorded_samples import HEIGHT_M, SENSOR, in_kitti_frame, scanned, street
+
+AT_THE_ORIGIN = Pose(height_m=0.0)
 
 
 @cache
 def sweep():
     """A turn over a street: its cloud and its points as KITTI keeps them."""
-    return cloud_of(street())
+    cloud = scanned(street())
+    return cloud, in_kitti_frame(cloud.xyz)
 
 
 def wrapped(angle):
@@ -87,7 +91,7 @@ def test_lasers_beside_the_origin_are_found_as_in_the_hdl_64e():
 def test_rays_run_through_the_points_that_they_returned_as():
     _, points = offset_sweep()
     rings = recover_rings(points)
-    rays, _ = Firings(points, rings).towards(np.array([20.0, 5.0, 0.0]), np.array([8.0, 4.0, 3.0]), 0.4)
+    rays, _ = Firings(points, rings, AT_THE_ORIGIN).towards(np.array([20.0, 5.0, 0.0]), np.array([8.0, 4.0, 3.0]), 0.4)
     returned = rays.point != NO_POINT
     at = rays.origin[returned] + rays.range_m[returned, None] * rays.direction[returned]
     np.testing.assert_allclose(at, points[rays.point[returned]], atol=1e-9)
@@ -103,7 +107,7 @@ def test_firings_that_did_not_return_are_put_back_where_they_were(centre):
     size, heading = np.array([4.5, 1.8, 1.6]), 0.7
     centre = np.array(centre)
     rings = recover_rings(points[kept])
-    rays, _ = Firings(points[kept], rings).towards(centre, size, heading)
+    rays, _ = Firings(points[kept], rings, AT_THE_ORIGIN).towards(centre, size, heading)
 
     lattice = beam_lattice(load_model(SENSOR))
     beams = lattice.directions.reshape(-1, 3)[:, [1, 0, 2]] * [1.0, -1.0, 1.0]

@@ -234,14 +234,6 @@ def in_words(name: str, value: object, where: str) -> object:
     return read(value, where) if read and isinstance(value, str) else value
 
 
-def label_classes(args: argparse.Namespace) -> tuple[str, ...]:
-    """What ``--class`` calls a car, in the words of a data set's labels."""
-    classes = tuple(name.strip() for name in args.classes or ["Car"])
-    if not all(classes):
-        raise InputError("--class: is empty; allowed: a name that the labels use")
-    return classes
-
-
 def check_scipy(what: str) -> None:
     """Refuse early what needs SciPy where it is not installed, as within a real Blender."""
     if find_spec("scipy") is None:

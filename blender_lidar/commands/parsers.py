@@ -8,9 +8,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
-from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, DETAILS, METRIC_NAMES, VIEWS
+from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, METRIC_NAMES, VIEWS
 from ..scene.settings import TrafficSettings
-from ..studies.compare import FRAMES_FILE, LABEL_MARGIN_M, MEASURED_LOSSES, OURS
 from ..toml_table import setting, settings_of
 from .options import SEARCH_OPTIONS, Renamed, add_moments, add_option, add_pose, add_scene
 
@@ -172,11 +171,10 @@ def _chart(subparsers) -> None:
     other = f"another than the scene's, with which the recommendation is tried too, or {NO_SENSOR}; by default "
     other += f"{OTHER_SENSORS[0]}, for a scene of its own {OTHER_SENSORS[1]}"
     add("--other-sensor", metavar="NAME", help=other)
-    paired = "paired.json of compare --paired, or its folder: its errors stand beside"
+    paired = "compare.json of compare, or its folder: its errors stand beside"
     add("--paired-errors", metavar="PATH", help=paired)
     told = "is an installer's error with other verbs; how much of the gain may be lost is --max-regret SHARE"
     add("--tolerance", action=Renamed, told=told)
-    add("--paired", action=Renamed, told="is a flag of compare; the errors that it found are --paired-errors PATH")
     _output(parser, resumed="study", quick="ten frames, fewer mountings and draws")
 
 
@@ -378,48 +376,99 @@ def _score(subparsers) -> None:
             add_option(group, settings[key], key, settings[key].default)
 
 
+@dataclass(frozen=True, slots=True)
+class CompareOptions:
+    """What `compare` compares, and how it is simulated.
+
+    Attributes
+    ----------
+    points : tuple of str or None
+        A recorded cloud, .npz with xyz or .pcd; again for more.
+    boxes : str or None
+        The labelled boxes, in the columns of vehicles.csv and the frame of the clouds.
+    frames : tuple of int or None
+        Frame of the boxes, for each cloud, where they come from several.
+    kitti : str or None
+        A folder in the layout of KITTI's object benchmark (velodyne, label_2, calib) in place of clouds and boxes.
+    classes : tuple of str or None
+        What the labels call the vehicles to compare, again for more; all that have a shape unless given.
+    distance_m : (float, float) or None
+        Leave out vehicles nearer or farther than this.
+    sensor : str or None
+        Its name, or a file; unless given, rings are recovered from the order of the points, ring after ring.
+    rotation_hz : float or None
+        Its rotation rate.
+    x_m, y_m, height_m : float
+        Where the sensor is in the frame of the clouds.
+    tilt_x_deg, tilt_y_deg, yaw_deg : float
+        How the sensor is turned in the frame of the clouds.
+    details : str
+        Levels of detail of the simulated vehicles, divided by commas.
+    losses : str or None
+        What the simulated sensor loses, by the keys of a scene's [sensor], such as dropout=0.05; nothing unless given.
+    label_margin_m : (float, float, float) or None
+        By how much labels are longer, wider and higher than the vehicles in them; 0 unless given, and with --kitti
+        0.15 0.06 0.01.
+    clearance_m : float
+        Points this little above a box's floor are left out, of both sides.
+    caster : str
+        What casts the rays.
+    out : str or None
+        Folder of the results; by default a new one under runs/.
+    json : bool
+        Print the content of the result file, and nothing else, on stdout.
+    """
+
+    points: tuple[str, ...] | None = setting(None, option="--points", metavar="CLOUD")
+    boxes: str | None = setting(None, option="--boxes", metavar="BOXES.csv")
+    frames: tuple[int, ...] | None = setting(None, option="--frame", metavar="K")
+    kitti: str | None = setting(None, option="--kitti", metavar="DIR")
+    classes: tuple[str, ...] | None = setting(None, option="--class", metavar="NAME")
+    distance_m: tuple[float, float] | None = setting(None, low=0.0, option="--distance", metavar=("NEAR", "FAR"))
+    sensor: str | None = setting(None, option="--sensor", metavar="NAME")
+    rotation_hz: float | None = setting(None, above=0.0, option="--rotation")
+    x_m: float = setting(0.0, option="--x", metavar="M")
+    y_m: float = setting(0.0, option="--y", metavar="M")
+    height_m: float = setting(0.0, option="--height", metavar="M")
+    tilt_x_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-x", metavar="DEG")
+    tilt_y_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-y", metavar="DEG")
+    yaw_deg: float = setting(0.0, low=-360.0, high=360.0, option="--yaw", metavar="DEG")
+    details: str = setting("body", option="--details", metavar="NAMES")
+    losses: str | None = setting(None, option="--losses", metavar="NAME=VALUE,...")
+    label_margin_m: tuple[float, float, float] | None = setting(
+        None, low=0.0, high=1.0, option="--label-margin", metavar=("L", "W", "H")
+    )
+    clearance_m: float = setting(0.15, low=0.0, high=1.0, option="--ground-clearance", metavar="M")
+    caster: str = setting("auto", allowed=("auto", *CASTERS), option="--caster")
+    out: str | None = setting(None, option="--out", metavar="DIR")
+    json: bool = setting(False, option="--json")
+
+
 def _compare(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "compare", "compare.run", "--kitti DIR", "hold shapes, beams and metrics against reality"),
-        "Compare with real, labelled sweeps: the same rays cast against our shapes (--paired), or metrics beside what "
-        "real detectors made of each car (--detections).",
-        "--paired --kitti DIR",
-        "--kitti DIR --detections cars.csv --metrics view-coverage,pe-vgop,distance",
+        *(
+            subparsers,
+            "compare",
+            "compare.run",
+            "--points CLOUD --boxes BOXES.csv --sensor NAME",
+            "a recorded, labelled cloud beside its simulation",
+        ),
+        "Compare recorded vehicles with simulated ones: the points that each labelled vehicle gave in a recorded "
+        "cloud, beside those that the simulated sensor gives it at the same place.",
+        "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --tilt-x 9",
+        "--kitti DIR --class Car --distance 10 50 --losses range_at_10_percent_m=50",
     )
-    add = parser.add_argument_group("sweeps").add_argument
-    add("--kitti", required=True, metavar="DIR", help="labelled sweeps in the layout of KITTI or SUSTechPOINTS")
-    called = "what the labels call a car; may be repeated (default Car, in small or capital letters)"
-    add("--class", dest="classes", action="append", metavar="NAME", help=called)
-
-    add = parser.add_argument_group("--paired", "the same rays in reality and against our shapes").add_argument
-    add("--paired", action="store_true", help="compare points, occupancies and PE-VGOP ray by ray")
-    add("--details", default=",".join(DETAILS), metavar="NAMES", help="levels of detail (default %(default)s)")
-    add("--caster", default="auto", choices=("auto", *CASTERS), help="what casts the rays")
-    add(
-        "--losses",
-        default=",".join(f"{name}={share:g}" for name, share in MEASURED_LOSSES.items()),
-        metavar="NAME=VALUE,...",
-        help="what the variants with losses lose, by the keys of a scene's [sensor] (default %(default)s)",
-    )
-    longer = "by how much labels are longer, wider and higher than the vehicles in them [m] "
-    longer += f"(default {' '.join(f'{margin:g}' for margin in LABEL_MARGIN_M)})"
-    add("--label-margin", type=float, nargs=3, default=LABEL_MARGIN_M, metavar=("L", "W", "H"), help=longer)
-
-    add = parser.add_argument_group("beside detectors").add_argument
-    made = "what detectors made of each car: frame, label_line, and NAME_confidence and NAME_iou3d for each detector"
-    add("--detections", metavar="CARS.csv", help=made)
-    told = f"split, label_kind and drive of each frame; by default {FRAMES_FILE} beside CARS.csv, if it is there"
-    add("--frames-table", metavar="CSV", help=told)
-    held = (
-        f"metrics of single vehicles, divided by commas; others are held against the first (default all, {OURS} first)"
-    )
-    add("--metrics", metavar="NAMES", help=held)
-    least = "leave out points this little above a box's floor [m] (default 0: none, as detectors see them too)"
-    add("--ground-clearance", type=float, default=0.0, metavar="M", help=least)
-    block = "resample N frames as one, in the order of their names (default 1); whole drives where they are told"
-    add("--block-frames", type=int, default=1, metavar="N", help=block)
-    add("--seed", type=int, default=1, help="of the resamples and folds (default 1)")
-    _output(parser, verbose=False)
+    groups = {
+        "what is compared": ("points", "boxes", "frames", "kitti", "classes", "distance_m"),
+        "sensor": ("sensor", "rotation_hz", "x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"),
+        "simulation": ("details", "losses", "label_margin_m", "clearance_m", "caster"),
+        "output": ("out", "json"),
+    }
+    settings = settings_of(CompareOptions)
+    for title, keys in groups.items():
+        group = parser.add_argument_group(title)
+        for key in keys:
+            add_option(group, settings[key], key, settings[key].default)
 
 
 # --- What there is ----------------------------------------------------------------------------------------------------

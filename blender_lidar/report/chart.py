@@ -247,11 +247,14 @@ def _validated(result: Mapping) -> list[str]:
 def _paired(result: Mapping) -> list[str]:
     paired = result["paired"]
     told = paired and [
-        f"{one['detail']} ({one['losses']}) {one['error_bits']:.3f}"
+        f"{one['detail']} {one['error_bits']:.3f}"
         + ("" if one["interval_90"] is None else f" ({one['interval_90'][0]:.3f} to {one['interval_90'][1]:.3f})")
         for one in paired["variants"]
     ]
-    return [f"Against {paired['cars']} real cars, median error per car [bits]: {'; '.join(told)}"] if told else []
+    head = (
+        told and f"Against {paired['cars']} recorded vehicles (lost: {paired['losses']}), median error of each [bits]"
+    )
+    return [f"{head}: {'; '.join(told)}"] if told else []
 
 
 CHART_REPORT = StudyReport(

@@ -162,3 +162,7 @@ class Pose:
         x, y, z = directions.T
         # Added up in this order everywhere, so that all casters get the same rays; `@` may do it otherwise.
         return np.stack([turned[0] * x + turned[1] * y + turned[2] * z for turned in self.rotation.T]).T
+
+    def to_sensor(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) of the road frame in the sensor frame [m]: the inverse of Eq. 2."""
+        return (points - self.position) @ self.rotation.T

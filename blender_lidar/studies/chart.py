@@ -19,7 +19,6 @@ from ..files import read_text, reading
 from ..scene.site import Site
 from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
 from .ablations import OFFSETS, Compared, ablation_rows, ablations
-from .compare.paired_findings import RESULT, judging
 from .driver import HELD_OUT, SEARCHED, Job, Landscape, StudyFolder, judging_split, split_of, study_head
 from .effects import BASELINE_ROW, BOUND_LEVEL, FIRST, SURE, Candidates, Reference, accuracy, candidates
 from .ladder import (
@@ -43,6 +42,7 @@ from .ladder import (
     whole,
 )
 
+COMPARISON = "compare.json"
 CHART_SCHEMA = 2  # of the stages and of the result
 
 
@@ -237,30 +237,31 @@ def within_tolerance(share: float | None, interval: tuple[float, float] | None, 
 
 
 def read_paired(path: str | Path) -> dict:
-    """The errors of a paired comparison, from its `paired.json` or the folder that holds it.
+    """The errors of a comparison with recorded clouds, from its `compare.json` or the folder that holds it.
 
     Returns
     -------
     dict
-        ``file``, ``set``, ``cars`` and ``variants``: of each detail and losses the median absolute error of PE-VGOP per
-        car and its 90 % interval [bits], or None.
+        ``file``, ``cars``, ``losses`` and ``variants``: of each level of detail the median absolute error of PE-VGOP
+        per vehicle and its 90 % interval [bits], or None.
 
     Raises
     ------
     MissingFileError, InputError
-        When there is no such file, or it is not of a paired comparison.
+        When there is no such file, or it is not of a comparison.
     """
     path = Path(path)
-    path = path / RESULT if path.is_dir() else path
+    path = path / COMPARISON if path.is_dir() else path
     try:
-        with reading(path, RESULT):
-            sets = json.loads(read_text(path))["sets"]
-        name, variants = judging(sets), []
-        for one in sets[name]["variants"]:
+        with reading(path, COMPARISON):
+            found, variants = json.loads(read_text(path)), []
+        for one in found["variants"]:
             error = one["absolute_error_bits"]
             interval = error["interval_90"] and [float(end) for end in error["interval_90"]]
-            told = {"detail": str(one["detail"]), "losses": str(one["losses"])}
-            variants.append({**told, "error_bits": float(error["median"]), "interval_90": interval})
-        return {"file": path.name, "set": name, "cars": int(sets[name]["cars"]), "variants": variants}
+            variants.append(
+                {"detail": str(one["detail"]), "error_bits": float(error["median"]), "interval_90": interval}
+            )
+        losses = str(found["losses"])
+        return {"file": path.name, "cars": int(found["vehicles"]), "losses": losses, "variants": variants}
     except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"--paired-errors: {path}: is no {RESULT} of blender-lidar compare --paired") from error
+        raise InputError(f"--paired-errors: {path}: is no {COMPARISON} of blender-lidar compare") from error

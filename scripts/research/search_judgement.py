@@ -13,7 +13,6 @@ import numpy as np
 from scipy import stats
 
 from blender_lidar.errors import InputError
-from blender_lidar.studies.compare.resampling import holm
 from search_problems import BBOB_DIMENSIONS, BBOB_GROUPS, CASES
 from search_solvers import DE_PSO_FORMS, OURS, RIVALS, SOLVERS, checkpoints
 
@@ -147,6 +146,15 @@ def _scene_rules(rows: Sequence, best: dict[str, np.ndarray]) -> tuple:
 
 
 # --- judgement --------------------------------------------------------------------------------------------------------
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Holm-Bonferroni: p-values adjusted for their number (Holm 1979), in the order given; NaN does not count."""
+    p = np.asarray(p_values, dtype=float)
+    order = np.argsort(p, kind="stable")[: int(np.isfinite(p).sum())]  # NaN comes last
+    adjusted = np.full(len(p), np.nan)
+    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1.0)
+    return adjusted.tolist()
 
 
 def judgement(parts: Sequence[Part]) -> dict:

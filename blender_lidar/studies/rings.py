@@ -1,4 +1,7 @@
-"""Rings and rays of a rotating LiDAR, recovered from a sweep alone: elevations, laser offsets, rays without a return.
+"""Rings and rays of a recorded revolution of a LiDAR: ring of each point, elevations, rays without a return.
+
+Where the sensor is known, each point belongs to the nearest ring of its beam table. Else the rings are recovered from
+the order of the points, laser offsets included.
 
 Files of rotating LiDARs such as KITTI's keep ring after ring, in each of which the azimuth turns once; a new ring
 starts where it wraps. Lasers do not fire from one point: in KITTI's HDL-64E the rays of the upper block cross the axis
@@ -20,8 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...errors import InputError
-from ...metrics.vgop import to_vehicle_frame
+from ..errors import InputError
+from ..metrics.vgop import to_vehicle_frame
+from ..sensors.beams import BeamLattice
+from ..sensors.pose import Pose
 
 FEWEST_RINGS, MOST_RINGS = 4, 256
 _FEWEST_RETURNS = 8  # of half of the rings; high ones may see next to nothing
@@ -42,7 +47,7 @@ NO_POINT = -1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rings:
-    """The rings of one sweep; ring 0 is the lowest.
+    """The rings of one revolution; ring 0 is the lowest.
 
     Attributes
     ----------
@@ -51,7 +56,7 @@ class Rings:
     elevation_rad : ndarray, (r,)
         Angle of each ring above the horizontal, seen from its own laser [rad]; rising, but for rings of few returns.
     height_m : ndarray, (r,)
-        Where the ring's rays cross the vertical axis, above the origin [m].
+        Where the ring's rays cross the sensor's axis, above the origin [m].
     lateral_m : ndarray, (r,)
         How far its rays pass the axis by, to the left of their direction [m].
     step_rad : float
@@ -71,8 +76,38 @@ class Rings:
         return len(self.elevation_rad)
 
 
+def table_rings(points: np.ndarray, lattice: BeamLattice) -> tuple[Rings, float]:
+    """The rings of a known sensor, and how well its beam table fits a cloud.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        Returns in the sensor's frame, in any order [m].
+    lattice : BeamLattice
+
+    Returns
+    -------
+    rings : Rings
+        Every ring of the table; each point belongs to the one with the nearest elevation.
+    share : float
+        Of the points, how many are within a quarter of the spacing of rings from a ring: about a half where the table
+        has nothing to do with the cloud, nearly all where sensor, pose and table are right.
+    """
+    elevation, rho = lattice.elevation_rad, np.hypot(points[:, 0], points[:, 1])
+    seen = np.arctan2(points[:, 2], rho)
+    above = np.clip(np.searchsorted(elevation, seen), 1, len(elevation) - 1)
+    gap = elevation[above] - elevation[above - 1]
+    from_below = (seen - elevation[above - 1]) / gap
+    ring = above - (from_below < 0.5)
+    share = float((np.abs(seen - elevation[ring]) <= 0.25 * gap).mean()) if len(points) else 0.0
+    off = np.abs(points[:, 2] - rho * np.tan(elevation[ring]))
+    none = np.zeros(len(elevation))
+    spread_m = float(np.median(off)) if len(points) else math.nan
+    return Rings(ring, elevation, none, none, lattice.step_rad, spread_m), share
+
+
 def recover_rings(points: np.ndarray, where: str = "the sweep") -> Rings:
-    """The rings of a sweep whose points are in ring order.
+    """The rings of a sweep whose points are in ring order, of a sensor that need not be known.
 
     Parameters
     ----------
@@ -102,7 +137,8 @@ def recover_rings(points: np.ndarray, where: str = "the sweep") -> Rings:
     else:
         raise InputError(
             f"{where}: its {len(points)} points are not in ring order; allowed: ring after ring from the top or from "
-            "the bottom, each one turn that starts ahead (+x) or behind (-x), as in KITTI's .bin files and `scan`'s"
+            "the bottom, each one turn that starts ahead (+x) or behind (-x), as in KITTI's .bin files; points in "
+            "another order need --sensor NAME"
         )
     level = (np.diff(ring) == 0) & (np.abs(np.diff(1.0 / np.maximum(rho, 1e-9))) < _LEVEL)
     steps = np.abs(_wrapped(np.diff(azimuth)))[level]
@@ -163,14 +199,14 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 
 
 class Rays(NamedTuple):
-    """Rays of one sweep.
+    """Rays of one revolution.
 
     Attributes
     ----------
     origin, direction : ndarray, (k, 3)
-        Where each starts [m, sensor frame], and its unit vector; through the point where it returned.
+        Where each starts [m, frame of the cloud], and its unit vector; through the point where it returned.
     point : ndarray of int64, (k,)
-        Row of the sweep's point that it returned as; `NO_POINT` where it did not return.
+        Row of the cloud's point that it returned as; `NO_POINT` where it did not return.
     range_m : ndarray, (k,)
         How far away that point is along the ray [m]; inf where there is none.
     """
@@ -182,21 +218,24 @@ class Rays(NamedTuple):
 
 
 class Firings:
-    """What a sensor fired during one sweep, recovered from what returned.
+    """What a sensor fired during one revolution: what returned, and the firings between that did not.
 
     Parameters
     ----------
     points : ndarray, (n, 3)
-        The sweep's returns [m, sensor frame].
+        The returns [m, frame of the cloud].
     rings : Rings
-        Their rings.
+        Their rings, of the points in the sensor's frame, ``pose.to_sensor(points)``.
+    pose : Pose
+        Of the sensor in the frame of the cloud.
     """
 
-    def __init__(self, points: np.ndarray, rings: Rings) -> None:
-        self._points, self._rings = points, rings
-        rho = np.hypot(points[:, 0], points[:, 1])
+    def __init__(self, points: np.ndarray, rings: Rings, pose: Pose) -> None:
+        self._points, self._rings, self._pose = points, rings, pose
+        local = pose.to_sensor(points)
+        rho = np.hypot(local[:, 0], local[:, 1])
         parallax = np.arcsin(np.clip(rings.lateral_m[rings.ring] / np.maximum(rho, 1e-9), -1.0, 1.0))
-        azimuth = np.mod(np.arctan2(points[:, 1], points[:, 0]) - parallax, _TURN)
+        azimuth = np.mod(np.arctan2(local[:, 1], local[:, 0]) - parallax, _TURN)
         order = np.lexsort((azimuth, rings.ring))
         ring, azimuth = rings.ring[order], azimuth[order]
         first = np.searchsorted(ring, ring)  # of its ring
@@ -206,38 +245,43 @@ class Firings:
         lacking = np.maximum(np.round(gap / rings.step_rad).astype(int) - 1, 0)
         number = np.arange(lacking.sum()) - np.repeat(np.cumsum(lacking) - lacking, lacking) + 1
         between = np.mod(np.repeat(azimuth, lacking) + np.repeat(gap / (lacking + 1), lacking) * number, _TURN)
-        self._azimuth = np.concatenate([azimuth, between])
-        self._ring = np.concatenate([ring, np.repeat(ring, lacking)])
-        self._point = np.concatenate([order, np.full(len(between), NO_POINT)])
+        dark = np.setdiff1d(np.arange(len(rings)), ring)  # nothing returned on these
+        turn = np.arange(0.0, _TURN, rings.step_rad)
+        self._azimuth = np.concatenate([azimuth, between, np.tile(turn, len(dark))])
+        self._ring = np.concatenate([ring, np.repeat(ring, lacking), np.repeat(dark, len(turn))])
+        self._point = np.full(len(self._ring), NO_POINT)
+        self._point[: len(order)] = order
 
     def towards(self, centre: np.ndarray, size: np.ndarray, heading: float) -> tuple[Rays, np.ndarray]:
-        """All rays that meet a box, which must not hold the sensor's axis, and how far along each it enters the box.
+        """All rays that meet a box, and how far along each it enters the box.
 
         They go ring by ring, first those that returned, each with the azimuth rising.
 
         Parameters
         ----------
         centre, size : ndarray, (3,)
-            Box centre; length, width and height [m, sensor frame].
+            Box centre; length, width and height [m, frame of the cloud].
         heading : float
             Counter-clockwise from +x [rad].
         """
-        reach = 0.5 * math.hypot(*size[:2]) + np.abs(self._rings.lateral_m).max()
-        bearing, widest = math.atan2(centre[1], centre[0]) % _TURN, math.asin(min(reach / math.hypot(*centre[:2]), 1.0))
-        near = np.flatnonzero(np.abs(np.abs(self._azimuth - bearing) - math.pi) >= math.pi - widest)
-        aside = _wrapped(self._azimuth[near] - bearing)
-        near = near[np.lexsort((aside, self._point[near] == NO_POINT, self._ring[near]))]
+        x, y, _ = self._pose.to_sensor(centre)
+        away, reach = math.hypot(x, y), 0.5 * float(np.linalg.norm(size)) + np.abs(self._rings.lateral_m).max()
+        bearing, widest = math.atan2(y, x) % _TURN, math.asin(reach / away) if reach < away else math.pi
+        aside = _wrapped(self._azimuth - bearing)
+        near = np.flatnonzero(np.abs(aside) <= widest)
+        near = near[np.lexsort((aside[near], self._point[near] == NO_POINT, self._ring[near]))]
         rays = self._rays(self._azimuth[near], self._point[near], self._ring[near])
         entry, leave = crossing(rays, centre, size, heading)
         meets = (leave >= entry) & (leave > 0.0)
         return Rays(*(values[meets] for values in rays)), entry[meets]
 
     def _rays(self, azimuth: np.ndarray, point: np.ndarray, ring: np.ndarray) -> Rays:
-        """Rays of rings at azimuths counter-clockwise from +x, and the points that they returned as, (k,) each."""
+        """Rays of rings at azimuths counter-clockwise from the sensor's +x, and the points they returned as."""
         lateral, elevation = self._rings.lateral_m[ring], self._rings.elevation_rad[ring]
         cos, sin, level = np.cos(azimuth), np.sin(azimuth), np.cos(elevation)
-        origin = np.column_stack([-lateral * sin, lateral * cos, self._rings.height_m[ring]])
-        direction = np.column_stack([cos * level, sin * level, np.sin(elevation)])
+        start = np.column_stack([-lateral * sin, lateral * cos, self._rings.height_m[ring]])
+        origin = self._pose.position + self._pose.to_world(start)
+        direction = self._pose.to_world(np.column_stack([cos * level, sin * level, np.sin(elevation)]))
         returned = point != NO_POINT
         way = self._points[point[returned]] - origin[returned]
         distance = np.full(len(point), np.inf)

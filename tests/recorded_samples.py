@@ -1,10 +1,11 @@
-"""Sweeps of our own sensor, written as KITTI has them: the comparison with reality is tried on what is known."""
+"""Clouds of our own sensor, written as recordings are: the comparison with reality is tried on what is known."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.clouds.scan import scan
@@ -13,10 +14,13 @@ from blender_lidar.sensors.imperfections import PERFECT
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES, Vehicles
-from tests.labelled_samples import write_kitti_sweep
 
+KITTI = Path(__file__).parents[1].parent / "shared" / "data" / "kitti"
+needs_kitti = pytest.mark.skipif(not KITTI.is_dir(), reason=f"no KITTI excerpt at {KITTI}")
+CASTER = "embree" if is_available("embree") else "exact"
 HEIGHT_M = 1.73
 SENSOR = "HDL-64E-S3"
+CALIBRATION = "R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\n"
 
 
 def street(seed: int = 1, cars: int = 7) -> Vehicles:
@@ -38,18 +42,17 @@ def street(seed: int = 1, cars: int = 7) -> Vehicles:
     )
 
 
-def cloud_of(vehicles: Vehicles, detail: str = "body", imperfections=PERFECT):
-    """The cloud of one turn over vehicles, and its points in KITTI's frame, in the order of rings and azimuths."""
-    cloud = scan(
+def scanned(vehicles: Vehicles, pose: Pose | None = None, sensor=SENSOR, detail: str = "body", imperfections=PERFECT):
+    """The cloud of one turn over vehicles, in the road frame."""
+    return scan(
         vehicles,
-        beam_lattice(load_model(SENSOR)),
-        Pose(height_m=HEIGHT_M),
-        caster="embree" if is_available("embree") else "exact",
+        beam_lattice(load_model(sensor)),
+        Pose(height_m=HEIGHT_M) if pose is None else pose,
+        caster=CASTER,
         detail=detail,
         max_range_m=60.0,
         imperfections=imperfections,
     )
-    return cloud, in_kitti_frame(cloud.xyz)
 
 
 def in_kitti_frame(xyz: np.ndarray) -> np.ndarray:
@@ -57,8 +60,8 @@ def in_kitti_frame(xyz: np.ndarray) -> np.ndarray:
     return xyz[:, [1, 0, 2]] * [1.0, -1.0, 1.0] - [0.0, 0.0, HEIGHT_M]
 
 
-def write_kitti(folder: Path, name: str, points: np.ndarray, vehicles: Vehicles, labels=None) -> None:
-    """One sweep with its labels."""
+def write_kitti(folder: Path, name: str, points: np.ndarray, vehicles: Vehicles, labels=None) -> Path:
+    """One frame in KITTI's layout, its points in the order of rings and azimuths; gives the folder."""
     lines = []
     for row in range(len(vehicles)):
         x, y, _ = vehicles.centre_m[row].tolist()
@@ -66,4 +69,10 @@ def write_kitti(folder: Path, name: str, points: np.ndarray, vehicles: Vehicles,
         turn = -float(vehicles.heading_rad[row])  # about the camera's y axis, from its x axis: the road frame's
         what = "Car" if labels is None else labels[row]
         lines.append(f"{what} 0 0 0 0 0 1 1 {height!r} {width!r} {length!r} {x!r} {HEIGHT_M!r} {y!r} {turn!r}")
-    write_kitti_sweep(folder, name, points, lines)
+    for part in ("velodyne", "label_2", "calib"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    rows = np.column_stack([points, np.full(len(points), 0.3)]).astype("<f4")
+    (folder / "velodyne" / f"{name}.bin").write_bytes(rows.tobytes())
+    (folder / "calib" / f"{name}.txt").write_text(CALIBRATION, encoding="utf-8")
+    (folder / "label_2" / f"{name}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder

@@ -1,0 +1,326 @@
+"""Clouds beside their simulation: those that our shapes made are recognised, and what hides a vehicle is set aside."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from blender_lidar.cli import main
+from blender_lidar.errors import InputError
+from blender_lidar.files import write_columns
+from blender_lidar.metrics.vgop import occupancy, pe_vgop
+from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.imperfections import Imperfections
+from blender_lidar.sensors.model import load_model
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.studies.compare import Setup, aggregate, compare_frames, median_interval
+from blender_lidar.studies.recorded import KITTI_MARGIN_M, RecordedFrame, kitti_frame, kitti_names, tabled_frames
+from tests.recorded_samples import (
+    CASTER,
+    HEIGHT_M,
+    KITTI,
+    SENSOR,
+    in_kitti_frame,
+    needs_kitti,
+    scanned,
+    street,
+    write_kitti,
+)
+from tests.refusals import refused
+from tests.sample_traffic import joined
+
+LEVELS = ("box", "body", "detailed")
+PLAIN = Setup(details=("body",), caster=CASTER)
+
+
+def frames_of(folder):
+    return [kitti_frame(folder, name) for name in kitti_names(folder)]
+
+
+@pytest.fixture(scope="module")
+def bodies(tmp_path_factory):
+    """Three frames in KITTI's layout of streets whose cars are bodies."""
+    folder = tmp_path_factory.mktemp("bodies")
+    for seed in (1, 2, 3):
+        vehicles = street(seed)
+        write_kitti(folder, f"00000{seed}", in_kitti_frame(scanned(vehicles).xyz), vehicles)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def paired(bodies):
+    """By level of detail the columns of every car."""
+    table = compare_frames(frames_of(bodies), replace(PLAIN, details=LEVELS)).table
+    return {detail: {key: of[table["detail"] == detail] for key, of in table.items()} for detail in LEVELS}
+
+
+def test_the_level_that_the_cloud_was_made_of_has_no_error_and_the_others_have(paired):
+    error = {detail: np.abs(of["error_bits"]) for detail, of in paired.items()}
+    assert len(error["body"]) > 15
+    assert error["body"].max() < 0.03
+    assert np.median(error["body"]) < 0.002
+    assert np.median(error["box"]) > 0.05
+    assert np.median(error["detailed"]) > 0.01
+
+
+def test_with_the_true_shapes_every_ray_gives_the_same_point(paired):
+    real, simulated, both = (paired["body"][f"{of}_points"].sum() for of in ("real", "simulated", "both"))
+    assert real > 3000
+    assert both > 0.995 * max(real, simulated)
+    assert np.nanmax(paired["body"]["range_error_m"]) < 1e-4
+
+
+def test_the_columns_are_those_of_the_metric(bodies, paired):
+    """One car by hand: the points in its box, as `metrics` scores them."""
+    frame, of = kitti_frame(bodies, "000001"), paired["body"]
+    boxes = frame.boxes
+    row = int(np.argmin(np.hypot(*boxes.centre_m[:, :2].T)))
+    cos, sin = np.cos(boxes.heading_rad[row]), np.sin(boxes.heading_rad[row])
+    away = frame.points - boxes.centre_m[row]
+    local = np.column_stack([cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0], away[:, 2]])
+    half = 0.5 * boxes.size_m[row]
+    mine = (np.abs(local) <= half + 0.05).all(axis=1) & (local[:, 2] >= 0.15 - half[2])
+    at = np.flatnonzero((of["frame"] == "000001") & (of["vehicle_id"] == boxes.number[row]))[0]
+    size, first = boxes.size_m[row : row + 1], np.zeros(int(mine.sum()), dtype=int)
+    assert of["real_points"][at] == mine.sum() > 100
+    assert of["real_entropy_bits"][at] == pytest.approx(pe_vgop(local[mine], first, size)[0])
+    shares = [of[f"real_p_{view}"][at] for view in ("top", "side", "front")]
+    np.testing.assert_allclose(shares, occupancy(local[mine], first, size)[0])
+    assert of["distance_m"][at] == pytest.approx(np.hypot(*boxes.centre_m[row, :2]))
+    assert of["hidden_share"][at] == 0.0
+
+
+def one_frame(folder, vehicles, labels=None):
+    """One frame in KITTI's layout over vehicles, read back."""
+    write_kitti(folder, "1", in_kitti_frame(scanned(vehicles).xyz), vehicles, labels)
+    return frames_of(folder)
+
+
+def test_losses_are_those_that_scans_know(tmp_path):
+    """A cloud that lost its weak returns is matched by a simulation that loses them, and not by another."""
+    weak, vehicles = Imperfections(range_at_10_percent_m=20.0), street(1)
+    perfect, lossy = scanned(vehicles), scanned(vehicles, imperfections=weak)
+    road, cars = perfect.vehicle_id < 0, lossy.vehicle_id >= 0  # of the far road nothing would be left
+    parts = [(cloud.ring[kept], cloud.azimuth_rad[kept]) for cloud, kept in ((perfect, road), (lossy, cars))]
+    order = np.lexsort(tuple(np.concatenate(column) for column in zip(*parts, strict=True))[::-1])
+    points = in_kitti_frame(np.concatenate([perfect.xyz[road], lossy.xyz[cars]])[order])
+    frames = frames_of(write_kitti(tmp_path, "1", points, vehicles))
+    error = {
+        name: np.abs(compare_frames(frames, replace(PLAIN, losses=losses)).table["error_bits"])
+        for name, losses in {"weak": weak, "none": Imperfections(), "any": Imperfections(dropout=0.3)}.items()
+    }
+    assert np.median(error["weak"]) < 0.005
+    assert min(np.median(error["none"]), np.median(error["any"])) > 0.03
+
+
+def test_shares_that_are_lost_by_chance_are_lost(tmp_path):
+    frames = one_frame(tmp_path, street(4))
+    counts = {
+        losses: compare_frames(frames, replace(PLAIN, losses=losses)).table["simulated_points"].sum()
+        for losses in (Imperfections(), Imperfections(dropout=0.3), Imperfections(glass_dropout=1.0))
+    }
+    whole, thinned, without_glass = counts.values()
+    assert thinned == pytest.approx(0.7 * whole, rel=0.05)
+    assert 0.5 * whole < without_glass < 0.95 * whole
+
+
+def test_what_an_unlabelled_thing_hid_counts_on_neither_side(tmp_path):
+    """A second car stands before half of the first, and is labelled in one of two otherwise equal folders."""
+    vehicles = street(5, cars=1)
+    target = replace(vehicles, centre_m=np.array([[0.0, 25.0, 0.75]]), heading_rad=np.array([0.0]))
+    before = replace(target, centre_m=np.array([[1.3, 15.0, 0.75]]), heading_rad=np.array([1.2]))
+    both = replace(joined(target, before), vehicle_id=np.arange(2))
+    labelled, unlabelled = (
+        compare_frames(one_frame(tmp_path / second, both, ["Car", second]), PLAIN).table
+        for second in ("Car", "DontCare")
+    )
+    assert 0.1 < unlabelled["hidden_share"][0] < 0.9
+    assert abs(unlabelled["error_bits"][0]) < 0.02  # the hidden rays are set aside
+    assert abs(labelled["error_bits"][0]) < 0.05  # what is labelled hides in the simulation too
+    assert labelled["real_points"][0] == unlabelled["real_points"][0]
+
+
+def test_intervals_cover_the_median_of_frames_that_differ():
+    """Of 200 sets of 20 frames of 8 cars, whose frames differ as much as their cars, nine in ten hold the truth."""
+    rng = np.random.default_rng(6)
+    frame = np.repeat(np.arange(20), 8)
+    held = 0
+    for _ in range(200):
+        values = rng.normal(size=20)[frame] + rng.normal(size=160)
+        low, high = median_interval(values, frame)["interval_90"]
+        held += low <= 0.0 <= high
+    assert 165 <= held <= 195
+
+
+@needs_kitti
+def test_real_cars_are_nearer_to_shapes_that_lose_weak_returns_than_to_boxes():
+    frames = [kitti_frame(KITTI, name) for name in kitti_names(KITTI)[::6]]
+    setup = replace(PLAIN, margin_m=KITTI_MARGIN_M, classes=("Car",), between_m=(10.0, 50.0))
+    weak = Imperfections(range_at_10_percent_m=50.0)
+    shapes = compare_frames(frames, replace(setup, details=("body", "detailed"), losses=weak))
+    boxes = compare_frames(frames, replace(setup, details=("box",)))
+    assert shapes.sensor["rings"] == [64]
+    assert shapes.sensor["off_ring_m"] < 0.001
+    errors = [of["absolute_error_bits"]["median"] for one in (shapes, boxes) for of in aggregate(one.table)["variants"]]
+    assert max(errors[:2]) < 0.08 < errors[2]
+
+
+# --- A known sensor, in any mounting and any order of the points ------------------------------------------------------
+
+TILTED = Pose(x_m=3.0, y_m=-2.0, height_m=4.1, tilt_x=math.radians(9.0), tilt_y=math.radians(-2.0), yaw=0.4)
+
+
+def setup_of(sensor, pose=TILTED):
+    return replace(PLAIN, lattice=beam_lattice(load_model(sensor)), pose=pose)
+
+
+def only(cloud, which):
+    """The points of a cloud that a mask picks."""
+    return SimpleNamespace(xyz=cloud.xyz[which])
+
+
+def recorded(cloud, vehicles, tmp_path):
+    """A cloud in any order, as NPZ, beside a table of boxes; the paths of both."""
+    shuffled = np.random.default_rng(1).permutation(len(cloud.xyz))
+    np.savez(tmp_path / "cloud.npz", xyz=cloud.xyz[shuffled])
+    columns = dict(zip(("x_m", "y_m", "z_m"), vehicles.centre_m.T, strict=True))
+    columns |= dict(zip(("length_m", "width_m", "height_m"), vehicles.size_m.T, strict=True))
+    named = {"frame": np.full(len(vehicles), 5), "vehicle_id": vehicles.vehicle_id, "class": vehicles.class_name}
+    write_columns(tmp_path / "boxes.csv", {**named, **columns, "heading_deg": np.degrees(vehicles.heading_rad)})
+    return str(tmp_path / "cloud.npz"), str(tmp_path / "boxes.csv")
+
+
+@pytest.mark.parametrize("sensor", ["RS-16", "RS-80"])
+def test_a_tilted_sensor_is_simulated_as_its_cloud_was(tmp_path, sensor):
+    vehicles = street(2, cars=5)
+    cloud, boxes = recorded(scanned(vehicles, TILTED, sensor), vehicles, tmp_path)
+    found = compare_frames(tabled_frames([cloud], boxes, None), setup_of(sensor))
+    table = found.table
+    assert (found.sensor["share_on_rings"], len(table["frame"])) == (1.0, 5)
+    assert table["real_points"].min() > 10
+    np.testing.assert_allclose(table["simulated_points"], table["real_points"], rtol=0.03, atol=3)
+    assert np.abs(table["error_bits"]).max() < 0.02
+    away = np.hypot(vehicles.centre_m[:, 0] - 3.0, vehicles.centre_m[:, 1] + 2.0)
+    np.testing.assert_allclose(table["distance_m"], away, atol=1e-6)
+
+
+def test_rings_on_which_nothing_returned_are_simulated_too(tmp_path):
+    """Of vehicles that gave no point, what the sensor should have seen of them is there."""
+    vehicles = street(2, cars=5)
+    cloud = scanned(vehicles, TILTED, "RS-16")
+    path, boxes = recorded(cloud, vehicles, tmp_path)
+    seen = compare_frames(tabled_frames([path], boxes, None), setup_of("RS-16")).table["real_points"]
+    path, boxes = recorded(only(cloud, (cloud.vehicle_id < 0) & (cloud.ring < 8)), vehicles, tmp_path)
+    table = compare_frames(tabled_frames([path], boxes, None), setup_of("RS-16")).table
+    assert table["real_points"].sum() == 0
+    np.testing.assert_allclose(table["simulated_points"], seen, rtol=0.05, atol=3)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "pose"),
+    [("RS-32", TILTED), ("RS-80", replace(TILTED, tilt_x=math.radians(7.5))), ("RS-80", replace(TILTED, height_m=3.0))],
+    ids=["another sensor", "another tilt", "another height"],
+)
+def test_a_beam_table_that_is_not_the_clouds_is_refused(tmp_path, capsys, sensor, pose):
+    vehicles = street(2, cars=5)
+    cloud, boxes = recorded(scanned(vehicles, TILTED, "RS-80"), vehicles, tmp_path)
+    tilts = ("--tilt-x", math.degrees(pose.tilt_x), "--tilt-y", math.degrees(pose.tilt_y), "--yaw", math.degrees(0.4))
+    words = ("--sensor", sensor, "--x", 3, "--y", -2, "--height", pose.height_m, *tilts, "--caster", CASTER)
+    told = refused(capsys, tmp_path, "compare", "--points", cloud, "--boxes", boxes, *words)
+    assert f"% of its {len(np.load(cloud)['xyz'])} points are near the rings of {sensor}, where chance gives" in told
+
+
+# --- The command ------------------------------------------------------------------------------------------------------
+
+
+def run(*words):
+    return main(["compare", *map(str, words)])
+
+
+def test_the_verb_leaves_a_table_aggregates_and_a_picture_that_agree(bodies, tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="charts need matplotlib")
+    out = tmp_path / "out"
+    words = ("--kitti", bodies, "--label-margin", 0, 0, 0, "--caster", CASTER, "--details", "detailed,body")
+    assert run(*words, "--out", out, "--json") == 0
+    printed = capsys.readouterr()
+    result = json.loads(printed.out)
+    assert result == json.loads((out / "compare.json").read_text())
+    assert "57 rings, recovered from the order of the points" in printed.err
+    assert "Intervals resample the 3 clouds" in printed.err
+    assert (out / "compare.png").read_bytes().startswith(b"\x89PNG")
+    with (out / "compare.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [one["detail"] for one in result["variants"]] == ["body", "detailed"]
+    assert len(rows) == 2 * result["vehicles"]
+    for one in result["variants"]:
+        mine = [row for row in rows if row["detail"] == one["detail"]]
+        error = np.abs([float(row["error_bits"]) for row in mine])
+        assert np.median(error) == pytest.approx(one["absolute_error_bits"]["median"], abs=1e-5)
+        assert sum(int(row["both_points"]) for row in mine) == one["points"]["both"]
+        assert sum(band["vehicles"] for band in one["by_distance"]) == result["vehicles"]
+    assert run(*words, "--out", out) == 2
+    assert run(*words, "--out", tmp_path / "again") == 0
+    assert (tmp_path / "again" / "compare.csv").read_bytes() == (out / "compare.csv").read_bytes()
+
+
+def test_what_is_compared_may_be_named_by_class_and_distance(tmp_path, capsys):
+    vehicles = street(1)
+    one_frame(tmp_path, vehicles, ["Van" if row % 2 else "Car" for row in range(len(vehicles))])
+    counts = []
+    for number, words in enumerate((["--class", "car"], ["--class", "VAN"], [], ["--distance", 0, 25])):
+        words = ("--kitti", tmp_path, "--caster", CASTER, "--json", *words, "--out", tmp_path / f"out{number}")
+        assert run(*words) == 0
+        counts.append(json.loads(capsys.readouterr().out)["vehicles"])
+    near = np.hypot(*vehicles.centre_m[:, :2].T) < 25.0
+    assert counts == [4, 3, 7, near.sum()]
+
+
+def test_a_single_cloud_has_intervals_over_its_vehicles(bodies, tmp_path, capsys):
+    vehicles = street(2, cars=5)
+    cloud, boxes = recorded(scanned(vehicles), vehicles, tmp_path)
+    words = ("--points", cloud, "--boxes", boxes, "--sensor", SENSOR, "--height", HEIGHT_M, "--caster", CASTER)
+    assert run(*words, "--out", tmp_path / "out") == 0
+    printed = capsys.readouterr().out
+    assert "HDL-64E-S3: 100 % of the points are on its rings" in printed
+    assert "Intervals resample single vehicles" in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--details", "body,fine"), "--details: "),
+        (("--losses", "glass_dropout=2"), "--losses: glass_dropout is 2.0; allowed: 0 to 1"),
+        (("--losses", "glass=0.5"), "--losses: "),
+        (("--losses", "dropout=much"), "--losses: 'dropout=much'; allowed: NAME=VALUE"),
+        (("--label-margin", "0", "0", "2"), "--label-margin: is 2.0; allowed: 0 to 1"),
+        (("--distance", "50", "10"), "--distance: 50 10; allowed: the nearer one first"),
+        (("--points", "cloud.npz"), "give either --points CLOUD with --boxes BOXES.csv, or --kitti DIR"),
+    ],
+)
+def test_wrong_options_end_in_one_line(bodies, tmp_path, capsys, words, told):
+    given = ("compare", "--kitti", bodies, "--caster", CASTER, "--out", tmp_path / "out", *words)
+    assert told in refused(capsys, tmp_path, *given)
+
+
+def test_where_nothing_is_left_to_compare_it_says_why(bodies, tmp_path, capsys):
+    assert run("--kitti", bodies, "--distance", 100, 200, "--caster", CASTER, "--out", tmp_path / "out") == 2
+    assert "no labelled vehicle to compare at 100 to 200 m (21 nearer)" in capsys.readouterr().err
+    assert run("--kitti", bodies, "--class", "Lorry", "--caster", CASTER, "--out", tmp_path / "out") == 2
+    assert "no Lorry to compare; the labels are Car" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_points_out_of_order_need_a_sensor(bodies):
+    frame = kitti_frame(bodies, "000001")
+    points = frame.points[np.random.default_rng(1).permutation(len(frame.points))]
+    shuffled = RecordedFrame("1", "here", points, frame.boxes)
+    with pytest.raises(InputError, match=r"here: its .* points are not in ring order; .*--sensor"):
+        compare_frames([shuffled], PLAIN)
+    found = compare_frames([shuffled], replace(setup_of(SENSOR), pose=Pose(height_m=0.0)))
+    assert np.abs(found.table["error_bits"]).max() < 0.03
