@@ -150,7 +150,7 @@ def _draw_times(axes, times: Sequence[Timing]) -> None:
     ends = [timing.quartiles for timing in times]
     axes.set_xscale("log")
     axes.set_xlim(600.0 * min(end.low for end in ends), 4000.0 * max(end.high for end in ends))
-    axes.set_yticks(range(len(times)), [f"{timing.name}{' (scaled)' * ('timed' in timing.note)}" for timing in times])
+    axes.set_yticks(range(len(times)), [timing.name for timing in times])
     axes.set_ylim(len(times) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0.0)
     axes.xaxis.set_major_formatter("{x:g}")

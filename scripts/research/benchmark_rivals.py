@@ -17,9 +17,6 @@ RAW, RAW_SURVIVORS = "raw Embree, all beams", "raw Embree, the survivors"
 NAIVE, NAIVE_SURVIVORS = "BVHTree.ray_cast, naive loop, all beams", "BVHTree.ray_cast, naive loop, the survivors"
 HOISTED = "BVHTree.ray_cast, hoisted loop, all beams"
 BARE = "BVHTree.ray_cast, bare calls, returning beams"  # the least that one call for each of these costs
-PER_OBJECT = "a BVHTree for each object, all beams"
-SCENE = "Scene.ray_cast, all beams"
-SPARSE = 47  # of what is slow every so many beams are cast: a prime, so that all azimuths have their turn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,21 +33,17 @@ class Rival:
         Distance along each of its rays [m], (k,), inf where it met nothing within the gate, from what `cast` returns.
     beams : ndarray, (k,)
         Flat indices of the beams that it casts.
-    scale : float
-        How many beams one of them stands for.
     """
 
     name: str
     cast: Callable[[], object]
     distance: Callable[[object], np.ndarray]
     beams: np.ndarray
-    scale: float = 1.0
 
     @property
     def entry(self) -> Entry:
         """To be timed."""
-        note = f"{len(self.beams):,} beams timed, x {self.scale:.1f}" if self.scale != 1.0 else ""
-        return Entry(self.name, self.cast, RIVALS, self.scale, note)
+        return Entry(self.name, self.cast, RIVALS)
 
 
 def rivals_of(case: FrameCase) -> list[Rival]:
@@ -107,14 +100,12 @@ def _along(case, directions, triangle):
     return found
 
 
-# --- what one does within Blender: loops over rays through one tree, a tree for each object, or the scene ------------
+# --- what one does within Blender: loops over rays through one tree ---------------------------------------------------
 
 
 def _blender(case: FrameCase) -> list[Rival]:
-    """All of them; the two slow ones cast a part of the beams."""
-    makers = (_hoisted, _bare, _per_object, _scene)
     naive = [_naive(NAIVE, case, all_beams(case)), _naive(NAIVE_SURVIVORS, case, case.survivors)]
-    return naive + [make(case) for make in makers]
+    return [*naive, _hoisted(case), _bare(case)]
 
 
 def _tree(corners):
@@ -177,55 +168,6 @@ def _bare(case):
     return Rival(BARE, cast, np.array, case.survivors[met])
 
 
-def _per_object(case):
-    """A tree for each vehicle; every ray tries them all and keeps the nearest hit."""
-    from mathutils import Vector
-
-    triangles = case.triangles
-    trees = [_tree(triangles.corners[triangles.owner == row]) for row in range(len(case.vehicles))]
-    beams = all_beams(case)[::SPARSE]
-    rays, gate, origin = case.directions[beams], case.gate_m, Vector(case.pose.position.tolist())
-
-    def cast():
-        hits = []
-        for ray in rays:
-            direction, nearest = Vector(ray), (None, None, None, None)
-            for tree in trees:
-                hit = tree.ray_cast(origin, direction, gate)
-                if hit[0] is not None and (nearest[0] is None or hit[3] < nearest[3]):
-                    nearest = hit
-            hits.append(nearest)
-        return hits
-
-    return Rival(PER_OBJECT, cast, _distances, beams, len(case.directions) / len(beams))
-
-
-def _scene(case):
-    """Rays through a Blender scene that holds the vehicles as objects."""
-    import bpy
-    from mathutils import Vector
-
-    from blender_lidar.world.blender.traffic import show_vehicles
-
-    scene = bpy.data.scenes.new("benchmark")
-    show_vehicles(scene, case.vehicles, case.detail)
-    layer = scene.view_layers[0]
-    layer.update()
-    beams = all_beams(case)[::SPARSE]
-    rays, gate, origin = case.directions[beams], case.gate_m, Vector(case.pose.position.tolist())
-
-    def cast():
-        hits, seen = [], layer.depsgraph
-        for ray in rays:
-            hits.append(scene.ray_cast(seen, origin, Vector(ray), distance=gate))
-        return hits
-
-    def distance(hits):
-        return np.array([(location - origin).length if met else np.inf for met, location, *_ in hits])
-
-    return Rival(SCENE, cast, distance, beams, len(case.directions) / len(beams))
-
-
 def _distances(hits):
     """Of what `BVHTree.ray_cast` returns: (location, normal, index, distance), all None where nothing was met."""
     return np.array([np.inf if hit[3] is None else hit[3] for hit in hits])
@@ -234,5 +176,5 @@ def _distances(hits):
 # Library -> what its rivals are for who has it not, what makes them.
 _LIBRARIES = {
     "embreex": ("raw Embree", _embree),
-    "bpy": ("Blender's BVHTree and Scene.ray_cast", _blender),
+    "bpy": ("Blender's BVHTree", _blender),
 }
