@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import io
 import shutil
-import zipfile
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from blender_lidar.clouds.files import read_points
 from blender_lidar.report.page import write_report
@@ -21,12 +18,11 @@ from blender_lidar.run.optimise import fresh_search
 from blender_lidar.run.replay import Replay
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.sensors.model import DATA_FOLDER, load_model
-from blender_lidar.studies.driver import StudyFolder
 from blender_lidar.studies.recorded import KITTI_PARTS, kitti_frame
 from blender_lidar.traffic import Recording, plan_frames, read_traffic
 from blender_lidar.traffic.sumo import read_types
 from tests import sumo_samples, traffic_samples
-from tests.fuzzing import FUZZED, fuzz, kept_promise
+from tests.fuzzing import fuzz
 from tests.recorded_samples import street, write_kitti
 from tests.small_scene import HEADER, MAPPED, SETTINGS, traffic_rows, write_scene
 
@@ -159,28 +155,6 @@ def test_damaged_clouds(tmp_path, name):
     assert fuzz(read_points, tmp_path / name, _clouds()[name], a_sound_cloud)
 
 
-_KINDS = ("<f8", "<f4", "<f2", "<i8", "<u8", "<i1", "?", "<c16", "<M8[s]", "<U3", "S5", "O", ">f8", "<f4,<i4")
-_SHAPES = ((4, 3), (0, 3), (4,), (), (3, 4), (2, 2, 3), (4, 0), (2**62, 3), (-1, 3))
-
-
-@FUZZED
-@given(
-    kinds=st.tuples(st.sampled_from(_KINDS), st.sampled_from(_KINDS)),
-    shapes=st.tuples(st.sampled_from(_SHAPES), st.sampled_from(_SHAPES)),
-    body=st.binary(max_size=300),
-    order=st.booleans(),
-)
-def test_arrays_of_any_kind_and_shape_as_a_cloud(tmp_path, kinds, shapes, body, order):
-    path = tmp_path / "cloud.npz"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, kind, shape in zip(("xyz", "vehicle_id"), kinds, shapes, strict=True):
-            text = f"{{'descr': {kind!r}, 'fortran_order': {order}, 'shape': {shape!r}, }}".encode()
-            text += b" " * (-(len(text) + 11) % 64) + b"\n"
-            archive.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + body)
-    refusal = kept_promise(read_points, path, a_sound_cloud)
-    assert refusal is not None or shapes[0] in ((4, 3), (0, 3))
-
-
 # --- labelled sweeps --------------------------------------------------------------------------------------------------
 
 
@@ -259,17 +233,3 @@ def test_damaged_checkpoints(tmp_path, method):
         assert search.done or np.isfinite(search.ask()).all()
 
     assert fuzz(resumed, folder.file("checkpoint.json"), folder.file("checkpoint.json").read_bytes(), check)
-
-
-@pytest.mark.parametrize("name", ["study.json", "stages/first.json"])
-def test_damaged_studies(tmp_path, name):
-    identity, value = {"seed": 1, "frames": [1, 2]}, {"a": [1.5, None], "b": {"c": "text"}}
-    study = StudyFolder(tmp_path / "study", identity)
-    with study.locked():
-        study.stage("first", lambda: value)
-
-    def resumed(_):
-        with study.locked(resume=True):
-            return study.stage("first", lambda: value)
-
-    assert fuzz(resumed, tmp_path / "study" / name, (tmp_path / "study" / name).read_bytes())

@@ -172,62 +172,6 @@ def test_native_text_of_arterials_has_free_headings(tmp_path):
     np.testing.assert_allclose(np.abs(read_traffic(path).heading_rad), np.radians(6.0), atol=1e-9)
 
 
-def at_rest(direction, movement=1):
-    """Five vehicles of an arterial that never move, and where Direction has each bound for."""
-    columns = samples.columns(vehicles=5, frames=20)
-    columns["Local_Y"] = 100.0 + 60.0 * columns["Vehicle_ID"]
-    number = columns["Vehicle_ID"] - 1
-    return columns | {"Direction": np.array(direction)[number], "Movement": np.full(len(number), movement)}
-
-
-@pytest.mark.parametrize("dialect", ["native", "portal", "api"])
-def test_a_vehicle_that_never_moves_points_where_direction_has_it_bound_for(dialect, tmp_path):
-    columns = at_rest([0, 1, 2, 3, 4])
-    path = tmp_path / "lankershim.txt"
-    where = {"arterial": True} if dialect == "native" else {"location": "peachtree"}
-    path.write_text(getattr(samples, dialect)(columns, **where), encoding="utf-8", newline="")
-    vehicles = read_traffic(path).vehicles(110)
-    forward = np.stack([np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)], axis=1)
-    # Local_Y, the road's x, runs north and Local_X, against its y, east.
-    np.testing.assert_allclose(forward, [[1, 0], [0, -1], [1, 0], [0, 1], [-1, 0]], atol=1e-12)
-    front = vehicles.centre_m[:, :2] + vehicles.size_m[:, :1] / 2 * forward
-    local = samples.picked(columns, columns["Frame_ID"] == 110)
-    np.testing.assert_allclose(front[:, 0], local["Local_Y"] * FOOT_M - 250.0)
-    np.testing.assert_allclose(front[:, 1], 2.0 + 72 * FOOT_M - local["Local_X"] * FOOT_M)
-
-
-@pytest.mark.parametrize(
-    ("direction", "movement", "location"),
-    [(4, 5, "peachtree"), (5, 1, "peachtree"), (2.5, 1, "peachtree"), ("SB", 1, "peachtree"), (4, 1, "i-80")],
-)
-def test_columns_that_cannot_be_direction_and_movement_turn_no_vehicle(direction, movement, location, tmp_path):
-    path = samples.write(tmp_path, samples.api(at_rest([direction] * 5, movement), location))
-    recording = read_traffic(path)
-    assert not recording.heading_rad.any()
-    told = "Direction or Movement is none in 100 of 100 rows: the column is left aside"
-    assert (told in recording.report.notes) == (location != "i-80")
-
-
-@pytest.mark.parametrize(
-    ("odd", "outcome"),
-    [({"Direction": 7}, "theirs is unknown"), ({"Movement": 9}, "theirs is unknown"), ({}, None)],
-)
-def test_a_row_without_a_direction_that_is_one_leaves_the_others_theirs(odd, outcome, tmp_path):
-    columns = at_rest([3, 4, 3, 4, 3])
-    first = np.flatnonzero(columns["Vehicle_ID"] == 2)[0]
-    columns = {name: np.array(values) for name, values in columns.items()}
-    for name, value in odd.items():
-        columns[name][first] = value
-    recording = read_traffic(samples.write(tmp_path, samples.api(columns, "peachtree")))
-    rows = len(columns["Vehicle_ID"])
-    expected = np.radians([0.0, 90.0, 180.0, 90.0, 180.0, 90.0])[recording.vehicle_id]
-    changed = (recording.vehicle_id == 2) & (np.abs(recording.heading_rad - expected) > 1e-9)
-    np.testing.assert_allclose(recording.heading_rad[~changed], expected[~changed], atol=1e-9)
-    assert changed.sum() == len(odd)
-    told = [f"Direction or Movement is none in 1 of {rows:,} rows: {outcome}"] if odd else []
-    assert [note for note in recording.report.notes if "Direction" in note] == told
-
-
 def test_the_24_columns_say_the_same_as_the_18(columns, tmp_path):
     """But for headings, which are free where there are intersections."""
     columns["Local_Y"] += 0.5 * np.sin(columns["Frame_ID"])
@@ -239,11 +183,11 @@ def test_the_24_columns_say_the_same_as_the_18(columns, tmp_path):
         np.testing.assert_array_equal(getattr(long, name), getattr(short, name), err_msg=name)
 
 
-DIRTY = ["", "NULL", "nan", "-1", "1_0", "0x10", "1,5", '"1,500"', '"0,001"', '"a\nb"', '1"5', '"x"', "+4", "\u0663"]
+DIRTY = ["", "NULL", "nan", "-1", "1,5", '"0,001"', '"a\nb"', '1"5', "+4"]
 
 
 @pytest.mark.parametrize("dialect", [samples.native, samples.portal, samples.api])
-@pytest.mark.parametrize("place", [None, 0, 2, 8, 13, 17, 18, 24])
+@pytest.mark.parametrize("place", [None, 0, 8, 13, 24])
 def test_lines_parsed_by_numpy_and_rows_of_texts_give_the_same(tmp_path, monkeypatch, dialect, place):
     monkeypatch.setattr(source, "_CHUNK_ROWS", 7)
     separator = None if dialect is samples.native else ","
@@ -271,12 +215,16 @@ def test_lines_parsed_by_numpy_and_rows_of_texts_give_the_same(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("comma", [False, True])
-@pytest.mark.parametrize("mark", [" ", "\t", ";"])
-@pytest.mark.parametrize("dialect", [samples.native, samples.api])
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize(
+    ("dialect", "mark", "encoding"),
+    [
+        (samples.native, " ", "cp1252"),
+        (samples.native, ";", "utf-8-sig"),
+        (samples.api, "\t", "utf-16"),
+        (samples.api, ";", "cp1252"),
+    ],
+)
 def test_ngsim_is_read_as_spreadsheets_write_it(tmp_path, columns, dialect, mark, comma, encoding):
-    if dialect is samples.api and mark == " ":
-        return  # whose header is not read so
     text = dialect(columns)
     expected = read_traffic(samples.write(tmp_path, text))
     fields = [line.split("," if dialect is samples.api else None) for line in text.splitlines()]
@@ -286,34 +234,3 @@ def test_ngsim_is_read_as_spreadsheets_write_it(tmp_path, columns, dialect, mark
     recording = read_traffic(path)
     for name in ("frame", "vehicle_id", "class_index", "size_m", "lane", "frame_time_s", "centre_m", "heading_rad"):
         np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name), err_msg=name)
-
-
-@pytest.mark.parametrize(
-    ("when_ms", "location", "told"),
-    [
-        (
-            1_113_433_136_100,
-            "us-101",
-            "--location is us-101, but its Global_Time is of 2005-04-13, when i-80 was recorded",
-        ),
-        (
-            1_118_846_980_200,
-            "I-80",
-            "--location is I-80, but its Global_Time is of 2005-06-15, when us-101 was recorded",
-        ),
-        (1_113_433_136_100, "I-80", None),
-        (1_118_846_980_200, "us-101", None),
-        (1_700_000_000_000, "us-101", None),
-    ],
-)
-def test_a_location_on_whose_day_another_site_was_recorded_is_refused(when_ms, location, told, tmp_path):
-    given = samples.columns(vehicles=3, frames=40)
-    given["Global_Time"] = given["Global_Time"] - given["Global_Time"].min() + when_ms
-    path = samples.write(tmp_path, samples.native(given))
-    if told is None:
-        assert f"taken to be {location}" in " ".join(
-            ngsim.read_ngsim(path, road=RoadFrame(), location=location).report.notes
-        )
-    else:
-        with pytest.raises(InputError, match=told):
-            ngsim.read_ngsim(path, road=RoadFrame(), location=location)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import date, datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -33,8 +32,6 @@ from .vehicles import Recording, RepairReport, with_overlaps_reported
 FOOT_M = 0.3048
 """International foot, exactly; 0.3084 circulates."""
 FREEWAYS = ("i-80", "us-101")
-_BOUND_FOR_RAD = np.radians([0.0, -90.0, 0.0, 90.0, 180.0])
-"""Headings by Direction: unknown, east, north, west, south. Local_Y, the road frame's x, runs north on arterials."""
 _OFF_MAP_M = 2000.0
 """No section is longer than 700 m."""
 
@@ -69,8 +66,7 @@ def read_ngsim(
     -------
     Recording
         Times count from frame number 0. On freeways headings lie within 6 degrees of the road, 15 during lane
-        changes; at sites with intersections they are free, and a vehicle that never moves faster than 2 m/s points
-        where the column Direction has it bound for.
+        changes; at sites with intersections they are free.
 
     Raises
     ------
@@ -78,7 +74,7 @@ def read_ngsim(
         If the file or one of its values cannot be used; the text names the line and the column.
     """
     layout = sniff_layout(path)
-    rows, report, odd_directions = read_location(path, layout, location)
+    rows, report = read_location(path, layout, location)
     step_ms = _time_step_ms(rows, path)
     periods, of_row = _periods(rows, step_ms)
     chosen = _chosen(periods, period, path)
@@ -87,13 +83,9 @@ def read_ngsim(
     follows_road = report.location in FREEWAYS if report.location else not arterial
     notes = []
     if location is not None and "Location" not in layout.columns:
-        _check_day(rows["time_ms"], location, path)
         notes.append(f"the file has no Location column: taken to be {location}")
     if period is None and len(periods) > 1:
         notes.append(f"{len(periods)} periods found ({', '.join(periods)}); none was chosen, so the first is used")
-    if odd_directions and not follows_road:
-        outcome = "theirs is unknown" if rows["direction"].any() else "the column is left aside"
-        notes.append(f"Direction or Movement is none in {odd_directions:,} of {len(of_row):,} rows: {outcome}")
     in_period = of_row == chosen
     on_map = (np.abs(rows["local_m"]) <= _OFF_MAP_M).all(axis=1)
     rows = _taken(rows, in_period & on_map)
@@ -133,12 +125,9 @@ def _boxes(
     vehicle, frame, lane, v_class = (rows[name] for name in ("vehicle_id", "frame", "lane", "v_class"))
     segment, split = segments(vehicle, frame, time_step_s)
     time_s = frame * time_step_s
-    right_m, along_m = np.asarray(
-        rows["local_m"], dtype=np.float64
-    ).T  # Local_X, Local_Y: from the left edge, along travel
+    right_m, along_m = rows["local_m"].T  # Local_X, Local_Y: from the left edge, along travel
     front = np.stack([along_m - road.station_m, road.setback_m + (road.right_edge_m - right_m)], axis=1)
-    at_rest = 0.0 if follows_road else _BOUND_FOR_RAD[rows["direction"]]
-    motion, held = held_heading(vehicle, fitted_velocity(segment, time_s, front), at_rest)
+    motion, held = held_heading(vehicle, fitted_velocity(segment, time_s, front))
     heading = limited(motion, lane_changing(vehicle, time_s, lane)) if follows_road else motion
     size, resized = repaired_sizes(v_class, rows["size_m"])
     length = size[:, 0]
@@ -185,17 +174,14 @@ NGSIM_COLUMNS = {
     "Lane_ID": Column("a whole number", 1 - 2**15, 2**15 - 1, whole=True, optional=True),
 }
 """The columns of numbers that are needed, in NGSIM's spelling; files may have them in any letter case."""
-_DIRECTIONS = {"Direction": 4, "Movement": 3}
-"""Columns of arterials, with their largest numbers: where a vehicle is bound for, whether it goes straight or turns."""
-_SPELT = {name.lower(): name for name in (*NGSIM_COLUMNS, *_DIRECTIONS, "Location", "Int_ID")}
+_SPELT = {name.lower(): name for name in (*NGSIM_COLUMNS, "Location", "Int_ID")}
 _FIRST_14 = [
     *("Vehicle_ID", "Frame_ID", "total_frames", "Global_Time", "Local_X", "Local_Y", "global_x", "global_y"),
     *("v_Length", "v_Width", "v_Class", "v_vel", "v_acc", "Lane_ID"),
 ]
 _LAST_4 = ["preceding", "following", "space_headway", "time_headway"]
 _ARTERIAL = ["o_zone", "d_zone", "Int_ID", "section_id", "Direction", "Movement"]
-# The six columns of arterials come after column 14 (the data dictionaries of Lankershim and Peachtree); it is said, of
-# files not seen, after 16. Of them, and of what they shift, Direction alone is used.
+# The six columns of arterials come after column 14 (the data dictionaries of Lankershim and Peachtree).
 _WITHOUT_HEADER = {
     18: [*_FIRST_14, *_LAST_4],
     24: [*_FIRST_14, *_ARTERIAL, *_LAST_4],
@@ -249,7 +235,7 @@ def sniff_layout(path: str | Path) -> TableLayout:
         delimiter = "\t"  # under a header, cells may be empty: every tab counts
     names = [field.lower().replace(" ", "_") for field in fields_of(text, delimiter)]
     layout = TableLayout([_SPELT.get(name, name) for name in names], delimiter, line + 1)
-    layout.check(NGSIM_COLUMNS, _DIRECTIONS, f"{path}:{line}")
+    layout.check(NGSIM_COLUMNS, (), f"{path}:{line}")
     if len(lines) < 2:
         raise InputError(f"{path}: no rows below the header in line {line}")
     return layout
@@ -257,13 +243,10 @@ def sniff_layout(path: str | Path) -> TableLayout:
 
 # --- Reading NGSIM rows, by the million and from files that mix all sites ---------------------------------
 
-_FEW_ODD = 0.01  # of the rows; more, and the column is another one
-_ODD = -1
-
 
 def read_location(
     path: str | Path, layout: TableLayout, location: str | None
-) -> tuple[dict[str, np.ndarray], RepairReport, int]:
+) -> tuple[dict[str, np.ndarray], RepairReport]:
     """Read the rows of one location in the file's order, converted from feet to metres.
 
     Parameters
@@ -278,12 +261,9 @@ def read_location(
     -------
     rows : dict of str to ndarray, (n,) or (n, 2)
         vehicle_id, frame, time_ms, local_m (Local_X and Local_Y of the front centre), size_m (length and width; 0 where
-        missing), v_class, lane, direction (1 east, 2 north, 3 west, 4 south, where Local_Y runs north; 0 where not
-        known).
+        missing), v_class, lane.
     report : RepairReport
         Rows read and locations.
-    odd_directions : int
-        Rows whose Direction or Movement is none that there is. Where they are more than a few, `direction` is 0 in all.
 
     Raises
     ------
@@ -295,7 +275,7 @@ def read_location(
     seen: set[str] = set()
     parts: list[dict[str, np.ndarray]] = []
     rows_read = 0
-    for rows in read_rows(path, layout, NGSIM_COLUMNS, [*_DIRECTIONS, "Location"]):
+    for rows in read_rows(path, layout, NGSIM_COLUMNS, ["Location"]):
         rows_read += len(rows)
         if "Location" in rows.columns:
             texts = rows.columns["Location"].tolist()
@@ -313,10 +293,8 @@ def read_location(
     if wanted is not None and wanted not in seen:
         raise unknown_name(location, locations, "location", str(path))
     found = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    odd = found["direction"] == _ODD
-    found["direction"][odd if odd.mean() <= _FEW_ODD else slice(None)] = 0
     report = RepairReport(rows_read, location="".join(locations) if wanted is None else wanted, locations=locations)
-    return found, report, int(odd.sum())
+    return found, report
 
 
 def _metric(rows: Rows) -> dict[str, np.ndarray]:
@@ -330,27 +308,7 @@ def _metric(rows: Rows) -> dict[str, np.ndarray]:
         "size_m": np.nan_to_num(np.stack([values["v_Length"], values["v_Width"]], axis=1)) * FOOT_M,
         "v_class": values["v_Class"].astype(np.int8),
         "lane": np.nan_to_num(values["Lane_ID"]).astype(np.int16),
-        "direction": _directions(rows),
     }
-
-
-def _directions(rows: Rows) -> np.ndarray:
-    """The column Direction, (n,) int8; 0 where it is empty or not there, `_ODD` where it or Movement is none.
-
-    Files are said to exist whose six columns of arterials stand two places later. The column after Direction, Movement,
-    would hold other numbers there: it tells whether Direction is what it seems.
-    """
-    if any(name not in rows.columns for name in _DIRECTIONS):
-        return np.zeros(len(rows), dtype=np.int8)
-    pairs = list(zip(*(rows.columns[name].tolist() for name in _DIRECTIONS), strict=True))
-    meant = {pair: _direction(pair) for pair in set(pairs)}
-    return np.array([meant[pair] for pair in pairs], dtype=np.int8)
-
-
-def _direction(pair: Sequence[str]) -> int:
-    values = [0 if text.strip() in EMPTY else number(text) for text in pair]
-    known = all(value in range(largest + 1) for value, largest in zip(values, _DIRECTIONS.values(), strict=True))
-    return int(values[0]) if known else _ODD
 
 
 # --- The recording periods of an NGSIM file, each of which numbers vehicles and frames from 1 again -------
@@ -367,19 +325,6 @@ _NOMINAL = ["0400-0415", "0500-0515", "0515-0530", "0750-0805", "0805-0820", "08
 _NOMINAL_S = {name: 3600 * ((int(name[:2]) + 6) % 12 + 6) + 60 * int(name[2:4]) for name in _NOMINAL}
 _NOMINAL_TOLERANCE_S = 180
 _FIRST_REAL_TIME_MS = 1e12  # Peachtree's 10-digit times are no times of day
-
-
-# When sites were recorded, by FHWA's data sheets.
-_DAYS = {"i-80": date(2005, 4, 13), "us-101": date(2005, 6, 15), "lankershim": date(2005, 6, 16)}
-
-
-def _check_day(time_ms: np.ndarray, location: str, path: str | Path) -> None:
-    """Refuse a location on whose day another site was recorded, where the file does not name its own."""
-    local = datetime.fromtimestamp(float(np.median(time_ms)) / 1000.0, timezone(timedelta(hours=_PACIFIC_H)))
-    recorded = next((name for name, day in _DAYS.items() if day == local.date()), None)
-    if recorded is not None and recorded != location.strip().lower():
-        when = f"its Global_Time is of {local:%Y-%m-%d}, when {recorded} was recorded"
-        raise InputError(f"{path}: --location is {location}, but {when}")
 
 
 def _time_step_ms(rows: dict[str, np.ndarray], path: str | Path) -> float:

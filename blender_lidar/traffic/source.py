@@ -311,9 +311,37 @@ def codes(rows: Rows, name: str, index: dict[str, int]) -> np.ndarray:
     return np.array([index.setdefault(text, len(index)) for text in texts], dtype=np.int64)
 
 
-def numbered(names: Sequence[str]) -> str:
-    """The note on vehicles whose ids are texts: numbers count `names`."""
-    return f"{NUMBERED}: {listed(names)}"
+def vehicle_ids(rows: Rows, name: str, index: dict[str, int]) -> np.ndarray:
+    """`codes` of a column of vehicles' ids.
+
+    Raises
+    ------
+    InputError
+        For the first row without one, or where the file's encoding garbles it.
+    """
+    found = codes(rows, name, index)
+    for text in (*EMPTY, *(text for text in index if "\ufffd" in text or text.strip().lower() in ("", "nan"))):
+        if text in index and (row := np.flatnonzero(found == index[text])).size:
+            told = (
+                "is in another encoding than the file's beginning; save it as UTF-8"
+                if "\ufffd" in text
+                else "is missing"
+            )
+            raise InputError(f"{rows.where(row[0])}: {name} {told}")
+    return found
+
+
+def vehicle_numbers(names: Sequence[str]) -> tuple[np.ndarray, list[str]]:
+    """The number of each vehicle, (n,) int64, by what the file calls them: their own where all are whole, from 0 on.
+
+    Else they count from 0 by first appearance, and a note says so.
+    """
+    if all(_WHOLE.fullmatch(name.strip()) for name in names):
+        return np.array([float(name) for name in names]).astype(np.int64), []
+    return np.arange(len(names)), [f"{NUMBERED}: {listed(names)}"]
+
+
+_WHOLE = re.compile(r"(?:0|[1-9][0-9]{0,14})(?:\.0*)?")  # below 2**53; with a point, as spreadsheets write them
 
 
 def listed(names: Sequence[str]) -> str:
@@ -330,10 +358,23 @@ def quoted(text: str) -> str:
 # --- Rows in chunks, parsed in C where they are clean -----------------------------------------------------
 
 # Numbers with commas. In a table with commas one stands in quotes and divides thousands; between semicolons, tabs, bars
-# or blanks it is decimal, in a file without decimal points. Where all of a file's could be either, it is refused.
+# or blanks it is decimal, in a file without decimal points. Where all could be either, the file is refused.
 _THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]*)?")
 _EITHER = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
+_WITH_COMMA = re.compile(r'(?:^|[\s;|"])([+-]?[0-9]*(?:,[0-9]*)+)(?=[\s;|"]|$)', re.MULTILINE)
 _WITH_POINT = re.compile(r'(?:^|[\s;|,"])[+-]?[0-9]*\.[0-9]*(?:[eE][+-]?[0-9]+)?(?=[\s;|,"]|$)', re.MULTILINE)
+
+
+def _has_decimal_commas(path: str | Path, beginning: str, delimiter: str | None) -> bool:
+    """Whether commas are decimal, by the beginning of a file; where they may also divide thousands, it is refused."""
+    if _WITH_POINT.search(beginning):
+        return False
+    found = beginning.split('"')[1::2] if delimiter == "," else _WITH_COMMA.findall(beginning)
+    found = [text for text in found if re.search(r"[0-9],[0-9]", text) and not re.search(r"[^0-9,+-]", text)]
+    if found and delimiter != ";" and all(map(_EITHER.fullmatch, found)):
+        told = "may have a decimal comma or divide thousands; write decimal points"
+        raise InputError(f"{path}: {found[0]!r} and its like {told}")
+    return bool(found) and delimiter != ","
 
 
 def read_rows(
@@ -363,50 +404,37 @@ def read_rows(
         decimals or thousands.
     """
     used = {name: layout.columns.index(name) for name in (*columns, *texts) if name in layout.columns}
-    encoding = _beginning(path)[1]
+    beginning, encoding = _beginning(path)
+    decimal = _has_decimal_commas(path, beginning, layout.delimiter)
+    plain_text = _with_point if decimal else _without_thousands
     with (
         open_bytes(path) as stream,
         io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="") as text,
     ):
-        points, commas, sure, doubtful = False, False, layout.delimiter == ";", ""
         below = islice(text, layout.first_line - 1, None)
         first = layout.first_line
         while chunk := list(islice(below, _CHUNK_ROWS)):
             if first + len(chunk) > layout.first_line + MAX_ROWS:
                 raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
-            joined, lines = "".join(chunk), range(first, first + len(chunk))
-            points = points or bool(_WITH_POINT.search(joined))
-            if points and commas:
+            if decimal and _WITH_POINT.search("".join(chunk)):
                 raise InputError(f"{path}: has numbers with a decimal comma and with a point; allowed: one of them")
-            if layout.delimiter == ",":
-                chunk = _unquoted(chunk)
-                found = _parsed(chunk, layout, used, columns.keys())
-                within = [] if points or sure else joined.split('"')[1::2]
-                sure = sure or any(text.count(",") > 1 and _THOUSANDS.fullmatch(text) for text in within)
-                doubtful = next(filter(_EITHER.fullmatch, within), doubtful)
-            elif "," not in joined:
-                found = _parsed(chunk, layout, used, columns.keys())
-            else:  # once commas are known to be decimal, chunks may be clean but for them
-                plain = [line.replace(",", ".") for line in chunk]
-                found = _parsed(plain, layout, used, columns.keys()) if commas and sure else None
-                if found and any("." in text for name in texts if name in found for text in found[name].tolist()):
-                    found = None
+            plain = [line.replace(",", ".") for line in chunk] if decimal else chunk
+            found = _parsed(_unquoted(plain) if layout.delimiter == "," else plain, layout, used, columns.keys())
+            if (
+                found
+                and decimal
+                and any("." in text for name in texts if name in found for text in found[name].tolist())
+            ):
+                found = None  # a text with a comma of its own
+            lines = range(first, first + len(chunk))
             first += len(chunk)
             if found is None:
                 lines, found, first = _split(chain(chunk, below), str(path), layout, used, lines)
-                numeric = [name for name in columns if name in found]
-                cells = [text.strip() for name in numeric for text in found[name] if "," in text]
-                if cells and layout.delimiter != "," and not points:
-                    commas, doubtful = True, cells[0]
-                    sure = sure or not all(map(_EITHER.fullmatch, cells))
-                if commas or (cells and layout.delimiter == ","):
-                    plain_text = _with_point if commas else _without_thousands
+                if decimal or layout.delimiter == ",":
+                    numeric = [name for name in columns if name in found]
                     found |= {name: np.array(list(map(plain_text, found[name])), dtype=object) for name in numeric}
             if len(lines):
                 yield Rows(found, lines, f"{path}:")
-        if doubtful and not (sure or points):
-            told = "may have a decimal comma or divide thousands; write decimal points"
-            raise InputError(f"{path}: {doubtful!r} and its like {told}")
 
 
 def _with_point(text: str) -> str:

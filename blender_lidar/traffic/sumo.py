@@ -27,14 +27,14 @@ from .source import (
     fields_of,
     first_lines,
     listed,
-    numbered,
     open_bytes,
     read_rows,
+    vehicle_ids,
+    vehicle_numbers,
 )
 from .tracks import drop_repeats
 from .vehicles import CLASSES, HEIGHTS_M, VAN_LONGER_THAN_M, Placing, Recording, RepairReport, with_overlaps_reported
 
-_WHOLE = re.compile("0|[1-9][0-9]{0,14}")  # below 2**53
 _LANE = re.compile(".*_([0-9]{1,5})", re.DOTALL)
 _LARGEST_LANE = 2**15 - 2
 _FLAT_WITHIN_M = 0.1
@@ -88,11 +88,8 @@ def read_sumo(
     if strangers:
         counts = ", ".join(f"{count:,} of {_short(name)}" for name, count in sorted(strangers.items()))
         notes.append(f"rows of vehicles on no road: {counts}")
-    vehicle_id = np.arange(len(names["id"]))
-    if all(_WHOLE.fullmatch(name) for name in names["id"]):
-        vehicle_id = np.array(names["id"], dtype=np.int64)
-    else:
-        notes.append(numbered(names["id"]))
+    vehicle_id, numbered = vehicle_numbers(names["id"])
+    notes += numbered
     z = rows["z"][~np.isnan(rows["z"])]
     if len(z) and np.ptp(z) > _FLAT_WITHIN_M:
         notes.append(f"z from {z.min():.1f} to {z.max():.1f} m is left aside: all vehicles stand on a flat road")
@@ -192,9 +189,7 @@ def _collected(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, list[
         if not vehicle.any():
             continue
         rows = rows if vehicle.all() else rows.select(vehicle)
-        part = {name: codes(rows, name, index) for name, index in known.items()}
-        if "" in known["id"]:
-            raise InputError(f"{rows.where(int((part['id'] == known['id']['']).argmax()))}: id is missing")
+        part = {name: (vehicle_ids if name == "id" else codes)(rows, name, index) for name, index in known.items()}
         part |= {name: rows.numbers(name, column) for name, column in FCD_COLUMNS.items()}
         part["time"] = np.rint(1000.0 * part["time"]).astype(np.int64)
         early = np.flatnonzero(np.diff(part["time"], prepend=latest_ms) < 0)

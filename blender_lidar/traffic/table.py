@@ -26,21 +26,20 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, unknown_name
+from ..files import number
 from .source import (
-    EMPTY,
     Column,
     Rows,
     TableLayout,
-    codes,
     delimiter_of,
     fields_of,
     first_lines,
     known_names,
     nearest_names,
-    numbered,
-    numbers,
     quoted,
     read_rows,
+    vehicle_ids,
+    vehicle_numbers,
 )
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Placing, Recording, RepairReport, with_overlaps_reported
@@ -50,7 +49,6 @@ OPTIONAL = ("z_m", "time_s", "lane")
 _FAR = Column("a number, -1e9 to 1e9", -1e9, 1e9)  # sums and squares stay finite
 BOX_COLUMNS = {
     "frame": Column("a whole number", whole=True),
-    "vehicle_id": Column("a whole number of at least 0", low=0, whole=True),  # -1 is what is no vehicle
     **dict.fromkeys(("x_m", "y_m", "z_m", "heading_deg"), _FAR),
     **dict.fromkeys(_LENGTHS, Column("more than 0, 0.001 to 1000", 1e-3, 1e3)),
     "time_s": Column("a number of seconds", -1e12, 1e12),
@@ -120,7 +118,7 @@ def read_table(
         lane=columns.get("lane", np.zeros(len(kept))),
         time_step_s=step_s,
         source=str(path),
-        report=RepairReport(rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=notes + numbering),
+        report=RepairReport(rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=(*notes, *numbering)),
     )
     return with_overlaps_reported(recording)
 
@@ -138,57 +136,24 @@ def _names(header: str) -> tuple[list[str], str | None]:
     return known_names(fields_of(header, delimiter), known), delimiter
 
 
-def _columns(path: str | Path, *, texts: bool = False) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """The columns that are used, by name, classes as indices, the others as float64; and a note if ids are `texts`."""
+def _columns(path: str | Path) -> tuple[dict[str, np.ndarray], list[str]]:
+    """The columns that are used, by name, classes as indices, the others as numbers; and a note if ids are texts."""
     line, text = first_lines(path)[0]
     names, delimiter = _names(text)
     layout = TableLayout(names, delimiter, line + 1)
     layout.check(BOX_NEEDED, OPTIONAL, f"{path}:{line}", _WORDS)
-    numeric = {name: column for name, column in BOX_COLUMNS.items() if not (texts and name == "vehicle_id")}
     parts, ids = [], {}
-    for rows in read_rows(path, layout, numeric, ["class", "vehicle_id"] if texts else ["class"]):
-        others = [name for name in rows.columns if name in numeric and name != "vehicle_id"]
-        part = {name: rows.numbers(name, numeric[name]) for name in others}  # a row of totals fails at its frame
-        if texts:
-            vehicle_id = codes(rows, "vehicle_id", ids)
-        elif _has_texts(rows.columns["vehicle_id"]):
-            return _columns(path, texts=True)
-        else:
-            vehicle_id = rows.numbers("vehicle_id", BOX_COLUMNS["vehicle_id"])
-        parts.append(part | {"vehicle_id": vehicle_id, "class": _class_indices(rows)})
+    for rows in read_rows(path, layout, BOX_COLUMNS, ["class", "vehicle_id"]):
+        part = {name: rows.numbers(name, BOX_COLUMNS[name]) for name in rows.columns if name in BOX_COLUMNS}
+        parts.append(part | {"vehicle_id": vehicle_ids(rows, "vehicle_id", ids), "class": _class_indices(rows)})
     if not parts:
         raise InputError(f"{path}: no rows below the header in line {line}")
-    _check_ids(path, list(ids))
+    for name in ids:
+        if not np.isnan(number(name)) and not (number(name) >= 0 and number(name) % 1 == 0):  # -1: no vehicle
+            raise InputError(f"{path}: vehicle_id is {quoted(name)}; allowed: a whole number of at least 0, or a text")
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return columns, (numbered(list(ids)),) if texts else ()
-
-
-def _has_texts(ids: np.ndarray) -> bool:
-    """Whether some ids are neither numbers nor missing."""
-    return ids.dtype == object and any(
-        text.strip() not in EMPTY and not _is_number(text) for text in ids[np.isnan(numbers(ids))].tolist()
-    )
-
-
-def _is_number(text: str) -> bool:
-    """Whether Python takes a text for a number, not to be a vehicle's name: ``nan`` too."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _check_ids(path: str | Path, ids: list[str]) -> None:
-    """Refuse what cannot be the name of a vehicle."""
-    for text in ids:
-        if "\ufffd" in text:
-            told = "in another encoding than the file's beginning; save it as UTF-8"
-            raise InputError(f"{path}: vehicle_id is {quoted(text)}, {told}")
-        if text.strip() in EMPTY or (
-            _is_number(text) and not BOX_COLUMNS["vehicle_id"].accepts(np.array([float(text)]))[0]
-        ):
-            raise InputError(f"{path}: vehicle_id is {quoted(text)}; allowed: a whole number of at least 0, or a text")
+    vehicle, notes = vehicle_numbers(list(ids))
+    return columns | {"vehicle_id": vehicle[columns["vehicle_id"]]}, notes
 
 
 def _class_indices(rows: Rows) -> np.ndarray:
