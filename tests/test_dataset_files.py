@@ -36,11 +36,11 @@ SCANS = 24
 
 def scene_in(folder: Path) -> Path:
     """Without ground every point is a vehicle's, so that counts must agree to the last one."""
-    kinds = {"car": "motorcycle", "truck": "bus"}  # of some, so that all classes are there
-    rows = [
-        [*row[:2], kinds.get(row[2], row[2]) if row[1] % 3 == 0 else row[2], *row[3:]]
-        for row in traffic_rows(vehicles=150)
-    ]
+    kinds = {"car": ("motorcycle", 2.1, 0.8, 1.4), "truck": ("bus", 11.0, 2.5, 3.2)}  # of some: all classes are there
+    rows = traffic_rows(vehicles=150)
+    for row in rows:
+        if row[1] % 3 == 0 and row[2] in kinds:
+            row[2], *row[5:8] = kinds[row[2]]
     write_table(folder / "traffic.csv", rows)
     changes = {
         "world": {"ground": False},

@@ -18,7 +18,6 @@ import numpy as np
 from ..casting.culling import Pieces, reachable_beams
 from ..casting.protocol import StandingScenery
 from ..clouds.scan import FrameScan, PointCloud, Turn
-from ..errors import InputError
 from ..scene.observation import Observation
 from ..scene.provenance import versions
 from ..scene.region import Region
@@ -178,16 +177,9 @@ def plan_dataset(
     seed : int
     as_recorded : bool
         Neither move nor mirror the traffic.
-
-    Raises
-    ------
-    InputError
-        For less than one mounting or scan.
     """
     frames = tuple(map(site.recording.vehicles, (*site.plan.search.tolist(), *site.plan.holdout.tolist())))
     scans = len(frames) * mountings if scans is None else scans
-    if mountings < 1 or scans < 1:
-        raise InputError(f"{mountings} mountings and {scans} scans are no data set; allowed: at least 1 of each")
     mounts = tuple(_mount(site.scenario, seed, number) for number in range(mountings))
     notes, moved = [] if len(site.plan.holdout) else ["no frame is held out, so that no scan validates"], False
     if not as_recorded:
