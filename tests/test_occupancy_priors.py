@@ -7,14 +7,15 @@ import math
 import numpy as np
 import pytest
 
+import tests.research  # noqa: F401
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.occupancy_prior import (
+from occupancy_prior import (
     OccupiedFrames,
     bernoulli_entropy,
     box_visibility,
     reach_probability,
 )
-from blender_lidar.metrics.voxel_grid import VoxelGrid, covered_voxels, traverse
+from voxel_grid import VoxelGrid, covered_voxels, traverse
 
 GRID = VoxelGrid((-6.0, 2.0, 0.0), (30, 18, 5), 0.4)
 MOUNT = np.array([0.0, 0.0, 3.1])

@@ -13,7 +13,6 @@ import tests.research  # noqa: F401
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
-from blender_lidar.metrics.voxel_grid import covered_voxels
 from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
@@ -39,6 +38,7 @@ from scene_metrics import (
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import MAPPED, done, without_charts, write_scene
 from tests.test_occupancy_priors import covered_entropy, expected_visibility, m_sog, s_mig
+from voxel_grid import covered_voxels
 
 WITH_PRIOR = NAMES[:4]
 LATTICE = beam_lattice(load_model("RS-16"), stride=4)

@@ -8,9 +8,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
+import tests.research  # noqa: F401
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.metric import vehicle_returns
-from blender_lidar.metrics.occupancy_prior import VehiclePrior
+from occupancy_prior import VehiclePrior
 
 
 def sample(seed, vehicles=30, points=60):

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.metrics.voxel_grid import VoxelGrid, covered_voxels, traverse
+import tests.research  # noqa: F401
+from voxel_grid import VoxelGrid, covered_voxels, traverse
 
 GRID = VoxelGrid((-4.0, 1.2, 0.0), (20, 15, 6), 0.4)
 LATTICE = [np.array(d) - 2 for d in np.ndindex(5, 5, 5) if d != (2, 2, 2)]  # along planes, edges and corners

@@ -44,15 +44,15 @@ from blender_lidar.metrics.metric import (
     View,
     vehicle_returns,
 )
-from blender_lidar.metrics.occupancy_prior import OccupiedFrames, VehiclePrior, box_visibility, reach_probability
 from blender_lidar.metrics.vgop import to_vehicle_frame
-from blender_lidar.metrics.voxel_grid import VoxelGrid
 from blender_lidar.names import DETAILS
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.statistics import FEWEST_BLOCKS, RESAMPLES, interval_90, resampled_weights, student_t_95
 from blender_lidar.studies.compare import PairedFrame, Setup, chosen, median_interval, resampled_medians, rings_of
 from blender_lidar.studies.recorded import KITTI_MARGIN_M, kitti_frame, kitti_names
+from occupancy_prior import OccupiedFrames, VehiclePrior, box_visibility, reach_probability
 from search_judgement import holm
+from voxel_grid import VoxelGrid
 
 SEED, FOLDS, FEWEST_CARS = 1, 10, 10
 BAND_M, FEWEST_IN_BAND = 10.0, 5

@@ -29,9 +29,9 @@ import numpy as np
 import blender_lidar as bl
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.metric import Field, Metric, SceneContext, VehicleReturns
-from blender_lidar.metrics.occupancy_prior import OccupiedFrames, reach_probability
-from blender_lidar.metrics.voxel_grid import VoxelGrid, covered_voxels
 from blender_lidar.scene.region import polygon_holds
+from occupancy_prior import OccupiedFrames, reach_probability
+from voxel_grid import VoxelGrid, covered_voxels
 
 NAMES = ("s_mig", "covered_entropy", "m_sog", "expected_visibility", "ground_density", "ground_nuc")
 OPTIONS = {name: f"{Path(__file__).resolve()}:{name}" for name in NAMES}  # what `--metric` calls each

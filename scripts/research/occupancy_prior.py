@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import InputError
-from .metric import VehicleReturns
-from .view_grids import cell_counts
-from .voxel_grid import MOST_VOXELS, VoxelGrid, traverse
+from blender_lidar.errors import InputError
+from blender_lidar.metrics.metric import VehicleReturns
+from blender_lidar.metrics.view_grids import cell_counts
+from voxel_grid import MOST_VOXELS, VoxelGrid, traverse
 
 # --- How uncertain the voxels are that beams cross: S-MIG and M-SOG, which learn from traffic where vehicles drive -
 # Both ask no more of a beam than that it crosses a voxel: it goes on through whatever stands there. Neither sees

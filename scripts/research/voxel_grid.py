@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError
+from blender_lidar.errors import InputError
 
 # --- A region cut into cubic voxels, and which of them vehicles' boxes fill -------------------------------
 
