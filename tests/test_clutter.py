@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.casting.exact import ExactCaster
-from blender_lidar.detection.classical import ClassicalDetector
-from blender_lidar.detection.judge import judge_detector, judging_frames, matches_of, sensor_at
+from blender_lidar.detection.judge import sensor_at
 from blender_lidar.road import RoadFrame
 from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
@@ -38,9 +37,9 @@ def test_what_stands_in_a_stretch_does_not_depend_on_how_far_one_looks():
 
 
 def test_there_is_as_much_as_the_strength_says():
-    counts = [len(made(strength=strength, reach_m=2000.0).names) for strength in (0.5, 1.0, 2.0)]
-    np.testing.assert_allclose(np.array(counts) / counts[1], [0.5, 1.0, 2.0], rtol=0.12)
-    assert counts[1] == pytest.approx(2 * 41 * 12.5, rel=0.1)  # both sides, 4.1 km, 12.5 things on 100 m
+    counts = [len(made(strength=strength, reach_m=1000.0).names) for strength in (0.5, 1.0, 2.0)]
+    np.testing.assert_allclose(np.array(counts) / counts[1], [0.5, 1.0, 2.0], rtol=0.15)
+    assert counts[1] == pytest.approx(2 * 21 * 12.5, rel=0.12)  # both sides, 2.1 km, 12.5 things on 100 m
 
 
 def test_the_carriageway_and_the_places_of_the_lidar_stay_free():
@@ -60,7 +59,7 @@ def test_the_carriageway_and_the_places_of_the_lidar_stay_free():
 @pytest.mark.parametrize("half", [(1.8, 1.8, 1.5), (1.2, 1.2, 0.3), (1.2, 1.2, 2.25)], ids=["crown", "bush", "tall"])
 def test_leaves_let_37_percent_of_level_beams_through_their_middle_pass(half):
     passed = []
-    for seed in range(10):
+    for seed in range(6):
         caster = ExactCaster(leaves((0.0, 0.0, 4.0), half, np.random.default_rng(seed)), closed=False)
         rng = np.random.default_rng(100 + seed)
         y, z = 0.15 * half[1] * rng.uniform(-1, 1, 400), 4.0 + 0.15 * half[2] * rng.uniform(-1, 1, 400)
@@ -110,10 +109,8 @@ def test_walkers_are_about_every_pole_of_several():
 
 @pytest.fixture(scope="module")
 def sites():
-    pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")
-
     def site(strength):
-        scene = {("world", "clutter"): strength, ("model", "caster"): CASTER, ("traffic", "frames"): 5}
+        scene = {("world", "clutter"): strength, ("model", "caster"): CASTER, ("traffic", "frames"): 3}
         scene |= {
             ("world", "clutter_seed"): 3,
             ("deployment", "y_m"): -4.0,
@@ -137,14 +134,18 @@ def test_clutter_takes_returns_from_vehicles_and_gives_none_to_any(sites):
         assert all(n <= known[one] for one, n in zip(other.tolist(), fewer.tolist(), strict=True) if one >= 0)
 
 
-def test_walkers_are_false_alarms_to_who_knows_the_empty_scene(sites):
-    mount = dict(sites[0].scenario.baseline)
-    alarms = []
-    for site in sites:
-        detector = ClassicalDetector(site.observation.lattice, (mount["x_m"], mount["y_m"]))
-        (centres, *_) = judge_detector(site, mount, detector).matches
-        alarms.append((~centres.hit).sum() / centres.frames)
-    assert alarms[1] > alarms[0] + 2.0
+def test_walkers_return_as_no_vehicle_where_they_are_at_the_time_of_the_frame(sites):
+    site = sites[1]
+    returns = []
+    for frame in site.search[:3]:
+        cloud = sensor_at(site, dict(site.scenario.baseline)).scan(frame.vehicles)
+        standing = site.observation.scenery.at(frame.vehicles.time_s).scenery
+        for row in np.flatnonzero(np.isin(standing.names, ["pedestrian", "cyclist"])):
+            corners = standing.corners[standing.owner == row].reshape(-1, 3)
+            near = ((cloud.xyz > corners.min(axis=0) - 0.01) & (cloud.xyz < corners.max(axis=0) + 0.01)).all(axis=1)
+            assert (cloud.vehicle_id[near] == -1).all()
+            returns.append(near.sum())
+    assert np.sum(returns) > 20
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -158,17 +159,3 @@ def test_scores_see_vehicles_behind_clutter_and_walkers_as_clouds_do(compiled, s
         expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
         seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see([pose_at(mount)])
         np.testing.assert_array_equal(seen.points[0], expected)
-
-
-def test_clutter_is_a_false_alarm_to_a_detector_that_has_not_seen_it_before(sites):
-    """Such as one that was set up in winter, or trained where nothing stood."""
-    mount = dict(sites[0].scenario.baseline)
-    detector = ClassicalDetector(sites[0].observation.lattice, (0.0, 0.0))
-    empty = sensor_at(sites[0], mount)
-    detector.learn([detector.range_image(empty.scan(frame.vehicles)) for frame in sites[0].search])
-    alarms = []
-    for site in sites:
-        frames, _, _ = judging_frames(site)
-        boxes = [detector.detect(sensor_at(site, mount).scan(frame.vehicles))[0] for frame in frames]
-        alarms.append((~matches_of(site, mount, boxes)[0].hit).sum() / len(frames))
-    assert alarms[1] > alarms[0] + 5.0

@@ -7,13 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.detection.classical import ClassicalDetector
-from blender_lidar.detection.judge import judge_detector, judging_frames, sensor_at
+from blender_lidar.detection.judge import sensor_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import TrafficSettings
 from blender_lidar.scene.site import prepare, read_recording, read_recordings
 from blender_lidar.scoring import frame_scorer
-from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.traffic.fleet import BODIES, FLEET, KIND_OF_BODY, kind_of, with_variety
 from blender_lidar.traffic.vehicles import CLASSES, HEIGHTS_M, Recording, RepairReport
 from blender_lidar.world.triangles import shape_names
@@ -184,31 +182,3 @@ def test_scores_see_the_same_bodies_as_clouds(compiled, sites, monkeypatch):
         )
         np.testing.assert_array_equal(seen.points[0], expected)
     assert {"car", "hatchback", "suv"} < shown
-
-
-def test_scores_are_the_same_whatever_the_number_of_workers(sites):
-    site = sites[1]
-    poses = [site.scenario.baseline_pose]
-    found = []
-    for workers in (1, 2):
-        scenario = replace(site.scenario, model=replace(site.scenario.model, workers=workers))
-        with site_evaluator(replace(site, scenario=scenario), site.search) as evaluator:
-            found.append(evaluator.totals(poses).objective)
-    np.testing.assert_array_equal(*found)
-
-
-def test_who_knows_one_height_of_each_class_is_wrong_about_most(sites):
-    pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")
-    off = []
-    for site in sites:
-        mount = dict(site.scenario.baseline)
-        detector = ClassicalDetector(site.observation.lattice, (mount["x_m"], mount["y_m"]))
-        judged, errors = judge_detector(site, mount, detector), []
-        for boxes, frame in zip(judged.boxes, judging_frames(site)[0], strict=True):
-            cars = frame.vehicles.select(frame.vehicles.class_name == "car")
-            away = np.linalg.norm(boxes.centre_m[:, None, :2] - cars.centre_m[None, :, :2], axis=-1)
-            box, car = np.nonzero((away < 1.0) & (boxes.kind == 0)[:, None])
-            errors.append(np.abs(boxes.size_m[box, 2] - cars.size_m[car, 2]))
-        off.append(np.concatenate(errors).mean())
-    assert off[0] < 0.01
-    assert off[1] > off[0] + 0.03

@@ -60,16 +60,6 @@ def test_decimals_are_rounded_where_asked_for_and_only_there(tmp_path):
     assert content["long"] == ["1.23456", "-0.5", "2.0"]
 
 
-def test_a_table_without_rows_is_its_header(tmp_path):
-    write_columns(tmp_path / "table.csv", {"a": np.empty(0), "b": np.empty(0, dtype=int)})
-    assert (tmp_path / "table.csv").read_text() == "a,b\n"
-
-
-def test_lists_of_values_do_as_well_as_arrays(tmp_path):
-    write_columns(tmp_path / "table.csv", {"a": [1, 2], "b": ["x", "y"]})
-    assert read(tmp_path / "table.csv") == {"a": ["1", "2"], "b": ["x", "y"]}
-
-
 def test_columns_of_different_length_are_refused_and_nothing_is_written(tmp_path):
     with pytest.raises(ValueError, match=r"shorter|longer"):
         write_columns(tmp_path / "table.csv", {"a": [1, 2], "b": [1]})

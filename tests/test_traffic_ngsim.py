@@ -152,11 +152,6 @@ def test_vehicles_of_a_frame_and_selection(expected, columns):
         expected.vehicles(99)
 
 
-def test_recording_is_read_only(expected):
-    with pytest.raises(ValueError, match="read-only"):
-        expected.vehicles(100).centre_m[0] = 0.0
-
-
 def test_native_text_of_arterials_has_free_headings(tmp_path):
     columns = samples.columns()
     columns["Local_Y"] = 2000.0 - columns["Local_Y"]  # oncoming

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_lidar.errors import InputError
 from blender_lidar.traffic import CLASSES, read_sumo, read_traffic
 from tests import sumo_samples as samples
 from tests.traffic_samples import assert_same_boxes
@@ -146,15 +145,6 @@ def test_parquet_gives_the_same_recording(tmp_path, expected):
     for columns in (("time", *samples.ATTRIBUTES, "edge"), SHUFFLED):
         path = samples.write_parquet(tmp_path / "run.parquet", CROWD, columns)
         assert_same(read_traffic(path, vehicle_types=tmp_path / "types.rou.xml"), expected)
-
-
-def test_a_parquet_file_may_go_on_without_a_line_end(tmp_path):
-    """Its bytes are no text: 400 kB of them are zeros here."""
-    samples.need_pyarrow()
-    path = tmp_path / "run.parquet"
-    rows = [samples.row(0.0, id="a", x=1000.0, y=0.0, angle=0.0, speed=0.0, pos=0.0)] * 50_000
-    samples.write_parquet(path, rows, compression="none", use_dictionary=False)
-    assert read_traffic(path).report.duplicates == 49_999
 
 
 def test_chunks_do_not_show(tmp_path, expected, monkeypatch):
@@ -340,18 +330,6 @@ def test_what_drives_on_no_road_is_left_out_and_counted(tmp_path):
     assert "4 rows left out: no vehicle on a road" in recording.report.lines()
 
 
-def test_names_reach_the_terminal_short_and_without_control_characters(tmp_path):
-    rows = [samples.row(id="a\x1b]0,mine\x07", type="\x1b[2J"), samples.row(id="b" * 30_000, x=9.0, type="t" * 30_000)]
-    path = tmp_path / "run.csv"
-    path.write_text(samples.csv(rows), encoding="utf-8")
-    report = read_traffic(path).report
-    text = "".join(report.lines())
-    assert text.isprintable()
-    assert f"by first appearance: a\\x1b]0,mine\\x07, {'b' * 40}..." in text
-    assert len(text) < 1000
-    assert replace(report, location="\x1b[2J", locations=("", "x")).lines()[0].endswith("(location \\x1b[2J)")
-
-
 # --- defects ----------------------------------------------------------------------------------------------------------
 
 
@@ -374,13 +352,6 @@ def test_metres_near_the_origin_are_not_taken_for_degrees(tmp_path, speed):
     assert len(read_traffic(write(tmp_path, rows))) == 9
     rows = [samples.row(0.1 * k, x=0.5 + k, y=0.1) for k in range(3)]
     assert len(read_traffic(write(tmp_path, rows))) == 3
-
-
-def test_settings_of_other_formats_are_refused(tmp_path):
-    path = write(tmp_path, samples.driving())
-    for setting in ({"period": 2}, {"time_step_s": 0.1}, {"height_m": {"car": 1.5}}):
-        with pytest.raises(InputError, match=r"does not apply to traffic of format 'sumo'"):
-            read_traffic(path, **setting)
 
 
 @pytest.mark.parametrize("mark", [";", "\t"])

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import gzip
-import random
-import re
 import sys
 
 import pytest
 
-from blender_lidar.errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError
+from blender_lidar.errors import BlenderLidarError, MissingExtraError, MissingFileError
 from blender_lidar.traffic import read_traffic, source, sumo
 from tests import sumo_samples as samples
 from tests.traffic_samples import refused
@@ -38,12 +35,6 @@ def test_truncated_xml(tmp_path):
         assert "truncated or damaged XML (" in refused(write(tmp_path, text[:length]))
 
 
-def test_truncated_gzip(tmp_path):
-    packed = gzip.compress(samples.xml(ROWS).encode())
-    for length in (len(packed) // 2, len(packed) - 4):
-        assert "truncated or damaged gzip" in refused(write(tmp_path, packed[:length]))
-
-
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -53,23 +44,10 @@ def test_truncated_gzip(tmp_path):
             "FILE:2: truncated or damaged XML (not well-formed",
         ),
         ("<fcd-export>\n</fcd>", "FILE:2: truncated or damaged XML (mismatched tag"),
-        (
-            "<fcd-export></fcd-export>\n<more/>",
-            "FILE:2: truncated or damaged XML (junk after document element",
-        ),
         ("<routes></routes>", "FILE:1: the root element is <routes>; a recording of SUMO's has <fcd-export>"),
         ("<fcd-export/>", "FILE: no vehicle in 0 rows; at least one is needed"),
         ("<fcd-export>\n<vehicle/></fcd-export>", "FILE:2: <vehicle> outside a <timestep>"),
         ("<fcd-export><a time='0'>\n<vehicle/></a></fcd-export>", "FILE:2: <vehicle> outside a <timestep>"),
-        *(
-            (f"<?xml version='1.0' encoding='{name}'?>\n<fcd-export/>", f"FILE:1: truncated or damaged XML ({reason}")
-            for name, reason in {
-                "klingon": "unknown encoding: klingon",
-                "shift_jis": "multi-byte encodings are not supported",
-                "utf-7": "",
-            }.items()
-        ),
-        ("<fcd-export>&nbsp;</fcd-export>", "FILE:1: truncated or damaged XML (undefined entity"),
     ],
 )
 def test_xml_of_something_else(tmp_path, text, reason):
@@ -86,17 +64,11 @@ def test_a_missing_timestep_number(tmp_path):
 PLACE = "a finite number (SUMO leaves it out if --fcd-output.attributes does)"
 BAD_VALUES = [
     ("id", None, "id is missing"),
-    ("id", "", "id is missing"),
     ("x", "abc", f"x is 'abc'; allowed: {PLACE}"),
     ("x", "nan", f"x is 'nan'; allowed: {PLACE}"),
-    ("x", "1_0", f"x is '1_0'; allowed: {PLACE}"),
-    ("x", "\u0663", f"x is '\u0663'; allowed: {PLACE}"),
     ("y", "inf", f"y is 'inf'; allowed: {PLACE}"),
-    ("y", "9" * 50, f"y is 1e+50; allowed: {PLACE}"),
-    ("angle", "-Infinity", f"angle is '-Infinity'; allowed: {PLACE}"),
     ("angle", "1,5", f"angle is '1,5'; allowed: {PLACE}"),
     ("z", "-inf", "z is '-inf'; allowed: a finite number"),
-    ("z", "nan", "z is 'nan'; allowed: a finite number"),
     ("x", "x" * 500, f"x is '{'x' * 40}...'; allowed: {PLACE}"),
 ]
 
@@ -105,12 +77,6 @@ BAD_VALUES = [
 def test_a_bad_value_in_xml(tmp_path, name, value, reason):
     rows = [*ROWS[:4], samples.row(0.1, **{name: value}), *ROWS[6:]]
     assert refused(of_rows(tmp_path, *rows)) == f"FILE:{HEADER_LINES + 1 + 3 + 2 + 2}: {reason}"
-
-
-@pytest.mark.parametrize("name", ["x", "y", "angle"])
-def test_a_vehicle_without_a_place_or_an_angle(tmp_path, name):
-    reason = f"{name} is nothing; allowed: {PLACE}"
-    assert refused(of_rows(tmp_path, samples.row(**{name: None}))) == f"FILE:{HEADER_LINES + 2}: {reason}"
 
 
 @pytest.mark.parametrize(("name", "value", "reason"), [case for case in BAD_VALUES if case[1]])
@@ -175,21 +141,6 @@ def test_a_missing_column(tmp_path, name):
     assert text.startswith(f"FILE:1: no column {name}; needed: time, id, x, y, angle")
 
 
-def test_a_column_twice(tmp_path):
-    text = samples.csv(ROWS).replace("vehicle_pos", "vehicle_x")
-    assert refused(write(tmp_path, text)) == "FILE:1: column x is there twice"
-
-
-def test_a_wrong_number_of_fields(tmp_path):
-    lines = samples.csv(ROWS).splitlines()
-    lines[4] += ";1"
-    assert refused(write(tmp_path, "\n".join(lines))) == "FILE:5: 12 fields; the first line has 11"
-
-
-def test_nothing_but_a_comment(tmp_path):
-    assert refused(write(tmp_path, "# nothing\n"), format="sumo") == "FILE: no rows; a file of vehicles is needed"
-
-
 # --- Parquet ----------------------------------------------------------------------------------------------------------
 
 
@@ -199,13 +150,6 @@ def test_a_damaged_parquet_file(tmp_path):
     for damaged in (whole[: len(whole) // 2], b"PAR1", b"PAR1" + bytes(200), whole[:40] + b"\xff" * 80 + whole[120:]):
         assert refused(write(tmp_path, damaged)).startswith("FILE: truncated or damaged Parquet file (")
     assert refused(write(tmp_path, gzip.compress(whole))) == "FILE: not a text file (UTF-8, UTF-16 or Windows-1252)"
-    rng = random.Random(1)
-    for _ in range(60):
-        flipped = bytearray(whole)
-        for at in rng.sample(range(4, len(whole)), 3):
-            flipped[at] ^= 1 << rng.randrange(8)
-        with contextlib.suppress(BlenderLidarError):  # and nothing else
-            read_traffic(write(tmp_path, bytes(flipped)))
 
 
 def test_a_bad_value_in_parquet(tmp_path):
@@ -217,13 +161,6 @@ def test_a_bad_value_in_parquet(tmp_path):
     assert f"FILE: row {len(ROWS) + 1}: y is" in refused(path)
     samples.write_parquet(path, ROWS, columns=("time", "id", "x", "y"))
     assert refused(path).startswith("FILE: no column angle; needed: time")
-
-
-def test_a_parquet_file_that_is_too_large(tmp_path, monkeypatch):
-    samples.need_pyarrow()
-    path = samples.write_parquet(tmp_path / "run.parquet", ROWS)
-    monkeypatch.setattr(sumo, "MAX_ROWS", 3)
-    assert refused(path) == "FILE: more than 3 rows; split the file"
 
 
 def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch):
@@ -254,14 +191,9 @@ def types_refused(tmp_path, text):
     [
         ("", "TYPES:1: truncated or damaged XML (no element found"),
         ("<routes/>", "TYPES: no <vType>; a route or additional file that defines the vehicles is needed"),
-        ("<routes>", "TYPES:1: truncated or damaged XML (no element found"),
         ("<routes>\n<vType/></routes>", "TYPES:2: vType without an id"),
         ("<routes><vType id='car'/>\n<vType id='car'/></routes>", "TYPES:2: vType 'car' is there twice"),
         ("<routes><vType id='car' length='long'/></routes>", "TYPES:1: length is 'long'; allowed: more"),
-        (
-            "<routes><vType id='car' width='nan'/></routes>",
-            "TYPES:1: width is 'nan'; allowed: more than",
-        ),
         (
             "<routes><vType id='car' height='-1'/></routes>",
             "TYPES:1: height is -1; allowed: more than",
@@ -278,11 +210,6 @@ def types_refused(tmp_path, text):
             "<routes><vType id='cart'/></routes>",
             "FILE: vehicle_types TYPES: unknown type 'car'; did you mean 'cart'?",
         ),
-        (
-            "<?xml version='1.0' encoding='shift_jis'?><routes/>",
-            "TYPES:1: truncated or damaged XML (multi-byte",
-        ),
-        ("<routes><vType id='car' length='1_0'/></routes>", "TYPES:1: length is '1_0'; allowed: more"),
     ],
 )
 def test_a_file_of_types_that_cannot_be_used(tmp_path, text, reason):
@@ -300,24 +227,6 @@ def test_a_file_of_types_for_a_recording_without_types(tmp_path, rows):
     )
 
 
-def test_a_type_with_an_endless_name(tmp_path):
-    endless = "x" * 60_000
-    text = refused(of_rows(tmp_path, samples.row(type=endless)), vehicle_types=write_types(tmp_path))
-    assert re.fullmatch(r"FILE: vehicle_types .*: unknown type 'x+\.\.\.x+'; allowed: car", text)
-    for definition in (
-        f"<vType id='{endless}'/>\n" * 2,
-        f"<vType id='{endless}' length='x'/>",
-        f"<vType id='a' vClass='{endless}'/>",
-    ):
-        assert len(types_refused(tmp_path, f"<routes>{definition}</routes>")) < 1000
-
-
 def test_a_missing_file_of_types(tmp_path):
     with pytest.raises(MissingFileError, match=r"nowhere\.rou\.xml: there is no such file"):
         read_traffic(of_rows(tmp_path, *ROWS), vehicle_types=tmp_path / "nowhere.rou.xml")
-
-
-def test_a_file_of_types_is_for_sumo_alone(tmp_path):
-    path = write(tmp_path, "frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg\n", "boxes.csv")
-    with pytest.raises(InputError, match=r"vehicle_types = 'a\.xml' does not apply to traffic of format 'table'"):
-        read_traffic(path, vehicle_types="a.xml")

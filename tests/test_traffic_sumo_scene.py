@@ -60,21 +60,7 @@ def test_the_scene_as_used_finds_its_files_again(scene, tmp_path, capsys):
     assert "[traffic] vehicle_types" in line
 
 
-def test_vehicle_types_start_from_the_scenes_folder_and_the_options_from_the_working_one(scene, tmp_path):
-    assert load_scenario(scene).traffic.vehicle_types == str(tmp_path / "types.rou.xml")
-    option = {("traffic", "vehicle_types"): ("other.rou.xml", "--vehicle-types")}
-    assert load_scenario(scene, option).traffic.vehicle_types == "other.rou.xml"
-
-
 def test_traffic_far_from_the_mount_is_refused_with_the_keys_to_look_at(scene, tmp_path, capsys):
     far = write_scene(tmp_path, {"traffic": {"path": "run.fcd.xml", "origin_m": [5000.0, 0.0]}})
     line = refused(capsys, tmp_path, "optimise", far, "--out", tmp_path / "far")
     assert "vehicles drive at x -4037 to -3958 m, y -7 to -4 m; check [traffic] origin_m and heading_deg" in line
-
-
-def test_a_road_frame_that_misses_the_carriageway_stops_the_run(scene, tmp_path, capsys):
-    wrong = {"path": "run.fcd.xml", "origin_m": [1000.0, 0.0], "heading_deg": 0.0}
-    write_scene(tmp_path, {"traffic": wrong})
-    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "wrong")
-    assert "0 % of the boxes in the region lie on the carriageway of [road], y 2 to 9 m, but at y -7 to -4 m" in line
-    assert "probably the other side: turn [traffic] heading_deg by 180 degrees" in line
