@@ -34,7 +34,7 @@ from blender_lidar.casting.tree import fences, grown
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.scene.observation import Observation
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose, rotation_matrix
@@ -379,7 +379,9 @@ def awkward_mountings():
 def test_awkward_mountings_seen_together_see_what_the_oracle_sees(caster, scenery):
     poses = awkward_mountings()
     found, expected = (
-        FrameScorer(TRAFFIC, EVERYONE, seen(name, scenery=scenery and StandingScenery(scenery, name))).see(poses)
+        FrameScorer(TRAFFIC, EVERYONE, seen(name, scenery=scenery and StandingScenery(scenery, name))).see(
+            singles(poses)
+        )
         for name in (caster, "exact")
     )
     assert (expected.points.sum(axis=1) > 0).sum() >= len(poses) - 1  # the wall hides all from the road
@@ -390,7 +392,7 @@ def test_awkward_mountings_seen_together_see_what_the_oracle_sees(caster, scener
 @pytest.mark.parametrize("caster", EVERY)
 def test_a_lidar_inside_a_vehicle_sees_that_vehicle_alone(caster):
     inside = awkward_mountings()[0]
-    points = FrameScorer(TRAFFIC, EVERYONE, seen(caster)).see([inside]).points[0]
+    points = FrameScorer(TRAFFIC, EVERYONE, seen(caster)).see(singles([inside])).points[0]
     assert points[0] == LATTICE.rings * LATTICE.columns
     assert points[1:].sum() == 0
 
@@ -424,7 +426,7 @@ def test_a_road_frame_far_from_its_origin_is_scanned_and_scored_as_one_at_it(cas
     np.testing.assert_allclose(far.range_m, near.range_m, atol=1e-6)
     np.testing.assert_allclose(far.xyz - away, near.xyz, atol=1e-6)
     points = [
-        FrameScorer(vehicles, EVERYONE, seen(caster)).see([mount]).points
+        FrameScorer(vehicles, EVERYONE, seen(caster)).see(singles([mount])).points
         for vehicles, mount in ((TRAFFIC, pose), (moved(TRAFFIC, away), there))
     ]
     np.testing.assert_array_equal(*points)

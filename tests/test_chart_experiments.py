@@ -13,7 +13,7 @@ from blender_lidar.casting.protocol import Revolution
 from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies.ablations import ablations, without_offsets
@@ -55,7 +55,7 @@ def assert_same(one, other):
 def test_float32_moves_points_by_micrometres(site, frame):
     observation = replace(site.observation, max_range_m=50.0)
     scorers = FrameScorer(frame.vehicles, frame.counted, observation), SinglePrecisionScorer(frame, observation)
-    seen = [scorer.see(POSES, keep_returns=True) for scorer in scorers]
+    seen = [scorer.see(singles(POSES), keep_returns=True) for scorer in scorers]
     np.testing.assert_array_equal(seen[0].points, seen[1].points)
     away = np.abs(seen[0].returns[0] - seen[1].returns[0]).max()
     assert 1e-9 < away < 2e-5
@@ -72,7 +72,7 @@ def test_the_ground_is_among_what_is_cast_against_and_changes_no_score(site, cas
     site = replace(site, observation=replace(site.observation, caster=caster))
     frame = next(frame for frame in site.search if frame.counted.any())
     without, there = FrameScorer(frame.vehicles, frame.counted, site.observation), grounded(site, frame)
-    assert_same(there.see(POSES), without.see(POSES))
+    assert_same(there.see(singles(POSES)), without.see(singles(POSES)))
     assert (there.compiled is None) == (without.compiled is None)  # no slower way
     down = np.array([[0.0, 0.6, -0.8]])
     away = np.array([site.region.centre_xy[0] + 0.9 * site.reach_m, 0.0, 4.0])
@@ -93,9 +93,9 @@ def test_vehicles_that_stand_are_seen_as_in_an_instant(site, frame, boxes_move, 
     changes = {"imperfections": imperfections} if "noise" in also else {}
     observation = replace(site.observation, max_range_m=50.0, **changes)
     standing = MovingScorer(frame, observation, np.zeros((len(frame.vehicles), 2)), boxes_move=boxes_move)
-    expected = FrameScorer(frame.vehicles, frame.counted, observation).see(POSES)
+    expected = FrameScorer(frame.vehicles, frame.counted, observation).see(singles(POSES))
     assert expected.points.sum() > 100
-    assert_same(standing.see(POSES), expected)
+    assert_same(standing.see(singles(POSES)), expected)
 
 
 def test_a_sector_sees_vehicles_where_they_are_at_its_time(site, frame):
@@ -107,11 +107,11 @@ def test_a_sector_sees_vehicles_where_they_are_at_its_time(site, frame):
     for number in range(SECTORS):
         there = moved(frame.vehicles, velocity, late_s[number])
         standing = FrameScorer(there, frame.counted, observation)
-        (met,) = standing._revolutions(POSES[:1])
+        ((met,),) = standing._revolutions(singles(POSES[:1]))
         ours = sector[met.beam] == number
         met = Revolution(*(column[..., ours] for column in met))
         expected.append(standing.returns_of(POSES[0], met)[0])
-    found = MovingScorer(frame, observation, velocity).see(POSES[:1], keep_returns=True).returns[0]
+    found = MovingScorer(frame, observation, velocity).see(singles(POSES[:1]), keep_returns=True).returns[0]
     expected = np.concatenate(expected)
     assert len(found) > 200
     by_place = [points[np.lexsort(points.round(6).T)] for points in (found, expected)]
@@ -131,7 +131,7 @@ def test_boxes_left_at_mid_turn_hold_the_same_returns_elsewhere(site, frame):
     observation = replace(site.observation, max_range_m=50.0)
     velocity = velocity_at(frame.vehicles, 25.0)
     with_boxes, without = (
-        MovingScorer(frame, observation, velocity, boxes_move=boxes).see(POSES[:1], keep_returns=True)
+        MovingScorer(frame, observation, velocity, boxes_move=boxes).see(singles(POSES[:1]), keep_returns=True)
         for boxes in (True, False)
     )
     np.testing.assert_array_equal(with_boxes.points, without.points)

@@ -157,5 +157,7 @@ def test_scores_see_vehicles_behind_clutter_and_walkers_as_clouds_do(compiled, s
     for frame in site.search[:3]:
         cloud = sensor_at(site, mount).scan(frame.vehicles)
         expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
-        seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see([pose_at(mount)])
+        seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see(
+            frame_scorer.singles([pose_at(mount)])
+        )
         np.testing.assert_array_equal(seen.points[0], expected)

@@ -140,7 +140,7 @@ def compiled_for(casters):
     from blender_lidar.casting.protocol import StandingScenery
     from blender_lidar.metrics.vgop import pe_vgop
     from blender_lidar.scene.observation import Observation
-    from blender_lidar.scoring.frame_scorer import FrameScorer
+    from blender_lidar.scoring.frame_scorer import FrameScorer, singles
     from blender_lidar.sensors.beams import beam_lattice
     from blender_lidar.sensors.model import load_model
     from blender_lidar.sensors.pose import Pose
@@ -153,8 +153,8 @@ def compiled_for(casters):
         scenery = StandingScenery(barrier("concrete", 10.0, (-40.0, 40.0)), caster)
         seen = Observation(lattice, 50.0, 0.4, caster, "box", 0.05, scenery=scenery)
         scorer = FrameScorer(vehicles, np.ones(len(vehicles), dtype=bool), seen)
-        scorer.see([pose])
-        scorer.see([pose], keep_returns=True)
+        scorer.see(singles([pose]))
+        scorer.see(singles([pose]), keep_returns=True)
         pe_vgop(*scorer.vehicle_points(pose), vehicles.size_m)
         scorer.shapes.tree.cast(pose.position, pose.to_world(lattice.directions.reshape(-1, 3)))
     return compilations

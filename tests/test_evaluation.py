@@ -26,7 +26,7 @@ from blender_lidar.run.verdict import VEHICLE_COLUMNS, distance_bands, judge, la
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator, Totals
 from blender_lidar.scoring.fidelity import Fidelity, coarse_observation
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -100,7 +100,7 @@ def test_a_mounting_has_the_same_score_whatever_else_is_asked(alone, pair):
 
 def test_totals_are_the_sums_of_equations_10_and_11_over_each_frame(alone):
     for column, frame in enumerate(FRAMES):
-        seen = FrameScorer(frame.vehicles, frame.counted, SEEN).see(POSES)
+        seen = FrameScorer(frame.vehicles, frame.counted, SEEN).see(singles(POSES))
         for row in range(len(POSES)):
             bits, found = 0.0, 0
             for shares in seen.occupancy[row].tolist():

@@ -178,7 +178,7 @@ def test_scores_see_the_same_bodies_as_clouds(compiled, sites, monkeypatch):
         cloud = sensor_at(site, mount).scan(frame.vehicles)
         expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
         seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see(
-            [site.scenario.pose(mount)]
+            [(site.scenario.pose(mount),)]
         )
         np.testing.assert_array_equal(seen.points[0], expected)
     assert {"car", "hatchback", "suv"} < shown

@@ -21,7 +21,7 @@ from blender_lidar.compiled import numba_works
 from blender_lidar.metrics import view_grids
 from blender_lidar.metrics.vgop import entropy, occupancy, pe_vgop, to_vehicle_frame
 from blender_lidar.scene.observation import Observation
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.model import load_model, unit_of
@@ -112,7 +112,7 @@ def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, d
     counted = rng.random(8) < 0.7
     seen = observation(LATTICES[sensor], gate=20.0, near=near, detail=detail, imperfections=effects)
     pose = Pose(0.0, 0.0, height, *angles)
-    found = FrameScorer(vehicles, counted, seen).see([pose])
+    found = FrameScorer(vehicles, counted, seen).see(singles([pose]))
     points, shares = slow_pipeline(vehicles, counted, seen, pose)
     np.testing.assert_array_equal(found.points[0], points)
     np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
@@ -122,7 +122,7 @@ def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, d
 def test_a_dense_frame_equals_the_slow_pipeline(detail):
     vehicles, seen = dense_traffic(vehicles=60, length_m=150.0), observation(detail=detail)
     counted = everyone(vehicles)
-    found = FrameScorer(vehicles, counted, seen).see([POSE])
+    found = FrameScorer(vehicles, counted, seen).see(singles([POSE]))
     points, shares = slow_pipeline(vehicles, counted, seen, POSE)
     assert points.sum() > 200
     np.testing.assert_array_equal(found.points[0], points)
@@ -132,30 +132,30 @@ def test_a_dense_frame_equals_the_slow_pipeline(detail):
 def test_a_vehicle_that_does_not_count_still_hides_another():
     car, bus = one_vehicle("car", centre=(0.0, 12.0)), one_vehicle("bus", centre=(0.0, 7.0))
     pose, seen = Pose(height_m=2.0, tilt_x=0.1), observation()
-    alone = FrameScorer(car, everyone(car), seen).see([pose]).points[0]
+    alone = FrameScorer(car, everyone(car), seen).see(singles([pose])).points[0]
     both = joined(car, bus)
-    behind = FrameScorer(both, np.array([True, False]), seen).see([pose]).points[0]
+    behind = FrameScorer(both, np.array([True, False]), seen).see(singles([pose])).points[0]
     assert alone[0] > 5
     assert behind.tolist() == [0]
-    np.testing.assert_array_equal(FrameScorer(both, everyone(both), seen).see([pose]).points[0, 0], behind[0])
+    np.testing.assert_array_equal(FrameScorer(both, everyone(both), seen).see(singles([pose])).points[0, 0], behind[0])
 
 
 @pytest.mark.parametrize("effects", [PERFECT, ROUGH], ids=["perfect", "rough"])
 def test_what_counts_changes_nothing_for_the_others(effects):
     vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation(imperfections=effects)
-    whole = FrameScorer(vehicles, everyone(vehicles), seen).see([POSE])
+    whole = FrameScorer(vehicles, everyone(vehicles), seen).see(singles([POSE]))
     counted = np.random.default_rng(1).random(40) < 0.4
     part = FrameScorer(vehicles, counted, seen)
     assert len(part) == counted.sum()
-    np.testing.assert_array_equal(part.see([POSE]).points, whole.points[:, counted])
-    np.testing.assert_array_equal(part.see([POSE]).occupancy, whole.occupancy[:, counted])
+    np.testing.assert_array_equal(part.see(singles([POSE])).points, whole.points[:, counted])
+    np.testing.assert_array_equal(part.see(singles([POSE])).occupancy, whole.occupancy[:, counted])
 
 
 def test_the_order_of_the_vehicles_does_not_matter():
     vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation()
     order = np.random.default_rng(2).permutation(40)
-    straight = FrameScorer(vehicles, everyone(vehicles), seen).see([POSE])
-    shuffled = FrameScorer(vehicles.select(order), everyone(vehicles), seen).see([POSE])
+    straight = FrameScorer(vehicles, everyone(vehicles), seen).see(singles([POSE]))
+    shuffled = FrameScorer(vehicles.select(order), everyone(vehicles), seen).see(singles([POSE]))
     np.testing.assert_array_equal(shuffled.points, straight.points[:, order])
     np.testing.assert_array_equal(shuffled.occupancy, straight.occupancy[:, order])
 
@@ -163,8 +163,8 @@ def test_the_order_of_the_vehicles_does_not_matter():
 def test_returns_from_too_near_are_lost_and_hide_all_the_same():
     both = joined(one_vehicle("car", centre=(0.0, 12.0)), one_vehicle("bus", centre=(0.0, 4.0)))
     pose = Pose(height_m=2.0, tilt_x=0.1)
-    near = FrameScorer(both, everyone(both), observation(near=0.4)).see([pose]).points[0]
-    far = FrameScorer(both, everyone(both), observation(near=9.0)).see([pose]).points[0]
+    near = FrameScorer(both, everyone(both), observation(near=0.4)).see(singles([pose])).points[0]
+    far = FrameScorer(both, everyone(both), observation(near=9.0)).see(singles([pose])).points[0]
     assert near[1] > 20
     assert far.tolist() == [0, 0]
 
@@ -173,7 +173,8 @@ def test_returns_from_beyond_the_gate_are_lost():
     bus = one_vehicle("bus", centre=(0.0, 20.0))
     pose = Pose(height_m=2.0)
     counts = [
-        FrameScorer(bus, everyone(bus), observation(gate=gate)).see([pose]).points[0, 0] for gate in (18.0, 19.0, 30.0)
+        FrameScorer(bus, everyone(bus), observation(gate=gate)).see(singles([pose])).points[0, 0]
+        for gate in (18.0, 19.0, 30.0)
     ]
     assert counts[0] == 0
     assert 0 < counts[1] < counts[2]
@@ -186,14 +187,14 @@ def test_mountings_together_and_one_by_one_and_in_any_order_see_the_same(effects
     rng = np.random.default_rng(3)
     poses = [Pose(0.0, 0.0, rng.uniform(2, 4.5), rng.uniform(0, 0.4)) for _ in range(12)]
     scorer = FrameScorer(vehicles, everyone(vehicles), seen)
-    together = scorer.see(poses)
-    np.testing.assert_array_equal(scorer.see(poses[::-1]).occupancy[::-1], together.occupancy)
+    together = scorer.see(singles(poses))
+    np.testing.assert_array_equal(scorer.see(singles(poses[::-1])).occupancy[::-1], together.occupancy)
     assert (together.points.shape, together.occupancy.shape) == ((12, 40), (12, 40, 3))
     for number, pose in enumerate(poses):
-        alone = FrameScorer(vehicles, everyone(vehicles), seen).see([pose])
+        alone = FrameScorer(vehicles, everyone(vehicles), seen).see(singles([pose]))
         np.testing.assert_array_equal(together.points[number], alone.points[0])
         np.testing.assert_array_equal(together.occupancy[number], alone.occupancy[0])
-    assert scorer.see([]).points.shape == (0, 40)
+    assert scorer.see(singles([])).points.shape == (0, 40)
 
 
 def test_points_lie_on_their_vehicle_and_are_as_many_as_counted():
@@ -201,7 +202,7 @@ def test_points_lie_on_their_vehicle_and_are_as_many_as_counted():
     counted = np.random.default_rng(4).random(40) < 0.5
     scorer = FrameScorer(vehicles, counted, seen)
     local, row = scorer.vehicle_points(POSE)
-    np.testing.assert_array_equal(np.bincount(row, minlength=len(scorer)), scorer.see([POSE]).points[0])
+    np.testing.assert_array_equal(np.bincount(row, minlength=len(scorer)), scorer.see(singles([POSE])).points[0])
     assert (np.abs(local) <= 0.5 * vehicles.size_m[counted][row] + 1e-9).all()
 
 
@@ -209,7 +210,7 @@ def test_points_lie_on_their_vehicle_and_are_as_many_as_counted():
 def test_a_frame_in_which_nothing_counts_has_no_points(vehicles):
     frame = dense_traffic(vehicles=vehicles, length_m=40.0)
     scorer = FrameScorer(frame, np.zeros(vehicles, dtype=bool), observation())
-    seen = scorer.see([POSE, POSE])
+    seen = scorer.see(singles([POSE, POSE]))
     assert len(scorer) == 0
     assert (seen.points.shape, seen.occupancy.shape) == ((2, 0), (2, 0, 3))
     assert len(scorer.vehicle_points(POSE)[0]) == 0
@@ -219,7 +220,7 @@ def test_the_literal_reading_and_the_cell_reach_the_metric():
     vehicles = dense_traffic(vehicles=10, length_m=40.0)
     counted = everyone(vehicles)
     corrected, literal, coarse = (
-        FrameScorer(vehicles, counted, observation(**settings)).see([POSE]).occupancy[0]
+        FrameScorer(vehicles, counted, observation(**settings)).see(singles([POSE])).occupancy[0]
         for settings in ({}, {"reading": "paper"}, {"cell": 0.5})
     )
     assert (literal >= corrected).all()
@@ -279,15 +280,15 @@ def test_compiled_passes_count_what_numpys_count_to_the_last_digit(caster, effec
     scorer = FrameScorer(TRAFFIC, counted, seen)
     slow = []
     monkeypatch.setattr(
-        scorer, "returns_of", lambda pose, hits: slow.append(pose) or FrameScorer.returns_of(scorer, pose, hits)
+        scorer, "returns_of", lambda pose, *hits: slow.append(pose) or FrameScorer.returns_of(scorer, pose, *hits)
     )
-    found = scorer.see(POSES)
+    found = scorer.see(singles(POSES))
     assert slow in ([], POSES[3:4])  # on a roof all may be left to the float64 caster
     assert found.points[:2].sum() > 150
     assert not found.points[-1].any()
-    assert_same(found, scorer.see(POSES, keep_returns=True))  # whose returns are wanted goes through NumPy
+    assert_same(found, scorer.see(singles(POSES), keep_returns=True))  # whose returns are wanted goes through NumPy
     monkeypatch.setattr(view_grids, "numba_works", lambda: False)
-    assert_same(found, scorer.see(POSES, keep_returns=True))
+    assert_same(found, scorer.see(singles(POSES), keep_returns=True))
 
 
 @pytest.mark.usefixtures("_compiles")
@@ -295,7 +296,7 @@ def test_compiled_passes_count_what_numpys_count_to_the_last_digit(caster, effec
 @pytest.mark.parametrize("culled", [True, False])
 def test_compiled_passes_do_so_at_every_detail_and_without_culling(detail, culled):
     scorer = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(detail=detail, culled=culled))
-    assert_same(scorer.see(POSES), scorer.see(POSES, keep_returns=True))
+    assert_same(scorer.see(singles(POSES)), scorer.see(singles(POSES), keep_returns=True))
 
 
 @pytest.mark.usefixtures("_compiles")
@@ -303,7 +304,7 @@ def test_a_mounting_at_a_surface_is_left_to_the_float64_caster():
     bus, seen = one_vehicle("bus", centre=(0.0, 5.0)), observation(detail="box")
     top = Pose(0.0, 5.0, float(bus.size_m[0, 2]))
     oracle = FrameScorer(bus, np.array([True]), replace(seen, caster="exact"))
-    assert_same(FrameScorer(bus, np.array([True]), seen).see([top]), oracle.see([top]))
+    assert_same(FrameScorer(bus, np.array([True]), seen).see(singles([top])), oracle.see(singles([top])))
 
 
 @pytest.mark.usefixtures("_compiles")
@@ -314,9 +315,9 @@ def test_a_beam_along_the_edge_of_what_hides_it_is_left_to_the_float64_caster(ca
     level = Pose(height_m=2.0, tilt_x=math.radians(1.0))  # the ring at 1 degree looks along the top
     seen = observation(lattice, scenery=StandingScenery(structure("wall", corners), caster))
     oracle = replace(seen, caster="exact", scenery=StandingScenery(structure("wall", corners), "exact"))
-    found = FrameScorer(bus, np.array([True]), seen).see([level])
+    found = FrameScorer(bus, np.array([True]), seen).see(singles([level]))
     assert found.points[0, 0] > 100
-    assert_same(found, FrameScorer(bus, np.array([True]), oracle).see([level]))
+    assert_same(found, FrameScorer(bus, np.array([True]), oracle).see(singles([level])))
 
 
 def test_beams_that_meet_but_the_margin_of_a_triangle_are_decided_in_float64(caster):
@@ -333,8 +334,8 @@ def test_beams_that_meet_but_the_margin_of_a_triangle_are_decided_in_float64(cas
         scorer, rays = FrameScorer(both, everyone(both), seen), []
         tree, decide = scorer.shapes.tree, scorer.shapes.tree.decide
         tree.decide = lambda *given, decide=decide, rays=rays: rays.append(len(given[1])) or decide(*given)
-        found = scorer.see([pose])
-        assert_same(found, FrameScorer(both, everyone(both), replace(seen, caster="exact")).see([pose]))
+        found = scorer.see(singles([pose]))
+        assert_same(found, FrameScorer(both, everyone(both), replace(seen, caster="exact")).see(singles([pose])))
         decided += sum(rays)
         points.append(int(found.points[0, 0]))
     assert decided > 0
@@ -352,7 +353,7 @@ def test_a_scan_that_is_scored_has_the_scorers_occupancy_to_the_last_bit(caster,
     lattice, pose = beam_lattice(load_model("RS-80"), stride=6), Pose(0.3, -0.2, 4.1, 0.3, 0.02, 0.1)
     standing = StandingScenery(STANDING, caster) if scenery else None
     how = {"scenery": standing, "imperfections": EFFECTS[effects]}
-    seen = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(lattice, detail=detail, **how)).see([pose])
+    seen = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(lattice, detail=detail, **how)).see(singles([pose]))
     cloud = scan(TRAFFIC, lattice, pose, caster=caster, detail=detail, min_range_m=0.4, max_range_m=50.0, **how)
     write_npz(tmp_path / "cloud.npz", cloud, {})
     for points, vehicle_id in ((cloud.xyz, cloud.vehicle_id), read_points(tmp_path / "cloud.npz")):
@@ -363,3 +364,38 @@ def test_a_scan_that_is_scored_has_the_scorers_occupancy_to_the_last_bit(caster,
         np.testing.assert_array_equal(occupancy(local, row, TRAFFIC.size_m), seen.occupancy[0])
         np.testing.assert_array_equal(pe_vgop(local, row, TRAFFIC.size_m), entropy(seen.occupancy[0]).sum(axis=1))
     assert seen.points.sum() > 500
+
+
+# --- several LiDARs under one mark ------------------------------------------------------------------------------------
+
+SECOND = Pose(4.0, 24.0, 5.0, -0.3, 0.0, 0.5)
+
+
+@pytest.mark.parametrize("effects", ["perfect", "all"])
+@pytest.mark.parametrize("scenery", [False, True], ids=["open", "hidden"])
+def test_two_lidars_see_the_union_that_numpy_gets_from_concatenated_points(caster, effects, scenery):
+    """Sensors that differ in beams, range and noise; on a roof the whole layout is cast again."""
+    standing = StandingScenery(STANDING, caster) if scenery else None
+    first = observation(LATTICES["RS-16"], gate=60.0, imperfections=EFFECTS[effects], scenery=standing)
+    second = observation(LATTICES["a unit of RS-80"], gate=40.0, near=3.0, scenery=standing)
+    counted = np.random.default_rng(1).random(len(TRAFFIC)) < 0.7
+    both = FrameScorer(TRAFFIC, counted, [first, second])
+    singly = [FrameScorer(TRAFFIC, counted, each) for each in (first, second)]
+    layouts = [(pose, SECOND) for pose in POSES] + [(SECOND, pose) for pose in POSES]
+    found = both.see(layouts)
+    for row, layout in enumerate(layouts):
+        parts = [scorer.vehicle_points(pose) for scorer, pose in zip(singly, layout, strict=True)]
+        local, rows = map(np.concatenate, zip(*parts, strict=True))
+        np.testing.assert_array_equal(found.points[row], np.bincount(rows, minlength=len(both)))
+        np.testing.assert_array_equal(found.occupancy[row], occupancy(local, rows, both.vehicles.size_m))
+    assert_same(found, both.see(layouts, keep_returns=True))
+    turned = FrameScorer(TRAFFIC, counted, [second, first]).see([layout[::-1] for layout in layouts])
+    assert_same(turned, found)
+
+
+def test_two_equal_lidars_in_one_place_occupy_what_one_does():
+    seen = observation(imperfections=ROUGH)
+    one = FrameScorer(TRAFFIC, everyone(TRAFFIC), seen).see(singles(POSES))
+    two = FrameScorer(TRAFFIC, everyone(TRAFFIC), [seen, seen]).see([(pose, pose) for pose in POSES])
+    np.testing.assert_array_equal(two.occupancy, one.occupancy)
+    np.testing.assert_array_equal(two.points, 2 * one.points)

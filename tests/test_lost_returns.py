@@ -12,7 +12,7 @@ from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.clouds.scan import scan
 from blender_lidar.scene.observation import Observation
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections, detection_range_m
 from blender_lidar.sensors.model import load_model
@@ -75,7 +75,7 @@ def assert_equal(part, whole, kept):
 def seen(imperfections, detail="body", caster="exact", poses=MOUNTINGS):
     everyone = np.ones(len(TRAFFIC), dtype=bool)
     observation = Observation(LATTICE, 60.0, 0.4, caster, detail, 0.05, imperfections=imperfections)
-    return FrameScorer(TRAFFIC, everyone, observation).see(poses)
+    return FrameScorer(TRAFFIC, everyone, observation).see(singles(poses))
 
 
 # --- glass: which returns are lost ------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from blender_lidar.run.verdict import METRIC_VALUE, vehicle_table
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scoring.evaluation import Evaluator
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -76,8 +76,8 @@ def test_one_worker_and_two_give_the_same_bits_with_a_metric_that_needs_the_retu
 
 def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for():
     scorer = FrameScorer(FRAMES[0].vehicles, FRAMES[0].counted, SEEN)
-    assert scorer.see(POSES).returns is None
-    seen = scorer.see(POSES, keep_returns=True)
+    assert scorer.see(singles(POSES)).returns is None
+    seen = scorer.see(singles(POSES), keep_returns=True)
     points, row = seen.returns
     np.testing.assert_array_equal(np.bincount(row, minlength=seen.points.size).reshape(seen.points.shape), seen.points)
     for number, pose in enumerate(POSES):
@@ -88,7 +88,7 @@ def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for(
 
 
 def test_nothing_in_view_leaves_no_returns():
-    nobody = FrameScorer(FRAMES[0].vehicles, np.zeros(20, dtype=bool), SEEN).see(POSES, keep_returns=True)
+    nobody = FrameScorer(FRAMES[0].vehicles, np.zeros(20, dtype=bool), SEEN).see(singles(POSES), keep_returns=True)
     assert (nobody.returns[0].shape, nobody.returns[1].shape) == ((0, 3), (0,))
 
 

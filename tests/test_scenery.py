@@ -21,7 +21,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import read_scenery
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -120,12 +120,14 @@ def test_the_score_counts_what_a_scan_counts_behind_scenery(caster):
     scenery = StandingScenery(SCENERY, caster)
     seen = Observation(LATTICE, REACH_M, 0.0, caster, "body", 0.05, scenery=scenery)
     poses = [POSE, Pose(0.0, 0.0, 3.0)]
-    scored = FrameScorer(TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), seen).see(poses)
+    scored = FrameScorer(TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), seen).see(singles(poses))
     for row, pose in enumerate(poses):
         cloud = scan(TRAFFIC, LATTICE, pose, caster=caster, max_range_m=REACH_M, scenery=scenery)
         counts = [(cloud.vehicle_id == vehicle).sum() for vehicle in TRAFFIC.vehicle_id]
         np.testing.assert_array_equal(scored.points[row], counts)
-    free = FrameScorer(TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), replace(seen, scenery=None)).see(poses).points
+    free = (
+        FrameScorer(TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), replace(seen, scenery=None)).see(singles(poses)).points
+    )
     assert (scored.points <= free).all()
     assert scored.points.sum() < free.sum()
 

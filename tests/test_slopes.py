@@ -140,7 +140,9 @@ def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
             cloud = sensor_at(crowned, mount).scan(frame.vehicles)
             expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
             seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, crowned.observation)
-            np.testing.assert_array_equal(seen.see([crowned.scenario.pose(mount)]).points[0], expected)
+            np.testing.assert_array_equal(
+                seen.see(frame_scorer.singles([crowned.scenario.pose(mount)])).points[0], expected
+            )
             assert sum(expected) > 100
 
 

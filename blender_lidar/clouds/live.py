@@ -10,7 +10,7 @@ import numpy as np
 
 from ..casting.protocol import Revolution
 from ..scene.observation import CountedFrame, Observation, Scoring
-from ..scoring.frame_scorer import FrameScorer, FrameShapes
+from ..scoring.frame_scorer import FrameScorer, FrameShapes, singles
 from ..scoring.scores import Scored, VehicleScores, mountings_of
 from ..sensors.pose import Pose
 from .scan import FrameScan, PointCloud, Stands
@@ -90,5 +90,5 @@ class LiveFrame:
             nearest[beam] = np.minimum(nearest[beam], distance)
         shown = hits.distance <= nearest[hits.beam]
         hits = Revolution(*(column[..., shown] for column in hits))
-        seen = self._scorer.seen_of([pose], [hits], keep_returns=self._scores.needs_returns)
+        seen = self._scorer.seen_of(singles([pose]), [(hits,)], keep_returns=self._scores.needs_returns)
         return self._scores.of_seen(self.frame, self._scorer, seen, mountings_of([pose]))

@@ -110,7 +110,7 @@ class FrameScan:
         seen = observation.at(vehicles.time_s)
         self._shapes, self._vehicles, self._seen, self._ground = shapes, vehicles, seen, ground
         self._pieces = cut_vehicles(vehicles, seen.detail) if seen.culled else None
-        self._reach_m = seen.max_range_m + seen.imperfections.most_noise_m
+        self._reach_m = seen.reach_m
         self._model = seen.imperfections.measurement(seen.lattice, vehicles.frame, seen.min_range_m, seen.max_range_m)
 
     def turn(self, pose: Pose, also: Sequence[Stands] = ()) -> Turn:

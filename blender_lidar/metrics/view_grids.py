@@ -129,7 +129,7 @@ class ViewGrids:
         if numba_works():
             from .compiled_marks import count_cells, mark_points
 
-            counts, bits = np.zeros((len(self), 3), dtype=np.int64), self.no_bits()
+            counts, bits = np.zeros((len(self), 3), dtype=np.int64), self.no_bits(1)[0]
             mark_points(points, vehicle, self.half_m, self.cell_m, self.cells, self.start, bits)
             count_cells(bits, self.start, self.words, counts)
             return self.shares(counts)
@@ -163,9 +163,9 @@ class ViewGrids:
         np.maximum(cell, 0.0, out=cell)
         return np.floor(cell, out=cell), count, vehicle
 
-    def no_bits(self) -> np.ndarray:
-        """A bit for each cell for compiled code, none of them set, in words of uint64."""
-        return np.zeros(int(self.words.sum()), dtype=np.uint64)
+    def no_bits(self, clouds: int) -> np.ndarray:
+        """For compiled code a bit for each cell of each cloud, none of them set: uint64, (clouds, words)."""
+        return np.zeros((clouds, int(self.words.sum())), dtype=np.uint64)
 
     def _marked(self, marks):
         """Marked cells of each box's views, (n, 3)."""

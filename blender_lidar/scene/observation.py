@@ -57,6 +57,11 @@ class Observation:
     imperfections: Imperfections = PERFECT
     culled: bool = True
 
+    @property
+    def reach_m(self) -> float:
+        """How far beams are followed [m]: beyond the range gate, as noise carries returns across it."""
+        return self.max_range_m + self.imperfections.most_noise_m
+
     def at(self, time_s: float) -> Observation:
         """The same at a moment [s], with those who walk along the roadsides where they are then."""
         scenery = None if self.scenery is None else self.scenery.at(time_s)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..casting import RASTER
 from ..casting.culling import ray_directions, reachable_beams
-from ..casting.kernels import NO_BOXES, directions_of, hidden, is_inside, signed_distance, to_world
+from ..casting.kernels import NO_BOXES, BoxTree, directions_of, hidden, is_inside, signed_distance, to_world
 from ..casting.protocol import MISS
 from ..casting.rasterise import rasterise, undecided_beams
 from ..casting.tree import EDGE_ON
@@ -21,6 +21,7 @@ from ..compiled import compiled, inlined
 from ..metrics.compiled_marks import OUTSIDE, cells_at, count_cells, mark
 from ..metrics.view_grids import ViewGrids
 from ..scene.observation import Observation
+from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import STATED_REFLECTIVITY, MeasurementModel
 from ..sensors.pose import Pose
 from ..world.meshes import GLASS, REFLECTIVITY
@@ -29,6 +30,7 @@ from .frame_scorer import FrameShapes
 _BLOCK = 512  # beams whose places stay in the fastest cache
 # Where the columns of a block begin in one array: apart by more than a vector is long, which the compiler has to know.
 _X, _Y, _Z, _FACING, _DISTANCE, _AWAY, _TOP, _SIDE, _FRONT = (np.uint64(column * _BLOCK) for column in range(9))
+_AT_A_TIME = 64  # layouts, each with grids of its own
 _MEASURED_HERE = np.empty(0)
 _NONE, _ONE = np.uint64(0), np.uint64(1)
 
@@ -55,8 +57,19 @@ class Boxes(NamedTuple):
     words: np.ndarray
 
 
+class FrameLidar(NamedTuple):
+    """A LiDAR of the layouts: lattice, beams (3, b), how far these are followed [m], and what `mark_returns` takes."""
+
+    lattice: BeamLattice
+    components: np.ndarray
+    reach_m: float
+    scene: tuple[Targets, MeasurementModel, BoxTree, Boxes]
+
+
 class CompiledScorer:
-    """Counts what mountings see of the counted vehicles of a frame.
+    """Counts what layouts see of the counted vehicles of a frame.
+
+    The LiDARs of a layout set bits in the same grids, so that their cells are united.
 
     Parameters
     ----------
@@ -64,25 +77,20 @@ class CompiledScorer:
         The frame, in which at least one vehicle counts, behind a caster other than `exact`.
     grids : ViewGrids
         Of the vehicles that count.
-    observation : Observation
-    measurement : MeasurementModel
-        Of this frame.
-    reach_m : float
-        How far beams are followed [m]: beyond the range gate, as noise carries returns across it.
+    observations, measurements : sequence
+        `Observation` and `MeasurementModel` of this frame of each LiDAR of a layout; the scenery is that of the first.
     """
 
     def __init__(
         self,
         shapes: FrameShapes,
         grids: ViewGrids,
-        observation: Observation,
-        measurement: MeasurementModel,
-        reach_m: float,
+        observations: Sequence[Observation],
+        measurements: Sequence[MeasurementModel],
     ) -> None:
-        caster, vehicles, scenery = shapes.tree, shapes.counted, observation.scenery
-        self._caster, self._grids, self._lattice, self._reach_m = caster, grids, observation.lattice, reach_m
-        self._pieces = shapes.pieces if observation.culled and caster.name != RASTER else None
-        self._components = self._lattice.components.reshape(3, -1)
+        caster, vehicles, scenery = shapes.tree, shapes.counted, observations[0].scenery
+        self._caster, self._grids = caster, grids
+        self._pieces = shapes.pieces if observations[0].culled and caster.name != RASTER else None
         surface = shapes.surface[caster.rows]
         vehicle = np.ascontiguousarray(shapes.counted_row[caster.rows])
         targets = Targets(caster.planes, vehicle, surface == GLASS, REFLECTIVITY[surface])
@@ -91,58 +99,72 @@ class CompiledScorer:
         boxes = Boxes(centre, np.cos(heading), np.sin(heading), *of_grids)
         occluder_origin, occluders = (caster.origin, NO_BOXES) if scenery is None else scenery.occluders
         self._origins = -np.stack([caster.origin, np.zeros(3), occluder_origin])
-        self._scene = targets, measurement, occluders, boxes
+        self.lidars = [
+            FrameLidar(
+                seen.lattice, seen.lattice.components.reshape(3, -1), seen.reach_m, (targets, of, occluders, boxes)
+            )
+            for seen, of in zip(observations, measurements, strict=True)
+        ]
 
-    def see(self, poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points (s, n) and marked cells (s, n, 3) of s mountings, and those of them at which rounding decides.
+    def see(self, layouts: Sequence[Sequence[Pose]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (s, n) and marked cells (s, n, 3) of s layouts, and those of them at which rounding decides.
 
-        What is counted for the latter, rows of `poses`, is worth nothing.
+        What is counted for the latter, rows of `layouts`, is worth nothing.
         """
-        points = np.zeros((len(poses), len(self._grids)), dtype=np.int64)
-        cells = np.zeros((len(poses), len(self._grids), 3), dtype=np.int64)
-        undecided = np.zeros(len(poses), dtype=bool)
-        if self._caster.name == RASTER and poses:
-            self._rasterise(poses, points, cells, undecided)
-        else:
-            for row, pose in enumerate(poses):
-                undecided[row] = not self._cast(pose, points[row], cells[row])
+        points = np.zeros((len(layouts), len(self._grids)), dtype=np.int64)
+        cells = np.zeros((len(layouts), len(self._grids), 3), dtype=np.int64)
+        undecided = np.zeros(len(layouts), dtype=bool)
+        for first in range(0, len(layouts), _AT_A_TIME):
+            some = slice(first, first + _AT_A_TIME)
+            self._see_some(layouts[some], points[some], cells[some], undecided[some])
         return points, cells, np.flatnonzero(undecided)
 
-    def _rasterise(self, poses, points, cells, undecided):
-        """Add what some mountings see to their rows."""
-        origins = np.array([pose.position for pose in poses])[:, None] + self._origins
-        mountings = origins, np.array([pose.rotation for pose in poses]), self._components
-        into = self._grids.no_bits(), points, cells, undecided
-        with self._caster.rasterising(self._lattice, len(poses)) as (mesh, _, *needed):
-            _see_revolutions(mesh, *needed, self._reach_m, *mountings, *self._scene, *into)
+    def _see_some(self, layouts, points, cells, undecided):
+        """Add what some layouts see to their rows; grids of their own are needed where other LiDARs follow."""
+        bits = self._grids.no_bits(len(layouts) if len(self.lidars) > 1 else 1)
+        for lidar, poses in zip(self.lidars, zip(*layouts, strict=True), strict=True):
+            last = lidar is self.lidars[-1]
+            if self._caster.name == RASTER:
+                self._rasterise(lidar, poses, bits, points, cells, undecided, last)
+                continue
+            for row, pose in enumerate(poses):
+                grid = bits[row % len(bits)]
+                undecided[row] |= not self._cast(lidar, pose, points[row], grid)
+                if last:
+                    count_cells(grid, self._grids.start, self._grids.words, cells[row])
 
-    def _cast(self, pose, points, cells):
-        """Add what a mounting sees to its rows; whether that is certain."""
+    def _rasterise(self, lidar, poses, *into):
+        """Add what a LiDAR sees from some poses to their rows."""
+        origins = np.array([pose.position for pose in poses])[:, None] + self._origins
+        mountings = origins, np.array([pose.rotation for pose in poses]), lidar.components
+        with self._caster.rasterising(lidar.lattice, len(poses)) as (mesh, _, *needed):
+            _see_revolutions(mesh, *needed, lidar.reach_m, *mountings, *lidar.scene, *into)
+
+    def _cast(self, lidar, pose, points, bits):
+        """Mark what a LiDAR sees; whether that is certain."""
         if self._pieces is None:
-            beams = np.arange(self._components.shape[1])
+            beams = np.arange(lidar.components.shape[1])
         else:
-            beams = reachable_beams(self._lattice, self._pieces, pose, self._reach_m)
+            beams = reachable_beams(lidar.lattice, self._pieces, pose, lidar.reach_m)
         if not len(beams):
             return True
-        origin, reach = pose.position - self._caster.origin, self._reach_m
+        origin, reach = pose.position - self._caster.origin, lidar.reach_m
         rays = np.empty((len(beams), 3), dtype=np.float32)
-        directions_of(self._components, beams, pose.rotation, rays)
+        directions_of(lidar.components, beams, pose.rotation, rays)
         triangle = self._caster.first(origin, rays, reach)
         if triangle is None:
             return False
-        into = points, self._grids.no_bits()
-        doubtful, certain = self.mark(pose, beams, triangle, None, *into)
+        doubtful, certain = self.mark(lidar, pose, beams, triangle, None, points, bits)
         if certain and len(doubtful):
-            found = self._caster.decide(origin, ray_directions(self._lattice, doubtful, pose).T, reach)
-            _, certain = self.mark(pose, doubtful[found.ray], found.triangle, found.distance, *into)
-        count_cells(into[1], self._grids.start, self._grids.words, cells)
+            found = self._caster.decide(origin, ray_directions(lidar.lattice, doubtful, pose).T, reach)
+            _, certain = self.mark(lidar, pose, doubtful[found.ray], found.triangle, found.distance, points, bits)
         return certain
 
-    def mark(self, pose, beams, triangles, distance, points, bits) -> tuple[np.ndarray, bool]:
+    def mark(self, lidar, pose, beams, triangles, distance, points, bits) -> tuple[np.ndarray, bool]:
         """`mark_returns` of hits at known distances (k,) [m], or at None of hits that a tree in float32 has found."""
         origins, leaky = pose.position + self._origins, distance is None
-        hits = beams, triangles, _MEASURED_HERE if leaky else distance, leaky, self._reach_m
-        return mark_returns(*hits, origins, pose.rotation, self._components, *self._scene, bits, points)
+        hits = beams, triangles, _MEASURED_HERE if leaky else distance, leaky, lidar.reach_m
+        return mark_returns(*hits, origins, pose.rotation, lidar.components, *lidar.scene, bits, points)
 
 
 @compiled
@@ -333,12 +355,14 @@ def _mark(found, measurement, origin, vehicle, boxes, target, column, bits, coun
 @compiled
 def _see_revolutions(
     mesh, closed, table, buffer, number, reach, origins, rotations, components, targets, measurement, occluders, boxes,
-    bits, points, hit, undecided,
+    bits, points, hit, undecided, last,
 ):  # fmt: skip
-    """Rasterise revolution after revolution and add up `points` and `hit`."""
+    """Rasterise revolution after revolution, mark cells, and after the last LiDAR of a layout count them in `hit`."""
     nearest, beams = buffer.nearest, buffer.touched
     for s in range(len(origins)):
-        origin, rotation = origins[s, 0], rotations[s]
+        if undecided[s]:
+            continue
+        origin, rotation, grid = origins[s, 0], rotations[s], bits[s % len(bits)]
         near_surface = rasterise(
             mesh, targets.planes, table, components, origin, rotation, reach, closed, number + s, buffer
         )
@@ -350,7 +374,8 @@ def _see_revolutions(
             continue
         _, certain = mark_returns(
             beams[:most], buffer.triangle, np.empty(0), False, reach, origins[s], rotation, components,
-            targets, measurement, occluders, boxes, bits, points[s],
+            targets, measurement, occluders, boxes, grid, points[s],
         )  # fmt: skip
-        count_cells(bits, boxes.start, boxes.words, hit[s])
+        if last:
+            count_cells(grid, boxes.start, boxes.words, hit[s])
         undecided[s] = not certain

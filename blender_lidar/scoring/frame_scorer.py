@@ -1,4 +1,4 @@
-"""One frame of traffic, made ready once, seen from any number of mountings."""
+"""One frame of traffic, made ready once, seen from any number of layouts of LiDARs."""
 
 from __future__ import annotations
 
@@ -77,22 +77,27 @@ _take = partial(np.take, mode="clip")  # rows are in range: without that check t
 
 
 class Seen(NamedTuple):
-    """What mountings saw of the counted vehicles of one frame.
+    """What layouts saw of the counted vehicles of one frame, all their LiDARs together.
 
     Attributes
     ----------
     points : ndarray of int64, (s, n)
-        Returns from each vehicle, for each mounting.
+        Returns from each vehicle, for each layout.
     occupancy : ndarray, (s, n, 3)
-        P of the top, side and front view.
+        P of the top, side and front view; a cell that several LiDARs see is occupied once.
     returns : (ndarray, ndarray) or None
-        If they were asked for: the returns of all mountings, each in its vehicle's frame, (k, 3) [m], and the row that
-        each belongs to, (k,): vehicles are counted on from mounting to mounting, 0 to s n - 1.
+        If they were asked for: the returns of all layouts, each in its vehicle's frame, (k, 3) [m], and the row that
+        each belongs to, (k,): vehicles are counted on from layout to layout, 0 to s n - 1.
     """
 
     points: np.ndarray
     occupancy: np.ndarray
     returns: tuple[np.ndarray, np.ndarray] | None = None
+
+
+def singles(poses: Iterable[Pose]) -> list[tuple[Pose]]:
+    """Layouts of one LiDAR each."""
+    return [(pose,) for pose in poses]
 
 
 class FrameScorer:
@@ -107,8 +112,9 @@ class FrameScorer:
         All vehicles of the frame; each can hide another.
     counted : ndarray of bool, (n,)
         Those whose occupancy is wanted.
-    observation : Observation
-        Sensor, range, caster and detail. What its imperfections draw is kept: up to 8 bytes for each beam.
+    observation : Observation or sequence of Observation
+        Sensor, range, caster and detail; one for each LiDAR of a layout, which differ in sensor, range and
+        imperfections. What these draw is kept: up to 8 bytes for each beam.
     shapes : FrameShapes, optional
         Of the same frame at the same detail behind the same caster, where they are made already.
 
@@ -124,52 +130,69 @@ class FrameScorer:
     """
 
     def __init__(
-        self, vehicles: Vehicles, counted: np.ndarray, observation: Observation, shapes: FrameShapes | None = None
+        self,
+        vehicles: Vehicles,
+        counted: np.ndarray,
+        observation: Observation | Sequence[Observation],
+        shapes: FrameShapes | None = None,
     ) -> None:
-        seen = self._observation = observation = observation.at(vehicles.time_s)
+        observations = [observation] if isinstance(observation, Observation) else observation
+        self._observations = [each.at(vehicles.time_s) for each in observations]
+        seen = self._observations[0]
         self.shapes = shapes or FrameShapes(vehicles, counted, seen.detail, seen.caster)
         self.vehicles = self.shapes.counted
-        self._measurement = seen.imperfections.measurement(
-            seen.lattice, vehicles.frame, seen.min_range_m, seen.max_range_m
-        )
-        self._reach_m = seen.max_range_m + seen.imperfections.most_noise_m
+        self._measurements = [
+            each.imperfections.measurement(each.lattice, vehicles.frame, each.min_range_m, each.max_range_m)
+            for each in self._observations
+        ]
         self.grids = ViewGrids(self.vehicles.size_m, seen.cell_m, seen.reading)
         self.compiled = None
         if numba_works() and seen.caster != EXACT and len(self) and len(self.shapes.tree.rows):
             from .compiled_frames import CompiledScorer
 
-            self.compiled = CompiledScorer(self.shapes, self.grids, seen, self._measurement, self._reach_m)
+            self.compiled = CompiledScorer(self.shapes, self.grids, self._observations, self._measurements)
 
     def __len__(self) -> int:
         return len(self.vehicles)
 
     @stops_recognised()
-    def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
-        """What each of s mountings sees of the n counted vehicles; the returns themselves only where they are kept."""
+    def see(self, layouts: Sequence[Sequence[Pose]], *, keep_returns: bool = False) -> Seen:
+        """What each of s layouts sees of the n counted vehicles; the returns themselves only where they are kept.
+
+        A layout is a pose for each LiDAR, in the order of the observations.
+        """
         if self.compiled is None or keep_returns:
-            return self.seen_of(poses, self._revolutions(poses), keep_returns=keep_returns)
-        points, cells, undecided = self.compiled.see(poses)
+            return self.seen_of(layouts, self._revolutions(layouts), keep_returns=keep_returns)
+        points, cells, undecided = self.compiled.see(layouts)
         shares = self.grids.shares(cells)
         for row in undecided.tolist():
-            one = poses[row : row + 1]
+            one = layouts[row : row + 1]
             seen = self.seen_of(one, self._revolutions(one))
             points[row], shares[row] = seen.points[0], seen.occupancy[0]
         return Seen(points, shares)
 
-    def vehicle_points(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    def vehicle_points(self, *layout: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
-        (found,) = self._revolutions([pose])
-        return self.returns_of(pose, found)
+        (found,) = self._revolutions([layout])
+        return self._returns(layout, found)
 
-    def returns_of(self, pose: Pose, hits: Revolution) -> tuple[np.ndarray, np.ndarray]:
-        """Returns of a mounting from counted vehicles, as `vehicle_points`, given what its beams met."""
-        seen, shapes = self._observation, self.shapes
-        row = _take(shapes.counted_row, hits.triangle)
-        distance = self._measurement.measured(hits.beam, hits.distance, *self._surface(hits))
+    def _returns(self, layout, turn):
+        """The same, given what the beams of each LiDAR met."""
+        parts = [
+            self.returns_of(pose, hits, lidar) for lidar, (pose, hits) in enumerate(zip(layout, turn, strict=True))
+        ]
+        return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
+
+    def returns_of(self, pose: Pose, hits: Revolution, lidar: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Returns of one LiDAR from counted vehicles, as `vehicle_points`, given what its beams met."""
+        scenery, measurement = self._observations[0].scenery, self._measurements[lidar]
+        row = _take(self.shapes.counted_row, hits.triangle)
+        surface = self._surface(hits) if measurement.asks_for_surface else ()
+        distance = measurement.measured(hits.beam, hits.distance, *surface)
         wanted = np.flatnonzero((row >= 0) & (distance < np.inf))
         directions = _take(hits.directions, wanted, axis=1)
-        if seen.scenery is not None:
-            shown = ~seen.scenery.hides(pose.position, directions.T, _take(hits.distance, wanted))
+        if scenery is not None:
+            shown = ~scenery.hides(pose.position, directions.T, _take(hits.distance, wanted))
             wanted, directions = wanted[shown], directions[:, shown]
         distance, row = _take(distance, wanted), _take(row, wanted)
         return self._in_vehicle_frames(pose.position, directions, distance, row), row
@@ -179,26 +202,30 @@ class FrameScorer:
         points = origin + (distance * directions).T  # Eqs. 2 and 3, the range scaling the direction alone
         return to_vehicle_frame(points, self.vehicles.centre_m, self.vehicles.heading_rad, row)  # Eqs. 4 and 5
 
-    def _revolutions(self, poses):
-        """What the beams of each mounting meet, in turn."""
-        seen, shapes = self._observation, self.shapes
-        return revolutions(shapes.tree, seen.lattice, poses, self._reach_m, shapes.pieces if seen.culled else None)
+    def _revolutions(self, layouts):
+        """What the beams of each LiDAR of each layout meet, layout after layout."""
+        tree, pieces = self.shapes.tree, self.shapes.pieces if self._observations[0].culled else None
+        turns = [
+            revolutions(tree, seen.lattice, [layout[lidar] for layout in layouts], seen.reach_m, pieces)
+            for lidar, seen in enumerate(self._observations)
+        ]
+        return zip(*turns, strict=True)
 
     def _surface(self, hits):
-        """Whether hits are on glass, their reflectivity and the cosine of their incidence, where the sensor cares."""
-        if not self._measurement.asks_for_surface:
-            return ()
+        """Whether hits are on glass, their reflectivity and the cosine of their incidence."""
         surface = _take(self.shapes.surface, hits.triangle)
         cosine = np.abs(dot(self.shapes.tree.normals(hits.triangle).T, hits.directions))
         return surface == GLASS, REFLECTIVITY[surface], cosine
 
-    def seen_of(self, poses: Sequence[Pose], turns: Iterable[Revolution], *, keep_returns: bool = False) -> Seen:
-        """As `see`, given what the beams of each mounting met, in turn."""
-        points = np.zeros((len(poses), len(self)), dtype=np.int64)
-        shares = np.zeros((len(poses), len(self), 3))
+    def seen_of(
+        self, layouts: Sequence[Sequence[Pose]], turns: Iterable[Sequence[Revolution]], *, keep_returns: bool = False
+    ) -> Seen:
+        """As `see`, given what the beams of each LiDAR of each layout met, in turn."""
+        points = np.zeros((len(layouts), len(self)), dtype=np.int64)
+        shares = np.zeros((len(layouts), len(self), 3))
         kept = [(np.empty((0, 3)), np.empty(0, dtype=np.int64))]
-        for number, (pose, found) in enumerate(zip(poses, turns, strict=True)):
-            local, row = self.returns_of(pose, found)
+        for number, (layout, turn) in enumerate(zip(layouts, turns, strict=True)):
+            local, row = self._returns(layout, turn)
             points[number] = np.bincount(row, minlength=len(self))
             shares[number] = self.grids.occupancy(local, row)  # Eqs. 6 to 8
             if keep_returns:

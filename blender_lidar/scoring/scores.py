@@ -12,7 +12,7 @@ from ..metrics.metric import NEEDS_POINTS, NEEDS_VIEW, Mountings, SceneContext, 
 from ..optimise.objective import detectable, vehicle_score
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..sensors.pose import Pose
-from .frame_scorer import FrameScorer, Seen
+from .frame_scorer import FrameScorer, Seen, singles
 
 
 class Scored(NamedTuple):
@@ -58,7 +58,7 @@ class VehicleScores:
 
     def of(self, frame: CountedFrame, scorer: FrameScorer, poses: Sequence[Pose], mountings: Mountings) -> Scored:
         """Score s mountings, given as poses and as what `mountings_of` makes of them, on the frame of a scorer."""
-        return self.of_seen(frame, scorer, scorer.see(poses, keep_returns=self.needs_returns), mountings)
+        return self.of_seen(frame, scorer, scorer.see(singles(poses), keep_returns=self.needs_returns), mountings)
 
     @property
     def needs_returns(self) -> bool:

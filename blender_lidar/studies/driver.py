@@ -24,7 +24,7 @@ from ..scene.observation import CountedFrame, Observation
 from ..scene.provenance import check_identity, versions
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
-from ..scoring.frame_scorer import FrameScorer, Seen
+from ..scoring.frame_scorer import FrameScorer, Seen, singles
 from ..scoring.scores import VehicleScores, mountings_of
 from ..sensors.pose import Pose
 from ..statistics import block_sums
@@ -373,7 +373,7 @@ class _FrameOfCast:
         every = list(dict.fromkeys(pose for job in jobs for pose in job.poses))
         for first in range(0, len(every), _MOUNTINGS_AT_A_TIME):
             poses = every[first : first + _MOUNTINGS_AT_A_TIME]
-            cast = _Cast(scorer, site.observation, poses) if shared else None
+            cast = _Cast(scorer, site.observation, singles(poses)) if shared else None
             for own, changed, of in zip(wanted, self._changed, found, strict=True):
                 some = [pose for pose in poses if pose in own]
                 if some and not isinstance(changed, str):
@@ -395,12 +395,12 @@ class _FrameOfCast:
 
 
 class _Cast:
-    """What has been seen from some mountings, to be scored again and again: some of them, on cells of another side."""
+    """What has been seen from some layouts, to be scored again and again: some of them, on cells of another side."""
 
-    def __init__(self, scorer: FrameScorer, observation: Observation, poses: Sequence[Pose]) -> None:
-        self.vehicles, self._rows = scorer.vehicles, {pose: row for row, pose in enumerate(poses)}
+    def __init__(self, scorer: FrameScorer, observation: Observation, layouts: Sequence[Sequence[Pose]]) -> None:
+        self.vehicles, self._rows = scorer.vehicles, {layout: row for row, layout in enumerate(layouts)}
         self._own = self._cells = observation.cell_m, observation.reading
-        self._seen = {self._own: scorer.see(poses, keep_returns=True)}
+        self._seen = {self._own: scorer.see(layouts, keep_returns=True)}
 
     def on_cells_of(self, observation: Observation) -> _Cast:
         """The same, its occupancies from now on those on the cells of that observation."""
@@ -412,10 +412,10 @@ class _Cast:
             self._seen[self._cells] = seen._replace(occupancy=shares)
         return self
 
-    def see(self, poses: Sequence[Pose], *, keep_returns: bool = False) -> Seen:
-        """As `FrameScorer.see`, of mountings that have been seen, in the order in which they were."""
+    def see(self, layouts: Sequence[Sequence[Pose]], *, keep_returns: bool = False) -> Seen:
+        """As `FrameScorer.see`, of layouts that have been seen, in the order in which they were."""
         points, shares, returns = self._seen[self._cells]
-        rows = [self._rows[pose] for pose in poses]
+        rows = [self._rows[layout] for layout in layouts]
         if len(rows) < len(points):
             local, owner = returns
             mount, vehicle = np.divmod(owner, len(self.vehicles))

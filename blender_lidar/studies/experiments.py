@@ -133,21 +133,22 @@ class MovingScorer(FrameScorer):
             for scorer in self._turned:
                 scorer.vehicles = self.vehicles
 
-    def _revolutions(self, poses: Sequence[Pose]) -> Iterator[list[Revolution]]:
+    def _revolutions(self, layouts: Sequence[Sequence[Pose]]) -> Iterator[tuple[list[Revolution]]]:
         """What the beams of each mounting meet, sector by sector."""
-        lattice = self._observation.lattice
-        for pose in poses:
-            reachable, found = reachable_beams(lattice, self._pieces, pose, self._reach_m), []
+        (seen,) = self._observations
+        lattice, reach = seen.lattice, seen.reach_m
+        for (pose,) in layouts:
+            reachable, found = reachable_beams(lattice, self._pieces, pose, reach), []
             for number, scorer in enumerate(self._turned):
                 beams = reachable[self._sector[reachable] == number]
                 directions = ray_directions(lattice, beams, pose)
-                met = scorer.shapes.tree.meet(pose.position, directions.T, self._reach_m)
+                met = scorer.shapes.tree.meet(pose.position, directions.T, reach)
                 found.append(Revolution(beams[met.ray], met.triangle, met.distance, directions[:, met.ray]))
-            yield found
+            yield (found,)
 
-    def returns_of(self, pose: Pose, hits: list[Revolution]) -> tuple[np.ndarray, np.ndarray]:
+    def returns_of(self, pose: Pose, hits: list[Revolution], lidar: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """As `FrameScorer.returns_of`, given what the beams of each sector met."""
-        parts = [scorer.returns_of(pose, met) for scorer, met in zip(self._turned, hits, strict=True)]
+        parts = [scorer.returns_of(pose, met, lidar) for scorer, met in zip(self._turned, hits, strict=True)]
         points, rows = map(np.concatenate, zip(*parts, strict=True))
         return points, rows
 

@@ -29,7 +29,7 @@ from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import Scenario, load_scenario
 from blender_lidar.scene.site import Site, lattice_of, prepare, read_recording
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.sensors.beams import BeamLattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
@@ -262,7 +262,7 @@ def swarm_about(pose: Pose) -> list[Pose]:
 
 def score_whole(scorer: FrameScorer, poses: Sequence[Pose]) -> np.ndarray:
     """Bits of every vehicle and mounting."""
-    return entropy(scorer.see(poses).occupancy).sum(axis=2)
+    return entropy(scorer.see(singles(poses)).occupancy).sum(axis=2)
 
 
 def _casting_and_scoring(case: FrameCase, name: str) -> list[Entry]:
@@ -286,8 +286,8 @@ def _score(case: FrameCase, scorer: FrameScorer, hits: Revolution) -> np.ndarray
     from blender_lidar.metrics.compiled_marks import count_cells  # not where Numba is missing
 
     points, cells = np.zeros(len(scorer), dtype=np.int64), np.zeros((len(scorer), 3), dtype=np.int64)
-    bits = scorer.grids.no_bits()
-    scorer.compiled.mark(case.pose, *hits[:3], points, bits)
+    bits = scorer.grids.no_bits(1)[0]
+    scorer.compiled.mark(scorer.compiled.lidars[0], case.pose, *hits[:3], points, bits)
     count_cells(bits, scorer.grids.start, scorer.grids.words, cells)
     return entropy(scorer.grids.shares(cells)).sum(axis=1)
 

@@ -42,7 +42,7 @@ from blender_lidar.metrics.catalogue import METRICS, PE_VGOP, VIEW_COVERAGE
 from blender_lidar.scene.provenance import CODE, source_digest, versions
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare, scoring_of
-from blender_lidar.scoring.frame_scorer import FrameScorer, FrameShapes
+from blender_lidar.scoring.frame_scorer import FrameScorer, FrameShapes, singles
 from blender_lidar.scoring.scores import VehicleScores, mountings_of
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.statistics import statistic_interval_90, student_t
@@ -177,7 +177,7 @@ class FrameWork:
         if part.chooses:
             poses = [site.scenario.pose(mount) for mount in part.mounts]
             scorer, around = FrameScorer(frame.vehicles, frame.counted, site.observation, shapes), mountings_of(poses)
-            seen = scorer.see(poses, keep_returns=True)
+            seen = scorer.see(singles(poses), keep_returns=True)
             made = (one.of_seen(frame, scorer, seen, around) for one in self.metrics.values())
             scores = np.array([one.objective.sum(axis=1) for one in made])
         scan = FrameScan(shapes, frame.vehicles, site.observation, ground=site.scenario.world.ground)

@@ -21,7 +21,7 @@ from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare
-from blender_lidar.scoring.frame_scorer import FrameScorer
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.world.scenery import barrier
 
@@ -59,7 +59,7 @@ def _seconds(site: Site, sensor: str, repeats: int) -> np.ndarray:
             seen = replace(site.observation, imperfections=imperfections, scenery=None)
             if name == "concrete barrier":
                 seen = replace(seen, scenery=standing)
-            acts.append(partial(FrameScorer(frame.vehicles, frame.counted, seen).see, swarm))
+            acts.append(partial(FrameScorer(frame.vehicles, frame.counted, seen).see, singles(swarm)))
         for round_ in range(repeats + 1):  # the first one makes ready
             for kind, act in enumerate(acts):
                 start = process_time()
