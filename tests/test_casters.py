@@ -169,7 +169,7 @@ def test_triangle_soup_is_met_where_the_oracle_meets_it(seed, name):
 def test_on_dense_traffic_at_most_one_ray_in_ten_thousand_differs_from_the_oracle(name, sensor, height, tilt, gate):
     triangles = vehicle_triangles(dense_traffic(vehicles=130)).corners
     pose = Pose(height_m=height, tilt_x=np.radians(tilt))
-    rays = pose.to_world(beam_lattice(load_model(sensor)).directions.reshape(-1, 3))
+    rays = pose.to_world(beam_lattice(load_model(sensor), stride=5).directions.reshape(-1, 3))
     rays = rays[(rays[:, 1] > -0.2) & (rays[:, 2] < 0.05)]  # the others meet nothing
     expected = caster_class("exact")(triangles).cast(pose.position, rays, gate)
     found = caster_class(name)(triangles, closed=True).cast(pose.position, rays, gate)

@@ -95,7 +95,7 @@ def slow_pipeline(vehicles, counted, seen, pose):
     return np.array(points)[counted], np.array(shares).reshape(-1, 3)[counted]
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(
     seed=st.integers(0, 2**32 - 1),
     sensor=st.sampled_from(sorted(LATTICES)),
@@ -118,17 +118,6 @@ def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, d
     np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
 
 
-@pytest.mark.parametrize("detail", DETAILS)
-def test_a_dense_frame_equals_the_slow_pipeline(detail):
-    vehicles, seen = dense_traffic(vehicles=60, length_m=150.0), observation(detail=detail)
-    counted = everyone(vehicles)
-    found = FrameScorer(vehicles, counted, seen).see(singles([POSE]))
-    points, shares = slow_pipeline(vehicles, counted, seen, POSE)
-    assert points.sum() > 200
-    np.testing.assert_array_equal(found.points[0], points)
-    np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12)
-
-
 def test_a_vehicle_that_does_not_count_still_hides_another():
     car, bus = one_vehicle("car", centre=(0.0, 12.0)), one_vehicle("bus", centre=(0.0, 7.0))
     pose, seen = Pose(height_m=2.0, tilt_x=0.1), observation()
@@ -138,46 +127,6 @@ def test_a_vehicle_that_does_not_count_still_hides_another():
     assert alone[0] > 5
     assert behind.tolist() == [0]
     np.testing.assert_array_equal(FrameScorer(both, everyone(both), seen).see(singles([pose])).points[0, 0], behind[0])
-
-
-@pytest.mark.parametrize("effects", [PERFECT, ROUGH], ids=["perfect", "rough"])
-def test_what_counts_changes_nothing_for_the_others(effects):
-    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation(imperfections=effects)
-    whole = FrameScorer(vehicles, everyone(vehicles), seen).see(singles([POSE]))
-    counted = np.random.default_rng(1).random(40) < 0.4
-    part = FrameScorer(vehicles, counted, seen)
-    assert len(part) == counted.sum()
-    np.testing.assert_array_equal(part.see(singles([POSE])).points, whole.points[:, counted])
-    np.testing.assert_array_equal(part.see(singles([POSE])).occupancy, whole.occupancy[:, counted])
-
-
-def test_the_order_of_the_vehicles_does_not_matter():
-    vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation()
-    order = np.random.default_rng(2).permutation(40)
-    straight = FrameScorer(vehicles, everyone(vehicles), seen).see(singles([POSE]))
-    shuffled = FrameScorer(vehicles.select(order), everyone(vehicles), seen).see(singles([POSE]))
-    np.testing.assert_array_equal(shuffled.points, straight.points[:, order])
-    np.testing.assert_array_equal(shuffled.occupancy, straight.occupancy[:, order])
-
-
-def test_returns_from_too_near_are_lost_and_hide_all_the_same():
-    both = joined(one_vehicle("car", centre=(0.0, 12.0)), one_vehicle("bus", centre=(0.0, 4.0)))
-    pose = Pose(height_m=2.0, tilt_x=0.1)
-    near = FrameScorer(both, everyone(both), observation(near=0.4)).see(singles([pose])).points[0]
-    far = FrameScorer(both, everyone(both), observation(near=9.0)).see(singles([pose])).points[0]
-    assert near[1] > 20
-    assert far.tolist() == [0, 0]
-
-
-def test_returns_from_beyond_the_gate_are_lost():
-    bus = one_vehicle("bus", centre=(0.0, 20.0))
-    pose = Pose(height_m=2.0)
-    counts = [
-        FrameScorer(bus, everyone(bus), observation(gate=gate)).see(singles([pose])).points[0, 0]
-        for gate in (18.0, 19.0, 30.0)
-    ]
-    assert counts[0] == 0
-    assert 0 < counts[1] < counts[2]
 
 
 @pytest.mark.parametrize("effects", [PERFECT, ROUGH], ids=["perfect", "rough"])

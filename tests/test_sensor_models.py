@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError
+from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.sensors.beams import beam_lattice
-from blender_lidar.sensors.files import MAX_RINGS
 from blender_lidar.sensors.model import DATA_FOLDER, load_model, model_names, with_columns
 from tests.waiting import WAIT_S
 
@@ -298,12 +296,6 @@ def test_names_and_aliases_are_found_however_they_are_spelt(given, name):
     assert load_model(given).name == name
 
 
-def test_no_two_models_share_a_name_or_alias():
-    models = [load_model(name) for name in model_names()]
-    names = [spelt.lower().replace("-", "") for model in models for spelt in (model.name, *model.aliases)]
-    assert len(names) == len(set(names))
-
-
 def test_an_unknown_name_is_answered_with_the_nearest():
     with pytest.raises(InputError, match=r"unknown sensor 'RS-Ruby-8OV'; did you mean 'RS-Ruby-80V'\?"):
         load_model("RS-Ruby-8OV")
@@ -334,25 +326,12 @@ def test_a_name_of_no_known_family_is_answered_with_the_list_alone(given):
     assert all(name in str(refused.value) for name in model_names())
 
 
-@pytest.mark.parametrize("given", ["", " ", "no such sensor", "\0", "x" * 5000])
-def test_what_is_neither_a_name_nor_a_path_is_refused(given):
-    with pytest.raises(InputError, match="unknown sensor"):
-        load_model(given)
-
-
 def test_a_model_cannot_be_changed():
     model = load_model("RS-16")
     with pytest.raises(ValueError, match="read-only"):
         model.elevation_rad[0] = 0.0
     with pytest.raises(AttributeError):
         model.name = "other"
-
-
-def test_a_model_survives_pickling():
-    model = load_model("RS-80")
-    copy = pickle.loads(pickle.dumps(model))
-    assert copy.name == model.name
-    np.testing.assert_array_equal(copy.fire_time_s, model.fire_time_s)
 
 
 def test_the_sensors_room_imports_with_numpy_alone():
@@ -434,13 +413,6 @@ def test_a_csv_needs_only_rings_and_elevations_in_any_order(tmp_path, header, ne
     assert model.columns() == 1800
 
 
-def test_a_csv_may_give_its_columns_in_any_order(tmp_path):
-    text = "fire_offset_us,ring,azimuth_offset_deg,elevation_deg\nnan,0,1.5,-1\n3,1,-2,4\n"
-    model = load_model(written(tmp_path, text, "OWN.CSV"))
-    np.testing.assert_allclose(np.degrees(model.azimuth_offset_rad), [1.5, -2.0])
-    np.testing.assert_allclose(model.fire_time_s, [np.nan, 3e-6])
-
-
 # What is wrong, the file, and the beginning of the line that says so; OWN is the file.
 BAD_CSV = {
     "no elevation": ("ring\n0\n", "OWN:2 elevation_deg: is missing"),
@@ -448,13 +420,9 @@ BAD_CSV = {
     "misspelt column": ("ring,elevation\n0,1\n", "OWN:1: unknown column 'elevation'; did you mean 'elevation_deg'"),
     "column twice": ("ring,elevation_deg,ring\n0,1,0\n", "OWN:1: column 'ring' is given twice"),
     "text in a number": ("ring,elevation_deg\n0,-1\n1,low\n", "OWN:3 elevation_deg: is 'low'; allowed: a number"),
-    "underscore": ("ring,elevation_deg\n0,-1_0\n", "OWN:2 elevation_deg: is '-1_0'; allowed: a number"),
-    "other digits": ("ring,elevation_deg\n0,\u0663\n", "OWN:2 elevation_deg: is '\u0663'; allowed: a number"),
     "empty cell": ("ring,elevation_deg\n0,\n", "OWN:2 elevation_deg: is ''; allowed: a number"),
-    "short row": ("ring,elevation_deg\n0,-1\n1\n", "OWN:3: 1 values, where the header has 2"),
     "no rows": ("ring,elevation_deg\n", "OWN:beams: 0 rings; allowed: 1 to 4096"),
     "NaN elevation": ("ring,elevation_deg\n0,nan\n", "OWN:2 elevation_deg: is 'nan'; allowed: a number"),
-    "infinite azimuth": ("ring,elevation_deg,azimuth_offset_deg\n0,1,inf\n", "OWN:2 azimuth_offset_deg: is inf"),
     "past the zenith": (
         "ring,elevation_deg\n0,90.1\n",
         "OWN:2 elevation_deg: is 90.1; allowed: -90 to 90",
@@ -468,20 +436,13 @@ BAD_CSV = {
         "OWN:3: ring is 0; 2 rings are numbered 0 (lowest) to 1, each once",
     ),
     "ring missing": ("ring,elevation_deg\n0,1\n2,2\n", "OWN:3: ring is 2; 2 rings are numbered 0 (lowest) to 1"),
-    "half a ring": ("ring,elevation_deg\n0,1\n0.5,2\n", "OWN:3: ring is 0.5"),
-    "NaN ring": ("ring,elevation_deg\nnan,1\n", "OWN:2 ring: is 'nan'"),
     "from the top": ("ring,elevation_deg\n0,1\n1,-1\n", "OWN:3: ring 1 at -1 degrees lies below ring 0 at 1"),
     "semicolons": ("ring;elevation_deg\n0;1\n", "OWN:1: unknown column 'ring;elevation_deg'"),
     "empty": ("", "OWN:beams: 0 rings; allowed: 1 to 4096"),
-    "blank": (" \n\n", "OWN:beams: 0 rings; allowed: 1 to 4096"),
-    "binary": (b"ring,elevation_deg\n\0\0\n", "OWN:2: 1 values"),
     "not UTF-8": (
         b"ring,elevation_deg\n\xff\xfe\n",
         "OWN: is not CSV: 'utf-8' codec can't decode byte 0xff",
     ),
-    "far too many rings": ("ring,elevation_deg\n" + "0,1\n" * (MAX_RINGS + 1), "OWN:beams: 4097 rings; allowed: 1"),
-    "far too large": (b"x" * 1_100_000, "OWN: is not CSV: field larger"),
-    "endless cell": ("ring,elevation_deg\n0," + "1" * 200_000, "OWN: is not CSV: field larger"),
 }
 BAD_TOML = {
     "no beams": ('name = "x"', "OWN:beams: 0 rings; allowed: 1 to 4096"),
@@ -489,12 +450,7 @@ BAD_TOML = {
     "beams no list": ("beams = 3", "OWN:beams: is 3; allowed: a list"),
     "a beam no list": ("beams = [1, 2]", "OWN:beams: 1, where [ring"),
     "a beam too short": ("beams = [[0]]", "OWN:beams[0] elevation_deg: is missing"),
-    "a beam too long": ("beams = [[0, 1, 2, 3, 4]]", "OWN:beams: [0, 1, 2, 3, 4], where"),
-    "text in a beam": ('beams = [[0, 1], [1, "2"]]', "OWN:beams[1] elevation_deg: is '2'; allowed: a number"),
-    "truth in a beam": ("beams = [[0, true]]", "OWN:beams[0] elevation_deg: is True; allowed: a number"),
-    "rate no list": ("rotation_hz = 10\n" + THREE_BEAMS, "OWN:rotation_hz: is 10; allowed: a list, each a number"),
     "standing still": ("rotation_hz = [0]\n" + THREE_BEAMS, "OWN:rotation_hz: is 0; allowed: 0.01 to "),
-    "no such rate": ("default_rotation_hz = 5\n" + THREE_BEAMS, "OWN:default_rotation_hz: is 5; allowed: one of"),
     "no block time": ("block_time_us = 0\n" + THREE_BEAMS, "OWN:block_time_us: is 0; allowed: 0.01 to "),
     "block longer than the turn": ("block_time_us = 1e6\n" + THREE_BEAMS, "OWN:block_time_us: 1e+06 us at 10 Hz"),
     "far too many beams": ("block_time_us = 0.01\n" + THREE_BEAMS, "OWN:block_time_us: 0.01 us at 10 Hz make"),
@@ -502,7 +458,6 @@ BAD_TOML = {
         "columns_a_turn = [1000, 1801]\n" + THREE_BEAMS,
         "OWN:columns_a_turn: 1801 columns a turn need less than block_time_us, 55.55, between two at any rate; allowed",
     ),
-    "half a column": ("columns_a_turn = [0.5]\n" + THREE_BEAMS, "OWN:columns_a_turn: is 0.5; allowed: a whole number"),
     "no such columns": (
         "columns_a_turn = [100, 200]\ndefault_columns = 300\n" + THREE_BEAMS,
         "OWN:default_columns: is 300; allowed: 100, 200",
@@ -517,15 +472,8 @@ BAD_TOML = {
         "OWN:range_max_m: is 8; allowed: more than range_min_m, 9",
     ),
     "NaN range": ("range_max_m = nan\n" + THREE_BEAMS, "OWN:range_max_m: is nan; allowed: a number"),
-    "negative noise": ("range_noise_m = -0.1\n" + THREE_BEAMS, "OWN:range_noise_m: is -0.1"),
-    "blind": ("range_at_10_percent_m = 0\n" + THREE_BEAMS, "OWN:range_at_10_percent_m: is 0; allowed: 0.01 to "),
     "number for a name": ("name = 3\n" + THREE_BEAMS, "OWN:name: is 3; allowed: a text"),
-    "number for an alias": ("aliases = [3]\n" + THREE_BEAMS, "OWN:aliases: is 3; allowed: a text"),
-    "a table for a number": ("block_time_us = {}\n" + THREE_BEAMS, "OWN:block_time_us: is {}; allowed: a number"),
     "no TOML": ("x = 1\nbeams = [[0 1]]\n", "OWN: is not TOML: Unclosed array (at line 2"),
-    "endless number": (f"block_time_us = {'9' * 5000}\n{THREE_BEAMS}", "OWN: is not TOML"),
-    "huge number": (f"block_time_us = {'9' * 400}\n{THREE_BEAMS}", "OWN:block_time_us: is 9"),
-    "endless nesting": ("beams = " + "[" * 50_000, "OWN: is not TOML"),
     "empty": ("", "OWN:beams: 0 rings; allowed: 1 to 4096"),
     "not UTF-8": (b'name = "\xff"', "OWN: is text in another encoding; allowed: UTF-8"),
 }
@@ -560,8 +508,3 @@ def test_a_folder_is_no_sensor_file(tmp_path):
 def test_another_kind_of_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"sensor\.yaml: a sensor file ends in \.toml or \.csv"):
         load_model(written(tmp_path, "x", "sensor.yaml"))
-
-
-def test_an_impossible_path_is_refused():
-    with pytest.raises(BlenderLidarError):
-        load_model("x" * 5000 + ".toml")

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from benchmark_rivals import RAW, RIVALS
-from benchmark_stages import METRIC, Quartiles, Timing
+from benchmark_stages import METRIC, SWARM, Quartiles, Timing
 from blender_lidar.report.figure import BASELINE_LOOK, INK, OPTIMISED_LOOK, SMALL_PT, sheet
 
 
@@ -73,7 +73,7 @@ def _timing(timing: Timing, beside: Quartiles | None) -> dict[str, object]:
 
 # --- text -------------------------------------------------------------------------------------------------------------
 
-_NAME = 52
+_NAME = 60
 
 
 def report(found: Found, here: Mapping[str, object]) -> str:
@@ -96,22 +96,31 @@ def _times(found: Found) -> Iterator[str]:
             f"{about['detail']}; median (and range) of a frame:\n{each[0]} vehicles, {each[1]} within "
             f"{about['range_gate_m']:g} m, {each[2]} triangles, {each[3]} beams can reach one of these"
         )
-    beside = f"{'x raw Embree':>14}" if RAW in found.times else ""
+    beside = f"{'x raw Embree':>14} {'of the least':>13}" if RAW in found.times else ""
     if found.times:
-        yield _heading("milliseconds, median and quartiles over repeats") + beside
+        yield _heading("milliseconds, least, median and quartiles over repeats") + beside
     for timing in found.times.values():
-        ratio = found.beside_raw(timing)
-        column = "" if not beside else " " * 14 if ratio is None else f"{ratio.median:14.2f}"
+        ratio, column = found.beside_raw(timing), " " * len(beside)
+        if ratio is not None:
+            of_least = timing.quartiles.least / found.times[RAW].quartiles.least
+            column = f"{ratio.median:14.3f} {of_least:13.3f}"
+        first, _, kind = timing.name.partition(f"{SWARM}, ")
+        if kind:  # beside the same swarm of one perfect LiDAR
+            swarm = found.times[f"{first}{SWARM}"]
+            of_least = timing.quartiles.least / swarm.quartiles.least
+            column += f"  {timing.ratio(swarm).median:.2f} x the swarm, {of_least:.2f} of the least"
         yield _line(timing, 1e3, column)
 
 
 def _heading(what: str) -> str:
-    return f"{what:<{_NAME}} {'median':>10} {'25 %':>10} {'75 %':>10}"
+    return f"{what:<{_NAME}} {'least':>10} {'median':>10} {'25 %':>10} {'75 %':>10}"
 
 
 def _line(timing: Timing, scale: float, column: str = "") -> str:
-    low, median, high = (scale * value for value in timing.quartiles)
-    return f"{timing.name:<{_NAME}} {median:10.2f} {low:10.2f} {high:10.2f}{column}  {timing.note}".rstrip()
+    least, low, median, high = (scale * value for value in timing.quartiles)
+    return (
+        f"{timing.name:<{_NAME}} {least:10.2f} {median:10.2f} {low:10.2f} {high:10.2f}{column}  {timing.note}".rstrip()
+    )
 
 
 def _wholes(found: Found) -> Iterator[str]:
@@ -139,7 +148,7 @@ def draw(path: str | Path, found: Found, here: Mapping[str, object]) -> None:
 def _draw_times(axes, times: Sequence[Timing]) -> None:
     """A dot at each median, a line between the quartiles, the number beside it; the first row on top."""
     for row, timing in enumerate(times):
-        low, median, high = (1e3 * value for value in timing.quartiles)
+        _, low, median, high = (1e3 * value for value in timing.quartiles)
         look = BASELINE_LOOK if timing.group == RIVALS else OPTIMISED_LOOK
         axes.plot([low, high], [row, row], color=look["color"], linewidth=2.4, solid_capstyle="butt")
         face = "white" if timing.group == RIVALS else look["color"]

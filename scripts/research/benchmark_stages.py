@@ -16,7 +16,7 @@ import numpy as np
 
 from blender_lidar.casting import EXACT, RASTER
 from blender_lidar.casting.culling import cut_vehicles, ray_directions, reachable_beams, revolutions
-from blender_lidar.casting.protocol import Revolution
+from blender_lidar.casting.protocol import Revolution, StandingScenery
 from blender_lidar.compiled import numba_works
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.vgop import entropy, pe_vgop
@@ -36,6 +36,7 @@ from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic import plan_frames
 from blender_lidar.traffic.vehicles import Vehicles
+from blender_lidar.world.scenery import barrier
 from blender_lidar.world.triangles import vehicle_triangles
 
 OURS, METRIC = "ours", "metric"  # groups of entries
@@ -57,16 +58,17 @@ class Entry(NamedTuple):
 
 
 class Quartiles(NamedTuple):
-    """Median and quartiles over rounds."""
+    """Least, median and quartiles over rounds."""
 
+    least: float
     low: float
     median: float
     high: float
 
 
 def quartiles(values: np.ndarray) -> Quartiles:
-    """Median and quartiles of (n,) values, straight lines between neighbours."""
-    return Quartiles(*np.quantile(values, (0.25, 0.5, 0.75)).tolist())
+    """Least, median and quartiles of (n,) values, straight lines between neighbours."""
+    return Quartiles(*np.quantile(values, (0.0, 0.25, 0.5, 0.75)).tolist())
 
 
 class Timing(NamedTuple):
@@ -175,11 +177,11 @@ class FrameCase:
         """Directions of the survivors in the road frame, (3, k)."""
         return ray_directions(self.lattice, self.survivors, self.pose)
 
-    def scorer(self, caster: str) -> FrameScorer:
-        """The frame, made ready for a caster."""
+    def scorer(self, caster: str, lidars: int = 1, **changed) -> FrameScorer:
+        """The frame, made ready for a caster and so many equal LiDARs; `changed` are attributes of `Observation`."""
         seen = (self.lattice, self.gate_m, 0.0, caster, self.detail, self.cell_m)
-        observation = Observation(*seen, imperfections=self.imperfections)
-        return FrameScorer(self.vehicles, self.counted, observation)
+        observation = Observation(*seen, **{"imperfections": self.imperfections, **changed})
+        return FrameScorer(self.vehicles, self.counted, [observation] * lidars)
 
 
 def cases_of(scenario: Scenario, frames: int) -> list[FrameCase]:
@@ -238,9 +240,29 @@ def stage_entries(case: FrameCase, casters: Sequence[str]) -> list[Entry]:
     entries += [
         Entry(swarm_of(name), partial(score_whole, case.scorer(name), swarm), OURS, 1.0 / SWARM) for name in casters
     ]
+    entries += [entry for name in casters[:1] for entry in _swarms_of_other_kinds(case, name, swarm)]
     if set(casters) - {RASTER}:
         entries += [Entry("culling", case.cull, OURS), Entry("directions of the survivors", case.turn_survivors, OURS)]
     return entries + [entry for name in casters for entry in _casting_and_scoring(case, name)]
+
+
+KINDS = {
+    "drop-out 0.1": Imperfections(dropout=0.1),
+    "range noise 0.02 m": Imperfections(range_noise_m=0.02),
+    "glass drop-out 0.5": Imperfections(glass_dropout=0.5),
+    "10 % seen to 60 m": Imperfections(range_at_10_percent_m=60.0),
+}
+
+
+def _swarms_of_other_kinds(case: FrameCase, caster: str, swarm: Sequence[Pose]) -> list[Entry]:
+    """A swarm of imperfect sensors, behind a barrier, and of two LiDARs under one mark: beside `swarm_of`."""
+    barred = StandingScenery(barrier("concrete", 13.0, (-case.gate_m, case.gate_m)), caster)
+    scorers = {kind: case.scorer(caster, imperfections=effects) for kind, effects in KINDS.items()}
+    scorers |= {"concrete barrier": case.scorer(caster, scenery=barred)}
+    acts = {kind: partial(score_whole, scorer, swarm) for kind, scorer in scorers.items()}
+    two, layouts = case.scorer(caster, lidars=2), list(zip(swarm, swarm[::-1], strict=True))
+    acts["two LiDARs"] = partial(two.see, layouts)
+    return [Entry(f"{swarm_of(caster)}, {kind}", act, OURS, 1.0 / SWARM) for kind, act in acts.items()]
 
 
 def metric_entry() -> Entry:
