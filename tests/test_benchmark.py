@@ -140,7 +140,7 @@ def timing(name, seconds):
 def test_ratios_are_of_pairs_within_a_round_so_that_a_busy_moment_cancels_and_the_median_frame_counts():
     idle = timing("ours", [[1.0], [1.0], [1.0]]), timing("rival", [[2.0], [2.0], [2.0]])
     busy = timing("ours", [[1.0], [9.0], [1.0]]), timing("rival", [[2.0], [18.0], [2.0]])
-    assert idle[0].ratio(idle[1]) == busy[0].ratio(busy[1]) == (0.5, 0.5, 0.5)
+    assert idle[0].ratio(idle[1]) == busy[0].ratio(busy[1]) == (0.5, 0.5, 0.5, 0.5)
     assert timing("ours", [[1.0, 2.0, 90.0], [3.0, 4.0, 90.0]]).quartiles == (2.0, 2.5, 3.0, 3.5)
 
 
