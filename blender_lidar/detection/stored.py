@@ -58,8 +58,12 @@ def mounting_of(values: Mapping[str, object], where: str) -> dict[str, float]:
     InputError
         Where one is missing or no number.
     """
-    table = TomlTable({key: values[key] for key in COORDINATES if key in values}, where)
-    return table.read(dict.fromkeys(COORDINATES, Setting(low=-_FARTHEST, high=_FARTHEST)))
+    return _declared(values, dict.fromkeys(COORDINATES, Setting(low=-_FARTHEST, high=_FARTHEST)), where)
+
+
+def _declared(values: Mapping[str, object], declared: Mapping[str, Setting], where: str) -> dict[str, Any]:
+    """Those of some values that are declared, checked as settings of a scene are."""
+    return TomlTable({key: value for key, value in values.items() if key in declared}, where).read(declared)
 
 
 _FARTHEST = 1e9
@@ -83,16 +87,9 @@ _OF_HEADERS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredClouds:
-    """The clouds of one mounting, by their paths, as its first header describes them.
+    """The clouds of one mounting, by their paths, as the `header` of the `first` describes them.
 
-    Attributes
-    ----------
-    first : Path
-    header : mapping
-    sensor : SensorSettings
-    lattice : BeamLattice
-    mount : mapping of str to float
-        The mounting in the road frame [m, degrees].
+    `mount` is the mounting in the road frame [m, degrees].
     """
 
     first: Path
@@ -105,7 +102,7 @@ class StoredClouds:
     def of(cls, path: Path) -> StoredClouds:
         header = read_cloud(path)[1]
         where = f"{path}: its header"
-        told = TomlTable({key: header[key] for key in _OF_HEADERS if key in header}, where).read(_OF_HEADERS)
+        told = _declared(header, _OF_HEADERS, where)
         name, rate = told["sensor"], told["rotation_hz"]
         if name not in model_names():
             raise InputError(f"{path}: its sensor {name!r} is of a table of its own; detect at its scene")
@@ -124,7 +121,7 @@ class StoredClouds:
     def read(self, path: Path) -> tuple[PointCloud, int]:
         """A cloud and its frame; refused where another sensor or mounting made it."""
         cloud, header = read_cloud(path)
-        if any(header.get(key) != self.header[key] for key in (*_OF_HEADERS, "pose")):
+        if any(header.get(key) != self.header.get(key) for key in (*_OF_HEADERS, "imperfections", "pose")):
             raise InputError(f"{path}: is of another sensor or mounting than {self.first}; allowed: the same")
         if cloud.ring.max(initial=0) >= self.lattice.rings:
             name = self.lattice.model.name
@@ -202,7 +199,7 @@ _OF_SCANS = {
 }
 _OF_BOXES = {
     **{name: column for name, column in BOX_COLUMNS.items() if name not in ("time_s", "lane")},
-    **{"points": _WHOLE, "counted": _FLAG},
+    **{"vehicle_id": _WHOLE, "points": _WHOLE, "counted": _FLAG},
 }
 
 
@@ -275,7 +272,7 @@ def read_dataset(folder: Path) -> StoredDataset:
     if not path.exists():
         raise InputError(f"{folder}: is an unfinished data set; give the command that began it again")
     about = read_json(path, "the dataset.json of a data set")
-    told = TomlTable({key: about[key] for key in _ABOUT if key in about}, str(path)).read(_ABOUT)
+    told = _declared(about, _ABOUT, str(path))
     road: RoadFrame = told["road"]
     region = region_of_alarms(region_of(told["region"], road.carriageway_y), road)
     scans = _read_columns(folder / SCANS, _OF_SCANS, "split")
