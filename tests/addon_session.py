@@ -564,36 +564,6 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
         assert abs(shown - expected) <= 1e-6 * abs(expected), (shown, expected)
 
 
-def check_a_scan_beside_a_slope_is_that_of_the_command_line():
-    slopes = {"grade_percent": 5.0, "cross_fall_percent": -2.5, "crown_percent": 2.0}
-    scene, lidar = loaded(road=slopes, world={"variety": 1.0})
-    scenario = session.scenario_from(scene, lidar)
-    assert scenario.road.slopes == slopes
-    assert scenario.world.variety == 1.0
-    hang(lidar, scenario.pose(POSE))
-    bpy.context.view_layer.update()
-    assert properties.coordinates_of(lidar) == POSE
-    assert abs(lidar.location.z - POSE["height_m"]) > 0.005
-    for key, value in {"height_m": 4.5, "tilt_x_deg": 12.0}.items():
-        setattr(lidar.lidar, key, math.radians(value) if key.endswith("_deg") else value)
-        assert properties.coordinates_of(lidar) == {**properties.coordinates_of(lidar), key: value}
-    hang(lidar, scenario.pose(POSE))
-    assert bpy.ops.lidar.export_cloud(filepath=str(FOLDER / "panel.npz")) == {"FINISHED"}
-    words = ["scan", str(FOLDER / "scene" / "scene.toml"), "--frame", str(FRAME), "--out", str(FOLDER / "line.npz")]
-    assert command_line([*words, *OPTIONS]) == 0
-    with np.load(FOLDER / "panel.npz") as panel, np.load(FOLDER / "line.npz") as line:
-        for name in set(line) - {"header"}:
-            np.testing.assert_array_equal(panel[name], line[name], err_msg=name)
-        on_crown = (line["vehicle_id"] < 0) & (line["xyz"][:, 2] > 0.01)
-        assert on_crown.sum() > 50
-        points = line["xyz"]
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    np.testing.assert_allclose(evaluated(cloud_of(lidar)), points, atol=2e-5)
-    surface = vertices(next(item for item in scene.objects if item.name.startswith("Surface")))
-    assert abs(surface[:, 2].max() - scenario.road.crown_m(np.array([np.mean(scenario.road.carriageway_y)]))[0]) < 1e-6
-    assert not any(item.name.startswith("carriageway") for item in scene.objects)
-
-
 def check_a_lidar_keeps_its_coordinates_when_the_slope_of_its_road_changes():
     scene, lidar = loaded()
     road = scene.blender_lidar.road
@@ -685,11 +655,11 @@ def check_every_field_of_the_panel_comes_back_as_it_was_typed():
     tables = first.with_whole_paths()
     session.fill_scene(scene, tables, "", first)
     lidar = operators.add_lidar(scene, pose_at(POSE))
-    properties.fill_lidar(lidar, tables, "", first)
+    session.fill_lidar(lidar, tables, "", first)
     for group in (scene.blender_lidar, lidar.lidar):  # nothing is kept of the file, so that the fields say all
         assert group.kept
         group.kept = ""
-    fields = session.fields_of(scene) | {"sensor": properties.sensor_table(lidar)}
+    fields = session.fields_of(scene) | {"sensor": session.sensor_table(lidar)}
     for name, table in known.items():
         for key, value in table.items():
             assert fields[name][key] == value, (name, key, value, fields[name][key])

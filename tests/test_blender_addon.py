@@ -112,6 +112,15 @@ def test_a_field_that_is_changed_replaces_the_files_setting_and_nothing_else(tmp
         scenario()
 
 
+def test_a_file_that_says_little_leaves_the_rest_to_the_defaults(tmp_path):
+    path = write_scene(tmp_path, REGION)
+    kept = [part for part in path.read_text().split("\n[") if part.partition("]")[0] in ("[traffic", "road", "region")]
+    path.write_text("\n[".join(kept), encoding="utf-8")
+    loaded(path)
+    assert scenario().as_tables() == load_scenario(path).as_tables()
+    assert bpy.ops.lidar.scan() == {"FINISHED"}
+
+
 def test_another_place_model_or_metric_leaves_open_what_the_file_left_open(tmp_path):
     path = write_scene(tmp_path, REGION | {"sensor": {"range_gate_m": None, "range_noise_m": "datasheet"}})
     lidar, scene = loaded(path), bpy.context.scene

@@ -122,7 +122,7 @@ def _update_one(scene, lidar, shown, objects) -> bool:
     session.store(lidar, vehicles, place, look, shown.baseline)
     if lidar == session.active_lidar(scene):
         colour_vehicles(*_coloured(scene, vehicles, shown.bits))
-    _redraw()
+    redraw()
     return True
 
 
@@ -162,7 +162,7 @@ def _end(key: str, shown: _Shown) -> None:
             colour_vehicles([item for item in scene.objects if role(item) == VEHICLE and SHAPE in item], None)
     if not _state.shown:
         _colour_solid("OBJECT", "MATERIAL")
-    _redraw()
+    redraw()
 
 
 # --- Drawing ----------------------------------------------------------------------------------------------------------
@@ -174,9 +174,10 @@ def _views():
         yield from (area for area in window.screen.areas if area.type == "VIEW_3D")
 
 
-def _redraw():
+def redraw() -> None:
+    """Draw all 3D views again."""
     for area in _views():
-        area.tag_redraw()
+        area.tagredraw()
 
 
 def _colour_solid(of: str, to: str) -> None:

@@ -144,7 +144,7 @@ def _take_over(operator, context, path):
     if found is None:  # where what is not searched is as the file says
         fixed = scenario.deployment.places[0].fixed
         found = add_lidar(scene, scenario.pose(leaning(scenario.baseline, **fixed)))
-    properties.fill_lidar(found, tables, folder, scenario)
+    session.fill_lidar(found, tables, folder, scenario)
     dress(found, lattice_of(scenario.sensor))
     select(context, found)
     recording = session.keep(scene, session.scenario_from(scene), recordings)
@@ -254,7 +254,7 @@ def adopt(scene: bpy.types.Scene) -> None:
     for lidar in lidars(scene):
         if lidar.lidar.schema == 0:
             if SETTINGS in lidar:
-                properties.fill_lidar(lidar, *_stored(lidar))
+                session.fill_lidar(lidar, *_stored(lidar))
             lidar.lidar.schema = properties.SCHEMA
         if not any(role(child) == PART for child in lidar.children):
             dress(lidar, lattice_of(session.sensor_of(lidar)))

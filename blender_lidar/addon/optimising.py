@@ -33,7 +33,7 @@ from ..scene.settings import DECLARED
 from ..world.blender.objects import hang
 from ..world.blender.site import open_scenery
 from ..world.scenery import Scenery
-from . import operators, panels, properties, session
+from . import live, operators, panels, properties, session
 
 _EVERY_S = 0.05  # between two looks at how far it is
 _LEAST_S, _RECENT_S = 2.0, 20.0  # from what its rate is known, and how much of the past tells it
@@ -154,8 +154,8 @@ class Optimisation:
         rate = (now - before) / (time.monotonic() - since)
         return max(self.total - self.done, 0) / rate if rate > 0.0 else None
 
-    def keep(self, name: str) -> Path:
-        """Move the run beside the .blend file, where that is saved, so that it stays; returns where it is."""
+    def keep(self, name: str) -> str:
+        """Move the run beside the .blend file, where that is saved, so that it stays; returns where it is then."""
         if bpy.data.filepath:
             runs = Path(f"{Path(bpy.data.filepath).with_suffix('')}_runs")
             stem = bpy.path.clean_name(name)
@@ -164,7 +164,8 @@ class Optimisation:
                 runs.mkdir(exist_ok=True)
                 self.folder = Path(shutil.move(self.folder, runs / f"{stem}_{number}"))
                 shutil.rmtree(self._root, ignore_errors=True)
-        return self.folder
+                return f"//{runs.name}/{stem}_{number}"  # from the file on, so that both can be moved
+        return str(self.folder)
 
     def wait(self) -> None:
         """Wait until it ends."""
@@ -217,8 +218,7 @@ def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
     group.found_gain = held.get("gain_over_baseline", 0.0)
     group.found_interval = held.get("interval_90") or (0.0, 0.0)
     group.found_judged, group.found_unit = result["holdout"] is not None, result["metric_unit"]
-    folder = job.keep(lidar.name)
-    group.found_folder, group.found = bpy.path.relpath(str(folder)) if bpy.data.filepath else str(folder), True
+    group.found_folder, group.found = job.keep(lidar.name), True
 
 
 class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
@@ -264,7 +264,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
             return {"PASS_THROUGH"}
         before, alive = self._job.done, self._job.is_alive()
         if alive and self._job.done != before:
-            _redraw(context)
+            live.redraw()
             context.window_manager.progress_update(100 * self._job.done // max(self._job.total, self._job.done))
         if alive:
             return {"PASS_THROUGH"}
@@ -285,7 +285,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
         _jobs.pop(self._lidar, None)
-        _redraw(context)
+        live.redraw()
 
     def _ended(self, lidar, job):
         if job.result is None:
@@ -294,16 +294,10 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
             return {"CANCELLED"}
         keep_result(lidar, job)
         bpy.ops.ed.undo_push(message="Optimise LiDAR")
-        kept = lidar.lidar.found_folder if bpy.data.filepath else "until Blender ends, as this file is not saved yet"
+        folder = lidar.lidar.found_folder
+        kept = f"in {folder}" if folder.startswith("//") else "until Blender ends, as this file is not saved"
         self.report({"INFO"}, f"{found_text(lidar.lidar)}; its report is kept {kept}")
         return {"FINISHED"}
-
-
-def _redraw(context):
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
 
 
 def found_text(group: bpy.types.PropertyGroup) -> str:

@@ -1,4 +1,4 @@
-"""The panels: the sidebar's tab LiDAR says what is done, Properties > Object what belongs to one LiDAR."""
+"""The panels of the sidebar's tab LiDAR."""
 
 import math
 from pathlib import Path
@@ -78,7 +78,7 @@ class LIDAR_PT_road(bpy.types.Panel):
         rows(layout, group.traffic, "format", "period", "origin_m", "heading_deg", "time_step_s")
         layout.prop(group.world, "variety")
         lines = session.without_field(context.scene, session.active_lidar(context.scene))
-        region = properties.kept(group).tables.get("region", {})
+        region = session.kept_of(group).tables.get("region", {})
         if not (region.get("polygon_m") or region.get("stretches")):
             layout.label(text="Vehicles count within")
             rows(layout, group.region, "centre_m", "with_gate", *([] if group.region.with_gate else ["radius_m"]))
@@ -119,28 +119,18 @@ class LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
             icon = "RADIOBUT_ON" if chosen else "RADIOBUT_OFF"
             column.operator("lidar.choose", text=item.name, icon=icon, depress=chosen).name = item.name
         layout.operator("lidar.add", text="Add LiDAR", icon="ADD")
-        draw_model(layout, lidar.lidar)
-        draw_pose(layout, lidar)
-
-
-def draw_model(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:
-    """The model, its rate and gate."""
-    layout.prop(group, "name_")
-    if group.name_ == "own":
-        layout.prop(group, "table_path")
-    rows(layout, group, "rotation_hz", "range_gate_m")
-
-
-def draw_pose(layout: bpy.types.UILayout, lidar: bpy.types.Object) -> None:
-    """Where a LiDAR hangs, in the project's signs."""
-    try:
-        place = properties.with_lean(properties.coordinates_of(lidar))
-    except BlenderLidarError as error:
-        layout.label(text=str(error), icon="ERROR")
-        return
-    rows(layout, lidar.lidar, "x_m", "y_m", "height_m", *ANGLES)
-    way = "" if place["lean_direction_deg"] is None else f" towards {place['lean_direction_deg']:.0f}°"
-    layout.label(text=f"Lean {place['lean_deg']:.1f}°{way}")
+        layout.prop(lidar.lidar, "name_")
+        if lidar.lidar.name_ == properties.OWN:
+            layout.prop(lidar.lidar, "table_path")
+        rows(layout, lidar.lidar, "rotation_hz", "range_gate_m")
+        try:
+            place = properties.with_lean(properties.coordinates_of(lidar))
+        except BlenderLidarError as error:
+            layout.label(text=str(error), icon="ERROR")
+            return
+        rows(layout, lidar.lidar, "x_m", "y_m", "height_m", *ANGLES)
+        way = "" if place["lean_direction_deg"] is None else f" towards {place['lean_direction_deg']:.0f}°"
+        layout.label(text=f"Lean {place['lean_deg']:.1f}°{way}")
 
 
 @panel("Scan", LIDAR_PT_main.__name__)
@@ -169,14 +159,9 @@ class LIDAR_PT_noise(OfTraffic, bpy.types.Panel):
 
     def draw_for(self, layout, scene, lidar):
         """Its imperfections."""
-        draw_noise(layout, lidar.lidar)
-
-
-def draw_noise(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup) -> None:
-    """How imperfect a sensor is."""
-    layout.prop(group, "datasheet")
-    own = ("range_noise_m", "range_at_10_percent_m") if group.datasheet else ()
-    rows(layout, group, *(key for key in properties.IMPERFECTIONS if key not in own))
+        layout.prop(lidar.lidar, "datasheet")
+        own = ("range_noise_m", "range_at_10_percent_m") if lidar.lidar.datasheet else ()
+        rows(layout, lidar.lidar, *(key for key in properties.IMPERFECTIONS if key not in own))
 
 
 def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
@@ -225,25 +210,6 @@ class LIDAR_PT_export(OfTraffic, bpy.types.Panel):
         column.operator("wm.save_as_mainfile", text="Copy as .blend").copy = True
 
 
-class LIDAR_PT_object(bpy.types.Panel):
-    """What belongs to a LiDAR, in Properties > Object."""
-
-    bl_label, bl_space_type, bl_region_type, bl_context = "LiDAR", "PROPERTIES", "WINDOW", "object"
-
-    @classmethod
-    def poll(cls, context):
-        """Of LiDARs alone."""
-        return session.is_lidar(context.object)
-
-    def draw(self, context):
-        """Model, pose, noise and bounds."""
-        layout, lidar = self.layout, context.object
-        layout.use_property_split, layout.use_property_decorate = True, False
-        draw_model(layout, lidar.lidar)
-        draw_pose(layout, lidar)
-        draw_noise(layout, lidar.lidar)
-
-
 def add_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     """Add > LiDAR."""
     menu.layout.operator("lidar.add", icon="LIGHT_SUN")
@@ -258,7 +224,6 @@ classes = (
     LIDAR_PT_noise,
     LIDAR_PT_score,
     LIDAR_PT_export,
-    LIDAR_PT_object,
 )
 
 

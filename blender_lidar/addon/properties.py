@@ -1,17 +1,14 @@
 """The panel's properties, made from the one declaration of each setting: unit, range, default and tooltip.
 
 `Scene.blender_lidar` holds what a scene has once, `Object.lidar` what each LiDAR has. Blender keeps numbers in single
-precision and angles in radians: `values_of` gives them back as they were typed. What a scene file says is kept beside
-the fields that it has filled, `Kept`: only fields that were changed since replace it.
+precision and angles in radians: `values_of` gives them back as they were typed.
 """
 
 # Not from __future__ import annotations: Blender reads properties from annotations as they are.
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import NamedTuple, get_origin
+from typing import get_origin
 
 import bpy
 from bpy.props import (
@@ -28,7 +25,6 @@ from ..errors import InputError
 from ..names import METRIC_NAMES
 from ..road import RoadFrame
 from ..scene.mounting import (
-    ANGLES,
     COORDINATES,
     LEANS,
     MOUNTING_OR_LEAN,
@@ -36,18 +32,15 @@ from ..scene.mounting import (
     leaning,
     plumb,
     pose_at,
-    six_coordinates,
     with_lean,
 )
-from ..scene.scenario import Scenario
-from ..scene.settings import DATASHEET, DECLARED, GATE, is_sensor_file
+from ..scene.settings import DECLARED, GATE
 from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
 from ..world.blender.objects import hang, lidars, pose_of
 
 SCHEMA = 1  # of what is saved in a .blend file
 _DIGITS = 6  # that single precision keeps of a number
-_SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _POSE_DIGITS = 4  # of metres and degrees: it keeps these within a kilometre
 _UNITS = {"m": ("LENGTH", "NONE"), "deg": ("ROTATION", "ANGLE"), "s": ("TIME", "NONE")}  # unit and subtype by suffix
 OWN = "own"  # in place of a name: what a file of the user's says
@@ -78,48 +71,6 @@ def silently() -> Iterator[None]:
         yield
     finally:
         _silent = before
-
-
-# --- What a scene file says beside the panel's fields -----------------------------------------------------------------
-
-
-class Kept(NamedTuple):
-    """What a scene or a LiDAR was filled with.
-
-    Attributes
-    ----------
-    tables : dict
-        The scene file's own tables; none where nothing was loaded.
-    folder : str
-        Where relative paths among them start from.
-    fields : dict
-        What the panel's fields said when they had been filled, by table and key.
-    """
-
-    tables: dict[str, dict]
-    folder: str
-    fields: dict[str, dict]
-
-
-def kept(group: bpy.types.PropertyGroup) -> Kept:
-    """What a scene's or a LiDAR's group was filled with."""
-    return Kept(**json.loads(group.kept)) if group.kept else Kept({}, "", {})
-
-
-def keep(group: bpy.types.PropertyGroup, tables: dict, folder: str, fields: dict) -> None:
-    """Keep with a scene or a LiDAR what it has just been filled with."""
-    group.kept = json.dumps(Kept(tables, folder, fields)._asdict())
-
-
-def changed(before: Kept, fields: dict[str, dict]) -> dict[tuple[str, str], tuple[object, str]]:
-    """The fields that are not as they were filled, as `scenario_of` takes what replaces a file's settings."""
-    found = {}
-    for table, now in fields.items():
-        then = before.fields.get(table, {})
-        found |= {
-            (table, key): (now.get(key), where(table, key)) for key in {**then, **now} if now.get(key) != then.get(key)
-        }
-    return found
 
 
 # --- A property from a declaration ------------------------------------------------------------------------------------
@@ -452,70 +403,6 @@ for _key, _declared in MOUNTING_OR_LEAN.items():
         f"{_key}_low": made_from(_key, _declared, "deployment", name="Low", default=_scale * _low, update=None),
         f"{_key}_high": made_from(_key, _declared, "deployment", name="High", default=_scale * _high, update=None),
     }
-
-
-def sensor_table(lidar: bpy.types.Object) -> dict[str, object]:
-    """What a LiDAR's fields say of [sensor]."""
-    group = lidar.lidar
-    name = bpy.path.abspath(group.table_path) if group.name_ == OWN else group.name_
-    table = {"name": name, **values_of(group, SENSOR)}
-    if group.datasheet:
-        table |= {"range_noise_m": DATASHEET, "range_at_10_percent_m": DATASHEET}
-    return table
-
-
-def fill_lidar(lidar: bpy.types.Object, tables: Mapping[str, Mapping], folder: str, scenario: Scenario) -> None:
-    """Set a LiDAR's fields to a scene's sensor and what it searches, and keep [sensor] as the `tables` of it say."""
-    group, found = lidar.lidar, scenario.as_tables()
-    sensor, deployment = found["sensor"], found["deployment"]
-    if sensor["name"] in model_names():
-        group.name_ = sensor["name"]
-    else:
-        group.name_, group.table_path = OWN, str(Path(sensor["name"]).resolve())
-    fill(group, SENSOR, sensor)
-    group.poles = str(Path(deployment.pop("poles")).resolve()) if scenario.deployment.poles else ""
-    for key in MOUNTING_OR_LEAN:
-        bounds, scale = deployment.get(key), math.radians(1.0) if key.endswith("_deg") else 1.0
-        searched = isinstance(bounds, list | tuple)
-        setattr(group, f"{key}_on", searched)
-        for end, value in zip(("low", "high"), bounds if searched else (), strict=False):
-            setattr(group, f"{key}_{end}", scale * value)
-    own = {
-        str(Path(folder, key).resolve()) if is_sensor_file(key) else key: value
-        for key, value in tables["sensor"].items()
-    }
-    fields = {"sensor": sensor_table(lidar), "deployment": _bounds_of(group)}
-    keep(group, {"sensor": own | {"name": sensor_table(lidar)["name"]}, "deployment": deployment}, folder, fields)
-    group.schema = SCHEMA
-
-
-def _bounds_of(group: bpy.types.PropertyGroup) -> dict[str, list[float]]:
-    """Between what bounds a LiDAR's rows that are on have it searched [m, degrees]."""
-    on = [key for key in MOUNTING_OR_LEAN if getattr(group, f"{key}_on")]
-    return {key: [exact(getattr(group, f"{key}_{end}"), key) for end in ("low", "high")] for key in on}
-
-
-def deployment_table(lidar: bpy.types.Object) -> dict[str, object]:
-    """[deployment] of a LiDAR: where it hangs, and the bounds of the rows that are on.
-
-    A coordinate that is as the scene file had it keeps the file's number, which has more digits than Blender holds.
-    """
-    group, place, before = lidar.lidar, with_lean(coordinates_of(lidar)), kept(lidar.lidar)
-    filled = before.fields.get("deployment", {})
-    filed, bounds = before.tables.get("deployment", {}), _bounds_of(group)
-    fixed = {key: value for key, value in filed.items() if isinstance(value, float) and key not in bounds}
-    leans = bounds.keys() & set(LEANS) or ("lean_deg" in filed and not bounds.keys() & set(ANGLES))
-    turn = {key: place[key] or 0.0 for key in (LEANS if leans else ANGLES)}
-    as_filed = {key: fixed.get(key, value) for key, value in turn.items()}
-    table = {key: place[key] for key in ("x_m", "y_m", "height_m")}
-    table |= {key: fixed[key] for key in table if key in fixed and abs(fixed[key] - table[key]) < _SAME_M}
-    now, then = (pose_at(six_coordinates({**table, **angles})).rotation for angles in (turn, as_filed))
-    table |= as_filed if abs(now - then).max() < _SAME_ROTATION else turn
-    table |= {key: filed[key] if pair == filled.get(key) else pair for key, pair in bounds.items()}
-    if group.poles:
-        table = {key: value for key, value in table.items() if key not in ("x_m", "y_m") or key in bounds}
-        table["poles"] = bpy.path.abspath(group.poles)
-    return table
 
 
 classes = (*GROUPS.values(), LIDAR_PG_baseline, LIDAR_PG_region, LIDAR_PG_scene, LIDAR_PG_lidar)

@@ -6,10 +6,12 @@ undo leaves as it is, or by their names where Blender has none.
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import bpy
 
@@ -18,17 +20,20 @@ from ..casting.protocol import StandingScenery
 from ..clouds.live import DRAG_M, LiveFrame, Look
 from ..errors import InputError
 from ..names import METRIC_NAMES
+from ..scene.mounting import ANGLES, LEANS, MOUNTING_OR_LEAN, pose_at, six_coordinates, with_lean
 from ..scene.observation import CountedFrame, vehicle_weights
 from ..scene.region import region_of
 from ..scene.scenario import Scenario, scenario_of
-from ..scene.settings import GATE, SensorSettings
+from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
 from ..scene.site import lattice_of, observation_of, read_recordings, scoring_of, standing_scenery
+from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, instants, joined_recordings
 from ..traffic.vehicles import unknown_frame
 from ..world.blender.objects import is_lidar, lidars
 from ..world.blender.site import open_scenery
 from . import properties
 
+_SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
 _FRAMES: dict[str, tuple[str, str, Mapping[str, float], LiveFrame]] = {}  # by LiDAR: what and where it was made for
@@ -65,6 +70,47 @@ def needed_lidar(scene: bpy.types.Scene) -> bpy.types.Object:
     return lidar
 
 
+# --- What a scene file says, kept beside the fields that it has filled: only those changed since replace it -----------
+
+
+class Kept(NamedTuple):
+    """What a scene or a LiDAR was filled with.
+
+    Attributes
+    ----------
+    tables : dict
+        The scene file's own tables; none where nothing was loaded.
+    folder : str
+        Where relative paths among them start from.
+    fields : dict
+        What the panel's fields said when they had been filled, by table and key.
+    """
+
+    tables: dict[str, dict]
+    folder: str
+    fields: dict[str, dict]
+
+
+def kept_of(group: bpy.types.PropertyGroup) -> Kept:
+    """What a scene's or a LiDAR's group was filled with."""
+    return Kept(**json.loads(group.kept)) if group.kept else Kept({}, "", {})
+
+
+def keep_tables(group: bpy.types.PropertyGroup, tables: dict, folder: str, fields: dict) -> None:
+    """Keep with a scene or a LiDAR what it has just been filled with."""
+    group.kept = json.dumps(Kept(tables, folder, fields)._asdict())
+
+
+def changed(before: Kept, fields: dict[str, dict]) -> dict[tuple[str, str], tuple[object, str]]:
+    """The fields that are not as they were filled, as `scenario_of` takes what replaces a file's settings."""
+    found = {}
+    for table, now in fields.items():
+        then = before.fields.get(table, {})
+        keys = [key for key in {**then, **now} if now.get(key) != then.get(key)]
+        found |= {(table, key): (now.get(key), properties.where(table, key)) for key in keys}
+    return found
+
+
 # --- Settings: a scene file, and the panel's fields as changes to it --------------------------------------------------
 
 
@@ -97,11 +143,11 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
         Naming the panel's field, or the place in the scene file; for a scene whose unit is not the metre.
     """
     check_unit(scene)
-    kept = properties.kept(scene.blender_lidar)
-    tables, changes = dict(kept.tables), properties.changed(kept, fields_of(scene))
+    kept = kept_of(scene.blender_lidar)
+    tables, changes = dict(kept.tables), changed(kept, fields_of(scene))
     if lidar is not None:
         own, changes_of_sensor = _sensor_of(lidar)
-        tables |= own | {"deployment": properties.deployment_table(lidar)}
+        tables |= own | {"deployment": deployment_table(lidar)}
         changes |= changes_of_sensor
     if here:
         changes["model", "workers"] = 1, "the add-on"
@@ -111,8 +157,8 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
 
 def _sensor_of(lidar):
     """[sensor] of a LiDAR as its file has it, and what its fields change of that."""
-    kept = properties.kept(lidar.lidar)
-    changes = properties.changed(kept, {"sensor": properties.sensor_table(lidar)})
+    kept = kept_of(lidar.lidar)
+    changes = changed(kept, {"sensor": sensor_table(lidar)})
     return {"sensor": kept.tables.get("sensor", {})}, changes
 
 
@@ -159,15 +205,15 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
         own |= {"centre_m": region.centre_m, "radius_m": GATE if group.region.with_gate else region.radius_m}
     kept = {name: table for name, table in tables.items() if name not in ("sensor", "deployment")}
     kept |= {"region": own, "baseline": dict(scenario.baseline)}
-    properties.keep(group, kept, folder, fields_of(scene))
+    keep_tables(group, kept, folder, fields_of(scene))
     group.schema = properties.SCHEMA
 
 
 def without_field(scene: bpy.types.Scene, lidar: bpy.types.Object | None) -> list[str]:
     """What is kept of the scene file and has no field in the panel, a line for each table."""
-    tables = {**properties.kept(scene.blender_lidar).tables}
+    tables = {**kept_of(scene.blender_lidar).tables}
     if lidar is not None:
-        tables["sensor"] = properties.kept(lidar.lidar).tables.get("sensor", {})
+        tables["sensor"] = kept_of(lidar.lidar).tables.get("sensor", {})
     shown = {**properties.TABLES, "sensor": ("name", *properties.SENSOR), "region": ("centre_m", "radius_m")}
     lines = []
     for name, table in tables.items():
@@ -179,6 +225,69 @@ def without_field(scene: bpy.types.Scene, lidar: bpy.types.Object | None) -> lis
         if keys and name != "baseline":
             lines.append(f"[{name}] {', '.join(keys)}")
     return lines
+
+
+def sensor_table(lidar: bpy.types.Object) -> dict[str, object]:
+    """What a LiDAR's fields say of [sensor]."""
+    group = lidar.lidar
+    name = bpy.path.abspath(group.table_path) if group.name_ == properties.OWN else group.name_
+    table = {"name": name, **properties.values_of(group, properties.SENSOR)}
+    if group.datasheet:
+        table |= {"range_noise_m": DATASHEET, "range_at_10_percent_m": DATASHEET}
+    return table
+
+
+def fill_lidar(lidar: bpy.types.Object, tables: Mapping[str, Mapping], folder: str, scenario: Scenario) -> None:
+    """Set a LiDAR's fields to a scene's sensor and what it searches, and keep [sensor] as the `tables` of it say."""
+    group, found = lidar.lidar, scenario.as_tables()
+    sensor, deployment = found["sensor"], found["deployment"]
+    if sensor["name"] in model_names():
+        group.name_ = sensor["name"]
+    else:
+        group.name_, group.table_path = properties.OWN, str(Path(sensor["name"]).resolve())
+    properties.fill(group, properties.SENSOR, sensor)
+    group.poles = str(Path(deployment.pop("poles")).resolve()) if scenario.deployment.poles else ""
+    for key in MOUNTING_OR_LEAN:
+        bounds, scale = deployment.get(key), math.radians(1.0) if key.endswith("_deg") else 1.0
+        searched = isinstance(bounds, list | tuple)
+        setattr(group, f"{key}_on", searched)
+        for end, value in zip(("low", "high"), bounds if searched else (), strict=False):
+            setattr(group, f"{key}_{end}", scale * value)
+    own = tables.get("sensor", {})
+    own = {str(Path(folder, key).resolve()) if is_sensor_file(key) else key: value for key, value in own.items()}
+    fields = {"sensor": sensor_table(lidar), "deployment": _bounds_of(group)}
+    own["name"] = fields["sensor"]["name"]  # with its whole path
+    keep_tables(group, {"sensor": own, "deployment": deployment}, folder, fields)
+    group.schema = properties.SCHEMA
+
+
+def _bounds_of(group: bpy.types.PropertyGroup) -> dict[str, list[float]]:
+    """Between what bounds a LiDAR's rows that are on have it searched [m, degrees]."""
+    on = [key for key in MOUNTING_OR_LEAN if getattr(group, f"{key}_on")]
+    return {key: [properties.exact(getattr(group, f"{key}_{end}"), key) for end in ("low", "high")] for key in on}
+
+
+def deployment_table(lidar: bpy.types.Object) -> dict[str, object]:
+    """[deployment] of a LiDAR: where it hangs, and the bounds of the rows that are on.
+
+    A coordinate that is as the scene file had it keeps the file's number, which has more digits than Blender holds.
+    """
+    group, place, kept = lidar.lidar, with_lean(properties.coordinates_of(lidar)), kept_of(lidar.lidar)
+    filed, filled = (of.get("deployment", {}) for of in (kept.tables, kept.fields))
+    bounds = _bounds_of(group)
+    fixed = {key: value for key, value in filed.items() if isinstance(value, float) and key not in bounds}
+    leans = bounds.keys() & set(LEANS) or ("lean_deg" in filed and not bounds.keys() & set(ANGLES))
+    turn = {key: place[key] or 0.0 for key in (LEANS if leans else ANGLES)}
+    as_filed = {key: fixed.get(key, value) for key, value in turn.items()}
+    table = {key: place[key] for key in ("x_m", "y_m", "height_m")}
+    table |= {key: fixed[key] for key in table if key in fixed and abs(fixed[key] - table[key]) < _SAME_M}
+    now, then = (pose_at(six_coordinates({**table, **angles})).rotation for angles in (turn, as_filed))
+    table |= as_filed if abs(now - then).max() < _SAME_ROTATION else turn
+    table |= {key: filed[key] if pair == filled.get(key) else pair for key, pair in bounds.items()}
+    if group.poles:
+        table = {key: value for key, value in table.items() if key not in ("x_m", "y_m") or key in bounds}
+        table["poles"] = bpy.path.abspath(group.poles)
+    return table
 
 
 # --- Traffic ----------------------------------------------------------------------------------------------------------
