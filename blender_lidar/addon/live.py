@@ -177,7 +177,7 @@ def _views():
 def redraw() -> None:
     """Draw all 3D views again."""
     for area in _views():
-        area.tagredraw()
+        area.tag_redraw()
 
 
 def _colour_solid(of: str, to: str) -> None:
