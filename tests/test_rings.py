@@ -13,7 +13,7 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies.rings import NO_POINT, Firings, Rays, crossing, recover_rings
-from tests.recorded_samples import HEIGHT_M, SENSOR, in_kitti_frame, scanned, street
+from tests.recorded_samples import SENSOR, in_kitti_frame, scanned, street
 
 AT_THE_ORIGIN = Pose(height_m=0.0)
 
@@ -140,15 +140,6 @@ def test_points_out_of_ring_order_are_refused_in_one_line(change):
     with pytest.raises(InputError, match=r"^here: its \d+ points are not in ring order; allowed: ring after ring") as e:
         recover_rings(change(*sweep()), "here")
     assert "\n" not in str(e.value)
-
-
-def test_the_sweeps_ground_lies_where_the_rings_meet_it():
-    """Rings without a parallax of their own: the road is the plane at minus the sensor's height."""
-    cloud, points = sweep()
-    rings = recover_rings(points)
-    ground = cloud.vehicle_id < 0
-    rho = np.hypot(points[ground, 0], points[ground, 1])
-    np.testing.assert_allclose(rho * np.tan(rings.elevation_rad[rings.ring[ground]]), -HEIGHT_M, atol=1e-4)
 
 
 def test_rings_that_saw_next_to_nothing_do_not_spoil_the_others():
