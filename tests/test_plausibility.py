@@ -167,8 +167,8 @@ def test_vehicles_that_are_numbered_anew_in_each_frame_are_told(tmp_path):
     ("metres", "told"),
     [
         ((), None),
-        (("Local_X", "Local_Y", "v_Length", "v_Width"), r"lanes lie 1\.1 m apart.*probably metres.*--accept units"),
-        (("v_Length", "v_Width"), r"v_Length and v_Width in metres, where NGSIM has feet.*--accept sizes"),
+        (("Local_X", "Local_Y", "v_Length", "v_Width"), r"v_Length and v_Width in metres, where NGSIM.*--accept sizes"),
+        (("v_Length", "v_Width"), r"v_Length and v_Width in metres, where NGSIM's columns.*--accept sizes"),
     ],
 )
 def test_ngsim_with_metres_where_it_has_feet_stops(metres, told, tmp_path):

@@ -195,10 +195,10 @@ def test_an_option_about_one_recording_is_refused_where_there_are_two(tmp_path, 
 
 
 def test_an_option_about_all_holds_for_each(tmp_path):
-    overrides = {("traffic", "frames"): (3, "--frames"), ("traffic", "accept"): (["units"], "--accept")}
+    overrides = {("traffic", "frames"): (3, "--frames"), ("traffic", "accept"): (["sizes"], "--accept")}
     scenario = load_scenario(scene_of(tmp_path, MORNING, EVENING), overrides)
     assert [one.frames for one in scenario.recordings] == [3, 3]
-    assert [one.accept for one in scenario.recordings] == [("units",)] * 2
+    assert [one.accept for one in scenario.recordings] == [("sizes",)] * 2
 
 
 @pytest.mark.parametrize(

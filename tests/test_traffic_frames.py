@@ -238,7 +238,7 @@ def test_settings_that_a_short_recording_is_told_hold_out_what_an_interval_needs
 
 def test_where_no_setting_would_hold_anything_out_none_is_told():
     one = stream(np.arange(0, 0.5, 0.5))
-    assert plan_frames(one, counted).notes[0].endswith("; no [traffic] holdout or block_s would do")
+    assert plan_frames(one, counted).notes[0].endswith("; no setting helps")
     assert not plan_frames(one, counted, holdout=0.0).notes
 
 

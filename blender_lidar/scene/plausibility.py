@@ -73,26 +73,6 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
 # --- Checks of sizes: what each has seen, and what is probably meant; nothing where all may be true ---------------
 
 
-def _units(seen: _Seen) -> str | None:
-    """NGSIM's feet that are metres: lanes lie a metre apart, and boxes overlap or all sizes had to be repaired."""
-    report, sample = seen.recording.report, seen.sample
-    if not report.periods or len(sample) < usual.FEWEST:  # which no other format has
-        return None
-    lanes = np.unique(sample.lane[sample.lane > 0])
-    y = {lane: np.median(sample.centre_m[sample.lane == lane, 1]) for lane in lanes}
-    spacing = [abs(y[lane + 1] - y[lane]) for lane in lanes if lane + 1 in y]
-    low, high = usual.LANES_APART_M
-    repaired = report.sizes_repaired >= usual.HALF * len(np.unique(seen.recording.vehicle_id))
-    crowded = report.overlaps > usual.SOME * report.overlap_frames * len(sample) / len(sample.frames)
-    if not spacing or not low <= np.median(spacing) <= high or not (repaired or crowded):
-        return None
-    why = f"{report.sizes_repaired:,} vehicles have absurd sizes" if repaired else "boxes overlap"
-    return (
-        f"lanes lie {np.median(spacing):.1f} m apart (3 to 4 m is usual) and {why}: NGSIM's columns are in feet, and "
-        "these are probably metres; divide them by 0.3048"
-    )
-
-
 def _fits(size_m: np.ndarray, class_index: np.ndarray) -> np.ndarray:
     """Whether sizes (n, 3) [m] are possible for their classes, (n,) bool."""
     limits = np.array([usual.SIZES_M[name] for name in CLASSES])[class_index]
@@ -110,7 +90,7 @@ def _sizes(seen: _Seen) -> str | None:
             continue
         probably = " or ".join(_sizes_meant(size, sample.class_index[own])) or "another unit, or another class"
         if seen.recording.report.periods:  # whose sizes have been repaired, to the least where they were metres
-            probably = "v_Length and v_Width in metres, where NGSIM has feet, or swapped"
+            probably = "v_Length and v_Width in metres, where NGSIM's columns are all in feet, or swapped"
         name = CLASSES[index]
         return (
             f"{100 * (1.0 - fitting.mean()):.0f} % of the boxes of class {name} have impossible sizes: a median {name} "
@@ -195,7 +175,6 @@ def _size_notes(seen: _Seen) -> Iterator[str]:
 
 
 _CHECKS: dict[str, Callable[[_Seen], str | None]] = {  # as `names.WARNINGS`: causes before what comes of them
-    "units": _units,
     "sizes": _sizes,
     "time-step": lambda seen: time_step(seen.recording, seen.tracks),
     "tracks": lambda seen: jumps(seen.recording, seen.tracks),

@@ -58,12 +58,10 @@ TURN_DEG = 3.0  # from row to row in the median: real and generated ones are und
 PLACE_M = 20.0  # a place: within it no street bends by much
 
 # --- Road
-LANES_APART_M = (0.7, 1.9)  # of lanes of 2.4 to 5.8 m, once more multiplied by a foot
 ALONG_RAD = math.radians(5.0)  # who drives along a road, for the direction of the road
 DRIFT_RAD = (math.radians(1.5), math.radians(15.0))  # that crosses half a lane in 60 m; lane changes are beyond
 OFF_LANE_M, ABOUT_LANE_M = 1.0, 0.7  # from a lane's middle: nobody drives so, and nearly all drive so
 WIDER = 0.08  # of a lane's width: a map's scale is right to 2 %, feet or a projection are further off
-END_M = 10.0  # of the region, without traffic: two vehicles' lengths
 
 # --- Mounting and sensor
 ROUND_DEG, DECIMALS = 5.0, 2  # degrees that people choose; digits that they write radians with

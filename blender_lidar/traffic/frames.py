@@ -353,7 +353,7 @@ def _too_short(
     shorter = next((block for block in shorter_s if blocks_of(holdout, block) >= FEWEST_BLOCKS), None)
     would_do = [] if share is None else [f"holdout = {share:g}"]
     would_do += [] if shorter is None else [f"block_s = {shorter} (with intervals that may be too narrow)"]
-    told = f"[traffic] {' or '.join(would_do)} would do" if would_do else "no [traffic] holdout or block_s would do"
+    told = f"[traffic] {' or '.join(would_do)} would do" if would_do else "no setting helps"
     return f"{has}, {needed} (blocks of {block_s:.0f} s, longer than a transit); {told}"
 
 

@@ -92,7 +92,7 @@ def read_sumo(
     notes += numbered
     z = rows["z"][~np.isnan(rows["z"])]
     if len(z) and np.ptp(z) > _FLAT_WITHIN_M:
-        notes.append(f"z from {z.min():.1f} to {z.max():.1f} m is left aside: all vehicles stand on a flat road")
+        notes.append(f"z from {z.min():.1f} to {z.max():.1f} m is not used: all vehicles stand on the plane of [road]")
     rows, frame = {name: column[kept[on_road]] for name, column in rows.items()}, frame[kept[on_road]]
     size = np.array([kind.size_m for kind in types])[rows["type"]]
     class_index = np.array([CLASSES.index(kind.class_name or "car") for kind in types])[rows["type"]]
