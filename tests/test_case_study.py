@@ -283,25 +283,6 @@ def test_every_setting_is_varied_for_every_sensor_and_what_the_traffic_does_not_
     assert all("no vehicle" in row["note"] for row in away)  # the vehicles are seen over 80 m alone
 
 
-def test_a_study_that_was_stopped_comes_to_the_same_files(finished, scene, tmp_path, monkeypatch):
-    out = tmp_path / "run"
-
-    def stop(*arguments):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("reproduce_paper.decomposition", stop)
-        with pytest.raises(KeyboardInterrupt):
-            study(scene, out)
-    kept = {path.name: path.stat().st_mtime_ns for path in (out / "stages").iterdir()}
-    assert kept
-    assert not (out / "case_study.json").exists()
-    study(scene, out, resume=True)
-    assert all((out / "stages" / name).stat().st_mtime_ns == changed for name, changed in kept.items())
-    for name in ("table2.csv", "fig9.csv", "spacing.csv", "sensitivity.csv", "report.md", "case_study.json"):
-        assert (out / name).read_bytes() == (finished[0] / name).read_bytes()
-
-
 def test_what_is_measured_vehicle_by_vehicle_is_what_an_evaluator_sums(scene):
     site = with_even_beams(open_case(scene, {}, TINY).site("RS-80"))
     seen = measure(site, coordinates(site, (3.5, 10.0)))
@@ -327,7 +308,6 @@ def test_sensors_share_frames_and_blocks_as_long_as_the_widest_region_needs(scen
     [
         ({}, "must be pairs, and they alone"),  # its tilt is fixed
         (MAPPED | {"baseline": {"x_m": 3.0}}, "allowed: another height and tilt alone"),
-        (MAPPED | {"traffic": {"path": "traffic.csv", "frames": 5, "holdout": 0.0}}, "no vehicle to judge by"),
         (MAPPED | {"objective": {"metric": "points"}}, "metric is 'points'"),
     ],
 )
@@ -442,14 +422,11 @@ def test_the_detectable_share_alone_decides_on_the_loss_near_by(result, share, b
     ("change", "at_optimum", "spacing", "even", "expected"),
     [
         (LOST, LOST, LOST, WON, "reproduced"),
-        (LOST, LOST, LOST, LEVEL, "reproduced"),
         (LOST, LOST, LOST, LOST, "reproduced in part"),  # even beams lose too
         (LOST, LOST, LEVEL, LEVEL, "reproduced in part"),  # they were as much worse before
         (LOST, LEVEL, LOST, WON, "undecided"),  # a lead that is lost, and no more
         (LOST, WON, LOST, LOST, "not reproduced"),
-        (LEVEL, LOST, LOST, WON, "undecided"),  # no loss is shown, whatever else is
         (WON, LOST, LOST, WON, "no loss here"),
-        (None, LOST, LOST, WON, "undecided"),
     ],
 )
 def test_uneven_beams_cause_a_loss_only_if_there_is_one_and_they_are_worse_at_the_optimum(

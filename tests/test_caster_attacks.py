@@ -19,9 +19,7 @@ from attack_scenes import (
     cuboid,
     floor,
     lens,
-    points_inside,
     points_on_edges,
-    soup,
     street,
     unit,
     vehicle,
@@ -128,10 +126,8 @@ def test_attacks_are_the_same_for_the_same_seed_and_the_oracle_does_not_judge_it
 @pytest.mark.parametrize(
     ("differing", "expected"),
     [
-        ({}, "stable"),
         ({"knife_edges": 3}, "stable"),
         ({"wrong_distances": 1}, "fragile"),
-        ({"false_hits": 1}, "fails"),
         ({"silent_misses": 1}, "fails"),
     ],
 )
@@ -150,14 +146,6 @@ def test_a_silent_miss_of_any_caster_fails_and_a_knife_edge_does_not(differing, 
 # --- what was found, each by its name ---------------------------------------------------------------------------------
 
 
-def test_the_oracle_meets_small_and_distant_triangles_at_their_edges():
-    """Its tolerance at edges was a share of the triangle, which rounding at a distance exceeds."""
-    rng = np.random.default_rng(6)
-    small = unit(rng.normal(size=(200, 3)))[:, None] * 1000.0 + soup(rng, 200, 1e-3, 0.0)
-    targets = np.concatenate([vertices_of(small), points_on_edges(rng, small)])
-    assert np.isfinite(ExactCaster(small).cast(np.zeros(3), unit(targets)).distance).all()
-
-
 @pytest.mark.parametrize("caster", EVERY)
 @pytest.mark.parametrize("gap", [0.0, 1e-9, 1e-7, 1e-5, 1e-3])
 def test_a_ray_that_starts_at_a_surface_meets_it_however_near(caster, gap):
@@ -170,17 +158,6 @@ def test_a_ray_that_starts_at_a_surface_meets_it_however_near(caster, gap):
         found = tree.cast(np.array([x, y, gap]), rays).distance
         assert (found[~down] == (0.0 if gap == 0.0 else np.inf)).all()
         np.testing.assert_allclose(found[down], gap / -rays[down, 2], atol=1e-12)
-
-
-@pytest.mark.parametrize("caster", EVERY)
-def test_all_casters_find_the_same_hits_at_a_gate_that_equals_the_range(caster):
-    """They measured by different formulas, and at the last digit of a range one met what another missed."""
-    triangles = street("body", 0.13)
-    rays = unit(points_inside(np.random.default_rng(9), triangles)[::4] - MAST)
-    far = ExactCaster(triangles).cast(MAST, rays).distance
-    tree = caster_class(caster)(triangles, closed=True)
-    for ray, distance in zip(rays[np.isfinite(far)], far[np.isfinite(far)].tolist(), strict=True):
-        assert tree.cast(MAST, ray[None], distance).distance[0] == distance
 
 
 @pytest.mark.parametrize("caster", EVERY)
@@ -213,18 +190,6 @@ def test_what_is_not_finite_or_beyond_reason_is_named_by_its_row(caster, worst, 
             tree.cast(MAST, rays[:2], gate)
 
 
-@pytest.mark.parametrize("caster", FAST)
-@pytest.mark.parametrize("tip_rad", [1e-3, 1e-5, 1e-7])
-def test_needles_too_sharp_to_grow_by_their_tips_do_not_leak_where_they_meet(caster, tip_rad):
-    """A bound on how far tips move left their long side where it was: Embree lost rays along it."""
-    needles = lens(tip_rad) @ rotation_matrix(0.4, -0.7, 0.9) + [0.0, 60.0, 0.0]
-    along = np.linspace(0.0, 1.0, 500)[:, None]
-    rays = unit(needles[0, 0] + along * (needles[0, 1] - needles[0, 0]))
-    expected = ExactCaster(needles).cast(np.zeros(3), rays).distance
-    assert np.isfinite(expected).all()
-    np.testing.assert_allclose(caster_class(caster)(needles).cast(np.zeros(3), rays).distance, expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("tip_rad", [3e-3, 1e-5, 1e-9])
 def test_what_a_needle_grows_to_holds_it_with_a_margin_on_all_sides(tip_rad):
     margin = 1e-3
@@ -236,21 +201,6 @@ def test_what_a_needle_grows_to_holds_it_with_a_margin_on_all_sides(tip_rad):
     within = np.einsum("tki,tkci->tkc", outward, larger[:, :, None] - needle[:, None])
     assert within.min() >= 0.99 * margin
     np.testing.assert_allclose((larger - needle[:, :1]) @ normal[0], 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize("caster", FAST)
-def test_an_open_mesh_seen_almost_edge_on_does_not_leak_at_its_inner_edges(caster):
-    """Where margins do not show and no inside tells of a leak: what stood behind was met in place of it."""
-    box_in_a_box = np.concatenate([cuboid([-7.7, 6.3, 0.3], [7.7, 8.7, 2.7]), cuboid([-8, 6, 0], [8, 9, 3])])
-    across = np.linspace(0.02, 0.98, 300)[:, None]
-    roof = box_in_a_box[12:][(box_in_a_box[12:, :, 2] == 3.0).all(axis=1)][0]
-    tree, oracle = caster_class(caster)(box_in_a_box), ExactCaster(box_in_a_box)
-    for height in (1e-1, 1e-2, 3e-3, 1e-3):
-        origin = np.array([-60.0, 3.0, 3.0 + height])
-        for corner in range(3):
-            rays = unit(roof[corner] + across * (roof[(corner + 1) % 3] - roof[corner]) - origin)
-            expected = oracle.cast(origin, rays).distance
-            np.testing.assert_allclose(tree.cast(origin, rays).distance, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("caster", FAST)

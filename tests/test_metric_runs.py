@@ -87,11 +87,6 @@ def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for(
         np.testing.assert_array_equal(row[mine] % len(scorer), vehicle)
 
 
-def test_nothing_in_view_leaves_no_returns():
-    nobody = FrameScorer(FRAMES[0].vehicles, np.zeros(20, dtype=bool), SEEN).see(singles(POSES), keep_returns=True)
-    assert (nobody.returns[0].shape, nobody.returns[1].shape) == ((0, 3), (0,))
-
-
 def test_the_vehicle_table_has_a_column_for_another_metric_and_none_for_pe_vgop():
     plain, other = (
         vehicle_table(POSES[1], search=Evaluator(FRAMES, SEEN, Scoring(0.005, "mean", None, "corrected", name)))
