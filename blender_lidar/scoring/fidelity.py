@@ -129,12 +129,12 @@ def coarse_observation(observation: Observation, fidelity: Fidelity) -> Observat
     """The same sensor through a fidelity, with cells that grow as returns thin out; the reference stays as it is.
 
     With one column in k, returns are a k-th, and vehicles fall below the threshold that all beams see; on cells of k
-    times the area their share of occupied cells stays about the same. `scripts/research/coarse_beams.py` (RS-16,
-    scenes/i80.toml) ranks 150 mountings by a quarter of the beams on 30 frames, beside all beams on 54, with a weighted
-    tau of 0.85 on cells as they are and of 0.94 on larger ones; on 8 frames of 0.82 and 0.88, and so by an eighth of
-    the beams. Where all are good, 150 mountings within 0.15 m and 5 degrees about the best, shapes count: a quarter of
-    the beams on all frames correlates by 0.93 with all beams on the vehicles' own bodies, with boxes by 0.86, and all
-    beams with boxes by 0.91, so boxes are not used.
+    times the area their share of occupied cells stays about the same. `scripts/research/coarse_beams.py` of commit
+    030385c (RS-16, scenes/i80.toml) ranks 150 mountings by a quarter of the beams on 30 frames, beside all beams on 54,
+    with a weighted tau of 0.85 on cells as they are and of 0.94 on larger ones; on 8 frames of 0.82 and 0.88, and so by
+    an eighth of the beams. Where all are good, 150 mountings within 0.15 m and 5 degrees about the best, shapes count:
+    a quarter of the beams on all frames correlates by 0.93 with all beams on the vehicles' own bodies, with boxes by
+    0.86, and all beams with boxes by 0.91, so boxes are not used.
     """
     seen = fidelity.observed(observation)
     if fidelity.stride == 1:
