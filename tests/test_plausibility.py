@@ -81,6 +81,11 @@ SIZES = ("length_m", "width_m", "height_m")
 ACROSS = {"x_m": lambda row: turned(row, 50)[0], "y_m": lambda row: turned(row, 50)[1]}
 TABLES = {  # by name: the rows, what warns and what it takes them for
     "sizes in feet": (table(**times(3.28084, *SIZES)), "sizes", "probably feet for metres"),
+    "lengths and widths in feet": (
+        table(**times(3.28084, *SIZES[:2])),
+        "sizes",
+        "probably feet for metres in length_m and width_m",
+    ),
     "sizes in centimetres": (table(**times(100.0, *SIZES[1:])), "sizes", "impossible sizes"),
     "half sizes": (table(**times(0.5, *SIZES)), "sizes", "probably half lengths for metres"),
     "heights of nothing": (table(height_m=lambda row: 0.01), "sizes", "impossible sizes"),

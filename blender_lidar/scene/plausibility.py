@@ -113,7 +113,11 @@ def _sizes_meant(size_m: np.ndarray, class_index: np.ndarray) -> list[str]:
     def fit(size: np.ndarray) -> bool:
         return _fits(size, class_index).mean() > usual.MOST
 
-    found = [meant for meant, factor in usual.FACTORS.items() if fit(size_m * factor)]
+    found = [meant for meant, factor in usual.FACTORS.items() if fit(size_m * factor)] or [
+        f"{meant} in length_m and width_m"
+        for meant, factor in usual.FACTORS.items()
+        if fit(size_m * [factor, factor, 1])
+    ]
     names = ("length", "width", "height")
     for order in sorted(permutations(range(3)), key=lambda order: sum(one != at for at, one in enumerate(order))):
         if fit(size_m[:, order]):
