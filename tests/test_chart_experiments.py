@@ -1,4 +1,4 @@
-"""The chart's experiments: float32, moving vehicles, shapes without wheels, and every ablation of a scene."""
+"""What the chart switches on and off: motion during a turn, and every ablation of a scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.casting import is_available
 from blender_lidar.casting.protocol import Revolution
 from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.scenario import load_scenario
@@ -16,21 +15,17 @@ from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.studies.ablations import ablations, without_offsets
 from blender_lidar.studies.driver import Job, landscapes
-from blender_lidar.studies.experiments import (
+from blender_lidar.studies.motion import (
     SECTORS,
     MovingScorer,
-    SinglePrecisionScorer,
-    bare_shape,
-    grounded,
     moved,
     recorded_velocity,
     sector_times,
     sectors,
     velocity_at,
 )
-from blender_lidar.world.shapes import SHAPES, shape
+from blender_lidar.studies.variations import ablations, without_offsets
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import MAPPED, traffic_rows, write_scene, write_table
 
@@ -47,37 +42,6 @@ def frame():
 def assert_same(one, other):
     np.testing.assert_array_equal(one.points, other.points)
     np.testing.assert_allclose(one.occupancy, other.occupancy, rtol=1e-12)
-
-
-# --- float32 ----------------------------------------------------------------------------------------------------------
-
-
-def test_float32_moves_points_by_micrometres(site, frame):
-    observation = replace(site.observation, max_range_m=50.0)
-    scorers = FrameScorer(frame.vehicles, frame.counted, observation), SinglePrecisionScorer(frame, observation)
-    seen = [scorer.see(singles(POSES), keep_returns=True) for scorer in scorers]
-    np.testing.assert_array_equal(seen[0].points, seen[1].points)
-    away = np.abs(seen[0].returns[0] - seen[1].returns[0]).max()
-    assert 1e-9 < away < 2e-5
-
-
-# --- the ground -------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("caster", ["raster", "embree", "bvh", "exact"])
-def test_the_ground_is_among_what_is_cast_against_and_changes_no_score(site, caster):
-    """It was put in as scenery, for which all of scoring fell back on NumPy: the chart timed that."""
-    if not is_available(caster):
-        pytest.skip(f"the library of {caster} is not installed")
-    site = replace(site, observation=replace(site.observation, caster=caster))
-    frame = next(frame for frame in site.search if frame.counted.any())
-    without, there = FrameScorer(frame.vehicles, frame.counted, site.observation), grounded(site, frame)
-    assert_same(there.see(singles(POSES)), without.see(singles(POSES)))
-    assert (there.compiled is None) == (without.compiled is None)  # no slower way
-    down = np.array([[0.0, 0.6, -0.8]])
-    away = np.array([site.region.centre_xy[0] + 0.9 * site.reach_m, 0.0, 4.0])
-    assert there.shapes.tree.cast(away, down).distance == pytest.approx(5.0)
-    assert np.isinf(without.shapes.tree.cast(away, down).distance)
 
 
 # --- motion -----------------------------------------------------------------------------------------------------------
@@ -154,21 +118,7 @@ def test_velocities_are_those_that_the_recording_was_made_with(tmp_path):
     assert not recorded_velocity(recording, recording.vehicles(3)).any()
 
 
-# --- shapes and ablations ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_without_wheels_and_mirrors_nothing_touches_the_ground_and_the_rest_stays_where_it_was(name):
-    whole, bare = shape(name, "detailed"), bare_shape(name, "detailed")
-    assert len(whole.faces) > len(bare.faces)
-    assert bare.vertices[:, 2].min() > -0.5 + 1e-6
-    kept = {tuple(corner) for corner in whole.vertices.round(12).tolist()}
-    assert {tuple(corner) for corner in bare.vertices.round(12).tolist()} <= kept
-
-
-def test_a_car_loses_four_wheels_and_two_mirrors():
-    whole, bare = shape("car", "detailed"), bare_shape("car", "detailed")
-    assert len(whole.faces) - len(bare.faces) == 4 * 36 + 2 * 12
+# --- ablations --------------------------------------------------------------------------------------------------------
 
 
 def test_every_ablation_can_be_sent_to_a_worker_and_has_a_name_of_its_own(site):
@@ -176,22 +126,16 @@ def test_every_ablation_can_be_sent_to_a_worker_and_has_a_name_of_its_own(site):
     sides = {one.stage: one for change in changes for pair in change.pairs for one in pair}
     assert len({(change.what, change.value) for change in changes}) == len(changes)
     assert [one.stage for one in pickle.loads(pickle.dumps(list(sides.values())))] == list(sides)
-    wanted = "ground, guard rail, median barrier, wheels and mirrors, body shape, glass drop-out, azimuth offsets"
-    wanted += ", range noise, drop-out, unit spread, float32, motion in a turn"
+    wanted = "median barrier, body shape, finer shape, glass drop-out, azimuth offsets, range noise, drop-out"
+    wanted += ", weak returns, unit spread, motion in a turn"
     assert {change.what for change in changes} >= set(wanted.split(", "))
 
 
-def test_every_ablation_but_the_ground_and_float32_changes_a_score(site):
-    """At 20 m from two lanes neither barrier nor weak returns need matter; what is asked is done all the same."""
-    changes = [one for one in ablations(site, 1) if one.pairs]
-    spared = {"ground", "float32", "guard rail", "weak returns"}
-    for change in changes:
-        if change.what == "motion in a turn" and change.value.startswith("recorded"):
-            continue  # frames of the small scene are too far apart to tell a speed
-        both = [next(landscapes(site, [Job(one, POSES)])).objective for one in change.pairs[0]]
-        if change.what == "ground":
-            np.testing.assert_array_equal(*both)
-        elif change.what not in spared:
+def test_ablations_change_scores(site):
+    """At 20 m from two lanes weak returns need not matter, and frames here are too far apart to tell a speed."""
+    for change in ablations(site, 1):
+        if change.pairs and change.what != "weak returns" and not change.value.startswith("recorded"):
+            both = [next(landscapes(site, [Job(one, POSES)])).objective for one in change.pairs[0]]
             assert not np.allclose(*both, rtol=1e-9), change
 
 
@@ -204,6 +148,7 @@ def test_offsets_left_out_are_all_0_and_the_other_rings_keep_their_beams(tmp_pat
     assert not level.shift.any()
     np.testing.assert_array_equal(level.elevation_rad, site.observation.lattice.elevation_rad)
     assert level.columns == site.observation.lattice.columns
+    assert all(one.pairs for one in ablations(site, 1))
 
 
 def test_a_sensor_without_offsets_says_so(site):
@@ -223,19 +168,8 @@ def test_a_sensor_that_is_imperfect_at_random_is_drawn_several_times_and_no_othe
         assert not np.allclose(scores[0], scores[1])
 
 
-def test_of_a_scene_that_is_imperfect_both_sides_of_a_draw_draw_the_same(tmp_path):
-    """Drop-out alone is ablated: where a beam is not dropped its range is as noisy on the one side as on the other."""
-    noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {"range_noise_m": 0.03}})))
-    change = next(one for one in ablations(noisy, 3) if one.what == "drop-out")
-    for draw, pair in enumerate(change.pairs, start=1):
-        seen = [one.changed(noisy).observation.imperfections for one in pair]
-        assert [one.seed for one in seen] == [draw, draw]
-        assert [one.range_noise_m for one in seen] == [0.03, 0.03]
-        assert [one.dropout for one in seen] == [0.0, 0.05]
-
-
-@pytest.mark.parametrize("key", ["glass_dropout", "range_noise_m", "dropout"])
-def test_what_the_scene_has_is_left_out_once_and_not_added(key, tmp_path):
+@pytest.mark.parametrize("key", ["glass_dropout", "dropout"])
+def test_what_the_scene_has_is_left_out_once_and_both_sides_draw_the_same(key, tmp_path):
     write_table(tmp_path / "traffic.csv", traffic_rows())
     noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {key: 0.2, "unit_spread_deg": 0.1}})))
     changes = ablations(noisy, 2)
@@ -247,16 +181,6 @@ def test_what_the_scene_has_is_left_out_once_and_not_added(key, tmp_path):
         assert (left_out.scenario.sensor.unit_spread_deg, left_out.observation.imperfections.seed) == (0.1, draw)
         assert getattr(left_out.observation.imperfections, key) == 0.0
         assert getattr(there.observation.imperfections, key) == 0.2
+        assert there.observation.imperfections.seed == draw
     spread = next(one for one in changes if one.what == "unit spread")
     assert [one.stage for _, one in spread.pairs] == [one.stage for _, one in ours[0].pairs]
-
-
-@pytest.mark.parametrize("what", ["float32", "wheels and mirrors", "motion in a turn"])
-def test_the_experiments_of_an_imperfect_sensor_lose_the_same_returns_on_both_sides(what, site, tmp_path):
-    """They were made with a perfect sensor alone, and refused another."""
-    noisy = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, "sensor": {"dropout": 0.2}})))
-    for change in (one for one in ablations(noisy, 1) if one.what == what):
-        perfect, imperfect = (
-            [next(landscapes(of, [Job(one, POSES)])).objective.sum() for one in change.pairs[0]] for of in (site, noisy)
-        )
-        assert abs(imperfect[1] - perfect[1]) > abs(imperfect[1] - imperfect[0])

@@ -244,7 +244,7 @@ def path_of_auto(folder: Path) -> dict:
     return {"asked": asked, "best": [*search.best_x.tolist(), search.best_value]}
 
 
-def study(folder: Path, verb: str, words: tuple = ()) -> dict:
+def study(folder: Path, verb: str) -> dict:
     """A quick study of a scene of four frames."""
     needs(*CASTERS)
     changes = {
@@ -253,7 +253,7 @@ def study(folder: Path, verb: str, words: tuple = ()) -> dict:
         "deployment": {"tilt_x_deg": [0.0, 25.0]},
         "search": {"particles": 8, "iterations": 15},
     }
-    command(verb, busy_scene(folder, "raster", **changes), "--quick", *words, "--out", folder / "study")
+    command(verb, busy_scene(folder, "raster", **changes), "--quick", "--out", folder / "study")
     return content(folder / "study" / f"{verb}.json")
 
 
@@ -297,7 +297,7 @@ MADE = {
     "path auto": path_of_auto,
     "compare paired": partial(reality, words=("--paired", "--details", "box,body")),
     "compare detections": partial(reality, words=("--detections", KITTI / "cars.csv", "--metrics", COMPARED)),
-    "chart": partial(study, verb="chart", words=("--other-sensor", "none")),
+    "chart": partial(study, verb="chart"),
     "stability": partial(study, verb="stability"),
 }
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.report.stability import HEADINGS, STABILITY_REPORT
 from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
@@ -19,12 +18,12 @@ from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.studies import stability as study
+from blender_lidar.studies.candidates import grid_candidates
 from blender_lidar.studies.driver import AS_IT_IS, HELD_OUT, Job, Variation, landscapes
-from blender_lidar.studies.findings import mountings_about
 from blender_lidar.studies.stability import StabilityEffort
 from blender_lidar.studies.variations import TRAFFIC, metric_variations, sensor_variations, traffic_variations
 from tests.refusals import refused
-from tests.small_scene import CASTER, MAPPED, REGION, cli, done, traffic_rows, without_charts, write_scene, write_table
+from tests.small_scene import CASTER, MAPPED, done, traffic_rows, without_charts, write_scene, write_table
 
 TINY = StabilityEffort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
 
@@ -35,7 +34,7 @@ def one_study(monkeypatch):
     for name in ("metric_variations", "sensor_variations", "traffic_variations"):
         every = getattr(study, name)
         monkeypatch.setattr(study, name, lambda *given, every=every: every(*given)[:3])
-    monkeypatch.setattr("blender_lidar.commands.stability.QUICK_STABILITY", TINY)
+    monkeypatch.setattr("blender_lidar.commands.studies.QUICK_STABILITY", TINY)
     without_charts(monkeypatch)
 
 
@@ -47,7 +46,7 @@ def tiny(one_study):
 
 
 def mountings(site):
-    return mountings_about(site.scenario, {**site.scenario.baseline, "height_m": 4.0, "tilt_x_deg": 12.0}, 2, 3)
+    return grid_candidates(site.scenario, {**site.scenario.baseline, "height_m": 4.0, "tilt_x_deg": 12.0}, 2, 3)
 
 
 def every_variation(site):
@@ -71,11 +70,6 @@ def test_no_change_is_what_the_scene_has_already(site):
         pairs = zip(changed.search, site.search, strict=True)
         as_before = (changed.observation, changed.scoring) == (site.observation, site.scoring)
         assert not (as_before and all(one.vehicles is other.vehicles for one, other in pairs)), variation
-
-
-def test_every_metric_but_the_scenes_own_takes_its_turn(site):
-    tried = {variation.value for variation in metric_variations(site) if variation.what == "other metric"}
-    assert tried == set(METRICS) - {site.scoring.metric}
 
 
 def test_without_a_loss_there_is_neither_c_nor_view_nor_delta_to_vary_as_the_objective_asks_for_none(site):
@@ -151,7 +145,7 @@ def test_what_changes_the_score_alone_is_cast_once_and_comes_to_what_it_comes_to
     counted, casts, see = [], [], FrameScorer.see
     monkeypatch.setattr(FrameScorer, "see", lambda *given, **kept: casts.append(1) or see(*given, **kept))
     together = list(landscapes(site, jobs, counted.append))
-    assert len(casts) == len(site.search)
+    assert len(casts) == len(site.search) * len(set(poses))  # every mounting once a frame
     assert sum(counted) == len(jobs) * len(site.search)
     for job, scored in zip(jobs, together, strict=True):
         (alone,) = landscapes(site, [job])
@@ -172,7 +166,7 @@ def test_a_changed_site_is_scored_as_a_scene_that_says_so(site, tmp_path):
         (("metric", "cell size", "10 cm"), "objective", "cell_m", 0.1),
         (("metric", "view of Eq. 11", "min"), "objective", "view", "min"),
         (("metric", "other metric", "log-points"), "objective", "metric", "log-points"),
-        (("metric", "other metric", "covered-entropy"), "objective", "metric", "covered-entropy"),
+        (("metric", "other metric", "voxel-occupancy"), "objective", "metric", "voxel-occupancy"),
         (("sensor", "glass drop-out", "1"), "sensor", "glass_dropout", 1.0),
         (("sensor", "rotation rate", "10 Hz"), "sensor", "rotation_hz", 10.0),
     ):
@@ -188,70 +182,53 @@ def test_a_changed_site_is_scored_as_a_scene_that_says_so(site, tmp_path):
 # --- whole studies ----------------------------------------------------------------------------------------------------
 
 
-def test_a_study_leaves_table_report_and_result_with_a_verdict_on_every_line(one_study, tmp_path, capsys):
-    scene = write_scene(tmp_path, MAPPED)
-    out, _ = done(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
-    result = json.loads((tmp_path / "run" / "stability.json").read_text())
-    with (tmp_path / "run" / "stability.csv").open(newline="") as stream:
+def test_a_study_leaves_a_verdict_on_every_line_and_one_that_was_stopped_comes_to_the_same(one_study, tmp_path, capsys):
+    run, words = tmp_path / "run", ("stability", write_scene(tmp_path, MAPPED), "--quick", "--out", tmp_path / "run")
+    out, _ = done(capsys, *words)
+    whole = (run / "stability.json").read_bytes()
+    result = json.loads(whole)
+    with (run / "stability.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(result["findings"])
     assert {row["verdict"] for row in rows} <= {"stable", "fragile", "fails", "undecided"}
     assert {row["section"] for row in rows} == {"traffic", "mounting", "metric", "sensor", "search"}
-    report = (tmp_path / "run" / "report.md").read_text()
-    for row in rows:
-        assert row["text"] in report
+    assert {"loss", "interval_90_low", "detectable_share_mounting"} <= set(rows[0])
+    report = (run / "report.md").read_text()
+    assert all(row["text"] in report for row in rows)
     for heading in HEADINGS.values():
         assert f"\n{heading}\n" in out
         assert f"\n{heading}: " in out
     assert "hardened, seed 1, to hang as planned, on 3 of them" in " ".join(out.split())
-
-
-def test_a_study_that_was_stopped_goes_on_to_the_same_result(tiny, tmp_path, capsys):
-    scene = write_scene(tmp_path, MAPPED)
-    words = ("stability", scene, "--quick", "--out", tmp_path / "run")
-    assert cli(capsys, *words)[0] == 0
-    whole = (tmp_path / "run" / "stability.json").read_bytes()
-    stages = sorted((tmp_path / "run" / "stages").glob("*.json"))
-    for stage in stages[1::3]:
+    for stage in sorted((run / "stages").glob("*.json"))[1::3]:
         stage.unlink()
-    (tmp_path / "run" / "stability.json").unlink()
+    (run / "stability.json").unlink()
     assert "holds a study already" in refused(capsys, tmp_path, *words)
-    done(capsys, *words, "--resume")
-    assert (tmp_path / "run" / "stability.json").read_bytes() == whole
+    out, _ = done(capsys, *words, "--resume", "--workers", 2, "--json")
+    assert (run / "stability.json").read_bytes() == whole
+    assert json.loads(out) == result
 
 
-def test_workers_change_nothing_and_json_prints_the_result_alone(tiny, tmp_path, capsys):
-    scene = write_scene(tmp_path, MAPPED)
-    _, alone, _ = cli(capsys, "stability", scene, "--quick", "--json", "--out", tmp_path / "one")
-    _, together, _ = cli(capsys, "stability", scene, "--quick", "--json", "--out", tmp_path / "two", "--workers", 2)
-    assert json.loads(alone) == json.loads(together)
-    assert json.loads(alone) == json.loads((tmp_path / "one" / "stability.json").read_text())
-
-
-def test_a_mounting_of_ones_own_is_the_one_in_question(tiny, tmp_path, capsys):
-    scene = write_scene(tmp_path, MAPPED)
-    mount = ("--height", 3.1, "--tilt-x", 7, "--yaw", 30)
-    out, _ = done(capsys, "stability", scene, "--quick", *mount, "--out", tmp_path / "run", "--json")
+def test_a_mounting_of_ones_own_that_sees_nothing_is_judged_on_searched_frames_where_nothing_is_held_out(
+    tiny, tmp_path, capsys
+):
+    scene = write_scene(tmp_path, {**MAPPED, "traffic": {"holdout": 0.0, "frames": None}})
+    words = ("--quick", "--frame-ids", "0:20:4", "--height", 30, "--tilt-x", 7, "--yaw", 30)  # beyond the range gate
+    out, _ = done(capsys, "stability", scene, *words, "--out", tmp_path / "run", "--json")
     result = json.loads(out)
-    assert result["mounting_given"]
-    assert (result["mounting"]["height_m"], result["mounting"]["tilt_x_deg"]) == (3.1, 7.0)
-    assert "as given: 3.10 m above the road, tilted 7.0° across it, turned 30.0°; " in STABILITY_REPORT.text(result)
-
-
-def test_a_scene_that_holds_nothing_out_is_judged_on_the_searched_frames_and_says_so(tiny, tmp_path, capsys):
-    scene = write_scene(tmp_path, {**MAPPED, "traffic": {"holdout": 0.0}})
-    out, _ = done(capsys, "stability", scene, "--quick", "--out", tmp_path / "run")
-    assert "same frames, as nothing is held out" in out
-    assert "undecided  gain on held-out traffic" in out
+    assert (result["mounting_given"], result["answered_frames"]) == (True, 6)
+    text = STABILITY_REPORT.text(result)
+    assert "as given: 30.00 m above the road, tilted 7.0° across it, turned 30.0°; " in text
+    assert "same frames, as nothing is held out" in text
+    assert "undecided  gain on held-out traffic" in text
+    assert "no view of any vehicle has a return" in {finding["text"] for finding in result["findings"]}
 
 
 def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(site):
     scenario = load_scenario(site.scenario.source)
     tilt = {**scenario.deployment.fixed, "tilt_x_deg": 12.0}
     fixed = replace(scenario.deployment, fixed=tilt, bounds={"height_m": (2.0, 4.5)})
-    found = mountings_about(replace(scenario, deployment=fixed), {**scenario.baseline, "tilt_x_deg": 12.0}, 6, 26)
-    assert found.tilt_deg.tolist() == [12.0] * 6
-    assert found.height_m.tolist() == [2.0, 2.5, 3.0, 3.5, 4.0, 4.5]
+    found = grid_candidates(replace(scenario, deployment=fixed), {**scenario.baseline, "tilt_x_deg": 12.0}, 6, 26)
+    assert found.points[1:].tolist() == [[height, 12.0] for height in (2.0, 2.5, 3.0, 3.5, 4.0, 4.5)]
 
 
 def test_a_study_of_a_fixed_tilt_and_another_metric_tells_neither_of_the_best_tilt_nor_of_a_peak(
@@ -264,32 +241,8 @@ def test_a_study_of_a_fixed_tilt_and_another_metric_tells_neither_of_the_best_ti
     assert not told & {"best tilt to 1 deg", "views beyond P = 1/e"}
 
 
-def test_a_mounting_that_sees_nothing_is_told_of_without_a_traceback(tiny, tmp_path, capsys):
-    words = ("--quick", "--height", 30, "--json", "--out", tmp_path / "run")  # beyond the range gate
-    out, _ = done(capsys, "stability", write_scene(tmp_path, MAPPED), *words)
-    assert "no view of any vehicle has a return" in {finding["text"] for finding in json.loads(out)["findings"]}
-
-
-def test_frames_that_were_asked_for_by_number_are_all_searched_in_a_quick_study_too(tiny, tmp_path, capsys):
-    scene = write_scene(tmp_path, {**MAPPED, "traffic": {"frames": None}})
-    words = ("--quick", "--frame-ids", "0:20:4", "--json", "--out", tmp_path / "run")
-    _, out, err = cli(capsys, "stability", scene, *words)
-    assert json.loads(out)["answered_frames"] == 6 > TINY.frames, err
-
-
 def test_fewer_frames_are_not_so_few_that_they_are_empty(site):
     empty = [replace(frame, counted=np.zeros_like(frame.counted)) for frame in site.search[1:]]
     sparse = replace(site, search=(site.search[0], *empty))
     assert study.with_fewer_frames(sparse, 2) is sparse
     assert len(study.with_fewer_frames(site, 2).search) == 2
-
-
-def test_a_scene_that_fixes_height_and_tilt_is_refused_in_one_line(tmp_path, capsys):
-    scene = write_scene(tmp_path, {"deployment": {"height_m": 4.0, "y_m": [-1.0, 0.0]}, **REGION})
-    line = refused(capsys, tmp_path, "stability", scene, "--quick", "--out", tmp_path / "run")
-    assert "fixes height_m and tilt_x_deg" in line
-
-
-def test_resume_needs_a_folder(tmp_path, capsys):
-    scene = write_scene(tmp_path, MAPPED)
-    assert "--resume: needs --out DIR" in refused(capsys, tmp_path, "stability", scene, "--resume")

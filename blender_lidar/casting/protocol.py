@@ -401,10 +401,6 @@ class StandingScenery:
         """The same with something else that stands there."""
         return StandingScenery(join([self.scenery, more]), self._caster, self._walkers)
 
-    def behind(self, caster: str) -> StandingScenery:
-        """The same behind another caster."""
-        return StandingScenery(self.scenery, caster, self._walkers)
-
     @cached_property
     def tree(self) -> Caster:
         """A caster of the triangles; meshes of others may be open."""

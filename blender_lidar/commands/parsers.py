@@ -13,8 +13,6 @@ from ..scene.settings import TrafficSettings
 from ..toml_table import setting, settings_of
 from .options import SEARCH_OPTIONS, Renamed, add_moments, add_option, add_pose, add_scene
 
-OTHER_SENSORS = ("RS-80", "RS-32")  # of chart: the first that is not the scene's own
-NO_SENSOR = "none"
 SUSTECHPOINTS = "sustechpoints"
 _CLOUD_FORMATS = [*(suffix.removeprefix(".") for suffix in CLOUD_SUFFIXES), SUSTECHPOINTS]
 
@@ -136,7 +134,13 @@ def _evaluate(subparsers) -> None:
 
 def _stability(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "stability", "stability.run", "SCENE.toml", "where a scene's answer holds and where it breaks"),
+        *(
+            subparsers,
+            "stability",
+            "studies.run_stability",
+            "SCENE.toml",
+            "where a scene's answer holds and where it breaks",
+        ),
         "Vary the traffic, the installation, the metric and the sensor one thing at a time, search with other seeds, "
         "and say of each whether the mounting holds: the one that the search finds, or one that is given.",
         "i80 --quick",
@@ -152,15 +156,16 @@ def _chart(subparsers) -> None:
         *(
             subparsers,
             "chart",
-            "chart.run",
+            "studies.run_chart",
             "SCENE.toml",
-            "speed charted against accuracy, and how much model a scene needs",
+            "speed against accuracy of cheaper models of a scene",
         ),
-        "Time and judge a ladder of fidelities (vehicle detail, share of the beams and frames, caster, culling, ground)"
-        " against the reference of all beams, all frames and the best detail; name the cheapest that is near enough; "
-        "and say what of the scene's model makes a difference at all.",
+        "For whoever maintains the model: nobody needs it to hang a LiDAR. Time and judge a ladder of fidelities "
+        "(vehicle detail, share of the beams and frames) against the reference of all beams, all frames and the best "
+        "detail; name the cheapest that is near enough; and say which ingredients of the scene's model change the "
+        "choice of a mounting.",
         "i80 --quick",
-        "i80 --max-regret 0.5% --other-sensor none",
+        "i80 --max-regret 0.5% --sensor RS-80",
     )
     add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
     add = parser.add_argument_group("chart").add_argument
@@ -168,11 +173,6 @@ def _chart(subparsers) -> None:
         "share of the gain over the baseline that a fidelity may lose, above 0 up to 100%%: 1%% or 0.01; default 1%%"
     )
     add("--max-regret", default="1%", metavar="SHARE", help=regret)
-    other = f"another than the scene's, with which the recommendation is tried too, or {NO_SENSOR}; by default "
-    other += f"{OTHER_SENSORS[0]}, for a scene of its own {OTHER_SENSORS[1]}"
-    add("--other-sensor", metavar="NAME", help=other)
-    paired = "compare.json of compare, or its folder: its errors stand beside"
-    add("--paired-errors", metavar="PATH", help=paired)
     told = "is an installer's error with other verbs; how much of the gain may be lost is --max-regret SHARE"
     add("--tolerance", action=Renamed, told=told)
     _output(parser, resumed="study", quick="ten frames, fewer mountings and draws")

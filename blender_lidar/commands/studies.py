@@ -1,31 +1,82 @@
-"""What the verbs chart and stability share: how a study is carried out in its folder."""
+"""blender-lidar chart and stability: what a model costs and changes, and where an answer holds and where it breaks."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from ..errors import InputError
+from ..report.chart import CHART_REPORT
+from ..report.stability import STABILITY_REPORT
 from ..report.study import StudyReport
-from ..scene.site import Site
+from ..scene.mounting import MOUNTING_OR_LEAN
+from ..scene.site import Site, prepare
 from ..signals import stops_recognised
+from ..studies.candidates import check_one_place, check_searched, sobol_candidates
+from ..studies.chart import FULL_CHART, QUICK_CHART, chart_identity, chart_study
 from ..studies.driver import StudyFolder
-from .optimise import say
-from .options import default_folder
+from ..studies.stability import FULL_STABILITY, QUICK_STABILITY, study_identity, study_stability
+from .optimise import check_resume, say
+from .options import check_scipy, default_folder, given_options, mounting_from, scenario_from
 from .progress import Progress
 from .report import describe_site
 
 
-def effort_of(args: argparse.Namespace, full, quick):
+def run_chart(args: argparse.Namespace) -> int:
+    """Carry out `chart`; returns the exit code."""
+    check_resume(args)
+    tolerance = parse_share(args.max_regret, "--max-regret")
+    check_scipy("chart")
+    scenario = scenario_from(args)
+    check_one_place(scenario)
+    sobol_candidates(scenario, 2)  # refuses a scene that searches nothing
+    effort, site = _effort_of(args, FULL_CHART, QUICK_CHART), prepare(scenario)
+
+    def study(folder: StudyFolder) -> dict:
+        return chart_study(site, effort, tolerance, folder)
+
+    return _carry_out(args, "chart", site, chart_identity(site, effort), CHART_REPORT, study)
+
+
+def run_stability(args: argparse.Namespace) -> int:
+    """Carry out `stability`; returns the exit code."""
+    check_resume(args)
+    scenario = scenario_from(args)
+    check_searched(scenario)
+    check_one_place(scenario)
+    mounting = mounting_from(args, scenario) if given_options(args, MOUNTING_OR_LEAN) else None
+    effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, mounting)
+
+    def study(folder: StudyFolder) -> dict:
+        return study_stability(site, effort, folder, mounting)
+
+    return _carry_out(args, "stability", site, study_identity(site, effort, mounting), STABILITY_REPORT, study)
+
+
+def parse_share(text: str, option: str) -> float:
+    """A share from "1%" or "0.01"; above 0, at most 1."""
+    number = text.strip()
+    try:
+        share = float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"{option}: is {text!r}; allowed: a share above 0 up to 1, such as 1% or 0.01")
+    return share
+
+
+def _effort_of(args: argparse.Namespace, full, quick):
     """How much is done; where frames are asked for, none of them is left out."""
     effort = quick if args.quick else full
     asked = args.frames is not None or args.frame_ids is not None
     return replace(effort, frames=None) if asked else effort
 
 
-def carry_out(
+def _carry_out(
     args: argparse.Namespace,
     verb: str,
     site: Site,
@@ -33,7 +84,7 @@ def carry_out(
     report: StudyReport,
     study: Callable[[StudyFolder], dict],
 ) -> int:
-    """Make a study in its folder, write what it leaves and tell of it; returns the exit code.
+    """Make a study in its folder, write what it leaves and print its report; returns the exit code.
 
     Without --out the folder is named after the scene and the verb.
     """

@@ -3,33 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..studies.ablations import ABOVE, BELOW, JUDGED, UNTOLD
+from ..studies.chart import JUDGED, milliseconds
 from ..studies.driver import percent
-from ..studies.ladder import milliseconds
+from ..studies.effects import ABOVE, BELOW, UNTOLD
 from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, legend_below, name_points, sheet
 from .study import Section, StudyReport
 from .summary import COORDINATE_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-def _flat(rows: Sequence[Mapping]) -> list[dict[str, object]]:
-    """Rows with one level of keys: those of a mapping, and the ends of an interval, get columns."""
-    return [dict(column for key, value in row.items() for column in _columns(key, value)) for row in rows]
-
-
-def _columns(key: str, value: object) -> list[tuple[str, object]]:
-    if key.endswith("interval_90"):
-        value = dict(zip(("low", "high"), value or (None, None), strict=True))
-    return [(f"{key}_{name}", one) for name, one in value.items()] if isinstance(value, Mapping) else [(key, value)]
 
 
 # --- the picture: error over time, every fidelity named, with the Pareto front ----------------------------------------
@@ -49,7 +38,7 @@ _ABBREVIATED = "1/4: every 4th column; 8f: 8 frames; det.: detailed"
 
 def draw_chart(path: str | Path, result: Mapping) -> bool:
     """Draw error over the logarithm of time as a PNG; returns whether there is anything to draw."""
-    rows = [row for row in result["rungs"] if row["error"] is not None]
+    rows = result["rungs"]
     if not rows:
         return False
     gain, noise, unit = result["gain_per_vehicle"], result["noise"], result["metric_unit"]
@@ -105,61 +94,55 @@ def _limits(axes: Axes, noise: Mapping | None, tolerance: float | None) -> list:
 
 
 def _points(axes: Axes, rows: Sequence[Mapping], times: np.ndarray, places: np.ndarray, front: Sequence) -> list:
-    """The Pareto front, and every fidelity with its quartiles, hollow where it is another's twin; as `_limits`."""
+    """The Pareto front, and every fidelity with its quartiles; as `_limits`."""
     handles = axes.step(*zip(*front, strict=True), "-", where="post", color=INK, linewidth=0.9, label="Pareto front")
-    for (detail, look), twin in product(_LOOKS.items(), (False, True)):
-        some = [row["detail"] == detail and (row["twin"] is not None) == twin for row in rows]
+    style = {"linestyle": "none", "markersize": 4.2, "zorder": 3}
+    for detail, look in _LOOKS.items():
+        some = [row["detail"] == detail for row in rows]
         if any(some):
             axes.hlines(places[some, 1], times[some, 0], times[some, 2], colors=look["color"], linewidth=0.7, zorder=2)
-            style = {"linestyle": "none", "markersize": 4.2, "zorder": 3, "label": detail}
-            drawn = axes.plot(*places[some].T, markerfacecolor="white" if twin else look["color"], **style, **look)
-            handles += [] if twin else drawn
+            handles += axes.plot(*places[some].T, label=detail, **style, **look)
     return handles
 
 
-# --- the ablations: a row for each, and what the scene needs in a few lines -------------------------------------------
+# --- the report: the fidelities, what the scene needs, and whether the recommendation holds ---------------------------
 
-_ABLATIONS = ("modelled", "", "bias", "error", "tau", "best moves by", "left out it costs", "choices apart")
+_LADDER = ("fidelity", "one evaluation", "quartiles", "faster", "bias", "error", "of the gain", "tau", "regret", "")
+_ABLATIONS = ("modelled", "", "bias", "tau", "best moves by", "left out it costs", "choices apart")
 _ABLATIONS += ("beside the noise floor",)
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """So many digits after the point; nothing for None."""
-    return "" if value is None else f"{value:.{digits}f}"
+def _sections(result: Mapping) -> list[Section]:
+    """What `chart_study` came to."""
+    held = [
+        f"{one['where']}: {one['verdict']}; regret {percent(one['regret'], one['regret_interval_90'])}, error "
+        f"{percent(one['error_share'])} of the gain"
+        for one in result["validated"]
+    ]
+    return [
+        Section("", (), _head(result)),
+        Section("The ladder", [_LADDER, *(_rung(row, result) for row in result["rungs"])], ()),
+        Section("What the scene needs", [_ABLATIONS, *map(ablation_cells, result["ablations"])], [_floor(result)]),
+        Section("Does it hold", (), [*held, _asked(result)]),
+    ]
 
 
-def signed(value: float | None) -> str:
-    """Four digits and the sign, which 0 has too."""
-    return "" if value is None else f"{round(value, 4) + 0.0:+.4f}"
-
-
-def _scores(row: Mapping) -> tuple[str, str, str]:
-    """The cells of bias, error and tau."""
-    return signed(row["bias"]), number(row["error"]), number(row["tau"], 3)
-
-
-def ablation_cells(row: Mapping) -> tuple[str, ...]:
-    """A row of the table of ablations."""
-    draws = f"; mean of {row['draws']} draws" if row["draws"] > 1 else ""
-    what = (row["what"], row["value"] + draws)
-    if row["bias"] is None:
-        return (*what, row["note"], *[""] * 6)
-    moved = ", ".join(f"{round(by, 2) + 0.0:+.2f} {COORDINATE_NAMES[key][1]}" for key, by in row["shift"].items())
-    shares = (percent(row[key], row[f"{key}_interval_90"]) for key in ("regret", "apart"))
-    if row["verdicts"] is None:
-        return (*what, *_scores(row), moved, *shares, "no floor known")
-    told = {kind: [name for name in JUDGED if row["verdicts"][name] == kind] for kind in (ABOVE, UNTOLD)}
-    beside = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in told.items() if names)
-    return (*what, *_scores(row), moved, *shares, beside or BELOW)
-
-
-def _floor(result: Mapping) -> str:
-    """What the ablations are held against."""
-    return (
-        f"Ablations, on the {result['ablation_mountings']} best mountings by the reference; their noise floor, half of "
-        f"the blocks against the other: {_halves(result['ablation_floor'])}. An effect is above or below the floor "
-        "when its whole 90 % interval is, each for itself; else it cannot be told"
-    )
+def _head(result: Mapping) -> list[str]:
+    unit = f"{result['metric_unit'] or '1'} per vehicle"
+    if metric_named(result["metric"]).of_share:
+        unit = "of the vehicles"
+    judge = "judge" if result["judged_on"] == "held out" else "chose them, as none is held out"
+    return [
+        f"{result['sensor']}, range gate {result['range_gate_m']:g} m, {result['caster']}; {result['frames']} searched "
+        f"frames in {result['blocks']} blocks choose, {result['judged_frames']} {result['judged_on']} ones in "
+        f"{result['judged_blocks']} blocks judge; {result['mountings']} mountings of Sobol's sequence",
+        f"Reference: {result['rungs'][0]['text']}; the best mounting gains {result['gain_per_vehicle']:.4f} {unit} "
+        "over the baseline",
+        f"Errors and biases are in {unit}, errors after one affine calibration fitted on the other half of "
+        "the mountings; tau weighs the best mountings most; regret is what choices on resampled traffic lose to the "
+        f"reference's on frames that {judge}, as a share of the gain, with its 90 % interval",
+        f"Noise ceiling, the reference on one half of the blocks against the other: {_halves(result['noise'])}",
+    ]
 
 
 def _halves(noise: Mapping | None) -> str:
@@ -173,44 +156,6 @@ def _halves(noise: Mapping | None) -> str:
     )
 
 
-# --- the report: the fidelities, what the scene needs, the casters, and what was validated ----------------------------
-
-_LADDER = ("fidelity", "one evaluation", "quartiles", "faster", "bias", "error", "of the gain", "tau", "regret", "")
-
-
-def _sections(result: Mapping) -> list[Section]:
-    """What `chart_study` came to."""
-    ladder = [_LADDER, *(_rung(row, result) for row in result["rungs"])]
-    ablated = [_ABLATIONS, *map(ablation_cells, result["ablations"])]
-    held = [*_validated(result), *_paired(result), _asked(result)]
-    return [
-        Section("", (), _head(result)),
-        Section("The ladder", ladder, ()),
-        Section("What the scene needs", ablated, [_floor(result)]),
-        Section("Does it hold", (), held),
-    ]
-
-
-def _head(result: Mapping) -> list[str]:
-    unit = f"{result['metric_unit'] or '1'} per vehicle"
-    if metric_named(result["metric"]).of_share:
-        unit = "of the vehicles"
-    judge = "judge" if result["judged_on"] == "held out" else "chose them, as none is held out"
-    lines = [
-        f"{result['sensor']}, range gate {result['range_gate_m']:g} m, {result['caster']}; {result['frames']} searched "
-        f"frames in {result['blocks']} blocks choose, {result['judged_frames']} {result['judged_on']} ones in "
-        f"{result['judged_blocks']} blocks judge; {result['mountings']} mountings of Sobol's sequence",
-        f"Reference: {result['rungs'][0]['text']}; the best mounting gains {result['gain_per_vehicle']:.4f} {unit} "
-        "over the baseline",
-        f"Errors and biases are in {unit}, errors after one affine calibration fitted on the other half of "
-        "the mountings; tau weighs the best mountings most; regret is what choices on resampled traffic lose to the "
-        f"reference's on frames that {judge}, as a share of the gain, with its 90 % interval",
-        f"Noise ceiling, the reference on one half of the blocks against the other: {_halves(result['noise'])}",
-    ]
-    missing = ", ".join(result["casters_not_installed"])
-    return [*lines, f"Not installed, and left out: {missing}"] if missing else lines
-
-
 def _rung(row: Mapping, result: Mapping) -> tuple[str, ...]:
     """A row of the table of fidelities."""
     first, median, third = (milliseconds(row["milliseconds"][key]) for key in _QUARTILES)
@@ -218,12 +163,52 @@ def _rung(row: Mapping, result: Mapping) -> tuple[str, ...]:
         "reference" if row["name"] == result["reference"] else "",
         "recommended" if row["name"] == result["recommended"] else "within" if row["within"] else "",
         "front" if row["pareto"] else "",
-        "" if row["twin"] is None else f"as {row['twin']}" if row["same_as_twin"] else f"NOT as {row['twin']}",
     ]
-    bias, error, tau = _scores(row)
+    scores = (
+        _number(row["bias"], "+.4f"),
+        _number(row["error"]),
+        percent(row["error_share"]),
+        _number(row["tau"], ".3f"),
+    )
     lost = percent(row["regret"], row["regret_interval_90"])
-    scores = (f"{row['speedup']:.2g} x", bias, error, percent(row["error_share"]), tau, lost)
-    return (row["name"], median, f"{first} to {third}", *scores, ", ".join(filter(None, marks)))
+    return (
+        row["name"],
+        median,
+        f"{first} to {third}",
+        f"{row['speedup']:.2g} x",
+        *scores,
+        lost,
+        ", ".join(filter(None, marks)),
+    )
+
+
+def _number(value: float | None, form: str = ".4f") -> str:
+    """A number in that form, no zero below 0; nothing for None."""
+    return "" if value is None else f"{round(value, 4) + 0.0:{form}}"
+
+
+def ablation_cells(row: Mapping) -> tuple[str, ...]:
+    """A row of the table of ablations."""
+    draws = f"; mean of {row['draws']} draws" if row["draws"] > 1 else ""
+    what = (row["what"], row["value"] + draws)
+    if row["bias"] is None:
+        return (*what, row["note"], *[""] * 5)
+    moved = ", ".join(f"{round(by, 2) + 0.0:+.2f} {COORDINATE_NAMES[key][1]}" for key, by in row["shift"].items())
+    shares = (percent(row[key], row[f"{key}_interval_90"]) for key in ("regret", "apart"))
+    beside = "no floor known"
+    if row["verdicts"] is not None:
+        said = {kind: [name for name in JUDGED if row["verdicts"][name] == kind] for kind in (ABOVE, UNTOLD)}
+        beside = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in said.items() if names) or BELOW
+    return (*what, _number(row["bias"], "+.4f"), _number(row["tau"], ".3f"), moved, *shares, beside)
+
+
+def _floor(result: Mapping) -> str:
+    """What the ablations are held against."""
+    return (
+        f"Ablations, on the {result['ablation_mountings']} best mountings by the reference; their noise floor, half of "
+        f"the blocks against the other: {_halves(result['ablation_floor'])}. An effect is above or below the floor "
+        "when its whole 90 % interval is, each for itself; else it cannot be told"
+    )
 
 
 def _asked(result: Mapping) -> str:
@@ -236,33 +221,12 @@ def _asked(result: Mapping) -> str:
     )
 
 
-def _validated(result: Mapping) -> list[str]:
-    return [
-        f"{one['where']}: {one['verdict']}; regret {percent(one['regret'], one['regret_interval_90'])}, error "
-        f"{percent(one['error_share'])} of the gain"
-        for one in result["validated"]
-    ]
-
-
-def _paired(result: Mapping) -> list[str]:
-    paired = result["paired"]
-    told = paired and [
-        f"{one['detail']} {one['error_bits']:.3f}"
-        + ("" if one["interval_90"] is None else f" ({one['interval_90'][0]:.3f} to {one['interval_90'][1]:.3f})")
-        for one in paired["variants"]
-    ]
-    head = (
-        told and f"Against {paired['cars']} recorded vehicles (lost: {paired['losses']}), median error of each [bits]"
-    )
-    return [f"{head}: {'; '.join(told)}"] if told else []
-
-
 CHART_REPORT = StudyReport(
     title="Speed against accuracy",
     result="chart.json",
     tables={
-        "chart.csv": lambda result: _flat(result["rungs"]),
-        "ablation.csv": lambda result: _flat(result["ablations"]),
+        "chart.csv": lambda result: result["rungs"],
+        "ablation.csv": lambda result: result["ablations"],
     },
     pictures={"chart.png": draw_chart},
     sections=_sections,

@@ -186,8 +186,7 @@ def _head(result: Mapping) -> list[str]:
         f"Mounting in question, {origin}: {place}; {metric.in_unit('objective')} per vehicle {best}, baseline {base}",
         f"Each change has its own best height and tilt, the other coordinates staying, on {result['varied_frames']} of "
         f"the searched frames; losses to it are on the {result['judged_frames']} {_JUDGED[result['judged_on']]}, and "
-        "are to be read against the line 'as the scene has it'; inside or outside: of where other traffic of this kind "
-        "puts the optimum of the scene as it is",
+        "are to be read against the line 'as the scene has it'",
         f"Verdicts - {VERDICT_RULE}",
     ]
 
@@ -204,8 +203,14 @@ def _answer(result: Mapping) -> list[str]:
 
 
 def _rows(result: Mapping) -> list[dict]:
-    keys = ("section", "what", "value", "verdict", "text")
-    return [{key: one[key] for key in keys} | {"loss": one["numbers"].get("loss", "")} for one in result["findings"]]
+    """A row a finding: what was found, what the mounting loses, and how sure that is."""
+    keys, numbers = ("section", "what", "value", "verdict", "text"), ("loss", "interval_90", "detectable_share")
+    return [
+        {key: one[key] for key in keys}
+        | {key: one["numbers"].get(key) for key in numbers[:2]}
+        | {numbers[2]: one["numbers"].get(numbers[2], {})}
+        for one in result["findings"]
+    ]
 
 
 STABILITY_REPORT = StudyReport(

@@ -37,7 +37,8 @@ class StudyReport:
     result : str
         Name of the file that holds the result itself, as JSON.
     tables : mapping of str to callable
-        Rows of each CSV file, by its name; a column may be missing in some of them.
+        Rows of each CSV file, by its name; a column may be missing in some of them. Keys of a mapping, and the ends of
+        an interval, get columns of their own.
     pictures : mapping of str to callable
         Draws a picture at the path that it is given first, by its name; False where there is nothing to draw.
     sections : callable
@@ -64,7 +65,9 @@ class StudyReport:
         Without matplotlib there are no pictures, and the last name says so.
         """
         for name, rows_of in self.tables.items():
-            rows = rows_of(result)
+            rows = [
+                dict(column for key, value in row.items() for column in _columns(key, value)) for row in rows_of(result)
+            ]
             columns = list(dict.fromkeys(key for row in rows for key in row))
             write_text(folder.file(name), to_csv(columns, [[row.get(key, "") for key in columns] for row in rows]))
         drawn, note = [], []
@@ -96,6 +99,13 @@ class StudyReport:
             if not heading:
                 parts += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})" for name in pictures] + [""]
         return "\n".join(parts)
+
+
+def _columns(key: str, value: object) -> list[tuple[str, object]]:
+    """The columns of a value, one level deep."""
+    if key.endswith("interval_90"):
+        value = dict(zip(("low", "high"), value or (None, None), strict=True))
+    return [(f"{key}_{name}", one) for name, one in value.items()] if isinstance(value, Mapping) else [(key, value)]
 
 
 # --- lines and tables -------------------------------------------------------------------------------------------------

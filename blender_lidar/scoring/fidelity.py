@@ -1,12 +1,12 @@
 """Fidelity: how much of the model mountings are scored with, and the rungs of a search from cheap to dear.
 
-It is the detail of the vehicles, the share of the beams, the number of frames, and how they are cast.
+It is the detail of the vehicles, the share of the beams and the number of frames.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 
@@ -21,7 +21,7 @@ from ..world.shapes import DETAILS
 
 @dataclass(frozen=True, slots=True)
 class Fidelity:
-    """What an evaluation may be made cheaper by, or dearer.
+    """What an evaluation may be made cheaper by.
 
     Attributes
     ----------
@@ -31,30 +31,21 @@ class Fidelity:
         Every so many-th firing column is cast.
     phase : int
         Which of them: 0 to `stride` - 1 columns are passed over first.
-    caster : str or None
-        A name of `casting.CASTERS`; None keeps the scene's.
     frames : int or None
         How many of the searched frames are looked at, spread evenly; None takes them all.
-    culled : bool
-        Whether beams that can reach no vehicle are left out.
-    ground : bool
-        Whether the road is cast against too, as two large triangles.
     """
 
     detail: str
     stride: int = 1
     phase: int = 0
-    caster: str | None = None
     frames: int | None = None
-    culled: bool = True
-    ground: bool = False
 
     @property
     def name(self) -> str:
         """A short name, for tables and pictures; phases share it."""
         beams = "" if self.stride == 1 else f"1/{self.stride}"
         frames = "" if self.frames is None else f"{self.frames}f"
-        return " ".join(self._parts(beams, frames, "every beam", "ground"))
+        return " ".join(filter(None, (self.detail, beams, frames)))
 
     @property
     def text(self) -> str:
@@ -62,15 +53,10 @@ class Fidelity:
         columns = {1: "all beams", 2: "every 2nd column", 3: "every 3rd column"}
         beams = columns.get(self.stride, f"every {self.stride}th column")
         frames = "all frames" if self.frames is None else f"{self.frames} frame{'s' * (self.frames != 1)}"
-        return ", ".join(self._parts(beams, frames, "nothing culled", "the ground cast too"))
-
-    def _parts(self, beams: str, frames: str, unculled: str, ground: str) -> Iterator[str]:
-        """What there is to say of it, in words for each."""
-        parts = self.detail, beams, frames, self.caster, unculled * (not self.culled), ground * self.ground
-        return filter(None, parts)
+        return ", ".join((self.detail, beams, frames))
 
     def observed(self, observation: Observation) -> Observation:
-        """The same sensor, seen through this fidelity but for frames and ground; `observation` has every beam.
+        """The same sensor, seen through this fidelity but for frames; `observation` has every beam.
 
         Raises
         ------
@@ -82,12 +68,7 @@ class Fidelity:
             lattice = beam_lattice(
                 lattice.model, lattice.rotation_hz, phase_rad=self.phase * lattice.step_rad, stride=self.stride
             )
-        caster, scenery = self.caster or observation.caster, observation.scenery
-        if scenery is not None and caster != observation.caster:
-            scenery = scenery.behind(caster)
-        return replace(
-            observation, lattice=lattice, detail=self.detail, caster=caster, scenery=scenery, culled=self.culled
-        )
+        return replace(observation, lattice=lattice, detail=self.detail)
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------

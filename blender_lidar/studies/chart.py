@@ -1,67 +1,87 @@
-"""The chart of a scene: time against accuracy of every fidelity, and what of the model the scene needs.
+"""The chart of a scene: time against accuracy of cheaper models, and what each ingredient of the model changes.
 
-Stage by stage: the ladder is timed and scored, the cheapest fidelity that is near enough is validated on other blocks
-of traffic and with another sensor, and ablations are scored on the best mountings. The result is one dictionary.
+A ladder of fidelities is timed, scored on the same mountings and compared with its first, the reference; the cheapest
+that is near enough is validated on other blocks of traffic; ablations are scored on the best mountings. The result is
+one dictionary.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from pathlib import Path
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from ..casting import CASTERS, is_available
-from ..errors import InputError
-from ..files import read_text, reading
 from ..scene.site import Site
 from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
-from .ablations import OFFSETS, Compared, ablation_rows, ablations
-from .driver import HELD_OUT, SEARCHED, Job, Landscape, StudyFolder, judging_split, split_of, study_head
-from .effects import BASELINE_ROW, BOUND_LEVEL, FIRST, SURE, Candidates, Reference, accuracy, candidates
-from .ladder import (
-    ORACLE,
-    REFERENCE,
-    TOGETHER,
-    ChartEffort,
-    Times,
-    count_hits,
-    ladder,
-    looked_at,
-    mark_within,
-    other_casters,
-    phased,
-    recommended,
-    rung_rows,
-    score_ladder,
-    sentence,
-    time_fidelities,
-    variation,
-    whole,
+from ..scoring.scores import VehicleScores, mountings_of
+from ..sensors.pose import Pose
+from ..world.shapes import DETAILS
+from .candidates import BASELINE, FIRST, Candidates, sobol_candidates
+from .driver import HELD_OUT, Job, Landscape, StudyFolder, judging_split, split_of, study_head
+from .effects import (
+    BOUND_LEVEL,
+    SURE,
+    UNTOLD,
+    Noise,
+    Reference,
+    accuracy,
+    beside_floor,
+    choices,
+    effects,
+    pareto_front,
 )
+from .variations import Ablation, ablations, of_fidelity, whole
 
-COMPARISON = "compare.json"
-CHART_SCHEMA = 2  # of the stages and of the result
+CHART_SCHEMA = 3  # of the stages and of the result
+REFERENCE = Fidelity(DETAILS[-1])
+STRIDES = (1, 2, 4, 8)
+FRAME_SHARES = (1, 2, 4, 8)  # one of so many frames is looked at
 
 
-def chart_identity(site: Site, effort: ChartEffort, other: Site | None) -> dict[str, object]:
+@dataclass(frozen=True, slots=True)
+class ChartEffort:
+    """How much of everything is done.
+
+    Attributes
+    ----------
+    frames : int or None
+        Searched frames that the reference looks at, spread evenly; None takes them all.
+    mountings : int
+        Of Sobol's sequence, an even number: each half is judged by a calibration fitted on the other.
+    varied_mountings : int
+        Those on which the ablations are scored: so many of the best by the reference.
+    draws : int
+        How many units, or draws of noise, stand for a sensor that is imperfect at random.
+    phases : int
+        How many phases of a stride are averaged at most.
+    rounds : int
+        How often each evaluation is timed.
+    quick : bool
+        Whether this is the quick chart, for what knows only that.
+    """
+
+    frames: int | None
+    mountings: int
+    varied_mountings: int
+    draws: int
+    phases: int
+    rounds: int
+    quick: bool
+
+
+FULL_CHART = ChartEffort(None, 128, 64, 6, phases=2, rounds=5, quick=False)
+QUICK_CHART = ChartEffort(10, 64, 64, 2, phases=2, rounds=5, quick=True)
+
+
+def chart_identity(site: Site, effort: ChartEffort) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"chart {name}": value for name, value in asdict(effort).items()}
-    casters = [site.observation.caster, *other_casters(site)]
-    sensor = None if other is None else other.identity
-    return {**site.identity, **asked, "chart schema": CHART_SCHEMA, "chart casters": casters, "chart other": sensor}
+    return {**site.identity, **asked, "chart schema": CHART_SCHEMA}
 
 
-def chart_study(
-    site: Site,
-    effort: ChartEffort,
-    tolerance: float,
-    folder: StudyFolder,
-    other: Site | None = None,
-    paired: Mapping | None = None,
-) -> dict:
+def chart_study(site: Site, effort: ChartEffort, tolerance: float, folder: StudyFolder) -> dict:
     """Carry out every stage that the folder does not hold, and put the results together.
 
     Parameters
@@ -73,10 +93,6 @@ def chart_study(
         Share of the gain that a fidelity may lose.
     folder : StudyFolder
         Locked by the caller.
-    other : Site, optional
-        The same scene with another sensor, to hold the recommendation against.
-    paired : mapping, optional
-        What `read_paired` gave.
 
     Returns
     -------
@@ -84,72 +100,97 @@ def chart_study(
         As JSON holds it; the same whether a run was interrupted or not.
     """
     site = with_fewer_frames(site, effort.frames)
-    every, rungs, judging = candidates(site.scenario, effort.mountings), ladder(site), judging_split(site)
-    timed = _timed(folder, site, list(dict.fromkeys(whole(rung.fidelity) for rung in rungs)), every, effort)
+    every, rungs, judging = sobol_candidates(site.scenario, effort.mountings), ladder(site), judging_split(site)
+    timed = _timed(folder, site, list(dict.fromkeys(map(whole, rungs))), every, effort)
     scored, judged = score_ladder(folder, site, every, effort, rungs)
-    on = _compared(site, every, scored[REFERENCE], judged)
-    reference, gain = on.reference, on.reference.gain
+    judged_block = split_of(site, judging)[1]
+    parts = (scored[REFERENCE], site.plan.search_block), (judged, judged_block)
+    reference = Reference(*parts[0], *parts[1], site.scenario.search.seed)
+    gain, noise = reference.gain, reference.noise
     rows = rung_rows(rungs, reference, scored, timed, effort.phases)
-    mark_within(rows, tolerance, reference.noise, gain)
+    mark_within(rows, tolerance, noise, gain)
     best = recommended(rows)
-    numbers = reference.best(effort.varied_mountings)
-    few = Compared(site, every.select(numbers), reference.select(numbers))
-    few_rows = [BASELINE_ROW, *(FIRST + number for number in numbers)]
-    plain = [one for one, found in scored.items() if len(found.objective) == len(every.poses)]
-    known = {variation(one).stage: scored[one].select(few_rows) for one in plain}
-    beside = None if other is None else _other_sensor(folder, with_fewer_frames(other, effort.frames), effort)
     validated = []
     if judging == HELD_OUT:
-        swapped = _compared(site, every, scored[REFERENCE], judged, swapped=True)
-        where = "other blocks: the held-out ones choose, the searched ones judge"
-        validated.append((where, "other blocks", swapped, HELD_OUT))
-    if beside is not None:
-        where = f"{beside.site.model.name}, range gate {beside.site.observation.max_range_m:g} m"
-        validated.append((where, "other sensor", beside, SEARCHED))
+        swapped = Reference(*parts[1], *parts[0], site.scenario.search.seed + 1)
+        chosen = rungs[rows.index(best)]
+        validated.append(_on_other_blocks(folder, site, every, chosen, effort, tolerance, swapped))
+    numbers = reference.best(effort.varied_mountings)
+    few, kept = reference.select(numbers), [BASELINE, *(FIRST + number for number in numbers)]
+    known = {of_fidelity(one).stage: scored[one].select(kept) for one in map(Fidelity, DETAILS)}
     return {
         **study_head(site, CHART_SCHEMA, effort),
         "range_gate_m": site.observation.max_range_m,
-        "casters_not_installed": [name for name in CASTERS if not is_available(name)],
         "blocks": len(np.unique(reference.searched_block)),
         "vehicles": int(reference.searched.vehicles.sum()),
         "judged_on": judging,
-        "judged_frames": len(reference.judged_block),
-        "judged_blocks": len(np.unique(reference.judged_block)),
+        "judged_frames": len(judged_block),
+        "judged_blocks": len(np.unique(judged_block)),
         "mountings": effort.mountings,
-        "baseline_per_vehicle": float(reference.searched.per_vehicle()[BASELINE_ROW]),
+        "baseline_per_vehicle": float(reference.searched.per_vehicle()[BASELINE]),
         "gain_per_vehicle": gain,
         "tolerance": tolerance,
         "sure": SURE,
         "bound_level": BOUND_LEVEL,
         "reference": rows[0]["name"],
-        "noise": reference.noise and asdict(reference.noise),
+        "noise": noise and asdict(noise),
         "rungs": rows,
-        "hits": _hits(folder, site, every, effort),
         "recommended": best["name"],
         "sentence": sentence(rows[0], best, tolerance, gain),
-        "validated": [
-            _validated(folder, rungs[rows.index(best)].fidelity, effort, tolerance, *where) for where in validated
-        ],
+        "validated": validated,
         "ablation_mountings": min(effort.varied_mountings, effort.mountings),
-        "ablation_floor": few.reference.noise and asdict(few.reference.noise),
-        "ablations": _ablated(folder, few, effort, known, beside),
-        "paired": paired,
+        "ablation_floor": few.noise and asdict(few.noise),
+        "ablations": ablation_rows(folder, site, every.select(numbers), few, ablations(site, effort.draws), known),
     }
 
 
-def _compared(
-    site: Site, every: Candidates, searched: Landscape, judged: Landscape, *, swapped: bool = False
-) -> Compared:
-    """The reference by what it scores on the frames that choose and that judge; or with these `swapped`."""
-    splits = [(searched, site.plan.search_block), (judged, split_of(site, judging_split(site))[1])]
-    chose, judges = reversed(splits) if swapped else splits
-    return Compared(site, every, Reference(*chose, *judges, site.scenario.search.seed + swapped))
+# --- the rungs --------------------------------------------------------------------------------------------------------
+
+
+def ladder(site: Site) -> list[Fidelity]:
+    """Every level of detail with every share of beams and frames, the reference first.
+
+    Strides leave a turn at least a few columns.
+    """
+    strides = [stride for stride in STRIDES if site.observation.lattice.columns >= 4 * stride]
+    return [
+        Fidelity(detail, stride, frames=frames)
+        for detail in reversed(DETAILS)
+        for stride in strides
+        for frames in frame_counts(len(site.search))
+    ]
+
+
+def frame_counts(frames: int) -> list[int | None]:
+    """How many frames each share leaves, None for all of them; a count that another share has too is left out."""
+    counts = [max(round(frames / share), 1) for share in FRAME_SHARES[1:]]
+    return [None, *dict.fromkeys(count for count in counts if count != frames)]
+
+
+def phased(fidelity: Fidelity, most: int) -> list[Fidelity]:
+    """The fidelity on all frames, at all phases of its stride or at so many of them, spread evenly."""
+    kept = min(fidelity.stride, most)
+    return [replace(whole(fidelity), phase=fidelity.stride * number // kept) for number in range(kept)]
+
+
+def looked_at(fidelity: Fidelity, searched: int, frames: int | None = None) -> np.ndarray:
+    """Rows of the frames that a fidelity looks at: of the searched ones, or as large a share of so many others."""
+    frames = searched if frames is None else frames
+    kept = frames if fidelity.frames is None else max(round(fidelity.frames * frames / searched), 1)
+    return evenly_spread(frames, kept)
+
+
+# --- times ------------------------------------------------------------------------------------------------------------
+
+TOGETHER = 4  # mountings that are scored together; a search asks for a swarm of them
+Times = Mapping[Fidelity, tuple[np.ndarray, np.ndarray]]
+"""Of each fidelity on all frames: seconds of one mounting of those scored together, (rounds, f), and to build, (f,)."""
 
 
 def _timed(
     folder: StudyFolder, site: Site, fidelities: Sequence[Fidelity], every: Candidates, effort: ChartEffort
 ) -> Times:
-    """Each fidelity on all frames."""
+    """Each fidelity on all frames, from the folder if it holds the times."""
 
     def measure() -> list:
         poses = every.poses[FIRST : FIRST + effort.rounds + TOGETHER]
@@ -161,67 +202,159 @@ def _timed(
     return {fidelity: tuple(map(np.array, both)) for fidelity, both in zip(fidelities, stored, strict=True)}
 
 
-def _hits(folder: StudyFolder, site: Site, every: Candidates, effort: ChartEffort) -> list[dict]:
-    """What the installed casters hit beside the float64 oracle, on a few frames from a few mountings."""
-    frames = [site.search[row] for row in evenly_spread(len(site.search), min(effort.hit_frames, len(site.search)))]
-    poses = every.poses[FIRST : FIRST + effort.hit_mountings]
-    casters = [name for name in (site.observation.caster, *other_casters(site)) if name != ORACLE]
-    return folder.stage("hits", lambda: count_hits(site, frames, poses, casters))
+def time_fidelities(
+    site: Site,
+    fidelities: Sequence[Fidelity],
+    poses: Sequence[Pose],
+    rounds: int,
+    progress: Callable[[int], None] = lambda frames: None,
+) -> Times:
+    """Time fidelities frame by frame, in one process, warm; all of them have every frame.
 
-
-def _ablated(
-    folder: StudyFolder, on: Compared, effort: ChartEffort, known: Mapping[str, Landscape], beside: Compared | None
-) -> list[dict]:
-    """A row for every ablation, on the best mountings by the reference.
-
-    Of azimuth offsets, where the scene's sensor has none and the other one does, on that.
+    On each frame they take turns, each round with other mountings, so that a moment in which the machine is busy with
+    something else falls on all. The first round, in which caches fill, is not counted. To build is to make triangles
+    and tree; `progress` is told how many frames have been timed since it was last called.
     """
-    rows = ablation_rows(folder, on, ablations(on.site, effort.draws), known)
-    if beside is not None and not on.site.model.azimuth_offset_rad.any() and beside.site.model.azimuth_offset_rad.any():
-        (change,) = (one for one in ablations(beside.site, effort.draws) if one.what == OFFSETS)
-        change = replace(change, value=f"{change.value}; {beside.site.model.name} and its own floor")
-        (row,) = ablation_rows(folder, beside, [change], {}, "other sensor")
-        rows = [row if one["what"] == OFFSETS else one for one in rows]
-    return rows
+    changes = [of_fidelity(fidelity) for fidelity in fidelities]
+    sites = [change.changed(site) for change in changes]
+    scores = [VehicleScores(one.scoring, one.observation, site.search) for one in sites]
+    evaluation, build = np.empty((len(sites), rounds, len(site.search))), np.empty((len(sites), len(site.search)))
+    for column, frame in enumerate(site.search):
+        scorers = []
+        for row, (change, one) in enumerate(zip(changes, sites, strict=True)):
+            start = time.perf_counter()
+            scorers.append(change.scorer(one, frame))
+            build[row, column] = time.perf_counter() - start
+        for turn in range(-1, rounds):
+            some = [poses[(turn + number) % len(poses)] for number in range(TOGETHER)]
+            for row in np.roll(np.arange(len(sites)), turn).tolist():
+                start = time.perf_counter()
+                scores[row].of(frame, scorers[row], some, mountings_of(some)).objective.sum(axis=1)
+                if turn >= 0:
+                    evaluation[row, turn, column] = (time.perf_counter() - start) / TOGETHER
+        progress(1)
+    return dict(zip(fidelities, zip(evaluation, build, strict=True), strict=True))
 
 
-# --- does the recommendation hold on a scene that it has not seen? ----------------------------------------------------
-
-HOLDS, LIKELY, FAILS, UNTOLD = "holds", "likely", "fails", "cannot be told"
+# --- scores and rows of the ladder ------------------------------------------------------------------------------------
 
 
-def _other_sensor(folder: StudyFolder, site: Site, effort: ChartEffort) -> Compared:
-    """The reference of the same scene with another sensor."""
-    every, change = candidates(site.scenario, effort.other_mountings), variation(REFERENCE, "other sensor reference")
-    jobs = [Job(change, every.poses, split) for split in dict.fromkeys((SEARCHED, judging_split(site)))]
-    scored = folder.landscapes(site, jobs, f"reference with {site.model.name}")
-    return _compared(site, every, scored[0], scored[-1])
+def score_ladder(
+    folder: StudyFolder, site: Site, every: Candidates, effort: ChartEffort, rungs: Sequence[Fidelity]
+) -> tuple[dict[Fidelity, Landscape], Landscape]:
+    """Landscapes of all fidelities and phases on all frames, and that of the reference on the frames that judge."""
+    phases = list(dict.fromkeys(phase for rung in rungs for phase in phased(rung, effort.phases)))
+    jobs = [Job(of_fidelity(one), every.poses) for one in phases]
+    if judging_split(site) == HELD_OUT:
+        jobs.append(Job(of_fidelity(REFERENCE), every.poses, HELD_OUT))
+    found = folder.landscapes(site, jobs, "mountings scored")
+    scored = dict(zip(phases, found, strict=False))
+    return scored, found[-1] if judging_split(site) == HELD_OUT else scored[REFERENCE]
 
 
-def _validated(
+def rung_rows(
+    rungs: Iterable[Fidelity], reference: Reference, scored: Mapping[Fidelity, Landscape], timed: Times, phases: int
+) -> list[dict]:
+    """A row for each rung, the reference first: its time and its accuracy, as JSON holds it."""
+    frames, rows = len(reference.searched.vehicles), []
+    of_reference = np.median(_seconds(REFERENCE, timed))
+    for rung in rungs:
+        first, median, third = 1e3 * np.quantile(_seconds(rung, timed), [0.25, 0.5, 0.75])
+        row = {"name": rung.name, "text": rung.text, "detail": rung.detail, "stride": rung.stride}
+        row["frames"] = rung.frames or frames
+        row["milliseconds"] = {"first_quartile": first, "median": median, "third_quartile": third}
+        row["build_milliseconds_per_frame"] = float(1e3 * np.median(timed[whole(rung)][1]))
+        row["speedup"] = float(of_reference * 1e3 / median)
+        found = [scored[phase] for phase in phased(rung, phases)]
+        rows.append(row | accuracy(reference, found, looked_at(rung, frames)))
+    front = pareto_front(*np.array([(row["milliseconds"]["median"], row["error"]) for row in rows]).T)
+    return [{**row, "pareto": number in front} for number, row in enumerate(rows)]
+
+
+def _seconds(fidelity: Fidelity, timed: Times) -> np.ndarray:
+    """Seconds that one evaluation by a fidelity took in each round, (rounds,)."""
+    each, _ = timed[whole(fidelity)]
+    return each[:, looked_at(fidelity, each.shape[1])].sum(axis=1)
+
+
+# --- which are near enough: asked in an order that their losses have no say in, so that luck passes none --------------
+# Of fifty fidelities, each asked by itself at 95 %, the fastest that passes may well owe its place to luck. So each
+# level of detail is a sequence of its own, from the fidelity that casts the most beams to the one that casts the
+# fewest, which ends at the first that cannot be shown to be near enough: in a fixed sequence every test may take the
+# whole level (Maurer, Hothorn and Lehmacher 1995). Times, which a busy machine may turn round, have no say in it
+# either. The levels of detail share the 5 % evenly (Bonferroni). With 95 % or more, then, none of those that pass loses
+# more than the tolerance, given what was chosen on the searched frames: the bounds tell of other frames that judge, not
+# of others that choose, which the exchange of blocks asks for once.
+
+
+def mark_within(rows: Sequence[dict], tolerance: float, noise: Noise | None, gain: float) -> None:
+    """Mark the rows that are asked, and those near enough to the reference, which is the first row.
+
+    What a fidelity is for is to choose: so what its choices lose on held-out frames must be within the tolerance, by an
+    upper bound at `BOUND_LEVEL`. And its error after calibration must be within it too, or within the noise ceiling: no
+    closer does the traffic tell the truth itself.
+    """
+    most = max(tolerance, 0.0 if noise is None else noise.error / gain) if gain > 0.0 else 0.0
+    for row in rows:
+        row["asked"] = row["within"] = row is rows[0]
+    for detail in DETAILS:
+        own = [row for row in rows[1:] if row["detail"] == detail]
+        for row in sorted(own, key=lambda row: (row["frames"] / row["stride"], row["frames"]), reverse=True):
+            bound, error = row["regret_bound"], row["error_share"]
+            row["asked"] = True
+            row["within"] = bool(None not in (bound, error) and bound <= tolerance and error <= most)
+            if not row["within"]:
+                break
+
+
+def recommended(rows: Sequence[dict]) -> dict:
+    """The fastest of those that are near enough, the reference being one."""
+    return min((row for row in rows if row["within"]), key=lambda row: row["milliseconds"]["median"])
+
+
+def sentence(reference: Mapping, best: Mapping, tolerance: float, gain: float) -> str:
+    """Which fidelity is the cheapest within the tolerance, what it costs, and by how much it is the faster."""
+    if not gain > 0.0:
+        return "No mounting gains anything over the baseline: there is nothing that a fidelity could lose."
+    share, took = f"{100.0 * tolerance:g} % of the gain", milliseconds(best["milliseconds"]["median"])
+    if best["name"] == reference["name"]:
+        only = f"only the reference, {best['text']}: {took} an evaluation"
+        return f"No cheaper fidelity can be shown to be within {share}: {only}."
+    return (
+        f"Cheapest within {share}: {best['text']}: {took} an evaluation, {best['speedup']:.2g} times faster than the "
+        f"reference ({reference['text']})."
+    )
+
+
+def milliseconds(value: float) -> str:
+    """A time in three digits: ms, or s from a second on."""
+    if value >= 1000.0:
+        return f"{value / 1000.0:.3g} s"
+    return f"{value:.3g} ms" if value < 100.0 else f"{value:.0f} ms"
+
+
+# --- does the recommendation hold where it was not chosen? ------------------------------------------------------------
+
+
+def _on_other_blocks(
     folder: StudyFolder,
+    site: Site,
+    every: Candidates,
     chosen: Fidelity,
     effort: ChartEffort,
     tolerance: float,
-    where: str,
-    section: str,
-    on: Compared,
-    split: str,
+    swapped: Reference,
 ) -> dict:
-    """What the recommended fidelity loses where it was not chosen, as JSON holds it.
+    """What the recommended fidelity loses where the held-out blocks choose and the searched ones judge.
 
-    It looks at as large a share of the frames of that `split` as it does of the searched ones.
+    It looks at as large a share of the held-out frames as it does of the searched ones.
     """
-    jobs = [Job(variation(phase, section), on.every.poses, split) for phase in phased(chosen, effort.phases)]
-    phases = folder.landscapes(on.site, jobs, f"recommendation, {section}")
-    frames = looked_at(chosen, len(on.site.search), len(split_of(on.site, split)[0]))
-    found = accuracy(on.reference, phases, frames)
+    jobs = [Job(of_fidelity(phase, "other blocks"), every.poses, HELD_OUT) for phase in phased(chosen, effort.phases)]
+    phases = folder.landscapes(site, jobs, "recommendation, other blocks")
+    found = accuracy(swapped, phases, looked_at(chosen, len(site.search), len(site.holdout)))
     kept = {key: found[key] for key in ("regret", "regret_interval_90", "error_share", "tau")}
-    return {
-        "where": where,
-        "verdict": within_tolerance(found["regret"], found["regret_interval_90"], tolerance),
-        **kept,
-    }
+    verdict = within_tolerance(found["regret"], found["regret_interval_90"], tolerance)
+    return {"where": "other blocks: the held-out ones choose, the searched ones judge", "verdict": verdict, **kept}
 
 
 def within_tolerance(share: float | None, interval: tuple[float, float] | None, tolerance: float) -> str:
@@ -229,39 +362,82 @@ def within_tolerance(share: float | None, interval: tuple[float, float] | None, 
     if share is None or (share > tolerance and (interval is None or interval[0] <= tolerance)):
         return UNTOLD
     if share > tolerance:
-        return FAILS
-    return HOLDS if interval is not None and interval[1] <= tolerance else LIKELY
+        return "fails"
+    return "holds" if interval is not None and interval[1] <= tolerance else "likely"
 
 
-# --- beside a real LiDAR ----------------------------------------------------------------------------------------------
+# --- the ablations: a row for each ------------------------------------------------------------------------------------
+
+JUDGED = {"score": "bias", "ranking": "tau", "optimum": "apart"}  # what has a verdict, and which effect it is on
+_EFFECTS = ("bias", "tau", "regret", "apart")
 
 
-def read_paired(path: str | Path) -> dict:
-    """The errors of a comparison with recorded clouds, from its `compare.json` or the folder that holds it.
+def ablation_rows(
+    folder: StudyFolder,
+    site: Site,
+    every: Candidates,
+    reference: Reference,
+    changes: Sequence[Ablation],
+    known: Mapping[str, Landscape],
+) -> list[dict]:
+    """A row for every ablation; what either side would choose is judged where the scene has the thing.
 
-    Returns
-    -------
-    dict
-        ``file``, ``cars``, ``losses`` and ``variants``: of each level of detail the median absolute error of PE-VGOP
-        per vehicle and its 90 % interval [bits], or None.
-
-    Raises
-    ------
-    MissingFileError, InputError
-        When there is no such file, or it is not of a comparison.
+    Parameters
+    ----------
+    folder : StudyFolder
+    site : Site
+    every : Candidates
+        On which they are compared.
+    reference : Reference
+        Of these candidates.
+    changes : sequence of Ablation
+    known : mapping of str to Landscape
+        By a variation's stage, what has been scored already.
     """
-    path = Path(path)
-    path = path / COMPARISON if path.is_dir() else path
-    try:
-        with reading(path, COMPARISON):
-            found, variants = json.loads(read_text(path)), []
-        for one in found["variants"]:
-            error = one["absolute_error_bits"]
-            interval = error["interval_90"] and [float(end) for end in error["interval_90"]]
-            variants.append(
-                {"detail": str(one["detail"]), "error_bits": float(error["median"]), "interval_90": interval}
-            )
-        losses = str(found["losses"])
-        return {"file": path.name, "cars": int(found["vehicles"]), "losses": losses, "variants": variants}
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"--paired-errors: {path}: is no {COMPARISON} of blender-lidar compare") from error
+    sides = {one.stage: one for change in changes for pair in change.pairs for one in pair}
+    jobs = [Job(one, every.poses) for stage, one in sides.items() if stage not in known]
+    found = folder.landscapes(site, jobs, "ablations scored")
+    scored = {**known, **{job.variation.stage: one for job, one in zip(jobs, found, strict=True)}}
+    judged = scored
+    if judging_split(site) == HELD_OUT:
+        having = {there.stage: replace(there, section="judged") for change in changes for _, there in change.pairs}
+        jobs = [Job(one, every.poses, HELD_OUT) for one in having.values()]
+        judged = dict(zip(having, folder.landscapes(site, jobs, "ablations judged"), strict=True))
+    rows = []
+    for change in changes:
+        draws = [(scored[without.stage], scored[there.stage], judged[there.stage]) for without, there in change.pairs]
+        refused = next((one for draw in draws for one in draw if isinstance(one, str)), None)
+        rows.append(ablation_row(change, refused, [] if refused else draws, every, reference))
+    return rows
+
+
+def ablation_row(
+    change: Ablation,
+    refused: str | None,
+    draws: Sequence[tuple[Landscape, Landscape, Landscape]],
+    every: Candidates,
+    reference: Reference,
+) -> dict:
+    """One ablation as JSON holds it: all but its name is None where there is nothing to compare."""
+    row = {"what": change.what, "value": change.value, "note": refused or change.note, "draws": len(change.pairs)}
+    row |= dict.fromkeys([*(name + ending for name in _EFFECTS for ending in ("", "_interval_90")), "shift"])
+    row |= dict.fromkeys(("floors", "verdicts"))
+    if not draws:
+        return row
+    floor, found = reference.noise, effects(draws, reference)
+    for name in _EFFECTS:
+        row[name], row[f"{name}_interval_90"] = found[name] or (None, None)
+    shift = np.mean([_shift(*draw[:2], every, reference) for draw in draws], axis=0)
+    row["shift"] = dict(zip(every.variables, shift.tolist(), strict=True))
+    if floor is not None:
+        row["floors"] = {"score": floor.bias, "ranking": floor.tau, "optimum": floor.apart}
+        limits = {"score": (-floor.bias, floor.bias), "ranking": (floor.tau, np.inf)}
+        limits["optimum"] = (-np.inf, np.nan if floor.apart is None else floor.apart)  # beside NaN nothing is told
+        row["verdicts"] = {name: beside_floor(found[effect], *limits[name]) for name, effect in JUDGED.items()}
+    return row
+
+
+def _shift(without: Landscape, having: Landscape, every: Candidates, reference: Reference) -> np.ndarray:
+    """Where the mounting that is chosen moves to when the thing comes in, (d,): mean over the halves."""
+    less, more = (every.points[one[0]] for one in choices(without, having, reference))
+    return (more - less).mean(axis=(0, 1))

@@ -20,7 +20,7 @@ from ..errors import InputError
 from ..files import check_folder, check_unused, folder_lock, make_folder, read_text, sweep, write_text
 from ..metrics.catalogue import metric_named
 from ..metrics.vgop import occupancy
-from ..scene.observation import CountedFrame, Observation
+from ..scene.observation import CountedFrame
 from ..scene.provenance import check_identity, versions
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
@@ -279,23 +279,33 @@ class Landscape:
         Vehicles that count.
     weight : ndarray, (f,)
         Sum of their weights; unless given they weigh one.
+    detectable : ndarray, (m, f)
+        How many of them are detectable from each mounting.
     """
 
     objective: np.ndarray
     vehicles: np.ndarray
     weight: np.ndarray = None
+    detectable: np.ndarray = None
 
     def __post_init__(self) -> None:
         if self.weight is None:
             object.__setattr__(self, "weight", self.vehicles)
+        if self.detectable is None:
+            object.__setattr__(self, "detectable", np.full(self.objective.shape, np.nan))
 
     def per_vehicle(self) -> np.ndarray:
         """Objective per counted vehicle of each mounting, a weighted mean, (m,)."""
         return self.objective.sum(axis=1) / self.weight.sum()
 
+    def detectable_share(self) -> np.ndarray:
+        """Share of the vehicles that are detectable from each mounting, (m,); every vehicle counts the same."""
+        return self.detectable.sum(axis=1) / self.vehicles.sum()
+
     def select(self, rows: Sequence[int]) -> Landscape:
         """Some of its mountings."""
-        return replace(self, objective=self.objective[list(rows)])
+        rows = list(rows)
+        return replace(self, objective=self.objective[rows], detectable=self.detectable[rows])
 
     def blocks(self, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Objective (m, b) and weight of the vehicles (b,) of each block of time; `block` (f,) labels the frames."""
@@ -339,11 +349,12 @@ def landscapes(
         workers.close()
 
 
-def _joined(columns: Sequence[tuple[np.ndarray, int, float] | str]) -> Landscape | str:
+def _joined(columns: Sequence[tuple[np.ndarray, np.ndarray, int, float] | str]) -> Landscape | str:
     if isinstance(columns[0], str):
         return columns[0]
-    objective, vehicles, weight = zip(*columns, strict=True)
-    landscape = Landscape(np.stack(objective, axis=1), np.array(vehicles, dtype=np.int64), np.array(weight))
+    objective, detectable, vehicles, weight = zip(*columns, strict=True)
+    counts = np.array(vehicles, dtype=np.int64), np.array(weight), np.stack(detectable, axis=1)
+    landscape = Landscape(np.stack(objective, axis=1), *counts)
     return landscape if landscape.weight.sum() else "no vehicle is left in the region"
 
 
@@ -354,9 +365,9 @@ class _FrameOfCast:
         self._site, self._casts = site, casts
         self._number, self._changed = -1, []
 
-    def score(self, number: int, frame: int) -> list[tuple[np.ndarray, int, float] | str]:
-        """Of each job the objective of its mountings, (m,), the counted vehicles and their weight; or why there is no
-        such site.
+    def score(self, number: int, frame: int) -> list[tuple[np.ndarray, np.ndarray, int, float] | str]:
+        """Of each job the objective and the detectable vehicles of its mountings, (m,), the counted vehicles and their
+        weight; or why there is no such site.
 
         What is cast is the site as it is where several jobs share that, else the only job's site.
         """
@@ -368,21 +379,27 @@ class _FrameOfCast:
             return self._changed
         site = self._site if shared else self._changed[0][0]
         chosen = split_of(site, jobs[0].split)[0][frame]
-        scorer = jobs[0].variation.scorer(site, chosen)
-        wanted, found = [set(job.poses) for job in jobs], [dict[Pose, float]() for _ in jobs]
-        every = list(dict.fromkeys(pose for job in jobs for pose in job.poses))
-        for first in range(0, len(every), _MOUNTINGS_AT_A_TIME):
-            poses = every[first : first + _MOUNTINGS_AT_A_TIME]
-            cast = _Cast(scorer, site.observation, singles(poses)) if shared else None
+        scorer, found = jobs[0].variation.scorer(site, chosen), [dict[Pose, tuple[float, int]]() for _ in jobs]
+        every, wanted = (
+            list(dict.fromkeys(pose for job in jobs for pose in job.poses)),
+            [set(job.poses) for job in jobs],
+        )
+        at_a_time = 1 if shared else _MOUNTINGS_AT_A_TIME
+        for first in range(0, len(every), at_a_time):
+            poses = every[first : first + at_a_time]
+            cast = _Cast(site, scorer, poses) if shared else None
             for own, changed, of in zip(wanted, self._changed, found, strict=True):
-                some = [pose for pose in poses if pose in own]
-                if some and not isinstance(changed, str):
-                    seen = scorer if cast is None else cast.on_cells_of(changed[0].observation)
-                    scored = changed[1].of(chosen, seen, some, mountings_of(some))
-                    of.update(zip(some, scored.objective.sum(axis=1).tolist(), strict=True))
+                if poses[0] in own and not isinstance(changed, str):
+                    scores, mountings = changed[1], mountings_of(poses)
+                    if cast is None:
+                        scored = scores.of(chosen, scorer, poses, mountings)
+                    else:
+                        scored = scores.of_seen(chosen, scorer, cast.on_cells_of(changed[0]), mountings)
+                    sums = (column.sum(axis=1).tolist() for column in (scored.objective, scored.detectable))
+                    of.update(zip(poses, zip(*sums, strict=True), strict=True))
         size = len(scorer), chosen.counted_weight.sum().item()
         return [
-            changed if isinstance(changed, str) else (np.array([of[pose] for pose in job.poses]), *size)
+            changed if isinstance(changed, str) else (*np.array([of[pose] for pose in job.poses]).T, *size)
             for job, changed, of in zip(jobs, self._changed, found, strict=True)
         ]
 
@@ -395,30 +412,17 @@ class _FrameOfCast:
 
 
 class _Cast:
-    """What has been seen from some layouts, to be scored again and again: some of them, on cells of another side."""
+    """What has been seen from some mountings, with the returns; occupancies on cells of any size are made of these."""
 
-    def __init__(self, scorer: FrameScorer, observation: Observation, layouts: Sequence[Sequence[Pose]]) -> None:
-        self.vehicles, self._rows = scorer.vehicles, {layout: row for row, layout in enumerate(layouts)}
-        self._own = self._cells = observation.cell_m, observation.reading
-        self._seen = {self._own: scorer.see(layouts, keep_returns=True)}
+    def __init__(self, site: Site, scorer: FrameScorer, poses: Sequence[Pose]) -> None:
+        self._sizes = np.tile(scorer.vehicles.size_m, (len(poses), 1))
+        self._first = scorer.see(singles(poses), keep_returns=True)
+        self._seen = {(site.observation.cell_m, site.observation.reading): self._first}
 
-    def on_cells_of(self, observation: Observation) -> _Cast:
-        """The same, its occupancies from now on those on the cells of that observation."""
-        self._cells = observation.cell_m, observation.reading
-        if self._cells not in self._seen:
-            seen = self._seen[self._own]
-            sizes = np.tile(self.vehicles.size_m, (len(seen.points), 1))
-            shares = occupancy(*seen.returns, sizes, *self._cells).reshape(seen.occupancy.shape)
-            self._seen[self._cells] = seen._replace(occupancy=shares)
-        return self
-
-    def see(self, layouts: Sequence[Sequence[Pose]], *, keep_returns: bool = False) -> Seen:
-        """As `FrameScorer.see`, of layouts that have been seen, in the order in which they were."""
-        points, shares, returns = self._seen[self._cells]
-        rows = [self._rows[layout] for layout in layouts]
-        if len(rows) < len(points):
-            local, owner = returns
-            mount, vehicle = np.divmod(owner, len(self.vehicles))
-            kept = np.isin(mount, rows)
-            returns = local[kept], np.searchsorted(rows, mount[kept]) * len(self.vehicles) + vehicle[kept]
-        return Seen(points[rows], shares[rows], returns if keep_returns else None)
+    def on_cells_of(self, site: Site) -> Seen:
+        """The same, its occupancies those on the cells of that site."""
+        cells = site.observation.cell_m, site.observation.reading
+        if cells not in self._seen:
+            shares = occupancy(*self._first.returns, self._sizes, *cells).reshape(self._first.occupancy.shape)
+            self._seen[cells] = self._first._replace(occupancy=shares)
+        return self._seen[cells]

@@ -1,14 +1,12 @@
-"""Statistics of the chart: how near one score of mountings comes to another, and what a change of the model does.
+"""What a change does to score, ranking and choice of mountings: the statistics of all studies.
 
-Ranking (weighted Kendall's tau), cross-fitted calibration, regret of choices on resampled blocks of traffic, the noise
-ceiling of halved blocks, and jackknife intervals. Jackknife intervals leave out one block of traffic after another, of
-those that choose and of those that judge, and have the spread between random draws in them: units of a sensor, or what
-its returns' noise draws.
+Share of the gain that is lost, ranking (weighted Kendall's tau), cross-fitted calibration, regret of choices on
+resampled blocks of traffic, the noise ceiling of halved blocks, and jackknife intervals, which leave out one block of
+traffic after another, of those that choose and of those that judge, and have the spread between random draws in them.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,74 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InputError
-from ..optimise.search import generator
-from ..scene.scenario import Scenario
-from ..sensors.pose import Pose
 from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90, resampled_weights, student_t
 from ..world.shapes import DETAILS
+from .candidates import BASELINE, FIRST
 from .driver import Landscape
 
-SOBOL_BITS = 30
-BASELINE_ROW, FIRST = 0, 1  # rows of a landscape: the baseline, and where the candidates begin
 
+class Effect(NamedTuple):
+    """A number, and its 90 % interval; None for too few blocks."""
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """Mountings to compare.
-
-    Attributes
-    ----------
-    variables : tuple of str
-        Names of the searched coordinates.
-    points : ndarray, (k, d)
-        The candidates [m, degrees].
-    poses : tuple of Pose, (1 + k)
-        The baseline and the candidates.
-    """
-
-    variables: tuple[str, ...]
-    points: np.ndarray
-    poses: tuple[Pose, ...]
-
-    def select(self, numbers: Sequence[int]) -> Candidates:
-        """The baseline and some of the candidates, by their rows in `points`."""
-        poses = (self.poses[BASELINE_ROW], *(self.poses[FIRST + number] for number in numbers))
-        return Candidates(self.variables, self.points[list(numbers)], poses)
-
-
-def candidates(scenario: Scenario, count: int) -> Candidates:
-    """So many points of Sobol's sequence over [deployment], shifted at random by the scene's seed.
-
-    Raises
-    ------
-    InputError
-        When nothing is searched.
-    """
-    deployment = scenario.deployment
-    if not deployment.bounds:
-        raise InputError(
-            f"{scenario.source}: [deployment] fixes every coordinate; allowed: at least one a pair [low, high]"
-        )
-    lower, upper = np.array(deployment.lower, dtype=float), np.array(deployment.upper, dtype=float)
-    points = sobol(scenario.search.seed, count, lower, upper)
-    poses = (scenario.baseline_pose, *(deployment.pose(point) for point in points))
-    return Candidates(deployment.variables, points, poses)
-
-
-def sobol(seed: int, count: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """The first points of Sobol's sequence in a box, all shifted alike (digit by digit) by a random amount, (count, d).
-
-    Any 2^m of them that follow a multiple of 2^m fill the box evenly.
-    """
-    from scipy.stats import qmc
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that any other count than a power of 2 is less even
-        points = qmc.Sobol(lower.size, scramble=False, bits=SOBOL_BITS).random(count)
-    shift = generator(seed).integers(1 << SOBOL_BITS, size=lower.size)
-    digits = (points * (1 << SOBOL_BITS)).astype(np.int64) ^ shift
-    return np.clip(lower + (digits + 0.5) / (1 << SOBOL_BITS) * (upper - lower), lower, upper)
+    value: float
+    interval_90: tuple[float, float] | None
 
 
 # --- one score beside another: ranking, calibration, Pareto front -----------------------------------------------------
@@ -140,15 +81,15 @@ def pareto_front(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return order[~(no_worse & better).any(axis=0)[order]]
 
 
-# --- what is chosen on other traffic of this kind, and what it loses on held-out frames -------------------------------
+# --- what choices lose, as a share of the gain ------------------------------------------------------------------------
 
 
-SURE = 0.95  # of all tests together: see `ladder.mark_within`
+SURE = 0.95  # of all tests together: see `chart.mark_within`
 BOUND_LEVEL = 1.0 - (1.0 - SURE) / len(DETAILS)  # of each test's bound, one-sided
 DRAWS = 300  # resamples of the searched blocks, under each of which a mounting is chosen
 
 
-class Regret(NamedTuple):
+class Lost(NamedTuple):
     """What is lost, as a share of the gain, its 90 % interval, None for too few blocks, and how many blocks judge."""
 
     share: float
@@ -161,6 +102,22 @@ class Regret(NamedTuple):
             return None
         reach = (self.interval_90[1] - self.share) / student_t(0.95, self.blocks - 1)
         return self.share + reach * student_t(level, self.blocks - 1)
+
+
+def share_lost(lost: np.ndarray, gain: np.ndarray, filled: np.ndarray) -> Lost | None:
+    """Sum of what is lost over the sum of the gain that there was to have, each given block by block, (d, b).
+
+    A mean over d random draws, whose blocks are the same. `filled` (b,) are the blocks with vehicles. None where a draw
+    gains nothing.
+    """
+    lost, gain = np.atleast_2d(lost, gain)
+    whole = gain.sum(axis=1, keepdims=True)
+    if not (whole > 0.0).all():
+        return None
+    shares = lost.sum(axis=1, keepdims=True) / whole
+    influence = ((lost - shares * gain) / whole).mean(axis=0)[filled]  # how far each block moves the share
+    share = float(shares.mean())
+    return Lost(share, linear_interval_90(share, influence), len(influence))
 
 
 def searched_weights(block: np.ndarray, seed: int) -> np.ndarray:
@@ -184,7 +141,7 @@ def chosen_shares(landscape: Landscape, weights: np.ndarray, frames: np.ndarray 
     return np.bincount(best, minlength=len(landscape.objective) - FIRST) / len(best)
 
 
-def regret(chosen: np.ndarray, by_reference: np.ndarray, judged: Landscape, block: np.ndarray) -> Regret | None:
+def regret(chosen: np.ndarray, by_reference: np.ndarray, judged: Landscape, block: np.ndarray) -> Lost | None:
     """What choices lose to those of the reference: [F(its) - F(theirs)] / [F(its) - F(baseline)] on frames that judge.
 
     Parameters
@@ -198,17 +155,12 @@ def regret(chosen: np.ndarray, by_reference: np.ndarray, judged: Landscape, bloc
 
     Returns
     -------
-    Regret or None
+    Lost or None
         None where the reference's choices gain nothing there.
     """
     objective, vehicles = judged.blocks(block)
     lost = (by_reference - chosen) @ objective[FIRST:]
-    gain = by_reference @ objective[FIRST:] - objective[BASELINE_ROW]
-    if not gain.sum() > 0.0:
-        return None
-    share = float(lost.sum() / gain.sum())
-    influence = ((lost - share * gain) / gain.sum())[vehicles > 0]
-    return Regret(share, linear_interval_90(share, influence), len(influence))
+    return share_lost(lost, by_reference @ objective[FIRST:] - objective[BASELINE], vehicles > 0)
 
 
 # --- the reference, the noise ceiling, and how near a fidelity comes to the reference ---------------------------------
@@ -279,7 +231,7 @@ class Reference:
 
     def select(self, numbers: Sequence[int]) -> Reference:
         """Of some of the candidates."""
-        rows = [BASELINE_ROW, *(FIRST + number for number in numbers)]
+        rows = [BASELINE, *(FIRST + number for number in numbers)]
         searched, judged = self.searched.select(rows), self.judged.select(rows)
         return Reference(searched, self.searched_block, judged, self.judged_block, self.seed)
 
@@ -291,7 +243,7 @@ class Reference:
     def gain(self) -> float:
         """What the best candidate gains over the baseline on the frames that choose, per vehicle."""
         values = self.searched.per_vehicle()
-        return float(values[FIRST:].max() - values[BASELINE_ROW])
+        return float(values[FIRST:].max() - values[BASELINE])
 
 
 def accuracy(
@@ -362,7 +314,7 @@ def noise_ceiling(reference: Reference) -> Noise | None:
     tau = np.nan_to_num(tau)  # where a half prefers no mounting, nothing is ranked alike
     worth = reference.judged.objective.sum(axis=1)
     chosen = worth[FIRST + chosen_by(halves, objective)]
-    gain = chosen.mean() - worth[BASELINE_ROW]
+    gain = chosen.mean() - worth[BASELINE]
     apart = float(np.abs(chosen[:, 0] - chosen[:, 1]).mean() / gain) if gain > 0.0 else None
     bias, middle, tau = (float(np.median(column)) for column in (np.abs(bias), error, tau))
     return Noise(bias, middle, interval_90(error), tau, apart)
@@ -370,94 +322,80 @@ def noise_ceiling(reference: Reference) -> Noise | None:
 
 # --- effects of a thing that is modelled: score, ranking and choice without it and with it ----------------------------
 
-_UNSIGNED = ("score", "error", "apart")
 
+def effects(draws: Sequence[tuple[Landscape, Landscape, Landscape]], reference: Reference) -> dict[str, Effect | None]:
+    """All effects of a thing, means over its random draws, with jackknife intervals; None for what cannot be known.
 
-class Effect(NamedTuple):
-    """A number, and its 90 % interval; None for too few blocks."""
-
-    value: float
-    interval_90: tuple[float, float] | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AblationDraw:
-    """One random draw of a thing, or the thing itself where nothing is drawn; k candidates.
-
-    Attributes
+    Parameters
     ----------
-    without, having : ndarray, (k, b)
-        Objective of each candidate in each block that chooses.
-    vehicles : ndarray, (b,)
-        In those blocks, or the sum of their weights; none is empty.
-    judged : ndarray, (1 + k, j)
-        Objective with the thing of the baseline and the candidates in each block that judges; candidates that neither
-        side chooses may be NaN.
-    """
-
-    without: np.ndarray
-    having: np.ndarray
-    vehicles: np.ndarray
-    judged: np.ndarray
-
-
-def choices(draw: AblationDraw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What each half would choose without the thing and with it, (1 + b, s, 2) each: first of all blocks, then with one
-    block left out after another."""
-    blocks = halves.shape[-1]
-    kept = np.concatenate([np.ones((1, blocks), dtype=bool), ~np.eye(blocks, dtype=bool)])
-    there = halves[None] & kept[:, None, None, :]
-    return chosen_by(there, draw.without), chosen_by(there, draw.having)
-
-
-def effects(draws: Sequence[AblationDraw], halves: np.ndarray) -> dict[str, Effect | None]:
-    """All effects of a thing, means over its draws, with jackknife intervals; None for those that cannot be known.
+    draws : sequence of (Landscape, Landscape, Landscape)
+        The baseline and the candidates without the thing and with it on the frames that choose, and with it on those
+        that judge.
+    reference : Reference
+        Whose blocks and halves these are.
 
     Returns
     -------
     dict
-        ``bias``: mean difference over the candidates, per vehicle, positive where the thing scores more, and ``score``
-        without its sign. ``error``: what calibration leaves of it. ``tau``: `weighted_tau` of both. ``regret``: mean
-        difference between what both choose from the same half of the blocks, on the blocks that judge, as a share of
-        the gain there, positive where something is lost without the thing, and ``apart`` without its sign.
+        ``bias``: mean difference over the candidates, per vehicle, positive where the thing scores more. ``tau``:
+        `weighted_tau` of both. ``regret``: mean difference between what both choose from the same half of the blocks,
+        on the blocks that judge, as a share of the gain there, positive where something is lost without the thing, and
+        ``apart`` without its sign.
     """
-    searched = np.array([_left_out_of_searched(draw) for draw in draws])  # (d, 1 + b, 4)
-    judged = [np.array(part) for part in zip(*(_left_out_of_judged(draw, halves) for draw in draws), strict=True)]
-    gained = all(np.isfinite(part).all() for part in judged)
-    found = {
-        name: _effect(name, searched[..., column]) for column, name in enumerate(("bias", "score", "error", "tau"))
-    }
+    searched = np.array([_without_each_searched(*draw[:2], reference) for draw in draws])  # (d, 1 + b, 2)
+    of_choices, of_judges = (
+        np.array(part) for part in zip(*(_without_each_chosen(*draw, reference) for draw in draws), strict=True)
+    )
+    found = {name: _effect(name, searched[..., column]) for column, name in enumerate(("bias", "tau"))}
+    gained = np.isfinite(of_choices).all() and np.isfinite(of_judges).all()
     for column, name in enumerate(("apart", "regret")):
-        found[name] = _effect(name, *(part[..., column] for part in judged)) if gained else None
+        found[name] = _effect(name, of_choices[..., column], of_judges[..., column]) if gained else None
     return found
 
 
-def _left_out_of_searched(draw: AblationDraw) -> np.ndarray:
-    """Bias, score, error and tau, of all blocks and without each of them, (1 + b, 4)."""
-    blocks = len(draw.vehicles)
-    kept = np.concatenate([np.ones((1, blocks)), 1.0 - np.eye(blocks)])
-    vehicles = kept @ draw.vehicles
-    vehicles[vehicles == 0.0] = 1.0  # none is left where the only block is left out
-    rows = []
-    for without, having in zip(*((kept @ of.T) / vehicles[:, None] for of in (draw.without, draw.having)), strict=True):
-        bias, error, tau = agreement(without, having)
-        rows.append((-bias, abs(bias), error, tau))
-    return np.array(rows)
+def _filled(landscape: Landscape, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Objective (1 + k, b) and weight (b,) of the blocks with vehicles."""
+    objective, vehicles = landscape.blocks(block)
+    return objective[:, vehicles > 0], vehicles[vehicles > 0]
 
 
-def _left_out_of_judged(draw: AblationDraw, halves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _all_and_without_each(blocks: int) -> np.ndarray:
+    """All blocks, then all but one after another, (1 + b, b) bool."""
+    return np.concatenate([np.ones((1, blocks), dtype=bool), ~np.eye(blocks, dtype=bool)])
+
+
+def _without_each_searched(without: Landscape, having: Landscape, reference: Reference) -> np.ndarray:
+    """Bias and tau, of all blocks that choose and without each of them, (1 + b, 2)."""
+    (less, vehicles), (more, _) = (_filled(one, reference.searched_block) for one in (without, having))
+    kept = _all_and_without_each(len(vehicles)).astype(float)
+    weight = kept @ vehicles
+    weight[weight == 0.0] = 1.0  # none is left where the only block is left out
+    pairs = zip(*((kept @ of[FIRST:].T) / weight[:, None] for of in (less, more)), strict=True)
+    return np.array([(-bias, tau) for bias, _, tau in (agreement(*both) for both in pairs)])
+
+
+def _without_each_chosen(
+    without: Landscape, having: Landscape, judged: Landscape, reference: Reference
+) -> tuple[np.ndarray, np.ndarray]:
     """Apart and regret: without each block that chooses, (1 + b, 2), and without each that judges, (1 + j, 2)."""
-    without, having = choices(draw, halves)
-    whole = draw.judged.sum(axis=1)
-    of_choosing = np.array([_apart(*both, whole) for both in zip(without, having, strict=True)])
-    left_out = [whole, *(whole - one for one in draw.judged.T)]
-    return of_choosing, np.array([_apart(without[0], having[0], worth) for worth in left_out])
+    chosen = choices(without, having, reference)
+    worth, _ = _filled(judged, reference.judged_block)
+    of_choices = [_apart(*both, worth.sum(axis=1)) for both in zip(*chosen, strict=True)]
+    kept = _all_and_without_each(worth.shape[1]).astype(float)
+    return np.array(of_choices), np.array([_apart(chosen[0][0], chosen[1][0], worth @ one) for one in kept])
+
+
+def choices(without: Landscape, having: Landscape, reference: Reference) -> tuple[np.ndarray, np.ndarray]:
+    """What each half chooses without the thing and with it, (1 + b, s, 2) each: of all blocks, then without each."""
+    less, more = (_filled(one, reference.searched_block)[0][FIRST:] for one in (without, having))
+    there = reference.halves[None] & _all_and_without_each(less.shape[1])[:, None, None, :]
+    return chosen_by(there, less), chosen_by(there, more)
 
 
 def _apart(without: np.ndarray, having: np.ndarray, worth: np.ndarray) -> tuple[float, float]:
     """How far choices are apart and what is lost, as shares of the gain; NaN where nothing is gained."""
     lost = worth[FIRST + having] - worth[FIRST + without]
-    gain = worth[FIRST + having].mean() - worth[BASELINE_ROW]
+    gain = worth[FIRST + having].mean() - worth[BASELINE]
     return (np.abs(lost).mean() / gain, lost.mean() / gain) if gain > 0.0 else (np.nan, np.nan)
 
 
@@ -466,7 +404,7 @@ def _effect(name: str, *left_out: np.ndarray) -> Effect | None:
 
     There is an array for each sort of blocks, and the interval has their jackknife variances and the draws' in it.
     """
-    least, most = (0.0 if name in _UNSIGNED else -np.inf), (1.0 if name == "tau" else np.inf)
+    least, most = (0.0 if name == "apart" else -np.inf), (1.0 if name == "tau" else np.inf)
     of_draws = left_out[0][:, 0]
     value, parts = float(of_draws.mean()), []
     if not np.isfinite(value):
@@ -484,3 +422,16 @@ def _effect(name: str, *left_out: np.ndarray) -> Effect | None:
     degrees = variance**2 / sum(part**2 / free for part, free in parts)  # Welch and Satterthwaite
     reach = student_t(0.95, degrees) * float(np.sqrt(variance))
     return Effect(value, (max(value - reach, least), min(value + reach, most)))
+
+
+ABOVE, BELOW, UNTOLD = "above", "below", "cannot be told"
+
+
+def beside_floor(effect: Effect | None, low: float = -np.inf, high: float = np.inf) -> str:
+    """Whether the whole 90 % interval of an effect lies above the noise floor, from `low` to `high`, or within it."""
+    if effect is None or effect.interval_90 is None:
+        return UNTOLD
+    start, end = effect.interval_90
+    if low <= start and end <= high:
+        return BELOW
+    return ABOVE if end < low or start > high else UNTOLD

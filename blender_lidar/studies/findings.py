@@ -1,27 +1,29 @@
 """Findings of the study of stability: what one change does to a mounting, and how a number becomes a verdict.
 
 A verdict is on a share of the gain over the baseline that the mounting leaves to the best one: of the grid under the
-change, of other traffic, of other seeds, or of installations off the plan.
+change, of other traffic, of other seeds, or of installations off the plan. Beside a loss stand its 90 % interval, or
+None, and the shares of the vehicles that are detectable.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InputError
 from ..metrics.metric import Metric
-from ..road import RoadFrame
-from ..run.verdict import AXES
-from ..scene.mounting import leaning, pose_at, with_lean
-from ..scene.scenario import Scenario
-from ..sensors.pose import Pose
-from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90, ratio_interval_90
+from ..run.tolerance import tolerance_text
+from ..scene.mounting import Tolerance
+from ..statistics import FEWEST_BLOCKS, interval_90, ratio_interval_90
+from .candidates import BASELINE, FIRST, Candidates
 from .driver import Landscape, percent
-from .variations import TRAFFIC
+from .effects import share_lost
+from .variations import METRIC, MOUNTING, SEARCH, TRAFFIC
+
+GRID = FIRST + 1  # rows of a landscape: the baseline, the mounting in question, and where the grid begins
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
 
@@ -89,98 +91,7 @@ def lost(share: float, interval: Sequence[float] | None = None) -> str:
     return f"{words} {percent(sign * share, interval and sorted(sign * end for end in interval))}"
 
 
-# --- the mountings that are compared: the one in question, the baseline, and a grid of others -------------------------
-
-REFERENCE, BASELINE, CANDIDATES = 0, 1, 2  # rows: the first two, and where the grid begins
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MountingGrid:
-    """A reference, the baseline, and candidates on a grid of heights and tilts through the reference.
-
-    Attributes
-    ----------
-    reference : dict of str to float
-        The six coordinates in question, metres and degrees.
-    baseline : Pose
-    height_m, tilt_deg : ndarray, (k,)
-        Of each candidate.
-    axes : (str, str)
-        What these two are: see `Deployment.axes`.
-    road : RoadFrame
-        Beside which they hang.
-    """
-
-    reference: dict[str, float]
-    baseline: Pose
-    height_m: np.ndarray
-    tilt_deg: np.ndarray
-    axes: tuple[str, str] = AXES
-    road: RoadFrame = field(default=RoadFrame())
-
-    @property
-    def grid(self) -> list[dict[str, float]]:
-        """The six coordinates of each candidate, (k)."""
-        return [
-            leaning(self.reference, **dict(zip(self.axes, (height, tilt), strict=True)))
-            for height, tilt in zip(self.height_m.tolist(), self.tilt_deg.tolist(), strict=True)
-        ]
-
-    @property
-    def steps(self) -> tuple[float, float]:
-        """From one height of the grid to the next [m], and from one tilt to the next [deg]; 0 where there is one."""
-        height, tilt = (float(np.diff(np.unique(axis)).max(initial=0.0)) for axis in (self.height_m, self.tilt_deg))
-        return height, tilt
-
-    @property
-    def poses(self) -> tuple[Pose, ...]:
-        """All of them, (2 + k)."""
-        reference, *grid = (pose_at(one, self.road) for one in (self.reference, *self.grid))
-        return reference, self.baseline, *grid
-
-
-def check_searched(scenario: Scenario) -> None:
-    """Refuse a scene that fixes both height and tilt: there is no optimum whose place could be uncertain."""
-    axes = scenario.deployment.axes
-    if not any(axis in scenario.deployment.bounds for axis in axes):
-        raise InputError(
-            f"{scenario.source}: [deployment] fixes {' and '.join(axes)}; allowed: at least one a pair [low, high]"
-        )
-
-
-def check_one_place(scenario: Scenario) -> None:
-    """Refuse candidate poles and several recordings: a study is about one place and one recording."""
-    if scenario.further_traffic:
-        raise InputError(
-            f"{scenario.source}: [[traffic]]: {len(scenario.recordings)} recordings are for optimise and evaluate; a "
-            "study is about one: [traffic]"
-        )
-    if scenario.deployment.poles:
-        raise InputError(
-            f"{scenario.source}: [deployment] poles: are for optimise; a study is about one place: x_m and y_m"
-        )
-
-
-def mountings_about(scenario: Scenario, reference: Mapping[str, float], heights: int, tilts: int) -> MountingGrid:
-    """Candidates over the searched ones of height and tilt, the other coordinates as in `reference`."""
-    names = scenario.deployment.axes
-    counts, place = dict(zip(names, (heights, tilts), strict=True)), with_lean(reference)
-    axes: list[Sequence[float]] = [
-        np.linspace(*scenario.deployment.bounds[axis], counts[axis]).round(9)  # 4.3, not 4.30...01
-        if axis in scenario.deployment.bounds
-        else np.array([place[axis]])
-        for axis in names
-    ]
-    height, tilt = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
-    return MountingGrid(dict(reference), scenario.baseline_pose, height, tilt, names, scenario.road)
-
-
 # --- losses -----------------------------------------------------------------------------------------------------------
-
-
-def best_candidate(landscape: Landscape) -> int:
-    """Which candidate is the best; the first of equals."""
-    return int(np.argmax(landscape.per_vehicle()[CANDIDATES:]))
 
 
 def chooses(landscape: Landscape) -> bool:
@@ -194,18 +105,14 @@ def values_under(weights: np.ndarray, objective: np.ndarray, vehicles: np.ndarra
     return (objective @ weights.T) / (weights @ vehicles)
 
 
-def losses_to(best: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Share of the gain that the mounting in question leaves to the `best` (r,), for each column of `values` (m, r).
-
-    Below 0 where it is the better one; NaN where the best is no better than the baseline.
-    """
-    gain = best - values[BASELINE]
-    return np.divide(best - values[REFERENCE], gain, out=np.full(len(gain), np.nan), where=gain > 0.0)
-
-
 def losses_to_best(values: np.ndarray) -> np.ndarray:
-    """The same beside the best of all: the mounting may itself be that, as candidates are a grid."""
-    return losses_to(np.maximum(values[CANDIDATES:].max(axis=0), values[REFERENCE]), values)
+    """Share of the gain that the mounting in question leaves to the best of all, for each column of `values` (m, r).
+
+    It may itself be that, as candidates are a grid; NaN where the best is no better than the baseline.
+    """
+    best = values[FIRST:].max(axis=0)
+    gain = best - values[BASELINE]
+    return np.divide(best - values[FIRST], gain, out=np.full(len(gain), np.nan), where=gain > 0.0)
 
 
 # --- the sample of traffic: is the gain real, where does the optimum stray, how much more would be needed -------------
@@ -254,7 +161,7 @@ def sample_size(objective: np.ndarray, vehicles: np.ndarray, tilt_deg: np.ndarra
     vehicles : ndarray, (b,)
         Of each block; those without any are left out.
     tilt_deg : ndarray, (k,)
-        Tilt of each candidate [deg].
+        Tilt of each candidate [deg]: of the mounting in question, then of the grid.
     seed : int
 
     Returns
@@ -266,12 +173,13 @@ def sample_size(objective: np.ndarray, vehicles: np.ndarray, tilt_deg: np.ndarra
     objective, vehicles, blocks = objective[:, filled], vehicles[filled], int(filled.sum())
     if blocks < 2 * FEWEST_BLOCKS:
         return None
+    tilt_deg = tilt_deg[GRID - FIRST :]
     rng, finest = np.random.default_rng(seed), 0.5 * float(np.diff(np.unique(tilt_deg)).max(initial=0.0))
     sizes = np.unique(np.geomspace(FEWEST_BLOCKS, blocks // 2, _SIZES).round().astype(int))
     counts, reach = sizes / (1.0 - sizes / blocks) * vehicles.mean(), np.empty(len(sizes))
     for row, size in enumerate(sizes):
         weights = samples_without_replacement(blocks, size, rng)
-        best = np.argmax(values_under(weights, objective, vehicles)[CANDIDATES:], axis=0)
+        best = np.argmax(values_under(weights, objective, vehicles)[GRID:], axis=0)
         low, high = interval_90(tilt_deg[best])
         reach[row] = max(finest, 0.5 * (high - low))
     power, strays = _FASTEST, reach > finest  # by more than the grid tells
@@ -298,21 +206,6 @@ _MOST_FRAGILE_DEG = 5.0
 _SURE_SHARE = 0.5  # of the gain that the lower end of its interval must keep
 
 
-class Intervals(NamedTuple):
-    """Where resampled traffic puts the optimum: 90 % intervals of height [m] and tilt [deg]."""
-
-    height_m: tuple[float, float]
-    tilt_deg: tuple[float, float]
-
-    def hold(self, height_m: float, tilt_deg: float, steps: tuple[float, float] = (0.0, 0.0)) -> bool:
-        """Whether an optimum lies in both, which neither rounding nor the grid that it is on decides.
-
-        `steps` of that grid, [m] and [deg]: no more is known of the optimum than that it is within half a step.
-        """
-        pairs = ((self.height_m, height_m, steps[0]), (self.tilt_deg, tilt_deg, steps[1]))
-        return all(low - 0.5 * step - 1e-6 <= value <= high + 0.5 * step + 1e-6 for (low, high), value, step in pairs)
-
-
 def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric: Metric) -> Finding:
     """Whether the mounting gains on traffic that had no say in its choice: on held-out frames, None without any.
 
@@ -320,23 +213,24 @@ def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric:
     """
     what, interval = "gain on held-out traffic", None
     if judged is not None:
-        (reference, baseline), vehicles = judged.select([REFERENCE, BASELINE]).blocks(block)
+        (baseline, reference), vehicles = judged.select([BASELINE, FIRST]).blocks(block)
         interval = ratio_interval_90(reference - baseline, vehicles, seed)
     if interval is None:
         held_out = "nothing is held out" if judged is None else "too little traffic is held out for an interval"
         return Finding(TRAFFIC, what, "", UNDECIDED, held_out)
     values, (low, high) = judged.per_vehicle(), interval
-    gain = float(values[REFERENCE] - values[BASELINE])
+    gain = float(values[FIRST] - values[BASELINE])
     decided = FAILS if low <= 0.0 else STABLE if low >= _SURE_SHARE * gain else FRAGILE
     text = f"{metric.difference(gain)}{metric.per_vehicle}, 90 % interval {metric.number(low)} to {metric.number(high)}"
     numbers = {"gain_over_baseline": gain, "interval_90": [low, high]}
+    numbers["detectable_share"] = dict(
+        zip(("baseline", "mounting"), judged.detectable_share()[:GRID].tolist(), strict=True)
+    )
     numbers |= {"vehicles": int(judged.vehicles.sum()), "blocks": int((vehicles > 0).sum())}
     return Finding(TRAFFIC, what, "", decided, text, numbers)
 
 
-def optimum_finding(
-    landscape: Landscape, mountings: MountingGrid, block: np.ndarray, seed: int
-) -> tuple[Finding, Intervals | None]:
+def optimum_finding(landscape: Landscape, mountings: Candidates, block: np.ndarray, seed: int) -> Finding:
     """Where other traffic would put the optimum, and what the mounting leaves to it in 95 % of such traffic.
 
     Halves of the blocks of time, drawn without replacement, stand for samples as large as the whole: see `sample_size`.
@@ -346,18 +240,17 @@ def optimum_finding(
     filled = vehicles > 0
     blocks = int(filled.sum())
     if blocks < FEWEST_BLOCKS:
-        return Finding(TRAFFIC, what, "", UNDECIDED, "too few blocks of time"), None
+        return Finding(TRAFFIC, what, "", UNDECIDED, "too few blocks of time")
     weights = samples_without_replacement(blocks, max(1, blocks // 2), np.random.default_rng(seed))
     values = values_under(weights, objective[:, filled], vehicles[filled])
-    best = np.argmax(values[CANDIDATES:], axis=0)
-    intervals = Intervals(interval_90(mountings.height_m[best]), interval_90(mountings.tilt_deg[best]))
+    best = GRID - FIRST + np.argmax(values[GRID:], axis=0)
+    (lowest, highest), (least, most) = (interval_90(column[best]) for column in mountings.points.T)
     losses = losses_to_best(values)
     loss = None if np.isnan(losses).all() else float(np.nanquantile(losses, 0.95))
     left = "nothing is gained" if loss is None else f"in 95 % of them the mounting loses at most {percent(loss)}"
-    (lowest, highest), (least, most) = intervals
     text = f"height {lowest:.2f} to {highest:.2f} m, tilt {least:.1f} to {most:.1f} deg (90 %); {left}"
     numbers = {"height_interval_90_m": [lowest, highest], "tilt_interval_90_deg": [least, most], "loss_95": loss}
-    return Finding(TRAFFIC, what, "", by_loss(loss), text, numbers), intervals
+    return Finding(TRAFFIC, what, "", by_loss(loss), text, numbers)
 
 
 def sample_size_finding(found: SampleSize | None) -> Finding:
@@ -387,7 +280,7 @@ class ChangeDraw(NamedTuple):
     chooses : bool
         Whether the objective prefers any candidate there.
     judged : Landscape
-        The mounting in question, the baseline and that candidate on the frames that judge.
+        The baseline, the mounting in question and that candidate on the frames that judge.
     """
 
     best: int
@@ -395,11 +288,10 @@ class ChangeDraw(NamedTuple):
     judged: Landscape
 
 
-def finding_of(
+def change_finding(
     change: tuple[str, str, str],
     draws: Sequence[ChangeDraw | str],
-    mountings: MountingGrid,
-    intervals: Intervals | None,
+    mountings: Candidates,
     block: np.ndarray | None,
 ) -> Finding:
     """What one change does to the mounting in question; several draws of it are judged by their mean.
@@ -408,11 +300,9 @@ def finding_of(
     ----------
     change : (str, str, str)
         Section, what and value.
-    draws : sequence of Draw or str
+    draws : sequence of ChangeDraw or str
         A text tells why the site does not allow the change.
-    mountings : MountingGrid
-    intervals : Intervals or None
-        Where resampled traffic puts the optimum of the scene as it is.
+    mountings : Candidates
     block : ndarray of int, (f,), or None
         Block of each frame that judges; None where the same frames chose the best mounting, whose luck no interval has.
     """
@@ -421,44 +311,90 @@ def finding_of(
         return Finding(*change, UNDECIDED, refused[0])
     if not all(draw.chooses for draw in draws):
         return Finding(*change, UNDECIDED, "does not choose: it is the same wherever the LiDAR hangs")
-    best = [draw.best for draw in draws]
-    places = mountings.height_m[best].tolist(), mountings.tilt_deg[best].tolist()
-    held = intervals and [intervals.hold(*place, mountings.steps) for place in zip(*places, strict=True)]
-    numbers = {"best_height_m": places[0], "best_tilt_deg": places[1], "inside": held}
+    heights, tilts = mountings.points[[draw.best for draw in draws]].T.tolist()
+    numbers = {"best_height_m": heights, "best_tilt_deg": tilts}
     numbers["vehicles_per_frame"] = float(np.mean([draw.judged.vehicles.mean() for draw in draws]))
-    values = np.array([draw.judged.per_vehicle() for draw in draws]).T
-    losses = losses_to(values[CANDIDATES], values).tolist()
-    if np.isnan(losses).any():
+    shares = np.mean([draw.judged.detectable_share() for draw in draws], axis=0).tolist()
+    numbers["detectable_share"] = dict(zip(("baseline", "mounting", "best"), shares, strict=True))
+    by = np.arange(len(draws[0].judged.vehicles)) if block is None else block
+    of_blocks, vehicles = zip(*(draw.judged.blocks(by) for draw in draws), strict=True)
+    baseline, mounting, best = np.array(of_blocks).transpose(1, 0, 2)
+    found = share_lost(best - mounting, best - baseline, sum(vehicles) > 0)
+    if found is None:
         text = "what is best on the searched frames gains nothing on those that judge"
         return Finding(*change, UNDECIDED, text, numbers)
-    loss, interval = float(np.mean(losses)), None
-    if block is not None:
-        objective, vehicles = zip(*(draw.judged.blocks(block) for draw in draws), strict=True)
-        influence = np.mean([_influence(one) for one in objective], axis=0)
-        interval = linear_interval_90(loss, influence[sum(vehicles) > 0])
-    text = f"{lost(loss, interval)}; {_places(*places, held)}"
-    numbers |= {"loss": loss, "interval_90": interval and list(interval), "losses": losses}
-    return Finding(*change, by_loss(loss, interval), text, numbers)
-
-
-def _influence(objective: np.ndarray) -> np.ndarray:
-    """How far each block moves the loss, (b,), from the objective of a draw's three mountings, (3, b).
-
-    The loss is a ratio of sums over blocks, what the mounting leaves over what there is to gain.
-    """
-    rival = objective[CANDIDATES]
-    left, gain = rival - objective[REFERENCE], rival - objective[BASELINE]
-    return (left - left.sum() / gain.sum() * gain) / gain.sum()
-
-
-def _places(heights: Sequence[float], tilts: Sequence[float], inside: Sequence[bool] | None) -> str:
-    """Where the optimum would be under each draw, and how many of these places are inside."""
-    text = f"best at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
-    if inside is None:
-        return text
-    some = "inside" if all(inside) else f"{sum(inside)} of {len(inside)} inside"
-    return f"{text}: {some if any(inside) else 'outside'}"
+    interval = None if block is None else found.interval_90
+    text = f"{lost(found.share, interval)}; best at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
+    losses = ((best - mounting).sum(axis=1) / (best - baseline).sum(axis=1)).tolist()
+    numbers |= {"loss": found.share, "interval_90": interval and list(interval), "losses": losses}
+    return Finding(*change, by_loss(found.share, interval), text, numbers)
 
 
 def _range(values: Sequence[float], digits: int) -> str:
     return " to ".join(dict.fromkeys(f"{end:.{digits}f}" for end in (min(values), max(values))))
+
+
+# --- an installer's errors --------------------------------------------------------------------------------------------
+
+_NAMES = {
+    "height_m": ("height", "m"),
+    "tilt_x_deg": ("tilt across the road", "deg"),
+    "tilt_y_deg": ("tilt along the road", "deg"),
+    "yaw_deg": ("yaw", "deg"),
+}
+
+
+def installation_findings(found: Mapping, tolerance: Tolerance) -> list[Finding]:
+    """A line for each coordinate that is off, and one for all; `found` has ``gain``, ``kept`` and ``limits``."""
+    if not found["gain"] > 0.0:
+        return [Finding(MOUNTING, "installation", "", UNDECIDED, "the mounting gains nothing over the baseline")]
+    lines = []
+    for key, limits in found["limits"].items():
+        (name, unit), (minus, plus) = _NAMES[key], (loss / found["gain"] for loss in limits)
+        text = f"{lost(minus)} where it is less, {lost(plus)} where it is more"
+        value = f"+/-{tolerance.half_widths[key]:g} {unit}"
+        lines.append(Finding(MOUNTING, name, value, by_loss(max(minus, plus)), text, {"limits": [minus, plus]}))
+    loss = 1.0 - found["kept"]
+    aim = "on average" if tolerance.aim == "mean" else "in nine of ten installations"
+    text = f"keeps {percent(found['kept'])} of its gain {aim} within {tolerance_text(asdict(tolerance))}"
+    return [*lines, Finding(MOUNTING, "all of these together", "", by_loss(loss), text, {"loss": loss})]
+
+
+# --- views so full that PE-VGOP falls where it should rise, and other seeds of the search -----------------------------
+
+PEAK = 1.0 / math.e  # of -P log2 P
+
+
+def saturation_finding(found: Mapping) -> Finding:
+    """How much of what is seen lies where a denser view scores less: -P log2 P falls beyond P = 1/e.
+
+    `found`: how many views were ``seen`` at all, the ``share`` of them beyond that, and ``share_within_10_m``.
+    """
+    share, near, text = found["share"], found["share_within_10_m"], "no view of any vehicle has a return"
+    if share is not None:
+        text = f"{percent(share)} of {found['seen']:,} seen views"
+        text += "" if near is None else f", {percent(near)} of those nearer than 10 m: there a denser view scores less"
+    return Finding(METRIC, "views beyond P = 1/e", "", by_loss(share), text, dict(found))
+
+
+def search_finding(answers: Sequence[dict], best: float, baseline: float) -> Finding:
+    """What the answers of several seeds leave to the best known mounting, and how far apart they lie.
+
+    Parameters
+    ----------
+    answers : sequence of dict
+        Of each seed: ``mounting``, its value ``per_vehicle``, and ``evaluations``.
+    best, baseline : float
+        Objective per vehicle of the best grid point and of the baseline, on the frames of the search.
+    """
+    what, value = "regret", f"{len(answers)} seeds of {answers[0]['evaluations']:,} evaluations"
+    values = np.array([answer["per_vehicle"] for answer in answers])
+    best = max(best, float(values.max()))
+    if not best > baseline:
+        return Finding(SEARCH, what, value, UNDECIDED, "no mounting is better than the baseline")
+    left = (best - values) / (best - baseline)
+    heights, tilts = ([answer["mounting"][key] for answer in answers] for key in ("height_m", "tilt_x_deg"))
+    text = f"median {percent(float(np.median(left)))}, worst {percent(float(left.max()))} of the gain; "
+    text += f"height {_range(heights, 2)} m, tilt {_range(tilts, 1)} deg"
+    numbers = {"regrets": left.tolist(), "height_m": heights, "tilt_x_deg": tilts}
+    return Finding(SEARCH, what, value, by_loss(float(left.max())), text, numbers)

@@ -1,27 +1,33 @@
-"""What studies change about a scene: its traffic, its metric, its sensor; a `Variation` for each change.
+"""What studies change about a scene: traffic, metric, sensor, and what its model has or leaves out; the one table.
 
-Traffic is remixed as a model for asking what would change, not as a forecast: vehicles keep their lanes, their order
-and their sizes, unless they are turned into others, and queue up anew with the gaps that they are given.
+A `Variation` is one change, an `Ablation` pairs of them: the scene without something and with it. Traffic is remixed as
+a model for asking what would change, not as a forecast: vehicles keep their lanes, their order and their sizes, unless
+they are turned into others, and queue up again with the gaps that they are given.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from ..casting.protocol import StandingScenery
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
 from ..road import RoadFrame
 from ..scene.observation import CountedFrame
 from ..scene.site import Site, lattice_of
+from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import beam_lattice
 from ..traffic.vehicles import CLASSES, Vehicles
+from ..world.scenery import barrier, join
+from ..world.shapes import DETAILS
 from .driver import Variation
+from .motion import FREE_FLOW_M_S, moving
 
 TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH = "traffic", "mounting", "metric", "sensor", "search"
 SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
@@ -274,3 +280,125 @@ def _turned(site: Site, share: float) -> Site:
     old = site.observation.lattice
     lattice = beam_lattice(site.model, old.rotation_hz, phase_rad=share * old.step_rad)
     return replace(site, observation=replace(site.observation, lattice=lattice))
+
+
+# --- the model: how finely it is calculated, and what is in it --------------------------------------------------------
+
+LADDER, ABLATION = "ladder", "ablation"
+DROPOUT, SPREAD_DEG, GLASS = 0.05, 0.03, 0.3  # of glass as much as real cars agree with
+WEAK_RETURNS_M = 50.0  # to which a target of 10 % is seen, where the sensor's table does not say
+_WEAK = "range_at_10_percent_m"  # the one imperfection of [sensor] in which nothing is drawn
+
+
+def whole(fidelity: Fidelity) -> Fidelity:
+    """The same on all frames: what looks at fewer of them takes their columns of what all come to."""
+    return replace(fidelity, frames=None)
+
+
+def of_fidelity(fidelity: Fidelity, section: str = LADDER) -> Variation:
+    """A fidelity as a change of the site; the number of frames stays, and fewer beams are scored on larger cells."""
+    changed = partial(_at_fidelity, fidelity=whole(fidelity))
+    return Variation(section, whole(fidelity).name, f"phase {fidelity.phase}", changed)
+
+
+def _at_fidelity(site: Site, fidelity: Fidelity) -> Site:
+    return replace(site, observation=coarse_observation(site.observation, fidelity))
+
+
+@dataclass(frozen=True, slots=True)
+class Ablation:
+    """The scene without something, and with it.
+
+    Attributes
+    ----------
+    what, value : str
+        What it is.
+    pairs : tuple of (Variation, Variation)
+        Without it and with it: once, or for each of several random draws; none where there is nothing to compare.
+    note : str
+        Why there is nothing.
+    """
+
+    what: str
+    value: str
+    pairs: tuple[tuple[Variation, Variation], ...]
+    note: str = ""
+
+
+def ablations(site: Site, draws: int) -> list[Ablation]:
+    """All of them for a scene; what it has already is left out of it, and what it has not is added.
+
+    `draws` : units, or draws of noise, of a sensor that is imperfect at random.
+    """
+    own = of_fidelity(Fidelity(site.scenario.world.detail))
+    box, body, detailed = (of_fidelity(Fidelity(level)) for level in DETAILS)
+
+    right, left = site.scenario.road.carriageway_y
+    middle = right + (left - right) / site.scenario.road.lanes * (site.scenario.road.lanes // 2)
+
+    def added(what: str, value: str, **change) -> Ablation:
+        return Ablation(what, value, ((own, Variation(ABLATION, what, value, **change)),))
+
+    return [
+        added("median barrier", f"on the middle lane line, y {middle:g} m", changed=partial(_with_barrier, y_m=middle)),
+        Ablation("body shape", "body, not box", ((box, body),)),
+        Ablation("finer shape", "detailed, not body", ((body, detailed),)),
+        _azimuth_offsets(site, own),
+        *_imperfections(site, own, draws),
+        added("motion in a turn", "recorded speeds", scorer=moving),
+        added("motion in a turn", "recorded speeds, boxes of mid-turn", scorer=partial(moving, boxes_move=False)),
+        added("motion in a turn", f"all at {FREE_FLOW_M_S:g} m/s", scorer=partial(moving, fast=True)),
+    ]
+
+
+def _with_barrier(site: Site, y_m: float) -> Site:
+    """The site with a concrete barrier along its whole region besides what stands there."""
+    observation, x = site.observation, site.region.centre_xy[0]
+    more = barrier("concrete", y_m, (x - site.reach_m, x + site.reach_m))
+    standing = observation.scenery or StandingScenery(join([]), observation.caster)
+    return replace(site, observation=replace(observation, scenery=standing.beside(more)))
+
+
+def _azimuth_offsets(site: Site, own: Variation) -> Ablation:
+    what, offsets = "azimuth offsets", np.degrees(site.model.azimuth_offset_rad)
+    if not offsets.any():
+        return Ablation(what, "", (), f"the beam table of the {site.model.name} has none")
+    level = Variation(ABLATION, what, "left out", without_offsets)
+    return Ablation(what, f"{offsets.min():g} to {offsets.max():g} deg", ((level, own),))
+
+
+def without_offsets(site: Site) -> Site:
+    """The site with a sensor all of whose rings look where their column does."""
+    model = replace(site.model, azimuth_offset_rad=np.zeros(site.model.rings))
+    lattice = beam_lattice(model, site.observation.lattice.rotation_hz)
+    return replace(site, model=model, observation=replace(site.observation, lattice=lattice))
+
+
+def _imperfections(site: Site, own: Variation, draws: int) -> list[Ablation]:
+    """Keys of [sensor] that make it imperfect: at 0 and as asked, or as the scene has it."""
+    noise_m, weak_m = site.model.range_noise_m, site.model.range_at_10_percent_m or WEAK_RETURNS_M
+    asked = (
+        ("glass drop-out", f"{100 * GLASS:g} % of its returns", "glass_dropout", GLASS),
+        ("range noise", f"{noise_m:g} m", "range_noise_m", noise_m),
+        ("drop-out", f"{100 * DROPOUT:g} % of all returns", "dropout", DROPOUT),
+        ("weak returns", f"10 % target seen to {weak_m:g} m", _WEAK, weak_m),
+        ("unit spread", f"{SPREAD_DEG:g} deg", "unit_spread_deg", SPREAD_DEG),
+    )
+    sensor, found = site.scenario.sensor, []
+    at_random = sensor.range_noise_m or sensor.dropout or sensor.glass_dropout or sensor.unit_spread_deg
+
+    def side(name: str, value: str, draw: int, **settings) -> Variation:
+        seeds = {"noise_seed": draw, "unit": draw} if draw else {}
+        return Variation(ABLATION, name, value, partial(with_sensor, settings=seeds | settings), draw)
+
+    for what, value, key, number in asked:
+        has, pairs = getattr(sensor, key), []
+        for draw in range(1, draws + 1) if key != _WEAK else (0,):
+            as_it_is = side("as drawn", "", draw) if draw and at_random else own
+            if has:
+                nothing = side(what, f"{value} left out", draw, **{key: None if key == _WEAK else 0.0})
+                pairs.append((nothing, as_it_is))
+            else:
+                pairs.append((as_it_is, side(what, value, draw, **{key: number})))
+        found.append(Ablation(what, f"{has:g}, as the scene has it" if has else value, tuple(pairs)))
+    return found

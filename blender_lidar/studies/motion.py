@@ -1,14 +1,9 @@
-"""Experiments on how a frame is seen: `FrameScorer` with one step changed.
-
-`single` calculates in float32, `bare` leaves out wheels and mirrors, `moving` lets vehicles move while a revolution
-lasts, and `grounded` casts against the road too.
-"""
+"""A frame as it is seen while vehicles move during a revolution: `FrameScorer`, sector by sector."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -17,85 +12,12 @@ from ..casting.culling import cut_vehicles, ray_directions, reachable_beams
 from ..casting.protocol import Revolution
 from ..scene.observation import CountedFrame, Observation
 from ..scene.site import Site
-from ..scoring.frame_scorer import FrameScorer, FrameShapes
+from ..scoring.frame_scorer import FrameScorer
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from ..traffic.vehicles import Recording, Vehicles
-from ..world.detailed_shapes import detailed_parts
-from ..world.meshes import Shape, joined
-from ..world.scenery import ground_plane
-from ..world.shapes import DETAILS
-from ..world.triangles import STATIC, Triangles, vehicle_triangles
 
 FREE_FLOW_M_S = 30.0
-
-# --- the road among what is cast against, and vehicles without wheels and mirrors -------------------------------------
-
-
-def grounded(site: Site, frame: CountedFrame) -> FrameScorer:
-    """`FrameScorer` with the road among what is cast against, as two large triangles."""
-    road = ground_plane(site.region.centre_xy, site.reach_m + site.scenario.sensor.imperfections.most_noise_m)
-    vehicles = vehicle_triangles(frame.vehicles, site.observation.detail)
-    owner = np.concatenate([vehicles.owner, np.full(len(road), STATIC)])
-    corners, surface = (
-        np.concatenate([vehicles.corners, road.corners]),
-        np.concatenate([vehicles.surface, road.surface]),
-    )
-    return _against(frame, site.observation, Triangles(corners, owner, surface))
-
-
-def bare(site: Site, frame: CountedFrame) -> FrameScorer:
-    """Vehicles at the best level of detail, without wheels and mirrors."""
-    observation = replace(site.observation, detail=DETAILS[-1])
-    return _against(frame, observation, vehicle_triangles(frame.vehicles, DETAILS[-1], bare_shape))
-
-
-def _against(frame: CountedFrame, seen: Observation, triangles: Triangles) -> FrameScorer:
-    """A scorer that casts against other triangles than those of the observation's level of detail."""
-    shapes = FrameShapes(frame.vehicles, frame.counted, seen.detail, seen.caster, triangles)
-    return FrameScorer(frame.vehicles, frame.counted, seen, shapes)
-
-
-@cache
-def bare_shape(name: str, detail: str) -> Shape:
-    """`shapes.shape` at the level `detailed` without the parts that stand on the ground, and without mirrors.
-
-    What is left stays where it was: it no longer fills its box to the ground. `detail` is not looked at.
-    """
-    parts = detailed_parts(name)
-    vertices = np.concatenate([part.vertices for part in parts])
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    kept = parts if name == "motorcycle" else parts[:-2]  # the last two are mirrors; a motorcycle keeps its own
-    left = joined([part for part in kept if part.vertices[:, 2].min() > low[2] + 1e-6])
-    return Shape((left.vertices - low) / (high - low) - 0.5, left.faces, left.surface)
-
-
-# --- float32 ----------------------------------------------------------------------------------------------------------
-
-
-class SinglePrecisionScorer(FrameScorer):
-    """What is cast becomes float32, and so does all that is made of it up to the place in the vehicle."""
-
-    def __init__(self, frame: CountedFrame, observation: Observation) -> None:
-        super().__init__(frame.vehicles, frame.counted, observation)
-        self.compiled = None
-
-    def _in_vehicle_frames(self, origin, directions, distance, row) -> np.ndarray:
-        narrow, vehicles = np.float32, self.vehicles
-        points = origin.astype(narrow) + (directions.astype(narrow) * distance.astype(narrow)).T
-        away = points - vehicles.centre_m[row].astype(narrow)
-        heading = vehicles.heading_rad.astype(narrow)[row]
-        cos, sin = np.cos(heading), np.sin(heading)
-        ahead, left = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
-        return np.stack([ahead, left, away[:, 2]], axis=1).astype(float)
-
-
-def single(site: Site, frame: CountedFrame) -> FrameScorer:
-    """Ranges and points in float32."""
-    return SinglePrecisionScorer(frame, site.observation)
-
-
-# --- a revolution takes its time, and vehicles move while it lasts ----------------------------------------------------
 
 SECTORS = 16  # that a revolution is cut into; each sees vehicles where they are at its middle
 _FARTHEST_FRAME_S = 1.0  # from which a velocity is still taken
