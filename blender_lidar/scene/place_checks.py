@@ -184,9 +184,10 @@ def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accept
             f"{100 * share:.0f} % of the region's boxes on {placed.name}, drive against +x and count as the others "
             "do; if they belong to another carriageway, check [road] setback_m and lanes, or give [region] keep_out"
         )
-    drift, length = _travel(heading[there]), 2.0 * placed.region.radius_m
-    if usual.DRIFT_RAD[0] <= abs(math.sin(drift)) <= usual.DRIFT_RAD[1]:
-        at, meant = _turn_meant(math.atan(math.tan(drift)), scenario)
+    nearly = np.arctan(np.tan(heading[there & (np.abs(np.sin(heading)) < math.sin(usual.DRIFT_RAD[1]))]))  # both ways
+    drift, length = float(np.median(nearly)) if len(nearly) >= usual.FEWEST else 0.0, 2.0 * placed.region.radius_m
+    if abs(drift) >= usual.DRIFT_RAD[0]:
+        at, meant = _turn_meant(drift, scenario)
         yield (
             f"vehicles on the carriageway drive at {at:g} degrees to the road's x axis, "
             f"{length * abs(math.tan(drift)):.1f} m across it in {length:.0f} m; check [traffic] heading_deg (such as "
