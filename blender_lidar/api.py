@@ -28,7 +28,6 @@ from .commands.parsers import ScoreOptions
 from .commands.progress import RunProgress
 from .commands.score import boxes_of, metrics_of, score_table
 from .errors import InputError, shown, unknown_name
-from .files import write_columns
 from .metrics.catalogue import metric_named
 from .metrics.metric import Metric
 from .optimise import Search
@@ -387,20 +386,18 @@ def score_cloud(
         for key, value in settings.items()
         if value is not None
     }
-    with tempfile.TemporaryDirectory(prefix="blender_lidar-") as folder:
-        places = {"points": _named(points, "points"), "boxes": _named(boxes, "boxes")}
-        if boxes is not None and hasattr(boxes, "keys"):  # a table
-            places["boxes"] = str(Path(folder, "boxes"))
-            write_columns(places["boxes"], {name: np.asarray(boxes[name]) for name in boxes})
-        asked = ScoreOptions(**places, **given)
-        metrics = metrics_of(asked)
-        vehicles = boxes if isinstance(boxes, Vehicles) else boxes_of(asked)
+    asked = ScoreOptions(points=_named(points, "points"), boxes=_named(boxes, "boxes"), **given)
+    metrics = metrics_of(asked)
+    if isinstance(boxes, Vehicles):
+        vehicles = boxes
+    else:
+        vehicles = boxes_of(asked, boxes if hasattr(boxes, "keys") else asked.boxes)
     if not len(vehicles) or asked.frame not in (None, vehicles.frame):
         held = f"frame {vehicles.frame}, {len(vehicles)} vehicles"
         raise InputError(
             f"score_cloud: boxes: hold {held}; allowed: one vehicle or more, of the frame that is asked for"
         )
-    xyz, labels = read_points(places["points"]) if isinstance(points, str | Path) else _arrays(points, vehicle_id)
+    xyz, labels = read_points(asked.points) if isinstance(points, str | Path) else _arrays(points, vehicle_id)
     return table_of(score_table(asked, metrics, xyz, labels, vehicles))
 
 

@@ -30,7 +30,9 @@ def stops_watched() -> Iterator[None]:
 
     def stop(number, frame):
         if _is_called_by_llvm(frame):
-            again = threading.Timer(_POSTPONED_S, signal.raise_signal, (number,))
+            # to the process: a signal of another thread alone does not wake this one where it waits
+            wake = (os.kill, (os.getpid(), number)) if os.name == "posix" else (signal.raise_signal, (number,))
+            again = threading.Timer(_POSTPONED_S, *wake)
             again.daemon = True
             again.start()
         elif not stopped_at:

@@ -29,6 +29,13 @@ def site(tmp_path):
     return bl.load_scene(write_scene(tmp_path, MAPPED), particles=4, iterations=3, workers=1)
 
 
+def boxes_table(rows=1, **changed):
+    """A table of cars, in the columns that are needed."""
+    table = {"frame": 1, "vehicle_id": 1, "class": "car", "x_m": 9.0, "y_m": 4.0, "heading_deg": 0.0}
+    table |= {"length_m": 4.4, "width_m": 1.8, "height_m": 1.5}
+    return {name: [value] * rows for name, value in table.items()} | changed
+
+
 def rows_of(table):
     return {name: np.asarray(table[name]) for name in table}
 
@@ -283,6 +290,13 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
             r"points: shape \(2, 2\); allowed: \(n, 3\)",
         ),
         (lambda site: bl.score_cloud(np.zeros((2, 3)), site.search[0].vehicles, [1]), r"of shape \(1,\)"),
+        (lambda site: bl.score_cloud(np.zeros((1, 3)), boxes_table(rows=0), [1]), "^boxes: no rows$"),
+        (
+            lambda site: bl.score_cloud(np.zeros((1, 3)), boxes_table(x_m=[np.nan]), [1]),
+            "^boxes: row 1: x_m is 'nan'; ",
+        ),
+        (lambda site: bl.score_cloud(np.zeros((1, 3)), boxes_table(x_m=[1, 2]), [1]), r"x_m \(2,\), .*one length"),
+        (lambda site: bl.score_cloud(np.zeros((1, 3)), {"frame": [1]}, [1]), "^boxes: .*vehicle_id"),
         (lambda site: bl.score_cloud("a.npz", "b.csv", colour=1), "score_cloud: unknown setting 'colour'"),
         (lambda site: bl.best_mounting(site, resume=True), "resume needs out"),
         (lambda site: bl.best_mounting(site, progress="yes"), "progress: is 'yes'; allowed: True, False or a function"),

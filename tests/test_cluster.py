@@ -248,10 +248,10 @@ def test_a_paused_worker_is_passed_over_and_what_is_cancelled_is_begun_anew(own_
             on_each_worker(own_cluster, partial(set_status, status), [paused])
             assert squares(workers) == SQUARES
         for _ in range(2):  # as where somebody restarts the cluster, between batches and during one
-            workers._client.cancel([*workers._kept.values(), workers._sent], force=True)
+            workers._client.cancel([*workers._kept.values()], force=True)
             results = workers.each(range(24))
             found = [next(results)]
-            workers._client.cancel([*workers._kept.values(), workers._sent], force=True)
+            workers._client.cancel([*workers._kept.values()], force=True)
             assert [*found, *results] == SQUARES
 
 

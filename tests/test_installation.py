@@ -30,6 +30,8 @@ def sheet(tmp_path):
                 "sensor": "RS-16",
                 "search": "hardened",
                 "metric": "pe-vgop",
+                "imperfections": site.scenario.sensor.imperfections_as_table(),
+                "scenery": None,
                 "deployment": MOUNT | mount,
                 **SCORES,
                 "holdout": holdout,

@@ -99,7 +99,7 @@ def stored_evaluations(folder: Path) -> int:
 # --- killed -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("write", range(1, WRITES + 1))
+@pytest.mark.parametrize("write", [1, 2, 4, 7, WRITES])
 def test_a_run_killed_at_any_write_goes_on_to_the_same_result(start, tmp_path, finished, write):
     scene, undisturbed = finished
     assert start(scene, tmp_path / "run", dies_at=write).code() == -signal.SIGKILL
@@ -131,7 +131,6 @@ def test_a_run_killed_before_it_wrote_anything_starts_from_its_beginning_and_say
     ("words", "write", "stored"),
     [
         ("--search grid --particles 10 --iterations 6", 4, 40),  # three batches of 20
-        ("--search random --particles 10 --iterations 6", 4, 40),
         ("--search de-pso --reading paper", 8, 6),  # asks for one candidate at a time: in the middle of an iteration
     ],
 )
@@ -150,13 +149,6 @@ def test_a_run_killed_while_it_maps_goes_on_to_the_same_map(start, tmp_path):
     assert not (tmp_path / "run" / "score_map.csv").exists()
     check_goes_on_to_the_same(scene, tmp_path / "run", tmp_path / "whole")
     assert (tmp_path / "run" / "score_map.csv").read_bytes() == (tmp_path / "whole" / "score_map.csv").read_bytes()
-
-
-def test_a_run_with_two_workers_killed_while_it_searches_goes_on_with_one(start, tmp_path, finished):
-    scene, undisturbed = finished
-    assert start(scene, tmp_path / "run", "--workers", 2, dies_at=3).code() == -signal.SIGKILL
-    assert (tmp_path / "run" / "checkpoint.json").exists()
-    check_goes_on_to_the_same(scene, tmp_path / "run", undisturbed)
 
 
 def test_a_run_killed_while_its_workers_start_goes_on_to_the_same_result(start, tmp_path, finished):
@@ -195,8 +187,7 @@ def test_a_run_whose_worker_is_killed_has_failed_by_no_fault_of_its_input(start,
 
 
 @needs_proc
-@pytest.mark.parametrize("workers", [1, 2])
-@pytest.mark.parametrize("to", ["process", "group"])
+@pytest.mark.parametrize(("workers", "to"), [(1, "process"), (2, "group")])
 def test_ctrl_c_says_how_to_go_on_and_leaves_no_process_behind(start, tmp_path, finished, workers, to):
     out = tmp_path / "run"
     run = start(finished[0], out, "--workers", workers, *ENDLESS)
@@ -210,10 +201,9 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_no_process_behind(start, tmp_path, 
     check_whole(out)
 
 
-@pytest.mark.parametrize("write", [2, 4, 6])
-def test_a_stopped_run_goes_on_to_the_same_result(start, tmp_path, finished, write):
+def test_a_stopped_run_goes_on_to_the_same_result(start, tmp_path, finished):
     scene, undisturbed = finished
-    run = start(scene, tmp_path / "run", dies_at=write, by="SIGINT")
+    run = start(scene, tmp_path / "run", dies_at=4, by="SIGINT")
     run.code()
     check_stopped(run)
     assert not list((tmp_path / "run").glob(".*"))  # unlike a killed one it tidies up
@@ -285,14 +275,6 @@ def test_resume_with_other_settings_is_refused_naming_what_differs(request, fini
     line = refused(capsys, folder, "optimise", scene, "--out", folder, "--resume", *words, begun=True)
     assert line.startswith(f"blender-lidar: --resume: {folder}: the run there had {named}; give it the same settings")
     assert {path.name: path.read_bytes() for path in folder.glob("[!.]*")} == before
-
-
-@pytest.mark.parametrize("key", ["unit", "noise_seed"])
-def test_resume_with_another_unit_or_noise_seed_is_refused(tmp_path, finished, capsys, key):
-    shutil.copytree(finished[0].parent, tmp_path / "other", ignore=shutil.ignore_patterns("run"))
-    scene = write_scene(tmp_path / "other", {"sensor": {key: 2}})
-    line = refused(capsys, tmp_path, "optimise", scene, "--out", finished[1], "--resume", begun=True)
-    assert f"the run there had [sensor] {key} = 1, not 2; give it the same settings" in line
 
 
 def test_resume_with_other_traffic_of_the_same_name_is_refused(tmp_path, capsys):

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     asked = ScoreOptions(**given_options(args, settings_of(ScoreOptions)))
     metrics = metrics_of(asked)
     points, vehicle_id = read_points(asked.points)
-    table = score_table(asked, metrics, points, vehicle_id, boxes_of(asked))
+    table = score_table(asked, metrics, points, vehicle_id, boxes_of(asked, asked.boxes))
     if asked.out:
         write_columns(asked.out, table, dict.fromkeys((*_SHARES, "entropy_bits"), 6))
     (_print_json if asked.json else _print)(table, len(points), metrics)
@@ -102,9 +102,9 @@ def _column(metric: Metric) -> str:
     return _ALWAYS.get(metric.name, metric.name.replace("-", "_"))
 
 
-def boxes_of(asked: ScoreOptions) -> Vehicles:
-    """The boxes that are named, of the frame that is."""
-    recording = read_table(asked.boxes)
+def boxes_of(asked: ScoreOptions, boxes: str | Mapping) -> Vehicles:
+    """Of a table of boxes, a file or itself, those of the frame that is asked for."""
+    recording = read_table(boxes)
     if asked.assign == "id" and any(note.startswith(NUMBERED) for note in recording.report.notes):
         raise InputError(f"{asked.boxes}: vehicle_id are texts, and a cloud's are numbers; allowed: --assign box")
     frames = recording.frames

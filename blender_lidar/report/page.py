@@ -226,8 +226,8 @@ def report_html(run: Outcome) -> str:
 
 
 def _name(run: Outcome) -> str:
-    """The scene file's name without its ending; the folder's in the results of earlier versions."""
-    return Path(run.result.get("scene", "")).stem or run.folder.path.resolve().name
+    """The scene file's name without its ending."""
+    return Path(run.result["scene"]).stem
 
 
 def _heading(run: Outcome):
@@ -246,7 +246,7 @@ def _heading(run: Outcome):
         element("p", f"{'Best' if was_searched(result) else 'A'} mounting of a roadside LiDAR", class_="kind"),
         element("h1", _name(run), " ", element("span", result["sensor"])),
         element("p", f"Range gate {result['range_gate_m']:g} m · traffic {traffic} · {frames}", class_="facts"),
-        element("p", f"Vehicles count {region_text(result['region'])}", class_="facts") if "region" in result else "",
+        element("p", f"Vehicles count {region_text(result['region'])}", class_="facts"),
         *(element("p", f"{text[0].upper()}{text[1:]}", class_="facts") for text in conditions(result)),
         *(element("p", text, class_="warning") for text in warnings_text(result)),
         element("p", answer(result), class_="answer"),
@@ -277,9 +277,9 @@ def _scores(run: Outcome):
 
 def _notes(run: Outcome):
     """What to know before acting on the answer."""
-    counts = run.result["traffic_report"]  # of an earlier version: what it did not count yet is nought
-    known = {field.name: counts[field.name] for field in fields(RepairReport) if field.name in counts}
-    lists = {"": cautions(run.result), "Frames": run.result["notes"], "Traffic as read": RepairReport(**known).lines()}
+    read = run.result["traffic_report"]
+    read = RepairReport(**{field.name: read[field.name] for field in fields(RepairReport) if field.name in read})
+    lists = {"": cautions(run.result), "Frames": run.result["notes"], "Traffic as read": read.lines()}
     parts = [
         joined(element("h3", heading) if heading else None, element("ul", *(element("li", item) for item in items)))
         for heading, items in lists.items()

@@ -44,7 +44,7 @@ def was_searched(result: Mapping) -> bool:
 
 def sharp_of(result: Mapping) -> Mapping | None:
     """The best mounting that hangs as planned and its scores, where a search over a tolerance found the run's."""
-    return (result.get("tolerance") or {}).get("sharp")  # results of earlier versions have no such block
+    return (result.get("tolerance") or {}).get("sharp")
 
 
 def mounting_name(result: Mapping) -> str:
@@ -127,11 +127,11 @@ def warnings_text(result: Mapping) -> list[str]:
 
 
 def conditions(result: Mapping) -> list[str]:
-    """What the scores hold under besides the mounting: an imperfect sensor, scenery; earlier versions may not say."""
-    imperfect = imperfections_text(result["imperfections"]) if "imperfections" in result else ""
+    """What the scores hold under besides the mounting: an imperfect sensor, scenery."""
+    imperfect = imperfections_text(result["imperfections"])
     told = {
         "simulated with an imperfect sensor": imperfect,
-        "simulated with scenery": scenery_text(result.get("scenery")),
+        "simulated with scenery": scenery_text(result["scenery"]),
     }
     return [f"{what}: {text}" for what, text in told.items() if text]
 
@@ -157,13 +157,13 @@ def imperfections_text(imperfections: Mapping[str, float | None]) -> str:
     `imperfections` is what `SensorSettings.imperfections_as_table` gives and result.json keeps.
     """
     noise, dropout = imperfections["range_noise_m"], imperfections["dropout"]
-    glass = imperfections.get("glass_dropout", 0.0)  # results of earlier versions do not say
+    glass = imperfections["glass_dropout"]
     told = {
         "range noise {range_noise_m:g} m": noise,
         f"drop-out {100 * dropout:g} %": dropout,
         f"drop-out on glass {100 * glass:g} %": glass,
         "noise seed {noise_seed}": noise or dropout or 0.0 < glass < 1.0,
-        "a 10 % target seen to {range_at_10_percent_m:g} m": imperfections.get("range_at_10_percent_m") is not None,
+        "a 10 % target seen to {range_at_10_percent_m:g} m": imperfections["range_at_10_percent_m"] is not None,
         "unit {unit} of units that differ by {unit_spread_deg:g} deg": imperfections["unit_spread_deg"],
     }
     return ", ".join(text.format(**imperfections) for text, there in told.items() if there)
@@ -196,7 +196,7 @@ def weights_text(result: Mapping) -> str:
     """How much vehicles count in the objective, in a few words; empty where all count the same."""
     identity = result["identity"]
     classes = identity.get("[objective] class_weights") or {}
-    zones = identity.get("[objective] zones") or []  # neither is in the results of earlier versions
+    zones = identity.get("[objective] zones") or []
     told = [f"{name} {weight:g}" for name, weight in classes.items()]
     told += [f"in {zone['name']} x {zone['weight']:g}" for zone in zones]
     return ", ".join(told)
@@ -291,7 +291,7 @@ def _orientation(result):
 
 def poles_table(result: Mapping) -> TextTable | None:
     """Candidate poles side by side, the best first; None where the scene has none."""
-    poles = result.get("poles")  # not in the results of earlier versions
+    poles = result.get("poles")
     if not poles:
         return None
     metric, held = metric_named(result["metric"]), poles[0]["holdout"] is not None
@@ -330,7 +330,7 @@ def poles_text(result: Mapping) -> str:
 
 def recordings_table(result: Mapping) -> TextTable | None:
     """What a mounting is worth on each of several recordings; None where there is one."""
-    recordings = result.get("recordings")  # not in the results of earlier versions
+    recordings = result.get("recordings")
     if not recordings:
         return None
     metric, held = metric_named(result["metric"]), result["holdout"] is not None
@@ -592,13 +592,13 @@ def _undecided_by_threshold(result):
 
 def _bounds(result, key):
     """Between what a coordinate was searched, or the number that fixed it; on a pole with heights of its own these."""
-    searched = result.get("bounds") or {}  # not in the results of earlier versions
+    searched = result.get("bounds") or {}
     return searched.get(key, result["identity"].get(f"[deployment] {key}"))
 
 
 def seeds_text(result: Mapping) -> str:
     """How far apart the searches with several seeds ended; empty where there was one."""
-    spread = result.get("spread")  # not in the results of earlier versions
+    spread = result.get("spread")
     if spread is None or len(spread["seeds"]) < 2:
         return ""
     places = []
@@ -706,7 +706,7 @@ def _map_notes(result, mounting):
             f"The search missed {100 * shortfall:.1f} % of the gain that {grid} offers, at {where}: "
             "give it more --particles or --iterations."
         )
-    regret = score_map.get("holdout_regret")  # not in the results of earlier versions
+    regret = score_map.get("holdout_regret")
     if regret is not None and regret > _SMALL_SHORTFALL:
         lacks = f"lacks {100 * regret:.1f} % of the gain that the best point of that grid has there"
         found.append(f"On the held-out frames the {mounting} {lacks}.")
@@ -746,7 +746,7 @@ def _off_grid(result):
     """Whether the mounting found lies more than half a step of the map's grid outside the interval of the optimum."""
     found, bounds = (sharp_of(result) or result)["deployment"], result.get("bounds") or {}
     intervals = result["map"]["optimum_interval_90"]
-    points = result["map"].get("points", ())  # not in the results of earlier versions
+    points = result["map"].get("points", ())
     for number, (key, (low, high)) in zip(points, intervals.items(), strict=False):
         half_step = 0.5 * (bounds[key][1] - bounds[key][0]) / (number - 1) if key in bounds else 0.0
         if not low - half_step <= found[key] <= high + half_step:

@@ -27,9 +27,7 @@ from ..files import (
     write_columns,
     write_text,
 )
-from ..metrics.catalogue import PE_VGOP, metric_named
-from ..optimise import READINGS
-from ..scene.mounting import COORDINATES, LEANS
+from ..metrics.catalogue import PE_VGOP
 from ..scene.provenance import check_identity
 from ..scene.settings import Scenario
 from ..toml_table import to_toml
@@ -172,16 +170,8 @@ class RunFolder:
         if result.get("schema") != RUN_SCHEMA:
             raise InputError(f"{where}: schema is not {RUN_SCHEMA}, the one that this version writes")
         with refused_by_name(where):
-            metric_named(result["metric"], f"{where}: metric")
-            if result["reading"] not in READINGS:
-                raise InputError(f"{where}: reading: is {result['reading']!r}; allowed: {', '.join(READINGS)}")
-            if any(not float(low) < float(high) for low, high in (result.get("bounds") or {}).values()):
-                raise InputError(f"{where}: bounds: are upside down")
-            for mount in (result["deployment"], result["baseline"]["deployment"]):
-                leans = (mount[key] for key in LEANS if mount.get(key) is not None)  # not in earlier versions' results
-                if not all(np.isfinite(float(number)) for number in (*(mount[key] for key in COORDINATES), *leans)):
-                    raise InputError(f"{where}: deployment: is no mounting")
-        optimised, baseline = (self.read_vehicles(name, result["metric"]) for name in (VEHICLES, VEHICLES_BASELINE))
+            metric = result["metric"]
+        optimised, baseline = (self.read_vehicles(name, metric) for name in (VEHICLES, VEHICLES_BASELINE))
         if any(not np.array_equal(optimised[key], baseline[key]) for key in ("frame", "vehicle_id", "split")):
             raise InputError(f"{self.file(VEHICLES_BASELINE)}: lists other vehicles than {VEHICLES}")
         return Outcome(self, result, optimised, baseline)

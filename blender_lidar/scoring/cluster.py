@@ -1,9 +1,10 @@
 """Workers of a cluster (`dask.distributed`): reached by the address of their scheduler, and never ended.
 
 Each worker is handed the function once and keeps it until we leave: what it keeps is the result of a task that names
-that worker, so that dask makes it anew when it is lost, and lets go of it when the process that asked for it ends,
-however it ends. Calls name a worker too, which another one may relieve. The scheduler, which looks at tasks, needs
-nothing but dask, as it sees bytes alone. Nobody else imports that library, which the extra `cluster` brings.
+that worker, so that dask makes it again when it is lost, and drops it when the process that asked for it ends. Calls
+name a worker too, the same one in each batch, and another one takes them where it is busy or gone. The scheduler, which
+looks at tasks, needs nothing but dask, as it sees bytes alone. Nobody else imports that library, which the extra
+`cluster` brings.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import logging
 import operator
 import pickle
 import threading
+import time
 import uuid
 import warnings
 import weakref
@@ -21,7 +23,6 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from itertools import takewhile
 from platform import python_version
 from typing import NamedTuple
 
@@ -31,14 +32,13 @@ from ..files import source_digest
 from ..signals import stops_deferred
 
 _ANSWER_S = 10.0  # a scheduler that is there answers in milliseconds, unless it is very busy
-_NOBODY_S = 30.0  # what a worker that died may take to be started anew
-_LOOK_ROUND_S = 2.0
-_MOST_CANCELLED = 20  # times that calls of one batch are begun anew
+_NOBODY_S = 30.0  # what it may take to start a worker again that died
+_LOOK_ROUND_S, _AGAIN_S = 2.0, 0.1
 _LEAST_ITEMS = 16  # of a task, which costs some milliseconds
 _TASKS_PER_WORKER = 4  # few enough to amortise a task, enough to even out uneven ones
+_LOST = ("cancelled", "lost")
 _LIBRARIES = ("numpy", "embreex", "numba", "bpy", "distributed")  # which may alter digits, or how we talk
 _LOGGERS = ("distributed", "distributed.client", "distributed.worker", "tornado.application")
-_LOST = ("cancelled", "lost")
 
 
 class ClusterWorkers:
@@ -65,11 +65,11 @@ class ClusterWorkers:
                 import distributed
         except ImportError as error:
             raise MissingExtraError('--cluster needs dask.distributed: pip install "blender_lidar[cluster]"') from error
-        self._distributed = distributed
-        self.address, self._client, self._sent, self._kept = address, None, None, {}
+        self._distributed, self.address, self._client = distributed, address, None
         self._content = pickle.dumps(_Held(uuid.uuid4().hex, function), pickle.HIGHEST_PROTOCOL)
+        self._kept: dict[str, object] = {}  # by worker, the future that is the function there
         self._levels = {name: logging.getLogger(name).level for name in _LOGGERS}
-        for name in _LOGGERS:  # its failures are ours to tell, in one line
+        for name in _LOGGERS:  # its failures are ours to report, in one line
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         try:
             self._client = self._connected()
@@ -101,30 +101,34 @@ class ClusterWorkers:
 
     def each(self, *arguments: Iterable) -> Iterator:
         """As `map`, one after another as soon as it is known; all calls are under way at once."""
-        calls = self._begun([pickle.dumps(given) for given in zip(*arguments, strict=True)])
-        begun_anew = 0
+        tasks = [pickle.dumps(given) for given in zip(*arguments, strict=True)]
+        calls = dict.fromkeys(range(len(tasks)))
         try:
-            while calls:
-                first = calls[0].future
-                with suppress(TimeoutError, CancelledError):
-                    first.exception(timeout=_LOOK_ROUND_S)
-                if first.status == "error":
-                    self._fail(first.exception())
-                done = [call.future for call in takewhile(lambda call: call.future.status == "finished", calls)]
-                try:
-                    with self._scheduler_needed():
-                        found = self._client.gather(done)
-                except CancelledError:
-                    found, begun_anew = [], begun_anew + 1
-                del calls[: len(found)]
-                yield from found
-                if not found:
-                    begun_anew += self._begin_anew(calls)
-                if begun_anew > _MOST_CANCELLED:
-                    raise WorkerError(f"{self.address}: calls are cancelled there again and again")
+            self._begin(tasks, calls)
+            for number in range(len(tasks)):
+                while (future := calls[number].future).status != "finished":
+                    with suppress(TimeoutError, CancelledError):
+                        future.exception(timeout=_LOOK_ROUND_S)
+                    if future.status == "error":
+                        self._fail(future.exception())
+                    if future.status != "finished":
+                        self._begin(tasks, calls)
+                with self._scheduler_needed():
+                    found = future.result()
+                del calls[number]
+                yield found
         finally:
             with suppress(Exception):
-                self._client.cancel([call.future for call in calls])
+                self._client.cancel([call.future for call in calls.values()])
+
+    def _begin(self, tasks: list[bytes], calls: dict[int, _Call | None]) -> None:
+        """Begin those calls that have not begun or are lost: dask waits for ever for a worker that was the last one."""
+        workers = self._hand_out()
+        for number, call in calls.items():
+            if call is None or call.future.status in _LOST or call.worker not in workers:
+                worker = workers[number % len(workers)]
+                future = self._submit(operator.call, worker, self._kept[worker], tasks[number])
+                calls[number] = _Call(worker, future)
 
     def await_ready(self) -> None:
         """Nothing: calls wait for the function."""
@@ -137,36 +141,12 @@ class ClusterWorkers:
         for name, level in self._levels.items():
             logging.getLogger(name).setLevel(level)
 
-    # --- calls --------------------------------------------------------------------------------------------------------
-
-    def _begun(self, tasks: list[bytes]) -> list[_Call]:
-        """Begin calls; the n-th goes to the same worker each time, while it is there and has time for it."""
-        workers, calls = self._hand_out(), [None] * len(tasks)
-        for number, worker in enumerate(workers[: len(tasks)]):
-            mine = slice(number, None, len(workers))
-            function = [self._kept[worker]] * len(tasks[mine])
-            futures = self._client.map(operator.call, function, tasks[mine], **_preferably(worker))
-            calls[mine] = [_Call(task, worker, one) for task, one in zip(tasks[mine], futures, strict=True)]
-        return calls
-
-    def _begin_anew(self, calls: list[_Call]) -> bool:
-        """Begin calls anew, in place, that are lost; whether any were cancelled, as where the cluster is restarted.
-
-        Dask does so by itself unless their workers were the last ones.
-        """
-        present = self._workers()
-        again = [
-            number
-            for number, (_, worker, future) in enumerate(calls)
-            if future.status in _LOST or (worker not in present and future.status != "finished")
-        ]
-        cancelled = any(calls[number].future.status in _LOST for number in again)
-        for number, call in zip(again, self._begun([calls[number].task for number in again]), strict=True):
-            calls[number] = call
-        return cancelled
+    def _submit(self, function: Callable, worker: str, *given: object):
+        """Begin a task that is done at a worker, if there is time for it there."""
+        return self._client.submit(function, *given, workers=[worker], allow_other_workers=True, pure=False)
 
     def _fail(self, error: BaseException) -> None:
-        """Raise what a call has raised, told in a line where the worker is to blame."""
+        """Raise what a call has raised, in one line where the worker is to blame."""
         if isinstance(error, ImportError):
             raise WorkerError(f"{self.address}: a worker cannot do its task: {error}") from error
         if isinstance(error, self._distributed.KilledWorker):
@@ -183,7 +163,7 @@ class ClusterWorkers:
                 kind = thread.submit(asyncio.run, self._kind()).result()
                 if kind != "Scheduler":
                     raise ValueError(f"there is a {kind}")
-                warnings.simplefilter("ignore")  # versions that differ are told by who knows which of them matter
+                warnings.simplefilter("ignore")  # `_check_alike` says which versions differ
                 how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
                 return self._distributed.Client(self.address, **how)
         except Exception as error:  # whatever else may listen there
@@ -197,24 +177,17 @@ class ClusterWorkers:
         async with asyncio.timeout(_ANSWER_S), self._distributed.rpc(self.address, connection_args=how) as there:
             return (await there.identity())["type"]
 
-    def _workers(self) -> list[str]:
-        """Addresses of the worker processes; waits a while for one."""
+    def _hand_out(self) -> list[str]:
+        """Addresses of the workers, of which the new ones are checked and given the function; waits a while for one."""
+        until = time.monotonic() + _NOBODY_S
         with self._scheduler_needed():
-            present = list(self._client.nthreads())
-            if not present:
-                with suppress(TimeoutError):
-                    self._client.wait_for_workers(1, timeout=_NOBODY_S)
-                present = list(self._client.nthreads())
+            while not (present := list(self._client.nthreads())) and time.monotonic() < until:
+                time.sleep(_AGAIN_S)
         if not present:
             raise WorkerError(
                 f"{self.address}: the dask scheduler there has no workers; start some with `dask worker "
                 f"{self.address} --nthreads 1`"
             )
-        return present
-
-    def _hand_out(self) -> list[str]:
-        """The workers, of which the new ones are checked and given the function to keep."""
-        present = self._workers()
         kept = self._kept.items()
         self._kept = {worker: one for worker, one in kept if worker in present and one.status not in _LOST}
         new = [worker for worker in present if worker not in self._kept]
@@ -224,10 +197,7 @@ class ClusterWorkers:
             _check_alike(there, self.address)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Sending large graph")
-            if self._sent is None or self._sent.status in _LOST:
-                self._sent = self._client.submit(bytes, self._content, pure=False)
-        for worker in new:
-            self._kept[worker] = self._client.submit(pickle.loads, self._sent, **_preferably(worker))
+            self._kept |= {worker: self._submit(pickle.loads, worker, self._content) for worker in new}
         self.count = len(present)
         return present
 
@@ -237,27 +207,19 @@ class ClusterWorkers:
             if self._client.status != "running":  # it would go on trying
                 raise ConnectionError(self._client.status)
             yield
-        except CancelledError:
-            raise
         except Exception as error:
             raise WorkerError(f"{self.address}: the dask scheduler there has gone, or no longer answers") from error
 
 
 class _Call(NamedTuple):
-    """A call that has begun: its pickled arguments, the worker whom it was given to, and dask's future."""
+    """A call that has begun: the worker that it was given to, and dask's future."""
 
-    task: bytes
     worker: str
     future: object
 
 
-def _preferably(worker: str) -> dict[str, object]:
-    """How dask is asked for a task that is done there if there is time for it."""
-    return {"workers": [worker], "allow_other_workers": True, "pure": False}
-
-
 def _check_alike(descriptions: dict[str, object], address: str) -> None:
-    """Refuse workers with another blender_lidar, whose answers may differ; tell of other libraries that do."""
+    """Refuse workers with another blender_lidar, whose answers may differ; name other libraries that do."""
     ours, unlike = _description(), set()
     for worker, theirs in descriptions.items():
         if isinstance(theirs, OSError):  # it has just been lost
@@ -273,8 +235,8 @@ def _check_alike(descriptions: dict[str, object], address: str) -> None:
             )
         unlike |= theirs.items() - ours.items()
     if unlike:
-        told = ", ".join(f"{name} {there} there, {ours[name]} here" for name, there in sorted(unlike))
-        warnings.warn(f"{address}: versions differ, and so may the last digits: {told}", stacklevel=4)
+        which = ", ".join(f"{name} {there} there, {ours[name]} here" for name, there in sorted(unlike))
+        warnings.warn(f"{address}: versions differ, and so may the last digits: {which}", stacklevel=4)
 
 
 # --- in a worker of the cluster ---------------------------------------------------------------------------------------

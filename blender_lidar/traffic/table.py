@@ -21,6 +21,7 @@ Spreadsheets may have written it: with semicolons, tabs and decimal commas, as U
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ _ASSUMED_TIME_STEP_S = 0.1
 
 
 def read_table(
-    path: str | Path,
+    path: str | Path | Mapping,
     *,
     origin_m: tuple[float, float] = (0.0, 0.0),
     heading_deg: float = 0.0,
@@ -83,7 +84,8 @@ def read_table(
 
     Parameters
     ----------
-    path : path
+    path : path, or mapping of str to (n,) values
+        The file, or the table itself: a DataFrame or a dictionary of its columns.
     origin_m : (float, float)
         The road frame's origin in the table's coordinates [m].
     heading_deg : float
@@ -96,11 +98,12 @@ def read_table(
     MissingFileError, InputError
         If the file or one of its values cannot be used; the text names the line and the column.
     """
+    table, path = path, path if isinstance(path, str | Path) else "boxes"
     placing = Placing(origin_m, heading_deg)
     low, high = _TIME_STEP_LIMITS_S
     if time_step_s is not None and not low <= time_step_s <= high:
         raise InputError(f"time_step_s is {time_step_s}; allowed: {low:g} to {high:g}")
-    columns, numbering = _columns(path)
+    columns, numbering = _columns(table)
     rows_read = len(columns["frame"])
     values = np.column_stack([column for name, column in columns.items() if name not in ("frame", "vehicle_id")])
     kept, duplicates, repeated = drop_repeats(columns["vehicle_id"], columns["frame"], values)
@@ -136,18 +139,35 @@ def _names(header: str) -> tuple[list[str], str | None]:
     return known_names(fields_of(header, delimiter), known), delimiter
 
 
-def _columns(path: str | Path) -> tuple[dict[str, np.ndarray], list[str]]:
+def _chunks(table: str | Path | Mapping) -> Iterable[Rows]:
+    """The rows of a file, chunk by chunk, or of a table in memory, after its columns were checked."""
+    if isinstance(table, str | Path):
+        line, text = first_lines(table)[0]
+        names, delimiter = _names(text)
+        layout = TableLayout(names, delimiter, line + 1)
+        layout.check(BOX_NEEDED, OPTIONAL, f"{table}:{line}", _WORDS)
+        return read_rows(table, layout, BOX_COLUMNS, ["class", "vehicle_id"])
+    TableLayout(list(map(str, table)), None, 0).check(BOX_NEEDED, OPTIONAL, "boxes", _WORDS)
+    columns = {name: np.asarray(table[name]) for name in (*BOX_NEEDED, *OPTIONAL) if name in table}
+    if len({column.shape for column in columns.values()}) > 1 or columns["frame"].ndim != 1:
+        shapes = ", ".join(f"{name} {column.shape}" for name, column in columns.items())
+        raise InputError(f"boxes: columns have shapes {shapes}; allowed: (n,), all of one length")
+    for name, column in columns.items():
+        if name == "vehicle_id" or column.dtype.kind not in "iuf":
+            columns[name] = np.array([str(value) for value in column.tolist()], dtype=object)
+    rows = Rows(columns, range(1, 1 + len(columns["frame"])), "boxes: row ")
+    return [rows] if len(rows) else []
+
+
+def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], list[str]]:
     """The columns that are used, by name, classes as indices, the others as numbers; and a note if ids are texts."""
-    line, text = first_lines(path)[0]
-    names, delimiter = _names(text)
-    layout = TableLayout(names, delimiter, line + 1)
-    layout.check(BOX_NEEDED, OPTIONAL, f"{path}:{line}", _WORDS)
-    parts, ids = [], {}
-    for rows in read_rows(path, layout, BOX_COLUMNS, ["class", "vehicle_id"]):
+    parts, ids, path = [], {}, table if isinstance(table, str | Path) else "boxes"
+    for rows in _chunks(table):
         part = {name: rows.numbers(name, BOX_COLUMNS[name]) for name in rows.columns if name in BOX_COLUMNS}
         parts.append(part | {"vehicle_id": vehicle_ids(rows, "vehicle_id", ids), "class": _class_indices(rows)})
     if not parts:
-        raise InputError(f"{path}: no rows below the header in line {line}")
+        below = "" if table is not path else f" below the header in line {first_lines(path)[0][0]}"
+        raise InputError(f"{path}: no rows{below}")
     for name in ids:
         if not np.isnan(number(name)) and not (number(name) >= 0 and number(name) % 1 == 0):  # -1: no vehicle
             raise InputError(f"{path}: vehicle_id is {quoted(name)}; allowed: a whole number of at least 0, or a text")
@@ -158,7 +178,8 @@ def _columns(path: str | Path) -> tuple[dict[str, np.ndarray], list[str]]:
 
 def _class_indices(rows: Rows) -> np.ndarray:
     index = {name: number for number, name in enumerate(CLASSES)}
-    found = np.array([index.get(text.strip().lower(), -1) for text in rows.columns["class"].tolist()], dtype=np.int8)
+    texts = map(str, rows.columns["class"].tolist())
+    found = np.array([index.get(text.strip().lower(), -1) for text in texts], dtype=np.int8)
     if (found < 0).any():
         row = int(found.argmin())
         raise unknown_name(rows.columns["class"][row], CLASSES, "class", rows.where(row))
