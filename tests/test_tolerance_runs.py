@@ -16,7 +16,8 @@ import pytest
 from blender_lidar.cli import main
 from blender_lidar.commands.options import parse_tolerance
 from blender_lidar.errors import InputError
-from blender_lidar.report.summary import answer, cautions, comparison_table, costliest_text, kept_text
+from blender_lidar.report.summary import answer, cautions, costliest_text, kept_text
+from blender_lidar.report.tables import comparison_table
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.tolerance import tolerance_text
 from blender_lidar.scoring.evaluation import Workplace

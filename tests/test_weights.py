@@ -9,7 +9,8 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
-from blender_lidar.report.summary import definitions, group_tables
+from blender_lidar.report.summary import definitions
+from blender_lidar.report.tables import group_tables
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import fresh_auto_search
 from blender_lidar.run.verdict import map_scores

@@ -15,22 +15,18 @@ from ..optimise import DePso
 from ..plugins import short_name
 from ..report.summary import (
     COORDINATE_NAMES,
-    TextTable,
     aim_text,
     answer,
     as_sentence,
     cautions,
-    comparison_table,
     counted,
     definitions,
-    group_tables,
     imperfections_text,
-    poles_table,
-    recordings_table,
     region_text,
     scenery_text,
     warnings_text,
 )
+from ..report.tables import TextTable, comparison_table, group_tables, poles_table, recordings_table
 from ..run.folder import Outcome, RunFolder
 from ..run.optimise import AUTO, scenery_counts
 from ..run.tolerance import SEARCHED_BASE, tolerance_text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from .summary import TextTable
+from .tables import TextTable
 
 _ROWS = {
     "recall_0.1": "recall at confidence 0.1",

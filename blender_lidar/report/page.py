@@ -19,28 +19,24 @@ from ..traffic.vehicles import RepairReport
 from .detection import detection_table, detection_text
 from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
-    TextTable,
     answer,
     as_sentence,
     cautions,
-    comparison_table,
     conditions,
     counted,
     definitions,
     frames_word,
-    group_tables,
     key_figures,
     leans,
     minus,
     mounting_name,
     mounting_text,
-    poles_table,
-    recordings_table,
     region_text,
     sides,
     warnings_text,
     was_searched,
 )
+from .tables import TextTable, comparison_table, group_tables, poles_table, recordings_table
 
 # --- The page's tables ------------------------------------------------------------------------------------------------
 

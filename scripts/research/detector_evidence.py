@@ -32,7 +32,7 @@ from blender_lidar.detection.judge import (
 from blender_lidar.detection.scores import paired_intervals
 from blender_lidar.files import make_folder, write_text
 from blender_lidar.report.figure import BASELINE_LOOK, OPTIMISED_LOOK, sheet
-from blender_lidar.report.summary import TextTable
+from blender_lidar.report.tables import TextTable
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare
 from detector_worlds import Options, hard_world
