@@ -12,6 +12,7 @@ import numpy as np
 from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..metrics.vgop import pe_vgop, to_vehicle_frame
+from ..scene.mounting import Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
 from ..scene.settings import ObjectiveSettings
@@ -34,8 +35,7 @@ class MountedSensor:
     ----------
     scenario : Scenario
         The scene.
-    mount : mapping of str to float
-        The six coordinates of the mounting [m, degrees].
+    mounting : Mounting
     lattice : BeamLattice
         The sensor's beams.
     caster : str
@@ -45,7 +45,7 @@ class MountedSensor:
     """
 
     scenario: Scenario
-    mount: Mapping[str, float]
+    mounting: Mounting
     lattice: BeamLattice
     caster: str
     scenery: StandingScenery | None
@@ -55,7 +55,7 @@ class MountedSensor:
         return scan(
             vehicles,
             self.lattice,
-            self.scenario.pose(self.mount),
+            self.mounting.pose,
             caster=self.caster,
             detail=self.scenario.world.detail,
             min_range_m=self.lattice.model.range_min_m,
@@ -70,7 +70,7 @@ class MountedSensor:
         lattice, sensor, slopes = self.lattice, self.scenario.sensor, self.scenario.road.slopes
         return {
             "sensor": lattice.model.name,
-            "pose": self.scenario.in_road(self.mount),
+            "pose": self.mounting.pose.as_table(),
             "frame": vehicles.frame,
             "caster": self.caster,
             "detail": self.scenario.world.detail,
@@ -80,7 +80,8 @@ class MountedSensor:
             "range_m": [lattice.model.range_min_m, sensor.range_gate_m],
             "imperfections": sensor.imperfections_as_table(),
             "versions": versions(self.caster),
-            **({"mounting": dict(self.mount), "road": slopes} if slopes else {}),
+            "mounting": self.mounting.as_table(),
+            **({"road": slopes} if slopes else {}),
         }
 
     def moment(
@@ -102,7 +103,7 @@ class MountedSensor:
             vehicles=vehicles,
             detail=self.scenario.world.detail,
             lattice=self.lattice,
-            pose=self.scenario.pose(self.mount),
+            pose=self.mounting.pose,
             range_gate_m=self.scenario.sensor.range_gate_m,
             points=points,
             scenery=None if self.scenery is None else self.scenery.at(vehicles.time_s).scenery,
@@ -111,11 +112,11 @@ class MountedSensor:
         )
 
 
-def mounted_sensor(scenario: Scenario, mount: Mapping[str, float]) -> MountedSensor:
-    """The scene's sensor at the mounting `mount`, its six coordinates in metres and degrees."""
+def mounted_sensor(scenario: Scenario, mounting: Mounting) -> MountedSensor:
+    """The scene's sensor at a mounting."""
     caster = resolve(scenario.model.caster)
     return MountedSensor(
-        scenario, mount, lattice_of(scenario.sensor), caster, standing_scenery(scenario, caster, mount)
+        scenario, mounting, lattice_of(scenario.sensor), caster, standing_scenery(scenario, caster, [mounting])
     )
 
 

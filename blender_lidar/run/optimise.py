@@ -17,7 +17,8 @@ from ..optimise.hardened import Polish
 from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
 from ..optimise.search import joined_history
 from ..plugins import short_name
-from ..scene.mounting import MOUNTING_OR_LEAN, Pole, with_lean
+from ..scene.deployment import MOUNTING_OR_LEAN, Pole, SearchSpace
+from ..scene.mounting import Layout, Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
 from ..scene.site import Site
@@ -38,7 +39,8 @@ from .verdict import (
     judge_over_tolerance,
     map_scores,
     map_verdict,
-    rank_poles,
+    rank_places,
+    through,
     vehicle_table,
 )
 
@@ -73,37 +75,33 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
         When the folder holds a run with other settings.
     """
     started = time.perf_counter()
-    scenario, deployment = site.scenario, site.scenario.deployment
+    spaces, pole = site.scenario.deployment.spaces, None
     replay = Replay(folder, site.identity, resume=resume)
-    folder.write_scene(scenario)
+    folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        places = [replace(scenario, deployment=deployment.at(pole)) for pole in deployment.poles] or [scenario]
-        sites = [replace(site, scenario=place) for place in places]
-        every = []
-        for number, place in enumerate(sites):
-            label = f"pole {deployment.poles[number].name}" if deployment.poles else ""
-            every.append(_search_place(place, evaluator, replay, listener, label))
-        poles, best, others = None, 0, 0
-        if deployment.poles:
-            plans = [found.mountings["optimised"] for found in every]
-            poles, best = rank_poles(site, evaluator, deployment.poles, plans)
+        every = [_search_space(site, space, evaluator, replay, listener) for space in spaces]
+        rows, best = None, 0
+        if site.scenario.deployment.poles:
+            rows, best = rank_places(site, evaluator, spaces, [found.layouts["optimised"] for found in every])
+            pole = spaces[best].places[0].pole
         others = sum(
             len(search.history) for found in every if found is not every[best] for search in found.searches[NOMINAL]
         )
-        pole = deployment.poles[best] if deployment.poles else None
-        return _conclude(sites[best], folder, evaluator, started, every[best], poles, pole, others)
+        return _conclude(site, folder, evaluator, started, every[best], rows, pole, others)
 
 
 class _Found(NamedTuple):
-    """What the searches at one place have come to.
+    """What the searches of one search space have come to.
 
     Attributes
     ----------
-    mountings : dict of str to coordinates
+    layouts : dict of str to Layout
         The answer, the baseline and, over a tolerance, the best that hangs as planned.
     searches : dict of str to searches
         Of mountings as planned and over the tolerance, one after the other.
-    on_map : (ScoreMap, coordinates) or None
+    space : SearchSpace or None
+        What was searched.
+    on_map : (ScoreMap, Layout) or None
         The score map and its best mounting.
     spread : dict or None
         What several coordinates came to.
@@ -111,46 +109,54 @@ class _Found(NamedTuple):
         Whether a point of the map is where the answer was found.
     """
 
-    mountings: Mapping[str, Mapping[str, float]]
+    layouts: Mapping[str, Layout]
     searches: Mapping[str, Sequence[Search | MultiFidelitySearch]]
-    on_map: tuple[ScoreMap, Mapping[str, float]] | None = None
+    space: SearchSpace | None = None
+    on_map: tuple[ScoreMap, Layout] | None = None
     spread: Mapping | None = None
     polished: bool = False
 
 
-def _search_place(site: Site, evaluator: Evaluator, replay: Replay, listener: Listener, label: str) -> _Found:
-    """Search the best mounting at one place, called `label` where there are several."""
-    scenario, deployment = site.scenario, site.scenario.deployment
+def _search_space(
+    site: Site, space: SearchSpace, evaluator: Evaluator, replay: Replay, listener: Listener
+) -> _Found:
+    """Search the best layout of a search space."""
+    scenario, label = site.scenario, space.places[0].label
     tolerance, score_map = scenario.objective.tolerance, None
-    objective, first = _SearchedObjective(site, evaluator), scenario.search.seed
-    seeds = [_seeded(site, seed, label) for seed in range(first, first + scenario.search.seeds)]
+    objective, first = _SearchedObjective(site, space, evaluator), scenario.search.seed
+    seeds = [_seeded(site, space, seed) for seed in range(first, first + scenario.search.seeds)]
     for search in seeds:
         replay.carry_out(search, objective, listener)
     best = max(seeds, key=lambda search: search.best_value)  # the first of equals
-    found = deployment.given(best.best_x)
     if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
-        plan, told = site.plan, listener.mapping
-        score_map = map_scores(evaluator, deployment, found, plan.search_block, told, recording=plan.search_recording)
-    polish = _polish(site, score_map, best, label)
+        plan, progress = site.plan, listener.mapping
+        recording = plan.search_recording
+        score_map = map_scores(evaluator, space, best.best_x, plan.search_block, progress, recording=recording)
+    polish = _polish(site, space, score_map, best, label)
     if polish is not None:
         replay.carry_out(polish, objective, listener)
     searches = {NOMINAL: [*seeds, *([] if polish is None else [polish])]}
     polished = polish is not None and polish.best_value > best.best_value
     answer = (polish if polished else best).best_x
-    sharp = deployment.coordinates(answer)
-    mountings = {"optimised": sharp, BASELINE_NAME: scenario.baseline}
+    sharp = space.layout(answer)
+    layouts = {"optimised": sharp, BASELINE_NAME: (scenario.baseline,)}
     spread = None
-    if len(deployment.variables) > len(AXES) and scenario.search.fidelity != AUTO:
-        spread = _spread(site, seeds, objective.by_block(searches[NOMINAL]), evaluator.weight, answer)
+    if len(space.variables) > len(AXES) and scenario.search.fidelity != AUTO:
+        spread = _spread(site, space, seeds, objective.by_block(searches[NOMINAL]), evaluator.weight, answer)
     if tolerance is not None:
-        robust = fresh_search(scenario)
+        robust = fresh_search(scenario, space)
         robust.label = "search over the tolerance"
         replay.carry_out(robust, objective.over_tolerance, listener)
-        plans = [deployment.coordinates(robust.best_x), sharp]
-        mountings["optimised"] = best_over_tolerance(evaluator, plans, tolerance, deployment.road)
-        mountings[NOMINAL], searches[ROBUST] = sharp, [robust]
-    on_map = None if score_map is None else (score_map, score_map.best_coordinates(found))
-    return _Found(mountings, searches, on_map, spread, polished)
+        plans = [space.layout(robust.best_x), sharp]
+        layouts["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
+        layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
+    on_map = None if score_map is None else (score_map, space.layout(_on_map(space, score_map, best.best_x)))
+    return _Found(layouts, searches, space, on_map, spread, polished)
+
+
+def _on_map(space: SearchSpace, score_map: ScoreMap, x: Sequence[float]) -> list[float]:
+    """The best point of a score map, through a point `x` (d,) that fixes what the map does not span."""
+    return through(space, x, **dict(zip(score_map.axes, score_map.best, strict=False)))
 
 
 def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -> dict | None:
@@ -171,40 +177,39 @@ def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -
     return result
 
 
-def evaluate_site(site: Site, folder: RunFolder, coordinates: Mapping[str, float], pole: Pole | None = None) -> dict:
-    """Score one mounting, its six `coordinates` in metres and degrees; write and return the result.
+def evaluate_site(site: Site, folder: RunFolder, mounting: Mounting, pole: Pole | None = None) -> dict:
+    """Score one mounting; write and return the result.
 
     `pole` is the candidate pole that it hangs on, if it was named.
     """
     started = time.perf_counter()
     folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        mountings = {"optimised": coordinates, BASELINE_NAME: site.scenario.baseline}
-        return _conclude(site, folder, evaluator, started, _Found(mountings, {}), pole=pole)
+        layouts = {"optimised": (mounting,), BASELINE_NAME: (site.scenario.baseline,)}
+        return _conclude(site, folder, evaluator, started, _Found(layouts, {}), pole=pole)
 
 
-def fresh_search(scenario: Scenario, evaluations: int | None = None) -> Search:
+def fresh_search(scenario: Scenario, space: SearchSpace, evaluations: int | None = None) -> Search:
     """The search that a scene asks for, before its first evaluation; with another budget where one is given."""
-    use, deployment = scenario.search, scenario.deployment
+    use = scenario.search
     settings: dict[str, object] = {}
     if use.method == DePso.name:
         own = {field.name for field in fields(DePsoSettings)} - {"iterations", "reading"}
         settings = {key: getattr(use, key) for key in own} | {"reading": scenario.objective.reading}
     elif use.method == Hardened.name:
         settings = {"particles": use.particles}
-    box = np.array(deployment.lower), np.array(deployment.upper)
+    box = np.array(space.lower), np.array(space.upper)
     budget = evaluations or use.particles * use.iterations
-    return make_search(use.method, *box, seed=use.seed, evaluations=budget, periodic=deployment.periodic, **settings)
+    return make_search(use.method, *box, seed=use.seed, evaluations=budget, periodic=space.periodic, **settings)
 
 
-def fresh_auto_search(site: Site) -> MultiFidelitySearch:
+def fresh_auto_search(site: Site, space: SearchSpace) -> MultiFidelitySearch:
     """The search of `[search] fidelity = "auto"`, before its first evaluation: the scene's own method screens."""
-    use, deployment, block = site.scenario.search, site.scenario.deployment, site.plan.search_block
-    variables = len(deployment.variables)
+    use, block, variables = site.scenario.search, site.plan.search_block, len(space.variables)
     screened = min(use.particles * use.iterations, max(screening(variables), use.particles, 2**variables))
     weight = [float(frame.counted_weight.sum()) for frame in site.search]
     rungs = make_rungs(site.observation, block, weight, variables)
-    screen = fresh_search(site.scenario, screened)
+    screen = fresh_search(site.scenario, space, screened)
     return MultiFidelitySearch(screen, rungs, block, seed=use.seed)
 
 
@@ -213,11 +218,10 @@ def screening(variables: int) -> int:
     return 20 + 40 * variables
 
 
-def asked_objective(site: Site, evaluator: Evaluator, asked: Asked) -> np.ndarray:
+def asked_objective(site: Site, space: SearchSpace, evaluator: Evaluator, asked: Asked) -> np.ndarray:
     """Objective of each candidate on each frame that a search over several fidelities asks for, (s, frames)."""
-    poses = [site.scenario.deployment.pose(row) for row in asked.x]
     fidelity = None if asked.fidelity == Fidelity(site.observation.detail) else asked.fidelity
-    return evaluator.totals(poses, asked.frames, fidelity).objective
+    return evaluator.totals([space.layout(row) for row in asked.x], asked.frames, fidelity).objective
 
 
 def rung_costs(search: MultiFidelitySearch) -> list[dict[str, object]]:
@@ -230,36 +234,36 @@ def rung_costs(search: MultiFidelitySearch) -> list[dict[str, object]]:
 
 
 def scenery_counts(site: Site) -> dict[str, int] | None:
-    """Objects and triangles of the scenery within reach; None where the scene has none but a crowned carriageway."""
+    """Objects and triangles of the scenery within reach; None where the scene has none but the road's own surface."""
     standing = site.observation.scenery
-    if standing is None or (site.scenario.road.crown_percent and not len(standing.scenery.beside_road)):
+    if standing is None:
         return None
     beside = standing.scenery.beside_road
+    if not len(beside) and not site.scenario.road_map.surface.is_flat:
+        return None
     return {"objects": len(np.unique(beside.owner)), "triangles": len(beside)}
 
 
 class _SearchedObjective:
     """The objective of mountings on the searched frames, and of those scored as planned the sums over each block."""
 
-    def __init__(self, site: Site, evaluator: Evaluator) -> None:
-        self._site, self._evaluator = site, evaluator
-        self._deployment = site.scenario.deployment
+    def __init__(self, site: Site, space: SearchSpace, evaluator: Evaluator) -> None:
+        self._site, self._space, self._evaluator = site, space, evaluator
         self._blocks: dict[bytes, np.ndarray] = {}
 
     def __call__(self, asked: np.ndarray | Asked) -> np.ndarray:
         """Of mountings as planned: (s,), or (s, frames) where a search over several fidelities asks."""
         if isinstance(asked, Asked):
-            return asked_objective(self._site, self._evaluator, asked)
-        objective = self._evaluator.totals([self._deployment.pose(row) for row in asked]).objective
+            return asked_objective(self._site, self._space, self._evaluator, asked)
+        objective = self._evaluator.totals([self._space.layout(row) for row in asked]).objective
         blocks = block_sums(objective, self._site.plan.search_block)
         self._blocks |= {row.tobytes(): sums for row, sums in zip(asked, blocks, strict=True)}
         return objective.sum(axis=1)
 
     def over_tolerance(self, x: np.ndarray) -> np.ndarray:
         """Over the scene's tolerance, (s,)."""
-        plans = [self._deployment.coordinates(row) for row in x]
-        scenario = self._site.scenario
-        return objective_over(self._evaluator, plans, scenario.objective.tolerance, road=scenario.road)
+        plans, tolerance = [self._space.layout(row) for row in x], self._site.scenario.objective.tolerance
+        return objective_over(self._evaluator, plans, tolerance)
 
     def by_block(self, searches: Sequence[Search]) -> tuple[np.ndarray, np.ndarray]:
         """All mountings that were tried, (n, d), and their objective in each block, (n, b)."""
@@ -272,62 +276,62 @@ class _SearchedObjective:
         return x, np.array([self._blocks[row.tobytes()] for row in x])
 
 
-def _seeded(site: Site, seed: int, label: str) -> Search | MultiFidelitySearch:
-    """The search of a seed, before its first evaluation; `label` names its place where there are several."""
-    use = site.scenario.search
+def _seeded(site: Site, space: SearchSpace, seed: int) -> Search | MultiFidelitySearch:
+    """The search of a seed, before its first evaluation."""
+    use, label = site.scenario.search, space.places[0].label
     scenario = replace(site.scenario, search=replace(use, seed=seed))
-    search = fresh_auto_search(site) if use.fidelity == AUTO else fresh_search(scenario)
+    search = fresh_auto_search(site, space) if use.fidelity == AUTO else fresh_search(scenario, space)
     if use.seeds > 1 or label:
         search.label = ", ".join(filter(None, [label, f"seed {seed}" if use.seeds > 1 else ""]))
-        search.variables = tuple(
-            MOUNTING_OR_LEAN[key].option.removeprefix("--") for key in site.scenario.deployment.variables
-        )
+        search.variables = tuple(MOUNTING_OR_LEAN[key].option.removeprefix("--") for key in space.variables)
     return search
 
 
-def _polish(site: Site, score_map: ScoreMap | None, search: Search | MultiFidelitySearch, label: str) -> Polish | None:
+def _polish(
+    site: Site, space: SearchSpace, score_map: ScoreMap | None, search: Search | MultiFidelitySearch, label: str
+) -> Polish | None:
     """The local search from a point of the map that beats what the hardened search has found; None without one."""
-    if score_map is None or site.scenario.search.method != Hardened.name:
+    use = site.scenario.search
+    if score_map is None or use.method != Hardened.name:
         return None
-    *place, _ = score_map.best
     reached = float(score_map.block_objective.sum(axis=-1).max())
     if reached - search.best_value <= _EQUAL * abs(reached):
         return None
-    deployment = site.scenario.deployment
-    better = dict(zip(score_map.axes, place, strict=True))
-    x = zip(deployment.variables, search.best_x.tolist(), strict=True)
-    start = np.array([better.get(key, value) for key, value in x])
-    box = np.array(deployment.lower), np.array(deployment.upper)
-    budget = min(_POLISH * len(start), site.scenario.search.particles * site.scenario.search.iterations)
-    seed = site.scenario.search.seed
-    polish = Polish(*box, start=start, seed=seed, evaluations=budget, periodic=deployment.periodic)
+    start = np.array(_on_map(space, score_map, search.best_x.tolist()))
+    box = np.array(space.lower), np.array(space.upper)
+    budget = min(_POLISH * len(start), use.particles * use.iterations)
+    polish = Polish(*box, start=start, seed=use.seed, evaluations=budget, periodic=space.periodic)
     polish.label, polish.variables = ", ".join(filter(None, [label, polish.label])), search.variables
     return polish
 
 
 def _spread(
-    site: Site, seeds: Sequence[Search], tried: tuple[np.ndarray, np.ndarray], weight: np.ndarray, answer: np.ndarray
+    site: Site,
+    space: SearchSpace,
+    seeds: Sequence[Search],
+    tried: tuple[np.ndarray, np.ndarray],
+    weight: np.ndarray,
+    answer: np.ndarray,
 ) -> dict:
     """How far apart the answers of several seeds lie, and between what coordinates other traffic would put the best."""
-    deployment = site.scenario.deployment
     answers = [
         {
             "seed": site.scenario.search.seed + number,
-            "deployment": with_lean(deployment.coordinates(search.best_x)),
+            "deployment": space.layout(search.best_x)[0].as_table(),
             "objective_per_vehicle": search.best_value / float(weight.sum()),
         }
         for number, search in enumerate(seeds)
     ]
     plan, seed = site.plan, site.scenario.search.seed
     weights, strata = block_sums(weight, plan.search_block), of_blocks(plan.search_recording, plan.search_block)
-    intervals = best_intervals_90(*tried, weights, answer, deployment.periodic, seed, strata)
+    intervals = best_intervals_90(*tried, weights, answer, space.periodic, seed, strata)
     return {
-        "searched": list(deployment.variables),
+        "searched": list(space.variables),
         "seeds": answers,
         "mountings": len(tried[0]),
         "optimum_interval_90": None
         if intervals is None
-        else {key: list(pair) for key, pair in zip(deployment.variables, intervals, strict=True)},
+        else {key: list(pair) for key, pair in zip(space.variables, intervals, strict=True)},
     }
 
 
@@ -341,26 +345,25 @@ def _conclude(
     pole: Pole | None = None,
     others: int = 0,
 ) -> dict:
-    """Judge the mountings and write all that a run leaves, last of all its result, which is returned.
+    """Judge the layouts and write all that a run leaves, last of all its result, which is returned.
 
     `poles` are all candidate places, ranked, of which `found` is the first, on its `pole`; `others` is how many
     evaluations were made on the others.
     """
-    mountings, searches, on_map, spread, polished = found
+    layouts, searches, space, on_map, spread, polished = found
     scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
     for name, parts in zip((HISTORY, HISTORY_NOMINAL), reversed(searches.values()), strict=False):
         history = joined_history([search.history for search in parts])
-        folder.write_history(name, history, scenario.deployment.variables)
-    poses = {name: scenario.pose(coordinates) for name, coordinates in mountings.items()}
-    planned = NOMINAL if NOMINAL in mountings else "optimised"
+        folder.write_history(name, history, space.variables)
+    judged, planned = dict(layouts), NOMINAL if NOMINAL in layouts else "optimised"
     if on_map is not None:
         folder.write_score_map(on_map[0])
-        poses["best_of_map"] = scenario.pose(on_map[1])
+        judged["best_of_map"] = on_map[1]
     if poles is not None:
         folder.write_ranking(poles)
     for file, name in {VEHICLES: "optimised", VEHICLES_BASELINE: BASELINE_NAME}.items():
-        folder.write_vehicles(file, vehicle_table(poses[name], search=evaluator, holdout=evaluator.held_out))
-    verdict = judge(site, poses, evaluator, seed)
+        folder.write_vehicles(file, vehicle_table(layouts[name], search=evaluator, holdout=evaluator.held_out))
+    verdict = judge(site, judged, evaluator, seed)
     evaluations = {name: sum(len(search.history) for search in parts) for name, parts in searches.items()}
     tolerance = scenario.objective.tolerance
     over_tolerance = (
@@ -371,8 +374,8 @@ def _conclude(
             "searched_errors": SEARCHED_BASE[tolerance.aim] ** 2 if searches else None,
             "judged_errors": JUDGED_BASE**2,
             "evaluations": evaluations or None,
-            "robust": judge_over_tolerance(site, mountings, evaluator, seed),
-            "sharp": {"deployment": with_lean(mountings[NOMINAL]), **verdict[NOMINAL]} if searches else None,
+            "robust": judge_over_tolerance(site, layouts, evaluator, seed),
+            "sharp": {"deployment": layouts[NOMINAL][0].as_table(), **verdict[NOMINAL]} if searches else None,
         }
     )
     every = (search for parts in searches.values() for search in parts)
@@ -400,15 +403,15 @@ def _conclude(
         "spread": spread,
         "pole": None if pole is None else {"name": pole.name, "foot_z_m": pole.foot_z_m},
         "poles": None if poles is None else list(poles),
-        "bounds": {key: list(pair) for key, pair in scenario.deployment.bounds.items()} if searches else None,
+        "bounds": {key: list(pair) for key, pair in space.bounds.items()} if searches else None,
         "frames": len(site.search),
         "frame_ids": [int(frame) for frame in site.plan.search],
         "holdout_frame_ids": [int(frame) for frame in site.plan.holdout],
         "block_s": site.plan.block_s,
         "vehicles": int(evaluator.vehicles.sum()),
-        "deployment": with_lean(mountings["optimised"]),
+        "deployment": layouts["optimised"][0].as_table(),
         **verdict["optimised"],
-        "baseline": {"deployment": with_lean(scenario.baseline), **verdict[BASELINE_NAME]},
+        "baseline": {"deployment": scenario.baseline.as_table(), **verdict[BASELINE_NAME]},
         "tolerance": over_tolerance,
         "warnings": site.recording.report.warnings_as_dicts(),
         "notes": list(site.plan.notes),

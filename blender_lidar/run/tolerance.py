@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import math
 import numpy as np
 
 from ..road import RoadFrame
-from ..scene.mounting import COORDINATE_LIMITS, COORDINATES, Tolerance, pose_at
+from ..scene.deployment import COORDINATE_LIMITS
+from ..scene.mounting import ANGLES, Layout, Mounting
+from ..scene.settings import Tolerance
 from ..scoring.evaluation import Evaluator, Totals
-from ..sensors.pose import Pose
 from ..statistics import block_sums, of_blocks, statistic_interval_90
 
 # --- Errors of installation, and the objective over them --------------------------------------------------------------
@@ -47,27 +49,38 @@ def orthogonal_array(dimensions: int, base: int) -> np.ndarray:
     return np.column_stack(points)[:, :dimensions]
 
 
+_NOT_EXACT = ("height_m", *ANGLES)  # the coordinates that errors are of
+
+
 def installation_errors(tolerance: Tolerance, base: int | None = None) -> np.ndarray:
-    """Errors that stand for all that the tolerance allows, (base^2, 6) [m, degrees], in the order of `COORDINATES`.
+    """Errors that stand for all that the tolerance allows, (base^2, 4): of the height [m], both tilts and yaw [degrees].
 
     The base is that of a search with this tolerance unless given.
     """
     base, widths = base or SEARCHED_BASE[tolerance.aim], tolerance.half_widths
-    errors = np.zeros((base**2, len(COORDINATES)))
-    columns = [COORDINATES.index(key) for key in widths]
+    errors = np.zeros((base**2, len(_NOT_EXACT)))
+    columns = [_NOT_EXACT.index(key) for key in widths]
     errors[:, columns] = orthogonal_array(len(widths), base) * list(widths.values())
     return errors
 
 
-def installed(plan: Mapping[str, float], errors: np.ndarray, road: RoadFrame | None = None) -> list[Pose]:
-    """Where a LiDAR planned at `plan` [m, degrees] hangs under each of the `errors` (m, 6), beside a road.
+def installed(plan: Mounting, errors: np.ndarray) -> list[Mounting]:
+    """Where a LiDAR planned at `plan` hangs under each of the `errors` (m, 4), as of `installation_errors`.
 
     That may be beyond the bounds of a search, as an installer does not know them, but not beyond what a coordinate can
     be at all.
     """
-    low, high = np.array([COORDINATE_LIMITS[key] for key in COORDINATES]).T
-    hung = np.clip(np.array([plan[key] for key in COORDINATES]) + errors, low, high)
-    return [pose_at(dict(zip(COORDINATES, row, strict=True)), road) for row in hung.tolist()]
+    planned = plan.height_m, *map(math.degrees, (plan.tilt_x, plan.tilt_y, plan.yaw))
+    low, high = np.array([COORDINATE_LIMITS[key] for key in _NOT_EXACT]).T
+    hung = np.clip(np.array(planned) + errors, low, high)
+    hung[:, 1:] = np.radians(hung[:, 1:])
+    return [Mounting(plan.mast, *row) for row in hung.tolist()]
+
+
+def _installed(plan: Layout, errors: np.ndarray) -> list[Layout]:
+    """The same of a layout of one LiDAR."""
+    (mounting,) = plan
+    return [(one,) for one in installed(mounting, errors)]
 
 
 def aimed(values: np.ndarray, aim: str) -> np.ndarray:
@@ -78,11 +91,7 @@ def aimed(values: np.ndarray, aim: str) -> np.ndarray:
 
 
 def objective_over(
-    evaluator: Evaluator,
-    plans: Sequence[Mapping[str, float]],
-    tolerance: Tolerance,
-    base: int | None = None,
-    road: RoadFrame | None = None,
+    evaluator: Evaluator, plans: Sequence[Layout], tolerance: Tolerance, base: int | None = None
 ) -> np.ndarray:
     """The objective of each plan over the tolerance, (s,), in the metric's unit: what a robust search maximises.
 
@@ -92,19 +101,17 @@ def objective_over(
     of 121 by 0.0011. The mounting as planned is, alone, 0.006 off that mean.
     """
     errors = installation_errors(tolerance, base)
-    poses = [pose for plan in plans for pose in installed(plan, errors, road)]
-    objective = evaluator.totals(poses).objective.sum(axis=1)
+    layouts = [layout for plan in plans for layout in _installed(plan, errors)]
+    objective = evaluator.totals(layouts).objective.sum(axis=1)
     return aimed(objective.reshape(len(plans), len(errors)), tolerance.aim)
 
 
-def best_over_tolerance(
-    evaluator: Evaluator, plans: Sequence[Mapping[str, float]], tolerance: Tolerance, road: RoadFrame | None = None
-) -> Mapping[str, float]:
+def best_over_tolerance(evaluator: Evaluator, plans: Sequence[Layout], tolerance: Tolerance) -> Layout:
     """The best of a few plans over the tolerance, the first of equals.
 
     It is judged under errors that no search has met, so that what a robust search made of its few falls away.
     """
-    return plans[int(np.argmax(objective_over(evaluator, plans, tolerance, JUDGED_BASE, road)))]
+    return plans[int(np.argmax(objective_over(evaluator, plans, tolerance, JUDGED_BASE)))]
 
 
 def tolerance_text(settings: Mapping) -> str:
@@ -206,38 +213,31 @@ class ToleranceLosses:
 
 
 def losses_over_tolerance(
-    evaluator: Evaluator,
-    plan: Mapping[str, float],
-    tolerance: Tolerance,
-    block: np.ndarray,
-    recording: np.ndarray | None = None,
-    road: RoadFrame | None = None,
+    evaluator: Evaluator, plan: Layout, tolerance: Tolerance, block: np.ndarray, recording: np.ndarray | None = None
 ) -> ToleranceLosses:
-    """Score a mounting as planned, under errors that fill the tolerance, and at the limits of each coordinate.
+    """Score a layout as planned, under errors that fill the tolerance, and at the limits of each coordinate.
 
     Parameters
     ----------
     evaluator : Evaluator
-        What scores, on its frames; all poses in one call.
-    plan : mapping of str to float
-        The six coordinates of the mounting as planned [m, degrees].
+        What scores, on its frames; all in one call.
+    plan : Layout
+        As planned.
     tolerance : Tolerance
         How far off it may end up.
     block : ndarray of int, (f,)
         Block of time of each of the evaluator's frames.
     recording : ndarray of int, (f,), optional
         Recording of each of them, where there are several.
-    road : RoadFrame, optional
-        Beside which it hangs; a level one unless said.
     """
     errors, widths = installation_errors(tolerance, JUDGED_BASE), tolerance.half_widths
     limits = [
-        [sign * width * (other == key) for other in COORDINATES]
+        [sign * width * (other == key) for other in _NOT_EXACT]
         for key, width in widths.items()
         for sign in (-1.0, 1.0)
     ]
-    errors_of_all = np.concatenate([np.zeros((1, len(COORDINATES))), errors, limits])
-    totals = evaluator.totals(installed(plan, errors_of_all, road))
+    errors_of_all = np.concatenate([np.zeros((1, len(_NOT_EXACT))), errors, limits])
+    totals = evaluator.totals(_installed(plan, errors_of_all))
     planned = judged_rows(totals, slice(0, 1), block, recording)
     lost = planned.per_vehicle - totals.per_vehicle()[1 + len(errors) :]
     return ToleranceLosses(

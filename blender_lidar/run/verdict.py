@@ -14,11 +14,11 @@ import numpy as np
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..metrics.vehicle_metrics import TIE_BREAKER
 from ..metrics.vgop import entropy
-from ..scene.mounting import Deployment, Pole, leaning, pose_at, with_lean
+from ..scene.deployment import SearchSpace
+from ..scene.mounting import Layout
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
-from ..sensors.pose import Pose
 from ..statistics import (
     block_sums,
     degrees_of_freedom,
@@ -38,12 +38,12 @@ NOMINAL, ROBUST = "sharp", "robust"  # mountings and their searches, as planned 
 # --- Beside the baseline: on the frames that chose a mounting, and on frames that did not -----------------------------
 
 
-def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed: int) -> dict[str, dict]:
+def judge(site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed: int) -> dict[str, dict]:
     """Scores of mountings on the searched and on the held-out frames.
 
     Parameters
     ----------
-    mountings : mapping of str to Pose
+    layouts : mapping of str to Layout
         The mountings by name; one is the ``"baseline"`` that the others' gains are measured against.
     evaluator : Evaluator
         Scores the searched frames, and the held-out ones apart.
@@ -60,8 +60,8 @@ def judge(site: Site, mountings: Mapping[str, Pose], evaluator: Evaluator, seed:
     """
 
     def planned(scorer: Evaluator, block: np.ndarray, recording: np.ndarray) -> dict[str, Judged]:
-        totals = scorer.totals(list(mountings.values()))
-        return {name: judged_rows(totals, slice(row, row + 1), block, recording) for row, name in enumerate(mountings)}
+        totals = scorer.totals(list(layouts.values()))
+        return {name: judged_rows(totals, slice(row, row + 1), block, recording) for row, name in enumerate(layouts)}
 
     searched, held_out = _on_both_splits(site, evaluator, planned)
     vehicles, block = evaluator.held_out.vehicles, site.plan.holdout_block
@@ -95,14 +95,14 @@ def _by_recording(
 
 
 def judge_over_tolerance(
-    site: Site, mountings: Mapping[str, Mapping[str, float]], evaluator: Evaluator, seed: int
+    site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed: int
 ) -> dict[str, dict]:
     """Scores of mountings over the scene's tolerance, on the searched and on the held-out frames.
 
     Parameters
     ----------
-    mountings : mapping of str to coordinates
-        The mountings by name [m, degrees]; one is the ``"baseline"``. Gains are measured against it as planned.
+    layouts : mapping of str to Layout
+        The mountings by name; one is the ``"baseline"``. Gains are measured against it as planned.
     evaluator, seed
         As for `judge`.
 
@@ -117,10 +117,7 @@ def judge_over_tolerance(
     tolerance = site.scenario.objective.tolerance
 
     def losses(scorer: Evaluator, *blocks: np.ndarray) -> dict[str, ToleranceLosses]:
-        return {
-            name: losses_over_tolerance(scorer, plan, tolerance, *blocks, road=site.scenario.road)
-            for name, plan in mountings.items()
-        }
+        return {name: losses_over_tolerance(scorer, plan, tolerance, *blocks) for name, plan in layouts.items()}
 
     def scores(split: Mapping[str, ToleranceLosses], name: str) -> dict:
         kept = split[name].kept(split[BASELINE_NAME].planned.per_vehicle)
@@ -134,7 +131,7 @@ def judge_over_tolerance(
         if held_out:
             gain = held_out[name].installed.gain_over(held_out[BASELINE_NAME].planned, seed)
             verdict[name]["holdout"] = {**scores(held_out, name), **gain}
-    if held_out and NOMINAL in mountings:
+    if held_out and NOMINAL in layouts:
         robust, nominal = held_out["optimised"], held_out[NOMINAL]
         verdict["optimised"]["holdout"]["over_sharp"] = {
             "as_planned": robust.planned.gain_over(nominal.planned, seed, "objective_per_vehicle"),
@@ -157,16 +154,17 @@ def _on_both_splits(site: Site, evaluator: Evaluator, judged: Callable[..., dict
 # --- Candidate places, all on the same frames ------------------------------------------------------------------------
 
 
-def rank_poles(
-    site: Site, evaluator: Evaluator, poles: Sequence[Pole], plans: Sequence[Mapping[str, float]]
+def rank_places(
+    site: Site, evaluator: Evaluator, spaces: Sequence[SearchSpace], plans: Sequence[Layout]
 ) -> tuple[list[dict], int]:
     """The best mountings of candidate poles side by side, the best on the searched frames first.
 
     Parameters
     ----------
-    poles : sequence of Pole, k
-    plans : sequence of coordinates, k
-        The mounting found on each [m, degrees].
+    spaces : sequence of SearchSpace, k
+        One for each pole.
+    plans : sequence of Layout, k
+        What was found on each.
 
     Returns
     -------
@@ -179,10 +177,9 @@ def rank_poles(
     best : int
         Which of the poles is the first row.
     """
-    poses = [site.scenario.pose(plan) for plan in plans]
-    searched = evaluator.totals(poses)
+    searched = evaluator.totals(plans)
     order = np.argsort(-searched.objective.sum(axis=1), kind="stable")
-    held_out = evaluator.held_out.totals(poses) if evaluator.held_out.weight.sum() else None
+    held_out = evaluator.held_out.totals(plans) if evaluator.held_out.weight.sum() else None
     reach, ties = None, 2.0 * TIE_BREAKER if metric_named(site.scoring.metric).of_share else 0.0
     if held_out is not None:
         blocks = (
@@ -192,19 +189,20 @@ def rank_poles(
         reach = many_to_one_reach_90(*blocks, site.scenario.search.seed, strata)
         values, shares = held_out.per_vehicle(), held_out.detectable_share()
     rows = []
-    for place, number in enumerate(order.tolist()):
-        pole, plan = poles[number], plans[number]
+    for rank, number in enumerate(order.tolist()):
+        (place,), (mounting,) = spaces[number].places, plans[number]
+        pole = place.pole
         row = {
-            **{"rank": place + 1, "name": pole.name, "foot_z_m": pole.foot_z_m, "cost": pole.cost},
+            **{"rank": rank + 1, "name": pole.name, "foot_z_m": pole.foot_z_m, "cost": pole.cost},
             "existing": pole.existing,
-            "deployment": with_lean(plan),
-            "height_on_pole_m": plan["height_m"] - pole.foot_z_m,
+            "deployment": mounting.as_table(),
+            "height_on_pole_m": mounting.height_m - pole.foot_z_m,
             "objective_per_vehicle": float(searched.per_vehicle()[number]),
             "detectable_share": float(searched.detectable_share()[number]),
             "holdout": None,
         }
         if held_out is not None:
-            less, off = float(values[number] - values[order[0]]), None if reach is None or not place else reach[place]
+            less, off = float(values[number] - values[order[0]]), None if reach is None or not rank else reach[rank]
             row["holdout"] = {
                 "objective_per_vehicle": float(values[number]),
                 "detectable_share": float(shares[number]),
@@ -263,10 +261,6 @@ class ScoreMap:
         row, column = np.unravel_index(np.argmax(self.per_vehicle), self.per_vehicle.shape)
         return float(self.height_m[row]), float(self.tilt_deg[column]), float(self.per_vehicle[row, column])
 
-    def best_coordinates(self, others: dict[str, float]) -> dict[str, float]:
-        """The six coordinates of the best grid point; `others` fixes those that the grid does not span."""
-        return leaning(others, **dict(zip(self.axes, self.best, strict=False)))
-
     def best_under(self, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Height [m] and tilt [deg] of the best grid point, (r,) each, with each block counted `weights` (r, b) times.
 
@@ -286,10 +280,15 @@ class ScoreMap:
         return {axis: interval_90(values) for axis, values in zip(self.axes, resampled, strict=True)}
 
 
+def through(space: SearchSpace, x: Sequence[float], **changes: float) -> list[float]:
+    """A point of a search space with some of its searched coordinates changed."""
+    return [changes.get(key, value) for key, value in zip(space.variables, x, strict=True)]
+
+
 def map_scores(
     evaluator: Evaluator,
-    deployment: Deployment,
-    optimum: dict[str, float],
+    space: SearchSpace,
+    optimum: Sequence[float],
     block: np.ndarray,
     progress: Callable[[int], None] = lambda points: None,
     grid: tuple[int, int] = POINTS,
@@ -301,10 +300,10 @@ def map_scores(
     ----------
     evaluator : Evaluator
         What scores.
-    deployment : Deployment
+    space : SearchSpace
         Bounds of both axes.
-    optimum : dict of str to float
-        The six coordinates found, which fix the other four.
+    optimum : sequence of float, (d,)
+        The point that was found, which fixes the other coordinates.
     block : ndarray of int, (f,)
         Block of time of each of the evaluator's frames.
     progress : callable
@@ -314,14 +313,14 @@ def map_scores(
     recording : ndarray of int, (f,), optional
         Recording of each frame, where there are several.
     """
-    axes = deployment.axes
-    if not all(axis in deployment.bounds for axis in axes):
+    axes = space.axes
+    if not all(axis in space.bounds for axis in axes):
         return None
-    height, tilt = (np.linspace(*deployment.bounds[axis], points) for axis, points in zip(axes, grid, strict=True))
+    height, tilt = (np.linspace(*space.bounds[axis], points) for axis, points in zip(axes, grid, strict=True))
     parts = []
     for h in height.tolist():
-        places = (leaning(optimum, **dict(zip(axes, (h, t), strict=True))) for t in tilt.tolist())
-        parts.append(evaluator.totals([pose_at(place, deployment.road) for place in places]))
+        points = (through(space, optimum, **dict(zip(axes, (h, t), strict=True))) for t in tilt.tolist())
+        parts.append(evaluator.totals([space.layout(x) for x in points]))
         progress(len(tilt))
     objective, detectable, *_ = zip(*parts, strict=True)
     totals = parts[0]._replace(objective=np.concatenate(objective), detectable=np.concatenate(detectable))
@@ -460,8 +459,8 @@ def vehicle_weight(table: Mapping[str, np.ndarray]) -> np.ndarray:
     return table[WEIGHT] if WEIGHT in table else np.ones(len(table["frame"]))
 
 
-def vehicle_table(pose: Pose, **splits: Evaluator) -> dict[str, np.ndarray]:
-    """Score one mounting vehicle by vehicle.
+def vehicle_table(layout: Layout, **splits: Evaluator) -> dict[str, np.ndarray]:
+    """Score one layout vehicle by vehicle.
 
     Parameters
     ----------
@@ -472,12 +471,12 @@ def vehicle_table(pose: Pose, **splits: Evaluator) -> dict[str, np.ndarray]:
     Returns
     -------
     dict of str to ndarray, (n,)
-        The columns of `columns_for` the metric; `distance_m` is horizontal, from the mount.
+        The columns of `columns_for` the metric; `distance_m` is horizontal, from the nearest LiDAR.
     """
     tables = [
-        _frame_table(frame.vehicles.select(frame.counted), pose, scored, split) | {WEIGHT: frame.counted_weight}
+        _frame_table(frame.vehicles.select(frame.counted), layout, scored, split) | {WEIGHT: frame.counted_weight}
         for split, evaluator in splits.items()
-        for frame, scored in zip(evaluator.frames, evaluator.by_vehicle([pose]), strict=True)
+        for frame, scored in zip(evaluator.frames, evaluator.by_vehicle([layout]), strict=True)
         if frame.counted.any()
     ]
     metric = next(iter(splits.values())).metric
@@ -485,8 +484,9 @@ def vehicle_table(pose: Pose, **splits: Evaluator) -> dict[str, np.ndarray]:
     return {name: np.concatenate([table[name] for table in tables]) for name in columns_for(metric, weighted)}
 
 
-def _frame_table(vehicles: Vehicles, pose: Pose, scored: Scored, split: str) -> dict[str, np.ndarray]:
+def _frame_table(vehicles: Vehicles, layout: Layout, scored: Scored, split: str) -> dict[str, np.ndarray]:
     shares = scored.seen.occupancy[0]
+    away = [np.hypot(*(vehicles.centre_m[:, :2] - mounting.pose.position[:2]).T) for mounting in layout]
     return {
         "frame": np.full(len(vehicles), vehicles.frame),
         "vehicle_id": vehicles.vehicle_id,
@@ -494,7 +494,7 @@ def _frame_table(vehicles: Vehicles, pose: Pose, scored: Scored, split: str) -> 
         **dict(zip(("x_m", "y_m", "z_m"), vehicles.centre_m.T, strict=True)),
         **dict(zip(("length_m", "width_m", "height_m"), vehicles.size_m.T, strict=True)),
         "heading_deg": np.degrees(vehicles.heading_rad),
-        "distance_m": np.hypot(vehicles.centre_m[:, 0] - pose.x_m, vehicles.centre_m[:, 1] - pose.y_m),
+        "distance_m": np.min(away, axis=0),
         "points": scored.seen.points[0],
         **dict(zip(("p_top", "p_side", "p_front"), shares.T, strict=True)),
         "entropy_bits": entropy(shares).sum(axis=1),

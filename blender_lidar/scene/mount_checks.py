@@ -5,16 +5,18 @@ Nothing here stops a run but a searched angle that can hardly be degrees; the re
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+
+import numpy as np
 
 from ..errors import InputError
 from . import usual
-
-if TYPE_CHECKING:
-    from .mounting import Deployment
-    from .settings import Scenario
+from .deployment import Place
+from .mounting import Mounting
+from .region import region_of
+from .settings import Scenario
 
 _ANGLES = ("tilt_x_deg", "tilt_y_deg", "yaw_deg", "lean_deg", "lean_direction_deg", "spin_deg")
 _OF_A_CIRCLE = ("yaw_deg", "lean_direction_deg", "spin_deg")
@@ -56,45 +58,47 @@ def check_degrees(where: str, key: str, ends: tuple[float, float]) -> None:
     )
 
 
+_LEVEL = 1e-6  # sine of a lean
 _USUAL_HEIGHTS = "(usual: 2 to 12, a gantry or a lamp): metres above the road?"
 
 
-def mount_notes(scenario: Scenario, mount: Mapping[str, float] | None = None) -> Iterator[str]:
-    """What is suspicious of mountings and sensor and may be right, as sentences; `mount` is one given by hand."""
+def mount_notes(scenario: Scenario, given: Sequence[Mounting] = ()) -> Iterator[str]:
+    """What is suspicious of mountings and sensor and may be right, as sentences; `given` are those given by hand."""
     deployment = scenario.deployment
-    asked = {"[deployment]": dict(deployment.fixed)} if mount is None else {"the mounting": mount}
-    for name, coordinates in {**asked, "[baseline]": scenario.baseline}.items():
+    asked = [("the mounting", one.as_table()) for one in given] or [("[deployment]", deployment.fixed)]
+    for name, table in (*asked, ("[baseline]", scenario.baseline.as_table())):
         for key in _ANGLES:
-            meant = in_radians(key, (coordinates.get(key, 0.0),))
+            meant = in_radians(key, (table.get(key) or 0.0,))
             if meant:
-                yield f"{key} of {name} is {coordinates[key]:g} degrees; is that {meant[0]:g} degrees in radians?"
-        if coordinates.get("height_m", 0.0) > usual.HIGHEST_M:
-            yield f"height_m of {name} is {coordinates['height_m']:g} m {_USUAL_HEIGHTS}"
-    places = deployment.places if mount is None else ()
-    highest = max([place.bounds["height_m"][1] if "height_m" in place.bounds else 0.0 for place in places], default=0.0)
+                yield f"{key} of {name} is {table[key]:g} degrees; is that {meant[0]:g} degrees in radians?"
+        if table.get("height_m", 0.0) > usual.HIGHEST_M:
+            yield f"height_m of {name} is {table['height_m']:g} m {_USUAL_HEIGHTS}"
+    places = () if given else deployment.places
+    highest = max([place.span("height_m")[1] for place in places if "height_m" in place.bounds], default=0.0)
     if highest > usual.HIGHEST_M:
         yield f"heights up to {highest:g} m are searched {_USUAL_HEIGHTS}"
     noise = scenario.sensor.range_noise_m or 0.0
     if noise > usual.NOISE_M:
         yield f"[sensor] range_noise_m is {noise:g} m (data sheets: 0.01 to 0.05 m): centimetres?"
-    away = [place for place in places if _leans_away(place, scenario.road.carriageway_y)]
+    away = [place for place in places if _looks_away(place, scenario)]
     if away:
         some = f"on {len(away)} of {len(places)} poles every" if deployment.poles else "every"
-        y_m = away[0].nominal_xy[1]
+        x_m, y_m = away[0].mounting([low for low, _ in away[0].bounds.values()]).xy
         yield (
-            f"{some} searched {deployment.axes[1]} leans away from the carriageway, as at y {y_m:g} m: a positive "
-            "tilt_x_deg looks down towards +y; from the left side give negative ones, or yaw_deg = 180"
+            f"{some} mounting that is searched looks down away from the region, as at x {x_m:g}, y {y_m:g} m: a "
+            "positive tilt_x_deg looks down to where the mast faces, a negative one behind it"
         )
 
 
-def _leans_away(place: Deployment, carriageway_y: tuple[float, float]) -> bool:
-    """Whether all that is searched leans away from a carriageway on one side: its direction is fixed, its angle not."""
-    key = place.axes[1]
-    turn = place.fixed.get("yaw_deg" if key == "tilt_x_deg" else "lean_direction_deg")
-    low, high = place.bounds.get(key, (0.0, 0.0))
-    if turn is None or place.fixed.get("tilt_y_deg", 0.0) or not low * high >= 0.0 or low == high:
-        return False
-    towards_y = math.cos(math.radians(turn)) * (1.0 if high > 0.0 else -1.0)
-    y = place.bounds.get("y_m") or (place.fixed["y_m"],) * 2
-    right, left = carriageway_y
-    return bool((y[1] <= right and towards_y < -usual.ACROSS) or (y[0] >= left and towards_y > usual.ACROSS))
+def _looks_away(place: Place, scenario: Scenario) -> bool:
+    """Whether all that is searched looks down on the side of the mast that is away from the region's middle."""
+    corners = list(itertools.product(*place.bounds.values()))
+    middle = np.array(region_of(scenario.region, scenario.road_map).centre_xy)
+    leans = []
+    for mounting in map(place.mounting, corners):
+        down = mounting.pose.rotation[2, :2]  # the way the sensor's upright axis leans is the way it looks down
+        towards = middle - mounting.xy
+        away = float(np.hypot(*towards))
+        if np.hypot(*down) > _LEVEL and away:
+            leans.append(float(down @ towards) / (np.hypot(*down) * away))
+    return bool(leans) and max(leans) < -usual.AWAY

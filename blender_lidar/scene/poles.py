@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError, shown
 from ..traffic.source import Column, TableLayout, delimiter_of, fields_of, first_lines, known_names, read_rows
-from .mounting import COORDINATE_LIMITS, Pole
+from .deployment import COORDINATE_LIMITS, Pole
 
 _NEEDED = ("name", "x_m", "y_m")
 _OPTIONAL = ("foot_z_m", "height_min_m", "height_max_m", "cost", "existing")

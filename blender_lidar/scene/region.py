@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..road.road_map import RoadMap
 from ..traffic.vehicles import Vehicles
 from .settings import RegionSettings
 
@@ -21,20 +22,23 @@ class Region:
     Attributes
     ----------
     centre_xy, radius_m
-        The circle, or with another form the circle about all of it [m, road frame].
+        The circle, or with another form the circle about all of it [m, site frame].
     polygon : sequence of (x, y)
         Corners of its outline [m]; none for another form.
-    stretches : sequence of (x_m, y_m, lanes)
-        From where to where along and across the road [m], and the recording's lanes, None for all.
+    stretches : sequence of (s_m, lanes)
+        From where to where along the road [m], and the recording's lanes; None for all that the road has.
     keep_out : sequence of polygons
         What lies in one of them does not count.
+    road : RoadMap or None
+        What the stretches are of.
     """
 
     centre_xy: tuple[float, float]
     radius_m: float
     polygon: Sequence[Sequence[float]] = ()
-    stretches: Sequence[tuple[Sequence[float], Sequence[float], Sequence[int] | None]] = ()
+    stretches: Sequence[tuple[Sequence[float], Sequence[int] | None]] = ()
     keep_out: Sequence[Sequence[Sequence[float]]] = ()
+    road: RoadMap | None = None
 
     def distance(self, vehicles: Vehicles) -> np.ndarray:
         """Horizontal distance of each box centre from the middle, (n,) [m]."""
@@ -46,34 +50,36 @@ class Region:
         if self.polygon:
             inside = polygon_holds(self.polygon, xy)
         elif self.stretches:
-            inside = np.zeros(len(xy), dtype=bool)
-            for x_m, y_m, lanes in self.stretches:
-                low, high = np.transpose([x_m, y_m])
-                within = ((xy >= low) & (xy <= high)).all(axis=1)
-                inside |= within if lanes is None else within & np.isin(vehicles.lane, lanes)
+            inside = self._on_stretches(xy, vehicles.lane)
         else:
             inside = self.distance(vehicles) <= self.radius_m
         for polygon in self.keep_out:
             inside &= ~polygon_holds(polygon, xy)
         return inside
 
+    def _on_stretches(self, xy: np.ndarray, lane: np.ndarray) -> np.ndarray:
+        """Which places (n, 2) of vehicles in the recording's lanes (n,) lie on a stretch, (n,) bool."""
+        inside, located = np.zeros(len(xy), dtype=bool), self.road.locate(xy)
+        for (low, high), lanes in self.stretches:
+            along = (located.s_m >= low - _ON_EDGE_M) & (located.s_m <= high + _ON_EDGE_M)
+            inside |= along & (located.lane >= 0 if lanes is None else np.isin(lane, lanes))
+        return inside
 
-def region_of(settings: RegionSettings, carriageway_y: tuple[float, float]) -> Region:
+
+def region_of(settings: RegionSettings, road: RoadMap) -> Region:
     """The region that a scene's settings, once resolved, describe.
 
-    A stretch lies between the edges of the carriageway, `carriageway_y` [m]; one of lanes wherever these are.
+    A stretch lies between the edges of the carriageway; one of the recording's lanes wherever these are.
     """
     if settings.polygon_m is None and not settings.stretches:
         return Region(settings.centre_m, settings.radius_m, keep_out=settings.keep_out or ())
-    everywhere = (-np.inf, np.inf)
-    stretches = [(one.x_m, everywhere if one.lanes else carriageway_y, one.lanes) for one in settings.stretches]
-    corners = np.array(
-        settings.polygon_m or [(x, y) for one in settings.stretches for x in one.x_m for y in carriageway_y]
-    )
+    stretches = [(one.x_m, one.lanes) for one in settings.stretches]
+    outlines = [settings.polygon_m] if settings.polygon_m else [one for s, _ in stretches for one in road.area(s_m=s)]
+    corners = np.concatenate([np.asarray(outline, dtype=float) for outline in outlines])
     low, high = corners.min(axis=0), corners.max(axis=0)
     centre = 0.5 * (low + high)
     radius = float(np.hypot(*(corners - centre).T).max())
-    return Region(tuple(centre.tolist()), radius, settings.polygon_m or (), stretches, settings.keep_out or ())
+    return Region(tuple(centre.tolist()), radius, settings.polygon_m or (), stretches, settings.keep_out or (), road)
 
 
 # --- Polygons -------------------------------------------------------------------------------------------------------

@@ -15,23 +15,20 @@ from pathlib import Path
 from ..errors import InputError, MissingFileError, shown, unknown_name
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
-from ..road import RoadFrame
+from ..road.straight import StraightRoad, road_map
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
 from .mount_checks import check_degrees
-from .mounting import (
-    ANGLES,
+from .deployment import (
     COORDINATE_LIMITS,
     DEPLOYMENT,
     LEAN,
     MOUNTING,
     MOUNTING_OR_LEAN,
     Deployment,
-    Tolerance,
-    has_lean,
-    six_coordinates,
 )
+from .mounting import ANGLES, Mounting, has_lean, mast_at, mounting_from
 from .poles import read_poles
 from .region import check_polygon, region_of
 from .settings import (
@@ -45,6 +42,7 @@ from .settings import (
     Scenario,
     SearchSettings,
     SensorSettings,
+    Tolerance,
     TrafficSettings,
     WorldSettings,
     is_sensor_file,
@@ -138,14 +136,8 @@ def scenario_of(
     traffic, *further = _recordings([table for name, table in tables.items() if name.split()[0] == "traffic"])
     deployment, sensor = _deployment(tables["deployment"]), _sensor(tables["sensor"])
     region = _region(tables["region"], sensor, of_file, overrides)
-    road = tables["road"].read_as(RoadFrame)
+    road = tables["road"].read_as(StraightRoad)
     deployment = replace(deployment, road=road)
-    nominal = {key: deployment.fixed[key] for key in ("x_m", "y_m") if key in deployment.fixed and not deployment.poles}
-    # Where the place is searched the baseline stays where no bound, pole or order of poles moves it.
-    nominal = {"x_m": region_of(region, road.carriageway_y).centre_xy[0], "y_m": 0.0} | nominal
-    baseline = tables["baseline"].read(MOUNTING_OR_LEAN)
-    baseline = {key: value for key, value in baseline.items() if key in tables["baseline"].values}
-    usual = {key: nominal.get(key, one.default) for key, one in MOUNTING.items()}
     objective = _objective(tables["objective"])
     if deployment.poles and objective.tolerance is not None:
         where = tables["objective"].where("tolerance")
@@ -165,7 +157,7 @@ def scenario_of(
         sensor=sensor,
         deployment=deployment,
         region=region,
-        baseline=six_coordinates(baseline, usual, tables["baseline"].name),
+        baseline=_baseline(tables["baseline"], deployment, region),
         objective=objective,
         search=search,
         model=_model(tables["model"]),
@@ -220,6 +212,16 @@ def _table(
     return TomlTable(values, where(""), {key: option for key, (_, option) in given.items()}, folder, where)
 
 
+def _baseline(table: TomlTable, deployment: Deployment, region: RegionSettings) -> Mounting:
+    """[baseline]: at the mount's own place where that is fixed; else where no bound, pole or order of poles moves it."""
+    road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
+    middle = region_of(region, road).centre_xy
+    x_m, y_m = place.get("x_m", middle[0]), place.get("y_m", 0.0)
+    upright = Mounting(mast_at(road, x_m, y_m), MOUNTING["height_m"].default)
+    given = table.read(MOUNTING_OR_LEAN)
+    return mounting_from({key: given[key] for key in given if key in table.values}, road, upright, table.name)
+
+
 def _deployment(table: TomlTable) -> Deployment:
     found = table.read(DEPLOYMENT | POLES)
     poles = found.pop("poles")
@@ -241,17 +243,13 @@ def _deployment(table: TomlTable) -> Deployment:
             raise InputError(
                 f"{poles}: pole {pole.name!r}: has one end of its heights, and {table.where('height_m')} none"
             )
-        (low, high), limits = _heights(deployment.at(pole)), COORDINATE_LIMITS["height_m"]
+        (low, high), limits = deployment.at(pole).span("height_m"), COORDINATE_LIMITS["height_m"]
         if not limits[0] <= low <= high <= limits[1]:
             raise InputError(
                 f"{poles}: pole {pole.name!r}: its heights are {low:g} to {high:g} m above the road; "
                 f"allowed: {limits[0]:g} to {limits[1]:g} m, the lower first"
             )
     return deployment
-
-
-def _heights(deployment: Deployment) -> tuple[float, float]:
-    return deployment.bounds.get("height_m") or (deployment.fixed["height_m"],) * 2
 
 
 def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]]) -> None:
@@ -341,7 +339,7 @@ def _traffic(table: TomlTable) -> TrafficSettings:
     return traffic if traffic.frame_ids or spread else replace(traffic, frames=DEFAULT_COUNT)
 
 
-def _world(table: TomlTable, road: RoadFrame) -> WorldSettings:
+def _world(table: TomlTable, road: StraightRoad) -> WorldSettings:
     world = table.read_as(WorldSettings)
     file = next((key for key in ("blend", "mesh") if getattr(world, key)), None)
     if file and not road.is_level:

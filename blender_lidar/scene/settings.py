@@ -31,13 +31,14 @@ from ..names import (
     WARNINGS,
 )
 from ..plugins import METRICS_OF_OTHERS, SEARCHES_OF_OTHERS
-from ..road import RoadFrame
+from ..road.straight import StraightRoad, road_map
 from ..toml_table import Setting, setting, settings_of
-from .mounting import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, Deployment, Tolerance, plumb, pose_at
+from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, Deployment
+from .mounting import COORDINATES, Mounting, mounting_from
 
 if TYPE_CHECKING:
+    from ..road.road_map import RoadMap
     from ..sensors.imperfections import Imperfections
-    from ..sensors.pose import Pose
 
 DATASHEET = "datasheet"  # in place of a number: the model's own
 GATE = "gate"  # in place of a radius: the sensor's range gate
@@ -230,6 +231,28 @@ class ZoneSettings:
     name: str = setting()
     polygon_m: tuple[tuple[float, float], ...] = setting(**_REACH)
     weight: float = setting(low=0.0, high=_LARGEST_WEIGHT)
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """[objective] tolerance: how far off its plan a mounting may end up, as half-widths.
+
+    Each error is uniform between minus and plus its half-width and independent of the others. Beyond the limits it is
+    another mounting and not an error. `tilt_deg` is of both tilts: the inclinometer that sets the one sets the other
+    too. `aim` says what is maximised of the objective over these errors: its mean, or what it reaches in nine cases of
+    ten.
+    """
+
+    height_m: float = setting(0.0, low=0.0, high=1.0)
+    tilt_deg: float = setting(0.0, low=0.0, high=10.0)
+    yaw_deg: float = setting(0.0, low=0.0, high=10.0)
+    aim: str = setting("mean", allowed=("mean", "low"))
+
+    @property
+    def half_widths(self) -> dict[str, float]:
+        """Of each coordinate that is not exact [m, degrees]."""
+        widths = (self.height_m, self.tilt_deg, self.tilt_deg, self.yaw_deg)
+        return {key: width for key, width in zip(COORDINATES[2:], widths, strict=True) if width > 0.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -433,12 +456,12 @@ class Scenario:
 
     source: str
     traffic: TrafficSettings
-    road: RoadFrame
+    road: StraightRoad
     world: WorldSettings
     sensor: SensorSettings
     deployment: Deployment
     region: RegionSettings
-    baseline: Mapping[str, float]
+    baseline: Mounting
     objective: ObjectiveSettings
     search: SearchSettings
     model: ModelSettings
@@ -451,18 +474,13 @@ class Scenario:
         return self.traffic, *self.further_traffic
 
     @property
-    def baseline_pose(self) -> Pose:
-        return self.pose(self.baseline)
+    def road_map(self) -> RoadMap:
+        """Where the lanes and the surface are."""
+        return road_map(self.road)
 
-    def pose(self, coordinates: Mapping[str, float]) -> Pose:
-        """The mounting at the six coordinates of `COORDINATES`, beside this road."""
-        return pose_at(coordinates, self.road)
-
-    def in_road(self, coordinates: Mapping[str, float]) -> dict[str, float]:
-        """The same in the frame of this road: what `pose_at` makes the same pose of beside a level one."""
-        if self.road.is_level:
-            return dict(coordinates)
-        return plumb(self.pose(coordinates), RoadFrame())
+    def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
+        """The mounting that some coordinates give [m, degrees], the others being the baseline's: see `mounting_from`."""
+        return mounting_from(table, self.road_map, self.baseline, where)
 
     @property
     def files(self) -> dict[tuple[str, str], str]:
@@ -488,6 +506,7 @@ class Scenario:
         further = zip(self._traffic_tables[1:], tables.pop("further_traffic"), strict=True)
         tables = {"traffic": tables["traffic"], **dict(further), **tables}
         del tables["source"], tables["where"]
+        tables["baseline"] = {key: self.baseline.as_table()[key] for key in COORDINATES}
         tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
         if self.deployment.poles:
             for key in ("x_m", "y_m"):

@@ -12,7 +12,7 @@ from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..metrics.metric import Field
-from ..road import RoadFrame
+from ..road.road_map import RoadMap
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
@@ -21,9 +21,10 @@ from ..traffic.frames import few_vehicles
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
-from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, crown, join
+from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join, road_surface
 from .mount_checks import mount_notes
-from .mounting import COORDINATES
+from .deployment import Place
+from .mounting import PLACE, Mounting
 from .observation import CountedFrame, Observation, Scoring, check_weights, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
@@ -35,7 +36,7 @@ from .settings import BarrierSettings, BoxSettings, ObjectiveSettings, SensorSet
 # --- The scenery that a scene's [world] describes: files that Blender reads, boxes and barriers, in the road frame -
 
 
-def read_scenery(scenario: Scenario, reach_m: float, mount: Mapping[str, float] | None = None) -> Scenery:
+def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] = ()) -> Scenery:
     """What stands still within a horizontal reach of the nominal mount; empty where there is nothing.
 
     Raises
@@ -51,20 +52,24 @@ def read_scenery(scenario: Scenario, reach_m: float, mount: Mapping[str, float] 
     files = [_near(path, world, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
     barriers = [barrier(item.kind, item.y_m, item.x_m) for item in world.barriers]
-    beside = clutter(scenario.road, world.clutter, world.clutter_seed, centre[0], reach_m, _may_hang(scenario, mount))
-    if scenario.road.crown_percent and world.ground:
-        barriers.append(crown(scenario.road, centre[0] - reach_m, centre[0] + reach_m))
+    beside = clutter(scenario.road, world.clutter, world.clutter_seed, centre[0], reach_m, _may_hang(scenario, given))
+    if world.ground:
+        s = scenario.road_map.locate(np.array([centre])).s_m[0]
+        barriers.append(road_surface(scenario.road_map, (s - reach_m, s + reach_m)))
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])
 
 
-def _may_hang(scenario: Scenario, mount: Mapping[str, float] | None) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Where the LiDAR may hang, as corners x, y of rectangles [m]: baseline, given mount, poles or what is searched."""
-    deployment = scenario.deployment
-    searched = {**deployment.fixed, **deployment.bounds}
-    poles = [{"x_m": pole.x_m, "y_m": pole.y_m} for pole in deployment.poles]
-    places = [scenario.baseline, *([] if mount is None else [mount]), *(poles or [searched])]
-    corners = (np.transpose([np.broadcast_to(place[key], 2) for key in ("x_m", "y_m")]) for place in places)
-    return [(low, high) for low, high in corners]
+def _may_hang(scenario: Scenario, given: Sequence[Mounting]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Where LiDARs may hang, as corners x, y of rectangles [m]: what is searched, the baseline, mountings by hand."""
+    extents = map(_extent, (*scenario.deployment.places, scenario.baseline, *given))
+    return [(low[:2], high[:2]) for low, high in extents]
+
+
+def _extent(mount: Place | Mounting) -> tuple[np.ndarray, np.ndarray]:
+    """From where to where a LiDAR may hang: x and y of its mast's foot and its height, (3,) each [m]."""
+    if isinstance(mount, Mounting):
+        return np.array([*mount.xy, mount.height_m]), np.array([*mount.xy, mount.height_m])
+    return tuple(np.transpose([mount.span(key) for key in PLACE]))
 
 
 def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
@@ -92,13 +97,12 @@ def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m:
 
 # --- A pole stands beside the traffic, never in it, and no LiDAR hangs inside a box or a barrier ----------
 
-_PLACE = ("x_m", "y_m", "height_m")
-_ABREAST_M = 20.0  # along the road: what passes a pole has been or will be there
 _TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
+_STEP_M = 1.0  # between the places of a searched rectangle that are looked at: no lane is narrower
 
 
 def check_mount_is_clear(
-    scenario: Scenario, frames: Iterable[Vehicles], mounts: Mapping[str, Mapping[str, float]] | None = None
+    scenario: Scenario, frames: Iterable[Vehicles], mounts: Mapping[str, Mounting] | None = None
 ) -> None:
     """Refuse a mount on the carriageway or inside a vehicle, or a LiDAR inside one of [world]'s boxes or barriers.
 
@@ -108,7 +112,7 @@ def check_mount_is_clear(
         The road.
     frames : iterable of Vehicles
         The traffic.
-    mounts : mapping of str to coordinates, optional
+    mounts : mapping of str to Mounting, optional
         Mounts to check, by the option that gave them; the scene's searched places and baseline if left out.
 
     Raises
@@ -117,27 +121,20 @@ def check_mount_is_clear(
         Naming the place, and the lane's edges, the box, or the vehicle and frame.
     """
     if mounts is None:
-        searched = {**scenario.deployment.fixed, **scenario.deployment.bounds}
-        of_scene = {"deployment": searched, "baseline": scenario.baseline}
-        mounts = {scenario.where(table, "x_m, y_m"): mount for table, mount in of_scene.items()}
-        if poles := scenario.deployment.poles:
-            at = ((pole.name, scenario.deployment.at(pole)) for pole in poles)
-            mounts = {
-                f"{scenario.deployment.poles_file}: pole {name!r}": {**one.fixed, **one.bounds} for name, one in at
-            }
-            mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
-    right, left = scenario.road.carriageway_y
-    level = dict.fromkeys(COORDINATES, 0.0)
-    along_mast = scenario.pose(level | {"height_m": 1.0}).position  # of one metre of it
+        poles_file = scenario.deployment.poles_file
+        mounts = {
+            f"{poles_file}: pole {place.pole.name!r}" if place.pole else scenario.where("deployment", "x_m, y_m"): place
+            for place in scenario.deployment.places
+        }
+        mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
+    road, up = scenario.road_map, np.array(scenario.road_map.up)
     solids = [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]
     frames = list(frames)
     for where, mount in mounts.items():
-        low, high = np.transpose([np.broadcast_to(mount[key], 2) for key in _PLACE])  # each coordinate's ends
+        low, high = _extent(mount)
         along, across = (f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in zip(low[:2], high[:2], strict=True))
-        if low[1] < left and high[1] > right:
-            allowed = f"at most {right:g} or at least {left:g} m"
-            raise InputError(f"{where}: the mount at y {across} m stands on the carriageway; allowed: {allowed}")
-        off_feet = np.sort(np.outer((low[2], high[2]), along_mast), axis=0)
+        _check_off_lanes(road, low[:2], high[:2], f"{where}: the mount at x {along} m, y {across} m")
+        off_feet = np.sort(np.outer((low[2], high[2]), up), axis=0)
         head_low, head_high = low * (1.0, 1.0, 0.0) + off_feet[0], high * (1.0, 1.0, 0.0) + off_feet[1]
         for solid in solids:
             middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
@@ -156,19 +153,20 @@ def check_mount_is_clear(
             if len(inside):
                 raise InputError(
                     f"{where}: the mount at x {along} m, y {across} m stands inside vehicle {inside[0]} of frame "
-                    f"{vehicles.frame}; {_driven_over(frames, low, high)}"
+                    f"{vehicles.frame}; move it off the paths of the vehicles"
                 )
 
 
-def _driven_over(frames: Sequence[Vehicles], low: np.ndarray, high: np.ndarray) -> str:
-    """Between which y vehicles drive past the places from `low` to `high`, as advice."""
-    xy, size, heading = (
-        np.concatenate([getattr(vehicles, key) for vehicles in frames]) for key in ("centre_m", "size_m", "heading_rad")
-    )
-    near = (xy[:, 0] >= low[0] - _ABREAST_M) & (xy[:, 0] <= high[0] + _ABREAST_M)
-    half = 0.5 * (size[:, 0] * np.abs(np.sin(heading)) + size[:, 1] * np.abs(np.cos(heading)))
-    first, last = (xy[:, 1] - half)[near].min(), (xy[:, 1] + half)[near].max()
-    return f"vehicles drive there between y {first:.1f} and {last:.1f} m: move it beside them"
+def _check_off_lanes(road: RoadMap, low: np.ndarray, high: np.ndarray, what: str) -> None:
+    """Refuse a rectangle from `low` to `high`, (2,) each [m], that reaches into a lane."""
+    steps = np.maximum(np.ceil((high - low) / _STEP_M), 1).astype(int) + 1
+    x, y = (np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    on = road.within(places)
+    if on.any():
+        right, left = road.beside(places[on][0])
+        allowed = f"off the lanes, such as x {right[0]:g}, y {right[1]:g} m or x {left[0]:g}, y {left[1]:g} m"
+        raise InputError(f"{what} stands on the carriageway; allowed: {allowed}")
 
 
 def footprints_meet(
@@ -233,12 +231,12 @@ class Site:
     @property
     def region(self) -> Region:
         """Where vehicles count."""
-        return region_of(self.scenario.region, self.scenario.road.carriageway_y)
+        return region_of(self.scenario.region, self.scenario.road_map)
 
     @property
     def reach_m(self) -> float:
         """How far from the middle of the region vehicles are looked at: farther ones hide none that count [m]."""
-        return reach_of(self.scenario, None)
+        return reach_of(self.scenario)
 
     def counted(self, vehicles: Vehicles) -> CountedFrame:
         """A frame of other traffic at this site: those within reach, and which of them count."""
@@ -247,7 +245,7 @@ class Site:
 
 def prepare(
     scenario: Scenario,
-    mount: Mapping[str, float] | None = None,
+    given: Sequence[Mounting] = (),
     *,
     scenery: Scenery | None = None,
     recordings: Sequence[Recording] | None = None,
@@ -258,8 +256,8 @@ def prepare(
     ----------
     scenario : Scenario
         The settings.
-    mount : mapping of str to float, optional
-        A mounting given by hand, in metres and degrees, that will be judged too.
+    given : sequence of Mounting
+        Mountings given by hand that will be judged too.
     scenery : Scenery, optional
         What stands still besides what [world] says [m, road frame]; what is out of reach is left out.
     recordings : sequence of Recording, optional
@@ -275,9 +273,9 @@ def prepare(
     caster = resolve(scenario.model.caster, "caster")
     with unchanged_inputs(scenario):
         lattice, recordings = lattice_of(sensor), recordings or read_recordings(scenario)
-        standing = standing_scenery(scenario, caster, mount, scenery)
+        standing = standing_scenery(scenario, caster, given, scenery)
         identity = run_identity(scenario, caster, standing and standing.scenery.digest)
-    region = region_of(scenario.region, scenario.road.carriageway_y)
+    region = region_of(scenario.region, scenario.road_map)
     plans = [
         plan_frames(
             recording,
@@ -294,9 +292,9 @@ def prepare(
     recording, plan = joined_recordings(recordings, names), joined_plans(plans, recordings, names)
     frames = [recording.vehicles(frame) for frame in (*plan.search, *plan.holdout)]
     check_mount_is_clear(scenario, frames)
-    if mount is not None:
+    for mount in given:
         check_mount_is_clear(scenario, frames, {"--x, --y": mount})
-    reach = reach_of(scenario, mount)
+    reach = reach_of(scenario, given)
     searched = tuple(_counted(frame, region, reach, objective) for frame in frames[: len(plan.search)])
     held_out = tuple(
         _counted(frame, region, reach, objective, plan.searched_ids) for frame in frames[len(plan.search) :]
@@ -305,10 +303,10 @@ def prepare(
         of_recording = plan.search_recording == number
         if not any(searched[at].counted.any() for at in np.flatnonzero(of_recording)):
             raise nobody_there(own, region, int(of_recording.sum()), scenario)
-    if note := _out_of_range(scenario, mount, searched):
+    if note := _out_of_range(scenario, given, searched):
         plan = replace(plan, notes=(*plan.notes, note))
     judging = len({number for frame in held_out for number in frame.vehicles.vehicle_id[frame.counted].tolist()})
-    plan = replace(plan, notes=(*plan.notes, *_same_notes(recordings, names), *mount_notes(scenario, mount)))
+    plan = replace(plan, notes=(*plan.notes, *_same_notes(recordings, names), *mount_notes(scenario, given)))
     if note := few_vehicles(len(plan.searched_ids), judging if held_out else None):
         plan = replace(plan, notes=(*plan.notes, note))
     searched = _weighted(searched, plan.search_recording, scenario)
@@ -332,9 +330,7 @@ def _same_notes(recordings: Sequence[Recording], names: Sequence[str]) -> Iterat
 _FEW_OUT_OF_RANGE = 0.05  # share that is not told
 
 
-def _out_of_range(
-    scenario: Scenario, mount: Mapping[str, float] | None, searched: Sequence[CountedFrame]
-) -> str | None:
+def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Sequence[CountedFrame]) -> str | None:
     """A note where many that count are beyond the range gate of every mount that is asked about.
 
     Raises
@@ -342,23 +338,20 @@ def _out_of_range(
     InputError
         Where no mount of a search could see any.
     """
-    deployment, gate = scenario.deployment, scenario.sensor.range_gate_m
-    asked = {**deployment.fixed, **deployment.bounds} if mount is None else mount
-    poles = [{"x_m": pole.x_m, "y_m": pole.y_m} for pole in deployment.poles] if mount is None else []
+    gate = scenario.sensor.range_gate_m
     xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
     half = 0.5 * np.concatenate([frame.vehicles.size_m[frame.counted, 0] for frame in searched])
     away = []
-    for place in poles or [asked]:
-        low, high = np.transpose([np.broadcast_to(place[key], 2) for key in _PLACE[:2]])
-        away.append(np.hypot(*np.maximum(np.maximum(low - xy, xy - high), 0.0).T))
+    for low, high in map(_extent, given or scenario.deployment.places):
+        away.append(np.hypot(*np.maximum(np.maximum(low[:2] - xy, xy - high[:2]), 0.0).T))
     share = (np.min(away, axis=0) - half > gate).mean()
     if share <= _FEW_OUT_OF_RANGE:
         return None
-    told = f"{100 * share:.0f} % of the boxes that count in the searched frames lie beyond the range gate of {gate:g} m"
+    said = f"{100 * share:.0f} % of the boxes that count in the searched frames lie beyond the range gate of {gate:g} m"
     check = "check [region], [sensor] range_gate_m and [deployment] x_m and y_m"
-    if share == 1.0 and mount is None:
-        raise InputError(f"{told} from any mount, and can never be seen; {check}")
-    return f"{told} from any mount, and count as missed; {check}"
+    if share == 1.0 and not given:
+        raise InputError(f"{said} from any mount, and can never be seen; {check}")
+    return f"{said} from any mount, and count as missed; {check}"
 
 
 def observation_of(
@@ -380,11 +373,11 @@ def observation_of(
 
 def scoring_of(scenario: Scenario) -> Scoring:
     """What a scene makes of what is seen."""
-    asked, (right, left) = scenario.objective, scenario.road.carriageway_y
-    region = region_of(scenario.region, (right, left))
-    (x, _), reach = region.centre_xy, region.radius_m
-    outline = ((x - reach, right), (x + reach, right), (x + reach, left), (x - reach, left))
-    field = Field(region.centre_xy, reach, outline)
+    asked, road = scenario.objective, scenario.road_map
+    region = region_of(scenario.region, road)
+    middle, reach = road.locate(np.array([region.centre_xy])).s_m[0], region.radius_m
+    edges, _ = road.lines((middle - reach, middle + reach))
+    field = Field(region.centre_xy, reach, np.concatenate([edges[0], edges[-1][::-1]]).tolist())
     return Scoring(asked.threshold, asked.view, asked.loss, asked.reading, asked.metric, field)
 
 
@@ -397,24 +390,24 @@ def lattice_of(sensor: SensorSettings) -> BeamLattice:
 def standing_scenery(
     scenario: Scenario,
     caster: str,
-    mount: Mapping[str, float] | None,
-    given: Scenery | None = None,
+    given: Sequence[Mounting] = (),
+    more: Scenery | None = None,
     *,
     margin_m: float = 0.0,
 ) -> StandingScenery | None:
-    """What stands still within reach of a scene's mountings and of a `mount`, None without any.
+    """What stands still within reach of a scene's mountings and of those given by hand, None without any.
 
-    It is what [world] says, and what is `given` besides; the reach is `margin_m` longer for a LiDAR that is moved.
+    It is what [world] says, and `more` besides; the reach is `margin_m` longer for a LiDAR that is moved.
     """
-    crowned = scenario.road.crown_percent and scenario.world.ground
-    if not scenario.world.has_scenery and not crowned and (given is None or not len(given)):
+    flat = scenario.road_map.surface.is_flat or not scenario.world.ground
+    if flat and not scenario.world.has_scenery and (more is None or not len(more)):
         return None
     sensor, centre = scenario.sensor, scenario.deployment.nominal_xy
-    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, mount, centre) + margin_m
-    scenery = read_scenery(scenario, reach, mount)
-    world, clear = scenario.world, _may_hang(scenario, mount)
+    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, given, centre) + margin_m
+    scenery = read_scenery(scenario, reach, given)
+    world, clear = scenario.world, _may_hang(scenario, given)
     walkers = Walkers(scenario.road, world.clutter, world.clutter_seed, clear) if world.clutter else None
-    return StandingScenery(scenery if given is None else join([scenery, given.within(centre, reach)]), caster, walkers)
+    return StandingScenery(scenery if more is None else join([scenery, more.within(centre, reach)]), caster, walkers)
 
 
 def read_recording(scenario: Scenario) -> Recording:
@@ -433,26 +426,26 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
     if settings.lanes is None:
-        return _on_crown(checked_recording(recording, scenario), scenario.road)
+        return _on_crown(checked_recording(recording, scenario), scenario.road_map)
     in_lanes = np.isin(recording.lane, settings.lanes)
     if not in_lanes.any():
         present = ", ".join(map(str, np.unique(recording.lane)))
         raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
-    return _on_crown(checked_recording(recording.where(in_lanes), scenario), scenario.road)
+    return _on_crown(checked_recording(recording.where(in_lanes), scenario), scenario.road_map)
 
 
 _ON_PLANE_M, _MOST_OFF_PLANE = 0.05, 0.05  # floors this near z = 0 stand on it; share of boxes that may not
 
 
-def _on_crown(recording: Recording, road: RoadFrame) -> Recording:
+def _on_crown(recording: Recording, road: RoadMap) -> Recording:
     """The traffic on the crown of a carriageway: boxes stand upright on the surface under their centres.
 
     Half a car's width from there the surface lies up to 0.06 m higher or lower, with the steepest crown of 6 %. Boxes
     that do not stand on the plane z = 0, as surveyed ones, stay where they are, and a note says so.
     """
-    if not road.crown_percent:
+    if road.surface.is_flat:
         return recording
-    floor, above = recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2], road.crown_m(recording.centre_m[:, 1])
+    floor, above = recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2], road.surface.height(recording.centre_m)
     if (abs(floor) > _ON_PLANE_M).mean() <= _MOST_OFF_PLANE:
         return recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
     off = np.median(floor - above)
@@ -491,19 +484,14 @@ def _weighted(frames: Sequence[CountedFrame], recording: np.ndarray, scenario: S
     )
 
 
-def reach_of(scenario: Scenario, mount: Mapping[str, float] | None) -> float:
+def reach_of(scenario: Scenario, given: Sequence[Mounting] = ()) -> float:
     """How far from the middle of the region vehicles count, or matter to a mounting [m]."""
-    region = region_of(scenario.region, scenario.road.carriageway_y)
-    seen = scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, mount, region.centre_xy)
+    region = region_of(scenario.region, scenario.road_map)
+    seen = scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, given, region.centre_xy)
     return max(seen, region.radius_m)
 
 
-def _travel(scenario: Scenario, mount: Mapping[str, float] | None, centre: tuple[float, float]) -> float:
+def _travel(scenario: Scenario, given: Sequence[Mounting], centre: tuple[float, float]) -> float:
     """How far a searched mount, the baseline or a given one may be from a place [m]."""
-    far, deployment = 0.0, scenario.deployment
-    for key, middle in zip(("x_m", "y_m"), centre, strict=True):
-        searched = [getattr(pole, key) for pole in deployment.poles] or deployment.bounds.get(key)
-        searched = searched or (deployment.fixed[key],)
-        places = [*searched, scenario.baseline[key], *([mount[key]] if mount else ())]
-        far = max(far, *(abs(place - middle) for place in places))
-    return far * np.sqrt(2.0)
+    corners = np.array([corner for extent in _may_hang(scenario, given) for corner in extent])
+    return float(np.abs(corners - centre).max()) * np.sqrt(2.0)

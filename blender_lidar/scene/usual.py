@@ -67,4 +67,4 @@ WIDER = 0.08  # of a lane's width: a map's scale is right to 2 %, feet or a proj
 ROUND_DEG, DECIMALS = 5.0, 2  # degrees that people choose; digits that they write radians with
 HIGHEST_M = 20.0  # gantries and lamps end at 12
 NOISE_M = 0.2  # data sheets: 0.01 to 0.05
-ACROSS = 0.5  # cosine to the road's normal: a direction towards the road, or away from it
+AWAY = 0.5  # cosine to the opposite direction: what looks down farther than this from it looks away

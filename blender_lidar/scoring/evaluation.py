@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import within_blender
+from ..scene.mounting import Layout
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..scene.settings import ModelSettings
 from ..scene.site import Site
-from ..sensors.pose import Pose
 from .cluster import ClusterWorkers
 from .fidelity import Fidelity, coarse_observation
 from .frame_scorer import FrameScorer, FrameShapes
-from .scores import Scored, VehicleScores, mountings_of
+from .scores import Scored, VehicleScores
 from .workers import Workers
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
@@ -103,7 +103,7 @@ class Totals(NamedTuple):
 
 
 class Evaluator:
-    """Scores mountings over a fixed list of frames.
+    """Scores layouts over a fixed list of frames.
 
     Parameters
     ----------
@@ -172,33 +172,34 @@ class Evaluator:
         return other
 
     def totals(
-        self, poses: Sequence[Pose], frames: Sequence[int] | None = None, fidelity: Fidelity | None = None
+        self, layouts: Sequence[Layout], frames: Sequence[int] | None = None, fidelity: Fidelity | None = None
     ) -> Totals:
-        """Score s mountings.
+        """Score s layouts.
 
         Parameters
         ----------
-        poses : sequence of Pose, (s,)
+        layouts : sequence of Layout, (s,)
         frames : sequence of int, (f,), optional
             Places of the frames that are scored, in that order; all of them when left out.
         fidelity : Fidelity, optional
             What the frames are seen through, by `coarse_observation`; the observation itself when left out.
         """
         chosen = np.arange(len(self.frames)) if frames is None else np.array(frames, dtype=int)
-        sums = np.array(self._carried_out(_sums, chosen, poses, fidelity)).reshape(len(chosen), 2, len(poses))
+        sums = np.array(self._carried_out(_sums, chosen, layouts, fidelity)).reshape(len(chosen), 2, len(layouts))
         objective, found = np.moveaxis(sums, 0, -1).copy()
         return Totals(objective, found.astype(np.int64), self.vehicles[chosen], self.weight[chosen])
 
-    def by_vehicle(self, poses: Sequence[Pose]) -> list[Scored]:
-        """What s mountings make of each counted vehicle, for each frame; without the returns themselves."""
-        return self._carried_out(_without_returns, np.arange(len(self.frames)), poses, None)
+    def by_vehicle(self, layouts: Sequence[Layout]) -> list[Scored]:
+        """What s layouts make of each counted vehicle, for each frame; without the returns themselves."""
+        return self._carried_out(_without_returns, np.arange(len(self.frames)), layouts, None)
 
-    def _carried_out(self, what: Callable, chosen: np.ndarray, poses: Sequence[Pose], fidelity: Fidelity | None):
+    def _carried_out(self, what: Callable, chosen: np.ndarray, layouts: Sequence[Layout], fidelity: Fidelity | None):
         """What a function makes of the scores of each frame; the frames go out in as many parts as there are calls."""
         order = np.argsort(self._turn[self._first + chosen], kind="stable")
         frames = (self._first + chosen[order]).tolist()
-        ends = accumulate(self.workers.sizes(len(frames), len(poses)), initial=0)
-        tasks = [(what, frames[start:stop], tuple(poses), fidelity) for start, stop in pairwise(ends)]
+        ends = accumulate(self.workers.sizes(len(frames), len(layouts)), initial=0)
+        poses = tuple(tuple(mounting.pose for mounting in layout) for layout in layouts)
+        tasks = [(what, frames[start:stop], poses, fidelity) for start, stop in pairwise(ends)]
         found = list(chain.from_iterable(self.workers.map(*zip(*tasks, strict=True))))
         return [found[place] for place in np.argsort(order)]
 
@@ -232,11 +233,11 @@ class _Work:
     def __getstate__(self):
         return {**vars(self), "_scorers": {}, "_shapes": {}, "_seen": {}}
 
-    def __call__(self, what, frames, poses, fidelity):
-        mountings, found = mountings_of(poses), []
+    def __call__(self, what, frames, layouts, fidelity):
+        found = []
         for frame in frames:
             observation, scores = self._through(fidelity, frame >= len(self._groups[0]))
-            scored = scores.of(self._frames[frame], self._scorer(frame, fidelity, observation), poses, mountings)
+            scored = scores.of(self._frames[frame], self._scorer(frame, fidelity, observation), layouts)
             found.append(what(scored))
         return found
 

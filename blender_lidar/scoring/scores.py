@@ -16,7 +16,7 @@ from .frame_scorer import FrameScorer, Seen, singles
 
 
 class Scored(NamedTuple):
-    """What s mountings make of the n counted vehicles of one frame.
+    """What s layouts make of the n counted vehicles of one frame.
 
     Attributes
     ----------
@@ -56,45 +56,43 @@ class VehicleScores:
             context = SceneContext(boxes, observation.lattice.directions, near, far, scoring.field)
         self._scoring, self._metric = scoring, metric_named(scoring.metric).learnt(context)
 
-    def of(self, frame: CountedFrame, scorer: FrameScorer, poses: Sequence[Pose], mountings: Mountings) -> Scored:
-        """Score s mountings, given as poses and as what `mountings_of` makes of them, on the frame of a scorer."""
-        return self.of_seen(frame, scorer, scorer.see(singles(poses), keep_returns=self.needs_returns), mountings)
+    def of(self, frame: CountedFrame, scorer: FrameScorer, layouts: Sequence[Sequence[Pose]]) -> Scored:
+        """Score s layouts, given by the poses of their LiDARs, on the frame of a scorer."""
+        return self.of_seen(frame, scorer, scorer.see(layouts, keep_returns=self.needs_returns), layouts)
 
     @property
     def needs_returns(self) -> bool:
         """Whether the metric asks for the returns themselves."""
         return NEEDS_POINTS in self._metric.needs
 
-    def of_seen(self, frame: CountedFrame, scorer: FrameScorer, seen: Seen, mountings: Mountings) -> Scored:
-        """As `of`, given what the mountings saw, with the returns where the metric asks for them."""
+    def of_seen(
+        self, frame: CountedFrame, scorer: FrameScorer, seen: Seen, layouts: Sequence[Sequence[Pose]]
+    ) -> Scored:
+        """As `of`, given what the layouts saw, with the returns where the metric asks for them."""
         scoring, metric = self._scoring, self._metric
         noticed = detectable(seen.occupancy, scoring.threshold, scoring.view)
-        rows = _rows(metric, frame, scorer, seen, mountings, noticed)
+        rows = _rows(metric, frame, scorer, seen, layouts, noticed)
         values = metric.values(rows).reshape(noticed.shape)
         objective = vehicle_score(metric.merit(values), noticed, scoring.loss, scoring.reading)
         return Scored(seen, values, noticed, objective * frame.counted_weight)
 
 
-def mountings_of(poses: Sequence[Pose]) -> Mountings:
-    """Mountings as metrics know them."""
-    return Mountings(
-        np.array([pose.position for pose in poses]).reshape(-1, 3),
-        np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3),
-    )
-
-
-def _rows(metric, frame, scorer, seen: Seen, mountings, noticed) -> VehicleReturns:
-    """What a metric is given: one row for each mounting and vehicle, mounting after mounting."""
-    vehicles = scorer.vehicles
-    away = vehicles.centre_m[:, :2] - mountings.origin_m[:, None, :2]
+def _rows(metric, frame, scorer, seen: Seen, layouts, noticed) -> VehicleReturns:
+    """What a metric is given: one row for each layout and vehicle, layout after layout."""
+    vehicles, view = scorer.vehicles, None
+    origin = np.array([[pose.position for pose in layout] for layout in layouts]).reshape(len(layouts), -1, 3)
+    away = vehicles.centre_m[:, :2] - origin[:, :, None, :2]
     points, owner = (None, None) if seen.returns is None else seen.returns
+    if NEEDS_VIEW in metric.needs:
+        rotation = np.array([pose.rotation for (pose,) in layouts]).reshape(-1, 3, 3)
+        view = View(Mountings(origin.reshape(-1, 3), rotation), frame.boxes)
     return VehicleReturns(
-        size_m=np.tile(vehicles.size_m, (len(mountings), 1)),
+        size_m=np.tile(vehicles.size_m, (len(layouts), 1)),
         count=seen.points.reshape(-1),
         occupancy=seen.occupancy.reshape(-1, 3),
-        distance_m=np.hypot(away[..., 0], away[..., 1]).reshape(-1),
+        distance_m=np.hypot(away[..., 0], away[..., 1]).min(axis=1, initial=np.inf).reshape(-1),
         points=points,
         vehicle=owner,
-        view=View(mountings, frame.boxes) if NEEDS_VIEW in metric.needs else None,
+        view=view,
         detectable=noticed.reshape(-1),
     )

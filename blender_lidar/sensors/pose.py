@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -92,25 +93,6 @@ def turned(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.einsum("ij,jk->ik", one, other)
 
 
-# --- A road that is not level, beside which masts are plumb all the same ----------------------------------------------
-
-
-def road_axes(grade: float, cross_fall: float) -> np.ndarray:
-    """Axes of the road frame in the plumb frame, (3, 3), a row each: ``plumb = road @ axes``.
-
-    The plumb frame's z is the vertical, and its x points along the road, level. The road is the plane
-    ``z = grade x + cross_fall y`` in it; the road frame's x lies in that plane above the plumb frame's.
-
-    Parameters
-    ----------
-    grade, cross_fall : float
-        Rise along +x and along +y, by level metre.
-    """
-    x = np.array([1.0, 0.0, grade]) / math.hypot(1.0, grade)
-    z = np.array([-grade, -cross_fall, 1.0]) / math.hypot(1.0, grade, cross_fall)
-    return np.stack([x, np.cross(z, x), z])
-
-
 @lru_cache(maxsize=1024)  # more than a swarm, which meets frame after frame
 def _kept_rotation(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
     rotation = rotation_matrix(tilt_x, tilt_y, yaw)
@@ -146,6 +128,18 @@ class Pose:
         for name in self.__slots__:
             if not math.isfinite(getattr(self, name)):
                 raise InputError(f"the mounting's {name} is {getattr(self, name)}; allowed: a finite number")
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, float]) -> Pose:
+        """The pose that a table gives, as of `as_table`; what it leaves out is 0, and 2 m of height."""
+        given = {key.removesuffix("_deg"): value for key, value in table.items() if value is not None}
+        angles = {key: math.radians(given[key]) for key in ("tilt_x", "tilt_y", "yaw") if key in given}
+        return cls(**{key: given[key] for key in ("x_m", "y_m", "height_m") if key in given}, **angles)
+
+    def as_table(self) -> dict[str, float]:
+        """Its six numbers for a file [m, degrees]."""
+        angles = {f"{key}_deg": math.degrees(getattr(self, key)) for key in ("tilt_x", "tilt_y", "yaw")}
+        return {"x_m": self.x_m, "y_m": self.y_m, "height_m": self.height_m, **angles}
 
     @property
     def position(self) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import unknown_name
 from ..names import BARRIERS
-from ..road import RoadFrame
+from ..road.road_map import RoadMap
 from .meshes import ROAD, STRUCTURE, tube
 from .shapes import shape
 from .triangles import place
@@ -74,7 +74,7 @@ def ground_plane(centre_xy: tuple[float, float], reach_m: float) -> Scenery:
 # --- What stands still and hides vehicles: boxes, barriers, and the meshes of a site, as triangles in the road frame -
 
 
-CROWN = "carriageway of [road]"  # the name of its surface, where that is not the plane z = 0
+SURFACE = "carriageway of [road]"  # the name of its surface, where that is not the plane z = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +112,7 @@ class Scenery:
     @property
     def beside_road(self) -> Scenery:
         """What of it is not the crowned carriageway."""
-        kept = np.array([name != CROWN for name in self.names], dtype=bool)[self.owner]
+        kept = np.array([name != SURFACE for name in self.names], dtype=bool)[self.owner]
         return Scenery(self.corners[kept], self.owner[kept], self.surface[kept], self.names)
 
     def within(self, centre_xy: tuple[float, float], radius_m: float) -> Scenery:
@@ -141,14 +141,10 @@ def box(name: str, centre_m: Sequence[float], size_m: Sequence[float], heading_r
     return structure(name, corners[unit.faces])
 
 
-def crown(road: RoadFrame, first_x: float, last_x: float) -> Scenery:
-    """The surface of a carriageway that falls from its middle line to both edges, between two x [m]: two planes."""
-    right, left = road.carriageway_y
-    y = np.array([right, 0.5 * (right + left), left])
-    rows = np.array([[(x, *yz) for yz in zip(y, road.crown_m(y), strict=True)] for x in (first_x, last_x)])
-    a, b, c, d = rows[0, :-1], rows[1, :-1], rows[1, 1:], rows[0, 1:]
-    corners = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    return Scenery(corners, np.zeros(4, np.int32), np.full(4, ROAD, np.uint8), (CROWN,))
+def road_surface(road: RoadMap, s_m: tuple[float, float]) -> Scenery:
+    """What of a road's surface is not the plane z = 0, between two stations [m]."""
+    corners = road.surface.triangles(s_m)
+    return Scenery(corners, np.zeros(len(corners), np.int32), np.full(len(corners), ROAD, np.uint8), (SURFACE,))
 
 
 def join(parts: Iterable[Scenery]) -> Scenery:

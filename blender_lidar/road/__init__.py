@@ -1,0 +1,7 @@
+"""Where the lanes, the carriageway and the surface of a site are: `road_map.RoadMap`, made by one file for each source."""
+
+from .straight import StraightRoad
+
+RoadFrame = StraightRoad
+
+__all__ = ["RoadFrame", "StraightRoad"]

@@ -1,0 +1,214 @@
+"""Road map: where the lanes of a site are, which way they drive, and how high the surface lies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+_ON_EDGE_M = 1e-9  # what lies this near to an edge lies on it
+_BESIDE_M = 1e-6  # far enough from an edge to lie on one side of it
+
+
+class Located(NamedTuple):
+    """Where n places lie on a road.
+
+    Attributes
+    ----------
+    lane : ndarray of int, (n,)
+        Row of the lane that holds the place; -1 off the lanes.
+    s_m : ndarray, (n,)
+        Station along the reference line of that lane, or of the nearest one [m].
+    t_m : ndarray, (n,)
+        Offset from the middle of that lane, to the left seen along s [m].
+    heading_rad : ndarray, (n,)
+        Direction in which that lane drives, counter-clockwise from +x of the site frame.
+    """
+
+    lane: np.ndarray
+    s_m: np.ndarray
+    t_m: np.ndarray
+    heading_rad: np.ndarray
+
+
+class Surface(Protocol):
+    """How high the road lies over each place of the site frame's plane."""
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it is the plane z = 0."""
+
+    def height(self, xy: np.ndarray) -> np.ndarray:
+        """Height above z = 0 at places (n, 2) [m], (n,)."""
+
+    def triangles(self, s_m: tuple[float, float]) -> np.ndarray:
+        """What of it is not the plane z = 0 between two stations [m], as triangles (m, 3, 3) that face up."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadMap:
+    """Lanes as centre lines with widths, in the site frame; the same for a straight road and for a net.
+
+    Attributes
+    ----------
+    points_m : tuple of ndarray, (k, 2) each
+        Centre line of each lane [m], in the direction of its stations.
+    station_m : ndarray, (l,)
+        Station of each centre line's first point [m].
+    width_m : ndarray, (l,)
+        Width of each lane [m].
+    against : ndarray of bool, (l,)
+        Lanes that drive against their stations.
+    surface : Surface
+        How high the road lies.
+    up : (float, float, float)
+        The vertical: masts are plumb where the site frame follows a slope.
+    endless : bool
+        Whether each lane goes on beyond both ends of its centre line.
+    """
+
+    points_m: tuple[np.ndarray, ...]
+    station_m: np.ndarray
+    width_m: np.ndarray
+    against: np.ndarray
+    surface: Surface
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    endless: bool = False
+
+    def __len__(self) -> int:
+        return len(self.points_m)
+
+    def locate(self, xy: np.ndarray, heading_rad: np.ndarray | None = None) -> Located:
+        """Lane, station, offset and direction of travel at places (n, 2) [m].
+
+        Where lanes cross, as in a junction, the lane whose direction is nearest to `heading_rad` (n,) holds the place,
+        and without one the lane whose middle is nearest.
+        """
+        start, along, low, high, station, row = self._segments()
+        off = np.asarray(xy, dtype=float)[:, None, :2] - start  # (n, m, 2)
+        s = (off * along).sum(axis=-1)
+        t = along[:, 0] * off[..., 1] - along[:, 1] * off[..., 0]
+        beyond = s - s.clip(low, high)
+        away = np.hypot(t, beyond)
+        outside = (np.abs(t) > 0.5 * self.width_m[row] + _ON_EDGE_M) | (np.abs(beyond) > _ON_EDGE_M)
+        direction = np.arctan2(along[:, 1], along[:, 0]) + math.pi * self.against[row]
+        turn = np.zeros_like(away)
+        if heading_rad is not None:
+            difference = np.asarray(heading_rad)[:, None] - direction
+            turn = np.where(outside, 0.0, np.abs(np.arctan2(np.sin(difference), np.cos(difference))))
+        best = np.lexsort((away, turn, outside), axis=1)[:, 0]
+        at = np.arange(len(best)), best
+        lane = np.where(outside[at], -1, row[best])
+        heading = np.arctan2(np.sin(direction), np.cos(direction))[best]
+        return Located(lane, s.clip(low, high)[at] + station[best], t[at], heading)
+
+    def on(self, xy: np.ndarray) -> np.ndarray:
+        """Which places (n, 2) [m] lie on a lane, its edges included, (n,) bool."""
+        return self.locate(xy).lane >= 0
+
+    def within(self, xy: np.ndarray) -> np.ndarray:
+        """Which places (n, 2) [m] lie on the lanes and not on the outer edge of them all, (n,) bool."""
+        around = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]) * _BESIDE_M
+        return self.on((np.asarray(xy)[:, None] + around).reshape(-1, 2)).reshape(-1, 4).all(axis=1)
+
+    def beside(self, xy: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+        """The edges of the road across from a place on a lane, to the right and to the left of it, (2,) each [m]."""
+        found = []
+        for side in (-1.0, 1.0):
+            place, lane = np.array(xy, dtype=float), self.locate(np.array([xy])).lane[0]
+            while lane >= 0:
+                only = self._with(np.array([lane])).locate(place[None])
+                turn = only.heading_rad[0] + math.pi * self.against[lane]
+                left = np.array([-math.sin(turn), math.cos(turn)])
+                edge = place + (side * 0.5 * self.width_m[lane] - only.t_m[0]) * left
+                place = edge + side * _BESIDE_M * left
+                lane = self.locate(place[None]).lane[0]
+            found.append(edge)
+        return found[0], found[1]
+
+    def area(self, lanes: Sequence[int] | None = None, s_m: tuple[float, float] | None = None) -> list[np.ndarray]:
+        """Outline of each lane as a polygon, (k, 2) each [m]; of all `lanes` unless said, between two stations.
+
+        A lane without ends needs the stations.
+        """
+        polygons = []
+        for lane in range(len(self)) if lanes is None else lanes:
+            line = self._between(lane, s_m)
+            if len(line):
+                half = 0.5 * self.width_m[lane]
+                polygons.append(np.concatenate([_beside(line, -half), _beside(line, half)[::-1]]))
+        return polygons
+
+    def lines(self, s_m: tuple[float, float]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Edges of carriageways and lines between their lanes, as lines (k, 2) between two stations [m]."""
+        edges, dashes = [], []
+        for lane in range(len(self)):
+            line, half = self._between(lane, s_m), 0.5 * self.width_m[lane]
+            if not len(line):
+                continue
+            for side in (-half, half):
+                beside = _beside(line, side)
+                others = self._with(np.delete(np.arange(len(self)), lane))
+                if not len(others) or (others.locate(_beside(line, 1.001 * side)).lane < 0).all():
+                    edges.append(beside)
+                elif side > 0.0:  # one of both lanes draws it
+                    dashes.append(beside)
+        return edges, dashes
+
+    def _with(self, lanes: np.ndarray) -> RoadMap:
+        """The same road with some of its lanes alone."""
+        points = tuple(self.points_m[lane] for lane in lanes)
+        return replace(
+            self,
+            points_m=points,
+            station_m=self.station_m[lanes],
+            width_m=self.width_m[lanes],
+            against=self.against[lanes],
+        )
+
+    def _segments(self) -> tuple[np.ndarray, ...]:
+        """All m segments: start (m, 2), direction (m, 2), from where to where along it, station, row of its lane."""
+        start = np.concatenate([line[:-1] for line in self.points_m])
+        step = np.concatenate([np.diff(line, axis=0) for line in self.points_m])
+        length = np.hypot(*step.T)
+        counts = [len(line) - 1 for line in self.points_m]
+        row, last = np.repeat(np.arange(len(self)), counts), np.cumsum(counts)
+        low, high = np.zeros(len(length)), length.copy()
+        if self.endless:
+            low[last - counts], high[last - 1] = -np.inf, np.inf
+        before = np.cumsum(length) - length
+        station = before - before[last - counts][row] + self.station_m[row]
+        return start, step / length[:, None], low, high, station, row
+
+    def _between(self, lane: int, s_m: tuple[float, float] | None) -> np.ndarray:
+        """The centre line of a lane between two stations, (k, 2) [m]; nothing where it has no part there."""
+        line = self.points_m[lane]
+        if s_m is None:
+            return line
+        steps = np.hypot(*np.diff(line, axis=0).T)
+        station = self.station_m[lane] + np.concatenate([[0.0], np.cumsum(steps)])
+        low, high = s_m
+        if not self.endless:
+            low, high = max(low, station[0]), min(high, station[-1])
+        if high <= low:
+            return line[:0]
+        first, last = np.clip(np.searchsorted(station, (low, high)) - 1, 0, len(steps) - 1)
+        along = np.diff(line, axis=0) / steps[:, None]
+        start, end = (line[at] + (s - station[at]) * along[at] for at, s in ((first, low), (last, high)))
+        corners = (station > low) & (station < high)
+        if self.endless:
+            corners[[0, -1]] = False  # the lane goes straight on there
+        return np.concatenate([[start], line[corners], [end]])
+
+
+def _beside(line: np.ndarray, offset_m: float) -> np.ndarray:
+    """A line (k, 2) moved to its left by an offset [m], mitred at its corners."""
+    along = np.diff(line, axis=0)
+    along /= np.hypot(*along.T)[:, None]
+    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    before, after = np.concatenate([left[:1], left]), np.concatenate([left, left[-1:]])
+    middle = before + after
+    return line + offset_m * middle / (0.5 * np.square(middle).sum(axis=1))[:, None]

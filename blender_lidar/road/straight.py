@@ -1,0 +1,131 @@
+"""The straight road of [road], as a road map: x in the direction of travel, y to the left."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from ..toml_table import setting
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from .road_map import RoadMap
+
+_LARGEST_M = 1e6  # sums and squares stay finite
+
+
+@dataclass(frozen=True, slots=True)
+class StraightRoad:
+    """[road], the road frame beside a carriageway: x in the direction of travel, y to the left, the LiDAR at y <= 0.
+
+    The defaults are I-80's: past the on-ramp, whose acceleration lane ends at Local_Y 202 m.
+
+    Attributes
+    ----------
+    station_m : float
+        Local_Y of x = 0 [m].
+    right_edge_m : float
+        Local_X of the carriageway's right edge [m]; 72 ft on I-80.
+    setback_m : float
+        From the line y = 0 to that edge [m].
+    lanes : int
+        Lanes of the carriageway.
+    lane_width_m : float
+        Width of one lane [m].
+    grade_percent : float
+        Rise of the road along +x, on 100 m of level way; masts stay plumb.
+    cross_fall_percent : float
+        Fall of the road towards -y, the side of y = 0, on 100 m of level way; below 0 it falls towards +y.
+    crown_percent : float
+        Fall of the carriageway from its middle line to both edges, which lie at z = 0.
+    """
+
+    station_m: float = setting(250.0, low=-_LARGEST_M, high=_LARGEST_M)
+    right_edge_m: float = setting(21.9456, low=-_LARGEST_M, high=_LARGEST_M)
+    setback_m: float = setting(2.0, low=0.0, high=_LARGEST_M)
+    lanes: int = setting(6, low=1, high=50)
+    lane_width_m: float = setting(3.66, above=0.0, high=10.0)
+    grade_percent: float = setting(0.0, low=-12.0, high=12.0)
+    cross_fall_percent: float = setting(0.0, low=-8.0, high=8.0)
+    crown_percent: float = setting(0.0, low=0.0, high=6.0)
+
+    @property
+    def carriageway_y(self) -> tuple[float, float]:
+        """The y [m] of the carriageway's right and left edge."""
+        return self.setback_m, self.setback_m + self.lanes * self.lane_width_m
+
+    @property
+    def is_level(self) -> bool:
+        """Whether the vertical stands square on the road's plane."""
+        return self.grade_percent == self.cross_fall_percent == 0.0
+
+    @property
+    def slopes(self) -> dict[str, float]:
+        """What of it is not level, by the settings' names."""
+        keys = ("grade_percent", "cross_fall_percent", "crown_percent")
+        return {key: getattr(self, key) for key in keys if getattr(self, key)}
+
+    @property
+    def up(self) -> tuple[float, float, float]:
+        """The vertical in the road frame, whose z stands square on the road's plane.
+
+        With u along x and v along y, both level, the plane is ``z = grade u + cross_fall v``, and the road frame's x
+        lies in it above u.
+        """
+        if self.is_level:
+            return 0.0, 0.0, 1.0
+        grade, fall = 0.01 * self.grade_percent, 0.01 * self.cross_fall_percent
+        along, whole = math.hypot(1.0, grade), math.hypot(1.0, grade, fall)
+        return grade / along, fall / (along * whole), 1.0 / whole
+
+    @property
+    def surface(self) -> CrownedSurface:
+        """The carriageway above the plane z = 0."""
+        return CrownedSurface(*self.carriageway_y, 0.01 * self.crown_percent)
+
+
+@dataclass(frozen=True, slots=True)
+class CrownedSurface:
+    """A carriageway along x that falls from its middle line to both edges, y [m], which lie at z = 0."""
+
+    right: float
+    left: float
+    fall: float
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it is the plane z = 0."""
+        return not self.fall
+
+    def height(self, xy: np.ndarray) -> np.ndarray:
+        """Height above the plane z = 0 at places (n, 2) [m], (n,)."""
+        half = 0.5 * (self.left - self.right)
+        return self.fall * (half - abs(xy[..., 1] - self.right - half)).clip(0.0)
+
+    def triangles(self, s_m: tuple[float, float]) -> np.ndarray:
+        """Both of its planes between two x [m], (4, 3, 3); nothing where it is flat."""
+        import numpy as np
+
+        if self.is_flat:
+            return np.empty((0, 3, 3))
+        y = np.array([self.right, 0.5 * (self.right + self.left), self.left])
+        rows = np.stack([np.stack([np.full(3, x), y], axis=1) for x in s_m])
+        rows = np.concatenate([rows, self.height(rows)[..., None]], axis=-1)
+        a, b, c, d = rows[0, :-1], rows[1, :-1], rows[1, 1:], rows[0, 1:]
+        return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+@lru_cache(maxsize=8)
+def road_map(road: StraightRoad) -> RoadMap:
+    """The map of a straight road: its lanes from the right to the left, without ends, with x as their station."""
+    import numpy as np
+
+    from .road_map import RoadMap
+
+    middle = road.setback_m + (np.arange(road.lanes) + 0.5) * road.lane_width_m
+    lanes = tuple(np.array([[0.0, y], [1.0, y]]) for y in middle)
+    width, against = np.full(road.lanes, road.lane_width_m), np.zeros(road.lanes, dtype=bool)
+    return RoadMap(lanes, np.zeros(road.lanes), width, against, road.surface, road.up, endless=True)

@@ -1,0 +1,258 @@
+"""[deployment] and [baseline]: which coordinates of a mounting are fixed and which are searched, and on which poles.
+
+Like the other settings it needs the standard library alone, so that help opens at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from ..road.straight import StraightRoad, road_map
+from ..toml_table import setting, settings_of
+from .mounting import ANGLES, LEANS, Layout, Mounting, mast_at, mounting_from
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_TURNS = ("yaw_deg", "lean_direction_deg", "spin_deg")  # of which 360 degrees are a full circle
+HEADING = {"low": -360.0, "high": 360.0}
+
+
+@dataclass(frozen=True, slots=True)
+class MountingSettings:
+    """[baseline], and a mounting given by options: the height is that of the paper's section V.A.
+
+    Attributes
+    ----------
+    x_m : float
+        Along the road, in the direction of travel.
+    y_m : float
+        Across the road, to the left.
+    height_m : float
+        Above the road.
+    tilt_x_deg : float
+        Across the road, positive looks down towards +y.
+    tilt_y_deg : float
+        Along the road, positive raises the side ahead.
+    yaw_deg : float
+        Counter-clockwise seen from above.
+    """
+
+    x_m: float = setting(0.0, low=-1e5, high=1e5, option="--x")
+    y_m: float = setting(0.0, low=-1e5, high=1e5, option="--y")
+    height_m: float = setting(2.0, low=0.1, high=100.0, option="--height")
+    tilt_x_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-x", rivals=LEANS)
+    tilt_y_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-y", rivals=LEANS)
+    yaw_deg: float = setting(0.0, option="--yaw", rivals=LEANS, **HEADING)
+
+
+@dataclass(frozen=True, slots=True)
+class LeanSettings:
+    """The same orientation as both tilts and yaw, and in their place: see `sensors.pose.lean_matrix`.
+
+    Attributes
+    ----------
+    lean_deg : float or None
+        How far it leans from upright.
+    lean_direction_deg : float
+        Which way it leans and looks down, counter-clockwise seen from above, 0 towards +y.
+    spin_deg : float
+        Turn about its own axis, counter-clockwise; it matters to a sensor whose columns are uneven.
+    """
+
+    lean_deg: float | None = setting(None, low=0.0, high=90.0, option="--lean", rivals=ANGLES)
+    lean_direction_deg: float | None = setting(None, option="--lean-direction", rivals=ANGLES, **HEADING)
+    spin_deg: float | None = setting(None, option="--spin", rivals=ANGLES, **HEADING)
+
+
+MOUNTING = settings_of(MountingSettings)
+LEAN = settings_of(LeanSettings)
+MOUNTING_OR_LEAN = MOUNTING | LEAN
+"""All coordinates by which a mounting can be given."""
+COORDINATE_LIMITS = {key: (declared.low, declared.high) for key, declared in MOUNTING.items()}
+SEARCHED = {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
+"""What [deployment] searches unless said: the paper's ranges, section V.A."""
+DEPLOYMENT = {
+    key: replace(declared, kind=float | tuple[float, float], default=SEARCHED.get(key, declared.default))
+    for key, declared in MOUNTING_OR_LEAN.items()
+}
+"""[deployment]: a number fixes a coordinate, a pair [low, high] has it searched."""
+for _key in ("x_m", "y_m"):
+    DEPLOYMENT[_key] = replace(DEPLOYMENT[_key], form='several places are a table of poles: poles = "poles.csv"')
+
+
+@dataclass(frozen=True, slots=True)
+class Pole:
+    """A candidate place: a row of the table of [deployment] poles.
+
+    Attributes
+    ----------
+    name : str
+    x_m, y_m : float
+        Where it stands [m, road frame].
+    foot_z_m : float
+        Its foot above the road plane [m].
+    height_min_m, height_max_m : float or None
+        Between what heights above its foot a LiDAR can hang [m]; those of [deployment] unless said.
+    cost : float or None
+    existing : bool or None
+        Whether it stands already.
+    """
+
+    name: str
+    x_m: float
+    y_m: float
+    foot_z_m: float = 0.0
+    height_min_m: float | None = None
+    height_max_m: float | None = None
+    cost: float | None = None
+    existing: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where one LiDAR may hang: which of its coordinates stay, and between what bounds the others are searched.
+
+    Attributes
+    ----------
+    fixed : mapping of str to float
+        Coordinates that stay [m, degrees]; those of the orientation are tilts and yaw, or lean, direction and spin.
+    bounds : mapping of str to (float, float)
+        The others, in the order of `MOUNTING_OR_LEAN`.
+    road : StraightRoad
+        What its mast stands on.
+    pole : Pole or None
+        The candidate pole that it is, if it is one.
+    """
+
+    fixed: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+    road: StraightRoad = field(default=StraightRoad(), repr=False)
+    pole: Pole | None = None
+
+    def span(self, key: str) -> tuple[float, float]:
+        """From where to where a coordinate may be; twice the same where it is fixed."""
+        return self.bounds.get(key) or (self.fixed[key],) * 2
+
+    @property
+    def label(self) -> str:
+        """What tells it from other candidate places; nothing where there is one place."""
+        return "" if self.pole is None else f"pole {self.pole.name}"
+
+    @property
+    def leans(self) -> bool:
+        """Whether its orientation is given by a lean."""
+        return "lean_deg" in self.fixed or "lean_deg" in self.bounds
+
+    def mounting(self, x: Sequence[float]) -> Mounting:
+        """The mounting where the searched coordinates have the values `x`."""
+        searched = zip(self.bounds, map(float, x), strict=True)
+        return mounting_from({**self.fixed, **dict(searched)}, road_map(self.road))
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSpace:
+    """Search space: the free coordinates of all LiDARs of a layout, one after the other.
+
+    Which of several candidate poles a LiDAR hangs on is an outer choice and no coordinate: each has a space of its own.
+
+    Attributes
+    ----------
+    places : tuple of Place
+        One for each LiDAR.
+    """
+
+    places: tuple[Place, ...]
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the searched coordinates."""
+        return tuple(key for place in self.places for key in place.bounds)
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Lower and upper bound of each searched coordinate [m, degrees]."""
+        return {key: bounds for place in self.places for key, bounds in place.bounds.items()}
+
+    @property
+    def lower(self) -> tuple[float, ...]:
+        return tuple(low for low, _ in self.bounds.values())
+
+    @property
+    def upper(self) -> tuple[float, ...]:
+        return tuple(high for _, high in self.bounds.values())
+
+    @property
+    def periodic(self) -> tuple[bool, ...]:
+        """Which searched coordinates are full circles, on which neither bound is an end."""
+        return tuple(key in _TURNS and high - low == 360.0 for key, (low, high) in self.bounds.items())
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """The height, and what the sensor looks down by: its lean, or the tilt across the mast's frame."""
+        return "height_m", "lean_deg" if self.places[0].leans else "tilt_x_deg"
+
+    def layout(self, x: Sequence[float]) -> Layout:
+        """The mountings at a point `x` (d,) of the space [m, degrees]."""
+        values, mountings = list(x), []
+        for place in self.places:
+            mountings.append(place.mounting(values[: len(place.bounds)]))
+            values = values[len(place.bounds) :]
+        return tuple(mountings)
+
+
+@dataclass(frozen=True, slots=True)
+class Deployment:
+    """[deployment]: what of the mounting is fixed and what is searched, on one place or on candidate poles.
+
+    Attributes
+    ----------
+    fixed, bounds
+        As of a `Place`; with poles, without x and y.
+    poles : tuple of Pole
+        Candidate places, each searched by itself; none where x and y say the place.
+    poles_file : str or None
+        The table that they come from.
+    road : StraightRoad
+        What the masts stand on.
+    """
+
+    fixed: Mapping[str, float]
+    bounds: Mapping[str, tuple[float, float]]
+    poles: tuple[Pole, ...] = ()
+    poles_file: str | None = None
+    road: StraightRoad = field(default=StraightRoad(), repr=False)
+
+    def at(self, pole: Pole) -> Place:
+        """The same on one pole: its place, and its heights above its foot, or those of [deployment] above its foot."""
+        height = self.bounds.get("height_m") or (self.fixed["height_m"],) * 2
+        own = pole.height_min_m, pole.height_max_m
+        low, high = (pole.foot_z_m + (usual if end is None else end) for usual, end in zip(height, own, strict=True))
+        fixed = {**self.fixed, "x_m": pole.x_m, "y_m": pole.y_m, "height_m": low}
+        bounds = {**self.bounds, "height_m": (low, high)}
+        (bounds if low == high else fixed).pop("height_m")
+        return Place(fixed, {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}, self.road, pole)
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """What is searched, candidate by candidate: each pole, or the one place."""
+        return tuple(map(self.at, self.poles)) or (Place(self.fixed, self.bounds, self.road),)
+
+    @property
+    def spaces(self) -> tuple[SearchSpace, ...]:
+        """The search space of each candidate place."""
+        return tuple(SearchSpace((place,)) for place in self.places)
+
+    @property
+    def nominal_xy(self) -> tuple[float, float]:
+        """The mount's place [m], or the middle of where it may be."""
+        ends = [[end for place in self.places for end in place.span(key)] for key in ("x_m", "y_m")]
+        return tuple(0.5 * (min(one) + max(one)) for one in ends)
+
+
+def nominal_mounting(place: Place, height_m: float) -> Mounting:
+    """An upright LiDAR in the middle of where it may hang."""
+    x_m, y_m = (0.5 * sum(place.span(key)) for key in ("x_m", "y_m"))
+    return Mounting(mast_at(road_map(place.road), x_m, y_m), height_m)
