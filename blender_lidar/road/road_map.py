@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 _ON_EDGE_M = 1e-9  # what lies this near to an edge lies on it
-_BESIDE_M = 1e-6  # far enough from an edge to lie on one side of it
+_BESIDE_M = 0.01  # far enough from an edge to lie on one side of it, across the gaps between the lanes of a bend
 
 
 class Located(NamedTuple):

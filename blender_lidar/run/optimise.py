@@ -117,9 +117,7 @@ class _Found(NamedTuple):
     polished: bool = False
 
 
-def _search_space(
-    site: Site, space: SearchSpace, evaluator: Evaluator, replay: Replay, listener: Listener
-) -> _Found:
+def _search_space(site: Site, space: SearchSpace, evaluator: Evaluator, replay: Replay, listener: Listener) -> _Found:
     """Search the best layout of a search space."""
     scenario, label = site.scenario, space.places[0].label
     tolerance, score_map = scenario.objective.tolerance, None

@@ -232,9 +232,7 @@ def losses_over_tolerance(
     """
     errors, widths = installation_errors(tolerance, JUDGED_BASE), tolerance.half_widths
     limits = [
-        [sign * width * (other == key) for other in _NOT_EXACT]
-        for key, width in widths.items()
-        for sign in (-1.0, 1.0)
+        [sign * width * (other == key) for other in _NOT_EXACT] for key, width in widths.items() for sign in (-1.0, 1.0)
     ]
     errors_of_all = np.concatenate([np.zeros((1, len(_NOT_EXACT))), errors, limits])
     totals = evaluator.totals(_installed(plan, errors_of_all))

@@ -94,9 +94,7 @@ def _by_recording(
     return rows
 
 
-def judge_over_tolerance(
-    site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed: int
-) -> dict[str, dict]:
+def judge_over_tolerance(site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed: int) -> dict[str, dict]:
     """Scores of mountings over the scene's tolerance, on the searched and on the held-out frames.
 
     Parameters

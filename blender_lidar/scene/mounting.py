@@ -138,7 +138,7 @@ def hung_at(pose: Pose, road: RoadMap, facing_rad: float = _SQUARE) -> Mounting:
     from ..sensors.pose import tilts_of, turned
 
     foot_z = 0.0
-    for _ in range(2):  # the foot's height depends on its place, which a slope moves with it
+    for _ in range(9):  # the foot's height depends on its place, which a slope moves with it
         height = (pose.height_m - foot_z) / road.up[2]
         x_m, y_m = pose.x_m - height * road.up[0], pose.y_m - height * road.up[1]
         mast = mast_at(road, x_m, y_m, facing_rad)

@@ -1,0 +1,117 @@
+"""Masts and mountings: poses in the site frame, tables of degrees, and search spaces that give layouts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.errors import InputError
+from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.deployment import Deployment, Place, Pole, SearchSpace
+from blender_lidar.scene.mounting import Mast, Mounting, hung_at, mast_at, mounting_from
+from blender_lidar.sensors.pose import lean_matrix
+
+LEVEL = StraightRoad()
+SLOPING = StraightRoad(grade_percent=6.0, cross_fall_percent=-2.5, crown_percent=3.0)
+ANGLE = st.floats(-1.4, 1.4)
+PLACE = st.floats(-30.0, 30.0)
+mountings = st.builds(
+    lambda road, x, y, facing, height, tilt_x, tilt_y, yaw: (
+        road_map(road),
+        Mounting(mast_at(road_map(road), x, y, facing), height, tilt_x, tilt_y, yaw),
+    ),
+    st.sampled_from([LEVEL, SLOPING]),
+    PLACE,
+    PLACE,
+    st.floats(0.0, 6.2),
+    st.floats(1.0, 9.0),
+    ANGLE,
+    ANGLE,
+    st.floats(-3.0, 3.0),
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(mountings)
+def test_a_mounting_comes_back_from_its_pose_and_from_its_table(made):
+    road, mounting = made
+    pose = mounting.pose
+    for again in (
+        hung_at(pose, road, mounting.mast.facing_rad),
+        mounting_from(mounting.as_table(), road, Mounting(Mast(facing_rad=mounting.mast.facing_rad))),
+    ):
+        np.testing.assert_allclose(again.pose.position, pose.position, atol=1e-9)
+        np.testing.assert_allclose(again.pose.rotation, pose.rotation, atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(mountings)
+def test_the_sensor_looks_along_the_mast_frame_turned_by_its_tilts(made):
+    _, mounting = made
+    axes = mounting.mast.axes
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    level = Mounting(Mast(), 0.0, mounting.tilt_x, mounting.tilt_y, mounting.yaw)
+    np.testing.assert_allclose(mounting.pose.rotation, level.pose.rotation @ axes, atol=1e-9)
+    up = np.array(mounting.mast.up)
+    np.testing.assert_allclose(mounting.pose.position, mounting.mast.foot_m + mounting.height_m * up, atol=1e-12)
+
+
+def test_a_mast_that_faces_along_x_looks_down_there():
+    tilted = Mounting(Mast((0.0, 0.0, 0.0), facing_rad=0.0), 4.0, tilt_x=math.radians(20.0))
+    ahead = tilted.pose.to_world(np.array([[0.0, 1.0, 0.0]]))[0]
+    np.testing.assert_allclose(ahead, [math.cos(math.radians(20.0)), 0.0, -math.sin(math.radians(20.0))], atol=1e-12)
+
+
+def test_a_lean_and_its_tilts_are_one_mounting_and_two_that_differ_are_refused():
+    road = road_map(LEVEL)
+    lean = mounting_from({"height_m": 4.0, "lean_deg": 20.0, "lean_direction_deg": 30.0, "spin_deg": 5.0}, road)
+    np.testing.assert_allclose(lean.pose.rotation, lean_matrix(*np.radians([20.0, 30.0, 5.0])), atol=1e-12)
+    table = lean.as_table()
+    assert table["lean_deg"] == pytest.approx(20.0, abs=1e-9)
+    np.testing.assert_allclose(mounting_from(table, road).pose.rotation, lean.pose.rotation, atol=1e-9)
+    with pytest.raises(InputError, match="its lean is not that of its tilts"):
+        mounting_from({**table, "tilt_x_deg": 3.0}, road)
+    with pytest.raises(InputError, match="has lean_deg and tilt_x_deg"):
+        mounting_from({"lean_deg": 3.0, "tilt_x_deg": 3.0}, road)
+    upright = mounting_from({"yaw_deg": 12.0}, road).as_table()
+    assert (upright["lean_deg"], upright["lean_direction_deg"], upright["spin_deg"]) == (0.0, None, 12.0)
+
+
+def test_what_a_table_leaves_out_is_that_of_the_other_mounting():
+    road = road_map(SLOPING)
+    base = Mounting(mast_at(road, 3.0, -1.0), 2.5, 0.1, 0.2, 0.3)
+    found = mounting_from({"height_m": 4.0, "tilt_y_deg": 0.0}, road, base)
+    assert found == replace(base, height_m=4.0, tilt_y=0.0)
+    moved = mounting_from({"x_m": 9.0}, road, base)
+    assert moved.xy == (9.0, -1.0)
+
+
+def test_a_search_space_gives_the_layout_of_all_its_lidars():
+    upright = {"tilt_y_deg": 0.0, "yaw_deg": 0.0}
+    one = Place({"x_m": 0.0, "y_m": 0.0, **upright}, {"height_m": (2.0, 4.0), "tilt_x_deg": (0.0, 25.0)})
+    two = Place(
+        {"y_m": -1.0, "height_m": 5.0, "tilt_x_deg": 0.0, "tilt_y_deg": 0.0},
+        {"x_m": (-9.0, 9.0), "yaw_deg": (0.0, 360.0)},
+    )
+    space = SearchSpace((one, two))
+    assert space.lower == (2.0, 0.0, -9.0, 0.0)
+    assert space.periodic == (False, False, False, True)
+    first, second = space.layout([3.0, 10.0, 7.0, 90.0])
+    assert first == Mounting(Mast(), 3.0, tilt_x=math.radians(10.0))
+    assert second == Mounting(Mast((7.0, -1.0, 0.0)), 5.0, yaw=math.radians(90.0))
+
+
+@pytest.mark.parametrize("foot_z_m", [-1.0, 0.0, 3.0])
+@pytest.mark.parametrize("own", [(None, None), (3.0, 8.0), (None, 6.0)])
+def test_no_pole_is_searched_below_its_foot(foot_z_m, own):
+    fixed = {"x_m": 0.0, "y_m": 0.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
+    deployment = Deployment(fixed, {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)})
+    low, high = deployment.at(Pole("a", 1.0, -2.0, foot_z_m, *own)).span("height_m")
+    expected = [usual if end is None else end for usual, end in zip((2.0, 4.5), own, strict=True)]
+    assert (low - foot_z_m, high - foot_z_m) == pytest.approx(tuple(expected))
+    assert low > foot_z_m

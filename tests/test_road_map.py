@@ -1,0 +1,120 @@
+"""Road maps: straight ones and bent ones give lane, station and offset of a place, and outlines that agree with them."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from blender_lidar.road.road_map import RoadMap
+from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.region import polygon_holds
+
+STRAIGHT = StraightRoad(setback_m=2.0, lanes=3, lane_width_m=3.5)
+FLAT = STRAIGHT.surface
+
+
+def arc(radius=60.0, turn_rad=1.2, lanes=2, width=3.5, step_m=0.5):
+    """Lanes about a circle's middle at (0, radius), the right one first, driven counter-clockwise from (0, 0)."""
+    lines = []
+    for lane in range(lanes):
+        own = radius - lane * width
+        angle = np.linspace(0.0, turn_rad, math.ceil(radius * turn_rad / step_m))
+        lines.append(np.stack([own * np.sin(angle), radius - own * np.cos(angle)], axis=1))
+    return RoadMap(tuple(lines), np.zeros(lanes), np.full(lanes, width), np.zeros(lanes, dtype=bool), FLAT)
+
+
+def test_a_straight_road_locates_places_by_its_lanes():
+    road = road_map(STRAIGHT)
+    xy = np.array([[7.0, 2.0], [-300.0, 5.4], [0.25, 5.6], [4e4, 12.5], [1.0, 1.99], [1.0, 12.51]])
+    found = road.locate(xy)
+    np.testing.assert_array_equal(found.lane, [0, 0, 1, 2, -1, -1])
+    np.testing.assert_array_equal(found.s_m, xy[:, 0])
+    np.testing.assert_allclose(found.t_m[:4], [-1.75, 1.65, -1.65, 1.75], atol=1e-12)
+    np.testing.assert_array_equal(found.heading_rad, 0.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.02, 1.18), st.floats(-6.0, 2.5))
+def test_on_a_bend_station_offset_and_heading_are_those_of_the_circle(angle, outwards):
+    radius, road = 60.0, arc()
+    away = radius + outwards
+    place = np.array([[away * math.sin(angle), radius - away * math.cos(angle)]])
+    found = road.locate(place)
+    lane = 0 if -1.75 < outwards < 1.75 else 1 if -5.25 < outwards < -1.75 else -1
+    if min(abs(outwards - edge) for edge in (-5.25, -1.75, 1.75)) < 0.01:
+        return  # chords are inside their arcs
+    assert found.lane[0] == lane
+    if lane >= 0:
+        own = radius - 3.5 * lane
+        assert found.s_m[0] == pytest.approx(own * angle, abs=0.02)
+        assert found.t_m[0] == pytest.approx(own - away, abs=0.01)
+        assert found.heading_rad[0] == pytest.approx(angle, abs=0.01)
+
+
+def test_outlines_hold_the_places_that_are_on_their_lane():
+    rng = np.random.default_rng(3)
+    for road, s in ((arc(), (5.0, 50.0)), (road_map(STRAIGHT), (-20.0, 30.0))):
+        xy = rng.uniform((-25.0, -10.0), (60.0, 60.0), (4000, 2))
+        found = road.locate(xy)
+        for lane, outline in enumerate(road.area(s_m=s)):
+            along = (found.s_m >= s[0]) & (found.s_m <= s[1])
+            near_edge = np.abs(np.abs(found.t_m) - 0.5 * road.width_m[lane]) < 0.02
+            near_end = np.abs(found.s_m - np.array([s[0], s[1]])[:, None]).min(axis=0) < 0.2
+            clear = ~near_edge & ~near_end
+            np.testing.assert_array_equal(polygon_holds(outline, xy)[clear], ((found.lane == lane) & along)[clear])
+
+
+@pytest.mark.parametrize("road", [road_map(STRAIGHT), arc(lanes=3)], ids=["straight", "bend"])
+def test_a_carriageway_has_two_edges_and_lines_between_its_lanes(road):
+    edges, between = road.lines((1.0, 40.0))
+    assert (len(edges), len(between)) == (2, 2)
+    for line in between:
+        assert road.within(line[1:-1]).all()
+    for line in edges:
+        assert road.on(line).all()
+        assert not road.within(line).any()
+
+
+def test_the_edges_beside_a_place_lie_across_all_lanes():
+    right, left = road_map(STRAIGHT).beside((4.0, 7.0))
+    np.testing.assert_allclose([right, left], [[4.0, 2.0], [4.0, 12.5]], atol=1e-5)
+    right, left = arc().beside((60.0 * math.sin(0.5), 60.0 - 60.0 * math.cos(0.5)))
+    for place, radius in ((right, 61.75), (left, 54.75)):
+        assert np.hypot(place[0], place[1] - 60.0) == pytest.approx(radius, abs=0.01)
+
+
+def test_where_lanes_cross_the_heading_decides():
+    crossing = RoadMap(
+        (np.array([[-20.0, 0.0], [20.0, 0.0]]), np.array([[0.0, -20.0], [0.0, 20.0]])),
+        np.array([100.0, 200.0]),
+        np.array([3.0, 3.0]),
+        np.array([False, True]),
+        FLAT,
+    )
+    found = crossing.locate(np.zeros((3, 2)), np.array([0.1, -1.5, 1.4]))
+    np.testing.assert_array_equal(found.lane[:2], [0, 1])
+    np.testing.assert_allclose(found.s_m[:2], [120.0, 220.0])
+    assert found.heading_rad[1] == pytest.approx(-0.5 * math.pi)
+    assert crossing.locate(np.array([[20.001, 0.0]])).lane[0] == -1, "a lane with ends has ends"
+
+
+def test_a_crown_rises_to_the_middle_and_its_triangles_lie_on_it():
+    road = StraightRoad(setback_m=2.0, lanes=4, lane_width_m=3.0, crown_percent=2.5)
+    height = road.surface.height(np.array([[0.0, 0.0], [0.0, 2.0], [9.0, 8.0], [0.0, 11.0], [0.0, 14.0], [0.0, 99.0]]))
+    np.testing.assert_allclose(height, [0.0, 0.0, 0.15, 0.075, 0.0, 0.0], atol=1e-15)
+    corners = road.surface.triangles((-5.0, 5.0))
+    np.testing.assert_allclose(corners[..., 2], road.surface.height(corners.reshape(-1, 3)).reshape(4, 3), atol=1e-15)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normal[:, 2] > 0.0).all()
+    assert len(FLAT.triangles((-5.0, 5.0))) == 0
+
+
+def test_a_map_survives_pickling():
+    road = pickle.loads(pickle.dumps(arc()))
+    xy = np.array([[3.0, 0.1], [30.0, 9.0]])
+    np.testing.assert_array_equal(road.locate(xy).s_m, arc().locate(xy).s_m)
