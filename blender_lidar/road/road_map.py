@@ -88,12 +88,14 @@ class RoadMap:
         and without one the lane whose middle is nearest.
         """
         start, along, low, high, station, row = self._segments()
+        first, last = np.diff(row, prepend=-1) > 0, np.diff(row, append=len(self)) > 0
         off = np.asarray(xy, dtype=float)[:, None, :2] - start  # (n, m, 2)
         s = (off * along).sum(axis=-1)
         t = along[:, 0] * off[..., 1] - along[:, 1] * off[..., 0]
         beyond = s - s.clip(low, high)
         away = np.hypot(t, beyond)
-        outside = (np.abs(t) > 0.5 * self.width_m[row] + _ON_EDGE_M) | (np.abs(beyond) > _ON_EDGE_M)
+        outside = away > 0.5 * self.width_m[row] + _ON_EDGE_M
+        outside |= (first & (beyond < -_ON_EDGE_M)) | (last & (beyond > _ON_EDGE_M))
         direction = np.arctan2(along[:, 1], along[:, 0]) + math.pi * self.against[row]
         turn = np.zeros_like(away)
         if heading_rad is not None:
