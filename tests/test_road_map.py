@@ -76,7 +76,7 @@ def test_a_carriageway_has_two_edges_and_lines_between_its_lanes(road):
     for line in between:
         assert road.within(line[1:-1]).all()
     for line in edges:
-        assert road.on(line).all()
+        np.testing.assert_allclose(np.abs(road.locate(line[1:-1]).t_m), 1.75, atol=1e-3)
         assert not road.within(line).any()
 
 
