@@ -37,7 +37,8 @@ from .results import Run, Scan, Score, table_of
 from .run.folder import RunFolder
 from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.verdict import POINTS, vehicle_table
-from .scene.mounting import LEANS, MOUNTING, MOUNTING_OR_LEAN, six_coordinates
+from .scene.deployment import MOUNTING, MOUNTING_OR_LEAN
+from .scene.mounting import LEANS, Mounting
 from .scene.provenance import check_same_inputs
 from .scene.scenario import load_scenario, scenario_of
 from .scene.settings import DECLARED
@@ -200,7 +201,8 @@ def best_mounting(
     except KeyboardInterrupt:
         if listener.best_x is None or site.scenario.deployment.poles:  # whose searches speak of one place each
             raise
-        return replace(judge_mounting(site, **site.scenario.deployment.coordinates(listener.best_x)), complete=False)
+        (best,) = site.scenario.deployment.spaces[0].layout(listener.best_x)
+        return replace(_judged(site, best, None), complete=False)
 
 
 def judge_mounting(site: Site, *, out: str | Path | None = None, **mounting: float) -> Run:
@@ -213,12 +215,15 @@ def judge_mounting(site: Site, *, out: str | Path | None = None, **mounting: flo
     **mounting : float
         Its coordinates [m, degrees]; those left out are the baseline's.
     """
-    place = _mounting(site, mounting)
-    site, folder = _reaching(site, [place]), _folder(out)
+    return _judged(site, _mounting(site, mounting), out)
+
+
+def _judged(site: Site, mounting: Mounting, out: str | Path | None) -> Run:
+    site, folder = _reaching(site, [mounting]), _folder(out)
     folder.check()
     with folder.locked():
         folder.check()  # again: another run may have come first
-        evaluate_site(site, folder, place)
+        evaluate_site(site, folder, mounting)
         return _run_in(folder, site, keeps=out is not None)
 
 
@@ -247,11 +252,10 @@ def score_mounting(site: Site, *, held_out: bool = False, **mounting: float) -> 
     place = _mounting(site, mounting)
     site = _reaching(site, [place])
     evaluator = Evaluator(_frames(site, held_out), site.observation, site.scoring)
-    pose = site.scenario.pose(place)
-    totals = evaluator.totals([pose])
+    totals = evaluator.totals([(place,)])
     scores = float(totals.objective.sum()), float(totals.per_vehicle()[0]), float(totals.detectable_share()[0])
-    table = vehicle_table(pose, **{"holdout" if held_out else "search": evaluator})
-    return Score(place, *scores, table_of(table))
+    table = vehicle_table((place,), **{"holdout" if held_out else "search": evaluator})
+    return Score(place.as_table(), *scores, table_of(table))
 
 
 def score_mountings(site: Site, table: Mapping | Iterable[Mapping], *, held_out: bool = False):
@@ -277,9 +281,9 @@ def score_mountings(site: Site, table: Mapping | Iterable[Mapping], *, held_out:
         raise InputError("score_mountings: the table is empty; allowed: one row for each mounting")
     site = _reaching(site, rows)
     with site_evaluator(site, _frames(site, held_out)) as evaluator:
-        totals = evaluator.totals([site.scenario.pose(row) for row in rows])
+        totals = evaluator.totals([(row,) for row in rows])
     scores = totals.objective.sum(axis=1), totals.per_vehicle(), totals.detectable_share()
-    columns = {key: np.array([row[key] for row in rows]) for key in MOUNTING}
+    columns = {key: np.array([row.as_table()[key] for row in rows]) for key in MOUNTING}
     return table_of(columns | dict(zip(_SCORES, scores, strict=True)))
 
 
@@ -300,25 +304,24 @@ def _rows(table) -> list[Mapping]:
     return [{key: row[key] for key in row.keys() if key not in _SCORES} for row in rows]  # noqa: SIM118 - of a Series
 
 
-def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -> dict[str, float]:
-    """The six coordinates: those given, checked, and the baseline's."""
+def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -> Mounting:
+    """The mounting that coordinates give, checked, with the baseline's others."""
     for name in given:
         if name not in MOUNTING_OR_LEAN:
             raise unknown_name(name, MOUNTING_OR_LEAN, "coordinate", where)
     told = {key: _plain(one) for key, one in given.items()}
     told = {key: one for key, one in told.items() if one is not None or key not in LEANS}  # no lean has no direction
     numbers = {key: checked(one, MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, one in told.items()}
-    return six_coordinates(numbers, site.scenario.baseline, where)
+    return site.scenario.mounting(numbers, where)
 
 
-def _reaching(site: Site, mounts: Sequence[Mapping[str, float]]) -> Site:
+def _reaching(site: Site, mounts: Sequence[Mounting]) -> Site:
     """The site with all vehicles that matter to the mountings, none of which may stand in traffic."""
-    farthest = max(mounts, key=lambda mount: reach_of(site.scenario, mount))
     for mount in mounts:
         check_mount_is_clear(site.scenario, [], {"mounting": mount})
-    if reach_of(site.scenario, farthest) > site.reach_m:
+    if reach_of(site.scenario, mounts) > site.reach_m:
         check_same_inputs(site.scenario, site.identity)
-        site = prepare(site.scenario, farthest)
+        site = prepare(site.scenario, mounts)
     frames = [frame.vehicles for frame in (*site.search, *site.holdout)]
     for mount in mounts:
         check_mount_is_clear(site.scenario, frames, {"mounting": mount})

@@ -14,7 +14,6 @@ from ..report.installation import installation_text
 from ..report.page import write_report
 from ..run.folder import INSTALLATION, Outcome, RunFolder
 from ..run.optimise import ended_search, evaluate_site, optimise_site
-from ..scene.mounting import COORDINATES
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
@@ -61,8 +60,8 @@ def report(args: argparse.Namespace, site: Site, folder: RunFolder) -> int:
     if args.detector is not None:
         from .detect import judge_at, told
 
-        mount = {key: run.result["deployment"][key] for key in COORDINATES}
-        found = "\n\n" + told(judge_at(site, mount, args.detector, folder.path))
+        mounting = site.scenario.mounting(run.result["deployment"])
+        found = "\n\n" + told(judge_at(site, mounting, args.detector, folder.path))
     charts = write_pages(site, run, lambda text: print(f"blender-lidar: note: {text}", file=sys.stderr))
     say(args, outcome_text(run, files(folder, charts)) + found)
     if args.json:
@@ -102,7 +101,7 @@ def run_optimise(args: argparse.Namespace) -> int:
         done = ended_search(site, folder, lambda text: say(args, f"{text}.\n")) if args.resume else None
         try:
             if done is None:
-                variables, metric = scenario.deployment.variables, metric_named(scenario.objective.metric)
+                variables, metric = scenario.deployment.spaces[0].variables, metric_named(scenario.objective.metric)
                 with stops_recognised(), RunProgress(variables, metric) as listener:
                     optimise_site(site, folder, listener, resume=args.resume)
             return report(args, site, folder)
@@ -115,12 +114,12 @@ def run_evaluate(args: argparse.Namespace) -> int:
     """Score one mounting; returns the exit code."""
     _check_detector(args)
     scenario = scenario_from(args)
-    mount = mounting_from(args, scenario)
+    mounting = mounting_from(args, scenario)
     folder = folder_from(args, scenario)
-    site = prepare(scenario, mount)
+    site = prepare(scenario, [mounting])
     with folder.locked():
         folder.check()  # again: another run may have come first
         say(args, describe_site(site, searched=False, verbose=args.verbose) + "\n")
         poles = {pole.name: pole for pole in scenario.deployment.poles}
-        evaluate_site(site, folder, mount, poles.get(args.pole))
+        evaluate_site(site, folder, mounting, poles.get(args.pole))
         return report(args, site, folder)

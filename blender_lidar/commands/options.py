@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from ..errors import InputError, MissingExtraError, shown, unknown_name
 from ..plugins import IN_A_FILE
-from ..scene.mounting import MOUNTING_OR_LEAN, six_coordinates
+from ..scene.deployment import MOUNTING_OR_LEAN
+from ..scene.mounting import Mounting
 from ..scene.settings import DECLARED
 from ..toml_table import Setting, checked, limits_text
 
@@ -169,8 +170,8 @@ def scene_settings() -> dict[str, tuple[str, str]]:
     return {option[2:].replace("-", "_"): (table, key) for option, (table, key, _) in _SETTINGS.items()}
 
 
-def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, float]:
-    """The mounting that the options name, in metres and degrees."""
+def mounting_from(args: argparse.Namespace, scenario: Scenario) -> Mounting:
+    """The mounting that the options name."""
     given = given_options(args, MOUNTING_OR_LEAN)
     if args.pole is not None:
         poles = {pole.name: pole for pole in scenario.deployment.poles}
@@ -183,14 +184,13 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> dict[str, flo
         if place := [key for key in ("x_m", "y_m") if key in given]:
             raise InputError(f"{MOUNTING_OR_LEAN[place[0]].option}: is given beside --pole; allowed: one of both")
         pole = poles[args.pole]
-        height, of_pole = given.get("height_m"), scenario.deployment.at(pole)
-        low, high = of_pole.bounds.get("height_m") or (of_pole.fixed["height_m"],) * 2
+        height, (low, high) = given.get("height_m"), scenario.deployment.at(pole).span("height_m")
         if height is not None and not low <= height <= high and pole.height_max_m is not None:
             raise InputError(
                 f"--height: is {height:g}; allowed on pole {pole.name}: {low:g} to {high:g} m above the road"
             )
         given |= {"x_m": pole.x_m, "y_m": pole.y_m}
-    return six_coordinates(given, scenario.baseline, "mounting")
+    return scenario.mounting(given)
 
 
 # --- Options that are written in another way than a scene's settings --------------------------------------

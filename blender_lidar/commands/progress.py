@@ -11,7 +11,7 @@ from ..metrics.metric import Metric
 from ..optimise import Search
 from ..optimise.multi_fidelity import MultiFidelitySearch
 from ..run.verdict import POINTS
-from ..scene.mounting import MOUNTING_OR_LEAN
+from ..scene.deployment import MOUNTING_OR_LEAN
 
 _BAR = "{desc} {percentage:3.0f}% |{bar:8}| {remaining} left{postfix}"  # with the best so far it fits 80 columns
 

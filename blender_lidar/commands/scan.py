@@ -20,6 +20,7 @@ from ..report.summary import warnings_text
 from ..run.folder import SCENE, Outcome, RunFolder
 from ..scene.provenance import check_same_inputs
 from ..scene.scenario import Scenario, load_scenario
+from ..scene.mounting import Mounting
 from ..scene.site import check_mount_is_clear, frame_of, read_recording
 from ..toml_table import Setting, checked
 from ..traffic import Recording
@@ -126,7 +127,7 @@ def run_build(args: argparse.Namespace) -> int:
     animated, numbers = args.sequence is not None, _numbers(args)
     scene = blender_room("scene", "build")
     sensor, recording, frames = _asked(args, sorted(set(numbers)))
-    detections = _detections(args.detections, sensor.scenario, sensor.mount)
+    detections = _detections(args.detections, sensor.mounting)
     moment = sensor.moment(frames[0], with_cloud=not args.no_cloud, detections=detections)
     scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
     points = "no cloud" if moment.points is None else f"{len(moment.points['xyz'])} points"
@@ -138,9 +139,9 @@ def run_build(args: argparse.Namespace) -> int:
     return 0
 
 
-def _detections(path: str | Path | None, scenario: Scenario, mount: Mapping[str, float]) -> dict[int, DetectedBoxes]:
+def _detections(path: str | Path | None, mounting: Mounting) -> dict[int, DetectedBoxes]:
     """What a file says was found at a mounting, by frame; nothing without a file."""
-    return {} if path is None else read_detected(path, scenario.in_road(mount))
+    return {} if path is None else read_detected(path, mounting.pose.as_table())
 
 
 # --- Pictures ---------------------------------------------------------------------------------------------
@@ -157,9 +158,10 @@ def run_render(args: argparse.Namespace) -> int:
     check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)
     _say_warnings(recording)
-    mounts = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}
+    tables = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}
+    mounts = {name: scenario.mounting(table) for name, table in tables.items()}
     detections = {
-        name: _detections(path, scenario, mounts[name]) for name, path in _detected_files(args.detections).items()
+        name: _detections(path, mounts[name]) for name, path in _detected_files(args.detections).items()
     }
     number = _fullest_frame(run, args.detections, detections["optimised"]) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
