@@ -13,6 +13,8 @@ import numpy as np
 
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main
+from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.mounting import Mounting, mounting_from
 from blender_lidar.toml_table import to_toml
 
 HEADER = ("frame", "vehicle_id", "class", "x_m", "y_m", "length_m", "width_m", "height_m", "heading_deg", "time_s")
@@ -77,6 +79,11 @@ def write_scene(folder: Path, changes: dict[str, dict[str, object]] | None = Non
 def without_charts(monkeypatch) -> None:
     """Let matplotlib look as if it were not installed: charts take longer than the runs."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
+
+
+def mounting(coordinates: dict[str, float], **changes: float) -> Mounting:
+    """The mounting beside a level road that coordinates give [m, degrees]; at the origin, 2 m high unless said."""
+    return mounting_from({**coordinates, **changes}, road_map(StraightRoad()))
 
 
 def cli(capsys, *words: object) -> tuple[int, str, str]:

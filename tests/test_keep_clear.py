@@ -15,7 +15,7 @@ from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import check_mount_is_clear, footprints_meet
 from tests.sample_traffic import dense_traffic, one_vehicle
-from tests.small_scene import REGION, write_scene
+from tests.small_scene import REGION, mounting, write_scene
 
 LENGTHS = st.floats(0.2, 8.0)
 PLACES = st.floats(-6.0, 6.0)
@@ -97,13 +97,13 @@ def test_a_mount_that_could_stand_on_the_carriageway_is_refused(scene, y_m, name
     with pytest.raises(InputError) as refusal:
         check_mount_is_clear(scenario, [])
     assert str(refusal.value) == (
-        f"{scenario.source}: [deployment] x_m, y_m: the mount at {named} stands on the carriageway; "
-        "allowed: at most 2 or at least 9 m"
+        f"{scenario.source}: [deployment] x_m, y_m: the mount at x 0 m, {named} stands on the carriageway; "
+        "allowed: off the lanes, such as x 0, y 2 m or x 0, y 9 m"
     )
 
 
 def test_a_baseline_on_the_carriageway_is_refused_by_its_own_name(scene):
-    with pytest.raises(InputError, match=r"\[baseline\] x_m, y_m: the mount at y 3 m stands on the carriageway"):
+    with pytest.raises(InputError, match=r"\[baseline\] x_m, y_m: the mount at x 0 m, y 3 m stands on the carriageway"):
         check_mount_is_clear(scene(baseline={"y_m": 3.0}), [])
 
 
@@ -127,10 +127,10 @@ def test_every_place_of_a_searched_rectangle_must_be_clear(scene):
 
 
 def test_a_mount_from_the_command_line_is_named_by_its_option(scene):
-    scenario, lane = scene(), {"x_m": 0.0, "y_m": 5.0, "height_m": 3.0}
-    with pytest.raises(InputError, match=r"^--x, --y: the mount at y 5 m stands on the carriageway"):
+    scenario, lane = scene(), mounting({"y_m": 5.0, "height_m": 3.0})
+    with pytest.raises(InputError, match=r"^--x, --y: the mount at x 0 m, y 5 m stands on the carriageway"):
         check_mount_is_clear(scenario, [], {"--x, --y": lane})
-    check_mount_is_clear(scenario, [], {"--x, --y": {"x_m": 0.0, "y_m": -5.0, "height_m": 3.0}})
+    check_mount_is_clear(scenario, [], {"--x, --y": mounting({"y_m": -5.0, "height_m": 3.0})})
 
 
 def test_the_region_is_a_disc_about_the_nominal_mount_level_with_the_road():
@@ -147,5 +147,7 @@ def test_a_mount_among_vehicles_is_told_where_they_drive(scene):
     with pytest.raises(InputError) as refusal:
         check_mount_is_clear(scene(), lane)
     half = 0.5 * lane[0].size_m[0, 1]
-    assert f"vehicles drive there between y {-1.0 - half:.1f} and {0.4 + half:.1f} m" in str(refusal.value)
+    assert f"vehicles drive there from {-1.0 - half:.1f} to {0.4 + half:.1f} m in front of the mast" in str(
+        refusal.value
+    )
     assert "frame_ids" not in str(refusal.value)

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 import blender_lidar as bl
 from blender_lidar.errors import InputError
-from blender_lidar.scene.mounting import leaning, pose_at, six_coordinates, with_lean
+from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.mounting import mounting_from
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.pose import lean_matrix, lean_of, rotation_matrix, tilts_of
 from tests.refusals import refused
-from tests.small_scene import cli, write_scene
+from tests.small_scene import cli, mounting, write_scene
 
 PLACE = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0}
 half, whole = (st.floats(-limit, limit) for limit in (math.pi / 2, 2.0 * math.pi))
@@ -64,25 +65,16 @@ def test_a_lean_is_tilts_and_yaw_with_the_same_matrix(lean, direction, spin):
     [((20.0, 0.0, 0.0), 0.0), ((0.0, 20.0, 0.0), 90.0), ((-20.0, 0.0, 0.0), 180.0), ((20.0, 0.0, 35.0), 35.0)],
 )
 def test_a_tilt_across_leans_towards_the_road_and_one_along_against_the_traffic(tilts, direction):
-    found = with_lean({**PLACE, **dict(zip(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), tilts, strict=True))})
+    found = mounting(PLACE, **dict(zip(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), tilts, strict=True))).as_table()
     assert found["lean_deg"] == pytest.approx(20.0)
     assert abs(found["lean_direction_deg"]) == pytest.approx(abs(direction))
 
 
 def test_without_a_lean_there_is_no_direction_and_all_turns_are_spin():
-    found = with_lean({**PLACE, "tilt_x_deg": 0.0, "tilt_y_deg": 0.0, "yaw_deg": 40.0})
+    found = mounting(PLACE, yaw_deg=40.0).as_table()
     assert (found["lean_deg"], found["lean_direction_deg"], found["spin_deg"]) == (0.0, None, 40.0)
-    near, upright = (six_coordinates({**PLACE, "lean_deg": lean, "lean_direction_deg": 70.0}) for lean in (1e-9, 0.0))
-    np.testing.assert_allclose(pose_at(near).rotation, pose_at(upright).rotation, atol=1e-10)
-
-
-def test_another_lean_keeps_direction_spin_and_place():
-    start = six_coordinates({**PLACE, "lean_deg": 20.0, "lean_direction_deg": 70.0, "spin_deg": 15.0})
-    found = with_lean(leaning(start, lean_deg=8.0, height_m=5.0))
-    assert found["height_m"] == 5.0
-    told = [found[key] for key in ("lean_deg", "lean_direction_deg", "spin_deg")]
-    assert told == pytest.approx([8.0, 70.0, 15.0])
-    assert leaning(start, tilt_x_deg=3.0) == {**start, "tilt_x_deg": 3.0}
+    near, upright = (mounting(PLACE, lean_deg=lean, lean_direction_deg=70.0).pose for lean in (1e-9, 0.0))
+    np.testing.assert_allclose(near.rotation, upright.rotation, atol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +107,7 @@ def test_angles_that_say_a_lean_in_more_than_one_way_are_refused(tmp_path, capsy
     ],
 )
 def test_angles_that_say_each_lean_once_are_searched(tmp_path, deployment):
-    assert load_scenario(write_scene(tmp_path, {"deployment": deployment})).deployment.variables
+    assert load_scenario(write_scene(tmp_path, {"deployment": deployment})).deployment.spaces[0].variables
 
 
 def test_a_lean_in_an_option_takes_the_place_of_tilts_in_the_scene(tmp_path, capsys):
@@ -125,7 +117,7 @@ def test_a_lean_in_an_option_takes_the_place_of_tilts_in_the_scene(tmp_path, cap
     assert code == 0, err
     mount = json.loads(out)["deployment"]
     assert (mount["lean_deg"], mount["lean_direction_deg"]) == pytest.approx((20.0, 30.0))
-    assert pose_at(mount).rotation == pytest.approx(lean_matrix(math.radians(20.0), math.radians(30.0), 0.0))
+    assert mounting(mount).pose.rotation == pytest.approx(lean_matrix(math.radians(20.0), math.radians(30.0), 0.0))
     line = refused(capsys, tmp_path, "evaluate", scene, "--lean", 3, "--yaw", 3, "--out", tmp_path / "both", begun=True)
     assert "has lean_deg and yaw_deg" in line
 
@@ -135,15 +127,16 @@ def test_a_scene_of_leans_is_written_searched_and_told_as_such(tmp_path, capsys)
     changes = {"deployment": lean, "baseline": {"lean_deg": 2.0}, "search": {"particles": 6, "iterations": 10}}
     scene = write_scene(tmp_path, changes)
     scenario = load_scenario(scene)
-    assert scenario.deployment.periodic == (False, False, True)
-    assert scenario.deployment.axes == ("height_m", "lean_deg")
+    (space,) = scenario.deployment.spaces
+    assert space.periodic == (False, False, True)
+    assert space.axes == ("height_m", "lean_deg")
     code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run")
     assert code == 0, err
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     mount = result["deployment"]
     assert "leaning" in out or "level" in out
     assert "tilt across the road" not in out
-    assert pose_at(mount).rotation == pytest.approx(
+    assert mounting(mount).pose.rotation == pytest.approx(
         lean_matrix(*(math.radians(mount[key] or 0.0) for key in ("lean_deg", "lean_direction_deg", "spin_deg")))
     )
     assert set(result["map"]["best"]) == {"height_m", "lean_deg", "objective_per_vehicle"}
@@ -159,8 +152,8 @@ def test_spin_moves_scores_by_no_more_than_the_phase_of_the_columns_does(tmp_pat
     leans = {**PLACE, "lean_deg": 15.0, "lean_direction_deg": 10.0}
 
     def scores(spins):
-        poses = [pose_at(six_coordinates({**leans, "spin_deg": spin})) for spin in spins]
-        return Evaluator(site.search, site.observation, site.scoring).totals(poses).per_vehicle()
+        layouts = [(mounting(leans, spin_deg=spin),) for spin in spins]
+        return Evaluator(site.search, site.observation, site.scoring).totals(layouts).per_vehicle()
 
     phases = scores(step * np.arange(8) / 8.0)
     whole_steps = scores(step * np.array([1.0, 10.0, 100.0]))
@@ -172,7 +165,7 @@ def test_spin_moves_scores_by_no_more_than_the_phase_of_the_columns_does(tmp_pat
 
 def test_what_was_given_is_named_where_it_cannot_be():
     with pytest.raises(InputError, match="row 3: has spin_deg and tilt_y_deg"):
-        six_coordinates({"spin_deg": 1.0, "tilt_y_deg": 2.0}, where="row 3")
+        mounting_from({"spin_deg": 1.0, "tilt_y_deg": 2.0}, road_map(StraightRoad()), where="row 3")
 
 
 def test_a_lean_of_nought_keeps_the_direction_that_it_was_given(tmp_path, capsys):
@@ -187,8 +180,6 @@ def test_a_lean_of_nought_keeps_the_direction_that_it_was_given(tmp_path, capsys
     assert result["objective"] == pytest.approx(max(objective))
     if result["deployment"]["lean_deg"] > 1e-6:
         assert abs(result["deployment"]["lean_direction_deg"]) == pytest.approx(180.0)
-    start = {**PLACE, "lean_deg": 0.0, "lean_direction_deg": 180.0, "spin_deg": 0.0}
-    assert with_lean(leaning(start, lean_deg=5.0))["lean_direction_deg"] == pytest.approx(180.0)
     best = result["map"]["best"]
     words = ("--height", best["height_m"], "--lean", best["lean_deg"], "--lean-direction", 180, "--json")
     _, out, _ = cli(capsys, "evaluate", scene, *words, "--out", tmp_path / "one")
@@ -209,6 +200,7 @@ def test_a_spin_within_its_bounds_is_on_none_of_them(tmp_path, capsys):
 def test_both_forms_of_one_orientation_as_a_result_has_them_are_one(tmp_path, tilts):
     site = bl.load_scene(write_scene(tmp_path), workers=1)
     mount = {**PLACE, **dict(zip(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), tilts, strict=True))}
-    assert bl.score_mounting(site, **with_lean(mount)).mounting == mount
+    told = mounting(mount).as_table()
+    assert bl.score_mounting(site, **told).mounting == told
     with pytest.raises(InputError, match="its lean is not that of its tilts and yaw"):
-        bl.score_mounting(site, **{**with_lean(mount), "lean_deg": 7.0})
+        bl.score_mounting(site, **{**told, "lean_deg": 7.0})

@@ -152,7 +152,14 @@ def verb(capsys, *words: object) -> tuple[dict, str]:
 def test_the_answer_lies_within_its_bounds_and_every_file_is_written(ran):
     for key, (low, high) in ran.result["bounds"].items():
         assert low - 1e-9 <= ran.result["deployment"][key] <= high + 1e-9
-    for name in ("vehicles.csv", "vehicles_baseline.csv", "history.csv", "report.html", "installation.txt", "scene.toml"):
+    for name in (
+        "vehicles.csv",
+        "vehicles_baseline.csv",
+        "history.csv",
+        "report.html",
+        "installation.txt",
+        "scene.toml",
+    ):
         assert (ran.folder / name).stat().st_size > 0, name
     counted = [row for row in ran.vehicles() if row["split"] == "search"]
     assert len(counted) == ran.result["vehicles"]
@@ -169,10 +176,14 @@ def test_evaluate_finds_the_score_of_the_search(ran, tmp_path, capsys):
 
 def test_the_scene_that_a_run_leaves_is_the_scene_that_it_ran(ran, tmp_path, capsys):
     left = ran.folder / "scene.toml"
-    assert load_scenario(left).with_whole_paths() == load_scenario(
-        ran.scene, {("search", "particles"): (4, "x"), ("search", "iterations"): (3, "x"), ("model", "workers"): (1, "x")}
-        | ({("traffic", "frames"): (3, "x")} if ran.frames else {})
-    ).with_whole_paths()
+    assert (
+        load_scenario(left).with_whole_paths()
+        == load_scenario(
+            ran.scene,
+            {("search", "particles"): (4, "x"), ("search", "iterations"): (3, "x"), ("model", "workers"): (1, "x")}
+            | ({("traffic", "frames"): (3, "x")} if ran.frames else {}),
+        ).with_whole_paths()
+    )
     found, _ = verb(capsys, "evaluate", left, *ran.mounting, "--out", tmp_path / "run")
     assert found["objective"] == pytest.approx(ran.result["objective"], rel=1e-9)
 

@@ -13,8 +13,8 @@ import pytest
 
 from blender_lidar.commands.report import describe_site
 from blender_lidar.errors import InputError
-from blender_lidar.run.verdict import rank_poles
-from blender_lidar.scene.mounting import Pole, pose_at
+from blender_lidar.run.verdict import rank_places
+from blender_lidar.scene.deployment import Place, Pole, SearchSpace
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.poles import read_poles
 from blender_lidar.scene.scenario import load_scenario
@@ -25,7 +25,7 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.statistics import many_to_one_reach_90, resampled_weights, student_t
 from tests.refusals import refused
 from tests.sample_traffic import one_vehicle
-from tests.small_scene import REGION, cli, done, without_charts, without_times, write_scene
+from tests.small_scene import REGION, cli, done, mounting, without_charts, without_times, write_scene
 
 HEADER = "name,x_m,y_m,foot_z_m,height_min_m,height_max_m,cost,existing\n"
 ROWS = "lamp,0,0,0.5,2,3,,yes\ngantry,-6,-1,,,,1500,no\nfar mast,60,-40,0,2,6,,\n"
@@ -236,15 +236,13 @@ def test_what_only_breaks_ties_tells_no_poles_apart():
     seen = Observation(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4, "exact", "body", 0.05)
     scoring = Scoring(1e-6, "mean", None, "corrected", "detectable")
     plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.zeros(8, dtype=int))
-    site = SimpleNamespace(
-        plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1), pose=pose_at)
-    )
-    mount = {"x_m": 0.0, "height_m": 3.0, "tilt_x_deg": 17.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
-    plans = [{**mount, "y_m": y} for y in (0.0, -20.0)]
+    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))
+    plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in (0.0, -20.0)]
     poles = [Pole("near", 0.0, 0.0), Pole("far", 0.0, -20.0)]
+    spaces = [SearchSpace((Place({}, {}, pole=pole),)) for pole in poles]
     with Evaluator(frames[:4], seen, scoring, held_out=frames[4:]) as evaluator:
-        rows, best = rank_poles(site, evaluator, poles, plans)
-        bits = evaluator.held_out.totals([pose_at(one) for one in plans]).objective
+        rows, best = rank_places(site, evaluator, spaces, plans)
+        bits = evaluator.held_out.totals(plans).objective
     assert (np.diff(bits, axis=0) < 0.0).all()
     held = rows[1]["holdout"]
     assert (best, held["detectable_share"]) == (0, 1.0)

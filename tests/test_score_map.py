@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.run.verdict import POINTS, ScoreMap, map_scores, near_best_threshold
-from blender_lidar.scene.mounting import Deployment, pose_at
+from blender_lidar.scene.deployment import Place, SearchSpace
 from blender_lidar.scoring.evaluation import Totals
 from blender_lidar.statistics import FEWEST_BLOCKS, interval_90, resampled_weights
 
 HEIGHT, TILT = (2.0, 4.5), (0.0, 25.0)
 FIXED = {"x_m": 1.0, "y_m": -0.5, "tilt_y_deg": 3.0, "yaw_deg": -7.0}
-DEPLOYMENT = Deployment(FIXED, {"height_m": HEIGHT, "tilt_x_deg": TILT})
-OPTIMUM = {**FIXED, "height_m": 4.0, "tilt_x_deg": 19.0}
+SPACE = SearchSpace((Place(FIXED, {"height_m": HEIGHT, "tilt_x_deg": TILT}),))
+OPTIMUM = (4.0, 19.0)
 
 
 class Hill:
@@ -32,8 +32,9 @@ class Hill:
         """Objective per vehicle of each frame, (f,)."""
         return 1.0 - (height - self.tops[:, 0]) ** 2 - ((tilt - self.tops[:, 1]) / 10.0) ** 2
 
-    def totals(self, poses):
-        self.asked += poses
+    def totals(self, layouts):
+        self.asked += layouts
+        poses = [one.pose for (one,) in layouts]
         values = np.array([self.value(pose.height_m, np.degrees(pose.tilt_x)) for pose in poses])
         found = np.round(self.vehicles * np.clip(values, 0.0, 1.0)).astype(int)
         return Totals(values * self.vehicles, found, self.vehicles, self.vehicles)
@@ -46,7 +47,7 @@ def tops_about(height, tilt, spread, frames, seed=0):
 
 def mapped(hill, block=None, grid=POINTS) -> ScoreMap:
     block = np.arange(len(hill.vehicles)) if block is None else np.asarray(block)
-    return map_scores(hill, DEPLOYMENT, OPTIMUM, block, grid=grid)
+    return map_scores(hill, SPACE, OPTIMUM, block, grid=grid)
 
 
 def test_the_grid_reaches_from_bound_to_bound_through_the_optimums_other_coordinates():
@@ -56,9 +57,7 @@ def test_the_grid_reaches_from_bound_to_bound_through_the_optimums_other_coordin
         assert len(axis) == points
         assert (axis[0], axis[-1]) == bounds
         np.testing.assert_allclose(np.diff(axis), (bounds[1] - bounds[0]) / (points - 1))
-    expected = [
-        pose_at({**FIXED, "height_m": h, "tilt_x_deg": t}) for h in score_map.height_m for t in score_map.tilt_deg
-    ]
+    expected = [SPACE.layout((h, t)) for h in score_map.height_m for t in score_map.tilt_deg]
     assert hill.asked == expected
 
 
@@ -71,7 +70,7 @@ def test_every_point_of_the_grid_has_its_own_value():
         for column, tilt in enumerate(score_map.tilt_deg):
             objective = hill.value(height, tilt) * hill.vehicles
             assert score_map.per_vehicle[row, column] == pytest.approx(objective.sum() / 72)
-            found = hill.totals([pose_at({**FIXED, "height_m": height, "tilt_x_deg": tilt})]).detectable.sum()
+            found = hill.totals([SPACE.layout((height, tilt))]).detectable.sum()
             assert score_map.detectable_share[row, column] == pytest.approx(found / 72)
             blocks = [objective[4], objective[2] + objective[3], objective[0] + objective[1]]
             np.testing.assert_allclose(score_map.block_objective[row, column], blocks)
@@ -90,25 +89,26 @@ def test_the_best_point_is_that_of_a_loop_over_the_grid():
 
 def test_progress_counts_every_point_once():
     told = []
-    map_scores(Hill([(3.0, 10.0)]), DEPLOYMENT, OPTIMUM, np.zeros(1, dtype=int), told.append)
+    map_scores(Hill([(3.0, 10.0)]), SPACE, OPTIMUM, np.zeros(1, dtype=int), told.append)
     assert sum(told) == POINTS[0] * POINTS[1]
     assert len(told) > 5
 
 
 @pytest.mark.parametrize("searched", [{}, {"height_m": HEIGHT}, {"tilt_x_deg": TILT}, {"x_m": (-1.0, 1.0)}])
 def test_there_is_no_map_unless_height_and_tilt_are_both_searched(searched):
-    fixed = {key: value for key, value in OPTIMUM.items() if key not in searched}
-    hill = Hill([(3.0, 10.0)])
-    assert map_scores(hill, Deployment(fixed, searched), OPTIMUM, np.zeros(1, dtype=int)) is None
+    every = {**FIXED, "height_m": 4.0, "tilt_x_deg": 19.0}
+    fixed = {key: value for key, value in every.items() if key not in searched}
+    hill, space = Hill([(3.0, 10.0)]), SearchSpace((Place(fixed, searched),))
+    assert map_scores(hill, space, space.lower, np.zeros(1, dtype=int)) is None
     assert hill.asked == []
 
 
 def test_a_third_searched_coordinate_stays_at_its_optimum():
     fixed = {key: value for key, value in FIXED.items() if key != "x_m"}
     hill = Hill([(3.0, 10.0)])
-    deployment = Deployment(fixed, {"x_m": (-9.0, 9.0), "height_m": HEIGHT, "tilt_x_deg": TILT})
-    map_scores(hill, deployment, {**OPTIMUM, "x_m": 4.5}, np.zeros(1, dtype=int))
-    assert {pose.x_m for pose in hill.asked} == {4.5}
+    space = SearchSpace((Place(fixed, {"x_m": (-9.0, 9.0), "height_m": HEIGHT, "tilt_x_deg": TILT}),))
+    map_scores(hill, space, (4.5, *OPTIMUM), np.zeros(1, dtype=int))
+    assert {mounting.xy[0] for (mounting,) in hill.asked} == {4.5}
 
 
 def test_a_landscape_that_is_certain_has_an_interval_without_width():

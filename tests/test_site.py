@@ -7,10 +7,9 @@ import math
 import numpy as np
 
 from blender_lidar.scene import site as site_module
-from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recordings
-from tests.small_scene import FRAME_STEP_S, traffic_rows, write_scene, write_table
+from tests.small_scene import FRAME_STEP_S, mounting, traffic_rows, write_scene, write_table
 
 STANDING = 999
 
@@ -36,7 +35,7 @@ def test_a_vehicle_that_was_counted_in_the_search_never_judges_but_still_hides_o
 
 def test_all_three_angles_of_a_mounting_are_degrees():
     angles = {"tilt_x_deg": 15.0, "tilt_y_deg": -30.0, "yaw_deg": 90.0}
-    pose = pose_at({"x_m": 1.0, "y_m": -2.0, "height_m": 4.0, **angles})
+    pose = mounting({"x_m": 1.0, "y_m": -2.0, "height_m": 4.0, **angles}).pose
     assert (pose.tilt_x, pose.tilt_y, pose.yaw) == tuple(map(math.radians, angles.values()))
     assert pose.position.tolist() == [1.0, -2.0, 4.0]
 

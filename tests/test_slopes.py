@@ -6,19 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.clouds.files import levelled
 from blender_lidar.detection.judge import believed, sensor_at
 from blender_lidar.errors import InputError
-from blender_lidar.road import RoadFrame
-from blender_lidar.scene.mounting import COORDINATES, plumb, pose_at
+from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.mounting import COORDINATES, Mounting, mast_at, mounting_from
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import check_mount_is_clear, prepare, read_recording
 from blender_lidar.scoring import frame_scorer
-from blender_lidar.sensors.pose import rotation_matrix
+from blender_lidar.sensors.pose import Pose, rotation_matrix
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.small_scene import CASTER
 
@@ -60,7 +58,7 @@ def rays_of(lattice, mount):
 def test_ranges_are_those_of_a_tilted_world_about_a_plumb_lidar(site):
     grade, cross_fall = 0.06, -0.025
     frame, lattice = site.search[0].vehicles, site.observation.lattice
-    cloud = sensor_at(site, MOUNT).scan(frame)
+    cloud = sensor_at(site, site.scenario.mounting(MOUNT)).scan(frame)
     corners = tilted(vehicle_triangles(frame).corners, grade, cross_fall)
     foot = tilted(np.array([[MOUNT["x_m"], MOUNT["y_m"], 0.0]]), grade, cross_fall)[0]
     assert foot[2] == pytest.approx(grade * foot[0] + cross_fall * foot[1], abs=1e-12)
@@ -84,17 +82,14 @@ def test_ranges_are_those_of_a_tilted_world_about_a_plumb_lidar(site):
 
 def test_a_crown_is_two_planes_on_which_vehicles_stand(crowned):
     road, frame = crowned.scenario.road, crowned.search[0].vehicles
-    right, left = road.carriageway_y
-    half = 0.5 * (left - right)
-    assert 0.03 * half == pytest.approx(road.crown_m(np.array([right + half]))[0])
-    np.testing.assert_array_equal(road.crown_m(np.array([right - 9.0, right, left, left + 9.0])), 0.0)
+    right, half = road.setback_m, 0.5 * road.lanes * road.lane_width_m
     floor = frame.centre_m[:, 2] - 0.5 * frame.size_m[:, 2]
     np.testing.assert_allclose(floor, 0.03 * (half - abs(frame.centre_m[:, 1] - right - half)).clip(0.0), atol=1e-12)
 
-    mount = dict(MOUNT)
-    cloud, pose = sensor_at(crowned, mount).scan(frame), crowned.scenario.pose(mount)
+    mounting = crowned.scenario.mounting(MOUNT)
+    cloud, pose = sensor_at(crowned, mounting).scan(frame), mounting.pose
     of_ground = cloud.vehicle_id < 0
-    z = road.crown_m(cloud.xyz[:, 1])
+    z = road.surface.height(cloud.xyz)
     np.testing.assert_allclose(cloud.xyz[of_ground, 2], z[of_ground], atol=1e-9)
     assert (z[of_ground] > 0.2).sum() > 100
     # What lies nearer than the surface: two half-spaces meet in the crown, beside it there is the plane z = 0.
@@ -135,20 +130,19 @@ def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
     if not compiled:
         monkeypatch.setattr(frame_scorer, "numba_works", lambda: False)
     for height in (2.0, 4.2):
-        mount = MOUNT | {"height_m": height}
+        mounting = crowned.scenario.mounting(MOUNT | {"height_m": height})
         for frame in crowned.search[:2]:
-            cloud = sensor_at(crowned, mount).scan(frame.vehicles)
+            cloud = sensor_at(crowned, mounting).scan(frame.vehicles)
             expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
             seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, crowned.observation)
-            np.testing.assert_array_equal(
-                seen.see(frame_scorer.singles([crowned.scenario.pose(mount)])).points[0], expected
-            )
+            np.testing.assert_array_equal(seen.see([(mounting.pose,)]).points[0], expected)
             assert sum(expected) > 100
 
 
 def test_who_believes_in_a_level_road_sees_the_ground_off_it(site):
-    cloud = sensor_at(site, MOUNT).scan(site.search[0].vehicles)
-    seen = believed(cloud, site.scenario.pose(MOUNT), pose_at(MOUNT))
+    cloud = sensor_at(site, site.scenario.mounting(MOUNT)).scan(site.search[0].vehicles)
+    level = mounting_from(MOUNT, road_map(StraightRoad()))
+    seen = believed(cloud, site.scenario.mounting(MOUNT).pose, level.pose)
     ground = cloud.vehicle_id < 0
     far = ground & (cloud.xyz[:, 0] > 20.0)
     np.testing.assert_allclose(seen.xyz[far, 2], 0.06 * seen.xyz[far, 0] - 0.025 * seen.xyz[far, 1] - 0.205, atol=2e-3)
@@ -157,7 +151,7 @@ def test_who_believes_in_a_level_road_sees_the_ground_off_it(site):
 
 def test_signs():
     uphill, to_the_right = (
-        pose_at(dict.fromkeys(COORDINATES, 0.0) | {"height_m": 4.0}, RoadFrame(**one))
+        Mounting(mast_at(road_map(StraightRoad(**one)), 0.0, 0.0), 4.0).pose
         for one in ({"grade_percent": 5.0}, {"cross_fall_percent": 5.0})
     )
     ahead = uphill.to_world(np.array([[1.0, 0.0, 0.0]]))[0]
@@ -169,37 +163,19 @@ def test_signs():
     assert uphill.height_m == pytest.approx(4.0 / math.hypot(1, 0.05))
 
 
-ANGLE = st.floats(-60.0, 60.0)
-
-
-@settings(max_examples=100)
-@given(
-    st.tuples(st.floats(-50, 50), st.floats(-9, 0), st.floats(1, 9), ANGLE, ANGLE, st.floats(-179, 179)),
-    st.floats(-12, 12),
-    st.floats(-8, 8),
-)
-def test_plumb_is_the_inverse(six, grade, cross_fall):
-    road = RoadFrame(grade_percent=grade, cross_fall_percent=cross_fall)
-    mount = dict(zip(COORDINATES, six, strict=True))
-    back = plumb(pose_at(mount, road), road)
-    np.testing.assert_allclose(list(back.values()), six, atol=1e-6)
-
-
 def test_a_level_road_changes_nothing():
     level = scenario()
-    assert pose_at(MOUNT, level.road) == pose_at(MOUNT)
-    assert level.in_road(MOUNT) == MOUNT
+    assert level.mounting(MOUNT).pose == Pose.from_table(MOUNT)
     assert prepare(level).observation.scenery is None
 
 
 def test_headers_have_the_pose_in_the_road_frame_and_the_plumb_mounting(site):
-    sensor = sensor_at(site, MOUNT)
-    header, pose = sensor.cloud_header(site.search[0].vehicles), site.scenario.pose(MOUNT)
-    assert header["mounting"] == MOUNT
+    sensor = sensor_at(site, site.scenario.mounting(MOUNT))
+    header, pose = sensor.cloud_header(site.search[0].vehicles), site.scenario.mounting(MOUNT).pose
+    assert {key: header["mounting"][key] for key in COORDINATES} == pytest.approx(MOUNT)
     assert header["road"] == SLOPES
-    assert "mounting" not in sensor_at(prepare(scenario()), MOUNT).cloud_header(site.search[0].vehicles)
     np.testing.assert_allclose(levelled(pose.position[None], header["pose"]), 0.0, atol=1e-12)
-    np.testing.assert_allclose(pose_at(header["pose"]).rotation, pose.rotation, atol=1e-12)
+    np.testing.assert_allclose(Pose.from_table(header["pose"]).rotation, pose.rotation, atol=1e-12)
 
 
 def test_the_head_of_a_leaning_mast_keeps_out_of_boxes():
@@ -210,9 +186,9 @@ def test_the_head_of_a_leaning_mast_keeps_out_of_boxes():
         scene = load_scenario("i80", {("world", "boxes"): ([item], "x"), ("road", "grade_percent"): (grade, "x")})
         if inside:
             with pytest.raises(InputError, match="inside 'box 1'"):
-                check_mount_is_clear(scene, [], {"--x": mount})
+                check_mount_is_clear(scene, [], {"--x": scene.mounting(mount)})
         else:
-            check_mount_is_clear(scene, [], {"--x": mount})
+            check_mount_is_clear(scene, [], {"--x": scene.mounting(mount)})
 
 
 def test_files_of_scenery_are_refused_beside_a_slope():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -22,12 +21,14 @@ from blender_lidar.run.tolerance import (
     objective_over,
     orthogonal_array,
 )
-from blender_lidar.scene.mounting import COORDINATE_LIMITS, COORDINATES, Tolerance, pose_at
+from blender_lidar.scene.deployment import COORDINATE_LIMITS
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.settings import Tolerance
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Totals, site_evaluator
 from blender_lidar.statistics import block_sums, ratio_interval_90, statistic_interval_90
-from tests.small_scene import write_scene
+from tests.small_scene import mounting, write_scene
 
 PLAN = {"x_m": 1.0, "y_m": -0.5, "height_m": 3.0, "tilt_x_deg": 12.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
 TOLERANCE = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=0.0, aim="mean")
@@ -39,11 +40,11 @@ class Landscape:
     """In place of an evaluator: one frame of one vehicle, whose score is a function of the six coordinates."""
 
     def __init__(self, function):
-        self.function, self.asked = function, []
+        self.function = function
         self.vehicles = self.weight = np.array([1])
 
-    def totals(self, poses):
-        self.asked += poses
+    def totals(self, layouts):
+        poses = [one.pose for (one,) in layouts]
         table = np.array([[p.x_m, p.y_m, p.height_m, *np.degrees([p.tilt_x, p.tilt_y, p.yaw])] for p in poses])
         values = self.function(dict(zip(COORDINATES, table.T, strict=True)))
         return Totals(values[:, None], (values > 0)[:, None].astype(int), self.vehicles, self.vehicles)
@@ -100,22 +101,21 @@ def test_the_verdict_meets_no_error_that_the_search_met_but_none_at_all():
 
 
 def test_an_error_stays_within_its_half_width_and_exact_coordinates_have_none():
-    errors = dict(zip(COORDINATES, installation_errors(TOLERANCE).T, strict=True))
+    errors = dict(zip(COORDINATES[2:], installation_errors(TOLERANCE).T, strict=True))
     for key, width in {"height_m": 0.05, "tilt_x_deg": 1.0, "tilt_y_deg": 1.0}.items():
         assert 0.8 * width < np.abs(errors[key]).max() < width
-    assert not any(errors[key].any() for key in ("x_m", "y_m", "yaw_deg"))
+    assert not errors["yaw_deg"].any()
 
 
 def test_a_mounting_hangs_where_the_error_puts_it_even_beyond_what_was_searched():
-    low, high = installed({**PLAN, "height_m": 4.5}, np.array([[0, 0, -0.05, 0, 0, 0], [0, 0, 0.05, 1, -1, 2]]))
-    assert low == pose_at({**PLAN, "height_m": 4.45})
-    assert high == pose_at({**PLAN, "height_m": 4.55, "tilt_x_deg": 13.0, "tilt_y_deg": -1.0, "yaw_deg": 2.0})
+    low, high = installed(mounting(PLAN, height_m=4.5), np.array([[-0.05, 0, 0, 0], [0.05, 1, -1, 2]]))
+    for hung, off in ((low, {"height_m": 4.45}), (high, {"height_m": 4.55, "tilt_x_deg": 13.0, "tilt_y_deg": -1.0})):
+        assert hung.as_table() == pytest.approx(mounting(PLAN, **off, yaw_deg=2.0 * (hung is high)).as_table())
 
 
 def test_only_what_a_coordinate_can_be_at_all_stops_an_error():
-    plan = {**PLAN, "height_m": 0.12, "tilt_x_deg": 89.5}
-    (pose,) = installed(plan, np.array([[0, 0, -0.05, 1.0, 0, 0]]))
-    assert pose == pose_at({**plan, "height_m": COORDINATE_LIMITS["height_m"][0], "tilt_x_deg": 90.0})
+    (hung,) = installed(mounting(PLAN, height_m=0.12, tilt_x_deg=89.5), np.array([[-0.05, 1.0, 0, 0]]))
+    assert hung == mounting(PLAN, height_m=COORDINATE_LIMITS["height_m"][0], tilt_x_deg=90.0)
 
 
 # --- the objective over them ------------------------------------------------------------------------------------------
@@ -123,18 +123,18 @@ def test_only_what_a_coordinate_can_be_at_all_stops_an_error():
 
 def test_without_errors_it_is_the_sharp_objective():
     landscape = Landscape(bumpy)
-    plans = [PLAN, {**PLAN, "tilt_x_deg": 3.0}]
-    sharp = landscape.totals([pose_at(plan) for plan in plans]).objective.sum(axis=1)
+    plans = [(mounting(PLAN),), (mounting(PLAN, tilt_x_deg=3.0),)]
+    sharp = landscape.totals(plans).objective.sum(axis=1)
     for aim in ("mean", "low"):
         exact = replace(EXACT, aim=aim)
-        np.testing.assert_allclose(objective_over(landscape, plans, exact), sharp, rtol=1e-14)
+        np.testing.assert_allclose(objective_over(landscape, plans, exact), sharp, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("base", "most"), [(3, 2e-3), (5, 3e-4), (11, 2e-4)])
 @pytest.mark.parametrize("tolerance", [TOLERANCE, EVERY], ids=["tilts and height", "yaw too"])
 def test_the_mean_is_that_of_a_dense_grid_of_errors(base, most, tolerance):
     reference = dense(bumpy, PLAN, tolerance, 31 if tolerance is TOLERANCE else 21)
-    found = objective_over(Landscape(bumpy), [PLAN], tolerance, base)[0]
+    found = objective_over(Landscape(bumpy), [(mounting(PLAN),)], tolerance, base)[0]
     assert found == pytest.approx(reference.mean(), abs=most)
     assert abs(bumpy({key: np.array(value) for key, value in PLAN.items()}) - reference.mean()) > 2 * most
 
@@ -143,7 +143,7 @@ def test_the_mean_is_that_of_a_dense_grid_of_errors(base, most, tolerance):
 def test_the_low_aim_is_what_nine_of_ten_errors_reach(base, most):
     low = replace(TOLERANCE, aim="low")
     values = dense(bumpy, PLAN, low)
-    found = objective_over(Landscape(bumpy), [PLAN], low, base)[0]
+    found = objective_over(Landscape(bumpy), [(mounting(PLAN),)], low, base)[0]
     assert (values < found).mean() == pytest.approx(0.1, abs=most)
 
 
@@ -157,7 +157,7 @@ def test_a_symmetric_landscape_keeps_its_optimum(tilt, height):
     def cone(at):
         return -np.abs(at["tilt_x_deg"] - 12.0) - np.abs(at["height_m"] - 3.0) - 0.1 * np.abs(at["tilt_y_deg"])
 
-    off = [{**PLAN, "tilt_x_deg": 12.0 + s * tilt, "height_m": 3.0 + s * height} for s in (-1.0, 0.0, 1.0)]
+    off = [(mounting(PLAN, tilt_x_deg=12.0 + s * tilt, height_m=3.0 + s * height),) for s in (-1.0, 0.0, 1.0)]
     left, middle, right = objective_over(Landscape(cone), off, TOLERANCE)
     assert left == pytest.approx(right, abs=1e-9)
     assert middle >= left - 1e-9
@@ -173,34 +173,36 @@ def spike_and_hill(at):
 def test_the_sharp_search_takes_the_spike_and_the_robust_one_the_hill(aim):
     landscape = Landscape(spike_and_hill)
     tolerance = replace(TOLERANCE, aim=aim)
-    plan = partial(dict, PLAN)
+
+    def plan(tilt_x_deg):
+        return (mounting(PLAN, tilt_x_deg=tilt_x_deg),)
 
     def sharp(x):
-        return landscape.totals([pose_at(plan(tilt_x_deg=tilt)) for (tilt,) in x]).objective.sum(axis=1)
+        return landscape.totals([plan(tilt) for (tilt,) in x]).objective.sum(axis=1)
 
     def robust(x):
-        return objective_over(landscape, [plan(tilt_x_deg=tilt) for (tilt,) in x], tolerance)
+        return objective_over(landscape, [plan(tilt) for (tilt,) in x], tolerance)
 
     found = {}
     for name, objective in (("sharp", sharp), ("robust", robust)):
         found[name] = run(make_search("grid", [0.0], [25.0], seed=1, evaluations=501), objective).x[0]
     assert found["sharp"] == pytest.approx(5.0, abs=0.1)
     assert found["robust"] == pytest.approx(18.0, abs=0.3)
-    plans = [plan(tilt_x_deg=found[name]) for name in ("sharp", "robust")]
+    plans = [plan(found[name]) for name in ("sharp", "robust")]
     assert best_over_tolerance(landscape, plans, tolerance) is plans[1]
 
 
 def test_of_equals_the_first_is_the_best_over_the_tolerance():
-    plans = [PLAN, dict(PLAN)]
+    plans = [(mounting(PLAN),), (mounting(PLAN),)]
     assert best_over_tolerance(Landscape(bumpy), plans, TOLERANCE) is plans[0]
 
 
 def test_all_errors_of_all_plans_are_scored_in_one_call():
     landscape = Landscape(bumpy)
     calls = []
-    totals, landscape.totals = landscape.totals, lambda poses: calls.append(len(poses)) or totals(poses)
-    objective_over(landscape, [PLAN] * 3, TOLERANCE)
-    losses_over_tolerance(landscape, PLAN, TOLERANCE, [0])
+    totals, landscape.totals = landscape.totals, lambda layouts: calls.append(len(layouts)) or totals(layouts)
+    objective_over(landscape, [(mounting(PLAN),)] * 3, TOLERANCE)
+    losses_over_tolerance(landscape, (mounting(PLAN),), TOLERANCE, [0])
     assert calls == [3 * 9, 1 + 121 + 6]
 
 
@@ -215,25 +217,25 @@ def site(tmp_path_factory):
 @pytest.fixture(scope="module")
 def losses(site):
     with site_evaluator(site, site.search) as evaluator:
-        return losses_over_tolerance(evaluator, PLAN | {"x_m": 0.0, "y_m": 0.0}, TOLERANCE, site.plan.search_block)
+        plan = (mounting(PLAN, x_m=0.0, y_m=0.0),)
+        return losses_over_tolerance(evaluator, plan, TOLERANCE, site.plan.search_block)
 
 
 def test_each_error_has_the_score_that_its_mounting_has_alone(site, losses):
     plan, errors = PLAN | {"x_m": 0.0, "y_m": 0.0}, installation_errors(TOLERANCE, JUDGED_BASE)
     with site_evaluator(site, site.search) as evaluator:
         for row in (0, 17, 120):
-            hung = {key: plan[key] + error for key, error in zip(COORDINATES, errors[row], strict=True)}
-            alone = evaluator.totals([pose_at(hung)])
-            np.testing.assert_array_equal(alone.objective[0], losses.installed.totals.objective[row])
-            assert losses.installed.totals.per_vehicle()[row] == alone.per_vehicle()[0]
-        planned = evaluator.totals([pose_at(plan)]).per_vehicle()[0]
+            hung = {key: plan[key] + error for key, error in zip(COORDINATES[2:], errors[row], strict=True)}
+            alone = evaluator.totals([(mounting(plan, **hung),)])
+            np.testing.assert_allclose(alone.objective[0], losses.installed.totals.objective[row], rtol=1e-12)
+        planned = evaluator.totals([(mounting(plan),)]).per_vehicle()[0]
         assert losses.planned.per_vehicle == planned
         assert set(losses.limit_losses) == {"height_m", "tilt_x_deg", "tilt_y_deg"}
         for key, ends in losses.limit_losses.items():
             for sign, loss in zip((-1.0, 1.0), ends, strict=True):
-                off = evaluator.totals([pose_at(plan | {key: plan[key] + sign * TOLERANCE.half_widths[key]})])
+                off = evaluator.totals([(mounting(plan | {key: plan[key] + sign * TOLERANCE.half_widths[key]}),)])
                 assert loss == pytest.approx(planned - off.per_vehicle()[0], abs=1e-12)
-        objective = objective_over(evaluator, [plan], TOLERANCE, JUDGED_BASE)[0]
+        objective = objective_over(evaluator, [(mounting(plan),)], TOLERANCE, JUDGED_BASE)[0]
     assert objective / losses.planned.totals.vehicles.sum() == pytest.approx(losses.installed.per_vehicle, rel=1e-12)
     assert losses.installed.totals.per_vehicle().std() > 0.0
 

@@ -19,7 +19,6 @@ from ..road.straight import StraightRoad, road_map
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
-from .mount_checks import check_degrees
 from .deployment import (
     COORDINATE_LIMITS,
     DEPLOYMENT,
@@ -28,6 +27,7 @@ from .deployment import (
     MOUNTING_OR_LEAN,
     Deployment,
 )
+from .mount_checks import check_degrees
 from .mounting import ANGLES, Mounting, has_lean, mast_at, mounting_from
 from .poles import read_poles
 from .region import check_polygon, region_of

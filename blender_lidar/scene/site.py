@@ -22,8 +22,8 @@ from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join, road_surface
-from .mount_checks import mount_notes
 from .deployment import Place
+from .mount_checks import mount_notes
 from .mounting import PLACE, Mounting
 from .observation import CountedFrame, Observation, Scoring, check_weights, vehicle_weights
 from .place_checks import nobody_there
@@ -97,6 +97,7 @@ def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m:
 
 # --- A pole stands beside the traffic, never in it, and no LiDAR hangs inside a box or a barrier ----------
 
+_ABREAST_M = 20.0  # what passes this near to a mast has been or will be beside it
 _TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
 _STEP_M = 1.0  # between the places of a searched rectangle that are looked at: no lane is narrower
 
@@ -153,8 +154,22 @@ def check_mount_is_clear(
             if len(inside):
                 raise InputError(
                     f"{where}: the mount at x {along} m, y {across} m stands inside vehicle {inside[0]} of frame "
-                    f"{vehicles.frame}; move it off the paths of the vehicles"
+                    f"{vehicles.frame}; {_driven_over(frames, mount)}"
                 )
+
+
+def _driven_over(frames: Sequence[Vehicles], mount: Place | Mounting) -> str:
+    """Where vehicles pass a mast, as advice."""
+    if isinstance(mount, Place):
+        mount = mount.mounting([low for low, _ in mount.bounds.values()])
+    xy, size, heading = (
+        np.concatenate([getattr(vehicles, key) for vehicles in frames]) for key in ("centre_m", "size_m", "heading_rad")
+    )
+    beside, ahead, _ = ((xy - mount.mast.foot_m) @ mount.mast.axes.T).T
+    near, turn = np.abs(beside) <= _ABREAST_M, heading - mount.mast.facing_rad
+    half = 0.5 * (size[:, 0] * np.abs(np.cos(turn)) + size[:, 1] * np.abs(np.sin(turn)))
+    first, last = (ahead - half)[near].min(), (ahead + half)[near].max()
+    return f"vehicles drive there from {first:.1f} to {last:.1f} m in front of the mast: move it beside them"
 
 
 def _check_off_lanes(road: RoadMap, low: np.ndarray, high: np.ndarray, what: str) -> None:
