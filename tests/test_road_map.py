@@ -1,4 +1,4 @@
-"""Road maps: straight ones and bent ones give lane, station and offset of a place, and outlines that agree with them."""
+"""Road maps, straight and bent, give lane, station and offset of a place, and outlines that agree with them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def arc(radius=60.0, turn_rad=1.2, lanes=2, width=3.5, step_m=0.5):
         own = radius - lane * width
         angle = np.linspace(0.0, turn_rad, math.ceil(radius * turn_rad / step_m))
         lines.append(np.stack([own * np.sin(angle), radius - own * np.cos(angle)], axis=1))
-    return RoadMap(tuple(lines), np.zeros(lanes), np.full(lanes, width), np.zeros(lanes, dtype=bool), FLAT)
+    offset = width * np.arange(lanes)
+    return RoadMap(tuple(lines), np.zeros(lanes), offset, np.full(lanes, width), np.zeros(lanes, dtype=bool), FLAT)
 
 
 def test_a_straight_road_locates_places_by_its_lanes():
@@ -34,7 +35,8 @@ def test_a_straight_road_locates_places_by_its_lanes():
     found = road.locate(xy)
     np.testing.assert_array_equal(found.lane, [0, 0, 1, 2, -1, -1])
     np.testing.assert_array_equal(found.s_m, xy[:, 0])
-    np.testing.assert_allclose(found.t_m[:4], [-1.75, 1.65, -1.65, 1.75], atol=1e-12)
+    np.testing.assert_allclose(found.t_m, xy[:, 1], atol=1e-12)
+    assert road.edges_t == (2.0, 12.5)
     np.testing.assert_array_equal(found.heading_rad, 0.0)
 
 
@@ -52,7 +54,7 @@ def test_on_a_bend_station_offset_and_heading_are_those_of_the_circle(angle, out
     if lane >= 0:
         own = radius - 3.5 * lane
         assert found.s_m[0] == pytest.approx(own * angle, abs=0.02)
-        assert found.t_m[0] == pytest.approx(own - away, abs=0.01)
+        assert found.t_m[0] == pytest.approx(radius - away, abs=0.01)
         assert found.heading_rad[0] == pytest.approx(angle, abs=0.01)
 
 
@@ -63,7 +65,7 @@ def test_outlines_hold_the_places_that_are_on_their_lane():
         found = road.locate(xy)
         for lane, outline in enumerate(road.area(s_m=s)):
             along = (found.s_m >= s[0]) & (found.s_m <= s[1])
-            near_edge = np.abs(np.abs(found.t_m) - 0.5 * road.width_m[lane]) < 0.02
+            near_edge = np.abs(np.abs(found.t_m - road.offset_m[lane]) - 0.5 * road.width_m[lane]) < 0.02
             near_end = np.abs(found.s_m - np.array([s[0], s[1]])[:, None]).min(axis=0) < 0.2
             clear = ~near_edge & ~near_end
             np.testing.assert_array_equal(polygon_holds(outline, xy)[clear], ((found.lane == lane) & along)[clear])
@@ -76,7 +78,7 @@ def test_a_carriageway_has_two_edges_and_lines_between_its_lanes(road):
     for line in between:
         assert road.within(line[1:-1]).all()
     for line in edges:
-        np.testing.assert_allclose(np.abs(road.locate(line[1:-1]).t_m), 1.75, atol=1e-3)
+        np.testing.assert_allclose(np.abs(road.locate(line[1:-1]).t_m - np.mean(road.edges_t)), 5.25, atol=1e-3)
         assert not road.within(line).any()
 
 
@@ -92,6 +94,7 @@ def test_where_lanes_cross_the_heading_decides():
     crossing = RoadMap(
         (np.array([[-20.0, 0.0], [20.0, 0.0]]), np.array([[0.0, -20.0], [0.0, 20.0]])),
         np.array([100.0, 200.0]),
+        np.zeros(2),
         np.array([3.0, 3.0]),
         np.array([False, True]),
         FLAT,

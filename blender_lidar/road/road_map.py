@@ -23,7 +23,7 @@ class Located(NamedTuple):
     s_m : ndarray, (n,)
         Station along the reference line of that lane, or of the nearest one [m].
     t_m : ndarray, (n,)
-        Offset from the middle of that lane, to the left seen along s [m].
+        Offset from that reference line, to the left [m].
     heading_rad : ndarray, (n,)
         Direction in which that lane drives, counter-clockwise from +x of the site frame.
     """
@@ -58,6 +58,8 @@ class RoadMap:
         Centre line of each lane [m], in the direction of its stations.
     station_m : ndarray, (l,)
         Station of each centre line's first point [m].
+    offset_m : ndarray, (l,)
+        Offset of each centre line from the reference line of its road, to the left [m]; 0 where it is its own.
     width_m : ndarray, (l,)
         Width of each lane [m].
     against : ndarray of bool, (l,)
@@ -72,6 +74,7 @@ class RoadMap:
 
     points_m: tuple[np.ndarray, ...]
     station_m: np.ndarray
+    offset_m: np.ndarray
     width_m: np.ndarray
     against: np.ndarray
     surface: Surface
@@ -80,6 +83,12 @@ class RoadMap:
 
     def __len__(self) -> int:
         return len(self.points_m)
+
+    @property
+    def edges_t(self) -> tuple[float, float]:
+        """Offsets of the outermost edges from the reference line, to the right and to the left [m]."""
+        half = 0.5 * self.width_m
+        return float((self.offset_m - half).min()), float((self.offset_m + half).max())
 
     def locate(self, xy: np.ndarray, heading_rad: np.ndarray | None = None) -> Located:
         """Lane, station, offset and direction of travel at places (n, 2) [m].
@@ -105,7 +114,7 @@ class RoadMap:
         at = np.arange(len(best)), best
         lane = np.where(outside[at], -1, row[best])
         heading = np.arctan2(np.sin(direction), np.cos(direction))[best]
-        return Located(lane, s.clip(low, high)[at] + station[best], t[at], heading)
+        return Located(lane, s.clip(low, high)[at] + station[best], t[at] + self.offset_m[row[best]], heading)
 
     def on(self, xy: np.ndarray) -> np.ndarray:
         """Which places (n, 2) [m] lie on a lane, its edges included, (n,) bool."""
@@ -125,7 +134,7 @@ class RoadMap:
                 only = self._with(np.array([lane])).locate(place[None])
                 turn = only.heading_rad[0] + math.pi * self.against[lane]
                 left = np.array([-math.sin(turn), math.cos(turn)])
-                edge = place + (side * 0.5 * self.width_m[lane] - only.t_m[0]) * left
+                edge = place + (self.offset_m[lane] + side * 0.5 * self.width_m[lane] - only.t_m[0]) * left
                 place = edge + side * _BESIDE_M * left
                 lane = self.locate(place[None]).lane[0]
             found.append(edge)
@@ -167,6 +176,7 @@ class RoadMap:
             self,
             points_m=points,
             station_m=self.station_m[lanes],
+            offset_m=self.offset_m[lanes],
             width_m=self.width_m[lanes],
             against=self.against[lanes],
         )

@@ -128,4 +128,4 @@ def road_map(road: StraightRoad) -> RoadMap:
     middle = road.setback_m + (np.arange(road.lanes) + 0.5) * road.lane_width_m
     lanes = tuple(np.array([[0.0, y], [1.0, y]]) for y in middle)
     width, against = np.full(road.lanes, road.lane_width_m), np.zeros(road.lanes, dtype=bool)
-    return RoadMap(lanes, np.zeros(road.lanes), width, against, road.surface, road.up, endless=True)
+    return RoadMap(lanes, np.zeros(road.lanes), middle, width, against, road.surface, road.up, endless=True)
