@@ -28,12 +28,12 @@ class Placed:
     s, t : ndarray, (n,)
         Along and across the road, to the left [m].
     heading_rad : ndarray, (n,)
-        From the road's direction [rad].
+        From the direction in which their lane drives [rad].
     vehicle : ndarray, (n,) int
-    inside : ndarray, (n,) bool
-        Whether they lie in the region.
+    inside, on_road : ndarray, (n,) bool
+        Whether they lie in the region, and on a lane.
     edges : (float, float)
-        The t of the carriageway's right and left edge [m].
+        The t of the road's outermost edges [m].
     region : Region
     """
 
@@ -42,24 +42,21 @@ class Placed:
     heading_rad: np.ndarray
     vehicle: np.ndarray
     inside: np.ndarray
+    on_road: np.ndarray
     edges: tuple[float, float]
     region: Region
 
     @classmethod
     def of(cls, recording: Recording, scenario: Scenario) -> Placed:
         """Those of a recording in the circle about a scene's region."""
-        region = region_of(scenario.region, scenario.road.carriageway_y)
+        road = scenario.road_map
+        region = region_of(scenario.region, road)
         near = np.flatnonzero(region.distance(recording) <= region.radius_m)
         near = near[np.unique(np.linspace(0, len(near) - 1, min(len(near), usual.SAMPLE)).astype(int))]
         part = recording.where(np.bincount(near, minlength=len(recording)) > 0)
-        s, t = part.centre_m[:, 0], part.centre_m[:, 1]
-        edges = scenario.road.carriageway_y
-        return cls(s, t, part.heading_rad, part.vehicle_id, region.holds(part), edges, region)
-
-    @property
-    def on_road(self) -> np.ndarray:
-        """Which lie between the edges, (n,) bool."""
-        return (self.t >= self.edges[0]) & (self.t <= self.edges[1])
+        at = road.locate(part.centre_m, part.heading_rad)
+        heading = part.heading_rad - at.heading_rad
+        return cls(at.s_m, at.t_m, heading, part.vehicle_id, region.holds(part), at.lane >= 0, road.edges_t, region)
 
     @property
     def name(self) -> str:
@@ -131,7 +128,7 @@ def _turn_meant(axis: float, scenario: Scenario) -> tuple[float, float]:
 def _place_meant(t: np.ndarray, heading_rad: np.ndarray, recording: Recording, scenario: Scenario) -> str:
     """What would put vehicles at `t` onto the carriageway, in words."""
     road, ngsim = scenario.road, bool(recording.report.periods)
-    low, high = road.carriageway_y
+    low, high = scenario.road_map.edges_t
 
     def fits(t: np.ndarray) -> bool:
         return ((t >= low) & (t <= high)).mean() > usual.MOST
@@ -158,7 +155,7 @@ def _place_meant(t: np.ndarray, heading_rad: np.ndarray, recording: Recording, s
 def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accepted: bool) -> Iterator[str]:
     """What is suspicious of the places, as sentences; `accepted` is a warning of the carriageway."""
     t, heading, inside, on_road = placed.t, placed.heading_rad, placed.inside, placed.on_road
-    (low, high), width = placed.edges, scenario.road.lane_width_m
+    (low, high), width = placed.edges, float(np.median(scenario.road_map.width_m))
     ahead = inside & (np.cos(heading) > math.cos(usual.ASTRAY_RAD))
     off = ahead.sum() >= usual.FEWEST and placed.beside(ahead, usual.MOST)
     off |= inside.any() and on_road[inside].mean() < usual.MINORITY
@@ -211,7 +208,7 @@ def _lane_notes(t: np.ndarray, scenario: Scenario) -> Iterator[str]:
     """Two lanes and more, found by where boxes lie across the road (n,) [m], that are not those of [road]."""
     if len(t) < 5 * usual.FEWEST:
         return
-    lanes, width = np.sort(density_peaks(t, np.ones(len(t)))), scenario.road.lane_width_m
+    lanes, width = np.sort(density_peaks(t, np.ones(len(t)))), float(np.median(scenario.road_map.width_m))
     in_lanes = (np.abs(t[:, None] - lanes) <= usual.ABOUT_LANE_M).any(axis=1).mean()
     spacing = np.diff(lanes)
     if len(lanes) < 2 or in_lanes <= usual.MOST or spacing.max() > (1.0 + usual.MANY) * spacing.min():
@@ -223,7 +220,7 @@ def _lane_notes(t: np.ndarray, scenario: Scenario) -> Iterator[str]:
             "that is right, check the unit and scale of the places"
         )
         return
-    off = (lanes - scenario.road.carriageway_y[0]) / width - 0.5
+    off = (lanes - scenario.road_map.edges_t[0]) / width - 0.5
     off = width * np.abs(off - np.rint(off))
     if off.min() > usual.OFF_LANE_M:
         yield (
@@ -298,11 +295,11 @@ def _bumpers(recording: Recording, seen: str) -> str | None:
 
 def nobody_there(recording: Recording, region: Region, frames: int, scenario: Scenario) -> InputError:
     """The error for a region where nobody drives: where vehicles are, and the keys that move one to the other."""
-    x, y = recording.centre_m[:, 0], recording.centre_m[:, 1]
-    low, high = scenario.road.carriageway_y
-    beside = np.abs(x - region.centre_xy[0]) <= region.radius_m
-    if beside.any() and ((y[beside] >= low) & (y[beside] <= high)).mean() < usual.FEW:
-        meant = _place_meant(y[beside], recording.heading_rad[beside], recording, scenario)
+    road, (x, y) = scenario.road_map, recording.centre_m[:, :2].T
+    at, middle = road.locate(recording.centre_m), road.locate(np.array([region.centre_xy]))
+    beside = np.abs(at.s_m - middle.s_m) <= region.radius_m
+    if beside.any() and (at.lane[beside] >= 0).mean() < usual.FEW:
+        meant = _place_meant(at.t_m[beside], recording.heading_rad[beside], recording, scenario)
     elif asked := {lane for one in scenario.region.stretches or () for lane in one.lanes or ()}:
         there = ", ".join(map(str, np.unique(recording.lane[recording.lane != 0]).tolist()))
         meant = f"its lanes are {there}" if there else "it names no lanes"
