@@ -121,3 +121,13 @@ def test_a_map_survives_pickling():
     road = pickle.loads(pickle.dumps(arc()))
     xy = np.array([[3.0, 0.1], [30.0, 9.0]])
     np.testing.assert_array_equal(road.locate(xy).s_m, arc().locate(xy).s_m)
+
+
+@pytest.mark.parametrize("road", [road_map(STRAIGHT), arc()], ids=["straight", "bend"])
+def test_a_place_lies_where_its_station_and_offset_say(road):
+    s, t = np.meshgrid(np.linspace(3.0, 40.0, 23), np.linspace(*road.edges_t, 9)[1:-1])
+    found = road.locate(road.at(s, t).reshape(-1, 2))
+    mine = found.lane == 0
+    assert mine.sum() > 20
+    np.testing.assert_allclose(found.s_m[mine], s.ravel()[mine], atol=0.05)
+    np.testing.assert_allclose(found.t_m, t.ravel(), atol=0.01)

@@ -160,9 +160,7 @@ def run_render(args: argparse.Namespace) -> int:
     _say_warnings(recording)
     tables = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}
     mounts = {name: scenario.mounting(table) for name, table in tables.items()}
-    detections = {
-        name: _detections(path, mounts[name]) for name, path in _detected_files(args.detections).items()
-    }
+    detections = {name: _detections(path, mounts[name]) for name, path in _detected_files(args.detections).items()}
     number = _fullest_frame(run, args.detections, detections["optimised"]) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
     written = []

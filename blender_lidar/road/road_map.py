@@ -120,6 +120,19 @@ class RoadMap:
         """Which places (n, 2) [m] lie on a lane, its edges included, (n,) bool."""
         return self.locate(xy).lane >= 0
 
+    def at(self, s_m: np.ndarray, t_m: np.ndarray, lane: int = 0) -> np.ndarray:
+        """Places at stations and offsets from the reference line of a lane, (..., 2) [m, site frame]."""
+        line, s_m = self.points_m[lane], np.asarray(s_m, dtype=float)
+        step = np.diff(line, axis=0)
+        length = np.hypot(*step.T)
+        station = self.station_m[lane] + np.concatenate([[0.0], np.cumsum(length)])
+        segment = np.clip(np.searchsorted(station, s_m, side="right") - 1, 0, len(length) - 1)
+        along = step / length[:, None]
+        left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+        reference = line[:-1] - self.offset_m[lane] * left
+        ahead = (s_m - station[segment])[..., None] * along[segment]
+        return reference[segment] + ahead + np.asarray(t_m)[..., None] * left[segment]
+
     def within(self, xy: np.ndarray) -> np.ndarray:
         """Which places (n, 2) [m] lie on the lanes and not on the outer edge of them all, (n,) bool."""
         around = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]) * _BESIDE_M

@@ -57,6 +57,12 @@ class StraightRoad:
         """The y [m] of the carriageway's right and left edge."""
         return self.setback_m, self.setback_m + self.lanes * self.lane_width_m
 
+    def of_ngsim(self, along_m: np.ndarray, right_m: np.ndarray) -> np.ndarray:
+        """Places of NGSIM, (n, 2) [m, road frame]: Local_Y along travel, and Local_X from the left edge [m], (n,)."""
+        import numpy as np
+
+        return np.stack([along_m - self.station_m, self.setback_m + (self.right_edge_m - right_m)], axis=1)
+
     @property
     def is_level(self) -> bool:
         """Whether the vertical stands square on the road's plane."""

@@ -21,7 +21,7 @@ from ..traffic.frames import few_vehicles
 from ..traffic.vehicles import rectangles_overlap, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
-from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, barrier, box, boxes_reach, join, road_surface
+from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, along_road, barrier, box, boxes_reach, join, road_surface
 from .deployment import Place
 from .mount_checks import mount_notes
 from .mounting import PLACE, Mounting
@@ -51,11 +51,12 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
     paths = [path for path in (world.blend, world.mesh) if path is not None]
     files = [_near(path, world, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
-    barriers = [barrier(item.kind, item.y_m, item.x_m) for item in world.barriers]
-    beside = clutter(scenario.road, world.clutter, world.clutter_seed, centre[0], reach_m, _may_hang(scenario, given))
+    road = scenario.road_map
+    barriers = [along_road(road, barrier(item.kind, item.y_m, item.x_m)) for item in world.barriers]
+    s = road.locate(np.array([centre])).s_m[0]
+    beside = clutter(road, world.clutter, world.clutter_seed, s, reach_m, _may_hang(scenario, given))
     if world.ground:
-        s = scenario.road_map.locate(np.array([centre])).s_m[0]
-        barriers.append(road_surface(scenario.road_map, (s - reach_m, s + reach_m)))
+        barriers.append(road_surface(road, (s - reach_m, s + reach_m)))
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])
 
 
@@ -421,7 +422,7 @@ def standing_scenery(
     reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, given, centre) + margin_m
     scenery = read_scenery(scenario, reach, given)
     world, clear = scenario.world, _may_hang(scenario, given)
-    walkers = Walkers(scenario.road, world.clutter, world.clutter_seed, clear) if world.clutter else None
+    walkers = Walkers(scenario.road_map, world.clutter, world.clutter_seed, clear) if world.clutter else None
     return StandingScenery(scenery if more is None else join([scenery, more.within(centre, reach)]), caster, walkers)
 
 

@@ -126,7 +126,7 @@ def _boxes(
     segment, split = segments(vehicle, frame, time_step_s)
     time_s = frame * time_step_s
     right_m, along_m = rows["local_m"].T  # Local_X, Local_Y: from the left edge, along travel
-    front = np.stack([along_m - road.station_m, road.setback_m + (road.right_edge_m - right_m)], axis=1)
+    front = road.of_ngsim(along_m, right_m)
     motion, held = held_heading(vehicle, fitted_velocity(segment, time_s, front))
     heading = limited(motion, lane_changing(vehicle, time_s, lane)) if follows_road else motion
     size, resized = repaired_sizes(v_class, rows["size_m"])

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..road import RoadFrame
-from .scenery import Scenery, barrier, box, join, structure
+from ..road.road_map import RoadMap
+from .scenery import Scenery, along_road, barrier, box, join, structure
 
 _CELL_M = 50.0  # along the road: what stands in a cell depends on the seed alone, not on how far one looks
 _CLEAR_M = 2.5  # about places where the LiDAR may hang
@@ -23,10 +23,10 @@ _OPTICAL_DEPTH = 1.0  # of a crown, from the side: 37 % of the beams through its
 
 
 def clutter(
-    road: RoadFrame,
+    road: RoadMap,
     strength: float,
     seed: int,
-    centre_x: float,
+    centre_m: float,
     reach_m: float,
     keep_clear: Sequence[tuple[Sequence[float], Sequence[float]]],
 ) -> Scenery:
@@ -34,20 +34,20 @@ def clutter(
 
     Parameters
     ----------
-    road : RoadFrame
-        Whose carriageway stays free.
+    road : RoadMap
+        Whose lanes stay free.
     strength : float
         How much there is: with 1 the rates of `_KINDS`, with 2 twice as much.
     seed : int
         What else it depends on.
-    centre_x, reach_m : float
-        The middle of the stretch and how far it goes to each side [m].
+    centre_m, reach_m : float
+        Station of the middle of the stretch, and how far it goes to each side [m].
     keep_clear : sequence of (low, high)
         Corners x, y of rectangles in which the LiDAR may hang [m]: nothing stands within 2.5 m of one.
     """
     clear = [(np.asarray(low) - _CLEAR_M, np.asarray(high) + _CLEAR_M) for low, high in keep_clear]
     parts = []
-    first, last = (math.floor((centre_x + side * reach_m) / _CELL_M) for side in (-1, 1))
+    first, last = (math.floor((centre_m + side * reach_m) / _CELL_M) for side in (-1, 1))
     for cell in range(first, last + 1):
         for side in (0, 1):
             for number, kind in enumerate(_KINDS):
@@ -59,17 +59,17 @@ def clutter(
 
 
 def _things(
-    kind: _Kind, road: RoadFrame, strength: float, cell: int, side: int, seeds: Sequence[int]
+    kind: _Kind, road: RoadMap, strength: float, cell: int, side: int, seeds: Sequence[int]
 ) -> Iterator[Scenery]:
     """What stands of a kind in a cell, on its right (0) or left side (1): a Poisson process beside the carriageway."""
-    right, left = road.carriageway_y
+    right, left = road.edges_t
     for number in range(np.random.default_rng(seeds).poisson(strength * kind.rate * _CELL_M / 100.0)):
         rng = np.random.default_rng([*seeds, number])
         x, away = (cell + rng.random()) * _CELL_M, rng.uniform(*kind.away_m)
-        yield kind.made(x, right - away if side == 0 else left + away, rng)
+        yield along_road(road, kind.made(x, right - away if side == 0 else left + away, rng))
 
 
-# --- What stands there: each at a place (x, y) [m], by draws of its own ----------------------------------------------
+# --- What stands there: each at station x and offset y of a straight road [m], by draws of its own ----------------------------------------------
 
 
 def _sign(x: float, y: float, rng: np.random.Generator) -> Scenery:
@@ -177,22 +177,22 @@ class Walkers:
 
     Attributes
     ----------
-    road : RoadFrame
-        Whose carriageway they keep off.
+    road : RoadMap
+        Whose lanes they keep off.
     strength, seed, keep_clear
         As of `clutter`.
     """
 
-    road: RoadFrame
+    road: RoadMap
     strength: float
     seed: int
     keep_clear: Sequence[tuple[Sequence[float], Sequence[float]]]
 
     def at(self, time_s: float) -> Scenery:
         """Those within 500 m along the road of where the LiDAR may hang, at a time [s]."""
-        right, left = self.road.carriageway_y
-        first_m = min(float(low[0]) for low, _ in self.keep_clear)
-        last_m = max(float(high[0]) for _, high in self.keep_clear)
+        right, left = self.road.edges_t
+        hung = self.road.locate(np.array([corner for corners in self.keep_clear for corner in corners])).s_m
+        first_m, last_m = float(hung.min()), float(hung.max())
         parts = []
         for side in (0, 1):
             seeds = [self.seed, side, _WALKER_SEED]
@@ -204,13 +204,12 @@ class Walkers:
                 away, tall = rng.uniform(*_AWAY_M), rng.uniform(*_TALL_M)
                 y = right - away if side == 0 else left + away
                 made = _cyclist if cycles else _pedestrian
-                for x in np.arange(
-                    nearest, last_m + 0.5 * _RING_M, _RING_M
-                ).tolist():  # the same ones again on the next km
-                    if not any(
-                        (abs(np.clip((x, y), low, high) - (x, y)) <= _BESIDE_M).all() for low, high in self.keep_clear
-                    ):
-                        parts.append(made(x, y, 0.0 if along >= 0.0 else math.pi, tall))
+                # The same ones again on the next km.
+                for x in np.arange(nearest, last_m + 0.5 * _RING_M, _RING_M).tolist():
+                    xy = self.road.at(x, y)
+                    if not any((abs(np.clip(xy, low, high) - xy) <= _BESIDE_M).all() for low, high in self.keep_clear):
+                        who = made(x, y, 0.0 if along >= 0.0 else math.pi, tall)
+                        parts.append(along_road(self.road, who))
         return join(parts)
 
 

@@ -29,8 +29,14 @@ _POST_SIZE_M = (0.10, 0.15, 0.70)  # W6 x 9
 HALF_WIDTH_M, HEIGHT_M = 0.305, 0.813  # of the widest and the highest
 
 
+def along_road(road: RoadMap, made: Scenery) -> Scenery:
+    """What was made beside a straight road, x and y being station and offset, as it stands beside another."""
+    xy = road.at(made.corners[..., 0], made.corners[..., 1])
+    return replace(made, corners=np.concatenate([xy, made.corners[..., 2:]], axis=-1))
+
+
 def barrier(kind: str, y_m: float, x_m: tuple[float, float]) -> Scenery:
-    """A barrier that stands along the line y = `y_m` from one x to another [m, road frame].
+    """A barrier that stands along the line y = `y_m` from one x to another [m], beside a straight road.
 
     Parameters
     ----------
