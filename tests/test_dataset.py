@@ -10,10 +10,10 @@ import pytest
 from blender_lidar.clouds.scan import scan
 from blender_lidar.detection import dataset
 from blender_lidar.detection.dataset import TRAIN, VAL, plan_dataset, sample, samples
-from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from tests.small_scene import traffic_rows, write_scene, write_table
+from tests.small_scene import mounting, traffic_rows, write_scene, write_table
 
 REGION = {"region": {"centre_m": [0.0, 0.0], "radius_m": 12.0}, "sensor": {"range_gate_m": 15.0}}
 SEARCHED = {"deployment": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0], "x_m": [-2.0, 2.0]}}
@@ -30,7 +30,7 @@ def plan(tmp_path_factory):
 
 
 def test_mountings_lie_within_the_bounds_and_what_is_fixed_stays(plan):
-    heights, tilts, yaws = np.array([[m[k] for m in plan.mounts] for k in ("height_m", "tilt_x_deg", "yaw_deg")])
+    heights, tilts, yaws = np.array([[m.as_table()[k] for m in plan.mounts] for k in ("height_m", "tilt_x_deg", "yaw_deg")])
     assert len(set(heights)) == 5
     assert ((heights >= 2.0) & (heights <= 4.5)).all()
     assert ((tilts >= 0.0) & (tilts <= 25.0)).all()
@@ -70,14 +70,14 @@ def test_moved_traffic_looks_as_it_does_to_a_lidar_that_is_moved_the_other_way(p
     detail = "box" if mirrored else "body"  # whose quads, not quite flat, are not halved symmetrically
     plan = replace(plan, observation=replace(plan.observation, detail=detail))
     one, sign = sample(plan, chosen.number), -1.0 if mirrored else 1.0
-    mount = chosen.mount
+    mount = {key: chosen.mount.as_table()[key] for key in COORDINATES}
     there = {**mount, "x_m": sign * mount["x_m"] + chosen.station_m}
     there |= {key: sign * mount[key] for key in ("tilt_y_deg", "yaw_deg")}
     seen = plan.observation
     recorded = scan(
         plan.frames[chosen.frame],
         seen.lattice,
-        pose_at(there),
+        mounting(there).pose,
         caster=seen.caster,
         detail=seen.detail,
         min_range_m=seen.min_range_m,
@@ -141,7 +141,7 @@ def test_noise_and_clutter_are_of_each_scan(tmp_path):
 def test_a_lidar_hangs_off_its_plan_by_draws_of_each_scan(tmp_path):
     tolerance = {"objective": {"tolerance": {"tilt_deg": 2.0, "height_m": 0.1}}}
     plan = plan_dataset(site_of(tmp_path, tolerance), mountings=2, scans=10)
-    off = [scan.hangs["tilt_x_deg"] - scan.mount["tilt_x_deg"] for scan in plan.scans]
+    off = [np.degrees(scan.hangs.tilt_x - scan.mount.tilt_x) for scan in plan.scans]
     assert len(set(off)) == 10
     assert max(map(abs, off)) <= 2.0
     ground = [one.cloud.xyz[one.cloud.vehicle_id < 0, 2] for one in samples(plan, range(3))]

@@ -198,12 +198,12 @@ def i80():
     """The shipped scene's site, a mounting, and a function that gives clouds of it."""
     options = {("traffic", "frames"): 4, ("model", "caster"): CASTER, ("world", "clutter"): 0.5}
     site = prepare(load_scenario("i80", {place: (value, place[1]) for place, value in options.items()}))
-    mount = {**site.scenario.baseline, "height_m": 4.5, "tilt_x_deg": 22.0}
+    mount = site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 22.0})
     return site, mount, cache(lambda at: sensor_at(site, mount).scan(site.search[at].vehicles))
 
 
 def detector(site, mount, **changed):
-    pose = replace(site.scenario.pose(mount), **changed)
+    pose = replace(mount.pose, **changed)
     return PillarsDetector(site.model.name, pose, (-50.0, -6.0), (50.0, 32.0))
 
 
@@ -232,7 +232,7 @@ def test_most_vehicles_are_found_and_most_boxes_are_vehicles(i80):
 def test_boxes_move_with_the_lidar_and_its_cloud(i80, shift, within):
     """By whole coarse cells exactly, else as well as cells in another place tell."""
     site, mount, cloud = i80
-    pose = site.scenario.pose(mount)
+    pose = mount.pose
     corners = np.array([(-50.0, -6.0), (50.0, 32.0)])
     here = PillarsDetector("RS-16", pose, *corners).detect(cloud(0))[0]
     moved = replace(cloud(0), xyz=cloud(0).xyz + np.array([*shift, 0.0]))
@@ -247,7 +247,7 @@ def test_boxes_move_with_the_lidar_and_its_cloud(i80, shift, within):
 def test_a_tilt_that_is_off_by_a_degree_is_repaired_by_the_fitted_ground(i80, monkeypatch):
     """Without it the road itself rises to where vehicles are."""
     site, mount, cloud = i80
-    pose = site.scenario.pose(mount)
+    pose = mount.pose
     off = replace(pose, tilt_x=pose.tilt_x - math.radians(1.0))
 
     def precision():
@@ -284,7 +284,7 @@ def test_what_is_unlike_the_training_is_told_and_what_is_like_it_is_not(i80):
     assert told(cloud(0).xyz) == ""
     high = detector(site, mount, height_m=9.0)
     assert "hangs 9 m high, but from " in " ".join(high.notes())
-    other = PillarsDetector("OS1-128", site.scenario.pose(mount), (-50.0, -6.0), (50.0, 32.0))
+    other = PillarsDetector("OS1-128", mount.pose, (-50.0, -6.0), (50.0, 32.0))
     assert "was trained on RS-16, RS-32, RS-80, not on OS1-128" in " ".join(other.notes())
     off = np.random.default_rng(1).normal(0.0, 0.15, (len(cloud(0)), 1)) * [0.0, 0.0, 1.0]
     assert "m uneven in the median" in told(cloud(0).xyz + off)

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputError, one_line
 from ..files import make_folder, open_file, reading, write_bytes, write_text
+from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
 from .scan import NO_CLASS, PointCloud, class_names
 
@@ -266,30 +267,29 @@ def write_kitti(path: str | Path, cloud: PointCloud, header: dict) -> None:
     _check_ids_fit(path, cloud.vehicle_id, 16, "16 bits of a .label file")
     path, of_vehicle = Path(path), cloud.vehicle_id >= 0
     rows = np.empty((len(cloud), 4), dtype="<f4")
-    rows[:, :3], rows[:, 3] = levelled(cloud.xyz, header["pose"]), cloud.intensity
+    rows[:, :3], rows[:, 3] = levelled(cloud.xyz, Pose.from_table(header["pose"])), cloud.intensity
     label = np.where(of_vehicle, SEMANTIC_CLASSES[cloud.class_index], ROAD)
     label |= np.where(of_vehicle, cloud.vehicle_id, 0) << 16
     write_bytes(path.with_suffix(".label"), label.astype("<u4").tobytes())
     write_bytes(path, rows.tobytes())
 
 
-def levelled(xyz: np.ndarray, pose: dict[str, float]) -> np.ndarray:
+def levelled(xyz: np.ndarray, pose: Pose) -> np.ndarray:
     """Points in the frame of a sensor that hangs where `pose` says, turned by its yaw and not tilted.
 
     Parameters
     ----------
     xyz : ndarray, (n, 3)
         Points [m, road frame].
-    pose : dict
-        ``x_m, y_m, height_m`` [m] and ``yaw_deg``.
+    pose : Pose
 
     Returns
     -------
     ndarray, (n, 3)
         x along the LiDAR's +y, y along its -x, z up [m].
     """
-    east, north, up = (xyz - [pose["x_m"], pose["y_m"], pose["height_m"]]).T
-    cos, sin = np.cos(np.radians(pose["yaw_deg"])), np.sin(np.radians(pose["yaw_deg"]))
+    east, north, up = (xyz - pose.position).T
+    cos, sin = np.cos(pose.yaw), np.sin(pose.yaw)
     across, ahead = cos * east + sin * north, cos * north - sin * east  # the LiDAR's x and y
     return np.column_stack([ahead, -across, up])
 

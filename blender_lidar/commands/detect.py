@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..detection.classical import ClassicalDetector, dbscan_class
-from ..detection.files import Mountings, write_detected, write_kitti_labels
+from ..detection.files import Poses, write_detected, write_kitti_labels
 from ..detection.judge import (
     DETECTORS,
     detection_result,
@@ -40,7 +40,7 @@ from ..report.cloud_figures import draw_detections
 from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
 from ..run.folder import DETECTION
-from ..scene.mounting import six_coordinates
+from ..scene.mounting import Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import shipped_scenes
 from ..scene.settings import ModelSettings
@@ -63,9 +63,9 @@ def run(args: argparse.Namespace) -> int:
         return (_run_dataset if is_dataset(place) else _run_clouds)(args, place)
     check_detector(args.detector)
     scenario = scenario_from(args)
-    mount = mounting_from(args, scenario)
+    mounting = mounting_from(args, scenario)
     folder = _folder(args, lambda: default_folder(scenario, "detection"))
-    result = judge_at(prepare(scenario, mount), mount, args.detector, folder)
+    result = judge_at(prepare(scenario, [mounting]), mounting, args.detector, folder)
     frames = f"{result['frames']} {'held-out' if result['held_out'] else 'searched'} frames"
     return _print(args, folder, result, f"{frames}, vehicles {region_text(result['region'])}")
 
@@ -104,38 +104,37 @@ def told(result: Mapping) -> str:
     return f"{sentence}\n\n{table_text(detection_table(result))}"
 
 
-def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path) -> dict:
+def judge_at(site: Site, mounting: Mounting, detector: str, folder: Path) -> dict:
     """Judge a detector at a mounting and at the baseline, and write boxes, scores and a picture; returns the scores.
 
     Parameters
     ----------
     site : Site
-    mount : mapping of str to float
-        The six coordinates [m, degrees].
+    mounting : Mounting
     detector : str
         Its name, or a file of detections at the mounting, which leaves the baseline out.
     folder : Path
         Where they go; the picture where matplotlib is installed.
     """
-    mounts = {"baseline": six_coordinates(dict(site.scenario.baseline)), "given": dict(mount)}
-    if mounts["baseline"] == mounts["given"] or not is_ours(detector):
+    mounts = {"baseline": site.scenario.baseline, "given": mounting}
+    if mounts["baseline"] == mounting or not is_ours(detector):
         del mounts["baseline"]
     if is_ours(detector):
-        made = {name: detector_at(site, mounting, detector) for name, mounting in mounts.items()}
+        made = {name: detector_at(site, mount, detector) for name, mount in mounts.items()}
         workers = workplace_of(site.scenario.model).processes
         learnt = sum(len(site.search) for one in made.values() if one.learns)
         with closing(Progress(learnt + len(made) * len(judging_frames(site)[0]), "clouds")) as progress:
             advance = progress.advance
             judged = {name: judge_detector(site, mounts[name], one, workers, advance) for name, one in made.items()}
     else:
-        judged = {"given": judged_from_file(site, mount, detector)}
+        judged = {"given": judged_from_file(site, mounting, detector)}
     result = {
         "scene": Path(site.scenario.source).name,
         "sensor": site.model.name,
         "region": asdict(site.scenario.region),
         "caster": site.observation.caster,
-        "deployment": mounts["given"],
-        "hangs": hung_off(site, mounts["given"]),
+        "deployment": mounting.as_table(),
+        "hangs": hung_off(site, mounting).as_table(),
         "criteria": [criterion.name for criterion in CRITERIA],
         **detection_result(site, detector, judged),
         "warnings": site.recording.report.warnings_as_dicts(),
@@ -145,7 +144,7 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
     found = {
         "" if name == "given" else f"_{name}": (
             dict(zip(result["frame_ids"], one.boxes, strict=True)),
-            site.scenario.in_road(mounts[name]),
+            mounts[name].pose,
         )
         for name, one in judged.items()
     }
@@ -157,7 +156,7 @@ def judge_at(site: Site, mount: Mapping[str, float], detector: str, folder: Path
     return result
 
 
-def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], Mountings]], result: dict) -> None:
+def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], Poses]], result: dict) -> None:
     """Detections as CSV and as KITTI's labels, by the ends of their names, and the scores, in place of earlier ones."""
     make_folder(folder, "--out")
     for name in _OURS:
@@ -165,9 +164,9 @@ def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], 
             path.unlink()
         if (folder / name).is_file():
             (folder / name).unlink()
-    for ending, (of_frame, mount) in found.items():
+    for ending, (of_frame, pose) in found.items():
         write_detected(folder / f"detections{ending}.csv", of_frame)
-        write_kitti_labels(folder / f"label_2{ending}", of_frame, mount)
+        write_kitti_labels(folder / f"label_2{ending}", of_frame, pose)
     write_text(folder / DETECTION, json.dumps(result, indent=2) + "\n")
 
 
@@ -186,7 +185,7 @@ def _run_dataset(args: argparse.Namespace, place: Path) -> int:
     with ExitStack() as stack:
         judged = judge_on_dataset(stored, args.detector, _workers(args), _progress(stack))
     result = dataset_result(stored, args.detector, judged)
-    _write(folder, {"": (dict(zip(result["scan_ids"], judged.boxes, strict=True)), stored.mounts)}, result)
+    _write(folder, {"": (dict(zip(result["scan_ids"], judged.boxes, strict=True)), stored.poses)}, result)
     scans = f"{result['scans']:,} scans{' of split val' * stored.validates} ({result['frames']} frames)"
     return _print(args, folder, result, f"{scans}, labelled vehicles {region_text(result['region'])}")
 
@@ -200,10 +199,10 @@ def _run_clouds(args: argparse.Namespace, place: Path) -> int:
     _refuse_options(args, "a folder of clouds")
     folder = _folder(args, lambda: new_folder("detections"))
     with ExitStack() as stack:
-        found, mount, notes = detect_in_clouds(place, args.detector, _workers(args), _progress(stack))
+        found, pose, notes = detect_in_clouds(place, args.detector, _workers(args), _progress(stack))
     make_folder(folder, "--out")
     write_detected(folder / "detections.csv", found)
-    write_kitti_labels(folder / "label_2", found, mount)
+    write_kitti_labels(folder / "label_2", found, pose)
     print(f"{folder}: {sum(map(len, found.values())):,} boxes in {len(found)} clouds ({args.detector})")
     print("\n".join(map(as_sentence, notes)), end="\n" if notes else "")
     return 0

@@ -18,6 +18,7 @@ import numpy as np
 from ..casting.culling import Pieces, reachable_beams
 from ..casting.protocol import StandingScenery
 from ..clouds.scan import FrameScan, PointCloud, Turn
+from ..scene.mounting import Mounting
 from ..scene.observation import Observation
 from ..scene.provenance import versions
 from ..scene.region import Region
@@ -53,7 +54,7 @@ class PlannedScan:
         Row in `DatasetPlan.frames`.
     mounting : int
         Row in `DatasetPlan.mounts`.
-    mount, hangs : mapping of str to float
+    mount, hangs : Mounting
         The six coordinates that are planned, and those at which the LiDAR hangs [m, degrees].
     station_m : float
         The x of the recording at which the site's x = 0 lies [m].
@@ -67,8 +68,8 @@ class PlannedScan:
     split: str
     frame: int
     mounting: int
-    mount: Mapping[str, float]
-    hangs: Mapping[str, float]
+    mount: Mounting
+    hangs: Mounting
     station_m: float
     mirrored: bool
     seed: int
@@ -91,8 +92,7 @@ class DatasetPlan:
         The searched and the held-out frames, as recorded.
     blocks, recordings : ndarray of int64, (f,)
         Block of time of each frame, of which each split counts its own, and its recording, from 0.
-    mounts : tuple of mappings
-        Six coordinates each [m, degrees].
+    mounts : tuple of Mounting
     scans : tuple of PlannedScan
     taught_ids : ndarray of int64, (j,)
         Vehicles that any training scan labels, ascending: validating scans do not.
@@ -110,7 +110,7 @@ class DatasetPlan:
     frames: tuple[Vehicles, ...]
     blocks: np.ndarray
     recordings: np.ndarray
-    mounts: tuple[Mapping[str, float], ...]
+    mounts: tuple[Mounting, ...]
     scans: tuple[PlannedScan, ...]
     taught_ids: np.ndarray
     seed: int
@@ -129,8 +129,8 @@ class Sample:
     ----------
     scan : PlannedScan
         What was scanned, from where, and whether it trains or validates.
-    mount : mapping of str to float
-        The planned mounting in the frame of the road, which may slope [m, degrees].
+    pose : Pose
+        The planned pose in the frame of the road.
     cloud : PointCloud
         In the road frame; where the LiDAR hangs off its plan, in the one that follows from the plan.
     vehicles : Vehicles
@@ -148,7 +148,7 @@ class Sample:
     """
 
     scan: PlannedScan
-    mount: Mapping[str, float]
+    pose: Pose
     cloud: PointCloud
     vehicles: Vehicles
     counted: np.ndarray
@@ -205,7 +205,7 @@ def plan_dataset(
     bare = replace(site.scenario, world=replace(world, clutter=0.0))
     observation = site.observation
     if world.clutter:
-        observation = replace(observation, scenery=standing_scenery(bare, observation.caster, None))
+        observation = replace(observation, scenery=standing_scenery(bare, observation.caster))
     nobody = np.zeros(0, dtype=np.int64)
     blocks = np.concatenate([site.plan.search_block, site.plan.holdout_block])
     recordings = np.concatenate([site.plan.search_recording, site.plan.holdout_recording])
@@ -219,12 +219,13 @@ def plan_dataset(
     return replace(plan, taught_ids=np.unique(np.concatenate(taught)))
 
 
-def _mount(scenario: Scenario, seed: int, number: int) -> dict[str, float]:
+def _mount(scenario: Scenario, seed: int, number: int) -> Mounting:
     """The mounting of a number: uniform between the bounds of [deployment], on its poles in turn."""
-    places = scenario.deployment.places
-    chosen = places[number % len(places)]
+    spaces = scenario.deployment.spaces
+    chosen = spaces[number % len(spaces)]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_MOUNTINGS, number)))
-    return chosen.coordinates(rng.uniform(chosen.lower, chosen.upper))
+    (mounting,) = chosen.layout(rng.uniform(chosen.lower, chosen.upper))
+    return mounting
 
 
 def _is_straight(frames: Iterable[Vehicles]) -> bool:
@@ -253,7 +254,7 @@ class _Stations:
         """Whether there is no choice."""
         return not (self._moved and self._low < self._high)
 
-    def draw(self, mount: Mapping[str, float], rng: np.random.Generator) -> tuple[float, bool]:
+    def draw(self, mount: Mounting, rng: np.random.Generator) -> tuple[float, bool]:
         """Station [m], and whether the traffic is mirrored."""
         if not self._moved:
             return 0.0, False
@@ -263,9 +264,9 @@ class _Stations:
         stations = (self._low - middle + (self._high - self._low) * rng.random(draws)).tolist()
         return next(((x, mirrored) for x in (*stations, 0.0) if self._is_clear(mount, x, mirrored)), (0.0, False))
 
-    def _is_clear(self, mount: Mapping[str, float], station_m: float, mirrored: bool) -> bool:
+    def _is_clear(self, mount: Mounting, station_m: float, mirrored: bool) -> bool:
         """Whether no vehicle of any frame passes where the LiDAR hangs, or has just passed or is about to."""
-        pole = np.array([station_m + mount["x_m"] * (-1.0 if mirrored else 1.0), mount["y_m"]])
+        pole = np.array([station_m + mount.xy[0] * (-1.0 if mirrored else 1.0), mount.xy[1]])
         centre, size, heading = self._boxes
         beside = np.array([_ABREAST_M, 0.0])
         near = np.flatnonzero(np.abs(self._y - pole[1]) <= self._reach)
@@ -285,7 +286,7 @@ def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray
     """The vehicles of a scan within reach, and which of them are counted and labelled."""
     vehicles = _moved(plan.frames[scan.frame], scan.station_m, scan.mirrored)
     vehicles = vehicles.select(plan.region.distance(vehicles) <= plan.reach_m)
-    away = np.hypot(*(vehicles.centre_m[:, :2] - (scan.mount["x_m"], scan.mount["y_m"])).T)
+    away = np.hypot(*(vehicles.centre_m[:, :2] - scan.mount.xy).T)
     inside = plan.region.holds(vehicles)
     labelled = inside | (away <= plan.observation.max_range_m)
     if scan.split == VAL:
@@ -308,7 +309,7 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
     none = np.zeros(len(vehicles), dtype=bool)
     shapes = FrameShapes(vehicles, none, seen.detail, seen.caster)
     frame = FrameScan(shapes, vehicles, seen, ground=plan.scenario.world.ground)
-    hangs = plan.scenario.pose(scan.hangs)
+    hangs = scan.hangs.pose
     turn = frame.turn(hangs)
     cloud = frame.cloud(hangs, turn)
     visibility = visible_share(vehicles, seen.lattice, hangs, turn, seen.max_range_m)
@@ -317,8 +318,8 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
     row = order[np.searchsorted(vehicles.vehicle_id, on_one, sorter=order)]
     points = np.bincount(row, minlength=len(vehicles))
     if scan.hangs != scan.mount:
-        cloud = believed(cloud, hangs, plan.scenario.pose(scan.mount))
-    return Sample(scan, plan.scenario.in_road(scan.mount), cloud, vehicles, counted, labelled, points, visibility)
+        cloud = believed(cloud, hangs, scan.mount.pose)
+    return Sample(scan, scan.mount.pose, cloud, vehicles, counted, labelled, points, visibility)
 
 
 def samples(plan: DatasetPlan, numbers: Iterable[int] | None = None, workers: int = 1) -> Iterator[Sample]:
@@ -336,7 +337,7 @@ def _scenery(plan: DatasetPlan, scan: PlannedScan) -> StandingScenery | None:
     nothing = {"blend": None, "mesh": None, "boxes": (), "barriers": (), "clutter_seed": scan.seed}
     flat = replace(plan.scenario.road, crown_percent=0.0)  # its surface stands there already
     scenario = replace(plan.scenario, world=replace(world, **nothing), road=flat)
-    return standing_scenery(scenario, plan.observation.caster, None, None if scenery is None else scenery.scenery)
+    return standing_scenery(scenario, plan.observation.caster, more=None if scenery is None else scenery.scenery)
 
 
 # --- Visibility -------------------------------------------------------------------------------------------------------

@@ -33,11 +33,12 @@ from ..files import (
     write_text,
 )
 from ..names import DATASET_LAYOUTS
+from ..scene.mounting import COORDINATES
 from ..scene.provenance import check_identity
 from ..traffic.vehicles import CLASSES
 from .dataset import TRAIN, VAL, DatasetPlan, Sample, sample
 from .files import kitti_camera, kitti_labels
-from .judge import foot_xy, of_each
+from .judge import of_each
 
 DATASET, UNFINISHED, SCANS, BOXES = "dataset.json", "unfinished.json", "scans.csv", "boxes"
 _OURS = (DATASET, UNFINISHED, SCANS, BOXES, *DATASET_LAYOUTS)
@@ -195,7 +196,7 @@ def _scan_columns(plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]
         "recording": plan.recordings[[scan.frame for scan in scans]],
         "block": plan.blocks[[scan.frame for scan in scans]],
         "mounting": [scan.mounting for scan in scans],
-        **{key: [scan.mount[key] for scan in scans] for key in scans[0].mount},
+        **{key: [scan.mount.as_table()[key] for scan in scans] for key in COORDINATES},
         **{f"hangs_{key}": [scan.hangs[key] for scan in scans] for key in scans[0].hangs},
         "station_m": [scan.station_m for scan in scans],
         "mirrored": [scan.mirrored for scan in scans],
@@ -233,7 +234,7 @@ def _has_label(boxes: Sequence[Mapping[str, str]]) -> bool:
 def _box_columns(made: Sample) -> dict[str, np.ndarray]:
     """All vehicles of a sample, in the columns of vehicles.csv as far as they go."""
     vehicles = made.vehicles
-    away = vehicles.centre_m[:, :2] - foot_xy(made.mount)
+    away = vehicles.centre_m[:, :2] - made.pose.position[:2]
     return {
         "frame": np.full(len(vehicles), vehicles.frame),
         "vehicle_id": vehicles.vehicle_id,
@@ -255,6 +256,7 @@ def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     drawn = replace(plan.scenario, sensor=replace(plan.scenario.sensor, noise_seed=scan.seed))
     sensor = MountedSensor(drawn, scan.mount, seen.lattice, seen.caster, None)
     told = {key: value for key, value in asdict(scan).items() if key not in ("frame", "mount")}
+    told["hangs"] = {key: scan.hangs.as_table()[key] for key in COORDINATES}
     boxes = {
         "vehicle_id": vehicles.vehicle_id,
         "class": vehicles.class_name,
@@ -286,7 +288,7 @@ def _seen_rows(made: Sample) -> np.ndarray:
 
 def _level_points(made: Sample) -> np.ndarray:
     """The cloud as float32 rows of x, y, z in the levelled frame of `clouds.files` [m], and intensity, 0 to 1."""
-    return np.column_stack([levelled(made.cloud.xyz, made.mount), made.cloud.intensity]).astype("<f4")
+    return np.column_stack([levelled(made.cloud.xyz, made.pose), made.cloud.intensity]).astype("<f4")
 
 
 def _write_kitti(folder: Path, made: Sample, plan: DatasetPlan) -> None:
@@ -294,7 +296,7 @@ def _write_kitti(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     training, name = folder / "kitti" / "training", file_name(made.scan.number)
     rows = _seen_rows(made)
     vehicles = made.vehicles.select(rows)
-    bottom, rotation_y = kitti_camera(vehicles, made.mount)
+    bottom, rotation_y = kitti_camera(vehicles, made.pose)
     alpha = np.remainder(rotation_y - np.arctan2(bottom[:, 0], bottom[:, 2]) + math.pi, 2.0 * math.pi) - math.pi
     occluded = len(_OCCLUDED) - np.searchsorted(_OCCLUDED, made.visibility[rows], side="right")
     heads = [
@@ -302,7 +304,7 @@ def _write_kitti(folder: Path, made: Sample, plan: DatasetPlan) -> None:
         for kind, hidden, angle in zip(vehicles.class_index, occluded, alpha, strict=True)
     ]
     write_bytes(training / "velodyne" / f"{name}.bin", _level_points(made).tobytes())
-    write_text(training / "label_2" / f"{name}.txt", kitti_labels(heads, vehicles, made.mount))
+    write_text(training / "label_2" / f"{name}.txt", kitti_labels(heads, vehicles, made.pose))
     write_text(training / "calib" / f"{name}.txt", _KITTI_CALIBRATION)
 
 
@@ -310,12 +312,12 @@ def _write_openpcdet(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     """OpenPCDet's custom layout, docs/CUSTOM_DATASET_TUTORIAL.md there: x ahead, y to the left, boxes by centres."""
     name, rows = file_name(made.scan.number), _seen_rows(made)
     vehicles = made.vehicles.select(rows)
-    turn = math.radians(made.mount["yaw_deg"]) + 0.5 * math.pi  # of the levelled frame's x in the road frame
+    turn = made.pose.yaw + 0.5 * math.pi  # of the levelled frame's x in the road frame
     lines = [
         f"{x:.3f} {y:.3f} {z:.3f} {length:.3f} {width:.3f} {height:.3f} {heading:.4f} {OBJECT_TYPES[kind]}\n"
         for kind, (x, y, z), (length, width, height), heading in zip(
             vehicles.class_index,
-            levelled(vehicles.centre_m, made.mount),
+            levelled(vehicles.centre_m, made.pose),
             vehicles.size_m,
             [math.remainder(heading - turn, 2.0 * math.pi) for heading in vehicles.heading_rad.tolist()],
             strict=True,
@@ -341,7 +343,7 @@ _MAP = "maps/none.png"
 
 def _write_nuscenes(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     """A sweep, float32 rows of x, y, z [m], intensity, 0 to 255, and ring: x to the right, y ahead, z up, levelled."""
-    ahead, left, up = levelled(made.cloud.xyz, made.mount).T
+    ahead, left, up = levelled(made.cloud.xyz, made.pose).T
     points = np.column_stack([-left, ahead, up, 255.0 * made.cloud.intensity, made.cloud.ring]).astype("<f4")
     write_bytes(folder / "nuscenes" / _SWEEPS / f"{file_name(made.scan.number)}.pcd.bin", points.tobytes())
 
@@ -355,17 +357,17 @@ def _finish_nuscenes(folder: Path, plan: DatasetPlan, rows: Sequence[Sequence[Ma
     of_scans = ("calibrated_sensor", "ego_pose", "scene", "sample", "sample_data", "sample_annotation", "instance")
     tables |= {name: [] for name in of_scans}
     for scan, boxes in zip(plan.scans, rows, strict=True):
-        token, mount = f"scan-{file_name(scan.number)}", plan.scenario.in_road(scan.mount)
+        token, pose = f"scan-{file_name(scan.number)}", scan.mount.pose
         microseconds = round(plan.frames[scan.frame].time_s * 1e6)
-        ahead = math.radians(mount["yaw_deg"]) + 0.5 * math.pi
+        ahead = pose.yaw + 0.5 * math.pi
         annotations = list(_annotations(token, boxes))
         records = {
             "scene": {"name": token, "description": scan.split, "log_token": "log", "nbr_samples": 1}
             | {"first_sample_token": token, "last_sample_token": token},
             "sample": {"timestamp": microseconds, "scene_token": token, "prev": "", "next": ""},
             "ego_pose": {"timestamp": microseconds, "rotation": _about_z(ahead)}
-            | {"translation": [mount["x_m"], mount["y_m"], 0.0]},
-            "calibrated_sensor": {"sensor_token": "LIDAR_TOP", "translation": [0.0, 0.0, mount["height_m"]]}
+            | {"translation": [pose.x_m, pose.y_m, 0.0]},
+            "calibrated_sensor": {"sensor_token": "LIDAR_TOP", "translation": [0.0, 0.0, pose.height_m]}
             | {"rotation": _about_z(-0.5 * math.pi), "camera_intrinsic": []},
             "sample_data": {"sample_token": token, "ego_pose_token": token, "calibrated_sensor_token": token}
             | {"filename": f"{_SWEEPS}/{file_name(scan.number)}.pcd.bin", "fileformat": "pcd", "width": 0, "height": 0}

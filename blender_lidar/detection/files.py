@@ -13,6 +13,7 @@ import numpy as np
 from ..clouds.files import levelled
 from ..errors import InputError, MissingFileError, printable, unknown_name
 from ..files import make_folder, read_text, reading, write_columns, write_text
+from ..sensors.pose import Pose
 from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
 from ..traffic.source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
 from ..traffic.vehicles import Vehicles
@@ -34,11 +35,11 @@ _COLUMNS = {
     "confidence": Column("0 to 1", 0.0, 1.0),
 }
 _KITTI_NAMES = ("Car", "Truck", "Cyclist")  # by kind
-Mountings = Mapping[str, float] | Sequence[Mapping[str, float]]
-"""The mounting of all frames [m, degrees], or one for each number from 0 on."""
+Poses = Pose | Sequence[Pose]
+"""The LiDAR's pose in all frames, or one for each number from 0 on."""
 
 
-def read_detected(path: str | Path, pose: Mountings) -> dict[int, DetectedBoxes]:
+def read_detected(path: str | Path, poses: Poses) -> dict[int, DetectedBoxes]:
     """The detections of frames in the road frame, by the number of their frame.
 
     What is no vehicle is left out: pedestrians, cones.
@@ -49,9 +50,8 @@ def read_detected(path: str | Path, pose: Mountings) -> dict[int, DetectedBoxes]
         A CSV file as `write_detected` writes it; nuScenes' JSON of results in the road frame, whose tokens end with the
         number of the frame; or a folder of KITTI's label texts with scores, named by their frames, in the camera frame
         that `kitti_camera` describes.
-    pose : mapping of str to float, or sequence of such
-        The mounting [m, degrees] that KITTI's boxes are seen from; or one for each number from 0 on, and then there may
-        be no other number.
+    poses : Pose, or sequence of Pose
+        What KITTI's boxes are seen from; or one for each number from 0 on, and then there may be no other number.
 
     Raises
     ------
@@ -60,21 +60,21 @@ def read_detected(path: str | Path, pose: Mountings) -> dict[int, DetectedBoxes]
     """
     path = Path(path)
     if path.is_dir():
-        return _read_kitti(path, pose)
+        return _read_kitti(path, poses)
     found = _read_nuscenes(path) if path.suffix.lower() == ".json" else _read_csv(path)
     if not found:
         raise InputError(f"{path}: has no detection of a vehicle")
     for number in found:
-        _mounting(pose, number, path)
+        _pose(poses, number, path)
     return found
 
 
-def _mounting(pose: Mountings, number: int, where: str | Path) -> Mapping[str, float]:
-    if isinstance(pose, Mapping):
-        return pose
-    if not 0 <= number < len(pose):
-        raise InputError(f"{where}: has detections of number {number}; allowed: scans 0 to {len(pose) - 1}")
-    return pose[number]
+def _pose(poses: Poses, number: int, where: str | Path) -> Pose:
+    if isinstance(poses, Pose):
+        return poses
+    if not 0 <= number < len(poses):
+        raise InputError(f"{where}: has detections of number {number}; allowed: scans 0 to {len(poses) - 1}")
+    return poses[number]
 
 
 def _kind(name: str, where: str) -> int | None:
@@ -137,7 +137,7 @@ def _by_frame(frame: np.ndarray, boxes: DetectedBoxes) -> dict[int, DetectedBoxe
 # --- KITTI's label text -----------------------------------------------------------------------------------------------
 
 
-def kitti_camera(boxes: DetectedBoxes | Vehicles, pose: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def kitti_camera(boxes: DetectedBoxes | Vehicles, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     """Boxes as KITTI's labels have them: bottom centres (n, 3) [m] and rotation_y (n,) [rad].
 
     The LiDAR frame is that of the ``.bin`` files of `clouds.files`: levelled, x along the LiDAR's +y, y along its -x, z
@@ -145,24 +145,22 @@ def kitti_camera(boxes: DetectedBoxes | Vehicles, pose: Mapping[str, float]) -> 
     """
     ahead, left, up = levelled(boxes.centre_m, pose).T
     bottom = np.column_stack([-left, 0.5 * boxes.size_m[:, 2] - up, ahead])
-    return bottom, _half_turn(math.radians(pose["yaw_deg"]) - boxes.heading_rad)
+    return bottom, _half_turn(pose.yaw - boxes.heading_rad)
 
 
-def _from_kitti_camera(bottom: np.ndarray, height: np.ndarray, rotation_y: np.ndarray, pose: Mapping[str, float]):
+def _from_kitti_camera(bottom: np.ndarray, height: np.ndarray, rotation_y: np.ndarray, pose: Pose):
     """The inverse of `kitti_camera`: box centres [m] and headings [rad] in the road frame."""
-    yaw = math.radians(pose["yaw_deg"])
-    cos, sin = math.cos(yaw), math.sin(yaw)
+    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     right, down, ahead = bottom.T
     centre = np.column_stack([cos * right - sin * ahead, sin * right + cos * ahead, 0.5 * height - down])
-    place = np.array([pose["x_m"], pose["y_m"], pose["height_m"]])
-    return place + centre, _half_turn(yaw - rotation_y)
+    return pose.position + centre, _half_turn(pose.yaw - rotation_y)
 
 
 def _half_turn(angle: np.ndarray) -> np.ndarray:
     return np.arctan2(np.sin(angle), np.cos(angle))
 
 
-def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], pose: Mountings) -> None:
+def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], poses: Poses) -> None:
     """Write detections as KITTI's label texts with scores, ``NNNNNN.txt`` by frame, in the frame of `kitti_camera`.
 
     There is no image: its box is -1, truncation, occlusion and alpha are not known.
@@ -171,13 +169,11 @@ def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes]
     for number, boxes in of_frame.items():
         heads = [f"{_KITTI_NAMES[kind]} -1 -1 -10" for kind in boxes.kind]
         scores = [f" {confidence:.4f}" for confidence in boxes.confidence]
-        text = kitti_labels(heads, boxes, _mounting(pose, number, folder), scores)
+        text = kitti_labels(heads, boxes, _pose(poses, number, folder), scores)
         write_text(Path(folder) / f"{number:06d}.txt", text)
 
 
-def kitti_labels(
-    heads: Sequence[str], boxes: DetectedBoxes | Vehicles, pose: Mapping[str, float], scores: Sequence[str] = ()
-) -> str:
+def kitti_labels(heads: Sequence[str], boxes: DetectedBoxes | Vehicles, pose: Pose, scores: Sequence[str] = ()) -> str:
     """Lines of KITTI's label text: type, truncation, occlusion and alpha, no box in an image, the box, a score."""
     bottom, rotation_y = kitti_camera(boxes, pose)
     return "".join(
@@ -188,14 +184,14 @@ def kitti_labels(
     )
 
 
-def _read_kitti(folder: Path, pose: Mountings) -> dict[int, DetectedBoxes]:
+def _read_kitti(folder: Path, poses: Poses) -> dict[int, DetectedBoxes]:
     paths = sorted(path for path in folder.glob("*.txt") if re.fullmatch("-?[0-9]+", path.stem))
     if not paths:
         raise MissingFileError(f"{folder}: has no KITTI label texts, named like 000100.txt")
-    return {int(path.stem): _kitti_boxes(path, _mounting(pose, int(path.stem), folder)) for path in paths}
+    return {int(path.stem): _kitti_boxes(path, _pose(poses, int(path.stem), folder)) for path in paths}
 
 
-def _kitti_boxes(path: Path, pose: Mapping[str, float]) -> DetectedBoxes:
+def _kitti_boxes(path: Path, pose: Pose) -> DetectedBoxes:
     rows = []
     for line, text in enumerate(_text(path).splitlines(), start=1):
         words = text.split()

@@ -14,8 +14,8 @@ import numpy as np
 from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
-from ..road import RoadFrame
-from ..scene.mounting import COORDINATE_LIMITS
+from ..run.tolerance import errors_from, installed
+from ..scene.mounting import Mounting
 from ..scene.observation import CountedFrame
 from ..scene.region import Region
 from ..scene.scenario import Scenario
@@ -25,7 +25,7 @@ from ..sensors.pose import Pose
 from ..traffic.boxes import KINDS, DetectedBoxes, no_boxes
 from ..traffic.vehicles import Vehicles
 from .classical import ClassicalDetector
-from .files import Mountings, read_detected
+from .files import Poses, read_detected
 from .pillars import SHIPPED, PillarsDetector
 from .scores import CRITERIA, Matches, by_distance, match, measured, paired_intervals
 
@@ -58,7 +58,7 @@ def is_ours(detector: str) -> bool:
     return detector in DETECTORS or is_weights(detector)
 
 
-def detector_at(site: Site, mount: Mapping[str, float], name: str) -> Detector:
+def detector_at(site: Site, mounting: Mounting, name: str) -> Detector:
     """A detector of ours for a mounting of a site: by a name of `DETECTORS`, or PointPillars with weights of one's own.
 
     Raises
@@ -70,9 +70,9 @@ def detector_at(site: Site, mount: Mapping[str, float], name: str) -> Detector:
     """
     seen = site.observation
     if name == ClassicalDetector.name:
-        return ClassicalDetector(seen.lattice, foot_xy(mount), seen.imperfections)
+        return ClassicalDetector(seen.lattice, mounting.xy, seen.imperfections)
     weights = SHIPPED if name == PillarsDetector.name else name
-    found = PillarsDetector(seen.lattice.model.name, site.scenario.pose(mount), *watched(site), weights)
+    found = PillarsDetector(seen.lattice.model.name, mounting.pose, *watched(site), weights)
     heading = np.concatenate([frame.vehicles.heading_rad[frame.counted] for frame in site.search])
     found.check_headings(heading)
     return found
@@ -86,10 +86,12 @@ def watched(site: Site) -> tuple[np.ndarray, np.ndarray]:
     """
     region = site.region
     low, high = (np.array(region.centre_xy) + side * region.radius_m for side in (-1.0, 1.0))
-    right, left = site.scenario.road.carriageway_y
-    y = np.concatenate([frame.vehicles.centre_m[frame.counted, 1] for frame in site.search])
-    if right - _ASIDE_M <= y.min(initial=np.inf) and y.max(initial=-np.inf) <= left + _ASIDE_M:
-        low[1], high[1] = max(low[1], right - _ASIDE_M), min(high[1], left + _ASIDE_M)
+    road, xy = site.scenario.road_map, [frame.vehicles.centre_m[frame.counted, :2] for frame in site.search]
+    (right, left), t = road.edges_t, road.locate(np.concatenate(xy)).t_m
+    if right - _ASIDE_M <= t.min(initial=np.inf) and t.max(initial=-np.inf) <= left + _ASIDE_M:
+        s = road.locate(np.array([region.centre_xy])).s_m[0] + region.radius_m * np.linspace(-1.0, 1.0, 21)
+        beside = np.concatenate([road.at(s, t) for t in (right - _ASIDE_M, left + _ASIDE_M)])
+        low, high = np.maximum(low, beside.min(axis=0)), np.minimum(high, beside.max(axis=0))
     return low, high
 
 
@@ -127,19 +129,18 @@ def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.n
     return site.search, plan.search_block, plan.search_recording
 
 
-def hung_off(site: Site, mount: Mapping[str, float]) -> dict[str, float]:
-    """Where the LiDAR hangs that was to hang at `mount`: off by one draw within the scene's tolerance, by its seed."""
-    return hung_off_by(site.scenario, mount, np.random.default_rng(site.scenario.search.seed))
+def hung_off(site: Site, mounting: Mounting) -> Mounting:
+    """Where a LiDAR hangs by one draw within the scene's tolerance, by its seed."""
+    return hung_off_by(site.scenario, mounting, np.random.default_rng(site.scenario.search.seed))
 
 
-def hung_off_by(scenario: Scenario, mount: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
+def hung_off_by(scenario: Scenario, mounting: Mounting, rng: np.random.Generator) -> Mounting:
     """The same by a draw of `rng`."""
     tolerance = scenario.objective.tolerance
-    errors = {
-        key: width * rng.uniform(-1.0, 1.0) for key, width in (tolerance.half_widths if tolerance else {}).items()
-    }
-    hung = {key: value + errors.get(key, 0.0) for key, value in mount.items()}
-    return {key: min(max(value, COORDINATE_LIMITS[key][0]), COORDINATE_LIMITS[key][1]) for key, value in hung.items()}
+    if tolerance is None:
+        return mounting
+    (hung,) = installed(mounting, errors_from(tolerance, [rng.uniform(-1.0, 1.0) for _ in tolerance.half_widths]))
+    return hung
 
 
 def believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:
@@ -148,15 +149,10 @@ def believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:
     return replace(cloud, xyz=planned.position + measured @ planned.rotation)
 
 
-def foot_xy(mount: Mapping[str, float]) -> tuple[float, float]:
-    """Where a mounting stands, seen from above [m]."""
-    return float(mount["x_m"]), float(mount["y_m"])
-
-
-def sensor_at(site: Site, mount: Mapping[str, float]) -> MountedSensor:
+def sensor_at(site: Site, mounting: Mounting) -> MountedSensor:
     """The site's sensor at a mounting."""
     seen = site.observation
-    return MountedSensor(site.scenario, mount, seen.lattice, seen.caster, seen.scenery)
+    return MountedSensor(site.scenario, mounting, seen.lattice, seen.caster, seen.scenery)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,12 +171,12 @@ class CloudsAt:
     planned: Pose
 
     def __call__(self, vehicles: Vehicles) -> PointCloud:
-        return believed(self.sensor.scan(vehicles), self.sensor.scenario.pose(self.sensor.mount), self.planned)
+        return believed(self.sensor.scan(vehicles), self.sensor.mounting.pose, self.planned)
 
 
-def clouds_at(site: Site, mount: Mapping[str, float]) -> CloudsAt:
+def clouds_at(site: Site, mounting: Mounting) -> CloudsAt:
     """The clouds of a mounting, which hangs off its plan where the scene has a tolerance."""
-    return CloudsAt(sensor_at(site, hung_off(site, mount)), site.scenario.pose(mount))
+    return CloudsAt(sensor_at(site, hung_off(site, mounting)), mounting.pose)
 
 
 def of_each(
@@ -212,7 +208,7 @@ _NO_GROUND = "the scene has no ground, by which detectors level each cloud: they
 
 def judge_detector(
     site: Site,
-    mount: Mapping[str, float],
+    mounting: Mounting,
     detector: Detector,
     workers: int = 1,
     advance: Callable[[int], object] = lambda done: None,
@@ -222,7 +218,7 @@ def judge_detector(
     Where the scene has a tolerance, the LiDAR hangs off its plan, which the detector believes in. Clouds are cast by so
     many processes; `advance` is given 1 for each.
     """
-    clouds, (frames, _, _) = clouds_at(site, mount), judging_frames(site)
+    clouds, (frames, _, _) = clouds_at(site, mounting), judging_frames(site)
     if detector.learns:
         vehicles = [frame.vehicles for frame in site.search]
         detector.learn(of_each(partial(range_image, detector, clouds), vehicles, workers, advance))
@@ -232,7 +228,7 @@ def judge_detector(
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
     with_return = sum(returned) / vehicles if vehicles else None
     notes = [*detector.notes(seen), *([] if site.scenario.world.ground else [_NO_GROUND])]
-    return judged_boxes(boxes, partial(matches_of, site, mount, boxes), with_return, notes)
+    return judged_boxes(boxes, partial(matches_of, site, mounting, boxes), with_return, notes)
 
 
 def judged_boxes(
@@ -246,20 +242,20 @@ def judged_boxes(
 
 
 def matches_of(
-    site: Site, mount: Mapping[str, float], boxes: Sequence[DetectedBoxes], kind: int | None = None
+    site: Site, mounting: Mounting, boxes: Sequence[DetectedBoxes], kind: int | None = None
 ) -> list[Matches]:
     """Detections of the judging frames, matched by each of `CRITERIA`; of all kinds or of one."""
     frames, _, _ = judging_frames(site)
-    region = region_of_alarms(site.region, site.scenario.road)
-    return [match(boxes, frames, region, foot_xy(mount), criterion, kind) for criterion in CRITERIA]
+    region = region_of_alarms(site.region)
+    return [match(boxes, frames, region, mounting.xy, criterion, kind) for criterion in CRITERIA]
 
 
-def region_of_alarms(region: Region, road: RoadFrame) -> Region:
+def region_of_alarms(region: Region) -> Region:
     """Where false alarms count: in the region where vehicles count, but a stretch of lanes in all lanes."""
-    return replace(region, stretches=[(x, road.carriageway_y, None) for x, _, _ in region.stretches])
+    return replace(region, stretches=[(s, None) for s, _ in region.stretches])
 
 
-def judged_from_file(site: Site, mount: Mapping[str, float], path: str) -> JudgedDetector:
+def judged_from_file(site: Site, mounting: Mounting, path: str) -> JudgedDetector:
     """The detections of one's own detector, from a file that `files.read_detected` reads.
 
     Raises
@@ -269,13 +265,13 @@ def judged_from_file(site: Site, mount: Mapping[str, float], path: str) -> Judge
         some.
     """
     numbers = [frame.vehicles.frame for frame in judging_frames(site)[0]]
-    boxes = boxes_from_file(path, site.scenario.in_road(mount), numbers, "judging frames")
-    return judged_boxes(boxes, partial(matches_of, site, mount, boxes), None)
+    boxes = boxes_from_file(path, mounting.pose, numbers, "judging frames")
+    return judged_boxes(boxes, partial(matches_of, site, mounting, boxes), None)
 
 
-def boxes_from_file(path: str | Path, pose: Mountings, numbers: Sequence[int], what: str) -> list[DetectedBoxes]:
+def boxes_from_file(path: str | Path, poses: Poses, numbers: Sequence[int], what: str) -> list[DetectedBoxes]:
     """The boxes of some frames from a file, as for `judged_from_file`; `what` these numbers are of."""
-    of_frame = read_detected(path, pose)
+    of_frame = read_detected(path, poses)
     missing = [number for number in numbers if number not in of_frame]
     whole = Path(path).is_dir() or Path(path).suffix.lower() == ".json"
     if len(missing) == len(numbers) or (missing and whole):

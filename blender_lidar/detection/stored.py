@@ -15,14 +15,15 @@ import numpy as np
 from ..clouds.files import read_cloud
 from ..clouds.scan import PointCloud
 from ..errors import InputError, unknown_name
-from ..road import RoadFrame
-from ..scene.mounting import COORDINATES, plumb, pose_at
+from ..road.straight import StraightRoad, road_map
+from ..scene.mounting import COORDINATES, mounting_from
 from ..scene.observation import CountedFrame
 from ..scene.region import Region, region_of
 from ..scene.settings import RegionSettings, SensorSettings
 from ..scene.site import lattice_of
 from ..sensors.beams import BeamLattice
 from ..sensors.model import load_model, model_names
+from ..sensors.pose import Pose
 from ..toml_table import Setting, TomlTable
 from ..traffic.boxes import DetectedBoxes
 from ..traffic.source import Column, TableLayout, fields_of, first_lines, read_rows
@@ -36,7 +37,6 @@ from .judge import (
     JudgedDetector,
     boxes_from_file,
     farthest_m,
-    foot_xy,
     is_ours,
     judged_boxes,
     measured_groups,
@@ -50,8 +50,8 @@ from .scores import CRITERIA, Matches, intervals, match
 Progress = Callable[[int], Callable[[int], object]]  # given how many clouds there are, what is called for those done
 
 
-def mounting_of(values: Mapping[str, object], where: str) -> dict[str, float]:
-    """The six coordinates of a mounting [m, degrees] from a file of ours; `where` it stands.
+def coordinates_of(values: Mapping[str, object], where: str) -> dict[str, float]:
+    """The six coordinates of a mounting or a pose [m, degrees] from a file of ours; `where` it stands.
 
     Raises
     ------
@@ -69,9 +69,9 @@ def _declared(values: Mapping[str, object], declared: Mapping[str, Setting], whe
 _FARTHEST = 1e9
 
 
-def _pillars(name: str, sensor: str, mount: Mapping[str, float], low: np.ndarray, high: np.ndarray) -> PillarsDetector:
-    """PointPillars, shipped or by a file of weights, at a mounting in the road frame, between two corners [m]."""
-    return PillarsDetector(sensor, pose_at(mount), low, high, SHIPPED if name == PillarsDetector.name else name)
+def _pillars(name: str, sensor: str, pose: Pose, low: np.ndarray, high: np.ndarray) -> PillarsDetector:
+    """PointPillars, shipped or by a file of weights, at a pose in the road frame, between two corners [m]."""
+    return PillarsDetector(sensor, pose, low, high, SHIPPED if name == PillarsDetector.name else name)
 
 
 # --- Clouds of one mounting -------------------------------------------------------------------------------------------
@@ -89,14 +89,14 @@ _OF_HEADERS = {
 class StoredClouds:
     """The clouds of one mounting, by their paths, as the `header` of the `first` describes them.
 
-    `mount` is the mounting in the road frame [m, degrees].
+    `pose` is the LiDAR's in the road frame.
     """
 
     first: Path
     header: Mapping[str, object]
     sensor: SensorSettings
     lattice: BeamLattice
-    mount: Mapping[str, float]
+    pose: Pose
 
     @classmethod
     def of(cls, path: Path) -> StoredClouds:
@@ -116,7 +116,7 @@ class StoredClouds:
             lattice = lattice_of(sensor)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        return cls(path, header, sensor, lattice, mounting_of(header["pose"], f"{where}: pose"))
+        return cls(path, header, sensor, lattice, Pose.from_table(coordinates_of(header["pose"], f"{where}: pose")))
 
     def read(self, path: Path) -> tuple[PointCloud, int]:
         """A cloud and its frame; refused where another sensor or mounting made it."""
@@ -140,7 +140,7 @@ def _look(detector: Detector, clouds: StoredClouds, path: Path) -> tuple[int, De
 
 def detect_in_clouds(
     folder: Path, name: str, workers: int, progress: Progress
-) -> tuple[dict[int, DetectedBoxes], Mapping[str, float], Sequence[str]]:
+) -> tuple[dict[int, DetectedBoxes], Pose, Sequence[str]]:
     """What a detector of ours finds in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them.
 
     The classical one learns the background from them.
@@ -149,8 +149,8 @@ def detect_in_clouds(
     -------
     found : dict of int to DetectedBoxes
         By frame.
-    mount : mapping of str to float
-        The mounting in the road frame [m, degrees].
+    pose : Pose
+        In the road frame.
     notes : sequence of str
 
     Raises
@@ -165,18 +165,18 @@ def detect_in_clouds(
         wanted = f"{_FEWEST_CLOUDS} or more, to learn the empty scene from" if learns else "at least one"
         raise InputError(f"{folder}: {few}; allowed: {wanted}")
     clouds = StoredClouds.of(paths[0])
-    at, advance = np.array(foot_xy(clouds.mount)), progress((1 + learns) * len(paths))
+    at, advance = clouds.pose.position[:2], progress((1 + learns) * len(paths))
     if learns:
         detector = ClassicalDetector(clouds.lattice, tuple(at), clouds.sensor.imperfections)
         detector.learn(of_each(partial(range_image, detector, clouds), paths, workers, advance))
     else:
         reach = clouds.sensor.range_gate_m
-        detector = _pillars(name, clouds.lattice.model.name, clouds.mount, at - reach, at + reach)
+        detector = _pillars(name, clouds.lattice.model.name, clouds.pose, at - reach, at + reach)
     frames, boxes, seen = zip(*of_each(partial(_look, detector, clouds), paths, workers, advance), strict=True)
     if len(set(frames)) < len(frames):
         twice = next(frame for row, frame in enumerate(frames) if frame in frames[:row])
         raise InputError(f"{folder}: frame {twice} has several clouds; allowed: one of each frame")
-    return dict(zip(frames, boxes, strict=True)), clouds.mount, detector.notes(seen)
+    return dict(zip(frames, boxes, strict=True)), clouds.pose, detector.notes(seen)
 
 
 # --- Data sets --------------------------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ _FLAG = Column("0 or 1", 0, 1, whole=True)
 _ABOUT = {
     **dict.fromkeys(("scene", "sensor", "caster"), Setting(kind=str)),
     "region": Setting(kind=RegionSettings),
-    "road": Setting(kind=RoadFrame),
+    "road": Setting(kind=StraightRoad),
     "layouts": Setting(kind=tuple[str, ...]),
     "seed": Setting(kind=int),
     "range_gate_m": Setting(above=0.0),
@@ -216,8 +216,8 @@ class StoredDataset:
         Where a box that meets nothing is a false alarm.
     scans : mapping of str to ndarray, (n,)
         Columns of scans.csv.
-    mounts : sequence of mappings, n
-        The planned mounting of each scan in the frame of the road [m, degrees].
+    poses : sequence of Pose, n
+        The planned pose of each scan in the frame of the road.
     judging : ndarray of int, (k,)
         The scans that judge: those that validate, or all where none does.
     """
@@ -226,7 +226,7 @@ class StoredDataset:
     about: Mapping[str, object]
     region: Region
     scans: Mapping[str, np.ndarray]
-    mounts: Sequence[Mapping[str, float]]
+    poses: Sequence[Pose]
     judging: np.ndarray
 
     @property
@@ -273,17 +273,16 @@ def read_dataset(folder: Path) -> StoredDataset:
         raise InputError(f"{folder}: is an unfinished data set; give the command that began it again")
     about = read_json(path, "the dataset.json of a data set")
     told = _declared(about, _ABOUT, str(path))
-    road: RoadFrame = told["road"]
-    region = region_of_alarms(region_of(told["region"], road.carriageway_y), road)
+    road = road_map(told["road"])
+    region = region_of_alarms(region_of(told["region"], road))
     scans = _read_columns(folder / SCANS, _OF_SCANS, "split")
     count = len(scans["scan"])
     if not count or (scans["scan"] != np.arange(count)).any():
         raise InputError(f"{folder / SCANS}: is damaged: its scans are not numbered from 0 on; make the data set again")
-    mounts = [mounting_of({key: scans[key].tolist()[row] for key in COORDINATES}, str(folder)) for row in range(count)]
-    if not road.is_level:
-        mounts = [plumb(pose_at(mount, road), RoadFrame()) for mount in mounts]
+    tables = ({key: scans[key].tolist()[row] for key in COORDINATES} for row in range(count))
+    poses = [mounting_from(coordinates_of(table, str(folder)), road).pose for table in tables]
     validating = np.flatnonzero(scans["split"] == VAL)
-    return StoredDataset(folder, about, region, scans, mounts, validating if len(validating) else np.arange(count))
+    return StoredDataset(folder, about, region, scans, poses, validating if len(validating) else np.arange(count))
 
 
 def _read_columns(path: Path, columns: Mapping[str, Column], text: str) -> dict[str, np.ndarray]:
@@ -314,8 +313,8 @@ def judge_on_dataset(stored: StoredDataset, name: str, workers: int, progress: P
         boxes, notes = _detected(stored, name, workers, progress(len(numbers)))
     else:
         what = f"scans{' of split val' * stored.validates} of the data set"
-        boxes = boxes_from_file(name, stored.mounts, numbers, what)
-    lidars = np.array([foot_xy(stored.mounts[number]) for number in numbers])
+        boxes = boxes_from_file(name, stored.poses, numbers, what)
+    lidars = np.array([stored.poses[number].position[:2] for number in numbers])
 
     def matched(kind: int | None) -> list[Matches]:
         return [match(boxes, frames, stored.region, lidars, criterion, kind) for criterion in CRITERIA]
@@ -349,10 +348,10 @@ def _detected(
     numbers, (low, high), reach = stored.judging.tolist(), _corners(stored.region), stored.about["range_gate_m"]
     mounting, detectors = stored.scans["mounting"].astype(int).tolist(), {}
     for number in numbers:
-        mount = stored.mounts[number]
-        at = np.array(foot_xy(mount))
+        pose = stored.poses[number]
+        at = pose.position[:2]
         corners = np.maximum(low, at - reach), np.minimum(high, at + reach)
-        detectors[mounting[number]] = _pillars(name, stored.about["sensor"], mount, *corners)
+        detectors[mounting[number]] = _pillars(name, stored.about["sensor"], pose, *corners)
     found = of_each(partial(_look_at_scan, stored, detectors), numbers, workers, advance)
     seen = {
         each: [one for number, (_, one) in zip(numbers, found, strict=True) if mounting[number] == each]
@@ -365,8 +364,8 @@ def _detected(
 def _corners(region: Region) -> tuple[np.ndarray, np.ndarray]:
     """Opposite corners of the rectangle about a region [m]."""
     circle = np.add.outer((-region.radius_m, region.radius_m), region.centre_xy)
-    spans = [corner for x_m, y_m, _ in region.stretches for corner in zip(x_m, y_m, strict=True)]
-    corners = np.array(region.polygon or spans or circle, dtype=float)
+    outlines = [corner for s_m, _ in region.stretches for outline in region.road.area(s_m=s_m) for corner in outline]
+    corners = np.array(region.polygon or outlines or circle, dtype=float)
     return corners.min(axis=0), corners.max(axis=0)
 
 

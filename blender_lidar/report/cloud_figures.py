@@ -18,6 +18,7 @@ from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_
 from ..detection.scores import CONFIDENCES, CRITERIA, meetings
 from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import Outcome
+from ..scene.mounting import Mounting
 from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.frame_scorer import FrameScorer
@@ -64,8 +65,7 @@ class Sight:
     ----------
     name : str
         What the mounting is called.
-    mount : mapping of str to float
-        Its six coordinates [m, degrees].
+    mounting : Mounting
     cloud : PointCloud
         One revolution.
     detectable : ndarray, (v,) bool
@@ -73,7 +73,7 @@ class Sight:
     """
 
     name: str
-    mount: Mapping[str, float]
+    mounting: Mounting
     cloud: PointCloud
     detectable: np.ndarray
 
@@ -84,9 +84,10 @@ def draw_clouds(path: str | Path, site: Site, run: Outcome) -> None:
     vehicles, observation = frame.vehicles.select(frame.counted), site.observation
     sights = []
     for table, (name, mount) in zip((run.baseline, run.optimised), sides(run.result), strict=True):
-        sensor = MountedSensor(site.scenario, mount, observation.lattice, observation.caster, observation.scenery)
+        mounting = site.scenario.mounting(mount)
+        sensor = MountedSensor(site.scenario, mounting, observation.lattice, observation.caster, observation.scenery)
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
-        sights.append(Sight(name, mount, sensor.scan(frame.vehicles), table["detectable"][of_frame]))
+        sights.append(Sight(name, mounting, sensor.scan(frame.vehicles), table["detectable"][of_frame]))
     title = f"{run.result['sensor']}: one revolution from above, frame {vehicles.frame}"
     plot_clouds(path, vehicles, sights, title, leaning=leans(run.result))
 
@@ -113,7 +114,7 @@ def plot_clouds(
         If the file cannot be written.
     """
     corners = corners_of(vehicles)
-    poles = [[sight.mount["x_m"], sight.mount["y_m"]] for sight in sights]
+    poles = [sight.mounting.xy for sight in sights]
     window = np.concatenate([corners.reshape(-1, 2), poles])
     with _panels(path, window, len(sights), _KEY_MM, title, subtitle) as (figure, panels, bottom):
         for sight, stretches in zip(sights, panels, strict=True):
@@ -121,7 +122,7 @@ def plot_clouds(
                 dots, entries = _draw_panel(axes, sight, corners)
             points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
             seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
-            place_told = mounting_text(sight.mount, leans=leaning)
+            place_told = mounting_text(sight.mounting.as_table(), leans=leaning)
             stretches[0].set_title(f"{sight.name}: {place_told}\n{seen}, {points:,} points on vehicles")
         bar = place(figure, 0.25 * WIDTH_MM, bottom + 7.0, 0.5 * WIDTH_MM, 2.5)
         label = "Height above the road of points on vehicles [m]"
@@ -180,7 +181,7 @@ def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathColl
     dashed = {**solid, "facecolor": "#e2e2e2", "linestyle": (0, (2.5, 1.5))}
     for chosen, look in ((sight.detectable, solid), (~sight.detectable, dashed)):
         axes.add_collection(PolyCollection(corners[chosen], zorder=2, **look))
-    marker = mark_sensor(axes, sight.mount)
+    marker = mark_sensor(axes, sight.mounting.xy)
     patches = [Patch(label="vehicle, detectable", **solid), Patch(label="vehicle, not detectable", **dashed)]
     return dots, [marker, *patches]
 
@@ -206,8 +207,7 @@ class Found:
     ----------
     name : str
         What the mounting is called.
-    mount : mapping of str to float
-        Its six coordinates [m, degrees].
+    mounting : Mounting
     cloud : PointCloud
         What the detector was given.
     boxes : DetectedBoxes
@@ -219,7 +219,7 @@ class Found:
     """
 
     name: str
-    mount: Mapping[str, float]
+    mounting: Mounting
     cloud: PointCloud
     boxes: DetectedBoxes
     vehicle: np.ndarray
@@ -231,7 +231,7 @@ def draw_detections(
     site: Site,
     detector: str,
     judged: Mapping[str, JudgedDetector],
-    mounts: Mapping[str, Mapping[str, float]],
+    mountings: Mapping[str, Mounting],
 ) -> None:
     """Draw what a detector finds in the judging frame with the median number of vehicles, at each of some mountings."""
     frames, _, _ = judging_frames(site)
@@ -239,11 +239,9 @@ def draw_detections(
     frame, sure = frames[number], []
     for name, one in judged.items():
         boxes = one.boxes[number].select(one.boxes[number].confidence >= _SURE)
-        cloud = clouds_at(site, mounts[name])(frame.vehicles)
-        met = meetings(
-            boxes, frame.vehicles, frame.counted, region_of_alarms(site.region, site.scenario.road), CRITERIA[0]
-        )
-        sure.append(Found(name.capitalize(), mounts[name], cloud, boxes, *met))
+        cloud = clouds_at(site, mountings[name])(frame.vehicles)
+        met = meetings(boxes, frame.vehicles, frame.counted, region_of_alarms(site.region), CRITERIA[0])
+        sure.append(Found(name.capitalize(), mountings[name], cloud, boxes, *met))
     title = f"{site.model.name}: what the detector {Path(detector).stem} finds in frame {frame.vehicles.frame}"
     of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"
     rule = f"confidence {_SURE:g} or more, hits within {CRITERIA[0].most_m:g} m"
@@ -264,7 +262,7 @@ def plot_detections(
     OutputError
         If the file cannot be written.
     """
-    poles = np.array([[one.mount["x_m"], one.mount["y_m"]] for one in found])
+    poles = np.array([one.mounting.xy for one in found])
     counted = [
         corners_of(frame.vehicles.select(frame.counted)),
         *(corners_of(one.boxes)[~one.ignored] for one in found),
@@ -277,7 +275,7 @@ def plot_detections(
             hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
             alarms = len(one.boxes) - int(hits) - int(np.count_nonzero(one.ignored))
             told = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
-            stretches[0].set_title(f"{one.name}: {mounting_text(one.mount)}\n{told}")
+            stretches[0].set_title(f"{one.name}: {mounting_text(one.mounting.as_table())}\n{told}")
         legend_below(figure, entries, columns=4)
 
 
@@ -309,7 +307,7 @@ def _draw_found(axes: Axes, frame: CountedFrame, one: Found) -> list[Artist]:
         axes.add_collection(PolyCollection(box[chosen], zorder=3, **look))
         axes.add_collection(LineCollection(ticks[chosen], color=look["edgecolor"], linewidth=0.8, zorder=3))
     patches = [Patch(label=name, **look) for name, (_, look) in {**detections, **vehicles}.items()]
-    return [*patches, mark_sensor(axes, one.mount)]
+    return [*patches, mark_sensor(axes, one.mounting.xy)]
 
 
 # --- One vehicle's three occupancy grids ------------------------------------------------------------------------------
@@ -339,7 +337,7 @@ def draw_occupancy(path: str | Path, site: Site, run: Outcome) -> None:
     size_m, cell_m = counted.size_m[index], site.observation.cell_m
     grids = []
     for _, mount in sides(run.result):
-        points, owner = scorer.vehicle_points(site.scenario.pose(mount))
+        points, owner = scorer.vehicle_points(site.scenario.mounting(mount).pose)
         grids.append(occupancy_views(points[owner == index], size_m, cell_m))
     plot_occupancy(
         path,

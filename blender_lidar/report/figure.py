@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -166,10 +166,10 @@ def colours(part: tuple[str, float, float]) -> ListedColormap:
     return ListedColormap(matplotlib.colormaps[name](np.linspace(first, last, 256)))
 
 
-def mark_sensor(axes: Axes, mount: Mapping[str, float]) -> Line2D:
-    """A marker where the LiDAR of a mounting stands, seen from above; it is also the legend's entry."""
+def mark_sensor(axes: Axes, xy: Sequence[float]) -> Line2D:
+    """A marker where the LiDAR stands, seen from above, (2,); it is also the legend's entry."""
     look = {"markersize": 8.0, "markerfacecolor": "white", "markeredgecolor": "black", "markeredgewidth": 1.2}
-    (line,) = axes.plot(mount["x_m"], mount["y_m"], "^", linestyle="none", zorder=5, label="LiDAR", **look)
+    (line,) = axes.plot(*xy, "^", linestyle="none", zorder=5, label="LiDAR", **look)
     return line
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from ..run.tolerance import tolerance_text
-from ..scene.mounting import pose_at
+from ..scene.mounting import Mast
 from ..scene.site import Site
 from .summary import conditions, costliest_text, judged, kept_text, optimum_text, region_text, warnings_text, worth
 
@@ -21,7 +21,9 @@ _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
 def installation_text(site: Site, result: Mapping) -> str:
     """Instructions for one mounting, as plain text; `result` is the content of result.json."""
     mount = result["deployment"]
-    right, ahead, up = pose_at(mount).to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
+    mounting = site.scenario.mounting(mount)
+    plumb = replace(mounting, mast=Mast(facing_rad=mounting.mast.facing_rad))
+    right, ahead, up = plumb.pose.to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
     falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
     standing = site.observation.scenery
     modelled = standing is not None and len(standing.scenery.beside_road) > 0
@@ -34,11 +36,12 @@ def installation_text(site: Site, result: Mapping) -> str:
         _above_foot(result),
         *_slopes(site),
         f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
-        f"             {_beside(site, mount['y_m'])}",
+        f"             {_beside(site, mounting)}",
+        f"Mast         faces {_bearing(plumb.mast.axes[1])}",
         f"Lean         {_lean(up)}",
-        f"             (before yaw: {mount['tilt_x_deg']:.1f} deg across, {mount['tilt_y_deg']:.1f} deg along it)",
+        f"             (before yaw: {mount['tilt_x_deg']:.1f} deg where it faces, {mount['tilt_y_deg']:.1f} deg aside)",
         f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the zero azimuth of the",
-        "             sensor faces across the road, +y: to the left of the direction of travel",
+        "             sensor faces as the mast does",
         f"Cable        zero azimuth faces {_bearing(ahead)};",
         "             an outlet opposite it, as most spinning sensors have it (see the drawing), faces",
         f"             {_bearing(-ahead)}",
@@ -47,7 +50,7 @@ def installation_text(site: Site, result: Mapping) -> str:
         "Check on site",
         f"- Inclinometer on the sensor's base: a fall of {falls[0]} towards zero azimuth and of",
         f"  {falls[1]} a quarter turn clockwise from it (a negative fall is a rise).",
-        f"- {_lowest_beam(site, mount)}",
+        f"- {_lowest_beam(site, mounting)}",
         f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz{columns}.",
         "- Look for poles, signs, trees and barriers between the sensor and the lanes that the scene does not have."
         if modelled
@@ -89,17 +92,17 @@ def _slopes(site):
             "and lean, yaw and falls are against the vertical, not the road",
         ]
     if road.crown_percent:
-        height = float(road.crown_m(np.array([np.mean(road.carriageway_y)]))[0])
+        height = float(road.surface.triangles((0.0, 1.0))[..., 2].max())
         lines.append(f"The road's surface is that of the carriageway's edges; its middle is {height:.2f} m higher")
     return [f"             {line}" for line in lines]
 
 
-def _beside(site, y_m):
-    """How far beside the carriageway the pole stands, and on which side."""
-    right, left = site.scenario.road.carriageway_y
-    if y_m <= right:
-        return f"{right - y_m:.2f} m to the right of the carriageway's right edge, seen in the direction of travel"
-    return f"{y_m - left:.2f} m to the left of the carriageway's left edge, seen in the direction of travel"
+def _beside(site, mounting):
+    """How far beside the lanes the pole stands, and on which side."""
+    away, side = site.scenario.road_map.clearance(mounting.xy)
+    if away < 0.0:
+        return f"over a lane, {-away:.2f} m from its {side} edge, seen in its direction of travel"
+    return f"{away:.2f} m from the edge of the nearest lane, to the {side} of its traffic"
 
 
 def _lean(axis):
@@ -124,18 +127,18 @@ def _bearing(axis):
 _CROWN_STEPS = 20  # each comes nearer by the crown's slope over the beam's
 
 
-def _lowest_beam(site, mount):
+def _lowest_beam(site, mounting):
     """Where the lowest ring meets the ground in the direction of zero azimuth."""
-    pose = site.scenario.pose(mount)
+    pose = mounting.pose
     lowest = float(site.model.elevation_rad[0])
     ray = pose.to_world(np.array([[0.0, math.cos(lowest), math.sin(lowest)]]))[0]
     if ray[2] >= 0:
         return "At zero azimuth the lowest ring does not meet the ground."
     spot = pose.position - pose.height_m / ray[2] * ray
     for _ in range(_CROWN_STEPS):  # on a crown the surface lies higher there, and so the place nearer
-        rise = float(site.scenario.road.crown_m(spot[1:2])[0])
+        rise = float(site.scenario.road_map.surface.height(spot))
         spot = pose.position - (pose.height_m - rise) / ray[2] * ray
-    reach = math.hypot(spot[0] - mount["x_m"], spot[1] - mount["y_m"])
+    reach = math.dist(spot[:2], mounting.xy)
     return f"At zero azimuth the lowest ring meets the ground {reach:.1f} m from the pole: put a target there."
 
 

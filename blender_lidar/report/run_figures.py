@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
-from ..road import RoadFrame
 from ..run.folder import Outcome
 from ..run.verdict import METRIC_VALUE, REGION_SHARE, WEIGHT, ScoreMap, near_best_threshold
 from ..scene.settings import ZoneSettings
@@ -37,6 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
     from matplotlib.lines import Line2D
+
+    from ..road.road_map import RoadMap
 
 FEWEST_VEHICLES = 5  # below this a band's average says little, and is not drawn
 BAND_M = 10.0
@@ -65,7 +66,7 @@ def draw_charts(site: Site, run: Outcome) -> list[str]:
     charts |= {
         "by_distance.png": partial(plot_by_distance, run=run),
         "blind_zones.png": partial(
-            plot_blind_zones, run=run, road=site.scenario.road, zones=site.scenario.objective.zones
+            plot_blind_zones, run=run, road=site.scenario.road_map, zones=site.scenario.objective.zones
         ),
         "clouds.png": partial(draw_clouds, site=site, run=run),
         "occupancy.png": partial(draw_occupancy, site=site, run=run),
@@ -289,14 +290,14 @@ def _draw_counts(axes: Axes, centre_m: np.ndarray, counts: list[np.ndarray]) -> 
 # --- Blind zones: where along and across the road vehicles stay below the threshold, before and after -----------------
 
 
-def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame, zones: Sequence[ZoneSettings] = ()) -> None:
+def plot_blind_zones(path: str | Path, run: Outcome, road: RoadMap, zones: Sequence[ZoneSettings] = ()) -> None:
     """Draw the share of vehicles below the detectability threshold per cell of the road, before and after.
 
     The carriageway is divided into whole lanes of about the road's lane width; `zones` of weights are outlined.
     """
     tables, mountings = (run.baseline, run.optimised), sides(run.result)
-    low, high = road.carriageway_y
-    lane_m = (high - low) / max(round((high - low) / road.lane_width_m), 1)
+    low, high = road.edges_t
+    lane_m = (high - low) / max(round((high - low) / np.median(road.width_m)), 1)
     poles = np.array([[mount["x_m"], mount["y_m"]] for _, mount in mountings])
     x = np.concatenate([*(table["x_m"] for table in tables), poles[:, 0]])
     y = np.concatenate([*(table["y_m"] for table in tables), [low + 0.5 * lane_m, high - 0.5 * lane_m]])
@@ -309,8 +310,8 @@ def plot_blind_zones(path: str | Path, run: Outcome, road: RoadFrame, zones: Seq
             below = np.where(table["detectable"], 0.0, 100.0)
             share = cell_means(below, (table["y_m"], table["x_m"]), (y_edges, x_edges))
             mesh, empty = _draw_cells(axes, x_edges, y_edges, share)
-            _draw_lanes(axes, np.arange(low, high + 0.5 * lane_m, lane_m))
-            marker = mark_sensor(axes, mount)
+            _draw_lanes(axes, road, (x_edges[0], x_edges[-1]))
+            marker = mark_sensor(axes, (mount["x_m"], mount["y_m"]))
             outlines = [_outline_zone(axes, zone) for zone in zones]
             found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold" if below.size else _NOBODY
             axes.set(
@@ -361,9 +362,10 @@ def _draw_cells(axes: Axes, x_edges: np.ndarray, y_edges: np.ndarray, percent: n
     return mesh, Rectangle((0.0, 0.0), 1.0, 1.0, label="no vehicle was there", **look)
 
 
-def _draw_lanes(axes: Axes, edges_m: np.ndarray) -> None:
-    """The carriageway's two edges solid, the lines between its lanes dashed."""
-    for y in edges_m[1:-1]:
-        axes.axhline(y, color="black", linewidth=0.5, dashes=(6, 4))
-    for y in edges_m[[0, -1]]:
-        axes.axhline(y, color="black", linewidth=1.2)
+def _draw_lanes(axes: Axes, road: RoadMap, s_m: tuple[float, float]) -> None:
+    """The edges of carriageways solid, the lines between their lanes dashed, from one station to another [m]."""
+    edges, between = road.lines(s_m)
+    for line in between:
+        axes.plot(*line.T, color="black", linewidth=0.5, dashes=(6, 4))
+    for line in edges:
+        axes.plot(*line.T, color="black", linewidth=1.2)

@@ -79,7 +79,7 @@ def _draw_all(axes, xy, along, layout, names):
     outline = layout.placing.origin_m + outline @ axes_of_road
     axes.fill(*outline.T, **_REGION_LOOK)
     axes.plot(*outline.T, **_EDGE_LOOK)
-    mark_sensor(axes, dict(zip(("x_m", "y_m"), layout.placing.origin_m, strict=True)))
+    mark_sensor(axes, layout.placing.origin_m)
     size = 0.03 * float(np.ptp(xy, axis=0).max())
     _arrow(axes, *(layout.placing.origin_m + np.array([[0.0, -size], [4.0 * size, -size]]) @ axes_of_road))
     axes.set_aspect("equal", adjustable="datalim")
@@ -106,7 +106,7 @@ def _draw_near(axes, road, along, layout):
         y = right + (number + 0.5) * width
         axes.plot((low, high), (y, y), **_LANE_LOOK)
     _arrow(axes, (-0.3 * HALF_STRETCH_M, -4.0), (0.3 * HALF_STRETCH_M, -4.0))
-    mark_sensor(axes, {"x_m": 0.0, "y_m": 0.0})
+    mark_sensor(axes, (0.0, 0.0))
     axes.set(xlim=(low, high), ylim=(bottom, top), xlabel=TRAVEL_LABEL, ylabel="Across, y [m], to the left")
     axes.set_title("The proposed road frame (y stretched)")
     axes.grid()

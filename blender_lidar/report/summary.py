@@ -68,12 +68,13 @@ def mounting_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
     return ", ".join([*parts, *(f"{name} {angle:.1f}°" for name, angle in more.items() if angle)])
 
 
-def direction_text(direction_deg: float) -> str:
-    """Which way a sensor leans, for a person on the road: 0 towards +y, counter-clockwise."""
-    ways = {0.0: "across the road (+y)", 90.0: "against the traffic (-x)"}
-    ways |= {180.0: "away from the road (-y)", -90.0: "with the traffic (+x)"}
-    nearest = min(ways, key=lambda way: abs(math.remainder(direction_deg - way, 360.0)))
-    off = math.remainder(direction_deg - nearest, 360.0)
+def direction_text(mount: Mapping[str, float]) -> str:
+    """Which way a sensor leans, as a bearing in the road frame: 0 towards +x, counter-clockwise."""
+    ways = {0.0: "along the road (+x)", 90.0: "to the left across the road (+y)"}
+    ways |= {180.0: "back along the road (-x)", -90.0: "to the right across the road (-y)"}
+    bearing = mount["lean_direction_deg"] + mount.get("facing_deg", 90.0)
+    nearest = min(ways, key=lambda way: abs(math.remainder(bearing - way, 360.0)))
+    off = math.remainder(bearing - nearest, 360.0)
     turned = f"{abs(off):.0f}° {'counter-' if off > 0 else ''}clockwise of "
     return ways[nearest] if abs(off) < 0.5 else turned + ways[nearest]
 
@@ -86,7 +87,7 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
     if leans:
         parts = [f"{mount['height_m']:.2f} m above the road", "level"]
         if mount["lean_deg"] >= _LEVEL_DEG:
-            parts[1] = f"leaning {mount['lean_deg']:.1f}°, {direction_text(mount['lean_direction_deg'])}"
+            parts[1] = f"leaning {mount['lean_deg']:.1f}°, {direction_text(mount)}"
         if abs(mount["spin_deg"]) >= _LEVEL_DEG:
             parts.append(f"turned {mount['spin_deg']:.1f}° about its axis")
         if mount["x_m"] or mount["y_m"]:
@@ -279,7 +280,7 @@ def _orientation(result):
     mount = result["deployment"]
     if not leans(result):
         return {"tilt across the road": minus(f"{mount['tilt_x_deg']:.1f}°")}
-    way = "" if mount["lean_direction_deg"] is None else f", {direction_text(mount['lean_direction_deg'])}"
+    way = "" if mount["lean_direction_deg"] is None else f", {direction_text(mount)}"
     return {f"lean{way}": f"{mount['lean_deg']:.1f}°"}
 
 

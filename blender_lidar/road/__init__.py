@@ -1,4 +1,4 @@
-"""Where the lanes, the carriageway and the surface of a site are: `road_map.RoadMap`, made by one file for each source."""
+"""Where the lanes and the surface of a site are: `road_map.RoadMap`, made by one file for each source."""
 
 from .straight import StraightRoad
 

@@ -138,6 +138,14 @@ class RoadMap:
         around = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]) * _BESIDE_M
         return self.on((np.asarray(xy)[:, None] + around).reshape(-1, 2)).reshape(-1, 4).all(axis=1)
 
+    def clearance(self, xy: Sequence[float]) -> tuple[float, str]:
+        """How far a place lies from the nearest edge of a lane [m], below 0 on it, and on which side of its traffic."""
+        at, alone = self.locate(np.array([xy])), (self._with(np.array([lane])) for lane in range(len(self)))
+        off = np.array([one.locate(np.array([xy])).t_m[0] for one in alone]) - self.offset_m
+        nearest = int(np.argmin(np.abs(off) - 0.5 * self.width_m)) if at.lane[0] < 0 else int(at.lane[0])
+        left = (off[nearest] > 0.0) != bool(self.against[nearest])
+        return float(abs(off[nearest]) - 0.5 * self.width_m[nearest]), "left" if left else "right"
+
     def beside(self, xy: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """The edges of the road across from a place on a lane, to the right and to the left of it, (2,) each [m]."""
         found = []

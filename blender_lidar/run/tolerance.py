@@ -6,13 +6,12 @@ every mounting, so that a search meets no noise: few points while it searches, m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import math
 import numpy as np
 
-from ..road import RoadFrame
 from ..scene.deployment import COORDINATE_LIMITS
 from ..scene.mounting import ANGLES, Layout, Mounting
 from ..scene.settings import Tolerance
@@ -53,14 +52,19 @@ _NOT_EXACT = ("height_m", *ANGLES)  # the coordinates that errors are of
 
 
 def installation_errors(tolerance: Tolerance, base: int | None = None) -> np.ndarray:
-    """Errors that stand for all that the tolerance allows, (base^2, 4): of the height [m], both tilts and yaw [degrees].
+    """Errors that stand for all that the tolerance allows, (base^2, 4): height [m], both tilts and yaw [degrees].
 
     The base is that of a search with this tolerance unless given.
     """
-    base, widths = base or SEARCHED_BASE[tolerance.aim], tolerance.half_widths
-    errors = np.zeros((base**2, len(_NOT_EXACT)))
-    columns = [_NOT_EXACT.index(key) for key in widths]
-    errors[:, columns] = orthogonal_array(len(widths), base) * list(widths.values())
+    base = base or SEARCHED_BASE[tolerance.aim]
+    return errors_from(tolerance, orthogonal_array(len(tolerance.half_widths), base))
+
+
+def errors_from(tolerance: Tolerance, shares: np.ndarray) -> np.ndarray:
+    """Errors, (m, 4) as of `installation_errors`, from their shares of the half-widths (m, d), -1 to 1."""
+    widths, shares = tolerance.half_widths, np.atleast_2d(shares)
+    errors = np.zeros((len(shares), len(_NOT_EXACT)))
+    errors[:, [_NOT_EXACT.index(key) for key in widths]] = shares * list(widths.values())
     return errors
 
 

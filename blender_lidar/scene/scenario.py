@@ -213,7 +213,7 @@ def _table(
 
 
 def _baseline(table: TomlTable, deployment: Deployment, region: RegionSettings) -> Mounting:
-    """[baseline]: at the mount's own place where that is fixed; else where no bound, pole or order of poles moves it."""
+    """[baseline]: at the mount's own place where that is fixed; else where no bound and no pole moves it."""
     road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
     middle = region_of(region, road).centre_xy
     x_m, y_m = place.get("x_m", middle[0]), place.get("y_m", 0.0)

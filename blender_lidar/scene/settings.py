@@ -479,7 +479,7 @@ class Scenario:
         return road_map(self.road)
 
     def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
-        """The mounting that some coordinates give [m, degrees], the others being the baseline's: see `mounting_from`."""
+        """The mounting that some coordinates give [m, degrees], with the baseline's others: see `mounting_from`."""
         return mounting_from(table, self.road_map, self.baseline, where)
 
     @property

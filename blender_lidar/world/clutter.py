@@ -69,7 +69,7 @@ def _things(
         yield along_road(road, kind.made(x, right - away if side == 0 else left + away, rng))
 
 
-# --- What stands there: each at station x and offset y of a straight road [m], by draws of its own ----------------------------------------------
+# --- What stands there: each at station x and offset y of a straight road [m], by draws of its own --------------------
 
 
 def _sign(x: float, y: float, rng: np.random.Generator) -> Scenery:
