@@ -148,7 +148,7 @@ class _HeardAndShown(_Heard):
 
     def __init__(self, site: Site) -> None:
         super().__init__(site, None)
-        self._shown = RunProgress(site.scenario.deployment.variables, self._metric)
+        self._shown = RunProgress(site.scenario.deployment.spaces[0].variables, self._metric)
 
     def __exit__(self, *exception) -> None:
         self._shown.__exit__(*exception)

@@ -11,7 +11,7 @@ import numpy as np
 
 from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
-from blender_lidar.road import RoadFrame
+from blender_lidar.road import StraightRoad
 from blender_lidar.run.folder import Outcome
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.mounting import COORDINATES
@@ -22,7 +22,7 @@ from blender_lidar.traffic.vehicles import Vehicles
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 HEADINGS = {"title": "A title", "subtitle": "And a subtitle"}
 CAR = (4.5, 1.8, 1.5)
-ROAD = RoadFrame(lanes=5)
+ROAD = StraightRoad(lanes=5)
 
 
 def table(seed: int, number: int = 200) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ import pytest
 
 from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.detection.judge import sensor_at
-from blender_lidar.road import RoadFrame
+from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -15,7 +15,7 @@ from blender_lidar.scoring import frame_scorer
 from blender_lidar.world.clutter import Walkers, clutter, leaves
 from tests.small_scene import CASTER
 
-ROAD = RoadFrame()
+ROAD = road_map(StraightRoad())
 AT_ZERO = [((0.0, 0.0), (0.0, 0.0))]
 
 

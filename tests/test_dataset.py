@@ -30,7 +30,9 @@ def plan(tmp_path_factory):
 
 
 def test_mountings_lie_within_the_bounds_and_what_is_fixed_stays(plan):
-    heights, tilts, yaws = np.array([[m.as_table()[k] for m in plan.mounts] for k in ("height_m", "tilt_x_deg", "yaw_deg")])
+    heights, tilts, yaws = np.array(
+        [[m.as_table()[k] for m in plan.mounts] for k in ("height_m", "tilt_x_deg", "yaw_deg")]
+    )
     assert len(set(heights)) == 5
     assert ((heights >= 2.0) & (heights <= 4.5)).all()
     assert ((tilts >= 0.0) & (tilts <= 25.0)).all()

@@ -12,7 +12,7 @@ import pytest
 from blender_lidar.cli import main
 from blender_lidar.commands.init import _path, _text
 from blender_lidar.errors import InputError
-from blender_lidar.road import RoadFrame
+from blender_lidar.road import StraightRoad
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
 from blender_lidar.traffic import read_traffic
 from blender_lidar.traffic.layout import propose_layout
@@ -21,7 +21,7 @@ from tests.small_scene import CASTER, HEADER, traffic_rows, without_charts, writ
 
 FOOT_M = 0.3048
 NGSIM = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
-UNPLACED = RoadFrame(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
+UNPLACED = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
 
 
 def proposed(path, **settings):

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.road import RoadFrame
+from blender_lidar.road import StraightRoad
 from blender_lidar.studies.variations import CAR, SIZE_M, TRUCK, queued, turned_into
 from blender_lidar.traffic import overlapping_pairs
 from tests.sample_traffic import dense_traffic
 
-ROAD = RoadFrame()
+ROAD = StraightRoad()
 COPIES_FROM = 10_000
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.road import RoadFrame
+from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.traffic import CLASSES, ngsim, read_traffic, source
 from tests import traffic_samples as samples
 from tests.traffic_samples import assert_same_boxes
@@ -85,7 +85,7 @@ def test_chunks_do_not_show(columns, expected, tmp_path, monkeypatch):
 
 
 def test_front_centre_in_feet_becomes_box_centre_in_the_road_frame(columns, tmp_path):
-    road = RoadFrame(station_m=40.0, right_edge_m=25.0, setback_m=3.0)
+    road = StraightRoad(station_m=40.0, right_edge_m=25.0, setback_m=3.0)
     recording = read_traffic(samples.write(tmp_path, samples.native(columns)), road=road)
     order = np.lexsort((columns["Vehicle_ID"], columns["Frame_ID"]))
     front_x = columns["Local_Y"][order] * FOOT_M - 40.0
@@ -100,7 +100,7 @@ def test_front_centre_in_feet_becomes_box_centre_in_the_road_frame(columns, tmp_
 def test_left_lane_lies_left_and_traffic_moves_forward(expected):
     lane_y = [np.median(expected.centre_m[expected.lane == lane, 1]) for lane in range(1, 7)]
     assert (np.diff(lane_y) < 0).all()
-    low, high = RoadFrame().carriageway_y
+    low, high = road_map(StraightRoad()).edges_t
     assert low < min(lane_y)
     assert max(lane_y) < high
     first, last = expected.vehicles(expected.frames[0]), expected.vehicles(expected.frames[-1])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar.road import RoadFrame
+from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.traffic import CLASSES, plan_frames, read_traffic
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
@@ -49,7 +49,7 @@ def test_traffic_flows_forward_in_lanes_from_left_to_right_within_the_carriagewa
     lateral = [np.median(recording.centre_m[past_the_ramp & (recording.lane == lane), 1]) for lane in lanes]
     assert len(lanes) >= 3
     np.testing.assert_allclose(np.diff(lateral), -3.66, atol=0.7)
-    low, high = RoadFrame().carriageway_y
+    low, high = road_map(StraightRoad()).edges_t
     assert low < min(lateral)
     assert max(lateral) < high
 
@@ -78,7 +78,7 @@ def test_the_box_ends_at_the_recorded_front(recordings):
     assert recording.frame.tolist() == raw[:, 1].astype(int).tolist()
     direction = np.stack([np.cos(recording.heading_rad), np.sin(recording.heading_rad)], axis=1)
     front = recording.centre_m[:, :2] + recording.size_m[:, :1] / 2 * direction
-    road = RoadFrame()
+    road = StraightRoad()
     np.testing.assert_allclose(front[:, 0], raw[:, 5] * FOOT_M - road.station_m, atol=1e-9)
     np.testing.assert_allclose(front[:, 1], road.setback_m + road.right_edge_m - raw[:, 4] * FOOT_M, atol=1e-9)
     assert recording.report.period == "0515-0530"

@@ -11,7 +11,7 @@ import numpy as np
 from ..casting.protocol import Revolution
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..scoring.frame_scorer import FrameScorer, FrameShapes, singles
-from ..scoring.scores import Scored, VehicleScores, mountings_of
+from ..scoring.scores import Scored, VehicleScores
 from ..sensors.pose import Pose
 from .scan import FrameScan, PointCloud, Stands
 
@@ -90,5 +90,6 @@ class LiveFrame:
             nearest[beam] = np.minimum(nearest[beam], distance)
         shown = hits.distance <= nearest[hits.beam]
         hits = Revolution(*(column[..., shown] for column in hits))
-        seen = self._scorer.seen_of(singles([pose]), [(hits,)], keep_returns=self._scores.needs_returns)
-        return self._scores.of_seen(self.frame, self._scorer, seen, mountings_of([pose]))
+        layouts = singles([pose])
+        seen = self._scorer.seen_of(layouts, [(hits,)], keep_returns=self._scores.needs_returns)
+        return self._scores.of_seen(self.frame, self._scorer, seen, layouts)

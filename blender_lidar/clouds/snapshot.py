@@ -99,7 +99,7 @@ class MountedSensor:
             bits = entropy_of_vehicles(cloud, vehicles, self.scenario.objective)
             points = vertices_of(cloud, entropy_of_points(cloud, vehicles, bits))
         return moment_class(
-            road=self.scenario.road,
+            road=self.scenario.road_map,
             vehicles=vehicles,
             detail=self.scenario.world.detail,
             lattice=self.lattice,

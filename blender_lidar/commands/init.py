@@ -16,7 +16,7 @@ from ..errors import InputError, MissingExtraError, one_line, unknown_name
 from ..files import check_folder, check_unused, make_folder, write_text
 from ..names import TRAFFIC_FORMATS
 from ..report.site_plan import plot_site_plan
-from ..road import RoadFrame
+from ..road import StraightRoad
 from ..scene.plausibility import checked_recording
 from ..scene.scenario import load_scenario, shipped_scenes
 from ..scene.settings import TrafficSettings
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     given = given_options(args, {key: settings[key] for key in OPTIONS})
     _check(folder, [path, *(Path(given[key]) for key in ("vehicle_types",) if key in given)])
     kind = format_of(path) if kind == TRAFFIC_FORMATS[0] else kind
-    unplaced = RoadFrame(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
+    unplaced = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
     recording = read_traffic(path, format=kind, road=unplaced, **given)
     layout = propose_layout(recording, follows_x=kind == "ngsim")
     make_folder(folder, "FOLDER")

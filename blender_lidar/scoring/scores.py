@@ -12,7 +12,7 @@ from ..metrics.metric import NEEDS_POINTS, NEEDS_VIEW, Mountings, SceneContext, 
 from ..optimise.objective import detectable, vehicle_score
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..sensors.pose import Pose
-from .frame_scorer import FrameScorer, Seen, singles
+from .frame_scorer import FrameScorer, Seen
 
 
 class Scored(NamedTuple):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..errors import InputError, unknown_name
 from ..names import TRAFFIC_FORMATS
-from ..road import RoadFrame
+from ..road import StraightRoad
 from .frames import FramePlan, instants, joined_plans, joined_recordings, plan_frames, well_populated_frames
 from .ngsim import NGSIM_COLUMNS, read_ngsim
 from .ngsim import likeness as ngsim_likeness
@@ -25,7 +25,7 @@ __all__ = [
     "FramePlan",
     "Recording",
     "RepairReport",
-    "RoadFrame",
+    "StraightRoad",
     "Vehicles",
     "format_of",
     "instants",
@@ -43,7 +43,7 @@ _READERS = dict(zip(TRAFFIC_FORMATS[1:], (read_ngsim, read_sumo, read_table), st
 
 
 def read_traffic(
-    path: str | Path, *, format: str = "auto", road: RoadFrame | None = None, **settings: object
+    path: str | Path, *, format: str = "auto", road: StraightRoad | None = None, **settings: object
 ) -> Recording:
     """Read a recording, whatever its format.
 
@@ -53,7 +53,7 @@ def read_traffic(
         Plain or gzip.
     format : {"auto", "ngsim", "sumo", "table"}
         ``"auto"`` looks at the file's beginning.
-    road : RoadFrame, optional
+    road : StraightRoad, optional
         For NGSIM; I-80's if left out.
     **settings
         Those of the format, see `ngsim.read_ngsim`, `sumo.read_sumo`, `table.read_table`; None counts as left out.
@@ -76,7 +76,7 @@ def read_traffic(
         if name not in inspect.signature(read).parameters:
             raise InputError(f"{path}: {name} = {value!r} does not apply to traffic of format {format!r}")
     if format == "ngsim":
-        given["road"] = road or RoadFrame()
+        given["road"] = road or StraightRoad()
     return read(path, **given)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..errors import InputError
-from ..road import RoadFrame
+from ..road import StraightRoad
 from .tracks import central_velocity, held_heading
 from .vehicles import Placing, Recording
 
@@ -44,7 +44,7 @@ class RoadLayout:
     placing : Placing
         Where the road frame lies in the file's plane.
     setback_m, lane_width_m, lanes
-        As in `RoadFrame`.
+        As in `StraightRoad`.
     lane_y : ndarray, (k,)
         Measured lane centres, from the right, in the road frame [m]; a lane that nobody uses has none.
     lane_numbers : tuple of int
@@ -75,11 +75,11 @@ class RoadLayout:
         """The y [m] of the carriageway's right and left edge."""
         return self.setback_m, self.setback_m + self.lanes * self.lane_width_m
 
-    def road(self) -> RoadFrame:
+    def road(self) -> StraightRoad:
         """[road] of an NGSIM recording, whose plane is (Local_Y, -Local_X) [m]."""
         x, y = self.placing.origin_m
         edge = round(-y - self.setback_m, 2)
-        return RoadFrame(
+        return StraightRoad(
             station_m=round(x, 2),
             right_edge_m=edge,
             setback_m=self.setback_m,

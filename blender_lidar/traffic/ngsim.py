@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..files import number
-from ..road import RoadFrame
+from ..road import StraightRoad
 from .source import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, read_rows
 from .tracks import (
     class_index,
@@ -39,7 +39,7 @@ _OFF_MAP_M = 2000.0
 def read_ngsim(
     path: str | Path,
     *,
-    road: RoadFrame,
+    road: StraightRoad,
     period: int | str | None = None,
     location: str | None = None,
     height_m: Mapping[str, float] | None = None,
@@ -52,7 +52,7 @@ def read_ngsim(
     Parameters
     ----------
     path : path
-    road : RoadFrame
+    road : StraightRoad
         Where the road frame lies in the recording's local coordinates.
     period : int or str, optional
         Number, from 1, or name such as ``"0400-0415"``; the first if left out, and the report says so. Periods are
@@ -114,7 +114,7 @@ def _taken(rows: dict[str, np.ndarray], which: np.ndarray) -> dict[str, np.ndarr
 def _boxes(
     rows: dict[str, np.ndarray],
     time_step_s: float,
-    road: RoadFrame,
+    road: StraightRoad,
     follows_road: bool,
     height_m: Mapping[str, float] | None,
     source: str,

@@ -10,7 +10,7 @@ import numpy as np
 from mathutils import Euler, Matrix
 
 from ...errors import InputError
-from ...road import RoadFrame
+from ...road.road_map import RoadMap
 from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose, tilts_of
 from ..meshes import GLASS, PAINT, ROAD, STRUCTURE, tube
@@ -211,32 +211,43 @@ _LINE_WIDTH_M, _DASH_M, _DASH_EVERY_M = 0.12, 3.0, 12.0  # MUTCD: 10 ft lines an
 _LINE_ABOVE_M = 0.01  # high enough not to flicker, seen from afar
 
 
-def build_road(scene: bpy.types.Scene, road: RoadFrame, reach_m: float) -> None:
-    """The plane z = 0 from x = -`reach_m` to `reach_m`, its carriageway with its crown and lane lines.
+def build_road(scene: bpy.types.Scene, road: RoadMap, s_m: tuple[float, float]) -> None:
+    """The road between two stations [m], with its crown and lane lines, and the plane z = 0 beside it.
 
     It takes the place of an earlier one.
     """
     into = collection(scene, "Road", ROAD_ROLE)
     clear(into)
-    right, left = road.carriageway_y
-    crown = [right, 0.5 * (right + left), left] if road.crown_percent else []
-    edges = np.array([right - _VERGE_M, right - _SHOULDER_M, *crown, left + _SHOULDER_M, left + _VERGE_M])
-    ground = np.array([(x, y, z) for y, z in zip(edges, road.crown_m(edges), strict=True) for x in (-reach_m, reach_m)])
-    faces = np.array([(2 * row, 2 * row + 1, 2 * row + 3, 2 * row + 2) for row in range(len(edges) - 1)])
-    verges = faces[[0, -1]]
-    add_object(into, "Verge", new_mesh("Verge", ground, verges, [plain("Verge", VERGE, roughness=1.0)]))
-    asphalt = plain("Asphalt", ASPHALT, ROAD, 0.9)
-    add_object(into, "Surface", new_mesh("Surface", ground[2:-2], faces[:-2], [asphalt]))
+    edges, between = (np.array([road.locate(line[:1]).t_m[0] for line in lines]) for lines in road.lines(s_m))
+    carriageways = np.sort(edges).reshape(-1, 2)
+    asphalt, verges, free = [], [], carriageways[0, 0] - _VERGE_M
+    for low, high in carriageways:
+        verges.append((free, max(free, low - _SHOULDER_M)))
+        crown = [] if road.surface.is_flat else [low, 0.5 * (low + high), high]
+        across = [verges[-1][1], *crown, high + _SHOULDER_M]
+        asphalt += zip(across[:-1], across[1:], strict=True)
+        free = high + _SHOULDER_M
+    verges.append((free, carriageways[-1, 1] + _VERGE_M))
+    long = [(*s_m, *ends) for ends in verges if ends[1] > ends[0]]
+    add_object(into, "Verge", _strips("Verge", road, long, plain("Verge", VERGE, roughness=1.0)))
+    long = [(*s_m, *ends) for ends in asphalt]
+    add_object(into, "Surface", _strips("Surface", road, long, plain("Asphalt", ASPHALT, ROAD, 0.9)))
 
-    starts = np.arange(-reach_m, reach_m - _DASH_M, _DASH_EVERY_M)
-    lines = [(right, -reach_m, reach_m), (left, -reach_m, reach_m)]  # y, first and last x
-    lines += [(right + lane * road.lane_width_m, x, x + _DASH_M) for lane in range(1, road.lanes) for x in starts]
-    y, first, last = np.array(lines).T
-    half, z = 0.5 * _LINE_WIDTH_M, road.crown_m(y) + _LINE_ABOVE_M
-    corners = [(first, y - half, z), (last, y - half, z), (last, y + half, z), (first, y + half, z)]
-    vertices = np.array(corners).transpose(2, 0, 1).reshape(-1, 3)
-    painted = new_mesh("Lane lines", vertices, np.arange(len(vertices)).reshape(-1, 4), [plain("Lane line", LINE)])
-    add_object(into, "Lane lines", painted, MARKING)
+    half = 0.5 * _LINE_WIDTH_M
+    starts = np.arange(s_m[0], s_m[1] - _DASH_M, _DASH_EVERY_M).tolist()
+    painted = [(*s_m, t - half, t + half) for t in edges]
+    painted += [(s, s + _DASH_M, t - half, t + half) for t in between for s in starts]
+    lines = _strips("Lane lines", road, painted, plain("Lane line", LINE), _LINE_ABOVE_M)
+    add_object(into, "Lane lines", lines, MARKING)
+
+
+def _strips(name, road, strips, material, above_m=0.0):
+    """A mesh of quads from station to station and from offset to offset [m], (first, last, right, left) each."""
+    first, last, right, left = np.array(strips, dtype=float).T
+    corners = np.stack([road.at(s, t) for s, t in ((first, right), (last, right), (last, left), (first, left))], axis=1)
+    vertices = corners.reshape(-1, 2)
+    vertices = np.column_stack([vertices, road.surface.height(vertices) + above_m])
+    return new_mesh(name, vertices, np.arange(len(vertices)).reshape(-1, 4), [material])
 
 
 def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:

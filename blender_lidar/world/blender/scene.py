@@ -11,11 +11,11 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from ...errors import InputError, OutputError
 from ...files import whole_file, write_bytes
-from ...road import RoadFrame
+from ...road.road_map import RoadMap
 from ...sensors.beams import BeamLattice
 from ...sensors.pose import Pose
 from ...signals import stops_end_at_once
@@ -52,7 +52,7 @@ _SUN_DIRECTION = (0.35, 0.45, -0.8)
 _SUN_STRENGTH, _SKY, _SKY_STRENGTH = 3.2, (0.55, 0.65, 0.8), 0.55
 
 
-def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: float) -> None:
+def build_stage(scene: bpy.types.Scene, road: RoadMap, pose: Pose, depth_m: float) -> None:
     """Two cameras and a sun, in place of earlier ones, and a sky where the scene has no world.
 
     Parameters
@@ -64,13 +64,16 @@ def build_stage(scene: bpy.types.Scene, road: RoadFrame, pose: Pose, depth_m: fl
     """
     into = collection(scene, "Cameras and light", STAGE)
     clear(into)
-    right, left = road.carriageway_y
-    middle = Vector((pose.x_m, 0.5 * (right + left), 0.0))
-    above = middle + depth_m * Vector(_ABOVE)
+    at = road.locate(pose.position[None])
+    middle = Vector((*road.at(at.s_m[0], np.mean(road.edges_t)).tolist(), 0.0))
+    x, y, _ = middle - Vector((pose.x_m, pose.y_m, 0.0))
+    facing = math.atan2(y, x) if x or y else 0.5 * math.pi  # one over the middle of the road looks to its left
+    turn = Matrix.Rotation(facing - 0.5 * math.pi, 3, "Z")
+    above = middle + depth_m * (turn @ Vector(_ABOVE))
     camera = _camera(into, ABOVE, above, middle, 50.0)
     mount = Vector(pose.position.tolist()) + Vector((0.0, 0.0, _OVER_HEAD_M))
-    ahead = Vector((0.0, math.cos(_LOOKS_DOWN_RAD), -math.sin(_LOOKS_DOWN_RAD)))
-    _camera(into, FROM_POLE, mount, mount + ahead, 100.0)
+    looks = turn @ Vector((0.0, math.cos(_LOOKS_DOWN_RAD), -math.sin(_LOOKS_DOWN_RAD)))
+    _camera(into, FROM_POLE, mount, mount + looks, 100.0)
     sun = add_object(into, "Sun", bpy.data.lights.new("Sun", "SUN"))
     sun.data.energy, sun.data.angle = _SUN_STRENGTH, math.radians(1.5)
     sun.rotation_euler = Vector(_SUN_DIRECTION).to_track_quat("-Z", "Y").to_euler()
@@ -186,8 +189,7 @@ class Moment:
 
     Attributes
     ----------
-    road : RoadFrame
-        The carriageway.
+    road : RoadMap
     vehicles : Vehicles
         The frame.
     detail : str
@@ -208,7 +210,7 @@ class Moment:
         What a detector found, by the numbers of frames.
     """
 
-    road: RoadFrame
+    road: RoadMap
     vehicles: Vehicles
     detail: str
     lattice: BeamLattice
@@ -235,8 +237,8 @@ def empty_scene() -> bpy.types.Scene:
 
 def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     """Build a moment in a scene, in place of one that was built there earlier; objects of others stay."""
-    reach = max(_LEAST_REACH_M, moment.range_gate_m) + float(abs(moment.pose.x_m))
-    build_road(scene, moment.road, reach)
+    reach, s = max(_LEAST_REACH_M, moment.range_gate_m), float(moment.road.locate(moment.pose.position[None]).s_m[0])
+    build_road(scene, moment.road, (s - reach, s + reach))
     build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
     lidar = build_lidar(scene, moment.lattice, moment.pose)
