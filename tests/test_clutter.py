@@ -43,7 +43,7 @@ def test_there_is_as_much_as_the_strength_says():
 
 
 def test_the_carriageway_and_the_places_of_the_lidar_stay_free():
-    right, left = ROAD.carriageway_y
+    right, left = ROAD.edges_t
     scenery = made(
         strength=3.0, reach_m=1000.0, keep_clear=[((-20.0, -1.0), (20.0, 0.0)), ((300.0, 0.0), (300.0, 0.0))]
     )
@@ -83,7 +83,7 @@ def test_walkers_move_along_the_roadside_and_keep_their_distance_from_it():
     moved = np.abs(later[:, 0] - first[:, 0])
     assert (moved < 12.01).mean() > 0.9  # but for those who come in again at the other end
     assert (moved > 0.5).mean() > 0.5
-    right, left = ROAD.carriageway_y
+    right, left = ROAD.edges_t
     for time_s in (0.0, 50.0, 1e4):
         scenery = walkers.at(time_s)
         assert ((scenery.corners[..., 1] < right) | (scenery.corners[..., 1] > left)).all()

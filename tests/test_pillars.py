@@ -231,7 +231,7 @@ def test_most_vehicles_are_found_and_most_boxes_are_vehicles(i80):
 @pytest.mark.parametrize(("shift", "within"), [((6.4, 3.2), 1e-3), ((1.3, 0.7), 0.5)])
 def test_boxes_move_with_the_lidar_and_its_cloud(i80, shift, within):
     """By whole coarse cells exactly, else as well as cells in another place tell."""
-    site, mount, cloud = i80
+    _, mount, cloud = i80
     pose = mount.pose
     corners = np.array([(-50.0, -6.0), (50.0, 32.0)])
     here = PillarsDetector("RS-16", pose, *corners).detect(cloud(0))[0]

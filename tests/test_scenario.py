@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.scene.mounting import COORDINATES, Tolerance
+from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.scenario import load_scenario, scenario_of
+from blender_lidar.scene.settings import Tolerance
 from blender_lidar.sensors.model import load_model
 from blender_lidar.toml_table import to_toml
 from tests.scene_texts import MINIMAL, own_sensor, refusal, scene
@@ -26,7 +27,7 @@ def test_a_scene_needs_no_more_than_its_traffic(tmp_path):
     assert scenario.sensor.range_gate_m == load_model("RS-16").range_max_m
     assert scenario.sensor.rotation_hz == load_model("RS-16").default_rotation_hz
     assert scenario.deployment.bounds == {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
-    assert scenario.baseline == {**dict.fromkeys(COORDINATES, 0.0), "height_m": 2.0}
+    assert scenario.baseline == Mounting(height_m=2.0)
     assert (scenario.search.particles, scenario.search.iterations, scenario.search.method) == (20, 100, "hardened")
     assert scenario.search.inertia is None
     assert (scenario.objective.metric, scenario.objective.reading) == ("pe-vgop", "corrected")
@@ -39,12 +40,13 @@ CIRCLE = "[region]\ncentre_m = [3.0, 4.0]\nradius_m = 40.0\n"
 def test_a_number_fixes_a_coordinate_and_a_pair_has_it_searched(tmp_path):
     text = MINIMAL + "[deployment]\nx_m = [-4.0, 6.0]\ny_m = -1.5\nheight_m = 3\nyaw_deg = [-10, 10]\n" + CIRCLE
     deployment = load_scenario(scene(tmp_path, text)).deployment
-    assert deployment.variables == ("x_m", "tilt_x_deg", "yaw_deg")
-    assert deployment.lower == (-4.0, 0.0, -10.0)
-    assert deployment.upper == (6.0, 25.0, 10.0)
+    (space,) = deployment.spaces
+    assert space.variables == ("x_m", "tilt_x_deg", "yaw_deg")
+    assert space.lower == (-4.0, 0.0, -10.0)
+    assert space.upper == (6.0, 25.0, 10.0)
     assert deployment.fixed == {"y_m": -1.5, "height_m": 3.0, "tilt_y_deg": 0.0}
     assert deployment.nominal_xy == (1.0, -1.5)
-    pose = deployment.pose([2.0, 18.0, 5.0])
+    pose = space.layout([2.0, 18.0, 5.0])[0].pose
     assert (pose.x_m, pose.y_m, pose.height_m, pose.tilt_y) == (2.0, -1.5, 3.0, 0.0)
     assert pose.tilt_x == pytest.approx(math.radians(18.0))
     assert pose.yaw == pytest.approx(math.radians(5.0))
@@ -52,11 +54,11 @@ def test_a_number_fixes_a_coordinate_and_a_pair_has_it_searched(tmp_path):
 
 def test_the_baseline_stands_at_the_mounts_place_or_the_regions_middle_unless_said(tmp_path):
     deployment = "[deployment]\nx_m = 7.0\ny_m = -2.0\n"
-    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline["x_m"] == 7.0
+    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline.xy[0] == 7.0
     deployment = CIRCLE + "[deployment]\nx_m = [10.0, 20.0]\ny_m = -2.0\n"
-    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline["x_m"] == 3.0
+    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline.xy[0] == 3.0
     said = load_scenario(scene(tmp_path, MINIMAL + deployment + "[baseline]\nx_m = 0.0\nheight_m = 5\n")).baseline
-    assert (said["x_m"], said["y_m"], said["height_m"]) == (0.0, -2.0, 5.0)
+    assert (*said.xy, said.height_m) == (0.0, -2.0, 5.0)
 
 
 def test_a_file_with_windows_line_ends_and_byte_order_mark_is_a_scene(tmp_path):

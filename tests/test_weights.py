@@ -14,7 +14,7 @@ from blender_lidar.report.tables import group_tables
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import fresh_auto_search
 from blender_lidar.run.verdict import map_scores
-from blender_lidar.scene.mounting import Deployment
+from blender_lidar.scene.deployment import Place, SearchSpace
 from blender_lidar.scene.observation import Observation, Scoring, check_weights, vehicle_weights
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import ObjectiveSettings, ZoneSettings
@@ -130,10 +130,10 @@ def test_a_run_judges_as_if_heavy_vehicles_were_there_several_times(run):
 
 def test_the_score_map_and_the_tables_by_group_weigh_too(run):
     outcome, site = run
-    deployment = Deployment({}, {"height_m": (2.0, 4.0), "tilt_x_deg": (0.0, 20.0)})
+    fixed = dict.fromkeys(("x_m", "y_m", "tilt_y_deg", "yaw_deg"), 0.0)
+    space = SearchSpace((Place(fixed, {"height_m": (2.0, 4.0), "tilt_x_deg": (0.0, 20.0)}),))
     with site_evaluator(site, site.search) as evaluator:
-        fixed, block = dict(site.scenario.baseline), site.plan.search_block
-        score_map = map_scores(evaluator, deployment, fixed, block, grid=(2, 2))
+        score_map = map_scores(evaluator, space, space.lower, site.plan.search_block, grid=(2, 2))
     assert score_map.block_vehicles.sum() == len(scores(outcome.baseline, outcome.baseline["split"] == "search"))
     whole = score_map.block_objective.sum(axis=-1) / score_map.block_vehicles.sum()
     np.testing.assert_allclose(score_map.per_vehicle, whole, rtol=1e-9)

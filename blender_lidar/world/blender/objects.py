@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
@@ -225,7 +226,7 @@ def build_road(scene: bpy.types.Scene, road: RoadMap, s_m: tuple[float, float]) 
         verges.append((free, max(free, low - _SHOULDER_M)))
         crown = [] if road.surface.is_flat else [low, 0.5 * (low + high), high]
         across = [verges[-1][1], *crown, high + _SHOULDER_M]
-        asphalt += zip(across[:-1], across[1:], strict=True)
+        asphalt += itertools.pairwise(across)
         free = high + _SHOULDER_M
     verges.append((free, carriageways[-1, 1] + _VERGE_M))
     long = [(*s_m, *ends) for ends in verges if ends[1] > ends[0]]
