@@ -13,7 +13,7 @@ from ..errors import InputError
 from ..report.chart import CHART_REPORT
 from ..report.stability import STABILITY_REPORT
 from ..report.study import StudyReport
-from ..scene.mounting import MOUNTING_OR_LEAN
+from ..scene.deployment import MOUNTING_OR_LEAN
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
 from ..studies.candidates import check_one_place, check_searched, sobol_candidates
@@ -49,7 +49,7 @@ def run_stability(args: argparse.Namespace) -> int:
     check_searched(scenario)
     check_one_place(scenario)
     mounting = mounting_from(args, scenario) if given_options(args, MOUNTING_OR_LEAN) else None
-    effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, mounting)
+    effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, [] if mounting is None else [mounting])
 
     def study(folder: StudyFolder) -> dict:
         return study_stability(site, effort, folder, mounting)
