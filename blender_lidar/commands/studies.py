@@ -49,7 +49,7 @@ def run_stability(args: argparse.Namespace) -> int:
     check_searched(scenario)
     check_one_place(scenario)
     mounting = mounting_from(args, scenario) if given_options(args, MOUNTING_OR_LEAN) else None
-    effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, [] if mounting is None else [mounting])
+    effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, [mounting] if mounting else [])
 
     def study(folder: StudyFolder) -> dict:
         return study_stability(site, effort, folder, mounting)

@@ -122,6 +122,11 @@ Layout = tuple[Mounting, ...]
 """One mounting for each LiDAR of a scene, in its order."""
 
 
+def poses_of(layout: Layout) -> tuple[Pose, ...]:
+    """Where the sensors of a layout are."""
+    return tuple(mounting.pose for mounting in layout)
+
+
 def _degrees(angle: float) -> float:
     return round(math.degrees(angle), 12) + 0.0
 
@@ -196,6 +201,15 @@ def mounting_from(
             raise InputError(f"{where}: its lean is not that of its tilts and yaw; allowed: one of both")
         return tilted
     return _leaning(hung, table)
+
+
+def changed(mounting: Mounting, road: RoadMap, **coordinates: float) -> Mounting:
+    """A mounting with some coordinates changed [m, degrees]; another lean keeps direction and spin."""
+    kept = {}
+    if coordinates.keys() & set(LEANS):
+        table = mounting.as_table()
+        kept = {key: table[key] for key in LEANS if table[key] is not None}
+    return mounting_from({**kept, **coordinates}, road, mounting)
 
 
 def _leaning(hung: Mounting, table: Mapping[str, float]) -> Mounting:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import within_blender
-from ..scene.mounting import Layout
+from ..scene.mounting import Layout, poses_of
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..scene.settings import ModelSettings
 from ..scene.site import Site
@@ -198,7 +198,7 @@ class Evaluator:
         order = np.argsort(self._turn[self._first + chosen], kind="stable")
         frames = (self._first + chosen[order]).tolist()
         ends = accumulate(self.workers.sizes(len(frames), len(layouts)), initial=0)
-        poses = tuple(tuple(mounting.pose for mounting in layout) for layout in layouts)
+        poses = tuple(map(poses_of, layouts))
         tasks = [(what, frames[start:stop], poses, fidelity) for start, stop in pairwise(ends)]
         found = list(chain.from_iterable(self.workers.map(*zip(*tasks, strict=True))))
         return [found[place] for place in np.argsort(order)]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +15,8 @@ import numpy as np
 from ..errors import InputError
 from ..optimise.search import generator
 from ..run.tolerance import installed
-from ..scene.mounting import COORDINATES, leaning, pose_at, with_lean
+from ..scene.mounting import ANGLES, Layout, Mounting, changed
 from ..scene.scenario import Scenario
-from ..sensors.pose import Pose
 
 SOBOL_BITS = 30
 BASELINE, FIRST = 0, 1  # rows of a landscape: the baseline, and where the candidates begin
@@ -35,18 +34,18 @@ class Candidates:
         Names of the coordinates in which they differ.
     points : ndarray, (k, d)
         The candidates [m, degrees].
-    poses : tuple of Pose, (1 + k)
+    layouts : tuple of Layout, (1 + k)
         The baseline and the candidates.
     """
 
     variables: tuple[str, ...]
     points: np.ndarray
-    poses: tuple[Pose, ...]
+    layouts: tuple[Layout, ...]
 
     def select(self, numbers: Sequence[int]) -> Candidates:
         """The baseline and some of the candidates, by their rows in `points`."""
-        poses = (self.poses[BASELINE], *(self.poses[FIRST + number] for number in numbers))
-        return Candidates(self.variables, self.points[list(numbers)], poses)
+        layouts = (self.layouts[BASELINE], *(self.layouts[FIRST + number] for number in numbers))
+        return Candidates(self.variables, self.points[list(numbers)], layouts)
 
 
 def sobol_candidates(scenario: Scenario, count: int) -> Candidates:
@@ -57,15 +56,14 @@ def sobol_candidates(scenario: Scenario, count: int) -> Candidates:
     InputError
         When nothing is searched.
     """
-    deployment = scenario.deployment
-    if not deployment.bounds:
+    space = scenario.deployment.spaces[0]
+    if not space.bounds:
         raise InputError(
             f"{scenario.source}: [deployment] fixes every coordinate; allowed: at least one a pair [low, high]"
         )
-    lower, upper = np.array(deployment.lower, dtype=float), np.array(deployment.upper, dtype=float)
+    lower, upper = np.array(space.lower, dtype=float), np.array(space.upper, dtype=float)
     points = sobol(scenario.search.seed, count, lower, upper)
-    poses = (scenario.baseline_pose, *(deployment.pose(point) for point in points))
-    return Candidates(deployment.variables, points, poses)
+    return Candidates(space.variables, points, ((scenario.baseline,), *map(space.layout, points)))
 
 
 def sobol(seed: int, count: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -84,14 +82,15 @@ def sobol(seed: int, count: int, lower: np.ndarray, upper: np.ndarray) -> np.nda
 
 
 def grid_candidates(
-    scenario: Scenario, mounting: Mapping[str, float], heights: int, tilts: int, *, widest_deg: float = math.inf
+    scenario: Scenario, mounting: Mounting, heights: int, tilts: int, *, widest_deg: float = math.inf
 ) -> Candidates:
     """The mounting in question, and a grid over the searched ones of height and tilt through it.
 
     The tilt is the lean where the scene is given by it; the other coordinates stay as they are in `mounting`. There are
     so many heights and tilts, or more tilts where their steps would be wider than `widest_deg`.
     """
-    names, bounds, place = scenario.deployment.axes, scenario.deployment.bounds, with_lean(mounting)
+    (space,), place = scenario.deployment.spaces, mounting.as_table()
+    names, bounds = space.axes, space.bounds
     lowest, highest = bounds.get(names[1], (0.0, 0.0))
     counts = {names[0]: heights, names[1]: max(tilts, math.ceil((highest - lowest) / widest_deg) + 1)}
     axes = [
@@ -100,23 +99,24 @@ def grid_candidates(
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     points = np.concatenate([[[place[name] for name in names]], grid])
-    placed = (leaning(mounting, **dict(zip(names, point, strict=True))) for point in grid.tolist())
-    poses = [pose_at(one, scenario.road) for one in (dict(mounting), *placed)]
-    return Candidates(names, points, (scenario.baseline_pose, *poses))
+    road = scenario.road_map
+    placed = (changed(mounting, road, **dict(zip(names, point, strict=True))) for point in grid.tolist())
+    return Candidates(names, points, tuple((one,) for one in (scenario.baseline, mounting, *placed)))
 
 
-def off_plan(scenario: Scenario, mounting: Mapping[str, float]) -> dict[str, tuple[np.ndarray, list[Pose]]]:
-    """The mounting with one coordinate off at a time: offsets [m or degrees] and poses, by the coordinate's name."""
+def off_plan(mounting: Mounting) -> dict[str, tuple[np.ndarray, list[Layout]]]:
+    """The mounting with one coordinate off at a time: offsets [m or degrees] and layouts, by the coordinate's name."""
     found = {}
     for key, reach in PROFILES.items():
         offsets = np.linspace(-reach, reach, 2 * _STEPS + 1)
-        found[key] = offsets, installed(mounting, np.outer(offsets, np.array(COORDINATES) == key), scenario.road)
+        errors = np.outer(offsets, np.array(("height_m", *ANGLES)) == key)
+        found[key] = offsets, [(hung,) for hung in installed(mounting, errors)]
     return found
 
 
 def check_searched(scenario: Scenario) -> None:
     """Refuse a scene that fixes both height and tilt: there is no optimum whose place could be uncertain."""
-    axes = scenario.deployment.axes
+    axes = scenario.deployment.spaces[0].axes
     if not any(axis in scenario.deployment.bounds for axis in axes):
         raise InputError(
             f"{scenario.source}: [deployment] fixes {' and '.join(axes)}; allowed: at least one a pair [low, high]"

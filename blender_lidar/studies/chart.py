@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from ..scene.mounting import Layout, poses_of
 from ..scene.site import Site
 from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
-from ..scoring.scores import VehicleScores, mountings_of
-from ..sensors.pose import Pose
+from ..scoring.scores import VehicleScores
 from ..world.shapes import DETAILS
 from .candidates import BASELINE, FIRST, Candidates, sobol_candidates
 from .driver import HELD_OUT, Job, Landscape, StudyFolder, judging_split, split_of, study_head
@@ -193,9 +193,9 @@ def _timed(
     """Each fidelity on all frames, from the folder if it holds the times."""
 
     def measure() -> list:
-        poses = every.poses[FIRST : FIRST + effort.rounds + TOGETHER]
+        layouts = every.layouts[FIRST : FIRST + effort.rounds + TOGETHER]
         with folder.counting(len(site.search), "frames timed") as shown:
-            timed = time_fidelities(site, fidelities, poses, effort.rounds, shown.advance)
+            timed = time_fidelities(site, fidelities, layouts, effort.rounds, shown.advance)
         return [[part.tolist() for part in both] for both in timed.values()]
 
     stored = folder.stage("times", measure)
@@ -205,7 +205,7 @@ def _timed(
 def time_fidelities(
     site: Site,
     fidelities: Sequence[Fidelity],
-    poses: Sequence[Pose],
+    layouts: Sequence[Layout],
     rounds: int,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> Times:
@@ -215,6 +215,7 @@ def time_fidelities(
     something else falls on all. The first round, in which caches fill, is not counted. To build is to make triangles
     and tree; `progress` is told how many frames have been timed since it was last called.
     """
+    poses = list(map(poses_of, layouts))
     changes = [of_fidelity(fidelity) for fidelity in fidelities]
     sites = [change.changed(site) for change in changes]
     scores = [VehicleScores(one.scoring, one.observation, site.search) for one in sites]
@@ -229,7 +230,7 @@ def time_fidelities(
             some = [poses[(turn + number) % len(poses)] for number in range(TOGETHER)]
             for row in np.roll(np.arange(len(sites)), turn).tolist():
                 start = time.perf_counter()
-                scores[row].of(frame, scorers[row], some, mountings_of(some)).objective.sum(axis=1)
+                scores[row].of(frame, scorers[row], some).objective.sum(axis=1)
                 if turn >= 0:
                     evaluation[row, turn, column] = (time.perf_counter() - start) / TOGETHER
         progress(1)
@@ -244,9 +245,9 @@ def score_ladder(
 ) -> tuple[dict[Fidelity, Landscape], Landscape]:
     """Landscapes of all fidelities and phases on all frames, and that of the reference on the frames that judge."""
     phases = list(dict.fromkeys(phase for rung in rungs for phase in phased(rung, effort.phases)))
-    jobs = [Job(of_fidelity(one), every.poses) for one in phases]
+    jobs = [Job(of_fidelity(one), every.layouts) for one in phases]
     if judging_split(site) == HELD_OUT:
-        jobs.append(Job(of_fidelity(REFERENCE), every.poses, HELD_OUT))
+        jobs.append(Job(of_fidelity(REFERENCE), every.layouts, HELD_OUT))
     found = folder.landscapes(site, jobs, "mountings scored")
     scored = dict(zip(phases, found, strict=False))
     return scored, found[-1] if judging_split(site) == HELD_OUT else scored[REFERENCE]
@@ -349,7 +350,7 @@ def _on_other_blocks(
 
     It looks at as large a share of the held-out frames as it does of the searched ones.
     """
-    jobs = [Job(of_fidelity(phase, "other blocks"), every.poses, HELD_OUT) for phase in phased(chosen, effort.phases)]
+    jobs = [Job(of_fidelity(phase, "other blocks"), every.layouts, HELD_OUT) for phase in phased(chosen, effort.phases)]
     phases = folder.landscapes(site, jobs, "recommendation, other blocks")
     found = accuracy(swapped, phases, looked_at(chosen, len(site.search), len(site.holdout)))
     kept = {key: found[key] for key in ("regret", "regret_interval_90", "error_share", "tau")}
@@ -395,13 +396,13 @@ def ablation_rows(
         By a variation's stage, what has been scored already.
     """
     sides = {one.stage: one for change in changes for pair in change.pairs for one in pair}
-    jobs = [Job(one, every.poses) for stage, one in sides.items() if stage not in known]
+    jobs = [Job(one, every.layouts) for stage, one in sides.items() if stage not in known]
     found = folder.landscapes(site, jobs, "ablations scored")
     scored = {**known, **{job.variation.stage: one for job, one in zip(jobs, found, strict=True)}}
     judged = scored
     if judging_split(site) == HELD_OUT:
         having = {there.stage: replace(there, section="judged") for change in changes for _, there in change.pairs}
-        jobs = [Job(one, every.poses, HELD_OUT) for one in having.values()]
+        jobs = [Job(one, every.layouts, HELD_OUT) for one in having.values()]
         judged = dict(zip(having, folder.landscapes(site, jobs, "ablations judged"), strict=True))
     rows = []
     for change in changes:

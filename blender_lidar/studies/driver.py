@@ -20,12 +20,13 @@ from ..errors import InputError
 from ..files import check_folder, check_unused, folder_lock, make_folder, read_text, sweep, write_text
 from ..metrics.catalogue import metric_named
 from ..metrics.vgop import occupancy
+from ..scene.mounting import Layout, poses_of
 from ..scene.observation import CountedFrame
 from ..scene.provenance import check_identity, versions
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
-from ..scoring.frame_scorer import FrameScorer, Seen, singles
-from ..scoring.scores import VehicleScores, mountings_of
+from ..scoring.frame_scorer import FrameScorer, Seen
+from ..scoring.scores import VehicleScores
 from ..sensors.pose import Pose
 from ..statistics import block_sums
 
@@ -248,7 +249,7 @@ class Job:
     """Mountings to score on one variation's frames, `SEARCHED` or `HELD_OUT`."""
 
     variation: Variation
-    poses: tuple[Pose, ...]
+    layouts: tuple[Layout, ...]
     split: str = SEARCHED
 
     @property
@@ -379,27 +380,28 @@ class _FrameOfCast:
             return self._changed
         site = self._site if shared else self._changed[0][0]
         chosen = split_of(site, jobs[0].split)[0][frame]
-        scorer, found = jobs[0].variation.scorer(site, chosen), [dict[Pose, tuple[float, int]]() for _ in jobs]
+        scorer, found = jobs[0].variation.scorer(site, chosen), [dict[Layout, tuple[float, int]]() for _ in jobs]
         every, wanted = (
-            list(dict.fromkeys(pose for job in jobs for pose in job.poses)),
-            [set(job.poses) for job in jobs],
+            list(dict.fromkeys(layout for job in jobs for layout in job.layouts)),
+            [set(job.layouts) for job in jobs],
         )
         at_a_time = 1 if shared else _MOUNTINGS_AT_A_TIME
         for first in range(0, len(every), at_a_time):
-            poses = every[first : first + at_a_time]
+            layouts = every[first : first + at_a_time]
+            poses = list(map(poses_of, layouts))
             cast = _Cast(site, scorer, poses) if shared else None
             for own, changed, of in zip(wanted, self._changed, found, strict=True):
-                if poses[0] in own and not isinstance(changed, str):
-                    scores, mountings = changed[1], mountings_of(poses)
+                if layouts[0] in own and not isinstance(changed, str):
+                    scores = changed[1]
                     if cast is None:
-                        scored = scores.of(chosen, scorer, poses, mountings)
+                        scored = scores.of(chosen, scorer, poses)
                     else:
-                        scored = scores.of_seen(chosen, scorer, cast.on_cells_of(changed[0]), mountings)
+                        scored = scores.of_seen(chosen, scorer, cast.on_cells_of(changed[0]), poses)
                     sums = (column.sum(axis=1).tolist() for column in (scored.objective, scored.detectable))
-                    of.update(zip(poses, zip(*sums, strict=True), strict=True))
+                    of.update(zip(layouts, zip(*sums, strict=True), strict=True))
         size = len(scorer), chosen.counted_weight.sum().item()
         return [
-            changed if isinstance(changed, str) else (*np.array([of[pose] for pose in job.poses]).T, *size)
+            changed if isinstance(changed, str) else (*np.array([of[layout] for layout in job.layouts]).T, *size)
             for job, changed, of in zip(jobs, self._changed, found, strict=True)
         ]
 
@@ -414,9 +416,9 @@ class _FrameOfCast:
 class _Cast:
     """What has been seen from some mountings, with the returns; occupancies on cells of any size are made of these."""
 
-    def __init__(self, site: Site, scorer: FrameScorer, poses: Sequence[Pose]) -> None:
-        self._sizes = np.tile(scorer.vehicles.size_m, (len(poses), 1))
-        self._first = scorer.see(singles(poses), keep_returns=True)
+    def __init__(self, site: Site, scorer: FrameScorer, layouts: Sequence[Sequence[Pose]]) -> None:
+        self._sizes = np.tile(scorer.vehicles.size_m, (len(layouts), 1))
+        self._first = scorer.see(layouts, keep_returns=True)
         self._seen = {(site.observation.cell_m, site.observation.reading): self._first}
 
     def on_cells_of(self, site: Site) -> Seen:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..metrics.metric import Metric
 from ..run.tolerance import tolerance_text
-from ..scene.mounting import Tolerance
+from ..scene.settings import Tolerance
 from ..statistics import FEWEST_BLOCKS, interval_90, ratio_interval_90
 from .candidates import BASELINE, FIRST, Candidates
 from .driver import Landscape, percent

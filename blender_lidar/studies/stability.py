@@ -7,7 +7,7 @@ result is one dictionary; `findings` turns numbers into verdicts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -17,7 +17,8 @@ from ..plugins import short_name
 from ..run.optimise import fresh_search
 from ..run.tolerance import losses_over_tolerance
 from ..run.verdict import vehicle_table
-from ..scene.mounting import Tolerance
+from ..scene.mounting import Mounting
+from ..scene.settings import Tolerance
 from ..scene.site import Site
 from ..scoring.evaluation import site_evaluator
 from ..scoring.fidelity import with_fewer_frames
@@ -98,16 +99,14 @@ FULL_STABILITY = StabilityEffort(
 QUICK_STABILITY = StabilityEffort(8, 8, heights=4, tilts=26, fine_tilts=51, seeds=3, budget=0.3, draws=2, quick=True)
 
 
-def study_identity(site: Site, effort: StabilityEffort, mounting: Mapping[str, float] | None) -> dict[str, object]:
+def study_identity(site: Site, effort: StabilityEffort, mounting: Mounting | None) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"study {name}": value for name, value in asdict(effort).items()}
     limits = {"study losses": [MOST_STABLE_LOSS, MOST_FRAGILE_LOSS], "study schema": STABILITY_SCHEMA}
-    return {**site.identity, **asked, **limits, "study mounting": None if mounting is None else dict(mounting)}
+    return {**site.identity, **asked, **limits, "study mounting": None if mounting is None else mounting.as_table()}
 
 
-def study_stability(
-    site: Site, effort: StabilityEffort, folder: StudyFolder, mounting: Mapping[str, float] | None = None
-) -> dict:
+def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mounting: Mounting | None = None) -> dict:
     """Carry out every stage that the folder does not hold, and put the results together.
 
     Parameters
@@ -117,8 +116,8 @@ def study_stability(
     effort : StabilityEffort
     folder : StudyFolder
         Locked by the caller.
-    mounting : mapping of str to float, optional
-        The mounting in question, in metres and degrees; what the scene's search finds with its own seed if left out.
+    mounting : Mounting, optional
+        The mounting in question; what the scene's search finds with its own seed if left out.
 
     Returns
     -------
@@ -130,19 +129,19 @@ def study_stability(
     few = with_fewer_frames(whole, effort.varied_frames)
     judges, judged_block = split_of(site if judging == HELD_OUT else few, judging)
     answers = _answers(folder, whole, effort)
-    reference = dict(answers[0]["mounting"] if mounting is None else mounting)
+    reference = scene.mounting(answers[0]["mounting"]) if mounting is None else mounting
     tolerance = scene.objective.tolerance or USUAL
 
     heights, tilts = effort.heights, effort.fine_tilts
     fine = grid_candidates(scene, reference, heights, tilts, widest_deg=ASKED_DEG)
     splits = tuple(dict.fromkeys((SEARCHED, judging)))
-    as_it_is = folder.landscapes(site, [Job(AS_IT_IS, fine.poses, split) for split in splits], "the scene as it is")
+    as_it_is = folder.landscapes(site, [Job(AS_IT_IS, fine.layouts, split) for split in splits], "the scene as it is")
     held_out = as_it_is[1] if judging == HELD_OUT else None
     findings = [
         gain_finding(held_out, site.plan.holdout_block, seed, metric_named(site.scoring.metric)),
         optimum_finding(as_it_is[0], fine, site.plan.search_block, seed),
     ]
-    if scene.deployment.axes[1] in scene.deployment.bounds:  # else there is no best tilt to be certain of
+    if scene.deployment.spaces[0].axes[1] in scene.deployment.bounds:  # else there is no best tilt to be certain of
         of_blocks = [one.blocks(split_of(site, split)[1]) for split, one in zip(splits, as_it_is, strict=True)]
         for_each = sum(one.vehicles.sum() for one in as_it_is) / sum(one.weight.sum() for one in as_it_is)
         every = (for_each * np.concatenate(parts, axis=-1) for parts in zip(*of_blocks, strict=True))
@@ -175,7 +174,7 @@ def study_stability(
         "judged_on": judging,
         "judged_frames": len(judges),
         "vehicles": int(as_it_is[0].vehicles.sum()),
-        "mounting": reference,
+        "mounting": reference.as_table(),
         "baseline": dict(scene.baseline),
         "mounting_given": mounting is not None,
         "objective_per_vehicle": float(values[FIRST]),
@@ -189,11 +188,11 @@ def study_stability(
 
 def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[dict]:
     """What the search finds with the scene's seed and with the ones that follow it: mounting, value, evaluations."""
-    scene = site.scenario
+    scene, (space,) = site.scenario, site.scenario.deployment.spaces
     iterations = max(1, round(effort.budget * scene.search.iterations))
     stages = {seed: f"seed_{seed}" for seed in range(scene.search.seed, scene.search.seed + effort.seeds)}
     searches = {
-        seed: fresh_search(replace(scene, search=replace(scene.search, seed=seed, iterations=iterations)))
+        seed: fresh_search(replace(scene, search=replace(scene.search, seed=seed, iterations=iterations)), space)
         for seed, stage in stages.items()
         if not folder.holds(stage)
     }
@@ -206,9 +205,9 @@ def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[d
             for seed, search in searches.items():
                 while not search.done:
                     asked = search.ask()
-                    search.tell(evaluator.totals([scene.deployment.pose(x) for x in asked]).per_vehicle())
+                    search.tell(evaluator.totals([space.layout(x) for x in asked]).per_vehicle())
                     shown.advance(len(asked))
-                answer = {"seed": seed, "mounting": scene.deployment.coordinates(search.best_x)}
+                answer = {"seed": seed, "mounting": space.layout(search.best_x)[0].as_table()}
                 answer |= {"per_vehicle": search.best_value, "evaluations": search.evaluations}
                 folder.store(stages[seed], answer)
     return [folder.stored(stage) for stage in stages.values()]
@@ -221,11 +220,11 @@ def _draws(
 
     By section, what and value, as several draws of one change share them; a text where the site allows no such change.
     """
-    searched = folder.landscapes(site, [Job(one, mountings.poses) for one in variations], "the scene varied")
+    searched = folder.landscapes(site, [Job(one, mountings.layouts) for one in variations], "the scene varied")
     known = [(one, found) for one, found in zip(variations, searched, strict=True) if not isinstance(found, str)]
     rows = [[BASELINE, FIRST, _best_of_grid(found)] for _, found in known]
     if judging == HELD_OUT:
-        every = mountings.poses
+        every = mountings.layouts
         jobs = [Job(one, tuple(every[row] for row in of), HELD_OUT) for (one, _), of in zip(known, rows, strict=True)]
         judged = folder.landscapes(site, jobs, "variations judged")
     else:
@@ -246,33 +245,33 @@ def _best_of_grid(landscape: Landscape) -> int:
 
 
 def _installation(
-    folder: StudyFolder, site: Site, judging: str, plan: Mapping[str, float], tolerance: Tolerance
+    folder: StudyFolder, site: Site, judging: str, plan: Mounting, tolerance: Tolerance
 ) -> dict[str, object]:
     """The mounting off its plan, on the frames that judge: its gain, what errors keep of it and what each costs.
 
     ``profiles`` has the share of the gain that is kept with one coordinate off at a time, where anything is gained.
     """
-    scene, block, profiles = site.scenario, split_of(site, judging)[1], {}
+    block, profiles = split_of(site, judging)[1], {}
     with (
         folder.counting(2, "installed only nearly so") as shown,
         site_evaluator(site, site.search, site.holdout) as evaluator,
     ):
         judge = evaluator.held_out if judging == HELD_OUT else evaluator
-        planned, baseline = judge.totals([scene.pose(plan), scene.baseline_pose]).per_vehicle().tolist()
-        for key, (offsets, poses) in off_plan(scene, plan).items() if planned > baseline else ():
-            kept = (judge.totals(poses).per_vehicle() - baseline) / (planned - baseline)
+        planned, baseline = judge.totals([(plan,), (site.scenario.baseline,)]).per_vehicle().tolist()
+        for key, (offsets, layouts) in off_plan(plan).items() if planned > baseline else ():
+            kept = (judge.totals(layouts).per_vehicle() - baseline) / (planned - baseline)
             profiles[key] = {"offset": offsets.tolist(), "kept": kept.tolist()}
         shown.advance(1)
-        losses = losses_over_tolerance(judge, plan, tolerance, block, road=scene.road)
+        losses = losses_over_tolerance(judge, (plan,), tolerance, block)
         shown.advance(1)
     kept, limits = losses.kept(baseline), losses.limit_losses
     return {"profiles": profiles, "gain": planned - baseline, "kept": kept, "limits": limits}
 
 
-def _views_beyond_the_peak(site: Site, mounting: Mapping[str, float]) -> dict:
+def _views_beyond_the_peak(site: Site, mounting: Mounting) -> dict:
     """Share of the views with any return whose occupancy exceeds 1/e, of all and of those nearer than 10 m."""
     with site_evaluator(site, site.search) as evaluator:
-        table = vehicle_table(site.scenario.pose(mounting), search=evaluator)
+        table = vehicle_table((mounting,), search=evaluator)
     views = np.stack([table[view] for view in ("p_top", "p_side", "p_front")], axis=1)
     every, near = (seen[seen > 0] for seen in (views, views[table["distance_m"] < 10.0]))
     shares = [float((seen > PEAK).mean()) if len(seen) else None for seen in (every, near)]

@@ -18,7 +18,7 @@ from ..casting.protocol import StandingScenery
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
-from ..road import RoadFrame
+from ..road.road_map import RoadMap
 from ..scene.observation import CountedFrame
 from ..scene.site import Site, lattice_of
 from ..scoring.fidelity import Fidelity, coarse_observation
@@ -94,7 +94,9 @@ def _with_traffic(
     the region that were not there yet.
     """
     step = int(site.recording.vehicle_id.max()) + 1
-    place = {"anchor_x_m": site.scenario.deployment.nominal_xy[0], "road": site.scenario.road, "copies_from": step}
+    road = site.scenario.road_map
+    anchor = float(road.locate(np.array([site.scenario.deployment.nominal_xy])).s_m[0])
+    place = {"anchor_m": anchor, "road": road, "copies_from": step}
 
     def changed(number: int) -> CountedFrame:
         recorded = site.recording.vehicles(number)
@@ -129,12 +131,12 @@ def queued(
     lengths_m: np.ndarray,
     gaps: Gaps,
     *,
-    anchor_x_m: float,
-    road: RoadFrame,
+    anchor_m: float,
+    road: RoadMap,
     filled_to_m: float = 0.0,
     copies_from: int = 0,
 ) -> Vehicles:
-    """Vehicles lined up anew, lane by lane, about the one that is nearest to `anchor_x_m`, which stays.
+    """Vehicles lined up anew, lane by lane, about the one that is nearest to station `anchor_m`, which stays.
 
     Parameters
     ----------
@@ -144,10 +146,10 @@ def queued(
         The lengths that they had: what their gaps are measured with.
     gaps : callable
         New bumper gaps from old ones.
-    anchor_x_m : float
-        Where the lanes are looked at [m].
-    road : RoadFrame
-        Its lanes, and strips as wide as they beside it, say who drives behind whom.
+    anchor_m : float
+        Station at which the lanes are looked at [m].
+    road : RoadMap
+        Its lanes, and strips as wide as the usual one beside them, say who drives behind whom.
     filled_to_m : float
         How far to both sides of the anchor lanes are to be full [m]. A lane of the road that ends nearer is continued
         with itself, the same vehicles under other numbers, as the recording knows none beyond its ends.
@@ -160,8 +162,10 @@ def queued(
         With copies, if any, at the end. What drives across the road stays where it is.
     """
     along = np.abs(np.cos(vehicles.heading_rad)) >= _ALONG
-    lane = np.floor((vehicles.centre_m[:, 1] - road.carriageway_y[0]) / road.lane_width_m).astype(int)
-    x = vehicles.centre_m[:, 0].copy()
+    at, (right, left), width = road.locate(vehicles.centre_m), road.edges_t, float(np.median(road.width_m))
+    aside = np.floor((at.t_m - np.where(at.t_m < right, right, left)) / width).astype(int)
+    lane = np.where(at.lane >= 0, at.lane, np.where(at.t_m < right, aside, len(road) + aside))
+    x = at.s_m.copy()
     copies = []  # of each: rows, their places, and by how many periods they are shifted
     for number in np.unique(lane[along]):
         rows = np.flatnonzero(along & (lane == number))
@@ -171,23 +175,23 @@ def queued(
         old, new = lengths_m[rows], vehicles.size_m[rows, 0]
         spread = gaps(np.diff(x[rows]) - 0.5 * (old[1:] + old[:-1]))
         places = np.concatenate([[0.0], np.cumsum(spread + 0.5 * (new[1:] + new[:-1]))])
-        middle = np.argmin(np.abs(x[rows] - anchor_x_m))
+        middle = np.argmin(np.abs(x[rows] - anchor_m))
         places += x[rows[middle]] - places[middle]
         period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
         x[rows] = places
-        if not 0 <= number < road.lanes or period < new.sum():  # a ramp ends where it ends; a pile cannot be continued
+        if not 0 <= number < len(road) or period < new.sum():  # a ramp ends where it ends; a pile cannot be continued
             continue
-        before = max(0, math.ceil((places[0] - anchor_x_m + filled_to_m) / period))
-        after = max(0, math.ceil((filled_to_m - places[-1] + anchor_x_m) / period))
+        before = max(0, math.ceil((places[0] - anchor_m + filled_to_m) / period))
+        after = max(0, math.ceil((filled_to_m - places[-1] + anchor_m) / period))
         copies += [(rows, places + turn * period, turn) for turn in range(-before, after + 1) if turn]
-    queue = replace(vehicles, centre_m=np.column_stack([x, vehicles.centre_m[:, 1:]]))
+    queue = replace(vehicles, centre_m=np.column_stack([road.at(x, at.t_m), vehicles.centre_m[:, 2]]))
     if not copies:
         return queue
     rows, copied_x = (np.concatenate(parts) for parts in list(zip(*copies, strict=True))[:2])
     turn = np.repeat([turn for *_, turn in copies], [len(rows) for rows, *_ in copies])
     together = queue.select(np.concatenate([np.arange(len(queue)), rows]))
     centre, ids = together.centre_m.copy(), together.vehicle_id.copy()
-    centre[len(queue) :, 0] = copied_x
+    centre[len(queue) :, :2] = road.at(copied_x, at.t_m[rows])
     ids[len(queue) :] += copies_from * np.where(turn > 0, 2 * turn - 1, -2 * turn)  # 1, 2, 3 ... for turns 1, -1, 2 ...
     return replace(together, centre_m=centre, vehicle_id=ids)
 
@@ -333,8 +337,8 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
     own = of_fidelity(Fidelity(site.scenario.world.detail))
     box, body, detailed = (of_fidelity(Fidelity(level)) for level in DETAILS)
 
-    right, left = site.scenario.road.carriageway_y
-    middle = right + (left - right) / site.scenario.road.lanes * (site.scenario.road.lanes // 2)
+    right, left = site.scenario.road_map.edges_t
+    middle = right + (left - right) / len(site.scenario.road_map) * (len(site.scenario.road_map) // 2)
 
     def added(what: str, value: str, **change) -> Ablation:
         return Ablation(what, value, ((own, Variation(ABLATION, what, value, **change)),))
