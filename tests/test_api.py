@@ -72,7 +72,7 @@ def test_scores_of_one_of_many_and_of_a_judged_mounting_agree(site):
     assert many["detectable_share"][0] == one.detectable_share
     judged = bl.judge_mounting(site, height_m=3.0, tilt_x_deg=10.0)
     assert judged.result["objective"] == one.objective
-    columns = {"height_m": [3.0, 4.0], "tilt_x_deg": [10.0, site.scenario.baseline["tilt_x_deg"]]}
+    columns = {"height_m": [3.0, 4.0], "tilt_x_deg": [10.0, site.scenario.baseline.as_table()["tilt_x_deg"]]}
     np.testing.assert_array_equal(rows_of(bl.score_mountings(site, columns))["objective"], many["objective"])
     assert bl.score_mounting(site, height_m=3.0, tilt_x_deg=10.0, held_out=True).objective != one.objective
 
@@ -276,7 +276,7 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
         (lambda site: bl.score_mounting(site, height_m=float("nan")), "height_m: is nan; allowed: a number"),
         (
             lambda site: bl.score_mounting(site, y_m=sum(site.scenario.road.carriageway_y) / 2),
-            "mounting: the mount at y .* m stands on the carriageway",
+            "mounting: the mount at x 0 m, y .* m stands on the carriageway",
         ),
         (lambda site: bl.score_mountings(site, []), "score_mountings: the table is empty"),
         (lambda site: bl.score_mountings(site, {"height_m": [2, 3], "tilt_x_deg": [1]}), "allowed: .s,., all of one"),

@@ -64,19 +64,20 @@ LIBRARIES = {
     "pandas": ("results.py",),
 }
 # Rooms in the order in which the data walks, and those that each may import besides the floor.
-FLOOR = {"errors", "names", "road", "files", "compiled", "signals", "statistics", "plugins", "toml_table"}
+FLOOR = {"errors", "names", "files", "compiled", "signals", "statistics", "plugins", "toml_table"}
 ROOMS = {
     **{name: set() for name in FLOOR},
     "metrics": set(),
     "optimise": {"metrics"},
     "sensors": set(),
-    "traffic": set(),
-    "world": {"traffic", "sensors"},
-    "world/blender": {"traffic", "sensors", "world"},
+    "road": set(),
+    "traffic": {"road"},
+    "world": {"traffic", "sensors", "road"},
+    "world/blender": {"traffic", "sensors", "road", "world"},
     "casting": {"sensors", "traffic", "world"},
-    "scene": {"metrics", "optimise", "casting", "traffic", "sensors", "world"},
+    "scene": {"metrics", "optimise", "casting", "traffic", "sensors", "world", "road"},
 }
-_UPWARDS = ("scoring", "clouds", "detection", "run", "studies", "report", "commands")
+_UPWARDS = ("scoring", "clouds", "run", "detection", "studies", "report", "commands")
 for _here in _UPWARDS:
     ROOMS[_here] = set(ROOMS) - FLOOR
 DOOR = {"commands", "cli", "api", "results", "addon", "__main__", "__init__"}

@@ -121,7 +121,10 @@ def test_traffic_far_from_the_mount(tmp_path, capsys, verb):
 def test_a_pole_in_a_lane_or_in_a_vehicle(tmp_path, capsys, verb):
     on_the_road = write_scene(tmp_path, {"deployment": {"y_m": 4.0}})
     line = refused(capsys, tmp_path, *words_for(verb, on_the_road, tmp_path))
-    assert "the mount at y 4 m stands on the carriageway; allowed: at most 2 or at least 9 m" in line
+    assert (
+        "the mount at x 0 m, y 4 m stands on the carriageway; allowed: off the lanes, such as x 0, y 2 m or x 0, y 9 m"
+        in line
+    )
     rows = [*traffic_rows(), *([frame, 999, "car", 0.0, 0.0, 4.0, 2.0, 1.5, 0.0, 2.0 * frame] for frame in range(60))]
     write_table(tmp_path / "traffic.csv", rows)
     line = refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
@@ -169,7 +172,7 @@ BAD_OPTIONS = {
         ("--tilt-y inf", "--tilt-y: is inf; allowed: a number"),
         ("--yaw 361", "--yaw: is 361.0; allowed: -360 to 360"),
         ("--x 1e9", "--x: is 1000000000.0; allowed: -100000 to 100000"),
-        ("--y 3", "--x, --y: the mount at y 3 m stands on the carriageway"),
+        ("--y 3", "--x, --y: the mount at x 0 m, y 3 m stands on the carriageway"),
     ],
 }
 

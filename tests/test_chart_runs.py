@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.commands.studies import parse_share
+from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scoring.fidelity import Fidelity
-from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies import chart as study
 from blender_lidar.studies.candidates import sobol_candidates
 from blender_lidar.studies.chart import ChartEffort, time_fidelities
@@ -20,7 +20,7 @@ from tests.refusals import refused
 from tests.small_scene import CASTER, MAPPED, REGION, done, without_charts, write_scene
 
 TINY = ChartEffort(3, 8, 6, 2, phases=2, rounds=2, quick=True)
-POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(0.0, 0.0, 4.4, 0.1))
+LAYOUTS = ((Mounting(height_m=3.0, tilt_x=0.25),), (Mounting(height_m=4.4, tilt_x=0.1),))
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_phases_are_spread_over_a_stride_and_shares_of_frames_are_counted_once()
 
 
 def test_every_fidelity_is_timed_in_every_round_on_every_frame(site):
-    timed = time_fidelities(site, [Fidelity("box"), Fidelity("detailed")], POSES, 3)
+    timed = time_fidelities(site, [Fidelity("box"), Fidelity("detailed")], LAYOUTS, 3)
     for evaluation_s, build_s in timed.values():
         assert evaluation_s.shape == (3, len(site.search))
         assert (evaluation_s > 0.0).all()
@@ -70,8 +70,8 @@ def test_every_fidelity_is_timed_in_every_round_on_every_frame(site):
 
 def test_candidates_lie_between_the_bounds_and_the_seed_moves_them(site):
     first = sobol_candidates(site.scenario, 32)
-    assert (first.variables, len(first.poses)) == (("height_m", "tilt_x_deg"), 33)
-    assert first.poses[0] == site.scenario.baseline_pose
+    assert (first.variables, len(first.layouts)) == (("height_m", "tilt_x_deg"), 33)
+    assert first.layouts[0] == (site.scenario.baseline,)
     assert ((first.points >= [2.0, 0.0]) & (first.points <= [4.5, 25.0])).all()
     other = replace(site.scenario, search=replace(site.scenario.search, seed=7))
     assert not np.allclose(sobol_candidates(other, 32).points, first.points)

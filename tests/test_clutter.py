@@ -8,7 +8,6 @@ import pytest
 from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.detection.judge import sensor_at
 from blender_lidar.road.straight import StraightRoad, road_map
-from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring import frame_scorer
@@ -122,7 +121,7 @@ def sites():
 
 
 def test_clutter_takes_returns_from_vehicles_and_gives_none_to_any(sites):
-    mount = dict(sites[0].scenario.baseline)
+    mount = sites[0].scenario.baseline
     returns = []
     for site in sites:
         clouds = [sensor_at(site, mount).scan(frame.vehicles) for frame in site.search]
@@ -138,7 +137,7 @@ def test_walkers_return_as_no_vehicle_where_they_are_at_the_time_of_the_frame(si
     site = sites[1]
     returns = []
     for frame in site.search[:3]:
-        cloud = sensor_at(site, dict(site.scenario.baseline)).scan(frame.vehicles)
+        cloud = sensor_at(site, site.scenario.baseline).scan(frame.vehicles)
         standing = site.observation.scenery.at(frame.vehicles.time_s).scenery
         for row in np.flatnonzero(np.isin(standing.names, ["pedestrian", "cyclist"])):
             corners = standing.corners[standing.owner == row].reshape(-1, 3)
@@ -153,11 +152,11 @@ def test_scores_see_vehicles_behind_clutter_and_walkers_as_clouds_do(compiled, s
     if not compiled:
         monkeypatch.setattr(frame_scorer, "numba_works", lambda: False)
     site = sites[1]
-    mount = dict(site.scenario.baseline)
+    mount = site.scenario.baseline
     for frame in site.search[:3]:
         cloud = sensor_at(site, mount).scan(frame.vehicles)
         expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
         seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see(
-            frame_scorer.singles([pose_at(mount)])
+            frame_scorer.singles([mount.pose])
         )
         np.testing.assert_array_equal(seen.points[0], expected)

@@ -60,12 +60,12 @@ NOTES = {  # by name: [deployment], other tables, and what is told
     "a baseline in radians": ({}, {"baseline": {"tilt_x_deg": 0.35}}, "tilt_x_deg of [baseline] is 0.35 degrees"),
     "a mast of 60 m": ({"height_m": [20.0, 60.0]}, {}, "heights up to 60 m are searched"),
     "noise in centimetres": ({}, {"sensor": {"range_noise_m": 2.0}}, "range_noise_m is 2 m"),
-    "a tilt away": ({"tilt_x_deg": [-25.0, 0.0]}, {}, "every searched tilt_x_deg leans away from the carriageway"),
-    "from the far side": (FAR_SIDE, {}, "as at y 12 m: a positive tilt_x_deg looks down towards +y"),
+    "a tilt away": ({"tilt_x_deg": [-25.0, 0.0]}, {}, "every mounting that is searched looks down away from the road"),
+    "from the far side": (FAR_SIDE, {}, "as at x 0, y 12 m: a positive tilt_x_deg looks down to where the mast faces"),
     "a lean away": (
         {"tilt_x_deg": None, "lean_deg": [0.0, 25.0], "lean_direction_deg": 180.0},
         {},
-        "every searched lean_deg leans away",
+        "every mounting that is searched looks down away",
     ),
 }
 RIGHT = {
@@ -97,11 +97,11 @@ def test_what_is_right_is_told_nothing_of(case, tmp_path):
 def test_shipped_scenes_and_a_mounting_by_hand(tmp_path):
     assert [list(mount_notes(load_scenario(path))) for path in shipped_scenes().values()] == [[], []]
     given = scene(tmp_path)
-    mount = {**given.baseline, "tilt_x_deg": 0.26}
-    assert [note.partition(" degrees")[0] for note in mount_notes(given, mount)] == [
+    mount = given.mounting({"tilt_x_deg": 0.26})
+    assert [note.partition(" degrees")[0] for note in mount_notes(given, [mount])] == [
         "tilt_x_deg of the mounting is 0.26"
     ]
-    (high,) = mount_notes(given, {**given.baseline, "height_m": 45.0})
+    (high,) = mount_notes(given, [given.mounting({"height_m": 45.0})])
     assert high.startswith("height_m of the mounting is 45 m (usual: 2 to 12")
 
 
@@ -109,7 +109,7 @@ def test_poles_that_look_away_are_counted(tmp_path):
     (tmp_path / "poles.csv").write_text("name,x_m,y_m\nright,0,0\nleft,0,12\n", encoding="utf-8")
     notes = list(mount_notes(scene(tmp_path, {"poles": "poles.csv", "tilt_x_deg": [0.0, 25.0]})))
     assert len(notes) == 1
-    assert notes[0].startswith("on 1 of 2 poles every searched tilt_x_deg leans away")
+    assert notes[0].startswith("on 1 of 2 poles every mounting that is searched looks down away")
 
 
 @pytest.mark.parametrize(

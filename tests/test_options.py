@@ -20,7 +20,8 @@ from blender_lidar.commands.options import (
     scenario_from,
 )
 from blender_lidar.errors import InputError
-from blender_lidar.scene.mounting import COORDINATES, MOUNTING
+from blender_lidar.scene.deployment import MOUNTING
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.world.shapes import DETAILS
 from tests.refusals import refused
 from tests.small_scene import cli, done, without_times, write_scene

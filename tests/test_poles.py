@@ -77,7 +77,7 @@ def test_a_table_as_a_spreadsheet_writes_it_is_the_same(tmp_path):
         (",0,0,,,,,\n", "poles.csv:2: name is nothing"),
         ("lamp,0,0,,,,,maybe\n", "existing is 'maybe'; allowed: yes, no or nothing"),
         ("lamp,0,0,-5,2,4,,\n", "its heights are -3 to -1 m above the road"),
-        ("lamp,0,4,,,,,\n", "pole 'lamp': the mount at y 4 m stands on the carriageway"),
+        ("lamp,0,4,,,,,\n", "pole 'lamp': the mount at x 0 m, y 4 m stands on the carriageway"),
     ],
 )
 def test_a_table_that_cannot_be_used_is_one_line(tmp_path, capsys, rows, fault):

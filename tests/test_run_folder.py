@@ -20,7 +20,7 @@ from blender_lidar.errors import InputError, OutputError
 from blender_lidar.files import write_text
 from blender_lidar.report.summary import cautions
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.scene.mounting import MOUNTING_OR_LEAN
+from blender_lidar.scene.deployment import MOUNTING_OR_LEAN
 from tests.refusals import refused
 from tests.small_scene import (
     CASTER,

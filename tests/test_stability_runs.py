@@ -12,7 +12,6 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.report.stability import HEADINGS, STABILITY_REPORT
-from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
@@ -75,10 +74,10 @@ def test_no_change_is_what_the_scene_has_already(site):
 def test_without_a_loss_there_is_neither_c_nor_view_nor_delta_to_vary_as_the_objective_asks_for_none(site):
     without = replace(site, scoring=replace(site.scoring, loss=None))
     assert {variation.what for variation in metric_variations(without)} == {"cell size", "other metric"}
-    poses = mountings(site).poses
+    layouts = mountings(site).layouts
     for change in ({"view": "min"}, {"threshold": 0.05}):
         other = replace(without, scoring=replace(without.scoring, **change))
-        scored = [next(landscapes(one, [Job(AS_IT_IS, poses)])).objective for one in (without, other)]
+        scored = [next(landscapes(one, [Job(AS_IT_IS, layouts)])).objective for one in (without, other)]
         np.testing.assert_array_equal(*scored)
 
 
@@ -123,14 +122,14 @@ def test_lorries_have_the_share_that_was_asked_for(site):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_landscapes_equal_what_the_evaluator_says_whatever_the_number_of_workers(site, workers):
     site = replace(site, scenario=replace(site.scenario, model=replace(site.scenario.model, workers=workers)))
-    poses = mountings(site).poses
+    layouts = mountings(site).layouts
     refused = Variation(TRAFFIC, "what cannot be", "", _refuse)
-    jobs = [Job(AS_IT_IS, poses), Job(refused, poses), Job(AS_IT_IS, poses[:2], HELD_OUT)]
+    jobs = [Job(AS_IT_IS, layouts), Job(refused, layouts), Job(AS_IT_IS, layouts[:2], HELD_OUT)]
     counted = []
     searched, text, held_out = landscapes(site, jobs, counted.append)
     for scored, frames in ((searched, site.search), (held_out, site.holdout)):
         with site_evaluator(site, frames) as evaluator:
-            totals = evaluator.totals(poses[: len(scored.objective)])
+            totals = evaluator.totals(layouts[: len(scored.objective)])
         np.testing.assert_array_equal(scored.objective, totals.objective)
         np.testing.assert_array_equal(scored.vehicles, totals.vehicles)
     assert text == "it cannot be"
@@ -138,14 +137,14 @@ def test_landscapes_equal_what_the_evaluator_says_whatever_the_number_of_workers
 
 
 def test_what_changes_the_score_alone_is_cast_once_and_comes_to_what_it_comes_to_alone(site, monkeypatch):
-    poses = mountings(site).poses
-    jobs = [Job(one, poses) for one in (AS_IT_IS, *metric_variations(site))]
-    jobs.insert(3, Job(Variation(TRAFFIC, "what cannot be", "", _refuse, cast_anew=False), poses))
-    jobs[1::2] = [replace(job, poses=poses[4:1:-1]) for job in jobs[1::2]]
+    layouts = mountings(site).layouts
+    jobs = [Job(one, layouts) for one in (AS_IT_IS, *metric_variations(site))]
+    jobs.insert(3, Job(Variation(TRAFFIC, "what cannot be", "", _refuse, cast_anew=False), layouts))
+    jobs[1::2] = [replace(job, layouts=layouts[4:1:-1]) for job in jobs[1::2]]
     counted, casts, see = [], [], FrameScorer.see
     monkeypatch.setattr(FrameScorer, "see", lambda *given, **kept: casts.append(1) or see(*given, **kept))
     together = list(landscapes(site, jobs, counted.append))
-    assert len(casts) == len(site.search) * len(set(poses))  # every mounting once a frame
+    assert len(casts) == len(site.search) * len(set(layouts))  # every mounting once a frame
     assert sum(counted) == len(jobs) * len(site.search)
     for job, scored in zip(jobs, together, strict=True):
         (alone,) = landscapes(site, [job])
@@ -172,10 +171,10 @@ def test_a_changed_site_is_scored_as_a_scene_that_says_so(site, tmp_path):
     ):
         chosen = next(one for one in every_variation(site) if (one.section, one.what, one.value) == variation)
         asked = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, table: {key: value}})))
-        poses = [pose_at({**site.scenario.baseline, "height_m": 4.0}), site.scenario.baseline_pose]
+        layouts = [(site.scenario.mounting({"height_m": 4.0}),), (site.scenario.baseline,)]
         with site_evaluator(asked, asked.search) as evaluator:
-            expected = evaluator.totals(poses).objective
-        (found,) = landscapes(site, [Job(chosen, tuple(poses))])
+            expected = evaluator.totals(layouts).objective
+        (found,) = landscapes(site, [Job(chosen, tuple(layouts))])
         np.testing.assert_allclose(found.objective, expected, rtol=1e-12)
 
 

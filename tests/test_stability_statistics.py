@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.metrics.catalogue import PE_VGOP
-from blender_lidar.scene.mounting import Tolerance
+from blender_lidar.scene.settings import Tolerance
 from blender_lidar.statistics import ratio_interval_90, statistic_interval_90
 from blender_lidar.studies.candidates import Candidates
 from blender_lidar.studies.driver import Landscape

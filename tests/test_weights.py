@@ -15,6 +15,7 @@ from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import fresh_auto_search
 from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.deployment import Place, SearchSpace
+from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import Observation, Scoring, check_weights, vehicle_weights
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import ObjectiveSettings, ZoneSettings
@@ -22,7 +23,6 @@ from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
-from blender_lidar.sensors.pose import Pose
 from blender_lidar.statistics import ratio_interval_90
 from blender_lidar.studies.driver import AS_IT_IS, Job, landscapes
 from tests.sample_traffic import counted_frames, joined, one_vehicle
@@ -30,7 +30,7 @@ from tests.small_scene import without_charts, write_scene
 
 SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
 SCORING = Scoring(0.005, "mean", -1.0, "corrected")
-POSES = [Pose(height_m=2.0), Pose(height_m=4.1, tilt_x=0.33)]
+LAYOUTS = [(Mounting(height_m=2.0),), (Mounting(height_m=4.1, tilt_x=0.33),)]
 FRAMES = counted_frames(3)
 CLASSES = {"car": 1.0, "van": 2.0, "truck": 3.0}
 ZONES = [{"name": "left lane", "polygon_m": [[-20.0, 5.5], [20.0, 5.5], [20.0, 9.0], [-20.0, 9.0]], "weight": 2.0}]
@@ -43,11 +43,11 @@ def weighed(frame):
 
 def test_a_whole_weight_is_the_vehicle_counted_that_often():
     with Evaluator(FRAMES, SEEN, SCORING) as evaluator:
-        single = evaluator.by_vehicle(POSES)
+        single = evaluator.by_vehicle(LAYOUTS)
     with Evaluator([weighed(frame) for frame in FRAMES], SEEN, SCORING) as evaluator:
-        found = evaluator.totals(POSES)
+        found = evaluator.totals(LAYOUTS)
     assert found.weight.sum() != found.vehicles.sum()
-    for row in range(len(POSES)):
+    for row in range(len(LAYOUTS)):
         rows, detected, vehicles = [], 0, 0
         for frame, scored in zip(FRAMES, single, strict=True):
             times = weighed(frame).weight[frame.counted].astype(int).tolist()
@@ -64,7 +64,7 @@ def test_weights_that_are_all_one_change_no_digit():
     found = []
     for frames in (FRAMES, ones):
         with Evaluator(frames, SEEN, SCORING) as evaluator:
-            totals = evaluator.totals(POSES)
+            totals = evaluator.totals(LAYOUTS)
         found.append([totals.objective.tobytes(), totals.per_vehicle().tobytes(), totals.detectable_share().tobytes()])
     assert found[0] == found[1]
 
@@ -148,12 +148,12 @@ def test_the_score_map_and_the_tables_by_group_weigh_too(run):
 def test_studies_and_rungs_of_a_search_see_the_same_weights(run):
     _, site = run
     with site_evaluator(site, site.search) as evaluator:
-        totals = evaluator.totals(POSES)
-    (found,) = landscapes(site, [Job(AS_IT_IS, tuple(POSES))])
+        totals = evaluator.totals(LAYOUTS)
+    (found,) = landscapes(site, [Job(AS_IT_IS, tuple(LAYOUTS))])
     assert found.per_vehicle() == pytest.approx(totals.per_vehicle(), rel=1e-12)
     assert found.blocks(site.plan.search_block)[1].sum() == totals.weight.sum() != found.vehicles.sum()
     only_last = [replace(frame, weight=np.zeros(len(frame.vehicles))) for frame in site.search[:-1]]
-    rungs = fresh_auto_search(replace(site, search=(*only_last, site.search[-1]))).rungs
+    rungs = fresh_auto_search(replace(site, search=(*only_last, site.search[-1])), site.scenario.deployment.spaces[0]).rungs
     assert rungs[0].frames[0] == len(site.search) - 1  # frames without a weight are looked at last
 
 

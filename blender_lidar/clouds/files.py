@@ -315,10 +315,10 @@ def write_sustechpoints(folder: str | Path, cloud: PointCloud, vehicles: Vehicle
     folder = Path(folder)
     for part in SUSTECHPOINTS_PARTS:
         make_folder(folder / part, "--out")
-    pose = header["pose"]
+    pose = Pose.from_table(header["pose"])
     seen = np.flatnonzero(np.isin(vehicles.vehicle_id, cloud.vehicle_id))
     centre = levelled(vehicles.centre_m[seen], pose)
-    turn = math.radians(pose["yaw_deg"]) + 0.5 * math.pi  # from the road's x axis to that of the levelled frame
+    turn = pose.yaw + 0.5 * math.pi  # from the road's x axis to that of the levelled frame
     boxes = [
         {
             "obj_id": str(vehicles.vehicle_id[row]),

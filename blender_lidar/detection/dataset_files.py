@@ -197,7 +197,7 @@ def _scan_columns(plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]
         "block": plan.blocks[[scan.frame for scan in scans]],
         "mounting": [scan.mounting for scan in scans],
         **{key: [scan.mount.as_table()[key] for scan in scans] for key in COORDINATES},
-        **{f"hangs_{key}": [scan.hangs[key] for scan in scans] for key in scans[0].hangs},
+        **{f"hangs_{key}": [scan.hangs.as_table()[key] for scan in scans] for key in COORDINATES},
         "station_m": [scan.station_m for scan in scans],
         "mirrored": [scan.mirrored for scan in scans],
         "labelled": [sum(row["labelled"] == "1" for row in one) for one in rows],

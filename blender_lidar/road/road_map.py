@@ -138,6 +138,11 @@ class RoadMap:
         around = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]) * _BESIDE_M
         return self.on((np.asarray(xy)[:, None] + around).reshape(-1, 2)).reshape(-1, 4).all(axis=1)
 
+    def nearest(self, xy: Sequence[float]) -> np.ndarray:
+        """The nearest place on the middle of each lane, (l, 2) [m]."""
+        stations = (self._with(np.array([lane])).locate(np.array([xy])).s_m[0] for lane in range(len(self)))
+        return np.array([self.at(s, self.offset_m[lane], lane) for lane, s in enumerate(stations)])
+
     def clearance(self, xy: Sequence[float]) -> tuple[float, str]:
         """How far a place lies from the nearest edge of a lane [m], below 0 on it, and on which side of its traffic."""
         at, alone = self.locate(np.array([xy])), (self._with(np.array([lane])) for lane in range(len(self)))

@@ -15,7 +15,6 @@ from ..errors import InputError
 from . import usual
 from .deployment import Place
 from .mounting import Mounting
-from .region import region_of
 from .settings import Scenario
 
 _ANGLES = ("tilt_x_deg", "tilt_y_deg", "yaw_deg", "lean_deg", "lean_direction_deg", "spin_deg")
@@ -67,7 +66,7 @@ def mount_notes(scenario: Scenario, given: Sequence[Mounting] = ()) -> Iterator[
     deployment = scenario.deployment
     asked = [("the mounting", one.as_table()) for one in given] or [("[deployment]", deployment.fixed)]
     for name, table in (*asked, ("[baseline]", scenario.baseline.as_table())):
-        for key in _ANGLES:
+        for key in _ANGLES[:3] if "tilt_x_deg" in table else _ANGLES[3:]:
             meant = in_radians(key, (table.get(key) or 0.0,))
             if meant:
                 yield f"{key} of {name} is {table[key]:g} degrees; is that {meant[0]:g} degrees in radians?"
@@ -85,20 +84,18 @@ def mount_notes(scenario: Scenario, given: Sequence[Mounting] = ()) -> Iterator[
         some = f"on {len(away)} of {len(places)} poles every" if deployment.poles else "every"
         x_m, y_m = away[0].mounting([low for low, _ in away[0].bounds.values()]).xy
         yield (
-            f"{some} mounting that is searched looks down away from the region, as at x {x_m:g}, y {y_m:g} m: a "
+            f"{some} mounting that is searched looks down away from the road, as at x {x_m:g}, y {y_m:g} m: a "
             "positive tilt_x_deg looks down to where the mast faces, a negative one behind it"
         )
 
 
 def _looks_away(place: Place, scenario: Scenario) -> bool:
-    """Whether all that is searched looks down on the side of the mast that is away from the region's middle."""
-    corners = list(itertools.product(*place.bounds.values()))
-    middle = np.array(region_of(scenario.region, scenario.road_map).centre_xy)
-    leans = []
-    for mounting in map(place.mounting, corners):
-        down = mounting.pose.rotation[2, :2]  # the way the sensor's upright axis leans is the way it looks down
-        towards = middle - mounting.xy
-        away = float(np.hypot(*towards))
-        if np.hypot(*down) > _LEVEL and away:
-            leans.append(float(down @ towards) / (np.hypot(*down) * away))
+    """Whether all that is searched looks down on the side of the mast on which there is no lane."""
+    road, leans = scenario.road_map, []
+    for mounting in map(place.mounting, itertools.product(*place.bounds.values())):
+        down = mounting.pose.rotation[2, :2]  # the sensor looks down to where its upright axis leans
+        towards = road.nearest(mounting.xy) - mounting.xy
+        length = np.hypot(*down) * np.hypot(*towards.T)
+        if np.hypot(*down) > _LEVEL and length.all():
+            leans.append((towards @ down / length).max())
     return bool(leans) and max(leans) < -usual.AWAY

@@ -50,19 +50,19 @@ class Region:
         if self.polygon:
             inside = polygon_holds(self.polygon, xy)
         elif self.stretches:
-            inside = self._on_stretches(xy, vehicles.lane)
+            inside = self._on_stretches(vehicles)
         else:
             inside = self.distance(vehicles) <= self.radius_m
         for polygon in self.keep_out:
             inside &= ~polygon_holds(polygon, xy)
         return inside
 
-    def _on_stretches(self, xy: np.ndarray, lane: np.ndarray) -> np.ndarray:
-        """Which places (n, 2) of vehicles in the recording's lanes (n,) lie on a stretch, (n,) bool."""
-        inside, located = np.zeros(len(xy), dtype=bool), self.road.locate(xy)
+    def _on_stretches(self, vehicles: Vehicles) -> np.ndarray:
+        """Which lie on a stretch, (n,) bool; of boxes without lanes, such as detections, on the road's alone."""
+        inside, located = np.zeros(len(vehicles), dtype=bool), self.road.locate(vehicles.centre_m)
         for (low, high), lanes in self.stretches:
             along = (located.s_m >= low - _ON_EDGE_M) & (located.s_m <= high + _ON_EDGE_M)
-            inside |= along & (located.lane >= 0 if lanes is None else np.isin(lane, lanes))
+            inside |= along & (located.lane >= 0 if lanes is None else np.isin(vehicles.lane, lanes))
         return inside
 
 
