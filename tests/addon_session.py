@@ -22,9 +22,10 @@ import bpy
 import numpy as np
 
 import blender_lidar
-from blender_lidar.addon import handlers, live, operators, properties, session
+from blender_lidar.addon import handlers, live, operators, optimising, properties, session
 from blender_lidar.cli import main as command_line
-from blender_lidar.scene.mounting import COORDINATES, MOUNTING_OR_LEAN, pose_at
+from blender_lidar.scene.deployment import MOUNTING_OR_LEAN
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import DECLARED
 from blender_lidar.scene.site import prepare
@@ -32,7 +33,7 @@ from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.blender.objects import CLOUD, PART, VEHICLE, hang, lidars, pose_of, role
 from blender_lidar.world.blender.points import cloud_of
-from tests.small_scene import REGION, without_times, write_scene
+from tests.small_scene import REGION, mounting, without_times, write_scene
 
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1 if "--" in sys.argv else 1])
 POSE = {"x_m": 0.5, "y_m": -0.25, "height_m": 4.0, "tilt_x_deg": 15.0, "tilt_y_deg": -2.5, "yaw_deg": 7.5}
@@ -64,9 +65,15 @@ def loaded(**changes):
     scene.blender_lidar.frame = FRAME
     (lidar,) = lidars(scene)
     choose(lidar)
-    hang(lidar, pose_at(POSE))
+    hang(lidar, mounting(POSE).pose)
     bpy.context.view_layer.update()
     return scene, lidar
+
+
+def coordinates_of(lidar):
+    """Coordinates of a LiDAR's mounting, as the panel has them [m, degrees]."""
+    table = properties.mounting_of(lidar).as_table()
+    return {key: table[key] for key in COORDINATES}
 
 
 def choose(*items):
@@ -171,7 +178,7 @@ def check_fifteen_degrees_of_tilt_show_as_fifteen_and_look_down_across_the_road(
     hang(lidar, Pose(0.0, 0.0, 4.0))
     lidar.lidar.tilt_x_deg = math.radians(15.0)
     bpy.context.view_layer.update()
-    assert properties.coordinates_of(lidar)["tilt_x_deg"] == 15.0
+    assert coordinates_of(lidar)["tilt_x_deg"] == 15.0
     assert abs(lidar.lidar.tilt_x_deg - math.radians(15.0)) < 1e-6
     assert abs(lidar.lidar.lean_deg - math.radians(15.0)) < 1e-6
     ahead = axes(lidar)[1]
@@ -189,7 +196,7 @@ def check_panel_and_transform_agree_with_poses():
         for key, value in place.items():
             setattr(lidar.lidar, key, math.radians(value) if key.endswith("_deg") else value)
         bpy.context.view_layer.update()
-        found, expected = pose_of(lidar), pose_at(place)
+        found, expected = pose_of(lidar), mounting(place).pose
         np.testing.assert_allclose(axes(lidar), expected.to_world(np.eye(3)), atol=2e-5, err_msg=str(place))
         np.testing.assert_allclose(found.to_world(np.eye(3)), expected.to_world(np.eye(3)), atol=2e-5)
         np.testing.assert_allclose(found.position, expected.position, atol=1e-4)
@@ -240,15 +247,15 @@ def check_a_parented_lidar_hangs_where_its_parent_takes_it():
         np.testing.assert_allclose(pose_of(lidar).to_world(np.eye(3)), pose.to_world(np.eye(3)), atol=1e-4)
     hang(lidar, Pose(0.0, 0.0, 4.0))
     bpy.context.view_layer.update()
-    before = properties.coordinates_of(lidar)
+    before = coordinates_of(lidar)
     car.location.x += 2.5
     bpy.context.view_layer.update()
-    moved = properties.coordinates_of(lidar)
+    moved = coordinates_of(lidar)
     assert abs(moved["x_m"] - before["x_m"] - 2.5) < 1e-3, (before, moved)
     lidar.lidar.tilt_x_deg = math.radians(15.0)
     bpy.context.view_layer.update()
-    assert abs(properties.coordinates_of(lidar)["tilt_x_deg"] - 15.0) < 1e-3
-    assert abs(properties.coordinates_of(lidar)["x_m"] - moved["x_m"]) < 1e-3
+    assert abs(coordinates_of(lidar)["tilt_x_deg"] - 15.0) < 1e-3
+    assert abs(coordinates_of(lidar)["x_m"] - moved["x_m"]) < 1e-3
     assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-3, "the pole of a parented LiDAR ends on the road"
 
 
@@ -264,7 +271,7 @@ def check_any_way_to_turn_a_lidar_is_read_and_set():
         bpy.context.view_layer.update()
         np.testing.assert_allclose(pose_of(lidar).to_world(np.eye(3)), axes(lidar), atol=1e-5, err_msg=mode)
         lidar.lidar.tilt_x_deg = math.radians(15.0)
-        assert properties.coordinates_of(lidar)["tilt_x_deg"] == 15.0, mode
+        assert coordinates_of(lidar)["tilt_x_deg"] == 15.0, mode
     lidar.constraints.new("COPY_LOCATION").target = target
     bpy.context.view_layer.update()
     np.testing.assert_allclose(pose_of(lidar).position, target.location, atol=1e-4)
@@ -357,7 +364,7 @@ def check_a_lidar_is_added_before_traffic_is_loaded_and_dressed_as_its_model():
     assert bpy.ops.lidar.add() == {"FINISHED"}
     (lidar,) = lidars(scene)
     assert session.active_lidar(scene) == lidar
-    place = properties.coordinates_of(lidar)
+    place = coordinates_of(lidar)
     assert (place["x_m"], place["y_m"]) == (3.0, -1.0)
     assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
     beams = len(fan(lidar).data.splines)
@@ -366,7 +373,7 @@ def check_a_lidar_is_added_before_traffic_is_loaded_and_dressed_as_its_model():
     scene.blender_lidar.traffic.path = str(example())
     assert bpy.ops.lidar.load() == {"FINISHED"}
     assert lidars(scene) == [lidar]
-    assert properties.coordinates_of(lidar) == place
+    assert coordinates_of(lidar) == place
 
 
 def check_what_a_deleted_lidar_wore_goes_with_it():
@@ -389,7 +396,7 @@ def check_a_scaled_lidar_shows_its_cloud_where_it_is_and_its_pole_on_the_road():
     parent.scale = (3.0, 3.0, 3.0)
     lidar.parent = parent
     bpy.context.view_layer.update()
-    hang(lidar, pose_at(POSE))
+    hang(lidar, mounting(POSE).pose)
     lidar.scale = (2.0, 2.0, 2.0)
     bpy.context.view_layer.update()
     assert bpy.ops.lidar.scan() == {"FINISHED"}
@@ -405,17 +412,17 @@ def check_undo_and_redo_take_back_pose_and_cloud_together():
     lidar = loaded()[1]
     assert bpy.ops.lidar.scan() == {"FINISHED"}
     bpy.ops.ed.undo_push(message="first")
-    name, first = lidar.name, (vertices(cloud_of(lidar)).copy(), properties.coordinates_of(lidar), fields(lidar.lidar))
+    name, first = lidar.name, (vertices(cloud_of(lidar)).copy(), coordinates_of(lidar), fields(lidar.lidar))
     lidar.lidar.x_m, lidar.lidar.tilt_x_deg = 6.0, math.radians(5.0)
     assert bpy.ops.lidar.scan() == {"FINISHED"}
     bpy.ops.ed.undo_push(message="second")
-    second = (vertices(cloud_of(lidar)).copy(), properties.coordinates_of(lidar), fields(lidar.lidar))
+    second = (vertices(cloud_of(lidar)).copy(), coordinates_of(lidar), fields(lidar.lidar))
     assert len(first[0]) != len(second[0])
     for step, expected in ((bpy.ops.ed.undo, first), (bpy.ops.ed.redo, second), (bpy.ops.ed.undo, first)):
         assert step() == {"FINISHED"}
         lidar = bpy.context.scene.objects[name]
         np.testing.assert_array_equal(vertices(cloud_of(lidar)), expected[0])
-        assert properties.coordinates_of(lidar) == expected[1]
+        assert coordinates_of(lidar) == expected[1]
         assert fields(lidar.lidar) == expected[2]
     assert bpy.ops.lidar.scan() == {"FINISHED"}
     np.testing.assert_array_equal(vertices(cloud_of(bpy.context.scene.objects[name])), first[0])
@@ -449,7 +456,7 @@ def check_saving_and_opening_again_keeps_all_and_reads_traffic_by_need():
 def check_a_lidar_appended_into_another_file_keeps_its_settings():
     scene, lidar = loaded(sensor={"dropout": 0.1})
     lidar.lidar.name_ = "VLP-16"
-    kept, place = fields(lidar.lidar), properties.coordinates_of(lidar)
+    kept, place = fields(lidar.lidar), coordinates_of(lidar)
     path = FOLDER / "source.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     scene, own = loaded()
@@ -458,7 +465,7 @@ def check_a_lidar_appended_into_another_file_keeps_its_settings():
     other = next(item for item in lidars(scene) if item != own)
     bpy.context.view_layer.update()
     assert fields(other.lidar) == kept
-    assert properties.coordinates_of(other) == place
+    assert coordinates_of(other) == place
     assert own.lidar.name_ == "RS-16"
     choose(other)
     assert bpy.ops.lidar.scan() == {"FINISHED"}
@@ -547,10 +554,10 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
     np.testing.assert_allclose(evaluated(cloud_of(lidar)), points, atol=2e-5)
 
     scenario = session.scenario_from(scene, lidar)
-    site = prepared(scenario, POSE)
+    site = prepared(scenario, mounting(POSE))
     assert [frame.vehicles.frame for frame in site.search] == [FRAME]
     with Evaluator(site.search, site.observation, site.scoring) as evaluator:
-        totals = evaluator.totals([pose_at(POSE), scenario.baseline_pose])
+        totals = evaluator.totals([(mounting(POSE),), (scenario.baseline,)])
     group, vehicles = lidar.lidar, int(totals.vehicles[0])
     assert vehicles > 0
     assert group.vehicles == vehicles
@@ -568,24 +575,24 @@ def check_a_lidar_keeps_its_coordinates_when_the_slope_of_its_road_changes():
     scene, lidar = loaded()
     road = scene.blender_lidar.road
     road.grade_percent, road.cross_fall_percent = 6.0, 2.5
-    assert properties.coordinates_of(lidar) == POSE
+    assert coordinates_of(lidar) == POSE
     scenario = session.scenario_from(scene, lidar)
-    assert np.abs(pose_of(lidar).rotation - scenario.pose(POSE).rotation).max() < 1e-6
-    assert np.abs(pose_of(lidar).rotation - pose_at(POSE).rotation).max() > 0.02
+    assert np.abs(pose_of(lidar).rotation - scenario.mounting(POSE).pose.rotation).max() < 1e-6
+    assert np.abs(pose_of(lidar).rotation - mounting(POSE).pose.rotation).max() > 0.02
     scene.cursor.location = (3.0, -1.0, 4.0)
     assert bpy.ops.lidar.add() == {"FINISHED"}
     added = next(item for item in lidars(scene) if item != lidar)
     upright = dict.fromkeys(POSE, 0.0) | {"x_m": 3.0, "y_m": -1.0, "height_m": 4.0}
-    assert properties.coordinates_of(added) == upright
+    assert coordinates_of(added) == upright
     road.grade_percent, road.cross_fall_percent = 0.0, 0.0
-    assert (properties.coordinates_of(lidar), properties.coordinates_of(added)) == (POSE, upright)
-    assert np.abs(pose_of(lidar).rotation - pose_at(POSE).rotation).max() < 1e-6
+    assert (coordinates_of(lidar), coordinates_of(added)) == (POSE, upright)
+    assert np.abs(pose_of(lidar).rotation - mounting(POSE).pose.rotation).max() < 1e-6
 
 
-def prepared(scenario, place):
+def prepared(scenario, hangs):
     """The one frame that the panel shows, as a run has it."""
     traffic = replace(scenario.traffic, frame_ids=(FRAME,), frames=None, holdout=0.0)
-    return prepare(replace(scenario, traffic=traffic), place)
+    return prepare(replace(scenario, traffic=traffic), [hangs])
 
 
 def check_an_exported_run_is_that_of_evaluate():
@@ -613,15 +620,15 @@ def check_an_optimisation_is_that_of_the_command_line():
     assert bpy.ops.lidar.optimise() == {"FINISHED"}
     line = FOLDER / "line"
     assert command_line(["optimise", str(FOLDER / "scene" / "scene.toml"), "--out", str(line)]) == 0
-    folders = Path(lidar.lidar.found_folder), line
+    folders = Path(optimising.found_of(lidar)["folder"]), line
     one, other = (without_times(json.loads((folder / "result.json").read_text())) for folder in folders)
     assert one.pop("scene") != other.pop("scene")  # what it is called
     assert_alike(one, other)
-    before = properties.coordinates_of(lidar)
+    before = coordinates_of(lidar)
     assert bpy.ops.lidar.apply() == {"FINISHED"}
-    assert properties.coordinates_of(lidar)["height_m"] == round(other["deployment"]["height_m"], 4)
+    assert coordinates_of(lidar)["height_m"] == round(other["deployment"]["height_m"], 4)
     assert bpy.ops.lidar.revert() == {"FINISHED"}
-    assert properties.coordinates_of(lidar) == before
+    assert coordinates_of(lidar) == before
     shutil.rmtree(folders[0])
 
 
@@ -654,7 +661,7 @@ def check_every_field_of_the_panel_comes_back_as_it_was_typed():
     first = load_scenario(path)
     tables = first.with_whole_paths()
     session.fill_scene(scene, tables, "", first)
-    lidar = operators.add_lidar(scene, pose_at(POSE))
+    lidar = operators.add_lidar(scene, mounting(POSE).pose)
     session.fill_lidar(lidar, tables, "", first)
     for group in (scene.blender_lidar, lidar.lidar):  # nothing is kept of the file, so that the fields say all
         assert group.kept
@@ -778,7 +785,7 @@ def check_what_build_writes_is_taken_over():
     assert session.scenario_from(scene, lidar).as_tables()["road"] == written["road"]
     assert scene.blender_lidar.loaded
     assert scene.blender_lidar.frame == FRAME
-    found = properties.coordinates_of(lidar)
+    found = coordinates_of(lidar)
     assert {key: found[key] for key in POSE} == POSE
     built = evaluated(cloud_of(lidar))
     choose(lidar)

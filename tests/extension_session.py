@@ -90,7 +90,7 @@ def used() -> dict[str, object]:
         search.particles, search.iterations = 4, 2
         assert lidar_ops.optimise() == {"FINISHED"}
         assert lidar_ops.apply() == {"FINISHED"}
-        found["gain"] = round(lidar.lidar.found_gain, 3)
+        found["gain"] = round(json.loads(lidar.lidar.found)["holdout"]["gain_over_baseline"], 3)
         assert lidar_ops.revert() == {"FINISHED"}
         path = Path(folder) / "saved.blend"
         bpy.ops.wm.save_as_mainfile(filepath=str(path))

@@ -12,8 +12,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from blender_lidar import addon
-from blender_lidar.addon import live, properties, session
+from blender_lidar.addon import live, optimising, properties, session
 from blender_lidar.cli import main as command_line
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.blender.objects import lidars
 from tests.six_scenes import SCENES
@@ -60,7 +61,8 @@ def result_of(folder) -> dict:
 def test_optimise_and_scan_are_those_of_the_command_line(made, tmp_path):
     path = made(tmp_path)
     lidar = loaded(path)
-    place = properties.coordinates_of(lidar)
+    table = properties.mounting_of(lidar).as_table()
+    place = {key: table[key] for key in COORDINATES}
     assert bpy.ops.lidar.export_cloud(filepath=str(tmp_path / "panel.npz")) == {"FINISHED"}
     frame = bpy.context.scene.blender_lidar.frame
     options = [f"--{key.rpartition('_')[0].replace('_', '-')}={value}" for key, value in place.items()]
@@ -72,7 +74,7 @@ def test_optimise_and_scan_are_those_of_the_command_line(made, tmp_path):
     lidar = saved_and_opened(tmp_path)
     assert bpy.ops.lidar.optimise() == {"FINISHED"}
     assert command_line(["optimise", str(path), "--out", str(tmp_path / "line")]) == 0
-    assert result_of(bpy.path.abspath(lidar.lidar.found_folder)) == result_of(tmp_path / "line")
+    assert result_of(bpy.path.abspath(optimising.found_of(lidar)["folder"])) == result_of(tmp_path / "line")
 
 
 @pytest.mark.parametrize("made", SCENES.values(), ids=SCENES)
@@ -172,7 +174,7 @@ def test_a_run_stays_beside_a_saved_file_and_its_report_opens(tmp_path, monkeypa
     loaded(path)
     lidar = saved_and_opened(tmp_path)
     assert bpy.ops.lidar.optimise() == {"FINISHED"}
-    assert lidar.lidar.found_folder == "//saved_runs/LiDAR_1"
+    assert optimising.found_of(lidar)["folder"] == "//saved_runs/LiDAR_1"
     assert (tmp_path / "saved_runs" / "LiDAR_1" / "report.html").is_file()
     opened = []
     monkeypatch.setattr("bpy.ops.wm.url_open", lambda url: opened.append(url), raising=False)
@@ -181,8 +183,6 @@ def test_a_run_stays_beside_a_saved_file_and_its_report_opens(tmp_path, monkeypa
 
 
 def test_how_long_it_takes_is_said_from_the_searchs_own_rate(tmp_path, monkeypatch):
-    from blender_lidar.addon import optimising
-
     loaded(SCENES["circle"](tmp_path))
     scene = bpy.context.scene
     job = optimising.begin(scene, bpy.context.view_layer, lidars(scene)[0])

@@ -35,11 +35,11 @@ def adopt_all() -> None:
 
 
 def on_change(block: bpy.types.ID, table: str) -> None:
-    """Show another frame, hang LiDARs beside a road that slopes otherwise, or dress one as its new model.
+    """Show another frame, hang LiDARs beside another road, or dress one as its new model.
 
     What is wrong stands at the top of the tab.
     """
-    scene = block if isinstance(block, bpy.types.Scene) else next(iter(block.users_scene), None)
+    scene = properties.scene_of(block)
     if scene is None:
         return
     group = scene.blender_lidar

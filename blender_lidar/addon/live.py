@@ -102,24 +102,24 @@ def _problem_of(work, *given) -> str | None:
 
 def _update_one(scene, lidar, shown, objects) -> bool:
     """Look from a LiDAR unless it was looked at as it is now; whether that was done."""
-    group, place = lidar.lidar, properties.coordinates_of(lidar)
-    now = place, scene.blender_lidar.frame, objects.state, group.colour_by
+    group, mounting = lidar.lidar, properties.mounting_of(lidar)
+    now = mounting, scene.blender_lidar.frame, objects.state, group.colour_by
     if now == shown.seen:
         return False
     shown.seen = now
     vehicles = session.vehicles_of(scene)
     frame = shown.frame
-    if frame is None or frame.frame.vehicles.frame != vehicles.frame or session.dragged_off(lidar, place):
+    if frame is None or frame.frame.vehicles.frame != vehicles.frame or session.dragged_off(lidar, mounting):
         shown.scenario, shown.baseline = session.scenario_from(scene, lidar), None
         frame = shown.frame = session.live_frame(scene, lidar)
     if shown.baseline is None:
-        shown.baseline = frame.look(shown.scenario.baseline_pose, [objects])
-    shown.look = look = frame.look(shown.scenario.pose(place), [objects])
+        shown.baseline = frame.look(shown.scenario.baseline.pose, [objects])
+    shown.look = look = frame.look(mounting.pose, [objects])
     shown.bits = entropy_of_vehicles(look.cloud, vehicles, shown.scenario.objective)
     of_points = entropy_of_points(look.cloud, vehicles, shown.bits)
     shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, of_points))
     shown.batch = None
-    session.store(lidar, vehicles, place, look, shown.baseline)
+    session.store(lidar, vehicles, look, shown.baseline)
     if lidar == session.active_lidar(scene):
         colour_vehicles(*_coloured(scene, vehicles, shown.bits))
     redraw()

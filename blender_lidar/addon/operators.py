@@ -17,8 +17,8 @@ from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
 from ..run.optimise import evaluate_site
-from ..scene.mounting import COORDINATES, leaning, pose_at
-from ..scene.scenario import load_scenario, scenario_of, shipped_scenes
+from ..scene.mounting import Mounting, mounting_from
+from ..scene.scenario import Scenario, load_scenario, scenario_of, shipped_scenes
 from ..scene.site import check_mount_is_clear, lattice_of, prepare, read_recordings, standing_scenery
 from ..sensors.pose import Pose
 from ..toml_table import read_toml
@@ -88,7 +88,9 @@ def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scene
     """Show the road, what a scene file has standing there, and the frame of a recording nearest to a number."""
     group = scene.blender_lidar
     scenario = session.scenario_from(scene)
-    build_road(scene, scenario.road, max(_LEAST_REACH_M, scenario.sensor.range_gate_m))
+    reach, road = max(_LEAST_REACH_M, scenario.sensor.range_gate_m), scenario.road_map
+    s = float(road.locate([scenario.deployment.nominal_xy]).s_m[0])
+    build_road(scene, road, (s - reach, s + reach))
     build_scenery(scene, scenery)
     for item in collection(scene, "Scenery", STANDING).objects:
         item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned
@@ -140,10 +142,11 @@ def _take_over(operator, context, path):
     tables, folder = read_toml(path), str(path.resolve().parent)
     recordings, scenery = read_recordings(scenario), _standing(scenario)
     session.fill_scene(scene, tables, folder, scenario)
+    properties.hang_again(scene)
     found = session.active_lidar(scene)
     if found is None:  # where what is not searched is as the file says
         fixed = scenario.deployment.places[0].fixed
-        found = add_lidar(scene, scenario.pose(leaning(scenario.baseline, **fixed)))
+        found = add_lidar(scene, properties.changed_mounting(scenario.baseline, fixed, scenario.road_map).pose)
     session.fill_lidar(found, tables, folder, scenario)
     dress(found, lattice_of(scenario.sensor))
     select(context, found)
@@ -157,7 +160,7 @@ def _standing(scenario):
     """What a scene's [world] has standing there at the start of its traffic."""
     if not scenario.world.has_scenery:
         return None
-    return standing_scenery(scenario, resolve(scenario.model.caster, "caster"), None).at(0.0).scenery
+    return standing_scenery(scenario, resolve(scenario.model.caster, "caster")).at(0.0).scenery
 
 
 def _loaded(operator, recording):
@@ -216,9 +219,8 @@ class LIDAR_OT_add(bpy.types.Operator):
         if not _shows(context.view_layer.layer_collection, into):
             raise InputError(f"collection {into.name} is excluded from this view layer; tick it in the Outliner")
         x, y, z = scene.cursor.location
-        place = {**dict.fromkeys(COORDINATES, 0.0), "x_m": x, "y_m": y}
-        place["height_m"] = max(z, properties.exact(scene.blender_lidar.baseline.height_m))
-        select(context, add_lidar(scene, pose_at(place, properties.sloping(scene))))
+        place = {"x_m": x, "y_m": y, "height_m": max(z, properties.exact(scene.blender_lidar.baseline.height_m))}
+        select(context, add_lidar(scene, mounting_from(place, properties.road_of(scene)).pose))
         return {"FINISHED"}
 
 
@@ -283,6 +285,14 @@ def _fill_from(scene):
 # --- Scan and score ---------------------------------------------------------------------------------------------------
 
 
+def _checked(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario, Mounting, Vehicles]:
+    """The settings of a LiDAR, how it hangs, and the frame that is shown, in which it hangs clear."""
+    scenario, mounting = session.scenario_from(scene, lidar), properties.mounting_of(lidar)
+    vehicles = session.vehicles_of(scene)
+    check_mount_is_clear(scenario, [vehicles], {lidar.name: mounting})
+    return scenario, mounting, vehicles
+
+
 class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
     """Cast one revolution from the LiDAR: its cloud, and what the vehicles are worth under it"""
 
@@ -293,16 +303,14 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         """Scan exactly, check the place, and show the cloud."""
         scene = context.scene
         lidar = session.needed_lidar(scene)
-        place = properties.coordinates_of(lidar)
-        scenario, vehicles = session.scenario_from(scene, lidar), session.vehicles_of(scene)
-        check_mount_is_clear(scenario, [vehicles], {lidar.name: place})
+        scenario, mounting, vehicles = _checked(scene, lidar)
         ready = session.live_frame(scene, lidar, exact=True)
         objects = session.exact_objects(scene, context.view_layer, scenario)
-        look = ready.look(scenario.pose(place), objects)
+        look = ready.look(mounting.pose, objects)
         bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
         points = vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits))
         colour_cloud(show_cloud(lidar, points), lidar.lidar.colour_by)
-        session.store(lidar, vehicles, place, look, ready.look(scenario.baseline_pose, objects))
+        session.store(lidar, vehicles, look, ready.look(scenario.baseline.pose, objects))
         group = lidar.lidar
         told_of = "" if look.scored is None else f", objective {group.objective:.2f}"
         self.report({"INFO"}, f"{lidar.name}: {group.points:,} points on frame {vehicles.frame}{told_of}")
@@ -317,8 +325,8 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
     @told
     def execute(self, context):
         """Take the pose over."""
-        place = properties.coordinates_of(session.needed_lidar(context.scene))
-        properties.fill(context.scene.blender_lidar.baseline, properties.SIX, place)
+        mounting = properties.mounting_of(session.needed_lidar(context.scene))
+        properties.fill(context.scene.blender_lidar.baseline, properties.SIX, mounting.as_table())
         return {"FINISHED"}
 
 
@@ -327,13 +335,10 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
 
 def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     """The active LiDAR as the command line's `scan` has it, and the frame that is shown."""
-    lidar = session.needed_lidar(scene)
-    scenario, place = session.scenario_from(scene, lidar), properties.coordinates_of(lidar)
-    vehicles = session.vehicles_of(scene)
-    check_mount_is_clear(scenario, [vehicles], {lidar.name: place})
+    scenario, mounting, vehicles = _checked(scene, session.needed_lidar(scene))
     caster = resolve(scenario.model.caster, "caster")
-    scenery = standing_scenery(scenario, caster, place, open_scenery(scene, bpy.context.view_layer))
-    return MountedSensor(scenario, place, lattice_of(scenario.sensor), caster, scenery), vehicles
+    scenery = standing_scenery(scenario, caster, [mounting], open_scenery(scene, bpy.context.view_layer))
+    return MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, scenery), vehicles
 
 
 class LIDAR_OT_export_cloud(NeedsTraffic, bpy.types.Operator, ExportHelper):
@@ -391,13 +396,13 @@ class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
         """Evaluate the mounting."""
         scene = context.scene
         lidar = session.needed_lidar(scene)
-        place = properties.coordinates_of(lidar)
+        mounting = properties.mounting_of(lidar)
         check_unused(Path(self.directory), "folder", "run")
         objects = open_scenery(scene, context.view_layer)
         scenario, recordings = session.scenario_from(scene, lidar), session.recordings_of(scene)
-        site = prepare(scenario, place, scenery=objects, recordings=recordings)
+        site = prepare(scenario, [mounting], scenery=objects, recordings=recordings)
         with RunFolder(self.directory).locked() as folder:
-            result = evaluate_site(site, folder, place)
+            result = evaluate_site(site, folder, mounting)
         self.report({"INFO"}, f"{self.directory}: objective {result['objective']:.1f} {result['metric_unit']}")
         return {"FINISHED"}
 

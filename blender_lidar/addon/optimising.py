@@ -14,10 +14,12 @@ import sys
 import tempfile
 import time
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -27,7 +29,7 @@ from ..compiled import within_blender
 from ..errors import InputError
 from ..run.folder import RESULT
 from ..run.verdict import POINTS
-from ..scene.mounting import COORDINATES, MOUNTING_OR_LEAN, pose_at
+from ..scene.mounting import mounting_from
 from ..scene.scenario import Scenario
 from ..scene.settings import DECLARED
 from ..world.blender.objects import hang
@@ -97,10 +99,10 @@ class Optimisation:
         use = scenario.search
         self.done, self.total, self.best, self.result, self.problem = 0, 0, None, None, ""
         self._recent: deque[tuple[float, int]] = deque()  # when how many were done
-        for place in scenario.deployment.places:
+        for space in scenario.deployment.spaces:
             searches = use.seeds + (scenario.objective.tolerance is not None)
             self.total += searches * use.particles * use.iterations
-            self.total += math.prod(POINTS) if all(axis in place.bounds for axis in place.axes) else 0
+            self.total += math.prod(POINTS) if all(axis in space.bounds for axis in space.axes) else 0
         self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
         self._read = 0  # bytes of what it has printed
         self.folder = self._root / "run"
@@ -204,21 +206,21 @@ def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.O
         For fields that cannot be used, or where no coordinate is searched.
     """
     scenario = session.scenario_from(scene, lidar, here=False)
-    if not all(place.bounds for place in scenario.deployment.places):
+    if not all(space.variables for space in scenario.deployment.spaces):
         raise InputError("LiDAR panel: Optimise: every coordinate is fixed; switch at least one on")
     return Optimisation(scenario, open_scenery(scene, layer))
 
 
 def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
     """Keep with a LiDAR what its optimisation has found."""
-    group, result = lidar.lidar, job.result
-    held = result["holdout"] or {}
-    group.found_at = [result["deployment"][key] for key in COORDINATES]
-    group.found_before = list(properties.coordinates_of(lidar).values())
-    group.found_gain = held.get("gain_over_baseline", 0.0)
-    group.found_interval = held.get("interval_90") or (0.0, 0.0)
-    group.found_judged, group.found_unit = result["holdout"] is not None, result["metric_unit"]
-    group.found_folder, group.found = job.keep(lidar.name), True
+    found = {key: job.result[key] for key in ("deployment", "holdout", "metric_unit")}
+    found |= {"before": properties.mounting_of(lidar).as_table(), "folder": job.keep(lidar.name)}
+    lidar.lidar.found = json.dumps(found)
+
+
+def found_of(lidar: bpy.types.Object) -> dict[str, Any]:
+    """What an optimisation has found, as result.json has it, where the LiDAR hung before, and the run's folder."""
+    return json.loads(lidar.lidar.found)
 
 
 class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
@@ -294,25 +296,25 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
             return {"CANCELLED"}
         keep_result(lidar, job)
         bpy.ops.ed.undo_push(message="Optimise LiDAR")
-        folder = lidar.lidar.found_folder
+        folder = found_of(lidar)["folder"]
         kept = f"in {folder}" if folder.startswith("//") else "until Blender ends, as this file is not saved"
-        self.report({"INFO"}, f"{found_text(lidar.lidar)}; its report is kept {kept}")
+        self.report({"INFO"}, f"{found_text(found_of(lidar))}; its report is kept {kept}")
         return {"FINISHED"}
 
 
-def found_text(group: bpy.types.PropertyGroup) -> str:
+def found_text(found: Mapping[str, Any]) -> str:
     """What an optimisation has found, in a few words."""
-    place = dict(zip(COORDINATES, group.found_at, strict=True))
+    place = found["deployment"]
     return f"{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°"
 
 
-def gain_lines(group: bpy.types.PropertyGroup) -> list[str]:
+def gain_lines(found: Mapping[str, Any]) -> list[str]:
     """What a vehicle of the held-out traffic gains over the baseline."""
-    if not group.found_judged:
+    held = found["holdout"]
+    if held is None:
         return ["Nothing was held out."]
-    low, high = group.found_interval
-    lines = [f"Held out {group.found_gain:+.3f} {group.found_unit}"]
-    return lines + ([f"90 %: {low:+.3f} to {high:+.3f}"] if (low, high) != (0.0, 0.0) else [])
+    lines = [f"Held out {held['gain_over_baseline']:+.3f} {found['metric_unit']}"]
+    return lines + ["90 %: {:+.3f} to {:+.3f}".format(*pair) for pair in [held["interval_90"]] if pair]
 
 
 class _NeedsFound:
@@ -333,7 +335,7 @@ class LIDAR_OT_apply(_NeedsFound, bpy.types.Operator):
 
     def execute(self, context):
         """Move it there."""
-        return _moved(self, context, "found_at")
+        return _moved(self, context, "deployment")
 
 
 class LIDAR_OT_revert(_NeedsFound, bpy.types.Operator):
@@ -343,13 +345,12 @@ class LIDAR_OT_revert(_NeedsFound, bpy.types.Operator):
 
     def execute(self, context):
         """Move it back."""
-        return _moved(self, context, "found_before")
+        return _moved(self, context, "before")
 
 
 def _moved(operator, context, to):
     lidar = session.needed_lidar(context.scene)
-    place = dict(zip(COORDINATES, (round(value, 4) for value in getattr(lidar.lidar, to)), strict=True))
-    hang(lidar, pose_at(place, properties.road_of(lidar)))
+    hang(lidar, mounting_from(found_of(lidar)[to], properties.road_of(context.scene)).pose)
     context.view_layer.update()
     return operators.LIDAR_OT_scan.execute(operator, context)
 
@@ -361,7 +362,7 @@ class LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
 
     def execute(self, context):
         """Open it."""
-        page = Path(bpy.path.abspath(session.needed_lidar(context.scene).lidar.found_folder)) / "report.html"
+        page = Path(bpy.path.abspath(found_of(session.needed_lidar(context.scene))["folder"])) / "report.html"
         if not page.is_file():
             self.report({"ERROR"}, f"{page}: is gone; optimise again")
             return {"CANCELLED"}
@@ -381,7 +382,7 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
         group, shared, job = lidar.lidar, scene.blender_lidar, job_of(lidar)
         column = layout.column(align=True)
         column.enabled = job is None
-        for key in MOUNTING_OR_LEAN:
+        for key in properties.SEARCHABLE:
             row = column.row(align=True)
             row.use_property_split = False
             row.prop(group, f"{key}_on", toggle=True)
@@ -413,9 +414,9 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
             return
         layout.operator("lidar.optimise", icon="VIEWZOOM")
         if group.found:
-            box = layout.box().column(align=True)
-            box.label(text=f"Found: {found_text(group)}")
-            for line in gain_lines(group):
+            box, found = layout.box().column(align=True), found_of(lidar)
+            box.label(text=f"Found: {found_text(found)}")
+            for line in gain_lines(found):
                 box.label(text=line)
             row = layout.row(align=True)
             row.operator("lidar.apply", icon="CHECKMARK")

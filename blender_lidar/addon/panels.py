@@ -6,7 +6,8 @@ from pathlib import Path
 import bpy
 
 from ..errors import BlenderLidarError
-from ..scene.mounting import ANGLES
+from ..scene.mounting import COORDINATES
+from ..world.blender.objects import pose_of
 from . import operators, properties, session
 
 _TAB = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "LiDAR"}
@@ -78,7 +79,7 @@ class LIDAR_PT_road(bpy.types.Panel):
         rows(layout, group.traffic, "format", "period", "origin_m", "heading_deg", "time_step_s")
         layout.prop(group.world, "variety")
         lines = session.without_field(context.scene, session.active_lidar(context.scene))
-        region = session.kept_of(group).tables.get("region", {})
+        region = properties.kept_of(group).tables.get("region", {})
         if not (region.get("polygon_m") or region.get("stretches")):
             layout.label(text="Vehicles count within")
             rows(layout, group.region, "centre_m", "with_gate", *([] if group.region.with_gate else ["radius_m"]))
@@ -124,11 +125,11 @@ class LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
             layout.prop(lidar.lidar, "table_path")
         rows(layout, lidar.lidar, "rotation_hz", "range_gate_m")
         try:
-            place = properties.with_lean(properties.coordinates_of(lidar))
+            place = properties.mounting_of(lidar).as_table()
         except BlenderLidarError as error:
             layout.label(text=str(error), icon="ERROR")
             return
-        rows(layout, lidar.lidar, "x_m", "y_m", "height_m", *ANGLES)
+        rows(layout, lidar.lidar, *COORDINATES)
         way = "" if place["lean_direction_deg"] is None else f" towards {place['lean_direction_deg']:.0f}°"
         layout.label(text=f"Lean {place['lean_deg']:.1f}°{way}")
 
@@ -168,10 +169,10 @@ def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
     """Whether the LiDAR or the frame is another than when it was scanned."""
     group = lidar.lidar
     try:
-        place = properties.coordinates_of(lidar).values()
+        pose = pose_of(lidar).as_table().values()
     except BlenderLidarError:
         return True
-    moved = any(abs(a - b) > 1e-3 for a, b in zip(place, group.scanned_at, strict=True))
+    moved = any(abs(a - b) > 1e-3 for a, b in zip(pose, group.scanned_at, strict=True))
     return moved or group.scanned_frame != scene.blender_lidar.frame
 
 

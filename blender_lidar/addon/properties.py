@@ -5,10 +5,12 @@ precision and angles in radians: `values_of` gives them back as they were typed.
 """
 
 # Not from __future__ import annotations: Blender reads properties from annotations as they are.
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import get_origin
+from dataclasses import asdict
+from typing import NamedTuple, get_origin
 
 import bpy
 from bpy.props import (
@@ -23,17 +25,10 @@ from bpy.props import (
 
 from ..errors import InputError
 from ..names import METRIC_NAMES
-from ..road import RoadFrame
-from ..scene.mounting import (
-    COORDINATES,
-    LEANS,
-    MOUNTING_OR_LEAN,
-    SEARCHED,
-    leaning,
-    plumb,
-    pose_at,
-    with_lean,
-)
+from ..road.road_map import RoadMap
+from ..road.straight import StraightRoad, road_map
+from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED
+from ..scene.mounting import COORDINATES, LEANS, Mounting, hung_at, mounting_from
 from ..scene.settings import DECLARED, GATE
 from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
@@ -167,8 +162,7 @@ _TRAFFIC = _chosen(
     "traffic", "path", "format", "period", "origin_m", "heading_deg", "time_step_s", "frames", "holdout", "block_s"
 )
 _ROAD = _chosen("road", "station_m", "right_edge_m", "setback_m", "lanes", "lane_width_m")
-_SLOPES = ("grade_percent", "cross_fall_percent")
-_ROAD |= _chosen("road", *_SLOPES, "crown_percent")
+_ROAD |= _chosen("road", "grade_percent", "cross_fall_percent", "crown_percent")
 _WORLD = _chosen("world", "detail", "ground", "variety", "variety_seed")
 _OBJECTIVE = _chosen("objective", "threshold", "cell_m")
 _SEARCH = _chosen("search", "particles", "iterations", "seed")
@@ -187,6 +181,8 @@ TABLES = {
 """The settings that a scene has once, by table of the scene file."""
 _USUAL = {"x_m": (-10.0, 10.0), "y_m": (-5.0, 0.0), **SEARCHED}  # bounds of a row that is switched on
 SIX = {key: MOUNTING_OR_LEAN[key] for key in COORDINATES}
+SEARCHABLE = SIX | {key: MOUNTING_OR_LEAN[key] for key in LEANS}
+"""The coordinates of which a LiDAR has a field and a row of bounds each."""
 
 
 def _annotations(table: str, keys: Mapping[str, Setting]) -> dict[str, object]:
@@ -198,6 +194,47 @@ GROUPS = {
     table: type(f"LIDAR_PG_{table}", (bpy.types.PropertyGroup,), {"__annotations__": _annotations(table, keys)})
     for table, keys in TABLES.items()
 }
+
+
+# --- What a scene file says, kept beside the fields that it has filled: only those changed since replace it -----------
+
+
+class Kept(NamedTuple):
+    """What a scene or a LiDAR was filled with.
+
+    Attributes
+    ----------
+    tables : dict
+        The scene file's own tables; none where nothing was loaded.
+    folder : str
+        Where relative paths among them start from.
+    fields : dict
+        What the panel's fields said when they had been filled, by table and key.
+    """
+
+    tables: dict[str, dict]
+    folder: str
+    fields: dict[str, dict]
+
+
+def kept_of(group: bpy.types.PropertyGroup) -> Kept:
+    """What a scene's or a LiDAR's group was filled with."""
+    return Kept(**json.loads(group.kept)) if group.kept else Kept({}, "", {})
+
+
+def keep_tables(group: bpy.types.PropertyGroup, tables: dict, folder: str, fields: dict) -> None:
+    """Keep with a scene or a LiDAR what it has just been filled with."""
+    group.kept = json.dumps(Kept(tables, folder, fields)._asdict())
+
+
+def changed(before: Kept, fields: dict[str, dict]) -> dict[tuple[str, str], tuple[object, str]]:
+    """The fields that are not as they were filled, as `scenario_of` takes what replaces a file's settings."""
+    found = {}
+    for table, now in fields.items():
+        then = before.fields.get(table, {})
+        keys = [key for key in {**then, **now} if now.get(key) != then.get(key)]
+        found |= {(table, key): (now.get(key), where(table, key)) for key in keys}
+    return found
 
 
 # --- The baseline, the region, and what a scene has besides -----------------------------------------------------------
@@ -263,8 +300,8 @@ class LIDAR_PG_scene(bpy.types.PropertyGroup):
     )
     at_s: FloatProperty(name="Time", unit="TIME", options={"HIDDEN"}, description="Time of the frame in its recording")
     active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimised")
-    hung_on: FloatVectorProperty(
-        size=2, options={"HIDDEN"}, description="Grade and cross fall of the road beside which the LiDARs hang"
+    hung_on: StringProperty(
+        default="{}", options={"HIDDEN"}, description="The road beside which the LiDARs hang, as JSON"
     )
 
 
@@ -282,60 +319,80 @@ LIDAR_PG_scene.__annotations__ |= {
 def _pose_getter(key):
     def get(group):
         try:
-            place = coordinates_of(group.id_data)
+            value = mounting_of(group.id_data).as_table()[key] or 0.0  # what does not lean has no direction
         except InputError:  # mirrored, which the panel says in place of a pose
             return math.nan
-        value = with_lean(place)[key] if key in LEANS else place[key]
-        return math.radians(value or 0.0) if key.endswith("_deg") else value
+        return math.radians(value) if key.endswith("_deg") else value
 
     return get
 
 
 def _pose_setter(key):
     def put(group, value):
-        value = exact(value, key)
         lidar = group.id_data
-        hang(lidar, pose_at(leaning(coordinates_of(lidar), **{key: value}), road_of(lidar)))
+        given = {key: exact(value, key)}
+        hang(lidar, changed_mounting(mounting_of(lidar), given, road_of(scene_of(lidar))).pose)
 
     return put
 
 
-def coordinates_of(lidar: bpy.types.Object, road: RoadFrame | None = None) -> dict[str, float]:
-    """The six coordinates of a LiDAR's mounting [m, degrees], on a plumb mast, rounded to what Blender holds.
+def scene_of(block: bpy.types.Scene | bpy.types.Object) -> bpy.types.Scene | None:
+    """A scene itself, or the first one that a LiDAR is in."""
+    return block if isinstance(block, bpy.types.Scene) else next(iter(block.users_scene), None)
 
-    The mast stands beside a `road`, its scene's unless said.
+
+def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mounting:
+    """How a LiDAR hangs beside a `road`, its scene's unless said; its coordinates are rounded to what Blender holds.
+
+    Raises
+    ------
+    InputError
+        For a LiDAR that is mirrored.
     """
-    place = plumb(pose_of(lidar), road_of(lidar) if road is None else road)
-    return {key: round(value, _POSE_DIGITS) + 0.0 for key, value in place.items()}
+    road = road_of(scene_of(lidar)) if road is None else road
+    filed = kept_of(lidar.lidar).tables.get("deployment", {})
+    hung = hung_at(pose_of(lidar), road, math.radians(filed.get("facing_deg", 90.0)))
+    table = hung.as_table()
+    return mounting_from({key: round(table[key], _POSE_DIGITS) + 0.0 for key in COORDINATES}, road, hung)
 
 
-def road_of(lidar: bpy.types.Object) -> RoadFrame:
-    """The road that the LiDAR's scene has, as far as its mast is concerned: its slopes."""
-    scene = next(iter(lidar.users_scene), None)
-    return RoadFrame() if scene is None else sloping(scene)
+def changed_mounting(mounting: Mounting, given: Mapping[str, float], road: RoadMap) -> Mounting:
+    """A mounting with the coordinates that are given [m, degrees]; of a lean the others stay as they are."""
+    if given.keys() & set(LEANS):
+        given = {key: value for key, value in mounting.as_table().items() if key in LEANS} | dict(given)
+    return mounting_from(given, road, mounting)
 
 
-def sloping(scene: bpy.types.Scene) -> RoadFrame:
-    """The road that the panel's fields say, as far as masts are concerned."""
-    return RoadFrame(**{key: exact(getattr(scene.blender_lidar.road, key)) for key in _SLOPES})
+def straight_road(scene: bpy.types.Scene | None) -> StraightRoad:
+    """[road] of a scene: as its file has it, changed as the panel's fields say."""
+    if scene is None:
+        return StraightRoad()
+    kept, fields = kept_of(scene.blender_lidar), values_of(scene.blender_lidar.road, _ROAD)
+    changes = changed(kept, {"road": fields})
+    return StraightRoad(**kept.tables.get("road", {}) | {key: value for (_, key), (value, _) in changes.items()})
+
+
+def road_of(scene: bpy.types.Scene | None) -> RoadMap:
+    """The road of a scene, as a map."""
+    return road_map(straight_road(scene))
 
 
 def hang_as_they_are(scene: bpy.types.Scene) -> None:
-    """Take a scene's LiDARs for hung beside its road as it slopes now."""
-    scene.blender_lidar.hung_on = [getattr(sloping(scene), key) for key in _SLOPES]
+    """Take a scene's LiDARs for hung beside its road as it is now."""
+    scene.blender_lidar.hung_on = json.dumps(asdict(straight_road(scene)))
 
 
 def hang_again(scene: bpy.types.Scene) -> None:
-    """Hang a scene's LiDARs by their coordinates beside its road as it slopes now; mirrored ones have none."""
-    now, before = sloping(scene), dict(zip(_SLOPES, map(exact, scene.blender_lidar.hung_on), strict=True))
-    before = RoadFrame(**before)
-    if now == before:
-        return
+    """Hang a scene's LiDARs by their coordinates beside its road as it is now; mirrored ones have none."""
+    before, now = road_map(StraightRoad(**json.loads(scene.blender_lidar.hung_on))), road_of(scene)
     hang_as_they_are(scene)
     for lidar in lidars(scene):
         if lidar.users_scene[0] == scene:
             with suppress(InputError):
-                hang(lidar, pose_at(coordinates_of(lidar, before), now))
+                mounting = mounting_of(lidar, before)
+                there = mounting_from({}, now, mounting)
+                if there != mounting:
+                    hang(lidar, there.pose)
 
 
 class LIDAR_PG_lidar(bpy.types.PropertyGroup):
@@ -379,18 +436,11 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
     detectable_share: FloatProperty(options={"HIDDEN"})
     baseline_objective: FloatProperty(options={"HIDDEN"})
     baseline_share: FloatProperty(options={"HIDDEN"})
-    found: BoolProperty(options={"HIDDEN"})
-    found_at: FloatVectorProperty(size=6, options={"HIDDEN"})
-    found_before: FloatVectorProperty(size=6, options={"HIDDEN"})
-    found_judged: BoolProperty(options={"HIDDEN"})
-    found_gain: FloatProperty(options={"HIDDEN"})
-    found_interval: FloatVectorProperty(size=2, options={"HIDDEN"})
-    found_unit: StringProperty(options={"HIDDEN"})
-    found_folder: StringProperty(options={"HIDDEN"})
+    found: StringProperty(options={"HIDDEN"}, description="What an optimisation has found, as JSON")
 
 
 LIDAR_PG_lidar.__annotations__ |= _annotations("sensor", SENSOR)
-for _key, _declared in MOUNTING_OR_LEAN.items():
+for _key, _declared in SEARCHABLE.items():
     LIDAR_PG_lidar.__annotations__[_key] = made_from(
         _key, _declared, "deployment", get=_pose_getter(_key), set=_pose_setter(_key), update=None
     )

@@ -6,12 +6,11 @@ undo leaves as it is, or by their names where Blender has none.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import bpy
 
@@ -20,7 +19,7 @@ from ..casting.protocol import StandingScenery
 from ..clouds.live import DRAG_M, LiveFrame, Look
 from ..errors import InputError
 from ..names import METRIC_NAMES
-from ..scene.mounting import ANGLES, LEANS, MOUNTING_OR_LEAN, pose_at, six_coordinates, with_lean
+from ..scene.mounting import ANGLES, LEANS, PLACE, Mounting, mounting_from
 from ..scene.observation import CountedFrame, vehicle_weights
 from ..scene.region import region_of
 from ..scene.scenario import Scenario, scenario_of
@@ -29,14 +28,14 @@ from ..scene.site import lattice_of, observation_of, read_recordings, scoring_of
 from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, instants, joined_recordings
 from ..traffic.vehicles import unknown_frame
-from ..world.blender.objects import is_lidar, lidars
+from ..world.blender.objects import is_lidar, lidars, pose_of
 from ..world.blender.site import open_scenery
 from . import properties
 
 _SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
-_FRAMES: dict[str, tuple[str, str, Mapping[str, float], LiveFrame]] = {}  # by LiDAR: what and where it was made for
+_FRAMES: dict[str, tuple[str, str, Mounting, LiveFrame]] = {}  # by LiDAR: what and where it was made for
 
 
 def uid_of(block: bpy.types.ID) -> str:
@@ -68,47 +67,6 @@ def needed_lidar(scene: bpy.types.Scene) -> bpy.types.Object:
     if lidar is None:
         raise InputError("the scene has no LiDAR; add one: Add > LiDAR")
     return lidar
-
-
-# --- What a scene file says, kept beside the fields that it has filled: only those changed since replace it -----------
-
-
-class Kept(NamedTuple):
-    """What a scene or a LiDAR was filled with.
-
-    Attributes
-    ----------
-    tables : dict
-        The scene file's own tables; none where nothing was loaded.
-    folder : str
-        Where relative paths among them start from.
-    fields : dict
-        What the panel's fields said when they had been filled, by table and key.
-    """
-
-    tables: dict[str, dict]
-    folder: str
-    fields: dict[str, dict]
-
-
-def kept_of(group: bpy.types.PropertyGroup) -> Kept:
-    """What a scene's or a LiDAR's group was filled with."""
-    return Kept(**json.loads(group.kept)) if group.kept else Kept({}, "", {})
-
-
-def keep_tables(group: bpy.types.PropertyGroup, tables: dict, folder: str, fields: dict) -> None:
-    """Keep with a scene or a LiDAR what it has just been filled with."""
-    group.kept = json.dumps(Kept(tables, folder, fields)._asdict())
-
-
-def changed(before: Kept, fields: dict[str, dict]) -> dict[tuple[str, str], tuple[object, str]]:
-    """The fields that are not as they were filled, as `scenario_of` takes what replaces a file's settings."""
-    found = {}
-    for table, now in fields.items():
-        then = before.fields.get(table, {})
-        keys = [key for key in {**then, **now} if now.get(key) != then.get(key)]
-        found |= {(table, key): (now.get(key), properties.where(table, key)) for key in keys}
-    return found
 
 
 # --- Settings: a scene file, and the panel's fields as changes to it --------------------------------------------------
@@ -143,8 +101,8 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
         Naming the panel's field, or the place in the scene file; for a scene whose unit is not the metre.
     """
     check_unit(scene)
-    kept = kept_of(scene.blender_lidar)
-    tables, changes = dict(kept.tables), changed(kept, fields_of(scene))
+    kept = properties.kept_of(scene.blender_lidar)
+    tables, changes = dict(kept.tables), properties.changed(kept, fields_of(scene))
     if lidar is not None:
         own, changes_of_sensor = _sensor_of(lidar)
         tables |= own | {"deployment": deployment_table(lidar)}
@@ -157,8 +115,8 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
 
 def _sensor_of(lidar):
     """[sensor] of a LiDAR as its file has it, and what its fields change of that."""
-    kept = kept_of(lidar.lidar)
-    changes = changed(kept, {"sensor": sensor_table(lidar)})
+    kept = properties.kept_of(lidar.lidar)
+    changes = properties.changed(kept, {"sensor": sensor_table(lidar)})
     return {"sensor": kept.tables.get("sensor", {})}, changes
 
 
@@ -197,23 +155,23 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
         properties.fill(getattr(group, name), keys, found[name])
     group.source, metric = scenario.source, scenario.objective.metric
     group.metric = metric if metric in METRIC_NAMES else properties.OWN
-    properties.fill(group.baseline, properties.SIX, scenario.baseline)
+    properties.fill(group.baseline, properties.SIX, found["baseline"])
     region, own = scenario.region, dict(tables.get("region", {}))
     if region.centre_m is not None:
         group.region.with_gate = own.get("radius_m") == GATE
         group.region.centre_m, group.region.radius_m = region.centre_m, region.radius_m
         own |= {"centre_m": region.centre_m, "radius_m": GATE if group.region.with_gate else region.radius_m}
     kept = {name: table for name, table in tables.items() if name not in ("sensor", "deployment")}
-    kept |= {"region": own, "baseline": dict(scenario.baseline)}
-    keep_tables(group, kept, folder, fields_of(scene))
+    kept |= {"region": own, "baseline": found["baseline"], "road": found["road"]}
+    properties.keep_tables(group, kept, folder, fields_of(scene))
     group.schema = properties.SCHEMA
 
 
 def without_field(scene: bpy.types.Scene, lidar: bpy.types.Object | None) -> list[str]:
     """What is kept of the scene file and has no field in the panel, a line for each table."""
-    tables = {**kept_of(scene.blender_lidar).tables}
+    tables = {**properties.kept_of(scene.blender_lidar).tables}
     if lidar is not None:
-        tables["sensor"] = kept_of(lidar.lidar).tables.get("sensor", {})
+        tables["sensor"] = properties.kept_of(lidar.lidar).tables.get("sensor", {})
     shown = {**properties.TABLES, "sensor": ("name", *properties.SENSOR), "region": ("centre_m", "radius_m")}
     lines = []
     for name, table in tables.items():
@@ -247,7 +205,7 @@ def fill_lidar(lidar: bpy.types.Object, tables: Mapping[str, Mapping], folder: s
         group.name_, group.table_path = properties.OWN, str(Path(sensor["name"]).resolve())
     properties.fill(group, properties.SENSOR, sensor)
     group.poles = str(Path(deployment.pop("poles")).resolve()) if scenario.deployment.poles else ""
-    for key in MOUNTING_OR_LEAN:
+    for key in properties.SEARCHABLE:
         bounds, scale = deployment.get(key), math.radians(1.0) if key.endswith("_deg") else 1.0
         searched = isinstance(bounds, list | tuple)
         setattr(group, f"{key}_on", searched)
@@ -257,13 +215,13 @@ def fill_lidar(lidar: bpy.types.Object, tables: Mapping[str, Mapping], folder: s
     own = {str(Path(folder, key).resolve()) if is_sensor_file(key) else key: value for key, value in own.items()}
     fields = {"sensor": sensor_table(lidar), "deployment": _bounds_of(group)}
     own["name"] = fields["sensor"]["name"]  # with its whole path
-    keep_tables(group, {"sensor": own, "deployment": deployment}, folder, fields)
+    properties.keep_tables(group, {"sensor": own, "deployment": deployment}, folder, fields)
     group.schema = properties.SCHEMA
 
 
 def _bounds_of(group: bpy.types.PropertyGroup) -> dict[str, list[float]]:
     """Between what bounds a LiDAR's rows that are on have it searched [m, degrees]."""
-    on = [key for key in MOUNTING_OR_LEAN if getattr(group, f"{key}_on")]
+    on = [key for key in properties.SEARCHABLE if getattr(group, f"{key}_on")]
     return {key: [properties.exact(getattr(group, f"{key}_{end}"), key) for end in ("low", "high")] for key in on}
 
 
@@ -272,16 +230,18 @@ def deployment_table(lidar: bpy.types.Object) -> dict[str, object]:
 
     A coordinate that is as the scene file had it keeps the file's number, which has more digits than Blender holds.
     """
-    group, place, kept = lidar.lidar, with_lean(properties.coordinates_of(lidar)), kept_of(lidar.lidar)
+    group, mounting, kept = lidar.lidar, properties.mounting_of(lidar), properties.kept_of(lidar.lidar)
+    place, road = mounting.as_table(), properties.road_of(properties.scene_of(lidar))
     filed, filled = (of.get("deployment", {}) for of in (kept.tables, kept.fields))
     bounds = _bounds_of(group)
     fixed = {key: value for key, value in filed.items() if isinstance(value, float) and key not in bounds}
     leans = bounds.keys() & set(LEANS) or ("lean_deg" in filed and not bounds.keys() & set(ANGLES))
     turn = {key: place[key] or 0.0 for key in (LEANS if leans else ANGLES)}
     as_filed = {key: fixed.get(key, value) for key, value in turn.items()}
-    table = {key: place[key] for key in ("x_m", "y_m", "height_m")}
+    table = {key: value for key, value in filed.items() if key not in properties.SEARCHABLE}
+    table |= {key: place[key] for key in PLACE}
     table |= {key: fixed[key] for key in table if key in fixed and abs(fixed[key] - table[key]) < _SAME_M}
-    now, then = (pose_at(six_coordinates({**table, **angles})).rotation for angles in (turn, as_filed))
+    now, then = (mounting_from(angles, road, mounting).pose.rotation for angles in (turn, as_filed))
     table |= as_filed if abs(now - then).max() < _SAME_ROTATION else turn
     table |= {key: filed[key] if pair == filled.get(key) else pair for key, pair in bounds.items()}
     if group.poles:
@@ -371,26 +331,28 @@ def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool =
         For settings, traffic or a frame that cannot be used.
     """
     scenario, vehicles, key = scenario_from(scene, lidar), vehicles_of(scene), uid_of(lidar)
-    place, tables = properties.coordinates_of(lidar), scenario.as_tables()
+    mounting, tables = properties.mounting_of(lidar), scenario.as_tables()
     stamps = [_stamp(path) for path in scenario.files.values()]
     of = repr(({name: tables[name] for name in tables if name not in ("deployment", "search")}, vehicles.frame, stamps))
-    about = repr((place, tables["deployment"])) if exact and scenario.world.clutter else ""
+    about = repr((mounting, tables["deployment"])) if exact and scenario.world.clutter else ""
     before = _FRAMES.get(key)
-    if before is None or before[0] != of or (about and before[1] != about) or dragged_off(lidar, place):
-        _FRAMES[key] = of, about, place, _made_ready(scenario, vehicles, place)
+    if before is None or before[0] != of or (about and before[1] != about) or dragged_off(lidar, mounting):
+        _FRAMES[key] = of, about, mounting, _made_ready(scenario, vehicles, mounting)
     return _FRAMES[key][-1]
 
 
-def dragged_off(lidar: bpy.types.Object, place: Mapping[str, float]) -> bool:
+def dragged_off(lidar: bpy.types.Object, mounting: Mounting) -> bool:
     """Whether a LiDAR is so far from where its frame was made ready that scenery and crown may end too soon."""
     before = _FRAMES.get(uid_of(lidar))
-    return before is not None and any(abs(place[key] - before[2][key]) > DRAG_M for key in ("x_m", "y_m"))
+    return before is not None and any(
+        abs(now - then) > DRAG_M for now, then in zip(mounting.xy, before[2].xy, strict=True)
+    )
 
 
-def _made_ready(scenario: Scenario, vehicles: Vehicles, place: Mapping[str, float]) -> LiveFrame:
-    caster, region = resolve(scenario.model.caster, "caster"), region_of(scenario.region, scenario.road.carriageway_y)
+def _made_ready(scenario: Scenario, vehicles: Vehicles, mounting: Mounting) -> LiveFrame:
+    caster, region = resolve(scenario.model.caster, "caster"), region_of(scenario.region, scenario.road_map)
     frame = CountedFrame(vehicles, region.holds(vehicles), vehicle_weights(vehicles, scenario.objective))
-    scenery = standing_scenery(scenario, caster, place, margin_m=2.0 * DRAG_M)
+    scenery = standing_scenery(scenario, caster, [mounting], margin_m=2.0 * DRAG_M)
     observation = observation_of(scenario, lattice_of(scenario.sensor), caster, scenery)
     scoring = scoring_of(scenario) if frame.counted.any() else None
     return LiveFrame(frame, observation, scoring, ground=scenario.world.ground)
@@ -411,10 +373,11 @@ def exact_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, scenario: 
     return [_OBJECTS[key][1]] if len(scenery) else []
 
 
-def store(lidar: bpy.types.Object, vehicles: Vehicles, place: Mapping[str, float], look: Look, baseline: Look) -> None:
+def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Look) -> None:
     """Keep with a LiDAR what the panel says of a scan: its size and score, and the baseline's."""
     group = lidar.lidar
-    group.points, group.scanned_frame, group.scanned_at = len(look.cloud), vehicles.frame, list(place.values())
+    group.points, group.scanned_frame = len(look.cloud), vehicles.frame
+    group.scanned_at = list(pose_of(lidar).as_table().values())
     group.vehicles = 0 if look.scored is None else look.scored.values.shape[1]
     for scored, objective, share in (
         (look.scored, "objective", "detectable_share"),
@@ -424,11 +387,7 @@ def store(lidar: bpy.types.Object, vehicles: Vehicles, place: Mapping[str, float
         setattr(group, share, 0.0 if scored is None else float(scored.detectable.mean()))
 
 
-def forget(scene: bpy.types.Scene | None = None) -> None:
-    """Let go of what is kept, of one scene or of all."""
-    if scene is None:
-        _RECORDINGS.clear()
-        _FRAMES.clear()
-        _OBJECTS.clear()
-    else:
-        _RECORDINGS.pop(uid_of(scene), None)
+def forget() -> None:
+    """Let go of all that is kept."""
+    for kept in (_RECORDINGS, _FRAMES, _OBJECTS):
+        kept.clear()
