@@ -24,8 +24,8 @@ from case_study import (
     PUBLISHED,
     SENSORS,
     Effort,
-    coordinates,
     evenly_spaced,
+    layout_at,
     open_case,
     with_even_beams,
 )
@@ -285,9 +285,10 @@ def test_every_setting_is_varied_for_every_sensor_and_what_the_traffic_does_not_
 
 def test_what_is_measured_vehicle_by_vehicle_is_what_an_evaluator_sums(scene):
     site = with_even_beams(open_case(scene, {}, TINY).site("RS-80"))
-    seen = measure(site, coordinates(site, (3.5, 10.0)))
+    layout = layout_at(site, (3.5, 10.0))
+    seen = measure(site, layout)
     with Evaluator(site.holdout, site.observation, site.scoring) as evaluator:
-        totals = evaluator.totals([site.scenario.deployment.pose((3.5, 10.0))])
+        totals = evaluator.totals([layout])
     assert seen["objective_bits"].sum() == pytest.approx(totals.objective.sum())
     assert seen["detectable"].sum() == totals.detectable.sum()
     assert {len(seen[name]) for name in (*MEASURES, "distance_m", "block")} == {totals.vehicles.sum()}

@@ -23,19 +23,24 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.errors import WorkerError
 from blender_lidar.run.verdict import VEHICLE_COLUMNS, distance_bands, judge, lanes, vehicle_table
+from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator, Totals
 from blender_lidar.scoring.fidelity import Fidelity, coarse_observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
-from blender_lidar.sensors.pose import Pose
 from tests.sample_traffic import counted_frames
 from tests.waiting import WAIT_S, wait_for
 
 SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
 SCORING = Scoring(0.005, "mean", -1.0, "corrected")
-POSES = [Pose(height_m=2.0), Pose(height_m=4.1, tilt_x=0.33), Pose(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4)]
+MOUNTINGS = [
+    Mounting(height_m=2.0),
+    Mounting(height_m=4.1, tilt_x=0.33),
+    Mounting(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4),
+]
+LAYOUTS, POSES = [(one,) for one in MOUNTINGS], [one.pose for one in MOUNTINGS]
 
 
 FRAMES = counted_frames(5)
@@ -45,7 +50,7 @@ ROOT = str(Path(__file__).parents[1])
 @pytest.fixture(scope="module")
 def alone() -> Totals:
     with Evaluator(FRAMES, SEEN, SCORING) as evaluator:
-        return evaluator.totals(POSES)
+        return evaluator.totals(LAYOUTS)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +61,7 @@ def pair():
 
 def test_one_worker_and_two_give_the_same_bits(alone, pair):
     for _ in range(2):  # with trees new and kept
-        together = pair.totals(POSES)
+        together = pair.totals(LAYOUTS)
         for mine, theirs in zip(alone, together, strict=True):
             assert mine.dtype == theirs.dtype
             assert mine.tobytes() == theirs.tobytes()
@@ -64,7 +69,7 @@ def test_one_worker_and_two_give_the_same_bits(alone, pair):
 
 @pytest.mark.parametrize("chosen", [(0,), (3, 1), (4, 0, 2, 1, 3)])
 def test_some_of_the_frames_score_as_they_do_among_all_in_the_order_asked_for(alone, pair, chosen):
-    some = pair.totals(POSES, chosen)
+    some = pair.totals(LAYOUTS, chosen)
     for mine, theirs in zip(some, alone, strict=True):
         assert np.array_equal(mine, theirs[..., list(chosen)])
 
@@ -73,9 +78,9 @@ def test_a_coarser_fidelity_scores_as_an_evaluator_of_its_own_observation_does()
     whole = replace(SEEN, lattice=beam_lattice(load_model("RS-16"), stride=1))
     fidelity = Fidelity("box", stride=40)
     with Evaluator(FRAMES, whole, SCORING) as evaluator:
-        coarse = evaluator.totals(POSES, (2, 0), fidelity)
+        coarse = evaluator.totals(LAYOUTS, (2, 0), fidelity)
     with Evaluator([FRAMES[2], FRAMES[0]], coarse_observation(whole, fidelity), SCORING) as evaluator:
-        expected = evaluator.totals(POSES)
+        expected = evaluator.totals(LAYOUTS)
     for mine, theirs in zip(coarse, expected, strict=True):
         assert np.array_equal(mine, theirs)
 
@@ -88,14 +93,14 @@ def test_one_worker_and_two_give_the_same_bits_with_every_caster(caster):
     found = []
     for workers in (1, 2):
         with Evaluator(FRAMES, replace(SEEN, caster=caster), SCORING, workers=workers) as evaluator:
-            found.append(evaluator.totals(POSES).objective.tobytes())
+            found.append(evaluator.totals(LAYOUTS).objective.tobytes())
     assert found[0] == found[1]
 
 
 def test_a_mounting_has_the_same_score_whatever_else_is_asked(alone, pair):
-    for number, pose in enumerate(POSES):
-        np.testing.assert_array_equal(pair.totals([pose]).objective[0], alone.objective[number])
-    np.testing.assert_array_equal(pair.totals(POSES[::-1]).detectable, alone.detectable[::-1])
+    for number, layout in enumerate(LAYOUTS):
+        np.testing.assert_array_equal(pair.totals([layout]).objective[0], alone.objective[number])
+    np.testing.assert_array_equal(pair.totals(LAYOUTS[::-1]).detectable, alone.detectable[::-1])
 
 
 def test_totals_are_the_sums_of_equations_10_and_11_over_each_frame(alone):
@@ -124,7 +129,7 @@ def test_the_reading_the_threshold_the_view_and_the_loss_reach_the_score(alone):
     def objective(**changes):
         settings = {"threshold": 0.005, "view": "mean", "loss": -1.0, "reading": "corrected"} | changes
         with Evaluator(FRAMES, SEEN, Scoring(**settings)) as evaluator:
-            return evaluator.totals(POSES)
+            return evaluator.totals(LAYOUTS)
 
     missed = alone.vehicles.sum() - alone.detectable.sum(axis=1)
     assert (missed > 0).all()
@@ -137,12 +142,12 @@ def test_the_reading_the_threshold_the_view_and_the_loss_reach_the_score(alone):
 
 def test_more_workers_than_frames_and_no_frames_are_fine():
     with Evaluator(FRAMES[:1], SEEN, SCORING, workers=8) as evaluator:
-        assert evaluator.totals(POSES).objective.shape == (3, 1)
+        assert evaluator.totals(LAYOUTS).objective.shape == (3, 1)
     with Evaluator([], SEEN, SCORING, workers=2) as evaluator:
-        assert evaluator.totals(POSES).objective.shape == (3, 0)
+        assert evaluator.totals(LAYOUTS).objective.shape == (3, 0)
     nothing = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
     with Evaluator([nothing, FRAMES[0]], SEEN, SCORING) as evaluator:
-        assert evaluator.totals(POSES).objective[:, 0].tolist() == [0.0, 0.0, 0.0]
+        assert evaluator.totals(LAYOUTS).objective[:, 0].tolist() == [0.0, 0.0, 0.0]
 
 
 def leaves_ctrl_c_alone(process):
@@ -160,7 +165,7 @@ def stop_while_working(children):
         assert all(map(leaves_ctrl_c_alone, children))
         for child in children:
             os.kill(child.pid, signal.SIGINT)
-        assert evaluator.totals(POSES[:1]).objective.shape == (1, 5)
+        assert evaluator.totals(LAYOUTS[:1]).objective.shape == (1, 5)
         raise KeyboardInterrupt
 
 
@@ -202,7 +207,7 @@ def test_ctrl_c_while_the_workers_end_waits_until_they_have(monkeypatch):
 def totals_until_refused(evaluator):
     """The pool notices a dead worker a moment later, or when it is next asked."""
     for _ in range(200):
-        evaluator.totals(POSES[:1])
+        evaluator.totals(LAYOUTS[:1])
         time.sleep(0.05)
 
 
@@ -257,7 +262,7 @@ def test_nothing_stays_of_what_workers_read_when_they_start_nor_of_workers_that_
         assert len(list(tmp_path.glob("blender_lidar-*"))) == 1
         evaluator.workers.await_ready()
         assert not list(tmp_path.glob("blender_lidar-*"))
-        assert evaluator.totals(POSES[:1]).objective.shape == (1, 5)
+        assert evaluator.totals(LAYOUTS[:1]).objective.shape == (1, 5)
 
 
 @pytest.mark.skipif(not is_available("bvh"), reason="the library of bvh is not installed")
@@ -309,7 +314,7 @@ def test_nobody_waits_for_workers_that_are_starting(alone):
         (child,) = set(multiprocessing.active_children()) - before
         os.kill(child.pid, signal.SIGSTOP)  # it will never come
         try:
-            together = evaluator.totals(POSES)
+            together = evaluator.totals(LAYOUTS)
         finally:
             os.kill(child.pid, signal.SIGCONT)
     assert together.objective.tobytes() == alone.objective.tobytes()
@@ -332,7 +337,7 @@ def test_starting_workers_leaves_the_environment_as_it_was(monkeypatch):
 
 
 def test_the_vehicle_table_adds_up_to_the_totals(alone):
-    table = vehicle_table(POSES[1], search=Evaluator(FRAMES, SEEN, SCORING))
+    table = vehicle_table(LAYOUTS[1], search=Evaluator(FRAMES, SEEN, SCORING))
     assert tuple(table) == VEHICLE_COLUMNS
     assert {len(column) for column in table.values()} == {alone.vehicles.sum()}
     score = np.where(table["detectable"], table["entropy_bits"], -1.0)
@@ -347,22 +352,22 @@ def test_the_vehicle_table_adds_up_to_the_totals(alone):
 
 def test_both_splits_stand_in_one_table_and_frames_in_which_nobody_counts_in_none():
     searched, held_out = FRAMES[:2], FRAMES[2:3]
-    alone = vehicle_table(POSES[0], search=Evaluator(searched, SEEN, SCORING))
+    alone = vehicle_table(LAYOUTS[0], search=Evaluator(searched, SEEN, SCORING))
     nobody = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
     for empty in ([], [nobody]):
         evaluator = Evaluator(searched, SEEN, SCORING, held_out=empty)
-        table = vehicle_table(POSES[0], search=evaluator, holdout=evaluator.held_out)
+        table = vehicle_table(LAYOUTS[0], search=evaluator, holdout=evaluator.held_out)
         for name in VEHICLE_COLUMNS:
             np.testing.assert_array_equal(table[name], alone[name])
             assert table[name].dtype == alone[name].dtype
     evaluator = Evaluator(searched, SEEN, SCORING, held_out=held_out)
-    both = vehicle_table(POSES[0], search=evaluator, holdout=evaluator.held_out)
+    both = vehicle_table(LAYOUTS[0], search=evaluator, holdout=evaluator.held_out)
     assert both["split"].tolist() == ["search"] * len(alone["frame"]) + ["holdout"] * FRAMES[2].counted.sum()
     np.testing.assert_array_equal(both["points"][: len(alone["frame"])], alone["points"])
 
 
 def test_distances_and_lanes_sort_every_vehicle_into_one_group():
-    table = vehicle_table(POSES[0], search=Evaluator(FRAMES, SEEN, SCORING))
+    table = vehicle_table(LAYOUTS[0], search=Evaluator(FRAMES, SEEN, SCORING))
     for groups in (distance_bands(table), lanes(table)):
         assert np.sum([mine for _, mine in groups], axis=0).tolist() == [1] * len(table["frame"])
         assert len({name for name, _ in groups}) == len(groups)
@@ -376,7 +381,7 @@ def verdict(holdout, block):
     zeros = {name.replace("block", "recording"): np.zeros_like(of) for name, of in blocks.items()}
     site = SimpleNamespace(plan=SimpleNamespace(**blocks, **zeros), scenario=SimpleNamespace(recordings=("one",)))
     with Evaluator(FRAMES, SEEN, SCORING, held_out=holdout) as evaluator:
-        return judge(site, {"optimised": POSES[1], "baseline": POSES[0]}, evaluator, seed=1)
+        return judge(site, {"optimised": LAYOUTS[1], "baseline": LAYOUTS[0]}, evaluator, seed=1)
 
 
 def test_the_verdict_is_the_gain_over_the_baseline_on_held_out_frames(alone):
@@ -385,7 +390,7 @@ def test_the_verdict_is_the_gain_over_the_baseline_on_held_out_frames(alone):
     assert found["optimised"]["objective"] == pytest.approx(alone.objective[1].sum())
     assert found["baseline"]["objective_per_vehicle"] == pytest.approx(alone.per_vehicle()[0])
     with Evaluator(held_out, SEEN, SCORING) as evaluator:
-        judged = evaluator.totals([POSES[1], POSES[0]])
+        judged = evaluator.totals([LAYOUTS[1], LAYOUTS[0]])
     mine = found["optimised"]["holdout"]
     gain = judged.per_vehicle()[0] - judged.per_vehicle()[1]
     assert mine["gain_over_baseline"] == pytest.approx(gain, rel=1e-12)

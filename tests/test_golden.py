@@ -24,12 +24,11 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main
 from blender_lidar.optimise import de_pso, maximise
-from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.frame_scorer import FrameScorer
-from blender_lidar.scoring.scores import VehicleScores, mountings_of
-from tests.small_scene import traffic_rows, write_scene, write_table
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
+from blender_lidar.scoring.scores import VehicleScores
+from tests.small_scene import mounting, traffic_rows, write_scene, write_table
 from tests.test_auto_search import made_search
 
 ROOT = Path(__file__).parents[1]
@@ -52,7 +51,7 @@ def scored(site, frame, poses):
     """Points (s, n), occupancies (s, n, 3) and what each vehicle adds to the objective (s, n), of s mountings."""
     scorer = FrameScorer(frame.vehicles, frame.counted, site.observation)
     scores = VehicleScores(site.scoring, site.observation, site.search)
-    of = scores.of(frame, scorer, poses, mountings_of(poses))
+    of = scores.of(frame, scorer, singles(poses))
     return of.seen.points, of.seen.occupancy, of.objective
 
 
@@ -89,7 +88,7 @@ def fixed_poses(number: int = 40):
     places = rng.uniform(low, high, (number, 6))
     places[:4] = [[0, 0, height, tilt, 0, 0] for height, tilt in ((2.0, 0.0), (3.0, 10.0), (4.5, 23.0), (4.5, 0.0))]
     names = ("x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg")
-    return [pose_at(dict(zip(names, row, strict=True))) for row in places.tolist()]
+    return [mounting(dict(zip(names, row, strict=True))).pose for row in places.tolist()]
 
 
 def needs(*casters: str) -> None:

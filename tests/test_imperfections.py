@@ -10,6 +10,7 @@ import pytest
 
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
+from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
@@ -25,11 +26,12 @@ COARSE = {
     "a unit of RS-80": beam_lattice(unit_of(load_model("RS-80"), 0.1, 3), stride=50),
 }
 TRAFFIC = dense_traffic(vehicles=40, length_m=100.0, frame=7)
-MOUNTINGS = [Pose(height_m=4.1, tilt_x=0.33), Pose(1.0, -0.5, 2.6, 0.1, 0.07, -0.5)]
+MOUNTINGS = [Mounting(height_m=4.1, tilt_x=0.33), Mounting(Mast((1.0, -0.5, 0.0)), 2.6, 0.1, 0.07, -0.5)]
+LAYOUTS, POSES = [(one,) for one in MOUNTINGS], [one.pose for one in MOUNTINGS]
 ROUGH = Imperfections(0.05, 0.2, glass_dropout=0.4, seed=5)
 
 
-def cloud_of(imperfections=PERFECT, lattice=FINE["RS-16"], vehicles=TRAFFIC, pose=MOUNTINGS[0], **changes):
+def cloud_of(imperfections=PERFECT, lattice=FINE["RS-16"], vehicles=TRAFFIC, pose=POSES[0], **changes):
     options = {"caster": "exact", "min_range_m": 0.4, "max_range_m": 60.0} | changes
     return scan(vehicles, lattice, pose, imperfections=imperfections, **options)
 
@@ -139,7 +141,7 @@ def test_a_firing_column_draws_the_same_wherever_it_points():
 def test_a_beam_draws_the_same_under_every_mounting():
     lattice = FINE["RS-16"]
     errors = []
-    for pose in MOUNTINGS:
+    for pose in POSES:
         true, noisy = cloud_of(pose=pose, max_range_m=200.0), cloud_of(ROUGH, pose=pose, max_range_m=200.0)
         _, mine, theirs = np.intersect1d(beams_of(true, lattice), beams_of(noisy, lattice), return_indices=True)
         error = np.full(lattice.rings * lattice.columns, np.nan)
@@ -211,10 +213,10 @@ def test_one_worker_and_two_give_the_same_bits():
     found, frames, scoring = [], counted_frames(4), Scoring(0.005, "mean", -1.0, "corrected")
     for workers in (1, 2):
         with Evaluator(frames, seen, scoring, workers) as evaluator:
-            found.append(evaluator.totals(MOUNTINGS).objective)
+            found.append(evaluator.totals(LAYOUTS).objective)
     assert found[0].tobytes() == found[1].tobytes()
     with Evaluator(frames, replace(seen, imperfections=PERFECT), scoring) as evaluator:
-        assert (evaluator.totals(MOUNTINGS).objective != found[0]).any()
+        assert (evaluator.totals(LAYOUTS).objective != found[0]).any()
 
 
 # --- settings that cannot be ------------------------------------------------------------------------------------------

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from blender_lidar.report.installation import installation_text
-from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from tests.small_scene import write_scene
+from tests.small_scene import mounting, write_scene
 
 MOUNT = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 15.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
 BASE_SCORES = {"detectable_share": 0.5, "objective_per_vehicle": 0.5}
@@ -69,7 +68,7 @@ def test_height_place_and_scores_are_those_of_the_result(sheet):
 @pytest.mark.parametrize(("tilt_x", "tilt_y", "yaw"), [(15.0, 0.0, 0.0), (-5.0, 8.0, 0.0), (12.0, -3.0, 40.0)])
 def test_the_inclinometer_readings_are_the_slopes_of_the_sensors_axes(sheet, tilt_x, tilt_y, yaw):
     text = sheet(tilt_x_deg=tilt_x, tilt_y_deg=tilt_y, yaw_deg=yaw)
-    pose = pose_at(MOUNT | {"tilt_x_deg": tilt_x, "tilt_y_deg": tilt_y, "yaw_deg": yaw})
+    pose = mounting(MOUNT, tilt_x_deg=tilt_x, tilt_y_deg=tilt_y, yaw_deg=yaw).pose
     ahead, aside = np.degrees(np.arcsin(-pose.to_world(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))[:, 2]))
     assert number_in(text, r"a fall of (-?[\d.]+) deg towards zero azimuth") == pytest.approx(ahead, abs=0.051)
     assert number_in(text, r"(-?[\d.]+) deg a quarter turn clockwise") == pytest.approx(aside, abs=0.051)
@@ -87,7 +86,7 @@ def test_beside_a_slope_readings_stay_those_of_a_plumb_mast(sheet):
     assert "are not in the model: look for them" in text
     # Plumb, z upwards: the ray from the head meets z = 0.04 x + 0.02 y where there is no crown.
     flat = sheet({"road": slope | {"crown_percent": 0.0}}, yaw_deg=40.0)
-    pose = pose_at(MOUNT | {"yaw_deg": 40.0})
+    pose = mounting(MOUNT, yaw_deg=40.0).pose
     x, y, z = pose.to_world(np.array([[0.0, math.cos(math.radians(15.0)), -math.sin(math.radians(15.0))]]))[0]
     spot = np.array([x, y, z]) * 4.0 / (0.04 * x + 0.02 * y - z) + [0.0, 0.0, 4.0]
     found = number_in(flat, TARGET)
@@ -156,7 +155,7 @@ def test_a_pole_at_the_very_edge_is_not_beyond_the_other_one(sheet):
 @pytest.mark.parametrize(("y_m", "yaw"), [(0.0, 90.0), (12.0, 180.0)])
 def test_a_turned_sensor_is_not_said_to_lean_the_way_it_would_unturned(sheet, y_m, yaw):
     text = sheet(y_m=y_m, yaw_deg=yaw)
-    low = pose_at(MOUNT | {"yaw_deg": yaw}).to_world(np.array([[0.0, 1.0, 0.0]]))[0]
+    low = mounting(MOUNT, yaw_deg=yaw).pose.to_world(np.array([[0.0, 1.0, 0.0]]))[0]
     assert low[1] < 0.1  # down is not towards +y
     assert "down towards +y" not in text
 

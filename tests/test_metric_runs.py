@@ -21,13 +21,13 @@ from blender_lidar.report.html import escaped
 from blender_lidar.report.summary import answer, objective_text
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.verdict import METRIC_VALUE, vehicle_table
+from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
-from blender_lidar.sensors.pose import Pose
 from tests.report_samples import page_of
 from tests.sample_traffic import counted_frames
 from tests.small_scene import cli, done, without_charts, write_scene
@@ -35,7 +35,12 @@ from tests.small_scene import cli, done, without_charts, write_scene
 pytestmark = pytest.mark.usefixtures("quick")
 
 SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
-POSES = [Pose(height_m=2.0), Pose(1.0, -0.5, 4.1, 0.33), Pose(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4)]
+MOUNTINGS = [
+    Mounting(height_m=2.0),
+    Mounting(Mast((1.0, -0.5, 0.0)), 4.1, 0.33),
+    Mounting(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4),
+]
+LAYOUTS, POSES = [(one,) for one in MOUNTINGS], [one.pose for one in MOUNTINGS]
 OTHERS = ("detectable", "points", "distance", "ap-entropy")
 
 
@@ -50,7 +55,7 @@ FRAMES = counted_frames(2)
 def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_mounting_alone(name, loss):
     metric, scoring = METRICS[name], Scoring(0.005, "mean", loss, "corrected", name)
     with Evaluator(FRAMES, SEEN, scoring) as evaluator:
-        totals = evaluator.totals(POSES)
+        totals = evaluator.totals(LAYOUTS)
     sign = 1.0 if metric.higher_is_better else -1.0
     for column, frame in enumerate(FRAMES):
         scorer, counted = FrameScorer(frame.vehicles, frame.counted, SEEN), frame.vehicles.select(frame.counted)
@@ -70,7 +75,7 @@ def test_one_worker_and_two_give_the_same_bits_with_a_metric_that_needs_the_retu
     scoring, found = Scoring(0.005, "mean", None, "corrected", "voxel-entropy-0.2"), []
     for workers in (1, 2):
         with Evaluator(FRAMES, SEEN, scoring, workers=workers) as evaluator:
-            found.append(evaluator.totals(POSES).objective.tobytes())
+            found.append(evaluator.totals(LAYOUTS).objective.tobytes())
     assert found[0] == found[1]
 
 
@@ -89,7 +94,7 @@ def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for(
 
 def test_the_vehicle_table_has_a_column_for_another_metric_and_none_for_pe_vgop():
     plain, other = (
-        vehicle_table(POSES[1], search=Evaluator(FRAMES, SEEN, Scoring(0.005, "mean", None, "corrected", name)))
+        vehicle_table(LAYOUTS[1], search=Evaluator(FRAMES, SEEN, Scoring(0.005, "mean", None, "corrected", name)))
         for name in ("pe-vgop", "distance")
     )
     assert METRIC_VALUE not in plain
@@ -101,7 +106,9 @@ def test_the_vehicle_table_has_a_column_for_another_metric_and_none_for_pe_vgop(
 # --- the detectable share ---------------------------------------------------------------------------------------------
 
 GRID = [
-    Pose(height_m=height, tilt_x=tilt) for height in (2.0, 2.5, 3.0, 3.5, 4.0) for tilt in np.linspace(0.0, 0.4, 12)
+    (Mounting(height_m=height, tilt_x=tilt),)
+    for height in (2.0, 2.5, 3.0, 3.5, 4.0)
+    for tilt in np.linspace(0.0, 0.4, 12)
 ]
 
 

@@ -12,17 +12,17 @@ import pytest
 import tests.research  # noqa: F401
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
+from blender_lidar.metrics.metric import Field, Mountings, SceneContext, VehicleReturns, View
 from blender_lidar.run.verdict import map_scores
+from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
-from blender_lidar.scoring.frame_scorer import FrameScorer
-from blender_lidar.scoring.scores import VehicleScores, mountings_of
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
+from blender_lidar.scoring.scores import VehicleScores
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
-from blender_lidar.sensors.pose import Pose
 from scene_metrics import (
     DISC_RADIUS_M,
     NAMES,
@@ -52,8 +52,13 @@ def field_between(right, left, radius_m=30.0, x_m=0.0, y_m=0.0):
 
 
 FIELD = field_between(2.0, 23.96)
-POSES = [Pose(height_m=2.0), Pose(height_m=4.1, tilt_x=0.33), Pose(1.0, -1.0, 3.0, 0.1, 0.1, 0.4)]
-OUT_OF_REACH = Pose(height_m=40.0)
+MOUNTINGS = [
+    Mounting(height_m=2.0),
+    Mounting(height_m=4.1, tilt_x=0.33),
+    Mounting(Mast((1.0, -1.0, 0.0)), 3.0, 0.1, 0.1, 0.4),
+]
+LAYOUTS, POSES = [(one,) for one in MOUNTINGS], [one.pose for one in MOUNTINGS]
+OUT_OF_REACH = Mounting(height_m=40.0)
 
 
 def frames_of(number, seed=0, length_m=70.0):
@@ -75,9 +80,9 @@ def context(frames=FRAMES, lattice=LATTICE):
     return SceneContext(tuple(frame.boxes for frame in frames), lattice.directions, 0.4, 30.0, FIELD)
 
 
-def per_vehicle(name, poses=POSES, frames=FRAMES):
+def per_vehicle(name, layouts=LAYOUTS, frames=FRAMES):
     with Evaluator(frames, SEEN, scoring(name)) as evaluator:
-        return evaluator.totals(poses).per_vehicle()
+        return evaluator.totals(layouts).per_vehicle()
 
 
 def published(name, pose, road):
@@ -103,10 +108,10 @@ def test_a_value_does_not_depend_on_where_the_frames_origin_is(name):
     moved = [
         replace(frame, vehicles=replace(frame.vehicles, centre_m=frame.vehicles.centre_m + by)) for frame in FRAMES
     ]
-    poses = [replace(pose, x_m=pose.x_m + by[0], y_m=pose.y_m + by[1]) for pose in POSES]
+    layouts = [(replace(one, mast=Mast((one.xy[0] + by[0], one.xy[1] + by[1], 0.0))),) for one in MOUNTINGS]
     field = field_between(-10.0, 11.96, x_m=40.0, y_m=-12.0)
     with Evaluator(moved, SEEN, scoring(name, field)) as evaluator:
-        found = evaluator.totals(poses).per_vehicle()
+        found = evaluator.totals(layouts).per_vehicle()
     np.testing.assert_allclose(found, per_vehicle(name), rtol=1e-3)
 
 
@@ -116,11 +121,9 @@ def test_the_frame_and_the_company_in_which_mountings_are_scored_do_not_matter()
         together = VehicleScores(scoring(name), SEEN, FRAMES)
         for frame in (FRAMES[3], FRAMES[0]):
             scorer = FrameScorer(frame.vehicles, frame.counted, SEEN)
-            all_three = together.of(frame, scorer, POSES, mountings_of(POSES)).values
+            all_three = together.of(frame, scorer, singles(POSES)).values
             for pose, values in zip(POSES[::-1], all_three[::-1], strict=True):
-                alone = (
-                    VehicleScores(scoring(name), SEEN, FRAMES).of(frame, scorer, [pose], mountings_of([pose])).values
-                )
+                alone = VehicleScores(scoring(name), SEEN, FRAMES).of(frame, scorer, singles([pose])).values
                 np.testing.assert_array_equal(alone[0], values)
 
 
@@ -134,7 +137,8 @@ def test_each_mounting_is_valued_once_for_all_frames_however_many_are_scored_tog
         return origin[2]
 
     score = SceneScore(context(), lambda known: known, value)
-    mountings = mountings_of([Pose(height_m=height) for height in (2.0, 3.0, 4.0, 5.0)])
+    origin = np.array([[0.0, 0.0, height] for height in (2.0, 3.0, 4.0, 5.0)])
+    mountings = Mountings(origin, np.stack([np.eye(3)] * 4))
     for frame in (*FRAMES, *FRAMES):
         n = 4 * frame.counted.sum()
         view = View(mountings, frame.boxes)
@@ -181,17 +185,18 @@ def test_the_ground_nearer_than_the_sensor_reports_does_not_return():
     assert 0 < len(kept) < len(every)
 
 
-@pytest.mark.parametrize("pose", [*POSES, OUT_OF_REACH])
-def test_ground_returns_are_those_of_a_scan_of_the_empty_road(pose):
+@pytest.mark.parametrize("mounting", [*MOUNTINGS, OUT_OF_REACH])
+def test_ground_returns_are_those_of_a_scan_of_the_empty_road(mounting):
+    pose = mounting.pose
     empty = dense_traffic(vehicles=0)
     cloud = scan(empty, LATTICE, pose, caster="exact", min_range_m=0.4, max_range_m=30.0).xyz
     inside = (cloud[:, 1] >= 2.0) & (cloud[:, 1] <= 23.96) & (np.hypot(cloud[:, 0], cloud[:, 1]) <= 30.0)
     points = ground_points(context(), pose.position, pose.rotation)
     np.testing.assert_allclose(points, cloud[inside, :2], atol=1e-9)
     area = field_area(FIELD)
-    found = [per_vehicle(name, [pose])[0] for name in ("ground_density", "ground_nuc")]
+    found = [per_vehicle(name, [(mounting,)])[0] for name in ("ground_density", "ground_nuc")]
     np.testing.assert_allclose(found, [len(points) / area, -nuc(points, area)], rtol=1e-12)
-    assert (len(points) > 0) == (pose is not OUT_OF_REACH)
+    assert (len(points) > 0) == (mounting is not OUT_OF_REACH)
 
 
 AREA_M2 = 20.0 * 30.0
@@ -262,7 +267,7 @@ def test_frames_in_which_nothing_counts_have_no_values():
     nobody = [CountedFrame(frame.vehicles, np.zeros_like(frame.counted)) for frame in FRAMES]
     for name in NAMES:
         with Evaluator(nobody, SEEN, scoring(name)) as evaluator:
-            assert evaluator.totals(POSES).objective.tolist() == [[0.0] * 6] * 3
+            assert evaluator.totals(LAYOUTS).objective.tolist() == [[0.0] * 6] * 3
 
 
 def test_traffic_beside_the_carriageway_is_refused_in_one_line():
@@ -273,7 +278,7 @@ def test_traffic_beside_the_carriageway_is_refused_in_one_line():
             InputError, match=r"s_mig', line \d+: InputError: no vehicle of the frames is on the carriageway"
         ),
     ):
-        evaluator.totals(POSES)
+        evaluator.totals(LAYOUTS)
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
@@ -287,10 +292,10 @@ def test_a_metric_drives_a_search_and_is_judged_on_a_prior_of_the_held_out_frame
     result = json.loads(out)
     scenario = load_scenario(scene, {("objective", "metric"): (OPTIONS[name], "--metric")})
     site = prepare(scenario)
-    best = scenario.deployment.pose([result["deployment"]["height_m"]])
+    layouts = [(scenario.mounting(result["deployment"]),), (scenario.baseline,)]
     for frames, stored in ((site.search, result), (site.holdout, result["holdout"])):
         with Evaluator(frames, site.observation, site.scoring) as evaluator:
-            found, base = evaluator.totals([best, scenario.baseline_pose]).per_vehicle()
+            found, base = evaluator.totals(layouts).per_vehicle()
         assert stored["objective_per_vehicle"] == pytest.approx(found, rel=1e-9)
         assert found != base
 
@@ -298,8 +303,8 @@ def test_a_metric_drives_a_search_and_is_judged_on_a_prior_of_the_held_out_frame
 def test_searching_for_s_mig_hides_the_road_that_its_positive_form_uncovers():
     """The degenerate sign, in a search that may tilt the LiDAR away."""
     tilts = np.linspace(-0.7, 0.45, 14)
-    poses = [Pose(height_m=4.0, tilt_x=tilt) for tilt in tilts]
-    turned_away, uncovered = (tilts[np.argmax(per_vehicle(name, poses))] for name in ("s_mig", "covered_entropy"))
+    layouts = [(Mounting(height_m=4.0, tilt_x=tilt),) for tilt in tilts]
+    turned_away, uncovered = (tilts[np.argmax(per_vehicle(name, layouts))] for name in ("s_mig", "covered_entropy"))
     assert turned_away < 0.0 < uncovered
 
 
@@ -312,8 +317,9 @@ def test_metric_choices_names_the_best_point_of_each_metrics_own_map(tmp_path, c
     rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()[1:]}
     scenario = load_scenario(scene, {("objective", "metric"): (names[-1], "--metric")})
     site = prepare(scenario)
+    (space,) = scenario.deployment.spaces
     with site_evaluator(site, site.search) as evaluator:
-        found = map_scores(evaluator, scenario.deployment, dict(scenario.baseline), site.plan.search_block)
+        found = map_scores(evaluator, space, space.lower, site.plan.search_block)
     height, tilt = np.unravel_index(np.argmax(found.per_vehicle), found.per_vehicle.shape)
     expected = [f"{found.height_m[height]:.2f}", f"{found.tilt_deg[tilt]:.1f}"]
     assert rows["scene_metrics.py:ground_density"][:2] == expected

@@ -19,7 +19,6 @@ import numpy as np
 
 from blender_lidar.clouds.live import LiveFrame
 from blender_lidar.clouds.snapshot import entropy_of_points, entropy_of_vehicles, vertices_of
-from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recording
 from blender_lidar.world.blender.objects import new_mesh
@@ -62,7 +61,7 @@ def drag(path, sensor, caster, height, tilt, with_objects):
     live, seconds = LiveFrame(site.counted(vehicles), site.observation, site.scoring), []
     objects, cloud = VisibleObjects(), None
     for x in np.linspace(-0.5 * _DRAG_M, 0.5 * _DRAG_M, _STEPS):
-        pose = pose_at({**scenario.baseline, "x_m": x, "height_m": height, "tilt_x_deg": tilt})
+        pose = scenario.mounting({"x_m": x, "height_m": height, "tilt_x_deg": tilt}).pose
         scene.view_layers[0].update()
         started = time.perf_counter()
         objects.refresh(scene, scene.view_layers[0].depsgraph)

@@ -23,7 +23,6 @@ from blender_lidar.metrics.vgop import entropy, pe_vgop
 from blender_lidar.optimise.solve import SearchResult
 from blender_lidar.optimise.solve import run as run_search
 from blender_lidar.run.optimise import fresh_search
-from blender_lidar.scene.mounting import pose_at
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import Scenario, load_scenario
@@ -189,7 +188,7 @@ def cases_of(scenario: Scenario, frames: int) -> list[FrameCase]:
     recording, gate = read_recording(scenario), scenario.sensor.range_gate_m
     region = Region(scenario.deployment.nominal_xy, gate)
     height, tilt = MOUNTINGS[scenario.sensor.name]
-    pose = pose_at({**scenario.baseline, "height_m": height, "tilt_x_deg": tilt})
+    pose = scenario.mounting({"height_m": height, "tilt_x_deg": tilt}).pose
     seen = (lattice_of(scenario.sensor), pose, gate, scenario.world.detail, scenario.objective.cell_m)
     chosen = plan_frames(recording, region.holds, count=frames).search.tolist()
     vehicles = (recording.vehicles(frame) for frame in chosen)
@@ -370,15 +369,15 @@ def optimisations(scene: str, overrides: dict, casters: Sequence[str]) -> list[E
     scenario = load_scenario(scene, {**overrides, **given, ("model", "caster"): (casters[0], "--caster")})
     if not scenario.deployment.bounds:
         raise InputError(f"{scene}: [deployment] fixes every coordinate; a search needs a pair [low, high]")
-    site = prepare(scenario)
-    note = f"{fresh_search(scenario).budget:,} evaluations, {len(site.search)} frames, 1 process"
+    site, space = prepare(scenario), scenario.deployment.spaces[0]
+    note = f"{fresh_search(scenario, space).budget:,} evaluations, {len(site.search)} frames, 1 process"
     entries = []
     for caster in casters:
         each = replace(site, observation=replace(site.observation, caster=caster))
         with Evaluator(
             each.search[:1], each.observation, each.scoring
         ) as evaluator:  # libraries and compiled code load
-            evaluator.totals([scenario.deployment.pose(scenario.deployment.lower)])
+            evaluator.totals([space.layout(space.lower)])
         name = f"optimisation, {scenario.sensor.name}, {caster}"
         entries.append(Entry(name, partial(optimise, each), "whole", note=note))
     return entries
@@ -386,10 +385,11 @@ def optimisations(scene: str, overrides: dict, casters: Sequence[str]) -> list[E
 
 def optimise(site: Site) -> SearchResult:
     """Search a site's mountings; what follows in a run, hold-out and map, is left out."""
-    deployment, search = site.scenario.deployment, fresh_search(site.scenario)
+    space = site.scenario.deployment.spaces[0]
+    search = fresh_search(site.scenario, space)
     with site_evaluator(site, site.search) as evaluator:
 
         def objective(x: np.ndarray) -> np.ndarray:
-            return evaluator.totals([deployment.pose(row) for row in x]).objective.sum(axis=1)
+            return evaluator.totals([space.layout(row) for row in x]).objective.sum(axis=1)
 
         return run_search(search, objective)

@@ -17,6 +17,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import PE_VGOP
 from blender_lidar.optimise import DePso
 from blender_lidar.run.verdict import AXES
+from blender_lidar.scene.mounting import Layout
 from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.provenance import file_digest
 from blender_lidar.scene.region import Region
@@ -25,8 +26,7 @@ from blender_lidar.scene.site import Site, prepare
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import LidarModel, load_model
 
-Mounting = tuple[float, float]  # height [m], tilt across the road [deg]
-Coordinates = dict[str, float]  # all six, as `mounting.pose_at` takes them
+HeightAndTilt = tuple[float, float]  # [m], across the road [deg]
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
 
 
@@ -117,9 +117,10 @@ def open_case(scene: str, overrides: Overrides, effort: Effort) -> CaseStudy:
     scenario = sites[0].scenario
     if scenario.objective.metric != PE_VGOP.name:
         raise InputError(f"{scene}: [objective] metric is {scenario.objective.metric!r}; allowed: {PE_VGOP.name!r}")
-    if scenario.deployment.variables != AXES:
+    if scenario.deployment.spaces[0].variables != AXES:
         raise InputError(f"{scene}: [deployment] {' and '.join(AXES)} must be pairs, and they alone: Table II has two")
-    if coordinates(sites[0], baseline_of(sites[0])) != dict(scenario.baseline):
+    (beside,) = layout_at(sites[0], baseline_of(sites[0]))
+    if beside.as_table() != scenario.baseline.as_table():
         raise InputError(f"{scene}: [baseline] stands elsewhere; allowed: another height and tilt alone")
     if not all(sum(frame.counted.sum() for frame in site.holdout) for site in sites):
         raise InputError(f"{scene}: [traffic] holdout leaves no vehicle to judge by; allowed: a share that leaves some")
@@ -128,14 +129,15 @@ def open_case(scene: str, overrides: Overrides, effort: Effort) -> CaseStudy:
     return replace(case, effort=effort, block_s=max(site.plan.block_s for site in sites))
 
 
-def coordinates(site: Site, mounting: Mounting) -> Coordinates:
-    """A height and a tilt at the scene's place."""
-    return site.scenario.deployment.coordinates(mounting)
+def layout_at(site: Site, at: HeightAndTilt) -> Layout:
+    """A LiDAR at a height and a tilt, at the scene's place."""
+    return site.scenario.deployment.spaces[0].layout(at)
 
 
-def baseline_of(site: Site) -> Mounting:
+def baseline_of(site: Site) -> HeightAndTilt:
     """Height [m] and tilt [deg] of the scene's baseline."""
-    return site.scenario.baseline["height_m"], site.scenario.baseline["tilt_x_deg"]
+    table = site.scenario.baseline.as_table()
+    return table["height_m"], table["tilt_x_deg"]
 
 
 # --- what the paper leaves unstated -----------------------------------------------------------------------------------

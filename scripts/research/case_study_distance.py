@@ -8,27 +8,27 @@ import numpy as np
 
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.run.verdict import distance_bands, vehicle_table
-from blender_lidar.scene.mounting import pose_at
+from blender_lidar.scene.mounting import Layout
 from blender_lidar.scene.site import Site
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.statistics import FEWEST_BLOCKS, block_sums, ratio_interval_90, resampled_weights, student_t_95
-from case_study import Coordinates, Mounting, baseline_of, coordinates
+from case_study import HeightAndTilt, baseline_of, layout_at
 
 BAND_M = 20.0  # the distance bands that the paper's text names: 0 to 20 m, 120 to 140 m
 MEASURES = ("detectable", "entropy_bits", "objective_bits")
 Measured = dict[str, np.ndarray]
 
 
-def measure(site: Site, mount: Coordinates) -> Measured:
+def measure(site: Site, layout: Layout) -> Measured:
     """What a mounting sees of each vehicle of the held-out frames.
 
     Returns
     -------
     dict of str to ndarray, (n,)
-        The `MEASURES`, and ``distance_m`` from the mount and ``block`` of each vehicle, in the same order for every
+        The `MEASURES`, and ``distance_m`` from the LiDAR and ``block`` of each vehicle, in the same order for every
         mounting of a site.
     """
-    table = vehicle_table(pose_at(mount), judged=Evaluator(site.holdout, site.observation, site.scoring))
+    table = vehicle_table(layout, judged=Evaluator(site.holdout, site.observation, site.scoring))
     score = vehicle_score(table["entropy_bits"], table["detectable"], site.scoring.loss, site.scoring.reading)
     number = {frame.vehicles.frame: of for frame, of in zip(site.holdout, site.plan.holdout_block, strict=True)}
     return {
@@ -51,7 +51,7 @@ def bands_of(measured: Measured) -> list[tuple[str, np.ndarray]]:
     return [*distance_bands(measured, BAND_M), ("all", np.ones(len(measured["distance_m"]), dtype=bool))]
 
 
-def by_distance(site: Site, label: str, optimum: Mounting, seed: int) -> dict[str, list[dict]]:
+def by_distance(site: Site, label: str, optimum: HeightAndTilt, seed: int) -> dict[str, list[dict]]:
     """Fig. 9: baseline, optimised mounting and change, with its interval.
 
     Returns
@@ -60,7 +60,7 @@ def by_distance(site: Site, label: str, optimum: Mounting, seed: int) -> dict[st
         ``fig9``, a row for each band of distance from the baseline and each measure, and ``fig9_halves``, a row for
         each measure: the change in the farther half of the bands less that in the nearer half.
     """
-    before, after = (measure(site, coordinates(site, at)) for at in (baseline_of(site), optimum))
+    before, after = (measure(site, layout_at(site, at)) for at in (baseline_of(site), optimum))
     change = {name: after[name] - before[name] for name in MEASURES}
     bands = [
         {
@@ -149,10 +149,10 @@ def effects(real: Mapping[str, np.ndarray], even: Mapping[str, np.ndarray]) -> d
     }
 
 
-def decomposition(real: Site, even: Site, optimum: Mounting, seed: int) -> list[dict]:
+def decomposition(real: Site, even: Site, optimum: HeightAndTilt, seed: int) -> list[dict]:
     """`effects` by distance band and measure, as means per vehicle with intervals."""
     heights, tilts = zip(baseline_of(real), optimum, strict=True)
-    corners = {f"{h}{t}": coordinates(real, (heights[h], tilts[t])) for h in (0, 1) for t in (0, 1)}
+    corners = {f"{h}{t}": layout_at(real, (heights[h], tilts[t])) for h in (0, 1) for t in (0, 1)}
     seen = [{corner: measure(site, at) for corner, at in corners.items()} for site in (real, even)]
     first = seen[0]["00"]
     rows = []

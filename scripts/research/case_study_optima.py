@@ -13,7 +13,6 @@ from blender_lidar.optimise import run
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.run.optimise import fresh_search
 from blender_lidar.run.verdict import AXES, ScoreMap, judge, map_scores, near_best_threshold
-from blender_lidar.scene.mounting import Deployment, pose_at
 from blender_lidar.scene.site import Site
 from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.statistics import FEWEST_BLOCKS, block_sums, resampled_weights
@@ -22,9 +21,9 @@ from case_study import (
     REGION_SHARE,
     SENSORS,
     CaseStudy,
-    Mounting,
+    HeightAndTilt,
     Variant,
-    coordinates,
+    layout_at,
     variants,
 )
 
@@ -66,11 +65,11 @@ def landscape(
 ) -> Landscape:
     """Score a grid of heights and tilts on the searched frames; `bounds` replace those of the scene."""
     scenario = site.scenario
-    deployment = scenario.deployment if bounds is None else Deployment(scenario.deployment.fixed, bounds)
-    others = deployment.coordinates(deployment.lower)
+    deployment = scenario.deployment if bounds is None else replace(scenario.deployment, bounds=bounds)
+    (space,) = deployment.spaces
     with site_evaluator(site, site.search) as evaluator:
-        found = map_scores(evaluator, deployment, others, site.plan.search_block, progress, grid)
-        before = evaluator.totals([scenario.baseline_pose])
+        found = map_scores(evaluator, space, space.lower, site.plan.search_block, progress, grid)
+        before = evaluator.totals([(scenario.baseline,)])
         filled = block_sums(evaluator.vehicles, site.plan.search_block) > 0
     baseline = {
         "per_vehicle": float(before.per_vehicle()[0]),
@@ -82,30 +81,30 @@ def landscape(
 
 def searched_optimum(site: Site, progress: Callable[[int], None] = lambda evaluations: None) -> dict:
     """What DE-PSO at the scene's settings, the paper's, finds: mounting, value per vehicle, evaluations."""
-    deployment = site.scenario.deployment
+    (space,) = site.scenario.deployment.spaces
     with site_evaluator(site, site.search) as evaluator:
 
         def objective(candidates: np.ndarray) -> np.ndarray:
-            values = evaluator.totals([deployment.pose(x) for x in candidates]).per_vehicle()
+            values = evaluator.totals([space.layout(x) for x in candidates]).per_vehicle()
             progress(len(candidates))
             return values
 
-        found = run(fresh_search(site.scenario), objective)
+        found = run(fresh_search(site.scenario, space), objective)
     return {
-        **{axis: float(found.x[deployment.variables.index(axis)]) for axis in AXES},
+        **{axis: float(found.x[space.variables.index(axis)]) for axis in AXES},
         "per_vehicle": found.value,
         "evaluations": found.evaluations,
         "seed": site.scenario.search.seed,
     }
 
 
-def judged(site: Site, mountings: Mapping[str, Mounting], seed: int) -> dict:
+def judged(site: Site, mountings: Mapping[str, HeightAndTilt], seed: int) -> dict:
     """Scores of (height, tilt) mountings, of the baseline and of the paper's, on searched and held-out frames."""
     published = PUBLISHED[site.model.name]
     chosen = {**mountings, "paper": (published.height_m, published.tilt_deg)}
-    poses = {name: pose_at(coordinates(site, at)) for name, at in chosen.items()}
+    layouts = {name: layout_at(site, at) for name, at in chosen.items()}
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        return judge(site, {"baseline": site.scenario.baseline_pose, **poses}, evaluator, seed)
+        return judge(site, {"baseline": (site.scenario.baseline,), **layouts}, evaluator, seed)
 
 
 def near_best(found: Landscape, share: float) -> dict:

@@ -39,11 +39,12 @@ from blender_lidar.detection.scores import CRITERIA, Matches, average_precision,
 from blender_lidar.errors import InputError
 from blender_lidar.files import make_folder, read_file, whole_file, write_text
 from blender_lidar.metrics.catalogue import METRICS, PE_VGOP, VIEW_COVERAGE
+from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.provenance import CODE, source_digest, versions
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare, scoring_of
 from blender_lidar.scoring.frame_scorer import FrameScorer, FrameShapes, singles
-from blender_lidar.scoring.scores import VehicleScores, mountings_of
+from blender_lidar.scoring.scores import VehicleScores
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.statistics import statistic_interval_90, student_t
 from detector_worlds import Options, hard_world
@@ -164,9 +165,14 @@ class FrameWork:
         return found
 
     @cached_property
+    def mountings(self) -> list[Mounting]:
+        """The part's, as the site's road bears them."""
+        return [self.site.scenario.mounting(mount) for mount in self.part.mounts]
+
+    @cached_property
     def detectors(self) -> list[list]:
         """For each mounting a detector of each training."""
-        return [[detector_at(self.site, mount, path) for path in self.part.weights] for mount in self.part.mounts]
+        return [[detector_at(self.site, mounting, path) for path in self.part.weights] for mounting in self.mountings]
 
     def __call__(self, row: int) -> tuple[np.ndarray, list[list[list[Matches]]]]:
         """Sums of each metric, (metrics, mountings), and matches by mounting, training and criterion of a frame."""
@@ -175,24 +181,23 @@ class FrameWork:
         shapes = FrameShapes(frame.vehicles, frame.counted, site.observation.detail, site.observation.caster)
         scores = np.zeros((0, len(part.mounts)))
         if part.chooses:
-            poses = [site.scenario.pose(mount) for mount in part.mounts]
-            scorer, around = FrameScorer(frame.vehicles, frame.counted, site.observation, shapes), mountings_of(poses)
-            seen = scorer.see(singles(poses), keep_returns=True)
-            made = (one.of_seen(frame, scorer, seen, around) for one in self.metrics.values())
+            layouts = singles(mounting.pose for mounting in self.mountings)
+            scorer = FrameScorer(frame.vehicles, frame.counted, site.observation, shapes)
+            seen = scorer.see(layouts, keep_returns=True)
+            made = (one.of_seen(frame, scorer, seen, layouts) for one in self.metrics.values())
             scores = np.array([one.objective.sum(axis=1) for one in made])
         scan = FrameScan(shapes, frame.vehicles, site.observation, ground=site.scenario.world.ground)
         return scores, [self._matched(row, scan, number) for number in range(len(part.mounts))]
 
     def _matched(self, row: int, scan: FrameScan, number: int) -> list[list[Matches]]:
         """What each training of the detector finds in a frame at a mounting."""
-        site, mount, frame = self.site, self.part.mounts[number], self.site.search[row]
-        hangs = hung_off_by(site.scenario, mount, np.random.default_rng([_SEED, self.part.chooses, row]))
-        there, planned = site.scenario.pose(hangs), site.scenario.pose(mount)
-        cloud = believed(scan.cloud(there, scan.turn(there)), there, planned)
-        at = mount["x_m"], mount["y_m"]
+        site, mounting, frame = self.site, self.mountings[number], self.site.search[row]
+        rng = np.random.default_rng([_SEED, self.part.chooses, row])
+        there = hung_off_by(site.scenario, mounting, rng).pose
+        cloud = believed(scan.cloud(there, scan.turn(there)), there, mounting.pose)
         found = [one.detect(cloud)[0] for one in self.detectors[number]]
-        region = region_of_alarms(site.region, site.scenario.road)
-        return [[match([boxes], [frame], region, at, criterion) for criterion in CRITERIA] for boxes in found]
+        region = region_of_alarms(site.region)
+        return [[match([boxes], [frame], region, mounting.xy, criterion) for criterion in CRITERIA] for boxes in found]
 
 
 _OF_FRAMES = ("frame", "vehicle_frame")

@@ -33,6 +33,7 @@ from blender_lidar.detection.scores import paired_intervals
 from blender_lidar.files import make_folder, write_text
 from blender_lidar.report.figure import BASELINE_LOOK, OPTIMISED_LOOK, sheet
 from blender_lidar.report.tables import TextTable
+from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare
 from detector_worlds import Options, hard_world
@@ -87,15 +88,13 @@ def _site(args, sensor: str, world: Options) -> Site:
     return prepare(load_scenario(SCENES / "i80.toml", {**world, **options}))
 
 
-def _mounts(site: Site, sensor: str) -> dict[str, dict[str, float]]:
+def _mounts(site: Site, sensor: str) -> dict[str, Mounting]:
     height, tilt = CHOSEN[sensor]
-    return {
-        "baseline": dict(site.scenario.baseline),
-        "given": {**site.scenario.baseline, "height_m": height, "tilt_x_deg": tilt},
-    }
+    given = site.scenario.mounting({"height_m": height, "tilt_x_deg": tilt})
+    return {"baseline": site.scenario.baseline, "given": given}
 
 
-def _judged(site: Site, mounts: Mapping[str, dict[str, float]], detector: str, advance) -> dict[str, JudgedDetector]:
+def _judged(site: Site, mounts: Mapping[str, Mounting], detector: str, advance) -> dict[str, JudgedDetector]:
     judged = {}
     for name, mount in mounts.items():
         judged[name] = judge_detector(site, mount, detector_at(site, mount, detector))

@@ -50,8 +50,10 @@ def map_of(args, name):
     """The scores of all heights and tilts by one metric."""
     scenario = load_scenario(args.scene, {**overrides_of(args), ("objective", "metric"): (name, "--metrics")})
     site = prepare(scenario)
+    space, baseline = scenario.deployment.spaces[0], scenario.baseline.as_table()
+    others = [baseline[key] or 0.0 for key in space.variables]
     with site_evaluator(site, site.search) as evaluator:
-        scores = map_scores(evaluator, scenario.deployment, dict(scenario.baseline), site.plan.search_block)
+        scores = map_scores(evaluator, space, others, site.plan.search_block)
     if scores is None:
         raise InputError(f"{args.scene}: [deployment] fixes the height or the tilt; allowed: both searched")
     return scores

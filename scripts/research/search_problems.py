@@ -17,7 +17,8 @@ import numpy as np
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import Objective
-from blender_lidar.scene.mounting import COORDINATES, Deployment
+from blender_lidar.scene.deployment import Deployment
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recording
 from blender_lidar.scoring.evaluation import site_evaluator
@@ -92,7 +93,8 @@ def scene_problem(
     usual = load_scenario(scene, with_traffic).deployment
     # As it was judged: in 5-D all three angles, which a scene is refused, and vehicles about the middle of the places.
     bounds = {key: CASES[case][key] for key in COORDINATES if key in CASES[case]}
-    deployment = Deployment({**dict.fromkeys(COORDINATES, 0.0), **usual.fixed}, bounds)
+    deployment = Deployment({**dict.fromkeys(COORDINATES, 0.0), **usual.fixed}, bounds, road=usual.road)
+    (space,) = deployment.spaces
     settings["region", "centre_m"] = x_m, y_m = deployment.nominal_xy
     settings |= {("baseline", "x_m"): x_m, ("baseline", "y_m"): y_m}
     given = {key: (value, "search study") for key, value in settings.items()}
@@ -100,7 +102,7 @@ def scene_problem(
     with site_evaluator(site, site.search) as evaluator:
 
         def objective(candidates: np.ndarray) -> np.ndarray:
-            return evaluator.totals([deployment.pose(x) for x in candidates]).objective.sum(axis=1)
+            return evaluator.totals([space.layout(x) for x in candidates]).objective.sum(axis=1)
 
-        baseline = float(evaluator.totals([site.scenario.baseline_pose]).objective.sum())
-        yield Problem(case, np.array(deployment.lower), np.array(deployment.upper), objective, None), baseline
+        baseline = float(evaluator.totals([(site.scenario.baseline,)]).objective.sum())
+        yield Problem(case, np.array(space.lower), np.array(space.upper), objective, None), baseline

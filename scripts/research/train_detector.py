@@ -34,11 +34,10 @@ from blender_lidar.detection.ground import fit_ground
 from blender_lidar.detection.pillars import PILLAR_M, Area, density
 from blender_lidar.errors import InputError
 from blender_lidar.files import check_place, make_folder, read_file, whole_file, write_text
-from blender_lidar.scene.mounting import MOUNTING
+from blender_lidar.scene.deployment import MOUNTING
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
-from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.boxes import kind_of
 from detector_worlds import hard_world
 from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate_at, shown, train_step
@@ -161,11 +160,12 @@ def site_windows(sensor: str, number: int, traffic: Sequence[str], scans: int) -
     plan = plan_dataset(site, MOUNTINGS, scans, seed=number + 1)
     for one in samples(plan):
         if one.scan.split == TRAIN:
-            yield window_of(one, site.scenario.pose(one.scan.mount), site.observation.max_range_m, rng)
+            yield window_of(one, site.observation.max_range_m, rng)
 
 
-def window_of(sample: Sample, pose: Pose, gate_m: float, rng: np.random.Generator) -> Window:
+def window_of(sample: Sample, gate_m: float, rng: np.random.Generator) -> Window:
     """A part of a scan as large as `WINDOW`, anywhere along the road within the range gate and nearly all across it."""
+    pose = sample.pose
     foot, size = np.array([pose.x_m, pose.y_m, 0.0]), PILLAR_M * np.array(WINDOW)
     low = np.array([-gate_m - 4.0, -13.0 - pose.y_m])
     high = np.maximum([gate_m + 4.0 - size[0], -8.0 - pose.y_m], low)
