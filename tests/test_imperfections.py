@@ -175,7 +175,7 @@ def test_noise_moves_points_along_their_beams_and_changes_nothing_else():
     true, noisy = cloud_of(max_range_m=200.0), cloud_of(Imperfections(0.3), max_range_m=200.0)
     lattice = FINE["RS-16"]
     _, mine, theirs = np.intersect1d(beams_of(true, lattice), beams_of(noisy, lattice), return_indices=True)
-    mount = MOUNTINGS[0].position
+    mount = POSES[0].position
     beam = (true.xyz[mine] - mount) / true.range_m[mine, None]
     np.testing.assert_allclose(noisy.xyz[theirs], mount + noisy.range_m[theirs, None] * beam, atol=1e-9)
     assert abs(noisy.range_m[theirs] - true.range_m[mine]).max() > 0.9

@@ -57,7 +57,7 @@ def test_height_place_and_scores_are_those_of_the_result(sheet):
     assert text.startswith("Installation of one RS-16 LiDAR\n")
     assert "4.00 m from the road surface" in text
     assert "x 1.50 m along the road, y 0.00 m across it" in text
-    assert "2.00 m to the right of the carriageway" in text
+    assert "2.00 m from the edge of the nearest lane, to the right of its traffic" in text
     assert "15.0 deg forward and down towards +y, left of the direction of travel" in text
     assert "75.0 % of the vehicles are detectable instead of 50.0 % under the baseline" in text
     assert "a vehicle gains 0.750 bits" in text
@@ -145,11 +145,11 @@ def test_the_lean_is_given_in_the_road_frame_whatever_the_yaw(sheet, tilts, word
 
 
 def test_a_pole_at_the_left_is_said_to_be_there(sheet):
-    assert "3.00 m to the left of the carriageway" in sheet(y_m=12.0)
+    assert "3.00 m from the edge of the nearest lane, to the left of its traffic" in sheet(y_m=12.0)
 
 
 def test_a_pole_at_the_very_edge_is_not_beyond_the_other_one(sheet):
-    assert "to the right of the carriageway" in sheet({"road": {"setback_m": 0.0}})
+    assert "to the right of its traffic" in sheet({"road": {"setback_m": 0.0}})
 
 
 @pytest.mark.parametrize(("y_m", "yaw"), [(0.0, 90.0), (12.0, 180.0)])

@@ -128,7 +128,11 @@ def poses_of(layout: Layout) -> tuple[Pose, ...]:
 
 
 def _degrees(angle: float) -> float:
-    return round(math.degrees(angle), 12) + 0.0
+    """An angle [rad] in degrees: those that are read as the very same angle, where there are such."""
+    near = math.degrees(angle)
+    above, below = math.nextafter(near, math.inf), math.nextafter(near, -math.inf)
+    degrees = (round(near, 12), near, above, below, math.nextafter(above, math.inf), math.nextafter(below, -math.inf))
+    return next((one for one in degrees if math.radians(one) == angle), degrees[0]) + 0.0
 
 
 def mast_at(road: RoadMap, x_m: float, y_m: float, facing_rad: float = _SQUARE) -> Mast:
