@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,11 +112,11 @@ def test_a_kitti_file_holds_the_levelled_sensors_frame_and_semantickittis_labels
 
 
 def test_the_levelled_frame_looks_along_the_lidars_y_axis_and_turns_with_its_yaw():
-    pose = {"x_m": 2.0, "y_m": 0.0, "height_m": 4.0, "yaw_deg": 0.0}
+    pose = Pose(2.0, 0.0, 4.0)
     ahead, left = np.array([[2.0, 10.0, 4.0]]), np.array([[-8.0, 0.0, 4.0]])  # across the road, and back along it
     np.testing.assert_allclose(levelled(ahead, pose), [[10.0, 0.0, 0.0]], atol=1e-12)
     np.testing.assert_allclose(levelled(left, pose), [[0.0, 10.0, 0.0]], atol=1e-12)
-    turned = {**pose, "yaw_deg": 90.0}  # counter-clockwise: its +y now looks back along the road
+    turned = replace(pose, yaw=0.5 * np.pi)  # counter-clockwise: its +y now looks back along the road
     np.testing.assert_allclose(levelled(left, turned), [[10.0, 0.0, 0.0]], atol=1e-12)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ import pytest
 from blender_lidar.clouds.files import levelled
 from blender_lidar.detection.files import kitti_camera, read_detected, write_detected, write_kitti_labels
 from blender_lidar.errors import InputError, MissingFileError
+from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.boxes import KINDS, DetectedBoxes, corners_of
 
-POSE = {"x_m": 3.0, "y_m": -2.0, "height_m": 4.5, "tilt_x_deg": 20.0, "tilt_y_deg": 0.0, "yaw_deg": 35.0}
+POSE = Pose(3.0, -2.0, 4.5, math.radians(20.0), 0.0, math.radians(35.0))
 
 
 def random_boxes(count, seed):
@@ -49,7 +51,7 @@ def test_what_is_written_is_read_again(written, tmp_path):
 
 
 def test_each_number_may_have_a_mounting_of_its_own(tmp_path):
-    poses = [POSE | {"x_m": 10.0 * number, "yaw_deg": 50.0 * number} for number in range(3)]
+    poses = [replace(POSE, x_m=10.0 * number, yaw=math.radians(50.0 * number)) for number in range(3)]
     found = {number: random_boxes(5, number) for number in (0, 2)}
     write_kitti_labels(tmp_path / "label_2", found, poses)
     read = read_detected(tmp_path / "label_2", poses)

@@ -174,7 +174,7 @@ def test_headers_have_the_pose_in_the_road_frame_and_the_plumb_mounting(site):
     header, pose = sensor.cloud_header(site.search[0].vehicles), site.scenario.mounting(MOUNT).pose
     assert {key: header["mounting"][key] for key in COORDINATES} == pytest.approx(MOUNT)
     assert header["road"] == SLOPES
-    np.testing.assert_allclose(levelled(pose.position[None], header["pose"]), 0.0, atol=1e-12)
+    np.testing.assert_allclose(levelled(pose.position[None], Pose.from_table(header["pose"])), 0.0, atol=1e-12)
     np.testing.assert_allclose(Pose.from_table(header["pose"]).rotation, pose.rotation, atol=1e-12)
 
 

@@ -153,7 +153,9 @@ def test_studies_and_rungs_of_a_search_see_the_same_weights(run):
     assert found.per_vehicle() == pytest.approx(totals.per_vehicle(), rel=1e-12)
     assert found.blocks(site.plan.search_block)[1].sum() == totals.weight.sum() != found.vehicles.sum()
     only_last = [replace(frame, weight=np.zeros(len(frame.vehicles))) for frame in site.search[:-1]]
-    rungs = fresh_auto_search(replace(site, search=(*only_last, site.search[-1])), site.scenario.deployment.spaces[0]).rungs
+    rungs = fresh_auto_search(
+        replace(site, search=(*only_last, site.search[-1])), site.scenario.deployment.spaces[0]
+    ).rungs
     assert rungs[0].frames[0] == len(site.search) - 1  # frames without a weight are looked at last
 
 
