@@ -15,6 +15,7 @@ SENSOR_SUFFIXES = (".toml", ".csv")
 CLOUD_SUFFIXES = (".npz", ".pcd", ".ply", ".bin", ".las", ".laz")
 DATASET_LAYOUTS = ("npz", "kitti", "openpcdet", "nuscenes")
 VIEWS = ("mean", "max", "min")  # how three occupancies become the P of Eq. 11
+SIDES = ("right", "left", "median", "gantry")  # of a road, seen in the direction of travel, on which a mast stands
 READINGS = ("corrected", "paper")
 SEARCHES = ("hardened", "de-pso", "grid", "random")  # the first unless said
 METRIC_NAMES = (  # the first unless said

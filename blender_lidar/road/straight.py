@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from ..names import SIDES
 from ..toml_table import setting
 
 if TYPE_CHECKING:
@@ -19,20 +20,27 @@ _LARGEST_M = 1e6  # sums and squares stay finite
 
 @dataclass(frozen=True, slots=True)
 class StraightRoad:
-    """[road], the road frame beside a carriageway: x in the direction of travel, y to the left, the LiDAR at y <= 0.
+    """[road], the road frame beside a straight road: x in the direction of travel, y to the left, the road at y > 0.
 
     The defaults are I-80's: past the on-ramp, whose acceleration lane ends at Local_Y 202 m.
 
     Attributes
     ----------
+    drives_on : str
+        The side of the road on which vehicles drive.
+    carriageways : int
+        1, which drives along +x; or 2 with a median between them: that on the side of drives_on drives along +x, the
+        other one against it.
+    median_m : float or None
+        Width of the median [m].
     station_m : float
         Local_Y of x = 0 [m].
     right_edge_m : float
         Local_X of the carriageway's right edge [m]; 72 ft on I-80.
     setback_m : float
-        From the line y = 0 to that edge [m].
+        From the line y = 0 to the right edge of the road [m].
     lanes : int
-        Lanes of the carriageway.
+        Lanes of a carriageway.
     lane_width_m : float
         Width of one lane [m].
     grade_percent : float
@@ -40,12 +48,15 @@ class StraightRoad:
     cross_fall_percent : float
         Fall of the road towards -y, the side of y = 0, on 100 m of level way; below 0 it falls towards +y.
     crown_percent : float
-        Fall of the carriageway from its middle line to both edges, which lie at z = 0.
+        Fall of a carriageway from its middle line to both edges, which lie at z = 0.
     """
 
+    drives_on: str = setting(SIDES[0], allowed=SIDES[:2])
+    carriageways: int = setting(1, low=1, high=2)
+    median_m: float | None = setting(None, low=0.0, high=200.0)
     station_m: float = setting(250.0, low=-_LARGEST_M, high=_LARGEST_M)
     right_edge_m: float = setting(21.9456, low=-_LARGEST_M, high=_LARGEST_M)
-    setback_m: float = setting(2.0, low=0.0, high=_LARGEST_M)
+    setback_m: float = setting(2.0, low=-_LARGEST_M, high=_LARGEST_M)
     lanes: int = setting(6, low=1, high=50)
     lane_width_m: float = setting(3.66, above=0.0, high=10.0)
     grade_percent: float = setting(0.0, low=-12.0, high=12.0)
@@ -53,9 +64,34 @@ class StraightRoad:
     crown_percent: float = setting(0.0, low=0.0, high=6.0)
 
     @property
-    def carriageway_y(self) -> tuple[float, float]:
-        """The y [m] of the carriageway's right and left edge."""
-        return self.setback_m, self.setback_m + self.lanes * self.lane_width_m
+    def carriageways_y(self) -> tuple[tuple[float, float], ...]:
+        """The y [m] of the right and the left edge of each carriageway, from the right."""
+        width, step = self.lanes * self.lane_width_m, self.median_m or 0.0
+        right = (self.setback_m + number * (width + step) for number in range(self.carriageways))
+        return tuple((edge, edge + width) for edge in right)
+
+    def place(self, side: str) -> tuple[float, float]:
+        """The y [m] of a mast on a side of the road, and which way it faces [rad], both square to the road.
+
+        As far from the left edge as the line y = 0 is from the right one; in the middle of the median, or over the
+        middle of the carriageway that drives along +x.
+        """
+        edges = self.carriageways_y
+        right, left = edges[0][0], edges[-1][1]
+        if side == "left":
+            return left + self.setback_m, 1.5 * math.pi
+        if side == "median":
+            return 0.5 * (edges[0][1] + edges[-1][0]), 0.5 * math.pi
+        if side == "gantry":
+            return 0.5 * sum(edges[-1 if self.drives_on == "left" else 0]), 0.5 * math.pi
+        return right - self.setback_m, 0.5 * math.pi
+
+    def side_of(self, y_m: float) -> str:
+        """The side of the road on which a place at y [m] lies; a gantry's, where it is over a carriageway."""
+        edges = self.carriageways_y
+        if y_m <= edges[0][0] or y_m >= edges[-1][1]:
+            return "right" if y_m <= edges[0][0] else "left"
+        return "gantry" if any(right < y_m < left for right, left in edges) else "median"
 
     def of_ngsim(self, along_m: np.ndarray, right_m: np.ndarray) -> np.ndarray:
         """Places of NGSIM, (n, 2) [m, road frame]: Local_Y along travel, and Local_X from the left edge [m], (n,)."""
@@ -90,15 +126,14 @@ class StraightRoad:
     @property
     def surface(self) -> CrownedSurface:
         """The carriageway above the plane z = 0."""
-        return CrownedSurface(*self.carriageway_y, 0.01 * self.crown_percent)
+        return CrownedSurface(self.carriageways_y, 0.01 * self.crown_percent)
 
 
 @dataclass(frozen=True, slots=True)
 class CrownedSurface:
-    """A carriageway along x that falls from its middle line to both edges, y [m], which lie at z = 0."""
+    """Carriageways along x that fall from their middle lines to both edges, y [m], which lie at z = 0."""
 
-    right: float
-    left: float
+    edges_y: tuple[tuple[float, float], ...]
     fall: float
 
     @property
@@ -108,20 +143,21 @@ class CrownedSurface:
 
     def height(self, xy: np.ndarray) -> np.ndarray:
         """Height above the plane z = 0 at places (n, 2) [m], (n,)."""
-        half = 0.5 * (self.left - self.right)
-        return self.fall * (half - abs(xy[..., 1] - self.right - half)).clip(0.0)
+        halves = ((right, 0.5 * (left - right)) for right, left in self.edges_y)
+        return sum(self.fall * (half - abs(xy[..., 1] - right - half)).clip(0.0) for right, half in halves)
 
     def triangles(self, s_m: tuple[float, float]) -> np.ndarray:
-        """Both of its planes between two x [m], (4, 3, 3); nothing where it is flat."""
+        """Both planes of each carriageway between two x [m], (4 or 8, 3, 3); nothing where it is flat."""
         import numpy as np
 
-        if self.is_flat:
-            return np.empty((0, 3, 3))
-        y = np.array([self.right, 0.5 * (self.right + self.left), self.left])
-        rows = np.stack([np.stack([np.full(3, x), y], axis=1) for x in s_m])
-        rows = np.concatenate([rows, self.height(rows)[..., None]], axis=-1)
-        a, b, c, d = rows[0, :-1], rows[1, :-1], rows[1, 1:], rows[0, 1:]
-        return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+        planes = [np.empty((0, 3, 3))]
+        for right, left in self.edges_y if self.fall else ():
+            y = np.array([right, 0.5 * (right + left), left])
+            rows = np.stack([np.stack([np.full(3, x), y], axis=1) for x in s_m])
+            rows = np.concatenate([rows, self.height(rows)[..., None]], axis=-1)
+            a, b, c, d = rows[0, :-1], rows[1, :-1], rows[1, 1:], rows[0, 1:]
+            planes += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+        return np.concatenate(planes)
 
 
 @lru_cache(maxsize=8)
@@ -131,7 +167,10 @@ def road_map(road: StraightRoad) -> RoadMap:
 
     from .road_map import RoadMap
 
-    middle = road.setback_m + (np.arange(road.lanes) + 0.5) * road.lane_width_m
+    of_lanes = (np.arange(road.lanes) + 0.5) * road.lane_width_m
+    middle = np.concatenate([right + of_lanes for right, _ in road.carriageways_y])
+    along_x = road.place("gantry")[0]  # the carriageway that drives along +x is about it
+    against = np.abs(middle - along_x) > 0.5 * road.lanes * road.lane_width_m
     lanes = tuple(np.array([[0.0, y], [1.0, y]]) for y in middle)
-    width, against = np.full(road.lanes, road.lane_width_m), np.zeros(road.lanes, dtype=bool)
-    return RoadMap(lanes, np.zeros(road.lanes), middle, width, against, road.surface, road.up, endless=True)
+    zeros, width = np.zeros(len(middle)), np.full(len(middle), road.lane_width_m)
+    return RoadMap(lanes, zeros, middle, width, against, road.surface, road.up, endless=True)

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from ..names import SIDES
 from ..road.straight import StraightRoad, road_map
 from ..toml_table import setting, settings_of
-from .mounting import ANGLES, LEANS, Layout, Mounting, mast_at, mounting_from
+from .mounting import ANGLES, LEANS, Layout, Mounting, mounting_from
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,11 +34,14 @@ class MountingSettings:
     height_m : float
         Above the road.
     tilt_x_deg : float
-        Across the road, positive looks down towards +y.
+        Positive looks down to where the mast faces.
     tilt_y_deg : float
-        Along the road, positive raises the side ahead.
+        Positive raises the side to the right of that.
     yaw_deg : float
         Counter-clockwise seen from above.
+    facing_deg : float or None
+        Which way the mast faces, counter-clockwise from +x: tilts and yaw are seen from there; 90 unless its side says
+        otherwise.
     """
 
     x_m: float = setting(0.0, low=-1e5, high=1e5, option="--x")
@@ -46,6 +50,7 @@ class MountingSettings:
     tilt_x_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-x", rivals=LEANS)
     tilt_y_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-y", rivals=LEANS)
     yaw_deg: float = setting(0.0, option="--yaw", rivals=LEANS, **HEADING)
+    facing_deg: float | None = setting(None, option="--facing", **HEADING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +86,30 @@ DEPLOYMENT = {
 """[deployment]: a number fixes a coordinate, a pair [low, high] has it searched."""
 for _key in ("x_m", "y_m"):
     DEPLOYMENT[_key] = replace(DEPLOYMENT[_key], form='several places are a table of poles: poles = "poles.csv"')
+DEPLOYMENT["facing_deg"] = MOUNTING["facing_deg"]
+
+
+@dataclass(frozen=True, slots=True)
+class StandSettings:
+    """[deployment], what is said of the place besides coordinates.
+
+    Attributes
+    ----------
+    poles : str or None
+        Table of candidate places, in place of x_m and y_m.
+    side : str or None
+        Where the mast stands, and faces the road from: that of [road] drives_on unless y_m or poles say the place. A
+        gantry hangs over the lanes.
+    clearance_m : float
+        Least height of a LiDAR over the lanes [m], on a gantry.
+    """
+
+    poles: str | None = setting(None, is_path=True)
+    side: str | None = setting(None, allowed=SIDES)
+    clearance_m: float = setting(5.0, low=0.0, high=20.0)
+
+
+STAND = settings_of(StandSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +128,8 @@ class Pole:
     cost : float or None
     existing : bool or None
         Whether it stands already.
+    facing_deg : float or None
+        Which way it faces, counter-clockwise from +x; that of [deployment] unless said.
     """
 
     name: str
@@ -109,6 +140,7 @@ class Pole:
     height_max_m: float | None = None
     cost: float | None = None
     existing: bool | None = None
+    facing_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +249,10 @@ class Deployment:
         The table that they come from.
     road : StraightRoad
         What the masts stand on.
+    side : str or None
+        The side of the road, where the scene names it.
+    clearance_m : float
+        Least height over the lanes, on a gantry [m].
     """
 
     fixed: Mapping[str, float]
@@ -224,6 +260,13 @@ class Deployment:
     poles: tuple[Pole, ...] = ()
     poles_file: str | None = None
     road: StraightRoad = field(default=StraightRoad(), repr=False)
+    side: str | None = None
+    clearance_m: float = 5.0
+
+    @property
+    def least_height_m(self) -> float:
+        """Least height of a LiDAR above the road: what a gantry keeps clear [m]."""
+        return self.clearance_m if self.side == "gantry" else 0.0
 
     def at(self, pole: Pole) -> Place:
         """The same on one pole: its place, and its heights above its foot, or those of [deployment] above its foot."""
@@ -233,6 +276,8 @@ class Deployment:
         fixed = {**self.fixed, "x_m": pole.x_m, "y_m": pole.y_m, "height_m": low}
         bounds = {**self.bounds, "height_m": (low, high)}
         (bounds if low == high else fixed).pop("height_m")
+        if pole.facing_deg is not None:
+            fixed["facing_deg"] = pole.facing_deg
         return Place(fixed, {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}, self.road, pole)
 
     @property
@@ -250,9 +295,3 @@ class Deployment:
         """The mount's place [m], or the middle of where it may be."""
         ends = [[end for place in self.places for end in place.span(key)] for key in ("x_m", "y_m")]
         return tuple(0.5 * (min(one) + max(one)) for one in ends)
-
-
-def nominal_mounting(place: Place, height_m: float) -> Mounting:
-    """An upright LiDAR in the middle of where it may hang."""
-    x_m, y_m = (0.5 * sum(place.span(key)) for key in ("x_m", "y_m"))
-    return Mounting(mast_at(road_map(place.road), x_m, y_m), height_m)

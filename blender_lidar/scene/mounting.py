@@ -103,7 +103,7 @@ class Mounting:
         return Pose(*place, *tilts_of(turned(rotation, mast.axes)))
 
     def as_table(self) -> dict[str, float | None]:
-        """Its coordinates [m, degrees], and the same orientation as lean, its direction and spin.
+        """Its coordinates and which way its mast faces [m, degrees], and its orientation as lean, direction and spin.
 
         What leans by less than a millionth of a degree has no direction: None.
         """
@@ -115,6 +115,7 @@ class Mounting:
         lean, *turns = map(_degrees, lean_of(rotation_matrix(self.tilt_x, self.tilt_y, self.yaw)))
         if lean < _NO_LEAN_DEG:
             lean, turns = 0.0, [None, table["yaw_deg"]]
+        table["facing_deg"] = _degrees(self.mast.facing_rad)
         return {**table, **dict(zip(LEANS, (lean, *turns), strict=True))}
 
 
@@ -179,8 +180,8 @@ def mounting_from(
     Parameters
     ----------
     table : mapping of str to float
-        Some of `COORDINATES` and `LEANS`; lean direction and spin are 0 where they are left out. It may have both forms
-        of one orientation, as result.json does.
+        Some of `COORDINATES`, `LEANS` and ``facing_deg``; lean direction and spin are 0 where they are left out. It may
+        have both forms of one orientation, as result.json does.
     road : RoadMap
         What the mast stands on.
     others : Mounting, optional
@@ -195,7 +196,8 @@ def mounting_from(
     """
     table, others = {key: value for key, value in table.items() if value is not None}, others or Mounting()
     x_m, y_m = (table.get(key, own) for key, own in zip(("x_m", "y_m"), others.xy, strict=True))
-    hung = Mounting(mast_at(road, x_m, y_m, others.mast.facing_rad), table.get("height_m", others.height_m))
+    facing = math.radians(table["facing_deg"]) if "facing_deg" in table else others.mast.facing_rad
+    hung = Mounting(mast_at(road, x_m, y_m, facing), table.get("height_m", others.height_m))
     angles = (others.tilt_x, others.tilt_y, others.yaw)
     angles = (math.radians(table[key]) if key in table else own for key, own in zip(ANGLES, angles, strict=True))
     tilted = replace(hung, **dict(zip(("tilt_x", "tilt_y", "yaw"), angles, strict=True)))

@@ -12,7 +12,7 @@ from ..traffic.source import Column, TableLayout, delimiter_of, fields_of, first
 from .deployment import COORDINATE_LIMITS, Pole
 
 _NEEDED = ("name", "x_m", "y_m")
-_OPTIONAL = ("foot_z_m", "height_min_m", "height_max_m", "cost", "existing")
+_OPTIONAL = ("foot_z_m", "height_min_m", "height_max_m", "cost", "existing", "facing_deg")
 _PLACE = Column("a number, -100000 to 100000", *COORDINATE_LIMITS["x_m"])
 _HEIGHT = Column("0 to 100", 0.0, 100.0, optional=True)
 _NUMBERS = {
@@ -22,6 +22,7 @@ _NUMBERS = {
     "height_min_m": _HEIGHT,
     "height_max_m": _HEIGHT,
     "cost": Column("a number", optional=True),
+    "facing_deg": Column("-360 to 360", -360.0, 360.0, optional=True),
 }
 _EXISTS = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False, "": None}
 _MOST = 1000

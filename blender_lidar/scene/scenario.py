@@ -6,6 +6,7 @@ before they are checked, so both pass the same checks.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ from pathlib import Path
 
 from ..errors import InputError, MissingFileError, shown, unknown_name
 from ..metrics.catalogue import PE_VGOP, metric_named
+from ..names import SIDES
 from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
 from ..road.straight import StraightRoad, road_map
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
@@ -25,6 +27,7 @@ from .deployment import (
     LEAN,
     MOUNTING,
     MOUNTING_OR_LEAN,
+    STAND,
     Deployment,
 )
 from .mount_checks import check_degrees
@@ -35,7 +38,6 @@ from .settings import (
     DATASHEET,
     DECLARED,
     GATE,
-    POLES,
     ModelSettings,
     ObjectiveSettings,
     RegionSettings,
@@ -54,6 +56,8 @@ _FEW_COORDINATES, _SEEDS = 2, 3  # with more of them so many searches: one alone
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _OF_ONE_RECORDING = ("name", "weight", "path", "vehicle_types", "period", "location", "frame_ids")
+_USUAL_MEDIAN_M = 4.0
+_GANTRY_M = 8.0  # up to which a gantry is searched unless said
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
@@ -134,10 +138,9 @@ def scenario_of(
     of_file = _tables(tables, {}, where, folder)
     tables = _tables(tables, overrides, where, folder)
     traffic, *further = _recordings([table for name, table in tables.items() if name.split()[0] == "traffic"])
-    deployment, sensor = _deployment(tables["deployment"]), _sensor(tables["sensor"])
+    road, sensor = _road(tables["road"]), _sensor(tables["sensor"])
+    deployment = _deployment(tables["deployment"], road)
     region = _region(tables["region"], sensor, of_file, overrides)
-    road = tables["road"].read_as(StraightRoad)
-    deployment = replace(deployment, road=road)
     objective = _objective(tables["objective"])
     if deployment.poles and objective.tolerance is not None:
         where = tables["objective"].where("tolerance")
@@ -215,24 +218,66 @@ def _table(
 def _baseline(table: TomlTable, deployment: Deployment, region: RegionSettings) -> Mounting:
     """[baseline]: at the mount's own place where that is fixed; else where no bound and no pole moves it."""
     road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
-    middle = region_of(region, road).centre_xy
-    x_m, y_m = place.get("x_m", middle[0]), place.get("y_m", 0.0)
-    upright = Mounting(mast_at(road, x_m, y_m), MOUNTING["height_m"].default)
+    x_m = place.get("x_m", region_of(region, road).centre_xy[0])
+    y_m = place.get("y_m", deployment.road.place(deployment.side or SIDES[0])[0])
+    mast = mast_at(road, x_m, y_m, math.radians(deployment.fixed["facing_deg"]))
+    upright = Mounting(mast, max(MOUNTING["height_m"].default, deployment.least_height_m))
     given = table.read(MOUNTING_OR_LEAN)
     return mounting_from({key: given[key] for key in given if key in table.values}, road, upright, table.name)
 
 
-def _deployment(table: TomlTable) -> Deployment:
-    found = table.read(DEPLOYMENT | POLES)
-    poles = found.pop("poles")
+def _road(table: TomlTable) -> StraightRoad:
+    road = table.read_as(StraightRoad)
+    if road.carriageways == 2:
+        return road if road.median_m is not None else replace(road, median_m=_USUAL_MEDIAN_M)
+    if road.median_m is not None:
+        raise InputError(f"{table.where('median_m')}: is given for one carriageway; allowed: with carriageways = 2")
+    return road
+
+
+def _stand(table: TomlTable, road: StraightRoad, found: dict[str, object], given: Mapping[str, object]) -> str | None:
+    """The side of the road that the mast stands on, where it is said or follows; place and facing go into `found`."""
+    side, poles = found.pop("side"), found.pop("poles")
+    places = "poles" if poles else "y_m" if "y_m" in given else None
+    if side == "median" and road.carriageways == 1:
+        raise InputError(f"{table.where('side')}: is a median, but the road has one; allowed: [road] carriageways = 2")
+    if side is None and places is None and road.drives_on != SIDES[0]:
+        side = road.drives_on
+    y_m, facing = road.place(side or SIDES[0])
+    if places is None:
+        found["y_m"] = y_m
+    elif places == "y_m" and side is not None:
+        ends = given["y_m"] if isinstance(given["y_m"], tuple) else (given["y_m"],)
+        other = next((road.side_of(end) for end in ends if road.side_of(end) != side), side)
+        if side not in (other, "gantry"):
+            raise InputError(f"{table.where('y_m')}: lies on the side {other!r}; allowed: with side = {other!r}")
+    if found["facing_deg"] is None:
+        found["facing_deg"] = math.degrees(facing)
+    return side
+
+
+def _deployment(table: TomlTable, road: StraightRoad) -> Deployment:
+    found = table.read(DEPLOYMENT | STAND)
+    poles, clearance_m = found["poles"], found.pop("clearance_m")
     given = {key: found[key] for key in DEPLOYMENT if key in table.values}
+    side = _stand(table, road, found, given)
     if has_lean(given, table.name):
         found = {key: found[key] for key in DEPLOYMENT if key not in ANGLES} | dict.fromkeys(LEAN, 0.0) | given
     else:
         found = {key: found[key] for key in MOUNTING}
+    least = clearance_m if side == "gantry" else 0.0
+    if "height_m" not in given and least:
+        found["height_m"] = (least, max(least, _GANTRY_M))
+    lowest = min(found["height_m"]) if isinstance(found["height_m"], tuple) else found["height_m"]
+    if lowest < least:
+        raise InputError(
+            f"{table.where('height_m')}: begins at {lowest:g} m over the lanes; allowed: {least:g} m or more, as "
+            "clearance_m says"
+        )
     searched = {key: found[key] for key in DEPLOYMENT if isinstance(found.get(key), tuple)}
     _check_angles(table, searched)
-    deployment = Deployment({key: value for key, value in found.items() if key not in searched}, searched)
+    fixed = {key: value for key, value in found.items() if key not in searched}
+    deployment = Deployment(fixed, searched, road=road, side=side, clearance_m=clearance_m)
     if poles is None:
         return deployment
     if places := [key for key in ("x_m", "y_m") if key in given]:
@@ -296,7 +341,7 @@ def _region(
         return region
     centre, radius = region.centre_m, region.radius_m
     if centre is None:
-        deployment = _deployment(of_file["deployment"])
+        deployment = _deployment(of_file["deployment"], _road(of_file["road"]))
         searched = ["poles"] if deployment.poles else [key for key in ("x_m", "y_m") if key in deployment.bounds]
         if searched:
             middle = ", ".join(f"{place:g}" for place in deployment.nominal_xy)

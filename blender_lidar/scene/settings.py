@@ -32,8 +32,8 @@ from ..names import (
 )
 from ..plugins import METRICS_OF_OTHERS, SEARCHES_OF_OTHERS
 from ..road.straight import StraightRoad, road_map
-from ..toml_table import Setting, setting, settings_of
-from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, Deployment
+from ..toml_table import setting, settings_of
+from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, STAND, Deployment
 from .mounting import COORDINATES, Mounting, mounting_from
 
 if TYPE_CHECKING:
@@ -506,8 +506,10 @@ class Scenario:
         further = zip(self._traffic_tables[1:], tables.pop("further_traffic"), strict=True)
         tables = {"traffic": tables["traffic"], **dict(further), **tables}
         del tables["source"], tables["where"]
-        tables["baseline"] = {key: self.baseline.as_table()[key] for key in COORDINATES}
+        tables["baseline"] = {key: self.baseline.as_table()[key] for key in (*COORDINATES, "facing_deg")}
         tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
+        if self.deployment.side is not None:
+            tables["deployment"] |= {key: getattr(self.deployment, key) for key in ("side", "clearance_m")}
         if self.deployment.poles:
             for key in ("x_m", "y_m"):
                 del tables["deployment"][key]
@@ -527,10 +529,7 @@ class Scenario:
 
 
 DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}
-POLES = {
-    "poles": Setting(kind=str, default=None, is_path=True, help="table of candidate places, in place of x_m and y_m")
-}
-DECLARED |= {"deployment": DEPLOYMENT | POLES, "baseline": MOUNTING_OR_LEAN}
+DECLARED |= {"deployment": DEPLOYMENT | STAND, "baseline": MOUNTING_OR_LEAN}
 """The settings of each table of a scene file."""
 
 

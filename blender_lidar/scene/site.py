@@ -135,7 +135,13 @@ def check_mount_is_clear(
     for where, mount in mounts.items():
         low, high = _extent(mount)
         along, across = (f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in zip(low[:2], high[:2], strict=True))
-        _check_off_lanes(road, low[:2], high[:2], f"{where}: the mount at x {along} m, y {across} m")
+        if scenario.deployment.side != "gantry":
+            _check_off_lanes(road, low[:2], high[:2], f"{where}: the mount at x {along} m, y {across} m")
+        elif low[2] < scenario.deployment.clearance_m:
+            raise InputError(
+                f"{where}: the LiDAR hangs {low[2]:g} m over the lanes; allowed: {scenario.deployment.clearance_m:g} m "
+                "or more, as [deployment] clearance_m says"
+            )
         off_feet = np.sort(np.outer((low[2], high[2]), up), axis=0)
         head_low, head_high = low * (1.0, 1.0, 0.0) + off_feet[0], high * (1.0, 1.0, 0.0) + off_feet[1]
         for solid in solids:
@@ -149,9 +155,10 @@ def check_mount_is_clear(
                 raise InputError(f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move one of them")
         for vehicles in frames:
             place = vehicles.centre_m, vehicles.size_m, vehicles.heading_rad
-            inside = vehicles.vehicle_id[
-                footprints_meet(*place, np.minimum(low, head_low), np.maximum(high, head_high))
-            ]
+            meets = footprints_meet(*place, np.minimum(low, head_low), np.maximum(high, head_high))
+            if scenario.deployment.side == "gantry":
+                meets &= vehicles.centre_m[:, 2] + 0.5 * vehicles.size_m[:, 2] >= head_low[2]
+            inside = vehicles.vehicle_id[meets]
             if len(inside):
                 raise InputError(
                     f"{where}: the mount at x {along} m, y {across} m stands inside vehicle {inside[0]} of frame "
@@ -182,7 +189,7 @@ def _check_off_lanes(road: RoadMap, low: np.ndarray, high: np.ndarray, what: str
     if on.any():
         right, left = road.beside(places[on][0])
         allowed = f"off the lanes, such as x {right[0]:g}, y {right[1]:g} m or x {left[0]:g}, y {left[1]:g} m"
-        raise InputError(f"{what} stands on the carriageway; allowed: {allowed}")
+        raise InputError(f'{what} stands on the carriageway; allowed: {allowed}, or [deployment] side = "gantry"')
 
 
 def footprints_meet(

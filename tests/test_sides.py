@@ -1,0 +1,128 @@
+"""Where the mast stands: right, left, in a median, on a gantry, beside roads that drive on either side."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from blender_lidar.errors import InputError
+from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import Evaluator
+from tests.scene_texts import refusal
+from tests.small_scene import HEADER, write_scene, write_table
+
+TWO_WAY = {"setback_m": 2.0, "lanes": 2, "lane_width_m": 3.5, "carriageways": 2, "median_m": 5.0}
+EDGE = 2.0 + 4 * 3.5 + 5.0  # y of the left edge
+WIDTH = EDGE + 2.0  # and of the line beside it
+# Places in whole 1/1024 m, so that a turned site has the same coordinates to the last digit.
+DRIVING = [(-18.5, 3.75, "car"), (-6.25, 7.25, "van"), (3.5, 3.75, "truck"), (12.0, 16.25, "car"), (-11.0, 19.75, "car")]
+SIZES = {"car": (4.5, 1.75, 1.5), "van": (5.25, 2.0, 2.0), "truck": (11.0, 2.5, 3.5)}
+
+
+def rows(turned=False, step=0.5):
+    """Vehicles of both carriageways in 24 frames; all of it turned by 180 degrees about the middle of the road."""
+    table = []
+    for frame in range(24):
+        for number, (x, y, kind) in enumerate(DRIVING, start=1):
+            way = 1.0 if y < 0.5 * WIDTH else -1.0
+            x_m, heading = x + way * step * frame, 0.0 if way > 0.0 else 180.0
+            place = (-x_m, WIDTH - y, (heading + 180.0) % 360.0) if turned else (x_m, y, heading)
+            table.append([frame, number, kind, *place[:2], *SIZES[kind], place[2], 0.1 * frame])
+    return table
+
+
+def site(folder, turned=False, **changes):
+    folder.mkdir()
+    write_table(folder / "traffic.csv", rows(turned), HEADER)
+    scene = {
+        "traffic": {"frames": 6, "holdout": 0.0, "accept": ["headings"]},
+        "road": TWO_WAY,
+        "region": {"centre_m": [0.0, 0.5 * WIDTH], "radius_m": 30.0},
+        "sensor": {"range_gate_m": 40.0},
+    }
+    for table, own in changes.items():
+        scene[table] = {**scene.get(table, {}), **own}
+    return prepare(load_scenario(write_scene(folder, scene)))
+
+
+def points_of(site, mounting):
+    scored = Evaluator(site.search, site.observation, site.scoring).by_vehicle([(mounting,)])
+    return [one.seen.points[0].tolist() for one in scored]
+
+
+@pytest.mark.parametrize(
+    ("side", "opposite"), [("right", {"side": "left"}), ("median", {"side": "median", "facing_deg": 270.0})]
+)
+def test_a_site_turned_by_180_degrees_gives_every_vehicle_the_same_points(side, opposite, tmp_path):
+    one = site(tmp_path / "one", deployment={"side": side})
+    other = site(tmp_path / "other", turned=True, deployment=opposite)
+    there = one.scenario.deployment.spaces[0].layout([4.0])[0]
+    turned = other.scenario.deployment.spaces[0].layout([4.0])[0]
+    expected = points_of(one, there)
+    assert sum(map(sum, expected)) > 500
+    assert points_of(other, turned) == expected
+
+
+def test_both_carriageways_count_and_drive_opposite_ways():
+    for drives_on, against in (("right", [False, False, True, True]), ("left", [True, True, False, False])):
+        road = road_map(StraightRoad(drives_on=drives_on, **TWO_WAY))
+        np.testing.assert_array_equal(road.against, against)
+        found = road.locate(np.array([[0.0, 3.0], [0.0, 9.5], [0.0, 11.0], [0.0, 15.0]]))
+        np.testing.assert_array_equal(found.lane >= 0, [True, False, False, True])
+        ways = [math.pi if back else 0.0 for back in against]
+        np.testing.assert_allclose(np.abs(found.heading_rad[[0, 3]]), [ways[0], ways[3]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("road", "side", "y_m", "facing_deg"),
+    [
+        ({}, "right", 0.0, 90.0),
+        ({}, "left", WIDTH, 270.0),
+        ({}, "median", 11.5, 90.0),
+        ({}, "gantry", 5.5, 90.0),
+        ({"drives_on": "left"}, None, WIDTH, 270.0),
+        ({"drives_on": "left"}, "gantry", 17.5, 90.0),
+        ({"drives_on": "left", "carriageways": 1, "median_m": None}, None, 11.0, 270.0),
+    ],
+)
+def test_each_side_has_its_place_and_faces_the_road(road, side, y_m, facing_deg, tmp_path):
+    deployment = {} if side is None else {"side": side}
+    if side == "gantry":
+        deployment["height_m"] = [5.5, 8.0]
+    scenario = load_scenario(write_scene(tmp_path, {"road": {**TWO_WAY, **road}, "deployment": deployment}))
+    (place,) = scenario.deployment.places
+    mast = place.mounting([6.0]).mast
+    assert mast.foot_m[1] == pytest.approx(y_m)
+    assert math.degrees(mast.facing_rad) == pytest.approx(facing_deg)
+    assert scenario.baseline.mast == mast
+    assert load_scenario(write_scene(tmp_path, scenario.with_whole_paths())).deployment == scenario.deployment
+
+
+def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(tmp_path):
+    gantry = site(tmp_path / "gantry", deployment={"side": "gantry", "height_m": [5.0, 7.0]})
+    assert sum(map(sum, points_of(gantry, gantry.scenario.deployment.spaces[0].layout([6.0])[0]))) > 500
+    assert gantry.scenario.baseline.height_m == 5.0
+    with pytest.raises(InputError, match=r"begins at 4.5 m over the lanes; allowed: 5 m or more, as clearance_m says"):
+        site(tmp_path / "low", deployment={"side": "gantry", "height_m": [4.5, 7.0]})
+    with pytest.raises(InputError, match=r"y 5.5 m stands on the carriageway; allowed: off the lanes, such as x 0, y 2"):
+        site(tmp_path / "lane", deployment={"y_m": 5.5})
+    with pytest.raises(InputError, match="hangs 3 m over the lanes"):
+        low = gantry.scenario.mounting({"height_m": 3.0})
+        prepare(gantry.scenario, [low])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[road]\nmedian_m = 3.0\n", "median_m: is given for one carriageway"),
+        ('[deployment]\nside = "median"\n', "is a median, but the road has one"),
+        ('[deployment]\nside = "left"\ny_m = -3.0\n', "lies on the side 'right'; allowed: with side = 'right'"),
+        ('[deployment]\nside = "kerb"\n', "allowed: right, left, median, gantry"),
+    ],
+)
+def test_sides_that_contradict_the_road_are_refused(text, words, tmp_path):
+    assert words in refusal(tmp_path, '[traffic]\npath = "traffic.csv"\n' + text)
