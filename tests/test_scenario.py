@@ -44,7 +44,7 @@ def test_a_number_fixes_a_coordinate_and_a_pair_has_it_searched(tmp_path):
     assert space.variables == ("x_m", "tilt_x_deg", "yaw_deg")
     assert space.lower == (-4.0, 0.0, -10.0)
     assert space.upper == (6.0, 25.0, 10.0)
-    assert deployment.fixed == {"y_m": -1.5, "height_m": 3.0, "tilt_y_deg": 0.0}
+    assert deployment.fixed == {"y_m": -1.5, "height_m": 3.0, "tilt_y_deg": 0.0, "facing_deg": 90.0}
     assert deployment.nominal_xy == (1.0, -1.5)
     pose = space.layout([2.0, 18.0, 5.0])[0].pose
     assert (pose.x_m, pose.y_m, pose.height_m, pose.tilt_y) == (2.0, -1.5, 3.0, 0.0)
@@ -165,7 +165,10 @@ KEYS = [
     ("traffic.height_m", "car", '"tall"', "0"),
     ("road", "station_m", '"a"', None),
     ("road", "right_edge_m", "[1]", None),
-    ("road", "setback_m", "true", "-1"),
+    ("road", "drives_on", "1", '"up"'),
+    ("road", "carriageways", "1.5", "3"),
+    ("road", "median_m", '"a"', "-1"),
+    ("road", "setback_m", "true", "1e9"),
     ("road", "lanes", "2.5", "0"),
     ("road", "lane_width_m", '"3"', "0"),
     ("road", "grade_percent", "12.5", "-13"),
@@ -205,6 +208,9 @@ KEYS = [
     ("deployment", "tilt_x_deg", '["a", "b"]', "[0, 91]"),
     ("deployment", "tilt_y_deg", "true", "-91"),
     ("deployment", "yaw_deg", "nan", "400"),
+    ("deployment", "facing_deg", "[0, 90]", "400"),
+    ("deployment", "side", "2", '"kerb"'),
+    ("deployment", "clearance_m", '"a"', "-1"),
     ("region", "centre_m", "3", "[1, 2, 3]"),
     ("region", "radius_m", '"range"', "0"),
     ("region", "polygon_m", "[1, 2]", "[[0, 0], [1, 0], [1, 1e9]]"),
@@ -216,6 +222,7 @@ KEYS = [
     ("baseline", "tilt_x_deg", "inf", "91"),
     ("baseline", "tilt_y_deg", '"a"', "-91"),
     ("baseline", "yaw_deg", "[0]", "361"),
+    ("baseline", "facing_deg", "[0]", "361"),
     ("baseline", "lean_deg", "[0, 10]", "-1"),
     ("baseline", "lean_direction_deg", '"ahead"', "361"),
     ("baseline", "spin_deg", "true", "-361"),

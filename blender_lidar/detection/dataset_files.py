@@ -33,7 +33,7 @@ from ..files import (
     write_text,
 )
 from ..names import DATASET_LAYOUTS
-from ..scene.mounting import COORDINATES
+from ..scene.mounting import MOUNTED
 from ..scene.provenance import check_identity
 from ..traffic.vehicles import CLASSES
 from .dataset import TRAIN, VAL, DatasetPlan, Sample, sample
@@ -196,8 +196,8 @@ def _scan_columns(plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]
         "recording": plan.recordings[[scan.frame for scan in scans]],
         "block": plan.blocks[[scan.frame for scan in scans]],
         "mounting": [scan.mounting for scan in scans],
-        **{key: [scan.mount.as_table()[key] for scan in scans] for key in COORDINATES},
-        **{f"hangs_{key}": [scan.hangs.as_table()[key] for scan in scans] for key in COORDINATES},
+        **{key: [scan.mount.as_table()[key] for scan in scans] for key in MOUNTED},
+        **{f"hangs_{key}": [scan.hangs.as_table()[key] for scan in scans] for key in MOUNTED},
         "station_m": [scan.station_m for scan in scans],
         "mirrored": [scan.mirrored for scan in scans],
         "labelled": [sum(row["labelled"] == "1" for row in one) for one in rows],
@@ -256,7 +256,7 @@ def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     drawn = replace(plan.scenario, sensor=replace(plan.scenario.sensor, noise_seed=scan.seed))
     sensor = MountedSensor(drawn, scan.mount, seen.lattice, seen.caster, None)
     told = {key: value for key, value in asdict(scan).items() if key not in ("frame", "mount")}
-    told["hangs"] = {key: scan.hangs.as_table()[key] for key in COORDINATES}
+    told["hangs"] = {key: scan.hangs.as_table()[key] for key in MOUNTED}
     boxes = {
         "vehicle_id": vehicles.vehicle_id,
         "class": vehicles.class_name,

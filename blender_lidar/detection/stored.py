@@ -16,7 +16,7 @@ from ..clouds.files import read_cloud
 from ..clouds.scan import PointCloud
 from ..errors import InputError, unknown_name
 from ..road.straight import StraightRoad, road_map
-from ..scene.mounting import COORDINATES, mounting_from
+from ..scene.mounting import COORDINATES, MOUNTED, mounting_from
 from ..scene.observation import CountedFrame
 from ..scene.region import Region, region_of
 from ..scene.settings import RegionSettings, SensorSettings
@@ -50,15 +50,15 @@ from .scores import CRITERIA, Matches, intervals, match
 Progress = Callable[[int], Callable[[int], object]]  # given how many clouds there are, what is called for those done
 
 
-def coordinates_of(values: Mapping[str, object], where: str) -> dict[str, float]:
-    """The six coordinates of a mounting or a pose [m, degrees] from a file of ours; `where` it stands.
+def coordinates_of(values: Mapping[str, object], where: str, keys: Sequence[str] = COORDINATES) -> dict[str, float]:
+    """The coordinates of a mounting or a pose [m, degrees] from a file of ours; `where` it stands.
 
     Raises
     ------
     InputError
         Where one is missing or no number.
     """
-    return _declared(values, dict.fromkeys(COORDINATES, Setting(low=-_FARTHEST, high=_FARTHEST)), where)
+    return _declared(values, dict.fromkeys(keys, Setting(low=-_FARTHEST, high=_FARTHEST)), where)
 
 
 def _declared(values: Mapping[str, object], declared: Mapping[str, Setting], where: str) -> dict[str, Any]:
@@ -195,7 +195,7 @@ _ABOUT = {
 _OF_SCANS = {
     **dict.fromkeys(("scan", "recording", "block", "mounting"), _WHOLE),
     "frame": Column("a whole number", whole=True),
-    **dict.fromkeys(COORDINATES, Column("a number", -_FARTHEST, _FARTHEST)),
+    **dict.fromkeys(MOUNTED, Column("a number", -_FARTHEST, _FARTHEST)),
 }
 _OF_BOXES = {
     **{name: column for name, column in BOX_COLUMNS.items() if name not in ("time_s", "lane")},
@@ -279,8 +279,8 @@ def read_dataset(folder: Path) -> StoredDataset:
     count = len(scans["scan"])
     if not count or (scans["scan"] != np.arange(count)).any():
         raise InputError(f"{folder / SCANS}: is damaged: its scans are not numbered from 0 on; make the data set again")
-    tables = ({key: scans[key].tolist()[row] for key in COORDINATES} for row in range(count))
-    poses = [mounting_from(coordinates_of(table, str(folder)), road).pose for table in tables]
+    tables = ({key: scans[key].tolist()[row] for key in MOUNTED} for row in range(count))
+    poses = [mounting_from(coordinates_of(table, str(folder), MOUNTED), road).pose for table in tables]
     validating = np.flatnonzero(scans["split"] == VAL)
     return StoredDataset(folder, about, region, scans, poses, validating if len(validating) else np.arange(count))
 

@@ -24,6 +24,8 @@ ANGLES = ("tilt_x_deg", "tilt_y_deg", "yaw_deg")
 LEANS = ("lean_deg", "lean_direction_deg", "spin_deg")
 COORDINATES = (*PLACE, *ANGLES)
 """The coordinates of a mounting in tables: metres and degrees."""
+MOUNTED = (*COORDINATES, "facing_deg")
+"""The same, and which way the mast faces: all that a mounting is made of."""
 _NO_LEAN_DEG = 1e-6
 _SAME_ROTATION = 1e-6
 _SQUARE = 0.5 * math.pi  # the way that a mast faces whose axes are those of the site frame

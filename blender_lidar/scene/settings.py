@@ -34,7 +34,7 @@ from ..plugins import METRICS_OF_OTHERS, SEARCHES_OF_OTHERS
 from ..road.straight import StraightRoad, road_map
 from ..toml_table import setting, settings_of
 from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, STAND, Deployment
-from .mounting import COORDINATES, Mounting, mounting_from
+from .mounting import COORDINATES, MOUNTED, Mounting, mounting_from
 
 if TYPE_CHECKING:
     from ..road.road_map import RoadMap
@@ -506,7 +506,7 @@ class Scenario:
         further = zip(self._traffic_tables[1:], tables.pop("further_traffic"), strict=True)
         tables = {"traffic": tables["traffic"], **dict(further), **tables}
         del tables["source"], tables["where"]
-        tables["baseline"] = {key: self.baseline.as_table()[key] for key in (*COORDINATES, "facing_deg")}
+        tables["baseline"] = {key: self.baseline.as_table()[key] for key in MOUNTED}
         tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
         if self.deployment.side is not None:
             tables["deployment"] |= {key: getattr(self.deployment, key) for key in ("side", "clearance_m")}
