@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..traffic import format_of
 from ..traffic.tracks import central_velocity, held_heading
 from ..traffic.vehicles import Placing, Recording
 from . import usual
@@ -51,6 +50,8 @@ class Tracks:
         Places [m].
     heading_rad, time_s, frame, length_m : ndarray, (n,)
         As the recording has them, times since its beginning.
+    step_s : float
+        Between frames, in the median [s].
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -62,6 +63,7 @@ class Tracks:
         self.xy, self.heading_rad = recording.centre_m[kept, :2], recording.heading_rad[kept]
         self.time_s, self.frame = time_s - recording.frame_time_s[0], recording.frame[kept]
         self.length_m = recording.size_m[kept, 0]
+        self.step_s = float(np.median(np.diff(recording.frame_time_s))) if len(recording.frames) > 1 else 0.0
 
     @property
     def vehicles(self) -> int:
@@ -102,31 +104,20 @@ def within_half_a_turn(angle):
 # --- The checks: what each has seen, and what is probably meant; nothing where all may be true --------------------
 
 
-def time_step(recording: Recording, tracks: Tracks) -> str | None:
-    """Speeds that no traffic has: a wrong time step, or vehicles that are numbered anew in each frame."""
+def time_step(tracks: Tracks) -> str | None:
+    """Speeds that no traffic has: a wrong time step or unit, or vehicles that are numbered anew in each frame."""
     ways = tracks.ways
     if len(ways.seconds) < usual.FEWEST:
         return None
     median, fast = np.quantile(ways.distance_m / ways.seconds, [0.5, 0.9])
-    crawls = fast < usual.CRAWL_M_S and np.ptp(recording.frame_time_s) > usual.CRAWL_S
+    crawls = fast < usual.CRAWL_M_S and np.ptp(tracks.time_s) > usual.CRAWL_S
     if not crawls and median <= usual.FASTEST_MEDIAN_M_S:
         return None
-    step = np.median(np.diff(recording.frame_time_s))
-    speed = f"{median:.2g}" if median < 100.0 else f"{median:.0f}"
-    seen = f"moving vehicles drive {speed} m/s (usual: 2 to 40) with frames {step:.3g} s apart"
-    if crawls:
-        cause = "milliseconds for seconds" if median < 0.1 else "frame numbers for seconds, or a jam that crawls"
-        return f"{seen}; probably {cause}: check time_s and [traffic] time_step_s"
-    if ways.share_astray(ways.heading_rad) > usual.MANY:
-        return (
-            f"{seen}, in no direction; probably vehicles are numbered anew in each frame, or places have another unit "
-            "and axis than headings: check vehicle_id, x_m and y_m"
-        )
-    low, high = usual.USUAL_M_S
-    units = [unit for unit, factor in usual.UNITS.items() if low <= median * factor <= high]
-    in_units = bool(units) and format_of(recording.source) == "table"
-    apart = "probably frames are further apart (check time_s and [traffic] time_step_s)"
-    return f"{seen}; {apart}" + (f", or x_m and y_m are in {' or '.join(units)}" if in_units else "")
+    return (
+        f"moving vehicles drive {median:.3g} m/s (usual: 2 to 40) with frames {tracks.step_s:.3g} s apart; probably "
+        "time_s is not in seconds, [traffic] time_step_s is another, places are not in metres, or "
+        + ("a jam crawls" if crawls else "vehicles are numbered anew in each frame")
+    )
 
 
 def jumps(recording: Recording, tracks: Tracks) -> str | None:
@@ -204,27 +195,19 @@ def headings(tracks: Tracks, scenario: Scenario) -> str | None:
         "clockwise from north, as a compass has them (counter-clockwise from +x is 90 less the bearing), or x and y "
         "are swapped": 0.5 * math.pi - in_file,
         "clockwise, or y mirrored": -in_file,
-        "a quarter turn off": in_file + 0.5 * math.pi,
-        "a quarter turn off, clockwise": in_file - 0.5 * math.pi,
     }
     degrees = np.degrees(in_file)
     if (np.abs(degrees) <= 2 * math.pi + 0.02).all():
         meant = {"radians for degrees": degrees, **meant}  # the number was the angle in radians
-    turned = np.where(np.abs(ways.astray(ways.heading_rad)) > 0.5 * math.pi, math.pi, 0.0)
-    both = "one direction's headings for the vehicles of both, or several vehicles under one vehicle_id"
-    meant = {name: placing.headings(heading) for name, heading in meant.items()} | {both: ways.heading_rad + turned}
-    guess = "of another axis than x_m and y_m, or vehicles are numbered anew in each frame"
-    if share <= usual.MINORITY and abs(np.exp(1j * ways.astray(ways.heading_rad)).mean().imag) <= usual.OFF_RAD:
-        guess = "headings do not follow the road's bends: one direction for all, or that of a chord"
-        if share > usual.FEW:
-            guess = "headings of some vehicles, such as those of a class, are of another axis"
+    probably = "of another axis than x_m and y_m, one for all where the road bends or has two directions, or of others"
     for name, heading in meant.items():
-        if ways.share_astray(heading) < 1.0 - usual.MOST and _off_rad(tracks, heading) <= usual.OFF_RAD:
-            guess = name
+        right = placing.headings(heading)
+        if ways.share_astray(right) < 1.0 - usual.MOST and _off_rad(tracks, right) <= usual.OFF_RAD:
+            probably = name
             break
     return (
         f"moving vehicles head {math.degrees(off):.0f} degrees off their motion, place by place (usual: under 2), "
-        f"{100 * share:.0f} % of them more than 30 (usual: none); probably {guess}"
+        f"{100 * share:.0f} % of them more than 30 (usual: none); probably {probably}"
     )
 
 
@@ -268,53 +251,73 @@ def _standing_astray(tracks: Tracks) -> str | None:
 
 def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
     """What is suspicious of tracks, as sentences."""
-    steps, vehicles = tracks.steps, tracks.vehicles
+    steps, vehicles, of_row = tracks.steps, tracks.vehicles, tracks.vehicle
     if len(recording.frames) < 2 or vehicles < 2:
         return
-    if len(np.unique(tracks.vehicle[steps.row])) <= usual.SOME * vehicles:
+    if len(np.unique(of_row[steps.row])) <= usual.SOME * vehicles:
         yield (
             "next to no vehicle is in more than one frame: frames that are unrelated, or vehicles numbered anew in "
             "each, which then judge what they have chosen"
         )
         return
-    if repeats := _there_again(recording):
-        yield repeats
-    first = np.flatnonzero(np.diff(tracks.vehicle, prepend=-1))
+    first = np.flatnonzero(np.diff(of_row, prepend=-1))
     extent = np.maximum.reduceat(tracks.xy, first) - np.minimum.reduceat(tracks.xy, first)
-    if (np.hypot(*extent.T) >= usual.MOVED_M).mean() <= usual.SOME:
-        yield f"next to no vehicle moves in {np.ptp(recording.frame_time_s):.0f} s: a jam, or a car park?"
+    standing = (np.hypot(*extent.T) < usual.MOVED_M).mean()
     turning = math.degrees(float(np.median(np.abs(steps.turn_rad))))
-    if turning > usual.TURN_DEG:
-        yield f"headings change by {turning:.0f} degrees from row to row (usual: under 1): are they noise?"
-    of_row = tracks.vehicle
     mean = np.bincount(of_row, tracks.length_m) / np.bincount(of_row)
     varying = np.sqrt(np.bincount(of_row, np.square(tracks.length_m - mean[of_row])) / np.bincount(of_row)) / mean
-    if np.median(varying) > usual.LENGTH_VARIES:
-        yield (
-            f"lengths of one vehicle vary by {100 * np.median(varying):.0f} % (usual: none); give it one size in all "
-            "frames, or each its own vehicle_id"
-        )
+    varying = np.median(varying)
     at = np.searchsorted(recording.frames, tracks.frame)
-    gaps = int((at[steps.later] - at[steps.row] - 1).sum())
-    if gaps > usual.MANY * (gaps + len(at)):
-        yield (
-            f"vehicles are missing in {100 * gaps / (gaps + len(at)):.0f} % of the frames between their first and "
-            "their last, and hide nothing there"
-        )
+    gaps = (at[steps.later] - at[steps.row] - 1).sum()
+    missing = gaps / (gaps + len(at))
     ahead = steps.moved_m[:, 0] * np.cos(steps.heading_rad) + steps.moved_m[:, 1] * np.sin(steps.heading_rad)
-    again = len(np.unique(tracks.vehicle[steps.row[ahead < -usual.JUMP_M]]))
-    if again > max(usual.SOME * vehicles, 1):
-        yield (
-            f"{100 * again / vehicles:.0f} % of the vehicles come again from behind: if a vehicle_id is used again for "
-            "others, the later ones are left out of the check on held-out traffic"
-        )
+    again = len(np.unique(of_row[steps.row[ahead < -usual.JUMP_M]])) / vehicles
+    copied, later_s = _there_again(recording)
+    for measured, limit, sentence in (
+        (
+            copied,
+            usual.MANY,
+            f"{100 * copied:.0f} % of the frames are there again to the centimetre {later_s:g} s later, with other "
+            "vehicles: if the same minutes are there more than once, what is held out is what was searched",
+        ),
+        (
+            standing,
+            1.0 - usual.SOME,
+            f"next to no vehicle moves in {np.ptp(recording.frame_time_s):.0f} s: a jam, or a car park?",
+        ),
+        (
+            turning,
+            usual.TURN_DEG,
+            f"headings change by {turning:.0f} degrees from row to row (usual: under 1): are they noise?",
+        ),
+        (
+            varying,
+            usual.LENGTH_VARIES,
+            f"lengths of one vehicle vary by {100 * varying:.0f} % (usual: none); give it one size in all frames, or "
+            "each its own vehicle_id",
+        ),
+        (
+            missing,
+            usual.MANY,
+            f"vehicles are missing in {100 * missing:.0f} % of the frames between their first and their last, and hide "
+            "nothing there",
+        ),
+        (
+            again,
+            usual.SOME,
+            f"{100 * again:.0f} % of the vehicles come again from behind: if a vehicle_id is used again for others, "
+            "the later ones are left out of the check on held-out traffic",
+        ),
+    ):
+        if measured > limit:
+            yield sentence
 
 
 _MIXED = np.array([2_654_435_761, 40_503])  # odd factors, to give each place a number of its own
 
 
-def _there_again(recording: Recording) -> str | None:
-    """Frames whose boxes stand to the centimetre where those of an earlier one stood: copies of the same minutes.
+def _there_again(recording: Recording) -> tuple[float, float]:
+    """Share of the frames whose boxes stand where an earlier one's stood, to the centimetre, and how much later [s].
 
     Vehicles that follow each other at even distances do so too, but some of them are in both frames.
     """
@@ -323,17 +326,9 @@ def _there_again(recording: Recording) -> str | None:
     looks = np.add.reduceat(place * place, first[:-1])
     order = np.argsort(looks, kind="stable")
     same = np.flatnonzero((np.diff(looks[order]) == 0) & (recording.counts[order[:-1]] > 1))
-
-    def others(one: int, other: int) -> bool:
+    later_s = []
+    for one, other in zip(order[same], order[same + 1], strict=True):
         ids = (recording.vehicle_id[first[at] : first[at + 1]] for at in (one, other))
-        return not np.intersect1d(*ids).size
-
-    again = [(one, other) for one, other in zip(order[same], order[same + 1], strict=True) if others(one, other)]
-    share = len(again) / len(looks)
-    if share <= usual.MANY:
-        return None
-    later = np.median([recording.frame_time_s[other] - recording.frame_time_s[one] for one, other in again])
-    return (
-        f"{100 * share:.0f} % of the frames are there again to the centimetre {later:g} s later, with other vehicles: "
-        "if the same minutes are there more than once, what is held out is what was searched"
-    )
+        if not np.intersect1d(*ids).size:
+            later_s.append(recording.frame_time_s[other] - recording.frame_time_s[one])
+    return len(later_s) / len(looks), float(np.median(later_s)) if later_s else 0.0

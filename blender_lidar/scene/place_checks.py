@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import InputError
-from ..traffic import format_of
 from ..traffic.layout import LANE_WIDTHS_M, USUAL_LANE_M, density_peaks
-from ..traffic.ngsim import FOOT_M
-from ..traffic.vehicles import Recording, frames_looked_at, overlapping_pairs
+from ..traffic.vehicles import Recording
 from . import usual
 from .motion_checks import within_half_a_turn
 from .region import Region, region_of
@@ -76,13 +74,16 @@ def carriageway(recording: Recording, scenario: Scenario, placed: Placed, headin
     """Vehicles that drive obliquely to the road, or next to none of the region on its carriageway."""
     inside, stretches = placed.inside, scenario.region.stretches
     heading = placed.heading_rad[inside]
-    axis = _travel(heading) if heading_known and not recording.report.periods else 0.0
-    if axis and (np.abs(np.sin(heading)) <= math.sin(usual.ALONG_RAD)).mean() < usual.FEW:
-        at, meant = _turn_meant(axis, scenario)
-        return (
-            f"vehicles in the region drive at {at:g} degrees to the road's x axis (usual: along it); probably "
-            f"[traffic] heading_deg = {meant:g}, the direction of travel in the file"
-        )
+    oblique = (np.abs(np.sin(heading)) <= math.sin(usual.ALONG_RAD)).mean() < usual.FEW if heading.size else False
+    if oblique and len(heading) >= usual.FEWEST and heading_known and not recording.report.periods:
+        axis = 0.5 * float(np.angle(np.exp(2j * heading).mean()))  # of both ways along it
+        axis += math.pi if np.cos(heading - axis).sum() < 0.0 else 0.0
+        if (np.abs(np.sin(heading - axis)) <= math.sin(usual.ALONG_RAD)).mean() >= usual.MINORITY:
+            at, meant = _turn_meant(axis, scenario)
+            return (
+                f"vehicles in the region drive at {at:g} degrees to the road's x axis (usual: along it); probably "
+                f"[traffic] heading_deg = {meant:g}, the direction of travel in the file"
+            )
     looked_at = inside | bool(stretches)  # beside a stretch too
     if looked_at.sum() < usual.FEWEST:
         return None
@@ -93,7 +94,7 @@ def carriageway(recording: Recording, scenario: Scenario, placed: Placed, headin
     return (
         f"{100 * share:.0f} % of the boxes {'about' if stretches else 'in'} the region lie on {placed.name}, but at "
         f"{_span('y', placed.t[looked_at])}; "
-        f"{_place_meant(placed.t[looked_at], placed.heading_rad[looked_at], recording, scenario)}"
+        f"{_place_meant(placed.t[looked_at], recording, scenario)}"
     )
 
 
@@ -105,51 +106,25 @@ def _keep_to_it(placed: Placed) -> bool:
     return bool(keeping.sum() >= 3 and along[placed.inside].sum() >= usual.FEWEST)
 
 
-def _travel(heading_rad: np.ndarray) -> float:
-    """The direction that most of some headings (n,) share [rad], of both ways along it the one of the most; else 0."""
-    if len(heading_rad) < usual.FEWEST:
-        return 0.0
-    off = {axis: np.sin(heading_rad - axis) for axis in np.radians(np.arange(180.0)).tolist()}
-    alike = max((np.abs(sine) <= math.sin(usual.ALONG_RAD) for sine in off.values()), key=np.count_nonzero)
-    if alike.mean() < usual.MINORITY:
-        return 0.0
-    axis = 0.5 * float(np.angle(np.exp(2j * heading_rad[alike]).mean()))
+def _place_meant(t: np.ndarray, recording: Recording, scenario: Scenario) -> str:
+    """What would put vehicles at `t` onto the carriageway, in words."""
+    road = scenario.road
+    if recording.report.periods:
+        at = _span("Local_X", road.setback_m + road.right_edge_m - t)
+        return f"check [road] right_edge_m, in metres where NGSIM has feet: vehicles drive at {at}"
     return (
-        axis if (np.cos(heading_rad[alike] - axis) > 0.0).mean() >= usual.HALF else within_half_a_turn(axis + math.pi)
+        "check [traffic] origin_m and heading_deg, the unit and the side (y mirrored, or half a turn), and [road] "
+        "setback_m, lanes and lane_width_m"
     )
+
+
+# --- What is suspicious and may be right --------------------------------------------------------------------------
 
 
 def _turn_meant(axis: float, scenario: Scenario) -> tuple[float, float]:
     """A direction in the road frame [rad] in degrees, and as what `heading_deg` would make it the road's."""
-    turn = within_half_a_turn(axis + math.radians(scenario.traffic.heading_deg or 0.0))
-    return tuple(round(math.degrees(angle), 1) + 0.0 for angle in (axis, turn))
-
-
-def _place_meant(t: np.ndarray, heading_rad: np.ndarray, recording: Recording, scenario: Scenario) -> str:
-    """What would put vehicles at `t` onto the carriageway, in words."""
-    road, ngsim = scenario.road, bool(recording.report.periods)
-    low, high = scenario.road_map.edges_t
-
-    def fits(t: np.ndarray) -> bool:
-        return ((t >= low) & (t <= high)).mean() > usual.MOST
-
-    if ngsim and fits(t + (FOOT_M - 1.0) * road.right_edge_m):
-        return f"probably [road] right_edge_m = {road.right_edge_m:g} is in feet: {FOOT_M * road.right_edge_m:.4g} m"
-    if ngsim:
-        return (
-            f"check [road] right_edge_m: vehicles drive at {_span('Local_X', road.setback_m + road.right_edge_m - t)}"
-        )
-    if fits(-t) and (np.cos(heading_rad) < 0.0).mean() > usual.MOST:
-        return "probably the other side: turn [traffic] heading_deg by 180 degrees"
-    if fits(-t):
-        return "probably the other side: y is mirrored, or [traffic] origin_m lies to the left of the road"
-    spread = float(np.diff(np.quantile(t, [0.05, 0.95]))[0])
-    if fits(FOOT_M * t) and spread > high - low:  # else an origin explains it as well
-        return "probably feet for metres"
-    return "check [traffic] origin_m and heading_deg, and [road] setback_m, lanes and lane_width_m"
-
-
-# --- What is suspicious and may be right --------------------------------------------------------------------------
+    turns = axis, axis + math.radians(scenario.traffic.heading_deg or 0.0)
+    return tuple(round(math.degrees(within_half_a_turn(angle)), 1) + 0.0 for angle in turns)
 
 
 def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accepted: bool) -> Iterator[str]:
@@ -191,9 +166,9 @@ def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accept
             f"{meant:g}), if the road does not bend there"
         )
     yield from _lane_notes(t[inside & along], scenario)
-    many = recording.report.overlaps / max(_boxes_looked_at(recording), 1.0)
-    if usual.SOME < many <= usual.MANY:
-        yield f"{100 * many:.0f} pairs of boxes overlap among 100 (usual: none, or a few)"
+    pairs, boxes = _overlapping(recording)
+    if usual.SOME * boxes < pairs <= usual.OVERLAPPING * boxes:
+        yield f"{100 * pairs / boxes:.0f} pairs of boxes overlap among 100 (usual: none, or a few)"
     right, left = against & (t < low), against & (t > high)
     travels = there.sum() >= usual.FEWEST and share < usual.HALF
     if travels and right.sum() >= usual.FEWEST and right.sum() > usual.MOST * (right | left).sum():
@@ -237,57 +212,23 @@ def _boxes_looked_at(recording: Recording) -> float:
     return recording.report.overlap_frames * len(recording) / len(recording.frames)
 
 
+def _overlapping(recording: Recording) -> tuple[int, float]:
+    """Pairs of boxes that overlap, and among how many boxes they were looked for."""
+    report = recording.report
+    return report.overlaps, report.overlap_frames * len(recording) / len(recording.frames)
+
+
 def overlaps(recording: Recording) -> str | None:
     """Boxes that stand in one another."""
-    report, boxes = recording.report, _boxes_looked_at(recording)
-    if boxes < usual.FEWEST or not report.overlaps:
+    pairs, boxes = _overlapping(recording)
+    most = usual.SOME if recording.report.periods else usual.OVERLAPPING  # NGSIM's are under 0.1 %
+    if boxes < usual.FEWEST or pairs <= most * boxes:
         return None
-    seen = f"{report.overlaps:,} pairs of boxes overlap among {boxes:,.0f}"
-    twice = (_apart(recording) < usual.SAME_PLACE_M).sum()
-    if usual.FEW * boxes < twice <= usual.MANY * boxes:
-        return f"{twice:,} of {boxes:,.0f} boxes stand where another one does; probably vehicles are there twice"
-    if report.overlaps <= (usual.SOME if report.periods else usual.MANY) * boxes:  # NGSIM's are under 0.1 %
-        return _bumpers(recording, seen)
-    if any("no vehicle_types" in note for note in report.notes):
-        meant = "vehicles are smaller than SUMO's defaults: give their [traffic] vehicle_types"
-    elif np.ptp(recording.centre_m[:, :2], axis=0).max() < 1.0:
-        meant = "x_m and y_m are degrees of longitude and latitude: give metres"
-    elif report.periods:
-        meant = "Local_X or Local_Y is in metres, where NGSIM has feet, or vehicles are there twice under other ids"
-    else:
-        meant = "vehicles are there twice under other ids, or x_m and y_m are not the boxes' centres, or not in metres"
-    return f"{seen} (usual: none, or a few in a hundred); probably {meant}"
-
-
-def _apart(recording: Recording, ahead: float = 0.0) -> np.ndarray:
-    """How far the middles of boxes that overlap are apart, in the frames looked at (p,) [m].
-
-    Boxes are moved ahead by so many of their lengths.
-    """
-    found = [np.zeros(0)]
-    for vehicles in map(recording.vehicles, frames_looked_at(recording)):
-        centre, heading = vehicles.centre_m.copy(), vehicles.heading_rad
-        centre[:, :2] += ahead * vehicles.size_m[:, :1] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-        pairs = overlapping_pairs(replace(vehicles, centre_m=centre))
-        found.append(np.hypot(*(centre[pairs[:, 0], :2] - centre[pairs[:, 1], :2]).T))
-    return np.concatenate(found)
-
-
-def _bumpers(recording: Recording, seen: str) -> str | None:
-    """Places that are the bumpers' in a table: in dense traffic of several lengths boxes overlap; moved ones do not.
-
-    In free flow nothing shows it: all lie half a length ahead, which moves an answer along the road alone.
-    """
-    if recording.report.overlaps < usual.FEWEST or format_of(recording.source) != "table":
-        return None
-    for bumpers, ahead, where in (("front", -0.5, "behind"), ("rear", 0.5, "ahead")):
-        left = len(_apart(recording, ahead))
-        if left < usual.SOME * recording.report.overlaps:
-            return (
-                f"{seen}, and {left:,} if their places are taken for the middles of {bumpers} bumpers; probably x_m "
-                f"and y_m are those: give the boxes' centres, half a length {where}"
-            )
-    return None
+    return (
+        f"{pairs:,} pairs of boxes overlap among {boxes:,.0f} (usual: none, or a few in a hundred); probably vehicles "
+        "are there twice under other ids, sizes are too large (of SUMO's: give vehicle_types), or places are not the "
+        "boxes' centres (but bumpers), or not in metres (but degrees of longitude and latitude, or feet)"
+    )
 
 
 # --- Where vehicles are --------------------------------------------------------------------------------------------
@@ -299,7 +240,7 @@ def nobody_there(recording: Recording, region: Region, frames: int, scenario: Sc
     at, middle = road.locate(recording.centre_m), road.locate(np.array([region.centre_xy]))
     beside = np.abs(at.s_m - middle.s_m) <= region.radius_m
     if beside.any() and (at.lane[beside] >= 0).mean() < usual.FEW:
-        meant = _place_meant(at.t_m[beside], recording.heading_rad[beside], recording, scenario)
+        meant = _place_meant(at.t_m[beside], recording, scenario)
     elif asked := {lane for one in scenario.region.stretches or () for lane in one.lanes or ()}:
         there = ", ".join(map(str, np.unique(recording.lane[recording.lane != 0]).tolist()))
         meant = f"its lanes are {there}" if there else "it names no lanes"

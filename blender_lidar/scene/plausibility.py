@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from itertools import permutations
 
 import numpy as np
 
@@ -83,47 +82,24 @@ def _sizes(seen: _Seen) -> str | None:
     """Sizes that most of a class cannot have: another unit, or columns swapped; heights that are one for all."""
     sample = seen.sample
     for index in np.argsort(-np.bincount(sample.class_index)):
-        own = sample.class_index == index
-        size = sample.size_m[own]
-        fitting = _fits(size, sample.class_index[own])
-        if own.sum() < usual.FEWEST or fitting.mean() >= usual.HALF:
+        size, name = sample.size_m[sample.class_index == index], CLASSES[index]
+        fitting = _fits(size, index)
+        if len(size) < usual.FEWEST or fitting.mean() >= usual.HALF:
             continue
-        probably = " or ".join(_sizes_meant(size, sample.class_index[own])) or "another unit, or another class"
+        units = [unit for unit, factor in usual.FACTORS.items() if _fits(size * factor, index).mean() > usual.MOST]
+        probably = " or ".join(units) or "another unit, swapped columns or another class"
         if seen.recording.report.periods:  # whose sizes have been repaired, to the least where they were metres
             probably = "v_Length and v_Width in metres, where NGSIM's columns are all in feet, or swapped"
-        name = CLASSES[index]
         return (
             f"{100 * (1.0 - fitting.mean()):.0f} % of the boxes of class {name} have impossible sizes: a median {name} "
-            f"is {_by(np.median(size, axis=0))} m (usual: {_by(*usual.SIZES_M[name])} m); probably {probably}"
+            f"is {_by(np.median(size, axis=0))} m (usual: {_by(usual.SIZES_M[name])} m); probably {probably}"
         )
     return _heights_alike(sample) or _heights_of_middles(sample)
 
 
-def _by(*sizes) -> str:
+def _by(sizes) -> str:
     """A length, width and height in words, or from where to where each goes."""
-    return " by ".join(
-        f"{one:.3g}" if np.isscalar(one) else "{:g} to {:g}".format(*one)
-        for one in (sizes[0] if len(sizes) == 1 else sizes)
-    )
-
-
-def _sizes_meant(size_m: np.ndarray, class_index: np.ndarray) -> list[str]:
-    """Units with which sizes (n, 3) fit, and the order of columns that swaps fewest, in words."""
-
-    def fit(size: np.ndarray) -> bool:
-        return _fits(size, class_index).mean() > usual.MOST
-
-    found = [meant for meant, factor in usual.FACTORS.items() if fit(size_m * factor)] or [
-        f"{meant} in length_m and width_m"
-        for meant, factor in usual.FACTORS.items()
-        if fit(size_m * [factor, factor, 1])
-    ]
-    names = ("length", "width", "height")
-    for order in sorted(permutations(range(3)), key=lambda order: sum(one != at for at, one in enumerate(order))):
-        if fit(size_m[:, order]):
-            pairs = [(names[one], name) for one, name in zip(order, names, strict=True) if names[one] != name]
-            return [*found, f"columns swapped: {', '.join(f'{one}_m holds the {name}' for one, name in pairs)}"]
-    return found
+    return " by ".join(f"{one:.3g}" if np.isscalar(one) else "{:g} to {:g}".format(*one) for one in sizes)
 
 
 def _heights_alike(sample: Recording) -> str | None:
@@ -146,18 +122,11 @@ def _heights_alike(sample: Recording) -> str | None:
 def _heights_of_middles(sample: Recording) -> str | None:
     """Boxes that stand above the road or in it: z_m that is not of their middles."""
     z, half = sample.centre_m[:, 2], 0.5 * sample.size_m[:, 2]
-
-    def right(z: np.ndarray) -> float:
-        return float((np.abs(z - half) <= usual.OFF_MIDDLE_M).mean())
-
-    if len(z) < usual.FEWEST or right(z) >= usual.HALF:
+    if len(z) < usual.FEWEST or (np.abs(z - half) <= usual.OFF_MIDDLE_M).mean() >= usual.HALF:
         return None
-    would_be = {"the boxes' floors": z + half, "the boxes' tops": z - half}
-    meant = [name for name, middle in would_be.items() if right(middle) > usual.MOST]
     return (
         f"the boxes' middles lie {np.median(z):.3g} m above the road (usual: half their heights, "
-        f"{np.median(half):.2g} m); probably z_m is of "
-        f"{(meant or ['heights above sea, or of another plane than the road'])[-1]}: leave the column out, and they "
+        f"{np.median(half):.2g} m); probably z_m is of floors, of tops or above sea: leave the column out, and they "
         "stand on the road"
     )
 
@@ -180,7 +149,7 @@ def _size_notes(seen: _Seen) -> Iterator[str]:
 
 _CHECKS: dict[str, Callable[[_Seen], str | None]] = {  # as `names.WARNINGS`: causes before what comes of them
     "sizes": _sizes,
-    "time-step": lambda seen: time_step(seen.recording, seen.tracks),
+    "time-step": lambda seen: time_step(seen.tracks),
     "tracks": lambda seen: jumps(seen.recording, seen.tracks),
     "headings": lambda seen: headings(seen.tracks, seen.scenario),
     "carriageway": lambda seen: carriageway(seen.recording, seen.scenario, seen.placed, seen.heading_known),

@@ -14,12 +14,7 @@ FEWEST = 20  # boxes or moves: of fewer a share is known to no better than a fif
 FEWEST_TOGETHER = 5  # vehicles: what so many do at one time is no accident of one
 SAMPLE, TRACK_ROWS = 20_000, 100_000  # boxes, and rows of whole tracks, that are looked at: a second at most
 FEW, SOME, MANY = 0.02, 0.05, 0.2  # shares: measurement errors; what is worth a note; what is worth a stop
-MINORITY, HALF, MOST, ALL = (
-    0.4,
-    0.5,
-    0.8,
-    0.95,
-)  # well under a half; a half; what a guess must set right; but for errors
+MINORITY, HALF, MOST, ALL = 0.4, 0.5, 0.8, 0.95  # under a half; a half; what a guess must set right; but for errors
 
 # --- Sizes [m]: least and largest length, width and height, from mopeds to road trains, with room for measurement
 SIZES_M = {
@@ -39,13 +34,12 @@ FACTORS = {  # what sizes may be for what they should be, and what makes them ri
 LONG_M, HIGHER_M = 7.0, 0.2  # trucks and buses this long are higher than cars by more than this
 ALIKE_M = 0.05  # sizes that differ by less are one number
 OFF_MIDDLE_M = 0.5  # of a box above its half height: more than kerbs, lorries' axles and survey errors
-SAME_PLACE_M = 0.5  # two boxes whose middles are nearer are one vehicle
+OVERLAPPING = 0.12  # pairs a box: unrelated labels reach 0.1; a fifth of the vehicles there twice make 0.16
 LENGTH_VARIES = 0.05  # of itself, along one track: trackers that fit a box in each frame
 
 # --- Motion
 MOVED_M, MOST_ROWS_APART = 5.0, 64  # so far that noise of 0.5 m turns a direction by 8 degrees; rows of a track
 CRAWL_M_S, CRAWL_S = 1.5, 60.0  # nine of ten that move are slower for longer than this: no traffic
-USUAL_M_S = (2.0, 40.0)  # a guess at units gives such a median
 FASTEST_MEDIAN_M_S, FASTEST_M_S = 44.0, 70.0  # 160 km/h for the traffic, 250 for any vehicle
 STANDS_M_S = 0.5
 JUMP_M = 20.0  # in one row: beyond any error of position
