@@ -9,6 +9,7 @@ import argparse
 import re
 import tomllib
 from collections.abc import Mapping
+from itertools import chain, groupby
 from pathlib import Path
 from types import UnionType
 from typing import get_args, get_origin
@@ -120,7 +121,7 @@ MADE = "<!-- made from the declarations by `python -m tests.test_documents`; do 
 
 
 def cells(*texts: str) -> str:
-    return "| " + " | ".join(text.replace("|", "\\|") for text in texts) + " |"
+    return "| " + " | ".join(text.replace("|", "\\|").replace("<", "&lt;") for text in texts) + " |"
 
 
 def option_rows(actions) -> list[str]:
@@ -130,60 +131,72 @@ def option_rows(actions) -> list[str]:
             continue
         name, value = (action.option_strings or [action.metavar])[0], action.metavar if action.option_strings else ""
         value = "\\|".join(action.choices) if action.choices else " ".join(value) if isinstance(value, tuple) else value
-        told = action.help.replace("%(default)s", str(action.default)).replace("%%", "%")
-        rows.append(f"| `{name}{f' {value}' if value and action.nargs != 0 else ''}` | {told.replace('<', '&lt;')} |")
+        text = action.help.replace("%(default)s", str(action.default)).replace("%%", "%")
+        rows.append(f"| `{name}{f' {value}' if value and action.nargs != 0 else ''}` | {text.replace('<', '&lt;')} |")
     return rows
 
 
 def options_table() -> str:
-    """Every option of every verb; those that replace a scene's settings once, by their groups."""
+    """Every option once: those that replace a scene's keys, those that several verbs have, and each verb's own."""
     parser = argparse.ArgumentParser(prog="blender-lidar")
     subparsers = parser.add_subparsers()
     add_verbs(subparsers)
-    shared = {option for table in DECLARED.values() for one in table.values() if (option := one.option)}
-    verbs = subparsers.choices
-    groups = [group for group in verbs["evaluate"]._action_groups if group.title == "mounting"]
-    groups = [*verbs["optimise"]._action_groups, *groups]
-    parts = ["## Every option", "", "### Options that replace what a scene says", ""]
-    for group in groups:
-        rows = option_rows(one for one in group._group_actions if shared & set(one.option_strings))
-        parts += [f"**{group.title}**", "", "| option | meaning |", "|---|---|", *rows, ""] if rows else []
-    for verb in dict.fromkeys(verbs.values()):  # once, though it may have two names
+    declared = ((one.option, table, key) for table, keys in DECLARED.items() for key, one in keys.items() if one.option)
+    keys_of: dict[str, str] = {}
+    for option, table, key in declared:
+        keys_of.setdefault(option, f"[{table}] {key}")  # --height is the key of [deployment], not of [baseline]
+    parts = ["## Every option", "", "### Options that replace a scene's keys", ""]
+    parts += ["What they mean is said with [the keys](scene_file.md#every-key).", "", "| option | key |", "|---|---|"]
+    parts += [f"| `{option}` | `{key}` |" for option, key in keys_of.items()]
+    rows = {}  # of each verb that is left, though it may have two names
+    for verb in dict.fromkeys(subparsers.choices.values()):
         has_scene = any(action.dest == "scene" for action in verb._actions)
-        rows = option_rows(one for one in verb._actions if not (has_scene and shared & set(one.option_strings)))
-        parts += [f"### {verb.prog.split()[-1]}", "", f"`{verb.format_usage().removeprefix('usage: ').strip()}`", ""]
-        parts += [verb.description, ""] + (["| option | meaning |", "|---|---|", *rows, ""] if rows else [])
-    return "\n".join(parts)
+        own = (one for one in verb._actions if not (has_scene and keys_of.keys() & set(one.option_strings)))
+        rows[verb.prog.split()[-1]] = option_rows(own)
+    several = {row for row in chain(*rows.values()) if sum(row in others for others in rows.values()) > 1}
+    parts += ["", "### Options of several verbs", "", "| option | meaning | verbs |", "|---|---|---|"]
+    for row in dict.fromkeys(row for row in chain(*rows.values()) if row in several):
+        parts.append(f"{row} {', '.join(name for name, of_verb in rows.items() if row in of_verb)} |")
+    for name, of_verb in rows.items():
+        own = [row for row in of_verb if row not in several]
+        parts += ["", f"### {name}", "", "| option | meaning |", "|---|---|", *own] if own else []
+    return "\n".join([*parts, ""])
 
 
 def kind_text(declared) -> str:
     names = {float: "number", int: "whole number", bool: "true or false", str: "text", list: "list"}
     kind, parts = declared.kind, get_args(declared.kind)
     if get_origin(kind) is UnionType:
-        return "number, or a pair of bounds"
+        return "number or pair"
     if get_origin(kind) is tuple:
         first = names.get(parts[0], "list" if get_origin(parts[0]) is tuple else "table")
         return f"list of {first}s" if ... in parts else f"list of {len(parts)} {first}s"
     return names.get(kind, "table")
 
 
+def default(declared) -> str:
+    is_table = get_origin(declared.kind) is Mapping
+    return {...: "required", None: "", (): ""}.get(declared.default, "" if is_table else toml_value(declared.default))
+
+
+def allowed(declared) -> str:
+    limits = limits_text(declared, int if declared.kind is int else float)
+    text = ", ".join(declared.allowed) or limits or declared.form
+    return text + (f', or "{declared.word}"' if declared.word else "")
+
+
 def keys_table() -> str:
-    """Every key of a scene file."""
-    head = [
-        "## Every key, as it is declared",
-        "",
-        "| key | is | default | allowed | meaning |",
-        "|---|---|---|---|---|",
-    ]
-    rows = []
+    """Every key of a scene file, table by table; those of [baseline] are those of [deployment]."""
+    parts = ["## Every key"]
     for table, settings in DECLARED.items():
-        for key, one in settings.items():
-            default = {...: "required", None: "", (): ""}.get(one.default, toml_value(one.default))
-            default = "" if get_origin(one.kind) is Mapping else default
-            allowed = ", ".join(one.allowed) or limits_text(one, int if one.kind is int else float) or one.form
-            allowed += f', or "{one.word}"' if one.word else ""
-            rows.append(cells(f"`[{table}] {key}`", kind_text(one), default, allowed, one.help.replace("<", "&lt;")))
-    return "\n".join([*head, *rows, ""])
+        if table == "baseline":
+            continue
+        parts += ["", f"### [{table}]", "", "| key | is | default | allowed | meaning |", "|---|---|---|---|---|"]
+        for meaning, keys in groupby(settings.items(), lambda item: item[1].help):  # some are explained together
+            names, declared = zip(*keys, strict=True)
+            columns = [map("`{}`".format, names), *(map(text, declared) for text in (kind_text, default, allowed))]
+            parts.append(cells(*("; ".join(filter(None, dict.fromkeys(one))) for one in columns), meaning))
+    return "\n".join([*parts, ""])
 
 
 def toml_value(value: object) -> str:

@@ -48,14 +48,14 @@ _GROUPS = {
 
 
 class Renamed(argparse.Action):
-    """An option that has another name now: whoever gives it is told which."""
+    """An option that has another name now; its message names it."""
 
-    def __init__(self, told: str, **settings) -> None:
+    def __init__(self, text: str, **settings) -> None:
         super().__init__(**settings, nargs="?", help=argparse.SUPPRESS)
-        self._told = told
+        self._text = text
 
     def __call__(self, parser, namespace, values, option_string=None):
-        parser.error(f"argument {option_string}: {self._told}")
+        parser.error(f"argument {option_string}: {self._text}")
 
 
 class Once(argparse.Action):
@@ -74,10 +74,10 @@ def _described(declared: Setting, key: str, default: object) -> str:
     amount = " ".join(part for part in (limits, unit) if part)
     allowed = (*declared.allowed, *([IN_A_FILE] if declared.plugins else []))
     names = ", ".join(allowed) if allowed and declared.metavar else ""
-    told = declared.help + (f": {names}" if names else "") + (f" [{amount}]" if amount else "")
+    text = declared.help + (f": {names}" if names else "") + (f" [{amount}]" if amount else "")
     if not (default is None or default is ... or default is False or default == ()):
-        told += f" (default {default:g})" if isinstance(default, float) else f" (default {default})"
-    return told.replace("%", "%%")
+        text += f" (default {default:g})" if isinstance(default, float) else f" (default {default})"
+    return text.replace("%", "%%")
 
 
 def add_option(parser, declared: Setting, key: str, default: object = None, *, of_scene: bool = False) -> None:
@@ -86,8 +86,8 @@ def add_option(parser, declared: Setting, key: str, default: object = None, *, o
     `of_scene`: where it is not given the scene's counts, and the default where that says nothing.
     """
     names, parts = tuple(declared.allowed), get_args(declared.kind)
-    told = _described(declared, key, declared.default if of_scene else default)
-    how = {"default": None if default is ... else default, "help": told}
+    text = _described(declared, key, declared.default if of_scene else default)
+    how = {"default": None if default is ... else default, "help": text}
     if declared.kind is bool:
         how["action"] = "store_true"
     elif names and not declared.metavar:
@@ -122,8 +122,8 @@ def _numbers_read(given, kind):
 
 def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
     """The scene file, and the options that replace its settings but for those left out."""
-    meant = "the scene file, or the name of one that ships with the package, i80; an option replaces what it says, "
-    parser.add_argument("scene", metavar="SCENE.toml", help=meant + "and a default holds where neither says")
+    meant = "the scene file, or the name of a shipped one: i80; an option replaces what the file says"
+    parser.add_argument("scene", metavar="SCENE.toml", help=meant)
     for title, tables in _GROUPS.items():
         asked = {option: of for option, of in _SETTINGS.items() if of[0] in tables and option not in leave_out}
         group = parser.add_argument_group(title) if asked else None
@@ -137,7 +137,7 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
     add_scene(parser, leave_out=_FOR_SEARCHES)
     frames = parser.add_argument_group("frames", "one, or many")
     which = frames.add_mutually_exclusive_group(required=True)
-    which.add_argument("--frame", type=int, metavar="K", help="frame number, as the recording counts them")
+    which.add_argument("--frame", type=int, metavar="K", help="number of the frame in the recording")
     which.add_argument(
         "--frame-ids", dest="sequence", metavar="IDS", help=f"{many}: 100,150 or 100:160:5, its end included"
     )
@@ -146,8 +146,8 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
 
 def add_pose(parser: argparse.ArgumentParser) -> None:
     """The coordinates of one mounting: the orientation by tilts and yaw, or by its lean."""
-    group = parser.add_argument_group("mounting", "what is left out is the scene's baseline")
-    group.add_argument("--pole", metavar="NAME", help="on this of the scene's candidate poles: its x and y")
+    group = parser.add_argument_group("mounting", "coordinates that are not given are those of the scene's baseline")
+    group.add_argument("--pole", metavar="NAME", help="name of a candidate pole of the scene, whose x and y are used")
     for key, declared in MOUNTING_OR_LEAN.items():
         add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), key)
 

@@ -1,6 +1,6 @@
 """Every verb of the command line and its options, for argparse; the standard library alone, so that help opens at once.
 
-A parser names what carries its verb out as ``module.function`` of this room, which is imported when it is run.
+A parser names the function of its verb as ``module.function`` of this room, which is imported when it is run.
 """
 
 from __future__ import annotations
@@ -53,11 +53,15 @@ def _output(parser: argparse.ArgumentParser, *, verbose: bool = True, resumed: s
     """Where results go; whether a run can go on, and what a quick form of it is."""
     add = parser.add_argument_group("output").add_argument
     add("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
-    add("--json", action="store_true", help="print the content of the result file, and nothing else, on stdout")
+    add("--json", action="store_true", help="print only the content of the result file, on stdout")
     if verbose:
-        add("--verbose", action="store_true", help="say all that was read, and how it is searched and cast")
+        add(
+            "--verbose",
+            action="store_true",
+            help="print also all that was read, and how it is searched and cast",
+        )
     if resumed:
-        add("--resume", action="store_true", help=f"go on with the {resumed} in --out DIR that was stopped")
+        add("--resume", action="store_true", help=f"go on with the stopped {resumed} in --out DIR")
     if quick:
         add("--quick", action="store_true", help=quick)
 
@@ -75,12 +79,12 @@ def _init(subparsers) -> None:
         "my_site --from example",
     )
     add = parser.add_argument
-    add("folder", metavar="FOLDER", help="a new folder, or one that holds the recording alone; nothing is overwritten")
-    add("file", nargs="?", metavar="FILE", help="the recording, where it does not follow --from")
+    add("folder", metavar="FOLDER", help="a new folder, or one that holds only the recording; nothing is overwritten")
+    add("file", nargs="?", metavar="FILE", help="the recording, if it is not given with --from")
     kinds = (
-        "ngsim; sumo, what --fcd-output writes, with x and y in metres; table, a CSV with the columns frame, "
-        "vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg and, where there are, z_m, time_s, "
-        "lane; auto, which looks at the file; example, the shipped sample, without a FILE"
+        "ngsim; sumo, the output of --fcd-output, with x and y in metres; table, a CSV with the columns frame, "
+        "vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg and perhaps z_m, time_s, lane; auto, "
+        "which looks at the file; example, the shipped sample, without a FILE"
     )
     add("--from", dest="source", nargs="+", metavar=("FORMAT", "FILE"), help=kinds)
     settings = settings_of(TrafficSettings)
@@ -108,13 +112,13 @@ _DETECTIONS = "CSV, nuScenes' JSON, or a folder of KITTI's label texts"
 
 
 def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    told = "what looks at the mounting's clouds of the held-out frames: pillars, a neural network (PointPillars, "
-    told += (
+    text = "the detector that is judged on clouds of the held-out frames: pillars, a neural network (PointPillars, "
+    text += (
         "trained in simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, weights "
     )
-    told += f"of your own for the network; or FILE, the detections of your own: {_DETECTIONS}"
-    told += "" if default is None else " (default %(default)s)"
-    parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=told)
+    text += f"of your own for the network; or FILE, the detections of your own: {_DETECTIONS}"
+    text += "" if default is None else " (default %(default)s)"
+    parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=text)
 
 
 def _evaluate(subparsers) -> None:
@@ -141,8 +145,8 @@ def _stability(subparsers) -> None:
             "SCENE.toml",
             "where a scene's answer holds and where it breaks",
         ),
-        "Vary the traffic, the installation, the metric and the sensor one thing at a time, search with other seeds, "
-        "and say of each whether the mounting holds: the one that the search finds, or one that is given.",
+        "Find out how far a mounting can be trusted, the one that the search finds or one that is given: vary traffic, "
+        "installation, metric and sensor one at a time, search with other seeds, and say of each whether it holds.",
         "i80 --quick",
         "i80 --height 4.1 --tilt-x 19",
     )
@@ -160,21 +164,19 @@ def _chart(subparsers) -> None:
             "SCENE.toml",
             "speed against accuracy of cheaper models of a scene",
         ),
-        "For whoever maintains the model: nobody needs it to hang a LiDAR. Time and judge a ladder of fidelities "
-        "(vehicle detail, share of the beams and frames) against the reference of all beams, all frames and the best "
-        "detail; name the cheapest that is near enough; and say which ingredients of the scene's model change the "
-        "choice of a mounting.",
+        "Compare cheaper models of a scene (vehicle detail, share of the beams and frames) with the full one, in time "
+        "and in the mounting that they choose; name the cheapest that is near enough, and the parts of the model that "
+        "change the choice. For developers of the model: nobody needs it to hang a LiDAR.",
         "i80 --quick",
         "i80 --max-regret 0.5% --sensor RS-80",
     )
     add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
     add = parser.add_argument_group("chart").add_argument
-    regret = (
-        "share of the gain over the baseline that a fidelity may lose, above 0 up to 100%%: 1%% or 0.01; default 1%%"
-    )
+    regret = "share of the gain over the baseline that a cheaper model may lose, above 0 up to 100%%: 1%% or 0.01 "
+    regret += "(default 1%%)"
     add("--max-regret", default="1%", metavar="SHARE", help=regret)
-    told = "is an installer's error with other verbs; how much of the gain may be lost is --max-regret SHARE"
-    add("--tolerance", action=Renamed, told=told)
+    text = "is an installation error in other verbs; the gain that may be lost is --max-regret SHARE"
+    add("--tolerance", action=Renamed, text=text)
     _output(parser, resumed="study", quick="ten frames, fewer mountings and draws")
 
 
@@ -184,16 +186,16 @@ def _chart(subparsers) -> None:
 def _scan(subparsers) -> None:
     parser = _verb(
         *(subparsers, "scan", "scan.run_scan", "SCENE.toml --frame K --out CLOUD", "write the point clouds of frames"),
-        "Cast one revolution over a frame and write the cloud: .npz with everything, .pcd, .ply, .las, .laz, or "
-        "KITTI's .bin with its .label. With --frame-ids a folder of clouds, one for each frame.",
+        "Scan a frame with one revolution and write the cloud: .npz with everything, .pcd, .ply, .las, .laz, or "
+        "KITTI's .bin with its .label. With --frame-ids write a folder of clouds, one for each frame.",
         "i80 --frame 1000 --height 4.1 --tilt-x 19 --out cloud.pcd",
         "i80 --frame-ids 100:1000:100 --format sustechpoints --out clouds",
     )
     add_moments(parser, many="many frames")
     add = parser.add_argument_group("output").add_argument
-    out = "the file to write, whose suffix is the format; the folder to write to with --frame-ids"
+    out = "the file to write, whose suffix is the format; with --frame-ids a folder"
     add("--out", required=True, metavar="CLOUD", help=out)
-    of_folder = f"format of the files in the folder; npz unless said, {SUSTECHPOINTS} adds labels"
+    of_folder = f"format of the files in the folder (default npz); {SUSTECHPOINTS} adds labels"
     add("--format", choices=_CLOUD_FORMATS, help=of_folder)
 
 
@@ -202,8 +204,8 @@ def _detect(subparsers) -> None:
         *(subparsers, "detect", "detect.run", "SCENE.toml|DATASET|CLOUDS", "judge a detector at a mounting"),
         "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline: recall, precision "
         "and average precision, with paired intervals, the boxes as CSV and as KITTI's labels, and a picture of one "
-        "frame. Given a data set it judges the detector on the scans that validate, each from its mounting; given a "
-        "folder of NPZ clouds it writes their boxes.",
+        "frame. With a data set it judges the detector on the validation scans, each from its mounting; with a folder "
+        "of NPZ clouds it writes their boxes.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector classical",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
@@ -218,18 +220,18 @@ def _detect(subparsers) -> None:
 
 @dataclass(frozen=True, slots=True)
 class DatasetOptions:
-    """Which scans a data set has, and as what they are written.
+    """Which scans a data set has, and in which layouts it is written.
 
     Attributes
     ----------
     mountings : int
-        How many, at random within [deployment].
+        Number of mountings, at random within [deployment].
     scans : int or None
-        How many; unless said each frame at each mounting once.
+        Number of scans; by default each frame once from each mounting.
     layouts : tuple of str or None
-        Npz unless said; may be repeated.
+        Layout of the files (default npz), may be repeated.
     as_recorded : bool
-        Neither move the traffic along the road nor mirror it.
+        Do not move the traffic along the road, and do not mirror it.
     """
 
     mountings: int = setting(20, low=1, high=100_000, option="--mountings", metavar="N")
@@ -242,8 +244,8 @@ def _dataset(subparsers) -> None:
     parser = _verb(
         *(subparsers, "dataset", "dataset.run", "SCENE.toml", "labelled clouds to train and judge detectors with"),
         "Scan frames of the traffic from random mountings, at random stations along the road, half of them mirrored, "
-        "and write clouds with boxes, point counts and visibility: searched frames train, held-out ones validate, and "
-        "no vehicle is labelled in both. Given the same again it goes on where it was stopped.",
+        "and write clouds with boxes, point counts and visibility. Searched frames are for training, held-out ones for "
+        "validation; no vehicle is labelled in both. The same command again goes on where it was stopped.",
         "i80 --mountings 20 --out i80_set",
         "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout openpcdet --out i80_set",
     )
@@ -264,13 +266,13 @@ def _build(subparsers) -> None:
             "write a scene as a .blend file",
         ),
         "Build one frame's road, vehicles, LiDAR and point cloud in Blender and write them as a .blend file. With "
-        "--frame-ids the vehicles drive through those frames, as an animation; the cloud is the first's.",
+        "--frame-ids make an animation of these frames, with the cloud of the first.",
         "i80 --frame 1000 --height 4.1 --tilt-x 19 --out scene.blend",
     )
     add_moments(parser, many="an animation")
     add = parser.add_argument_group("output").add_argument
     add("--no-cloud", action="store_true", help="leave the point cloud out")
-    add("--detections", metavar="FILE", help=f"show them as wire boxes: {_DETECTIONS}")
+    add("--detections", metavar="FILE", help=f"show these detections as wire boxes: {_DETECTIONS}")
     add("--out", required=True, metavar="FILE.blend", help="the file to write")
 
 
@@ -289,19 +291,17 @@ def _render(subparsers) -> None:
         "runs/i80_rs-16",
     )
     parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
-    frame = "frame number; by default the fullest searched one, or the fullest of those with detections"
+    frame = "number of the frame; by default the searched one with most vehicles, or with most detections"
     parser.add_argument("--frame", type=int, metavar="K", help=frame)
     samples = "light paths per pixel, 1 to 4096; more is smoother and slower"
     parser.add_argument("--samples", type=int, metavar="N", help=samples)
-    shown = (
-        "show those at the run's mounting as wire boxes, and those at the baseline where NAME_baseline lies beside: "
-    )
+    shown = "show these detections as wire boxes, and those of the baseline if a file NAME_baseline is beside: "
     parser.add_argument("--detections", metavar="FILE", help=shown + _DETECTIONS)
 
 
 # --- Clouds and metrics without a simulation, and beside reality ------------------------------------------------------
 
-_METRIC = "another metric beside PE-VGOP, again for more: all, FILE.py:NAME, or of "
+_METRIC = "a further metric beside PE-VGOP, may be repeated: all, FILE.py:NAME, "
 _METRIC += ", ".join(METRIC_NAMES)
 
 
@@ -316,25 +316,25 @@ class ScoreOptions:
     boxes : str
         The boxes, in the columns of vehicles.csv and the frame of the cloud.
     frame : int or None
-        Frame of the boxes, where they come from several.
+        Number of the frame, if the boxes are of several frames.
     assign : str
         A point belongs to the vehicle that its vehicle_id names, or to the box it lies in.
     clearance_m : float
-        With --assign box, points this little above a box's floor are ground.
+        With --assign box, points up to this height above a box's floor are ground.
     cell_m : float
-        Side of a cell.
+        Side of an occupancy cell.
     threshold : float
-        Least occupancy that counts as detectable.
+        Least occupancy of a detectable vehicle.
     view : str
-        Which of the three occupancies the threshold asks for.
+        Which of the three occupancies must reach the threshold.
     metrics : tuple of str or None
-        Another metric beside PE-VGOP, again for more, or all.
+        A further metric beside PE-VGOP, or all; may be repeated.
     lidar_xy : (float, float) or None
-        Where the LiDAR is, in the frame of the cloud [m]: for the metric distance.
+        Place of the LiDAR in the frame of the cloud [m], for the metric distance.
     out : str or None
         Write one row for each vehicle.
     json : bool
-        Print the scores as JSON, and nothing else, on stdout.
+        Print only the scores, as JSON, on stdout.
     """
 
     points: str = setting(option="--points", metavar="CLOUD")
@@ -360,7 +360,7 @@ def _score(subparsers) -> None:
             "--points CLOUD --boxes BOXES.csv",
             "score the vehicles of a labelled cloud",
         ),
-        "Score a point cloud by boxes that are known: PE-VGOP of each vehicle, and other metrics if asked.",
+        "Score a point cloud with known boxes: PE-VGOP of each vehicle, and other metrics on request.",
         "--points cloud.npz --boxes runs/i80_rs-16/vehicles.csv --frame 1000",
         "--points sweep.pcd --boxes boxes.csv --assign box --metric all",
     )
@@ -383,40 +383,39 @@ class CompareOptions:
     Attributes
     ----------
     points : tuple of str or None
-        A recorded cloud, .npz with xyz or .pcd; again for more.
+        A recorded cloud, .npz with xyz or .pcd; may be repeated.
     boxes : str or None
         The labelled boxes, in the columns of vehicles.csv and the frame of the clouds.
     frames : tuple of int or None
-        Frame of the boxes, for each cloud, where they come from several.
+        For each cloud the number of its frame, if the boxes are of several frames.
     kitti : str or None
         A folder in the layout of KITTI's object benchmark (velodyne, label_2, calib) in place of clouds and boxes.
     classes : tuple of str or None
-        What the labels call the vehicles to compare, again for more; all that have a shape unless given.
+        Label of the vehicles to compare, may be repeated; by default all that have a shape.
     distance_m : (float, float) or None
         Leave out vehicles nearer or farther than this.
     sensor : str or None
-        Its name, or a file; unless given, rings are recovered from the order of the points, ring after ring.
+        Sensor model or beam table; by default rings are recovered from the order of the points, ring after ring.
     rotation_hz : float or None
-        Its rotation rate.
+        Rotation rate of the sensor.
     x_m, y_m, height_m : float
-        Where the sensor is in the frame of the clouds.
+        Place of the sensor in the frame of the clouds.
     tilt_x_deg, tilt_y_deg, yaw_deg : float
-        How the sensor is turned in the frame of the clouds.
+        Orientation of the sensor in the frame of the clouds.
     details : str
-        Levels of detail of the simulated vehicles, divided by commas.
+        Levels of detail of the simulated vehicles, separated by commas.
     losses : str or None
-        What the simulated sensor loses, by the keys of a scene's [sensor], such as dropout=0.05; nothing unless given.
+        Lost returns of the simulated sensor, by the keys of a scene's [sensor], such as dropout=0.05; by default none.
     label_margin_m : (float, float, float) or None
-        By how much labels are longer, wider and higher than the vehicles in them; 0 unless given, and with --kitti
-        0.15 0.06 0.01.
+        How much longer, wider and higher the labels are than their vehicles; by default 0, with --kitti 0.15 0.06 0.01.
     clearance_m : float
-        Points this little above a box's floor are left out, of both sides.
+        Recorded and simulated points up to this height above a box's floor are left out.
     caster : str
         What casts the rays.
     out : str or None
         Folder of the results; by default a new one under runs/.
     json : bool
-        Print the content of the result file, and nothing else, on stdout.
+        Print only the content of the result file, on stdout.
     """
 
     points: tuple[str, ...] | None = setting(None, option="--points", metavar="CLOUD")
@@ -485,7 +484,7 @@ def _sensors(subparsers) -> None:
         "name", nargs="?", metavar="NAME", help="a model's name or alias, or the path of a .toml or .csv"
     )
     add = parser.add_argument_group("output").add_argument
-    add("--json", action="store_true", help="print JSON on stdout and nothing else there")
+    add("--json", action="store_true", help="print only JSON, on stdout")
     add("--out", metavar="PNG", help="draw NAME's beam fan into this file")
 
 

@@ -34,14 +34,14 @@ class MountingSettings:
     height_m : float
         Above the road.
     tilt_x_deg : float
-        Positive looks down to where the mast faces.
+        Tilt across the road: positive looks down to where the mast faces, by default towards +y.
     tilt_y_deg : float
-        Positive raises the side to the right of that.
+        Tilt along the road: positive raises the side to the right of that, by default the side ahead (+x).
     yaw_deg : float
-        Counter-clockwise seen from above.
+        Turn of the tilted sensor, counter-clockwise seen from above.
     facing_deg : float or None
-        Which way the mast faces, counter-clockwise from +x: tilts and yaw are seen from there; 90 unless its side says
-        otherwise.
+        Which way the mast faces, counter-clockwise from +x; tilts and yaw count from there. By default 90, or what
+        [deployment] side says.
     """
 
     x_m: float = setting(0.0, low=-1e5, high=1e5, option="--x")
@@ -60,11 +60,11 @@ class LeanSettings:
     Attributes
     ----------
     lean_deg : float or None
-        How far it leans from upright.
+        How far the sensor leans from upright, in place of tilts and yaw.
     lean_direction_deg : float
-        Which way it leans and looks down, counter-clockwise seen from above, 0 towards +y.
+        Which way it leans and looks down, counter-clockwise seen from above; 0 is towards +y.
     spin_deg : float
-        Turn about its own axis, counter-clockwise; it matters to a sensor whose columns are uneven.
+        Turn about its own axis, counter-clockwise; it matters only to a sensor with uneven columns.
     """
 
     lean_deg: float | None = setting(None, low=0.0, high=90.0, option="--lean", rivals=ANGLES)
@@ -91,15 +91,15 @@ DEPLOYMENT["facing_deg"] = MOUNTING["facing_deg"]
 
 @dataclass(frozen=True, slots=True)
 class StandSettings:
-    """[deployment], what is said of the place besides coordinates.
+    """[deployment]: the keys of the place that are not coordinates.
 
     Attributes
     ----------
     poles : str or None
-        Table of candidate places, in place of x_m and y_m.
+        CSV of candidate places, in place of x_m and y_m.
     side : str or None
-        Where the mast stands, and faces the road from: that of [road] drives_on unless y_m or poles say the place. A
-        gantry hangs over the lanes.
+        Side of the road where the mast stands and from which it faces the road; by default that of [road] drives_on,
+        unless y_m or poles give the place. A gantry hangs over the lanes.
     clearance_m : float
         Least height of a LiDAR over the lanes [m], on a gantry.
     """

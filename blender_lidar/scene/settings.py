@@ -61,39 +61,43 @@ class TrafficSettings:
     Attributes
     ----------
     name : str or None
-        What it is called among several recordings; the file's unless said.
+        What it is called where there are several recordings; by default the file's name.
     weight : float
-        How much it counts among several recordings, whatever their frames: hours of the day, for instance.
+        How much the recording counts where there are several, however many frames it has: hours of the day, for
+        instance.
     path : str
-        Trajectory file in place of the scene's.
+        Trajectory file; gzip is fine.
     format : str
-        Of that file; auto looks at its beginning.
+        Format of that file; auto looks at its beginning.
     period : str or None
         Recording period of an NGSIM file: 1, 2 ... or 0400-0415.
     location : str or None
         Site of a file that mixes several: i-80.
     origin_m, heading_deg
-        Where the road frame's origin lies in the file's frame [m], and the direction of its x axis there.
+        Origin of the road frame in the file's frame [m], and direction of its x axis there, counter-clockwise from the
+        file's +x; for SUMO and tables.
     time_step_s : float or None
-        Time between frame numbers [s].
+        For tables: time from one frame number to the next [s]; from the column time_s, else 0.1.
     vehicle_types : str or None
-        Route or additional file of SUMO with the <vType>s.
+        SUMO's route or additional file, whose <vType>s give the vehicles' sizes.
     lanes : tuple of int or None
-        Lanes whose vehicles are read; all unless said.
+        Lanes whose vehicles are read, numbered as in the recording (SUMO's from 1, the rightmost); by default all.
     frames : int or None
-        Number of searched frames, spread evenly; 30 unless they are said in another way.
+        Number of searched frames, spread evenly; 30 unless frame_ids or spacing_s is given.
     frame_ids : tuple of int or None
-        The searched frames: 100,150 or 100:160:5, its end included.
+        Numbers of the searched frames: 100,150 or 100:160:5, its end included.
     spacing_s : float or None
-        Time between the searched frames [s], instead of their number or besides.
+        Time between the searched frames [s], in place of their number or with it.
     holdout : float
-        Share of the blocks of time that is held out.
+        Share of the recording, at its end, that is held out: not searched, and used to judge the mounting.
     block_s : float or None
-        Length of these blocks [s]; longer than a transit of the site unless said.
+        Length of the blocks of time that intervals resample [s]; by default as long as 95 % of the vehicles stay in the
+        region.
     height_m : mapping
-        Heights by class [m], of vehicles in recordings that give none.
+        Heights by class [m], where the recording gives none, as NGSIM's; by default car 1.5, van 1.9, truck 3.0,
+        long_truck 3.8 (from 9 m on), bus 3.2, motorcycle 1.4.
     accept : tuple of str or None
-        What seems impossible of the traffic and is true all the same; again for more.
+        Go on although the traffic looks wrong, may be repeated; NAME is the warning that stopped the run.
     """
 
     name: str | None = setting(None)
@@ -124,32 +128,33 @@ class TrafficSettings:
 class SensorSettings:
     """[sensor]: the model, its rate, the range within which it is asked to see, and how imperfect it is.
 
-    What is None where the scene says nothing is the model's own, or none.
+    None stands for the model's own value, or for none, where the scene says nothing.
 
     Attributes
     ----------
     name : str
-        Sensor model or the path of a beam table; see `blender-lidar sensors`.
+        Sensor model, or path of a beam table of your own; `blender-lidar sensors` lists the models.
     rotation_hz : float
-        Turns per second; the model's own unless said.
+        Turns per second; by default the model's.
     columns : int
-        Columns a turn, of a model whose number is chosen, as an Ouster's; the model's own unless said.
+        Columns a turn, where the model has a choice, as an Ouster: 512, 1024 (default) or 2048.
     range_gate_m : float
-        Range within which it is asked to see [m]; the model's own unless said.
+        How far the LiDAR is asked to see [m]; by default the model's range.
     range_noise_m : float
-        Standard deviation of the range noise, or datasheet for the model's own.
+        Standard deviation of the range noise; datasheet takes the model's.
     dropout : float
         Probability that a return is lost.
     glass_dropout : float
-        Probability that a return from glass is lost besides; 1: windows return nothing.
+        Further probability that a return from glass is lost; at 1 windows return nothing.
     range_at_10_percent_m : float or None
-        Range to which a target of 10 percent reflectivity is seen, or datasheet; weaker returns are lost.
+        Range at which a target of 10 percent reflectivity is just seen; weaker returns are lost; datasheet takes the
+        model's.
     unit_spread_deg : float
-        Standard deviation between units' beams.
+        Standard deviation of each ring's elevation and azimuth offset from one unit to the next.
     unit : int
-        Which of the units it is.
+        Number of the unit: another one has other beams, where unit_spread_deg is not 0.
     noise_seed : int
-        Seed of its noise and of what is lost.
+        Seed of the noise and of the lost returns; another seed gives another draw.
     """
 
     name: str = setting("RS-16", option="--sensor")
@@ -205,16 +210,15 @@ class RegionSettings:
     Attributes
     ----------
     centre_m : (float, float) or None
-        Middle of the circle [m]; the mount's place unless said.
+        Centre of the circle [m]; by default the place of the mount.
     radius_m : float
-        Its radius [m]; the range gate of the scene's sensor unless said, which another sensor does not change. "gate"
-        is that of the sensor in use.
+        Radius of the circle [m]; by default the range gate of the scene's own sensor. "gate" follows the sensor in use.
     polygon_m : polygon or None
-        Corners of the outline [m], instead of a circle.
+        Corners of a polygon [m], in place of a circle.
     stretches : tuple
-        Stretches of the carriageway or of lanes, instead of a circle.
+        Stretches of the carriageway, in place of a circle: x_m = [from, to], and lanes for some lanes only.
     keep_out : polygons or None
-        Vehicles within do not count [m].
+        Polygons [m] whose vehicles do not count.
     """
 
     centre_m: tuple[float, float] | None = setting(None, **_REACH)
@@ -262,23 +266,25 @@ class ObjectiveSettings:
     Attributes
     ----------
     metric : str
-        What is maximised.
+        The metric that is maximised.
     reading : str
-        The paper's equations as corrected, or as printed.
+        The paper's equations: corrected, or paper, as printed.
     cell_m : float
         Side of an occupancy cell [m].
     threshold, view
-        Least occupancy that counts as detectable, and of which of the three views.
+        Least occupancy of a detectable vehicle, and whether the mean, the largest or the smallest of its three views
+        must reach it.
     loss : float or None
-        What a vehicle below the threshold adds, in the metric's unit; unless said -1 with the paper's metric, and with
-        any other what the metric gives it.
+        What a vehicle below the threshold adds, in the metric's unit; by default -1 with pe-vgop, and the metric's own
+        value with any other.
     tolerance : Tolerance or None
-        How far off its plan the mounting may end up, as half-widths: tilt_deg=1,height_m=0.05; also yaw_deg, and
-        aim=mean or aim=low; none: it hangs as planned.
+        Installation errors, as half-widths: tilt_deg=1,height_m=0.05, also yaw_deg; aim=mean (default) maximises the
+        mean over them, aim=low what nine of ten installations reach; none: the LiDAR hangs as planned.
     class_weights : mapping
-        How much a vehicle of a class counts in the objective; 1 unless said.
+        Weight of each class in the objective; by default 1.
     zones : tuple
-        Places where vehicles count more or less in the objective; the first that holds a vehicle has it.
+        Polygons with a weight for the vehicles in them, as name, polygon_m and weight; where zones overlap the first
+        counts.
     """
 
     metric: str = setting(
@@ -298,28 +304,28 @@ class ObjectiveSettings:
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
-    """[search]: how the best mounting is looked for; what is DE-PSO's alone is None with any other method.
+    """[search]: how the best mounting is searched; settings of DE-PSO alone are None with any other method.
 
     Attributes
     ----------
     method : str
-        How the best mounting is looked for.
+        Search method.
     fidelity : str
-        Full: every mounting is scored on all frames with all beams; auto: most are screened on less, and what is
-        reported is scored on all of it.
+        Full: every mounting is scored on all frames with all beams; auto: most mountings are screened on fewer, and
+        only the best are scored on all.
     seed : int
-        Seed of everything random.
+        Seed of all that is random, but for noise, clutter and variety, which have their own.
     particles : int
-        Particles of the swarm, hardened or DE-PSO's.
+        Size of the swarm, of hardened (at most a tenth of the evaluations) and de-pso.
     iterations : int
-        Every search gets particles x iterations evaluations.
+        Every method may score particles x iterations mountings.
     seeds : int
-        Searches, one after the other, each with its own seed, of which the best answers; 3 where more than two
+        Number of searches with different seeds, of which the best result is taken; by default 3 where more than two
         coordinates are searched, else 1.
     inertia, differential_weight, cognitive, social : float or None
-        DE-PSO's weights w1, w2, a1 and a2 of the paper's Eqs. 12 and 14.
+        DE-PSO alone: w1, w2, a1 and a2 of the paper's Eqs. 12 and 14; 0.7, 0.5, 0.3 and 0.2.
     differential_threshold : float or None
-        DE-PSO's gamma, the chance per particle and iteration of a differential jump; not the threshold delta.
+        DE-PSO alone: gamma, the probability of a differential jump per particle and iteration; 0.1.
     """
 
     method: str = setting(
@@ -372,23 +378,23 @@ class WorldSettings:
     Attributes
     ----------
     detail : str
-        Level of detail of the vehicles.
+        Level of detail of the vehicles: box; body, with hood, cabin and cargo box; detailed, a few hundred triangles.
     ground : bool
-        Whether the plane z = 0 returns.
+        Whether the road returns in scans; false where a file of yours brings the ground.
     blend, mesh : str or None
-        Files of scenery in a frame of their own.
+        A site of your own: a .blend, or a mesh file that Blender reads.
     origin_m, heading_deg
-        Where the road frame's origin lies in the frame of these files [m], and the direction of its x axis there.
+        Origin of the road frame in the frame of these files [m], and direction of its x axis there.
     boxes, barriers : tuple
-        What else stands still.
+        What stands still and hides vehicles; the how-to has the keys of an entry.
     clutter : float
-        How much stands or walks along the roadsides at random and is no vehicle; 1 is some, 0 nothing.
+        Random roadside clutter (signs, trees, pedestrians ...): 0 none, 1 some 14 things on 100 m of each side.
     clutter_seed : int
-        What else that depends on.
+        Seed of the clutter; another seed gives another draw.
     variety : float
-        How much vehicles of a class differ in height and body: 0, all are alike, to 1, as those of a real fleet.
+        How much vehicles of a class differ in height and body: 0 not at all, 1 as in a real fleet.
     variety_seed : int
-        What else that depends on.
+        Seed of the heights and bodies; another seed gives another draw.
     """
 
     detail: str = setting("body", allowed=DETAILS, option="--detail")
@@ -424,11 +430,11 @@ class ModelSettings:
     Attributes
     ----------
     caster : str
-        What casts the rays.
+        What casts the rays; auto takes the first of raster, embree and bvh that is installed.
     workers : int
-        Processes; 0 takes one for each processor.
+        Number of processes; 0 is one for each processor.
     cluster : str or None
-        Dask scheduler whose workers are used instead: tcp://host:8786.
+        Address of a dask scheduler whose workers are used in place of processes: tcp://host:8786.
     """
 
     caster: str = setting("auto", allowed=("auto", *CASTERS), option="--caster")
@@ -445,9 +451,9 @@ class Scenario:
     Attributes
     ----------
     source : str
-        What it came from.
+        The file, or what else it was read from.
     where : callable
-        What errors call a table's key in it.
+        How errors name a table's key.
     traffic : TrafficSettings
         The recording, of several the first.
     further_traffic : tuple of TrafficSettings
