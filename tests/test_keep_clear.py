@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import check_mount_is_clear, footprints_meet
 from tests.sample_traffic import dense_traffic, one_vehicle
@@ -56,14 +55,6 @@ def test_overlap_is_what_dense_sampling_of_the_footprint_finds(centre, size, hea
         assert meets
     if meets:
         assert sampled_overlap(vehicle, low - spacing, high + spacing)
-
-
-def test_a_point_is_inside_a_turned_footprint_and_not_in_the_corner_beside_it():
-    vehicle = one_vehicle("car", centre=(3.0, 4.0), heading=math.radians(45.0), size=[4.0, 2.0, 1.5])
-    for along, across, inside in ((1.9, 0.9, True), (1.9, -0.9, True), (2.1, 0.0, False), (0.0, 1.1, False)):
-        turn = math.sqrt(0.5)
-        point = np.array([3.0 + turn * (along - across), 4.0 + turn * (along + across)])
-        assert boxes_meet_rectangle(vehicle, point, point).tolist() == [inside], (along, across)
 
 
 def test_each_vehicle_is_judged_by_itself():
@@ -131,15 +122,6 @@ def test_a_mount_from_the_command_line_is_named_by_its_option(scene):
     with pytest.raises(InputError, match=r"^--x, --y: the mount at x 0 m, y 5 m stands on the carriageway"):
         check_mount_is_clear(scenario, [], {"--x, --y": lane})
     check_mount_is_clear(scenario, [], {"--x, --y": mounting({"y_m": -5.0, "height_m": 3.0})})
-
-
-def test_the_region_is_a_disc_about_the_nominal_mount_level_with_the_road():
-    vehicles = dense_traffic(vehicles=60, length_m=200.0)
-    region = Region((10.0, -1.0), 40.0)
-    expected = [math.dist(centre[:2], (10.0, -1.0)) <= 40.0 for centre in vehicles.centre_m]
-    assert region.holds(vehicles).tolist() == expected
-    assert 0 < sum(expected) < 60
-    assert region.holds(one_vehicle("car", centre=(10.0, 39.0))).tolist() == [True]  # the rim belongs to it
 
 
 def test_a_mount_among_vehicles_is_told_where_they_drive(scene):

@@ -175,13 +175,6 @@ def test_the_answer_tells_each_recording_and_which_is_seen_worst(tmp_path, capsy
     assert "Each recording alone" in page
 
 
-def test_a_frame_of_the_second_recording_is_scanned_by_its_number(tmp_path, capsys):
-    scene = scene_of(tmp_path, MORNING, EVENING)
-    done(capsys, "scan", scene, "--frame", 130, "--height", 3, "--out", tmp_path / "cloud.npz")
-    with np.load(tmp_path / "cloud.npz") as cloud:
-        assert (cloud["vehicle_id"][cloud["vehicle_id"] >= 0] > 100).all()
-
-
 REFUSED = {
     ("--traffic", "morning.csv"): "--traffic: is of one recording, but the scene has 2; allowed: in their [[traffic]]",
     ("--frame-ids", "1,2"): "--frame-ids: is of one recording, but the scene has 2; ",
@@ -216,13 +209,6 @@ def test_a_wrong_second_table_is_refused_with_its_number(tmp_path, second, told)
     assert told in str(error.value)
 
 
-def test_an_empty_list_of_recordings_is_no_traffic(tmp_path):
-    scene = scene_of(tmp_path, MORNING)
-    scene.write_text("traffic = []\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"\[traffic\]: is \[\]; allowed: a table"):
-        load_scenario(scene)
-
-
 def test_a_recording_of_which_no_vehicle_counts_is_refused_by_its_name(tmp_path, capsys):
     scene = scene_of(tmp_path, MORNING, EVENING)
     rows = [[*row[:3], row[3] + 500.0, *row[4:]] for row in traffic_rows(vehicles=15, seed=2)]
@@ -238,11 +224,3 @@ def test_a_study_is_about_one_recording(tmp_path, capsys):
     for verb in ("stability", "chart"):
         line = refused(capsys, tmp_path, verb, scene, "--out", tmp_path / "o")
         assert "[[traffic]]: 2 recordings are for optimise and evaluate; a study is about one" in line
-
-
-def test_what_reading_repaired_is_told_of_all_with_names(tmp_path):
-    site = prepare(load_scenario(scene_of(tmp_path, MORNING | {"holdout": 0.9}, EVENING)))
-    alone = prepare(load_scenario(scene_of(tmp_path, EVENING)))
-    assert isinstance(site.recording.report, RepairReport)
-    assert site.recording.report.rows_read > alone.recording.report.rows_read
-    assert all(note.startswith(("morning: ", "evening: ", "few different vehicles: ")) for note in site.plan.notes)

@@ -105,12 +105,6 @@ def test_a_beam_table_that_is_not_there_is_refused_by_name_and_key(tmp_path):
     assert text == f"[sensor] name: {tmp_path / 'own.csv'}: there is no such file"
 
 
-def test_a_sensor_is_perfect_unless_said(tmp_path):
-    sensor = load_scenario(scene(tmp_path, MINIMAL)).sensor
-    assert sensor.imperfections == Imperfections()
-    assert sensor.unit_spread_deg == 0.0
-
-
 IMPERFECT = """[sensor]
 name = "{name}"
 range_noise_m = 0.05
@@ -146,20 +140,6 @@ def test_an_option_replaces_the_imperfections_of_a_models_table_too(tmp_path):
 def test_seeds_of_the_imperfections_hold_for_every_model(tmp_path):
     text = refusal(tmp_path, MINIMAL + "[sensor.RS-16]\nunit = 2\n")
     assert text.startswith("[sensor.RS-16]: unknown key 'unit'; ")
-
-
-def test_imperfections_that_cannot_be_are_refused_with_what_is_allowed(tmp_path):
-    for line, allowed in {
-        "dropout = 1": "dropout: is 1; allowed: at least 0 and less than 1",
-        'range_noise_m = "high"': "range_noise_m: is 'high'; allowed: a number, or \"datasheet\"",
-        "range_noise_m = -1": "range_noise_m: is -1; allowed: 0 to 10",
-        "glass_dropout = 1.5": "glass_dropout: is 1.5; allowed: 0 to 1",
-        "range_at_10_percent_m = 0": "range_at_10_percent_m: is 0; allowed: 0.01 to 100000",
-        "range_at_10_percent_m = 1e308": "range_at_10_percent_m: is 1e+308; allowed: 0.01 to 100000",
-        "unit_spread_deg = 6": "unit_spread_deg: is 6; allowed: 0 to 5",
-    }.items():
-        assert refusal(tmp_path, f"{MINIMAL}[sensor]\n{line}\n") == f"[sensor] {allowed}"
-        assert refusal(tmp_path, f"{MINIMAL}[sensor.RS-16]\n{line}\n") == f"[sensor.RS-16] {allowed}"
 
 
 def test_a_data_sheet_with_more_noise_than_is_allowed_is_refused_where_it_is_asked_for(tmp_path):

@@ -163,12 +163,6 @@ def test_signs():
     assert uphill.height_m == pytest.approx(4.0 / math.hypot(1, 0.05))
 
 
-def test_a_level_road_changes_nothing():
-    level = scenario()
-    assert level.mounting(MOUNT).pose == Pose.from_table(MOUNT)
-    assert prepare(level).observation.scenery is None
-
-
 def test_headers_have_the_pose_in_the_road_frame_and_the_plumb_mounting(site):
     sensor = sensor_at(site, site.scenario.mounting(MOUNT))
     header, pose = sensor.cloud_header(site.search[0].vehicles), site.scenario.mounting(MOUNT).pose

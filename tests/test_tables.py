@@ -5,11 +5,9 @@ from __future__ import annotations
 import csv
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_lidar.errors import OutputError
 from blender_lidar.files import to_csv, write_columns
 from blender_lidar.run.verdict import VEHICLE_COLUMNS, vehicle_table
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
@@ -50,25 +48,6 @@ def test_columns_of_every_kind_come_back(tmp_path):
     np.testing.assert_array_equal(np.array(content["small"], dtype=np.float32), columns["small"])
     assert content["flag"] == ["1", "0", "1", "0"]
     assert content["name"] == columns["name"].tolist()
-
-
-def test_decimals_are_rounded_where_asked_for_and_only_there(tmp_path):
-    values = np.array([1.23456, -0.5, 2.0])
-    write_columns(tmp_path / "table.csv", {"short": values, "long": values}, {"short": 3, "absent": 1})
-    content = read(tmp_path / "table.csv")
-    assert content["short"] == ["1.235", "-0.500", "2.000"]
-    assert content["long"] == ["1.23456", "-0.5", "2.0"]
-
-
-def test_columns_of_different_length_are_refused_and_nothing_is_written(tmp_path):
-    with pytest.raises(ValueError, match=r"shorter|longer"):
-        write_columns(tmp_path / "table.csv", {"a": [1, 2], "b": [1]})
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_is_not_there_is_one_line(tmp_path):
-    with pytest.raises(OutputError, match="cannot be written: No such file or directory"):
-        write_columns(tmp_path / "missing" / "table.csv", {"a": [1]})
 
 
 def test_the_vehicles_of_a_run_are_a_table_of_boxes(tmp_path):

@@ -60,12 +60,6 @@ def test_periods_that_overlap_in_time_are_told_apart_by_their_clocks(tmp_path):
     assert read(tmp_path, both, period=2).frames[0] == 1020
 
 
-def test_a_clock_that_wanders_by_seconds_is_still_one_period(tmp_path):
-    columns = samples.columns()
-    columns["Global_Time"] = columns["Global_Time"] + np.where(columns["Vehicle_ID"] > 6, 20_000, 0)
-    assert read(tmp_path, columns).report.periods == ("0400-0415",)
-
-
 def test_times_without_a_date_get_numbers_for_names(tmp_path):
     """Peachtree's Global_Time has ten digits."""
     columns = samples.joined(
@@ -112,22 +106,6 @@ def test_of_several_locations_one_must_be_chosen(mixed_sites):
 def test_unknown_location_names_the_nearest(mixed_sites):
     with pytest.raises(InputError, match=r"unknown location 'us101'; did you mean 'us-101'\?"):
         read_traffic(mixed_sites, location="us101")
-
-
-def test_values_of_other_locations_do_not_matter(mixed_sites):
-    text = mixed_sites.read_text(encoding="utf-8")
-    line = next(line for line in text.splitlines() if line.endswith("us-101"))
-    fields = line.split(",")
-    fields[8] = "-3"
-    mixed_sites.write_text(text.replace(line, ",".join(fields)), encoding="utf-8", newline="")
-    assert len(read_traffic(mixed_sites, location="i-80")) == 3 * 120
-    with pytest.raises(InputError, match="v_Length is -3"):
-        read_traffic(mixed_sites, location="us-101")
-
-
-def test_a_location_that_cannot_be_checked_is_noted(tmp_path):
-    recording = read(tmp_path, samples.columns(), location="i-80")
-    assert recording.report.notes == ("the file has no Location column: taken to be i-80",)
 
 
 # ---- rows ----------------------------------------------------------------------------------------------------------
@@ -248,11 +226,3 @@ def test_overlaps_are_reported_and_left_alone(tmp_path):
     recording = read(tmp_path, columns)
     assert recording.report.overlaps == recording.report.overlap_frames == 60
     assert len(recording) == len(clean)
-
-
-def test_the_report_only_tells_what_happened(tmp_path):
-    recording = read(tmp_path, samples.columns())
-    assert recording.report.lines() == ["1,440 of 1,440 rows used"]
-    as_dict = recording.report.as_dict()
-    assert as_dict["rows_read"] == as_dict["rows_used"] == 1440
-    assert as_dict["periods"] == ["0400-0415"]

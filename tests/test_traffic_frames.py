@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -110,15 +108,6 @@ def test_no_vehicle_counts_in_both_halves(recording):
     assert not counted_ids(recording, plan.search) & counted_ids(recording, plan.holdout)
 
 
-def test_a_vehicle_that_lingers_is_named_so_that_it_can_be_left_out(recording):
-    def with_a_parked_car(vehicles):
-        return counted(vehicles) | (vehicles.vehicle_id == vehicles.vehicle_id.min())
-
-    plan = plan_frames(recording, with_a_parked_car, count=40, block_s=12.0)
-    judged = counted_ids(recording, plan.holdout, with_a_parked_car)
-    assert not (judged - set(plan.searched_ids)) & set(plan.searched_ids)
-
-
 @settings(max_examples=40)
 @given(
     length=st.integers(20, 400),
@@ -168,7 +157,7 @@ def test_a_short_recording_holds_nothing_out_and_says_so():
     assert times(short, plan.search)[-1] > 55, "then all of it is searched"
     assert plan.notes == (
         "nothing is held out: the recording has 60 s, 110 s are needed for an interval (blocks of 11 s, longer than a "
-        "transit); [traffic] block_s = 6 (with intervals that may be too narrow) would do",
+        "transit); raise [traffic] holdout, or lower block_s, with intervals that may be too narrow",
     )
 
 
@@ -222,31 +211,6 @@ def test_vehicles_that_are_parked_all_the_time_change_no_block(recording):
 def test_few_different_vehicles_are_told(searched, judging, told):
     note = few_vehicles(searched, judging)
     assert note is None if told is None else note.startswith(told)
-
-
-@pytest.mark.parametrize("ids", [None, [0, 10]])
-def test_settings_that_a_short_recording_is_told_hold_out_what_an_interval_needs(ids):
-    short = stream(np.arange(0, 75 if ids is None else 30, 0.5))
-    (note,) = plan_frames(short, counted, ids=ids).notes
-    told = {name: float(value) for name, value in re.findall(r"(holdout|block_s) = ([0-9.]+)", note)}
-    assert "block_s" in told
-    assert ("holdout" in told) == (ids is None)
-    for name, value in told.items():
-        plan = plan_frames(short, counted, ids=ids, **{name: value})
-        assert len(np.unique(plan.holdout_block)) >= FEWEST_BLOCKS
-
-
-def test_where_no_setting_would_hold_anything_out_none_is_told():
-    one = stream(np.arange(0, 0.5, 0.5))
-    assert plan_frames(one, counted).notes[0].endswith("; no setting helps")
-    assert not plan_frames(one, counted, holdout=0.0).notes
-
-
-def test_a_single_coarse_frame_is_no_holdout():
-    coarse = stream(np.arange(0, 60, 20.0))
-    plan = plan_frames(coarse, counted, count=3, block_s=5.0, holdout=0.6)
-    assert len(plan.holdout) == 0
-    assert len(plan.search) == 3, "then all of it is searched"
 
 
 def test_listed_frames_are_all_searched_and_judged_by_later_ones(recording):
@@ -329,11 +293,6 @@ def test_a_single_frame_can_be_planned():
     plan = plan_frames(one, counted, count=3)
     assert_plan_is_sound(plan, one)
     assert (plan.search.tolist(), len(plan.notes)) == ([50], 2)
-
-
-def test_a_region_without_vehicles_gives_a_plan_without_ids(recording):
-    plan = plan_frames(recording, lambda vehicles: np.zeros(len(vehicles), dtype=bool), count=5)
-    assert (plan.searched_ids.size, plan.block_s) == (0, 5.0)
 
 
 @pytest.mark.parametrize(

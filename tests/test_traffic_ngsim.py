@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-
 import numpy as np
 import pytest
 
@@ -62,26 +60,6 @@ DIALECTS = {
 @pytest.mark.parametrize("dialect", DIALECTS)
 def test_every_dialect_gives_the_same_boxes(dialect, columns, expected, tmp_path):
     assert_same_boxes(read_traffic(samples.write(tmp_path, DIALECTS[dialect](columns))), expected)
-
-
-def test_gzip_is_told_by_content_whatever_the_name(columns, expected, tmp_path):
-    path = tmp_path / "recording.txt"
-    path.write_bytes(gzip.compress(samples.native(columns).encode()))
-    assert_same_boxes(read_traffic(path), expected)
-    path.with_suffix(".gz").write_text(samples.native(columns))
-    assert_same_boxes(read_traffic(path.with_suffix(".gz")), expected)
-
-
-def test_order_of_rows_does_not_matter(columns, expected, tmp_path):
-    path = tmp_path / "shuffled.txt"
-    order = np.random.default_rng(1).permutation(len(columns["Frame_ID"]))
-    path.write_text(samples.native(samples.picked(columns, order)))
-    assert_same_boxes(read_traffic(path), expected)
-
-
-def test_chunks_do_not_show(columns, expected, tmp_path, monkeypatch):
-    monkeypatch.setattr(source, "_CHUNK_ROWS", 97)
-    assert_same_boxes(read_traffic(samples.write(tmp_path, samples.portal(columns))), expected)
 
 
 def test_front_centre_in_feet_becomes_box_centre_in_the_road_frame(columns, tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import cmath
 import gzip
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -159,18 +158,6 @@ def test_chunks_do_not_show(tmp_path, expected, monkeypatch):
         assert_same(read_traffic(path, vehicle_types=tmp_path / "types.rou.xml"), expected)
 
 
-def test_empty_timesteps_of_sumos_csv_are_no_rows(tmp_path):
-    path = tmp_path / "late.csv"
-    header, rows = samples.csv(samples.driving(2, 3)).split("\n", 1)
-    fields = header.count(";")
-    path.write_text(f"{header}\n0.00{';' * fields}\n{rows}", encoding="utf-8")
-    assert_same(replace(read_traffic(path), report=None), replace(read_sumo_xml(tmp_path), report=None))
-
-
-def read_sumo_xml(tmp_path):
-    return read_sumo(write(tmp_path, samples.driving(2, 3)))
-
-
 def test_columns_that_may_be_missing_are_not_missed(tmp_path):
     path = tmp_path / "few.csv"
     path.write_text(samples.csv(samples.driving(), columns=("time", "id", "x", "y", "angle")), encoding="utf-8")
@@ -178,11 +165,6 @@ def test_columns_that_may_be_missing_are_not_missed(tmp_path):
     assert set(recording.lane) == {0}
     np.testing.assert_array_equal(recording.centre_m, read_traffic(write(tmp_path, samples.driving())).centre_m)
     assert any("a passenger car's for no type" in note for note in recording.report.notes)
-
-
-def test_an_id_may_hold_any_character(tmp_path):
-    path = write(tmp_path, [samples.row(id="Zürich &lt;1&gt;;2"), samples.row(0.1, id="Zürich &lt;1&gt;;2")])
-    assert read_traffic(path).vehicle_id.tolist() == [0, 0]
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------

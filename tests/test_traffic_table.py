@@ -48,20 +48,6 @@ def test_the_format_is_told_by_the_header(tmp_path):
         read_traffic(path, period=2)
 
 
-def test_columns_in_any_order_and_case_with_extras_quotes_crlf_and_gzip(tmp_path):
-    expected = read_table(write(tmp_path))
-    order = [9, 3, 0, 8, 1, 2, 7, 4, 5, 6]
-    names = [HEADER.split(",")[i].upper() for i in order]
-    lines = [",".join([*names, "distance_m", "note"])]
-    for row in ROWS:
-        lines.append(",".join([*(f'"{row.split(",")[i]}"' for i in order), "33.0", '"a, b"']))
-    path = tmp_path / "other.csv.gz"
-    path.write_bytes(gzip.compress(("\ufeff" + "\r\n".join(lines) + "\r\n\r\n").encode()))
-    recording = read_table(path)
-    for name in ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad"):
-        np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name))
-
-
 def test_origin_and_heading_place_the_tables_own_frame_in_the_road_frame(tmp_path):
     """A road that runs due north through (100, 50): what lies east of it is to its right."""
     rows = ["1,7,car,103.0,70.0,0.75,4.5,1.9,1.5,92.0"]
@@ -87,12 +73,6 @@ def test_moving_the_table_and_its_placing_together_changes_nothing(tmp_path, tur
     np.testing.assert_allclose(moved.heading_rad, expected.heading_rad, atol=1e-12)
 
 
-def test_the_centres_height_may_be_left_out(tmp_path):
-    header = HEADER.replace("z_m,", "")
-    rows = [",".join(row.split(",")[:5] + row.split(",")[6:]) for row in ROWS]
-    np.testing.assert_allclose(read_table(write(tmp_path, header, rows)).centre_m[:, 2], [0.75, 1.9, 0.75])
-
-
 def test_times_come_from_the_column_or_the_step_or_are_assumed_aloud(tmp_path):
     timed = write(tmp_path, HEADER + ",time_s", [f"{row},{3.0 if row[0] == '1' else 5.0}" for row in ROWS], "timed.csv")
     recording = read_table(timed)
@@ -106,23 +86,11 @@ def test_times_come_from_the_column_or_the_step_or_are_assumed_aloud(tmp_path):
     assert "0.1 s per frame is assumed" in assumed.report.notes[0]
 
 
-def test_lanes_are_kept(tmp_path):
-    path = write(tmp_path, HEADER + ",lane", [f"{row},{number}" for number, row in enumerate(ROWS, 3)])
-    assert read_table(path).lane.tolist() == [3, 4, 5]
-
-
 def test_repeated_rows_are_dropped_and_counted(tmp_path):
     path = write(tmp_path, rows=[*ROWS, ROWS[0], ROWS[1].replace("-20.0", "-21.0")])
     recording = read_table(path)
     assert len(recording) == 3
     assert (recording.report.duplicates, recording.report.repeated) == (1, 1)
-
-
-def test_chunks_do_not_show(tmp_path, monkeypatch):
-    expected = read_table(write(tmp_path))
-    monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 2)
-    np.testing.assert_array_equal(read_table(write(tmp_path)).centre_m, expected.centre_m)
-    assert refused(write(tmp_path, rows=[*ROWS, "", ROWS[0].replace("5.0", "far", 1)])).startswith("FILE:6: x_m")
 
 
 @pytest.mark.parametrize(
@@ -152,19 +120,6 @@ def test_a_bad_value(tmp_path, column, value, text):
 def test_a_missing_column(tmp_path, column):
     path = write(tmp_path, HEADER.replace(column, "other"))
     assert refused(path).startswith(f"FILE:1: no column {column}; needed: frame, vehicle_id")
-
-
-@pytest.mark.parametrize(
-    ("rows", "text"),
-    [
-        ([ROWS[0], ROWS[1] + ",7"], "FILE:3: 11 fields; the first line has 10"),
-        ([ROWS[0], ROWS[1].rsplit(",", 1)[0]], "FILE:3: 9 fields; the first line has 10"),
-        ([], "FILE: no rows below the header in line 1"),
-        (["", "  "], "FILE: no rows below the header in line 1"),
-    ],
-)
-def test_a_wrong_number_of_fields_or_rows(tmp_path, rows, text):
-    assert refused(write(tmp_path, rows=rows)) == text
 
 
 def test_other_files_and_settings_that_cannot_be_used(tmp_path):

@@ -17,10 +17,7 @@ from blender_lidar.traffic.tracks import (
     heights,
     held_heading,
     lane_changing,
-    limited,
-    repaired_sizes,
     segments,
-    usual_step,
 )
 from blender_lidar.traffic.vehicles import Recording, with_overlaps_reported
 
@@ -50,14 +47,6 @@ def test_fitted_velocity_agrees_with_polyfit_row_by_row(seed):
         np.testing.assert_allclose(velocity[row], slope, atol=1e-6 * max(1, np.abs(slope).max()))
 
 
-def test_fitted_velocity_is_exact_on_a_parabola_away_from_the_ends():
-    """Over a symmetric window the line's slope is the quadratic Savitzky-Golay filter's."""
-    t = np.arange(200) * 0.1
-    velocity = fitted_velocity(np.zeros(200, dtype=int), t, np.stack([3 * t + 0.7 * t**2, 5 - 0.2 * t**2], axis=1))
-    np.testing.assert_allclose(velocity[15:-15, 0], (3 + 1.4 * t)[15:-15], atol=1e-9)
-    np.testing.assert_allclose(velocity[15:-15, 1], (-0.4 * t)[15:-15], atol=1e-9)
-
-
 @pytest.mark.parametrize("offset_s", [0.0, 1e6])
 def test_fitted_velocity_does_not_depend_on_when_or_where(offset_s):
     segment, time_s, position = irregular_tracks(9)
@@ -68,25 +57,7 @@ def test_fitted_velocity_does_not_depend_on_when_or_where(offset_s):
     )
 
 
-def test_instants_with_two_neighbours_are_fitted_among_themselves():
-    t = np.concatenate([centre + np.array([-0.5, 0.0, 0.5]) for centre in (10.0, 20.0, 30.0)])
-    position = np.stack([t**2, -t], axis=1)
-    velocity = fitted_velocity(np.repeat([0, 1, 2], 3), t, position)
-    np.testing.assert_allclose(velocity[1::3, 0], [20.0, 40.0, 60.0], atol=1e-9)
-    np.testing.assert_allclose(velocity[:, 1], -1.0, atol=1e-9)
-
-
 # ---- holding and limiting ------------------------------------------------------------------------------------------
-
-
-def test_heading_is_held_from_before_else_taken_from_after_else_the_roads():
-    vehicle = np.array([1, 1, 1, 1, 2, 2, 2, 3])
-    slow, nan = [0.1, 0.1], [np.nan, np.nan]
-    velocity = np.array([slow, [3.0, 3.0], slow, nan, [0.0, -5.0], slow, [5.0, 0.0], slow])
-    heading, held = held_heading(vehicle, velocity)
-    quarter = np.pi / 4
-    np.testing.assert_allclose(heading, [quarter, quarter, quarter, quarter, -2 * quarter, -2 * quarter, 0, 0])
-    assert held.tolist() == [True, False, True, True, False, True, False, True]
 
 
 @settings(max_examples=60)
@@ -101,12 +72,6 @@ def test_held_headings_agree_with_a_loop(seed):
         before, after = own[own <= row], own[own > row]
         source = before[-1] if len(before) else after[0] if len(after) else None
         assert heading[row] == (0.0 if source is None else np.arctan2(velocity[source, 1], velocity[source, 0]))
-
-
-def test_limits_are_six_degrees_and_fifteen_in_a_lane_change():
-    heading = np.radians([-170.0, -20.0, -3.0, 5.0, 8.0, 8.0, 40.0])
-    changing = np.array([False, True, False, False, False, True, True])
-    np.testing.assert_allclose(np.degrees(limited(heading, changing)), [-6, -15, -3, 5, 6, 8, 15])
 
 
 def test_lane_changes_last_three_seconds_either_way_and_stay_with_their_vehicle():
@@ -145,12 +110,6 @@ def test_several_gaps_are_filled_at_once_each_in_its_vehicle():
     assert rows["lane"].tolist() == [0, 1, 1, 2, 3, 4, 5, 6, 6, 6, 6, 7], "the lane is the one before the gap"
 
 
-def test_gaps_are_counted_in_the_recordings_own_steps():
-    rows, added = fill_gaps(track_rows([1, 1, 1, 2, 2], [95, 100, 105, 95, 105]), 0.1)
-    assert rows["frame"][added].tolist() == [100]
-    assert usual_step(np.array([1, 2, 3]), np.array([1, 5, 9])) == 1
-
-
 def test_segments_break_at_vehicles_and_long_gaps_and_count_those_others_were_seen_in():
     vehicle = np.array([1] * 5 + [2] * 12)
     frame = np.array([1, 2, 3, 11, 12, *range(1, 13)])
@@ -159,13 +118,6 @@ def test_segments_break_at_vehicles_and_long_gaps_and_count_those_others_were_se
     assert split == 1
     _, split = segments(np.ones(5, dtype=int), np.array([1, 2, 3, 11, 12]), 0.1)
     assert split == 0, "nobody was seen in between: the recording pauses"
-
-
-def test_sizes_in_range_are_left_alone():
-    size = np.array([[4.5, 1.9], [12.0, 2.5], [2.0, 0.9]])
-    repaired, changed = repaired_sizes(np.array([2, 3, 1]), size)
-    np.testing.assert_array_equal(repaired, size)
-    assert not changed.any()
 
 
 def test_heights_by_class_and_length():

@@ -59,7 +59,7 @@ Counted = Callable[[Vehicles], np.ndarray]
 DEFAULT_COUNT = 30
 _SHORTEST_BLOCK_S = 5.0
 _TRANSIT_PERCENTILE = 95
-_FEWEST_HOLDOUT_BLOCKS, _FEWEST_SEARCHED_BLOCKS = 2, 2
+_FEWEST_HOLDOUT_BLOCKS = 2
 _SHORTEST_S = 1e-3
 _FEW_VEHICLES = 10  # different ones
 
@@ -142,26 +142,16 @@ def plan_frames(
     notes: list[str] = [] if ids is not None else _skipped(recording, whole, candidates)
     listed = None if ids is None else _Frames.of(recording, ids, candidates.spacing_s)
 
-    def halves(holdout: float, block_s: float, notes: list[str]) -> tuple[_Frames, _Frames, _Frames | None, _Frames]:
-        """What is searched, its frames, what is held out and its frames, None where that would be too short."""
-        if listed is None:
-            searched, rest = _divided(candidates, holdout, block_s)
-            search = _spread(searched, count, spacing_s, notes)
-        else:
-            searched = search = listed
-            rest = _beside(searched, candidates, block_s) if holdout else None
-        return searched, search, rest, None if rest is None else _judging(rest, search, searched, holdout, block_s)
-
-    searched, search, rest, judged = halves(holdout, block_s, notes)
+    if listed is None:
+        searched, rest = _divided(candidates, holdout, block_s)
+        search = _spread(searched, count, spacing_s, notes)
+    else:
+        searched = search = listed
+        rest = _beside(searched, candidates, block_s) if holdout else None
+    judged = None if rest is None else _judging(rest, search, searched, holdout, block_s)
     pause = _pause(candidates)
     if judged is None and holdout:
-
-        def blocks_of(holdout: float, block_s: float) -> int:
-            *_, rest, judged = halves(holdout, block_s, [])
-            return 0 if judged is None else len(np.unique(_blocks(judged, rest, block_s)))
-
-        why = pause or _too_short(candidates, holdout, block_s, listed is not None, blocks_of)
-        notes.append(f"nothing is held out: {why}")
+        notes.append(f"nothing is held out: {pause or _too_short(candidates, holdout, block_s, listed is not None)}")
     elif pause:
         notes.append(pause)
     none = np.zeros(0, dtype=np.int64)
@@ -337,24 +327,15 @@ def few_vehicles(searched: int, judging: int | None) -> str | None:
     return f"few different vehicles: {searched} in the searched frames{held}; {few}"
 
 
-def _too_short(
-    candidates: _Frames, holdout: float, block_s: float, listed: bool, blocks_of: Callable[[float, float], int]
-) -> str:
-    """Why nothing is held out, and which settings would do; `blocks_of` tells how many blocks some others hold out."""
+def _too_short(candidates: _Frames, holdout: float, block_s: float, listed: bool) -> str:
+    """Why nothing is held out, and which settings to change."""
     needed_s = (1 + FEWEST_BLOCKS) * block_s / (1.0 if listed else holdout)
-    needed = f"{needed_s:.0f} s{' after or before the given frames' if listed else ''} are needed for an interval"
-    has = f"the recording has {candidates.length_s:.0f} s"
-    most = 1.0 - _FEWEST_SEARCHED_BLOCKS * block_s / candidates.length_s
-    shares = [] if listed else (share / 20 for share in range(int(20 * holdout) + 1, int(20 * most) + 1))
-    share = next((share for share in shares if blocks_of(share, block_s) >= FEWEST_BLOCKS), None)
-    longest = int(min(block_s, candidates.length_s * (1.0 if listed else holdout) / (1 + FEWEST_BLOCKS)))
-    lengths_s = range(longest, math.ceil(_SHORTEST_BLOCK_S) - 1, -max(longest // 20, 1))
-    shorter_s = (block for block in lengths_s if block < block_s)
-    shorter = next((block for block in shorter_s if blocks_of(holdout, block) >= FEWEST_BLOCKS), None)
-    would_do = [] if share is None else [f"holdout = {share:g}"]
-    would_do += [] if shorter is None else [f"block_s = {shorter} (with intervals that may be too narrow)"]
-    told = f"[traffic] {' or '.join(would_do)} would do" if would_do else "no setting helps"
-    return f"{has}, {needed} (blocks of {block_s:.0f} s, longer than a transit); {told}"
+    change = "list fewer frames" if listed else "raise [traffic] holdout"
+    return (
+        f"the recording has {candidates.length_s:.0f} s, {needed_s:.0f} s"
+        f"{' after or before the given frames' if listed else ''} are needed for an interval (blocks of {block_s:.0f} "
+        f"s, longer than a transit); {change}, or lower block_s, with intervals that may be too narrow"
+    )
 
 
 # --- Several recordings as one: such as a morning and an evening --------------------------------------------------
