@@ -171,14 +171,12 @@ def test_scores_see_the_same_bodies_as_clouds(compiled, sites, monkeypatch):
     if not compiled:
         monkeypatch.setattr(frame_scorer, "numba_works", lambda: False)
     site = sites[1]
-    mount = dict(site.scenario.baseline) | {"height_m": 4.0, "tilt_x_deg": 15.0}
+    mounting = site.scenario.mounting({"height_m": 4.0, "tilt_x_deg": 15.0})
     shown = set()
     for frame in site.search[:3]:
         shown |= set(shape_names(frame.vehicles).tolist())
-        cloud = sensor_at(site, mount).scan(frame.vehicles)
+        cloud = sensor_at(site, mounting).scan(frame.vehicles)
         expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
-        seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see(
-            [(site.scenario.pose(mount),)]
-        )
+        seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see([(mounting.pose,)])
         np.testing.assert_array_equal(seen.points[0], expected)
     assert {"car", "hatchback", "suv"} < shown

@@ -89,7 +89,7 @@ def test_a_mount_that_could_stand_on_the_carriageway_is_refused(scene, y_m, name
         check_mount_is_clear(scenario, [])
     assert str(refusal.value) == (
         f"{scenario.source}: [deployment] x_m, y_m: the mount at x 0 m, {named} stands on the carriageway; "
-        "allowed: off the lanes, such as x 0, y 2 m or x 0, y 9 m"
+        'allowed: off the lanes, such as x 0, y 2 m or x 0, y 9 m, or [deployment] side = "gantry"'
     )
 
 

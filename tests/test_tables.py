@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from blender_lidar.files import to_csv, write_columns
 from blender_lidar.run.verdict import VEHICLE_COLUMNS, vehicle_table
+from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
-from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic import read_table
 from tests.sample_traffic import dense_traffic
 
@@ -56,7 +56,7 @@ def test_the_vehicles_of_a_run_are_a_table_of_boxes(tmp_path):
     vehicles = dense_traffic(vehicles=15, length_m=60.0, frame=30)
     frame = CountedFrame(vehicles, np.arange(15) % 3 > 0)
     evaluator = Evaluator([frame], seen, Scoring(0.005, "mean", -1.0, "corrected"))
-    table = vehicle_table(Pose(height_m=4.0), search=evaluator)
+    table = vehicle_table((Mounting(height_m=4.0),), search=evaluator)
     write_columns(tmp_path / "vehicles.csv", {name: table[name] for name in VEHICLE_COLUMNS})
     boxes = read_table(tmp_path / "vehicles.csv").vehicles(30)
     counted = vehicles.select(frame.counted)
