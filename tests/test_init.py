@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import math
 import tomllib
 from pathlib import Path
@@ -14,6 +16,7 @@ from blender_lidar.commands.init import _path, _text
 from blender_lidar.errors import InputError
 from blender_lidar.road import StraightRoad
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
+from blender_lidar.scene.site import prepare
 from blender_lidar.traffic import read_traffic
 from blender_lidar.traffic.layout import propose_layout
 from tests import sumo_samples
@@ -36,21 +39,20 @@ def run(*words) -> int:
 # --- Roads whose lanes are known --------------------------------------------------------------------------------------
 
 
-def rows_on(
-    heading_deg: float, across_m, *, ends_m=(-150.0, 150.0), every_s=6.0, until_s=60.0, at=(500.0, -200.0), seed=1
-):
+def rows_on(heading_deg: float, across_m, *, every_s=6.0, until_s=60.0, at=(500.0, -200.0), seed=1, wanders=True):
     """Cars at 12 m/s on lanes a given way to the left of a line through `at`, wandering, one now and then changing."""
+    ends_m = -150.0, 150.0
     rng = np.random.default_rng(seed)
     turn = math.radians(heading_deg)
     forward, left = np.array([math.cos(turn), math.sin(turn)]), np.array([-math.sin(turn), math.cos(turn)])
     rows = []
     for lane, across in enumerate(across_m):
         for number, start_s in enumerate(np.arange(-20.0, until_s, every_s)):
-            off, changes = rng.normal(0.0, 0.25), number % 7 == 0
+            off, changes = rng.normal(0.0, 0.25) * wanders, number % 7 == 0 and wanders
             for time in np.arange(0.0, until_s, 0.5):
                 x = ends_m[0] + 12.0 * (time - start_s - 0.7 * lane)
                 if ends_m[0] <= x <= ends_m[1]:
-                    y = across + off + 0.15 * math.sin(x / 20.0)
+                    y = across + off + 0.15 * wanders * math.sin(x / 20.0)
                     if changes and len(across_m) > 1:
                         y += (across_m[lane - 1] - across) / (1.0 + math.exp(-x / 10.0))
                     place = np.array(at) + x * forward + y * left
@@ -70,8 +72,9 @@ def across_of(layout, heading_deg, at=(500.0, -200.0)):
     turn = math.radians(heading_deg)
     left = np.array([-math.sin(turn), math.cos(turn)])
     line = float((np.array(layout.placing.origin_m) - at) @ left)
-    edge = line + layout.setback_m
-    return edge, edge + layout.lane_width_m * (np.arange(layout.lanes) + 0.5)
+    road = layout.road
+    edge = line + road.setback_m
+    return edge, edge + road.lane_width_m * (np.arange(road.lanes) + 0.5)
 
 
 @pytest.mark.parametrize("heading", [0.0, 33.0, 118.0, -160.0])
@@ -119,7 +122,8 @@ def test_at_an_intersection_the_busiest_approach_is_proposed_and_the_others_are_
     assert "an intersection?" in told
     lines = (note.partition(":\n")[2] for note in layout.notes if "another carriageway" in note)
     others = sorted(tomllib.loads(scene)["traffic"]["heading_deg"] for scene in lines)
-    assert others == pytest.approx([-170.0, -80.0, 100.0], abs=0.5)
+    assert others == pytest.approx([100.0], abs=0.5)  # and -80 is its own other carriageway, as -170 is that of 10
+    assert (layout.road.carriageways, layout.road.median_m) == (2, pytest.approx(0.0, abs=0.5))
 
 
 @pytest.mark.parametrize("radius_m", [60.0, 120.0, -150.0])
@@ -145,10 +149,10 @@ def test_a_bend_is_measured_however_sharp_it_is_and_is_one_carriageway(tmp_path,
 
 def test_the_shipped_samples_lanes_and_edge_are_found():
     layout = proposed(shipped_scenes()["i80"].with_name("i80_sample.csv.gz"), follows_x=True)
-    road = layout.road()
-    assert layout.lanes == 6
+    road = layout.ngsim_road()
+    assert road.lanes == 6
     assert road.right_edge_m == pytest.approx(72 * FOOT_M, abs=1.0)
-    centres = road.right_edge_m - layout.lane_width_m * (np.arange(6) + 0.5)  # Local_X, lane 6 first
+    centres = road.right_edge_m - road.lane_width_m * (np.arange(6) + 0.5)  # Local_X, lane 6 first
     assert centres == pytest.approx(12 * FOOT_M * np.array([5.5, 4.5, 3.5, 2.5, 1.5, 0.5]), abs=0.5)
     assert layout.lane_numbers == (6, 5, 4, 3, 2, 1)
     assert 202.3 < road.station_m < 450.0  # past the on-ramp
@@ -166,11 +170,112 @@ def test_lanes_and_edge_of_i80_are_found(name, lanes):
     if not (NGSIM / name).exists():
         pytest.skip("needs the shared recordings")
     layout = proposed(NGSIM / name, follows_x=True)
-    road = layout.road()
-    assert layout.lanes == lanes
+    road = layout.ngsim_road()
+    assert road.lanes == lanes
     assert road.right_edge_m == pytest.approx(12 * FOOT_M * lanes, abs=1.0)
-    centres = road.right_edge_m - layout.lane_width_m * (np.arange(lanes) + 0.5)
+    centres = road.right_edge_m - road.lane_width_m * (np.arange(lanes) + 0.5)
     assert centres == pytest.approx(12 * FOOT_M * (lanes - np.arange(lanes) - 0.5), abs=0.5)
+
+
+# --- Both ways, on either side of the road ----------------------------------------------------------------------------
+
+KERB_M, MEDIAN_M, WIDE_M = (9.0, 5.5), 7.5, 3.5  # lane centres from the middle of the road, lane 0 first
+
+
+def both_ways(side="right", heading=0.0, there=KERB_M, back=KERB_M, **how):
+    """Traffic of both carriageways about a line, there and back; left-hand traffic is that of the right mirrored."""
+    rows = rows_on(heading, [-y for y in there], **how)
+    rows += rows_on(heading + 180.0, [-y for y in back], every_s=7.0, seed=2, **how)
+    return rows if side == "right" else [mirrored(row) for row in rows]
+
+
+def mirrored(row):
+    turned = {"y": f"{-float(row['y']):.2f}", "angle": str((180.0 - float(row["angle"])) % 360.0)}
+    return {**row, **turned, "lane": row["lane"]}
+
+
+def table_of(path: Path, rows) -> Path:
+    """The same as a table of boxes, 4.5 m long, without lanes."""
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(row["id"] for row in rows), start=1)}
+    table = []
+    for row in rows:
+        time, turn = float(row["time"]), math.radians(90.0 - float(row["angle"]))
+        place = float(row["x"]) - 2.5 * math.cos(turn), float(row["y"]) - 2.5 * math.sin(turn)
+        table.append([round(2.0 * time), numbers[row["id"]], "car", *place, 4.5, 1.8, 1.5, math.degrees(turn), time])
+    write_table(path, sorted(table))
+    return path
+
+
+def asked(path, **settings):
+    return proposed(path, kerb_lane=path.suffix == ".xml", **settings)
+
+
+@pytest.mark.parametrize("form", ["sumo", "table"])
+@pytest.mark.parametrize("heading", [0.0, 118.0])
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_both_carriageways_and_the_side_that_is_driven_on_are_found(form, heading, side, tmp_path):
+    rows = both_ways(side, heading)
+    layout = asked(write_rows(tmp_path / "run.fcd.xml", rows) if form == "sumo" else table_of(tmp_path / "t.csv", rows))
+    road = layout.road
+    assert (road.drives_on, road.carriageways, road.lanes) == (side, 2, 2)
+    assert road.lane_width_m == pytest.approx(WIDE_M, abs=0.2)
+    assert road.median_m == pytest.approx(MEDIAN_M, abs=0.5)
+    assert layout.placing.heading_deg == pytest.approx(heading if side == "right" else -heading, abs=0.5)
+    turn, middle = math.radians(layout.placing.heading_deg), (500.0, -200.0 if side == "right" else 200.0)
+    off = (np.array(layout.pole_m) - middle) @ (-math.sin(turn), math.cos(turn))
+    kerb = KERB_M[0] + 0.5 * WIDE_M + road.setback_m
+    assert off == pytest.approx(-kerb if side == "right" else kerb, abs=0.3)
+    assert layout.lane_y == pytest.approx(road.setback_m + 1.75 + np.array([0.0, 3.5, 14.5, 18.0]), abs=0.3)
+    assert not any("another carriageway" in note for note in layout.notes)
+
+
+def test_carriageways_that_differ_are_one_and_another(tmp_path):
+    """Three lanes beside two: the scene has the busier way, whose pole stands at its own kerb, and names the other."""
+    for side in ("right", "left"):
+        path = write_rows(tmp_path / f"{side}.fcd.xml", both_ways(side, there=(12.5, *KERB_M)))
+        layout = asked(path)
+        assert (layout.road.drives_on, layout.road.carriageways, layout.road.lanes) == (side, 1, 3)
+        assert layout.pole_m[1] == pytest.approx((-216.25 if side == "right" else 216.25), abs=0.5)
+        (other,) = (note.partition(":\n")[2] for note in layout.notes if "another carriageway" in note)
+        assert tomllib.loads(other)["road"]["lanes"] == 2
+
+
+def test_one_way_traffic_is_told_by_lane_numbers_from_the_kerb_alone(tmp_path):
+    for side, layouts in (("right", rows_on(0.0, (1.75, 5.25))), ("left", rows_on(0.0, (5.25, 1.75)))):
+        path = write_rows(tmp_path / f"{side}.fcd.xml", layouts)
+        assert asked(path).road.drives_on == side
+        assert not any("assumed" in note for note in asked(path).notes)
+        unknown = proposed(table_of(tmp_path / f"{side}.csv", layouts))
+        assert unknown.road.drives_on == "right"
+        assert any("right-hand traffic is assumed" in note for note in unknown.notes)
+
+
+@pytest.mark.parametrize("back", [KERB_M, ()])
+def test_mirrored_traffic_gives_a_mirrored_scene_and_the_same_result(back, tmp_path, monkeypatch, capsys):
+    """With two carriageways every vehicle of both counts."""
+    without_charts(monkeypatch)
+    results, how = [], ("--frames", 4, "--caster", "exact", "--detail", "box", "--workers", 1, "--json")
+    for side in ("right", "left"):
+        folder = tmp_path / side
+        path = write_rows(tmp_path / f"{side}.fcd.xml", both_ways(side, back=back, until_s=40.0, wanders=False))
+        assert run("init", folder, "--from", "sumo", path) == 0
+        capsys.readouterr()
+        assert run("evaluate", folder / "scene.toml", "--height", 4, "--tilt-x", 12, *how, "--out", folder / "r") == 0
+        results.append(json.loads(capsys.readouterr().out))
+        rows = list(csv.DictReader((folder / "r" / "vehicles.csv").open()))
+        scenario = load_scenario(folder / "scene.toml")
+        assert scenario.road.carriageways == (2 if back else 1)
+        site = prepare(scenario)
+        low, high = scenario.region.stretches[0].x_m
+        for frame in (*site.search, *site.holdout):
+            inside = (frame.vehicles.centre_m[:, 0] >= low) & (frame.vehicles.centre_m[:, 0] <= high)
+            assert frame.counted.sum() == inside.sum() > 0
+        ways = {round(math.cos(math.radians(float(row["heading_deg"])))) for row in rows}
+        assert ways == ({1, -1} if back else {1})
+    one, other = results
+    assert one["vehicles"] == other["vehicles"] > 10
+    for key in ("objective", "objective_per_vehicle", "detectable_share"):
+        assert one[key] == pytest.approx(other[key], abs=1e-9)
 
 
 # --- Where the pole stands --------------------------------------------------------------------------------------------

@@ -311,11 +311,13 @@ def test_what_is_right_is_told_nothing_of(case, tmp_path):
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_init_tells_what_is_suspicious_of_what_it_proposes(mirrored, tmp_path, capsys, monkeypatch):
+def test_init_says_that_y_may_be_mirrored_and_its_scene_does_not_say_it_again(mirrored, tmp_path, capsys, monkeypatch):
     without_charts(monkeypatch)
     path = write_table(tmp_path / "traffic.csv", two_carriageways(mirrored), HEADER)
-    _, told = done(capsys, "init", tmp_path / "site", "--from", "table", path)
-    assert ("left-hand traffic, or y is mirrored" in told) is mirrored
+    said, notes = done(capsys, "init", tmp_path / "site", "--from", "table", path)
+    assert ("left-hand traffic" in said) is ("y is mirrored in the file" in said) is mirrored
+    assert "mirrored" not in notes
+    assert f'drives_on = "{"left" if mirrored else "right"}"' in (tmp_path / "site" / "scene.toml").read_text()
 
 
 @pytest.mark.parametrize(

@@ -14,14 +14,15 @@ import numpy as np
 
 from ..errors import InputError, MissingExtraError, one_line, unknown_name
 from ..files import check_folder, check_unused, make_folder, write_text
-from ..names import TRAFFIC_FORMATS
-from ..report.site_plan import plot_site_plan
+from ..names import SIDES, TRAFFIC_FORMATS
+from ..report.site_plan import plot_site_plan, road_text
 from ..road import StraightRoad
 from ..scene.plausibility import checked_recording
 from ..scene.scenario import load_scenario, shipped_scenes
 from ..scene.settings import TrafficSettings
 from ..toml_table import settings_of, to_toml
 from ..traffic import Recording, format_of, read_traffic
+from ..traffic.lanes import LANE_WIDTHS_M
 from ..traffic.layout import SETBACK_M, RoadLayout, propose_layout
 from ..traffic.vehicles import counted
 from .options import given_options
@@ -48,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     kind = format_of(path) if kind == TRAFFIC_FORMATS[0] else kind
     unplaced = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
     recording = read_traffic(path, format=kind, road=unplaced, **given)
-    layout = propose_layout(recording, follows_x=kind == "ngsim")
+    layout = propose_layout(recording, follows_x=kind == "ngsim", kerb_lane=kind == "sumo")
     make_folder(folder, "FOLDER")
     text = scene_text(recording, layout, kind, {"path": path, **given}, folder)
     write_text(folder / SCENE, text)
@@ -107,17 +108,6 @@ def _check(folder: Path, inputs: list[Path]) -> None:
 def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[str, object], folder: Path) -> str:
     """A scene file with a comment for each proposed number: what it came from, and how to change it."""
     low, high = _region_m(layout)
-    widths = np.diff(layout.lane_y)
-    centres = ", ".join(f"{one:.1f}" for one in layout.lane_y)
-    numbers = f", the file's lanes {', '.join(map(str, layout.lane_numbers))}" if layout.lane_numbers else ""
-    apart = (
-        f"from lane centres {widths.min():.2f} to {widths.max():.2f} m apart"
-        if len(widths)
-        else "usual; one lane tells none"
-    )
-    corner = max(math.hypot(along, layout.carriageway_y[1]) for along in (low, high))
-    gate = _GATE_STEP_M * math.ceil((corner + 1.0) / _GATE_STEP_M)
-    why = "usual" if layout.setback_m == SETBACK_M else f"at {SETBACK_M:g} m the pole would stand in traffic"
     if kind == "ngsim":
         for key, known in (("period", recording.report.periods), ("location", recording.report.locations)):
             if len(known) > 1:
@@ -125,11 +115,15 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
     said = {
         key: _path(value, folder) if key in ("path", "vehicle_types") else _text(value) for key, value in given.items()
     }
+    across = max(abs(edge - layout.pole_y) for edge in np.ravel(layout.road.carriageways_y))
+    corner = max(math.hypot(along, across) for along in (low, high))
+    gate = _GATE_STEP_M * math.ceil((corner + 1.0) / _GATE_STEP_M)
     lines = [
-        f"# Where should a LiDAR hang beside this road? Proposed from {layout.vehicles:,} vehicles that pass the pole.",
+        f"# Where should a LiDAR hang beside this road? Proposed from {_passing(layout)}.",
         f"# Check it by eye: {PICTURE} shows it. Any number may be changed; docs/reference/scene_file.md explains all.",
         *("# Note: " + note.replace("\n", "\n#   ") for note in layout.notes),
-        "# Road frame: x in the direction of travel, y to the left, metres; the pole stands at x = 0, y = 0.",
+        "# Road frame: x in the direction of travel at the pole, y to the left, metres; the pole stands at x = 0, "
+        f"y = {layout.pole_y:g}.",
         "",
         "[traffic]",
         *(f"{key} = {value}" for key, value in said.items()),
@@ -138,13 +132,9 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "# frames = 30    # searched, spread over the first part of the recording",
         "# holdout = 0.4  # share of the recording, at its end, that judges",
         "",
-        "[road]",
-        *(_station_lines(layout) if kind == "ngsim" else []),
-        f"setback_m = {layout.setback_m}  # to the carriageway's right edge: {why}; for yours see [deployment] y_m",
-        f"lanes = {layout.lanes}  # centres measured at y {centres} m{numbers}; add those that nobody used",
-        f"lane_width_m = {layout.lane_width_m}  # {apart}",
+        *_road_lines(layout, kind),
         "",
-        "# Where vehicles count, the same for every mounting: the carriageway from x to x. Instead of it a circle,",
+        "# Where vehicles count, the same for every mounting: all lanes from x to x. Instead of it a circle,",
         "# centre_m = [0.0, 0.0] with radius_m = 50.0, or an outline, polygon_m = [[x, y], [x, y], [x, y]].",
         "[region]",
         f"stretches = [{{ x_m = [{low}.0, {high}.0] }}]",
@@ -156,9 +146,9 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "# A number fixes a coordinate, a pair [low, high] has it searched.",
         "[deployment]",
         "x_m = 0.0  # along the road",
-        "y_m = 0.0  # -1.0: a metre farther from the carriageway",
+        *_side_lines(layout.road),
         "height_m = [2.0, 4.5]  # what your pole allows",
-        "tilt_x_deg = [0.0, 25.0]",
+        "tilt_x_deg = [0.0, 25.0]  # down to where the mast faces, the road",
         "",
         "# What gains are measured against.",
         "[baseline]",
@@ -171,9 +161,22 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
     return "\n".join(lines)
 
 
+def _passing(layout: RoadLayout) -> str:
+    both = f", {layout.oncoming:,} of them the other way" if layout.oncoming else ""
+    return f"{layout.vehicles + layout.oncoming:,} vehicles that pass the pole{both}"
+
+
 def _placing_lines(layout: RoadLayout) -> list[str]:
+    side = layout.road.drives_on
+    lines = [f"# The pole's foot, in the file's own metres: {side} of the densest stretch, no end or crossing near it."]
+    if layout.pole_y:
+        foot = "[{:.2f}, {:.2f}]".format(*layout.pole_m)
+        lines = [
+            f"# Across the road from the pole's foot, which is at {foot} in the file's own metres: {side} of the",
+            "# densest stretch, no end or crossing near it.",
+        ]
     return [
-        "# The pole's foot, in the file's own metres: right of the densest stretch, away from ends and from crossings.",
+        *lines,
         f"# The file follows this carriageway {_extent(layout)}.",
         f"origin_m = [{', '.join(map(str, layout.placing.origin_m))}]",
         "# Direction of travel in the file, counter-clockwise from its x axis: the one in which lanes are sharpest.",
@@ -181,8 +184,40 @@ def _placing_lines(layout: RoadLayout) -> list[str]:
     ]
 
 
+def _road_lines(layout: RoadLayout, kind: str) -> list[str]:
+    road, widths = layout.road, np.diff(layout.lane_y)
+    centres = ", ".join(f"{one:.1f}" for one in layout.lane_y)
+    numbers = f", the file's lanes {', '.join(map(str, layout.lane_numbers))}" if layout.lane_numbers else ""
+    widths = widths[widths <= LANE_WIDTHS_M[1]]  # without the median
+    apart = f"from lane centres {widths.min():.2f} to {widths.max():.2f} m apart" if len(widths) else ""
+    why = "usual" if road.setback_m == SETBACK_M else f"at {SETBACK_M:g} m the pole would stand in traffic"
+    lines = ["[road]", *(_station_lines(layout) if kind == "ngsim" else [])]
+    lines.append(f'drives_on = "{road.drives_on}"  # {layout.shown_by}')
+    if road.carriageways == 2:
+        lines += [
+            "carriageways = 2  # the other one drives against x",
+            f"median_m = {road.median_m}  # between the edges of both; their lanes are alike",
+        ]
+    return [
+        *lines,
+        f"setback_m = {road.setback_m}  # from the pole to the edge of the road: {why}",
+        f"lanes = {road.lanes}  # centres measured at y {centres} m{numbers}; add those that nobody used",
+        f"lane_width_m = {road.lane_width_m}  # {apart or 'usual; one lane tells none'}",
+    ]
+
+
+def _side_lines(road: StraightRoad) -> list[str]:
+    y_m = road.place(road.drives_on)[0] + (1.0 if road.drives_on == SIDES[1] else -1.0)
+    return [
+        f'side = "{road.drives_on}"  # the kerb, setback_m beside the road',
+        f"# y_m = {y_m:g}  # a place of your own on that side: a metre farther from the road",
+        *(['# side = "median"  # the middle between both carriageways'] if road.carriageways == 2 else []),
+        '# side = "gantry"  # over the lanes: height_m, and that of [baseline], from clearance_m = 5.0 on',
+    ]
+
+
 def _station_lines(layout: RoadLayout) -> list[str]:
-    road = layout.road()
+    road = layout.ngsim_road()
     return [
         "# Local_Y of the pole, in metres: the densest stretch, away from its ends.",
         f"# The file follows this carriageway {_extent(layout)}.",
@@ -217,20 +252,17 @@ def _text(text: str) -> str:
 
 
 def _told(recording: Recording, layout: RoadLayout, kind: str, written: list[str]) -> str:
-    x, y = layout.placing.origin_m
+    (x, y), road = layout.pole_m, layout.road
     seconds = float(np.ptp(recording.frame_time_s))
     of_file = {"ngsim": f"Local_Y {x:.0f} m", "sumo": f"x {x:.1f}, y {y:.1f} m of the net"}
-    lanes = "1 lane" if layout.lanes == 1 else f"{layout.lanes} lanes"
     heading = "" if kind == "ngsim" else f", heading {layout.placing.heading_deg:g} deg"
     low, high = _region_m(layout)
+    place = of_file.get(kind, f"x {x:.1f}, y {y:.1f} m of the table")
     lines = [
         ("Traffic", f"{recording.source}: {kind}, {counted(len(recording.frames), 'frame')} in {seconds:.0f} s"),
-        ("Road", f"{lanes} of {layout.lane_width_m:g} m{heading}, from {layout.vehicles:,} vehicles"),
-        (
-            "Pole",
-            f"at {of_file.get(kind, f'x {x:.1f}, y {y:.1f} m of the table')}, {layout.setback_m:g} m to the right",
-        ),
-        ("Region", f"x {low} to {high} m of the carriageway"),
+        ("Road", f"{road_text(road)}{heading}, from {_passing(layout)}"),
+        ("Pole", f"at {place}, {road.setback_m:g} m to the {road.drives_on} of the road"),
+        ("Region", f"x {low} to {high} m of all lanes"),
         *(("Note", note.replace("\n", "\n" + 11 * " ")) for note in layout.notes),
         ("Written", ", ".join(written)),
     ]

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..names import SIDES
+from ..road import StraightRoad
 from ..traffic.layout import HALF_STRETCH_M, RoadLayout
 from ..traffic.vehicles import Recording
 from .figure import INK, TRAVEL_LABEL, mark_sensor, sheet
@@ -44,12 +46,14 @@ def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, a
     """
     xy = recording.centre_m[:, :2]
     turned = recording.heading_rad - math.radians(layout.placing.heading_deg)
-    along = np.abs(np.arctan2(np.sin(turned), np.cos(turned))) <= _WITHIN_RAD
-    lanes = "1 lane" if layout.lanes == 1 else f"{layout.lanes} lanes of {layout.lane_width_m:g} m"
+    both_ways = layout.road.carriageways == 2
+    along = np.abs(np.sin(turned)) <= math.sin(_WITHIN_RAD)
+    along &= both_ways | (np.cos(turned) > 0.0)
     name = Path(recording.source).name
     name = name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
     subtitle = (
-        f"{name}: {layout.vehicles:,} vehicles on {lanes}; pole {layout.setback_m:g} m to the right of the carriageway"
+        f"{name}: {layout.vehicles + layout.oncoming:,} vehicles on {road_text(layout.road)}; pole "
+        f"{layout.road.setback_m:g} m to the {layout.road.drives_on} of it"
     )
     with sheet(path, 190.0, "Proposed site", subtitle) as figure:
         how = {"height_ratios": (1.0, 1.0), "width_ratios": (5.0, 1.0)}
@@ -60,6 +64,14 @@ def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, a
         _draw_across(axes["across"], road, along, layout)
         axes["across"].set_ylim(axes["near"].get_ylim())
         figure.legend(handles=_handles(), loc="outside lower center", ncols=3, handlelength=2.4)
+
+
+def road_text(road: StraightRoad) -> str:
+    """Carriageways, lanes and median of a road, in words."""
+    lanes = "1 lane" if road.lanes == 1 else f"{road.lanes} lanes"
+    if road.carriageways == 1:
+        return f"{lanes} of {road.lane_width_m:g} m"
+    return f"2 x {lanes} of {road.lane_width_m:g} m with a median of {road.median_m:g} m"
 
 
 def _draw_points(axes, xy, along, size):
@@ -74,14 +86,16 @@ def _draw_all(axes, xy, along, layout, names):
     _draw_points(axes, xy, along, 1.0)
     turn = math.radians(layout.placing.heading_deg)
     axes_of_road = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])  # rows: x and y
-    (first, last), (right, left) = layout.stretch_m, layout.carriageway_y
-    outline = np.array([[first, right], [last, right], [last, left], [first, left], [first, right]])
-    outline = layout.placing.origin_m + outline @ axes_of_road
-    axes.fill(*outline.T, **_REGION_LOOK)
-    axes.plot(*outline.T, **_EDGE_LOOK)
-    mark_sensor(axes, layout.placing.origin_m)
+    first, last = layout.stretch_m
+    for right, left in layout.road.carriageways_y:
+        outline = np.array([[first, right], [last, right], [last, left], [first, left], [first, right]])
+        outline = layout.placing.origin_m + outline @ axes_of_road
+        axes.fill(*outline.T, **_REGION_LOOK)
+        axes.plot(*outline.T, **_EDGE_LOOK)
+    mark_sensor(axes, layout.pole_m)
     size = 0.03 * float(np.ptp(xy, axis=0).max())
-    _arrow(axes, *(layout.placing.origin_m + np.array([[0.0, -size], [4.0 * size, -size]]) @ axes_of_road))
+    y = layout.pole_y + (size if layout.pole_y else -size)
+    _arrow(axes, *(layout.placing.origin_m + np.array([[0.0, y], [4.0 * size, y]]) @ axes_of_road))
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(title="All trajectories, in the file's own frame", xlabel=f"{names[0]} [m]", ylabel=f"{names[1]} [m]")
     axes.grid()
@@ -95,32 +109,47 @@ def _arrow(axes, start, end):
 def _draw_near(axes, road, along, layout):
     """The road frame about the pole."""
     low, high = layout.stretch_m[0] - _ROUND_M, layout.stretch_m[1] + _ROUND_M
-    bottom, top = -8.0, layout.carriageway_y[1] + 8.0
+    bottom, top = _across_m(layout)
     shown = (road[:, 0] > low) & (road[:, 0] < high)
     _draw_points(axes, road[shown], along[shown], 2.2)
-    axes.fill_between(layout.stretch_m, *layout.carriageway_y, **_REGION_LOOK)
-    for y in layout.carriageway_y:
-        axes.plot((low, high), (y, y), **_EDGE_LOOK)
-    right, width = layout.setback_m, layout.lane_width_m
-    for number in range(layout.lanes):
-        y = right + (number + 0.5) * width
+    for edges in layout.road.carriageways_y:
+        axes.fill_between(layout.stretch_m, *edges, **_REGION_LOOK)
+        for y in edges:
+            axes.plot((low, high), (y, y), **_EDGE_LOOK)
+    for y in _lane_centres(layout.road):
         axes.plot((low, high), (y, y), **_LANE_LOOK)
-    _arrow(axes, (-0.3 * HALF_STRETCH_M, -4.0), (0.3 * HALF_STRETCH_M, -4.0))
-    mark_sensor(axes, (0.0, 0.0))
+    at = bottom + 4.0, top - 4.0  # beside the carriageway that drives along +x, and the other one
+    with_x, against = at if layout.road.drives_on == SIDES[0] else at[::-1]
+    reach = 0.3 * HALF_STRETCH_M
+    _arrow(axes, (-reach, with_x), (reach, with_x))
+    if layout.road.carriageways == 2:
+        _arrow(axes, (reach, against), (-reach, against))
+    mark_sensor(axes, (0.0, layout.pole_y))
     axes.set(xlim=(low, high), ylim=(bottom, top), xlabel=TRAVEL_LABEL, ylabel="Across, y [m], to the left")
     axes.set_title("The proposed road frame (y stretched)")
     axes.grid()
 
 
+def _across_m(layout):
+    """From where to where across the road is shown."""
+    return -8.0, layout.road.place(SIDES[1])[0] + 8.0
+
+
+def _lane_centres(road):
+    of_lanes = (np.arange(road.lanes) + 0.5) * road.lane_width_m
+    return np.concatenate([right + of_lanes for right, _ in road.carriageways_y])
+
+
 def _draw_across(axes, road, along, layout):
     """How often vehicles drive where across the road, beside the proposed lanes."""
+    bottom, top = _across_m(layout)
     near = along & (road[:, 0] >= layout.stretch_m[0]) & (road[:, 0] <= layout.stretch_m[1])
-    counts, edges = np.histogram(road[near, 1], np.arange(-8.0, layout.carriageway_y[1] + 8.25, 0.25))
+    counts, edges = np.histogram(road[near, 1], np.arange(bottom, top + 0.25, 0.25))
     axes.barh(edges[:-1], counts, height=0.25, align="edge", color=_ALONG)
-    for y in layout.carriageway_y:
+    for y in np.ravel(layout.road.carriageways_y):
         axes.axhline(y, **_EDGE_LOOK)
-    for number in range(layout.lanes):
-        axes.axhline(layout.setback_m + (number + 0.5) * layout.lane_width_m, **_LANE_LOOK)
+    for y in _lane_centres(layout.road):
+        axes.axhline(y, **_LANE_LOOK)
     axes.set(xlabel="Boxes", title="Driven where", yticklabels=[])
 
 
@@ -132,8 +161,8 @@ def _handles():
     return [
         Line2D([], [], color=_ALONG, label="driven along the road", **dots),
         Line2D([], [], color=_OTHER, label="driven any other way", **dots),
-        Line2D([], [], label="carriageway's edges", **_EDGE_LOOK),
+        Line2D([], [], label="edges of the road", **_EDGE_LOOK),
         Line2D([], [], label="lane centres", **_LANE_LOOK),
-        Patch(label="region; the arrow is the direction of travel", **_REGION_LOOK),
+        Patch(label="region; an arrow is a direction of travel", **_REGION_LOOK),
         Line2D([], [], linestyle="none", marker="^", markerfacecolor="white", markeredgecolor="black", label="LiDAR"),
     ]

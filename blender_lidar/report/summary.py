@@ -137,9 +137,9 @@ def region_text(region: Mapping) -> str:
         text = f"in a polygon of {len(region['polygon_m'])} corners"
     elif region["stretches"]:
         spans = (" to ".join(f"{x:g}" for x in one["x_m"]) for one in region["stretches"])
-        text = f"on the carriageway from x {' and '.join(spans)} m"
+        text = f"on the road from x {' and '.join(spans)} m"
         if any(one["lanes"] for one in region["stretches"]):
-            text = text.replace("the carriageway", "chosen lanes")
+            text = text.replace("the road", "chosen lanes")
     else:
         x, y = region["centre_m"]
         text = f"within {region['radius_m']:g} m of x {x:g} m, y {y:g} m"

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..traffic.layout import LANE_WIDTHS_M, USUAL_LANE_M, density_peaks
+from ..names import SIDES
+from ..traffic.lanes import LANE_WIDTHS_M, USUAL_LANE_M, density_peaks
 from ..traffic.vehicles import Recording
 from . import usual
 from .motion_checks import within_half_a_turn
@@ -169,13 +170,15 @@ def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accept
     pairs, boxes = _overlapping(recording)
     if usual.SOME * boxes < pairs <= usual.OVERLAPPING * boxes:
         yield f"{100 * pairs / boxes:.0f} pairs of boxes overlap among 100 (usual: none, or a few)"
-    right, left = against & (t < low), against & (t > high)
+    drives_on, beside = scenario.road.drives_on, against & ((t < low) | (t > high))
+    wrong = beside & (t < low if drives_on == SIDES[0] else t > high)
     travels = there.sum() >= usual.FEWEST and share < usual.HALF
-    if travels and right.sum() >= usual.FEWEST and right.sum() > usual.MOST * (right | left).sum():
+    if travels and wrong.sum() >= usual.FEWEST and wrong.sum() > usual.MOST * beside.sum():
+        other = SIDES[1] if drives_on == SIDES[0] else SIDES[0]
         yield (
-            f"those who come the other way drive to the right of {placed.name}, at {_span('y', t[right])}: left-hand "
-            "traffic, or y is mirrored in the file; a pole on that side stands between both directions, not at the "
-            "roadside"
+            f"those who come the other way drive to the {drives_on} of {placed.name}, at {_span('y', t[wrong])}: "
+            f"{other}-hand traffic, or y is mirrored in the file; for the first give [road] drives_on = "
+            f'"{other}": a pole on that side stands between both directions, not at the roadside'
         )
 
 

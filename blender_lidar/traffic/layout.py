@@ -1,8 +1,8 @@
-"""Estimating a road's layout from trajectories: its direction, lane centres, lane width, edges, and a place for a pole.
+"""Estimating a road's layout from trajectories: its direction, carriageways, lanes, and a place for a pole at the kerb.
 
-Kernel density estimates of where vehicles drive across the road give its lanes, or the lanes that the recording itself
-names; what lies where nobody drives cannot be seen. Positions are those of `Recording`, read with no placing of its
-own: the file's plane.
+Where vehicles drive across the road gives its lanes (`lanes`); what lies where nobody drives cannot be seen. Positions
+are those of `Recording`, read with no placing of its own: the file's plane. Left-hand traffic is looked at in a mirror,
+where it drives on the right: the kerb is to the right throughout, until the result is mirrored back.
 """
 
 from __future__ import annotations
@@ -13,17 +13,21 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..errors import InputError
+from ..names import SIDES
 from ..road import StraightRoad
+from .lanes import FEW, FEWEST_ON_A_ROAD, ONE_CARRIAGEWAY_M, Lanes, lanes_across
 from .tracks import central_velocity, held_heading
 from .vehicles import Placing, Recording
 
 HALF_STRETCH_M = 50.0
 _ALONG_RAD, _CROSSING_RAD = np.radians([15.0, 30.0])  # of the road: who drives on it, and who across it
 _MOST_SAMPLES = 200_000
-_FEWEST_VEHICLES = 3
-_FEW = 0.02  # share of the traffic that makes no lane, and no crossing
-LANE_WIDTHS_M = (2.4, 5.2)
-USUAL_LANE_M = 3.5
+_OTHER_WAY_M = 40.0  # from a carriageway's edge, within which oncoming vehicles are of the same road
+_ASSUMED = (
+    "nothing shows on which side of the road vehicles drive (nobody comes the other way, no lane numbers): right-hand "
+    'traffic is assumed; for the left, drives_on = "left" in [road] and side = "left" in [deployment]'
+)
+_OVER_THE_LINE_M = 1.0  # by which vehicles that come the other way drive on it
 SETBACK_M = 2.0
 _SETBACKS_M = (SETBACK_M, 3.0, 4.0, 6.0, 8.0, 10.0)
 _CLEAR_M = 1.0  # about the pole
@@ -37,59 +41,71 @@ _MANY_THE_SAME = 0.8  # share of the vehicles of two carriageways that are one
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadLayout:
-    """A carriageway as vehicles drive on it, and a place beside it for a pole.
+    """A road as vehicles drive on it, and a place at its kerb for a pole.
 
     Attributes
     ----------
     placing : Placing
         Where the road frame lies in the file's plane.
-    setback_m, lane_width_m, lanes
-        As in `StraightRoad`.
+    road : StraightRoad
+        In that frame.
     lane_y : ndarray, (k,)
         Measured lane centres, from the right, in the road frame [m]; a lane that nobody uses has none.
     lane_numbers : tuple of int
-        The recording's numbers of these lanes; empty where its lanes were not used.
+        The recording's numbers of the lanes that drive along +x; empty where its lanes were not used.
     stretch_m : (float, float)
         The x around the pole that the region may span [m].
     extent_m : (float, float)
-        The x between which the recording follows this carriageway [m].
+        The x between which the recording follows this road [m].
     vehicles : int
-        Different ones that come to the pole.
+        Different ones that drive along +x and come to the pole.
+    oncoming : int
+        Different ones on the second carriageway.
+    shown_by : str
+        What shows on which side vehicles drive.
     notes : tuple of str
         What else there is, and what to check, as sentences; another carriageway with its lines of a scene.
     """
 
     placing: Placing
-    setback_m: float
-    lane_width_m: float
-    lanes: int
+    road: StraightRoad
     lane_y: np.ndarray
     lane_numbers: tuple[int, ...]
     stretch_m: tuple[float, float]
     extent_m: tuple[float, float]
     vehicles: int
+    oncoming: int
+    shown_by: str
     notes: tuple[str, ...]
 
     @property
-    def carriageway_y(self) -> tuple[float, float]:
-        """The y [m] of the carriageway's right and left edge."""
-        return self.setback_m, self.setback_m + self.lanes * self.lane_width_m
+    def pole_y(self) -> float:
+        """The y of the pole, which stands at the kerb at x = 0 [m]."""
+        return self.road.place(self.road.drives_on)[0]
 
-    def road(self) -> StraightRoad:
+    @property
+    def pole_m(self) -> tuple[float, float]:
+        """The pole in the file's plane [m]."""
+        return self.placing.in_file(0.0, self.pole_y)
+
+    def ngsim_road(self) -> StraightRoad:
         """[road] of an NGSIM recording, whose plane is (Local_Y, -Local_X) [m]."""
         x, y = self.placing.origin_m
-        edge = round(-y - self.setback_m, 2)
-        return StraightRoad(
-            station_m=round(x, 2),
-            right_edge_m=edge,
-            setback_m=self.setback_m,
-            lanes=self.lanes,
-            lane_width_m=self.lane_width_m,
-        )
+        return replace(self.road, station_m=round(x, 2), right_edge_m=round(-y - self.road.setback_m, 2))
+
+    def mirrored(self) -> RoadLayout:
+        """Right-hand traffic, in the mirror, as the left-hand traffic that it is: the pole stays where it stands."""
+        (x, y), right = self.placing.origin_m, self.road
+        road = replace(right, drives_on=SIDES[1])
+        y_m = right.place(SIDES[1])[0]  # of what lies on y = 0 in the mirror
+        pole = Placing((x, -y + 0.0), -self.placing.heading_deg + 0.0)
+        origin = tuple(round(one, 2) + 0.0 for one in pole.in_file(0.0, -y_m))
+        lane_y, numbers = (y_m - self.lane_y)[::-1], self.lane_numbers[::-1]
+        return replace(self, placing=replace(pole, origin_m=origin), road=road, lane_y=lane_y, lane_numbers=numbers)
 
 
-def propose_layout(recording: Recording, *, follows_x: bool = False) -> RoadLayout:
-    """Estimate the layout of the busiest carriageway, or of the busiest approach of an intersection.
+def propose_layout(recording: Recording, *, follows_x: bool = False, kerb_lane: bool = False) -> RoadLayout:
+    """Estimate the layout of the busiest road, or of the busiest approach of an intersection.
 
     Parameters
     ----------
@@ -97,6 +113,8 @@ def propose_layout(recording: Recording, *, follows_x: bool = False) -> RoadLayo
         In the file's own plane [m].
     follows_x : bool
         Whether the road can only follow +x, as in NGSIM, whose files know no other direction.
+    kerb_lane : bool
+        Whether the recording numbers lanes from the kerb, as SUMO does.
 
     Raises
     ------
@@ -104,25 +122,40 @@ def propose_layout(recording: Recording, *, follows_x: bool = False) -> RoadLayo
         If there are too few vehicles that move, none that drive one way, or no place for a pole beside them.
     """
     samples = _Samples.of(recording)
-    directions = np.zeros(1) if follows_x else _directions(samples)
-    found = [each for direction in directions if (each := _carriageway(samples, float(direction), follows_x))]
-    found = _different(found)
-    if not found:
+    side, shown_by = _traffic_side(samples, follows_x, kerb_lane)
+    mirrored = side == SIDES[1]
+    samples = samples.mirrored() if mirrored else samples
+    found = [_carriageway(samples, direction, follows_x) for direction in _directions(samples, follows_x)]
+    layouts = _different([one for one in found if one])
+    if not layouts:
         way = "along Local_Y" if follows_x else "one way on a stretch that no others cross"
         raise InputError(
-            f"{recording.source}: no road can be proposed: fewer than {_FEWEST_VEHICLES} vehicles drive {way}, with "
+            f"{recording.source}: no road can be proposed: fewer than {FEWEST_ON_A_ROAD} vehicles drive {way}, with "
             "room for a pole beside them"
         )
-    return _with_others(found)
+    layout = _with_others([one.mirrored() for one in layouts] if mirrored else layouts)
+    note = f"{shown_by} show left-hand traffic; if vehicles drive on the right there, y is mirrored in the file"
+    notes = (note,) if mirrored else () if shown_by else (_ASSUMED,)
+    return replace(layout, shown_by=shown_by or "assumed", notes=layout.notes + notes)
 
 
-def _different(found: list[tuple[RoadLayout, np.ndarray]]) -> list[RoadLayout]:
-    """Carriageways, the busiest first, without those that the vehicles of a busier one come to: it bends or turns."""
-    kept: list[tuple[RoadLayout, np.ndarray]] = []
-    for layout, vehicles in sorted(found, key=lambda each: -each[0].vehicles):
-        if all(np.isin(vehicles, others).mean() <= _MANY_THE_SAME for _, others in kept):
-            kept.append((layout, vehicles))
-    return [layout for layout, _ in kept]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """A layout, and the rows of `_Samples.vehicle` that drive along it and come the other way."""
+
+    layout: RoadLayout
+    along: np.ndarray
+    oncoming: np.ndarray
+
+
+def _different(found: list[_Found]) -> list[RoadLayout]:
+    """Roads, the busiest first, without those that the vehicles of a busier one come to: it bends, turns or returns."""
+    kept: list[_Found] = []
+    for one in sorted(found, key=lambda one: -one.layout.vehicles):
+        others = (np.union1d(other.along, other.oncoming) for other in kept)
+        if all(np.isin(one.along, vehicles).mean() <= _MANY_THE_SAME for vehicles in others):
+            kept.append(one)
+    return [one.layout for one in kept]
 
 
 def _with_others(found: list[RoadLayout]) -> RoadLayout:
@@ -131,12 +164,18 @@ def _with_others(found: list[RoadLayout]) -> RoadLayout:
     for other in others:
         (x, y), heading = other.placing.origin_m, other.placing.heading_deg
         notes.append(
-            f"also {other.vehicles:,} vehicles on another carriageway; for it put these in their tables, and check the "
-            f"region:\n[traffic]\norigin_m = [{x:.2f}, {y:.2f}]\n"
-            f"heading_deg = {heading:g}\n[road]\nsetback_m = {other.setback_m:g}\nlanes = {other.lanes}\n"
-            f"lane_width_m = {other.lane_width_m:g}"
+            f"also {other.vehicles + other.oncoming:,} vehicles on another carriageway; for it put these in their "
+            f"tables, and check the region:\n[traffic]\norigin_m = [{x:.2f}, {y:.2f}]\n"
+            f"heading_deg = {heading:g}\n[road]\nsetback_m = {other.road.setback_m:g}\nlanes = {other.road.lanes}\n"
+            f"lane_width_m = {other.road.lane_width_m:g}\n{_carriageways(other.road)}"
         )
     return replace(best, notes=tuple(notes))
+
+
+def _carriageways(road: StraightRoad) -> str:
+    if road.carriageways == 1:
+        return "carriageways = 1  # without median_m"
+    return f"carriageways = {road.carriageways}\nmedian_m = {road.median_m:g}"
 
 
 # --- Motion: positions, headings and speeds of all rows ---------------------------------------------------
@@ -170,12 +209,16 @@ class _Samples:
         speed = np.where(held, 0.0, np.hypot(*velocity.T))
         return cls(vehicle, xy, heading, speed, recording.size_m[order, :2], recording.lane[order])
 
+    def mirrored(self) -> _Samples:
+        """The same with y to the right of x."""
+        return replace(self, xy=self.xy * (1.0, -1.0), heading=-self.heading)
+
     def where(self, which: np.ndarray | slice) -> _Samples:
         return _Samples(*(getattr(self, field.name)[which] for field in fields(self)))
 
     def thinned(self) -> _Samples:
         """At most `_MOST_SAMPLES` of them."""
-        return self.where(slice(None, None, -(-len(self.xy) // _MOST_SAMPLES)))
+        return self.where(slice(None, None, max(1, -(-len(self.xy) // _MOST_SAMPLES))))
 
     def off(self, direction: float) -> np.ndarray:
         """Angle between each heading and a direction, (n,) [rad], without sign; NaN where there is no heading."""
@@ -192,8 +235,10 @@ def _turned(xy: np.ndarray, direction: float) -> tuple[np.ndarray, np.ndarray]:
     return xy[:, 0] * cos + xy[:, 1] * sin, xy[:, 1] * cos - xy[:, 0] * sin
 
 
-def _directions(samples: _Samples) -> np.ndarray:
+def _directions(samples: _Samples, follows_x: bool) -> list[float]:
     """The directions that most is driven in, the busiest first [rad]: peaks of a circular histogram."""
+    if follows_x:
+        return [0.0]
     moving = samples.speed > 0.0
     weight = np.histogram(
         np.degrees(samples.heading[moving]) % 360.0, 360, (0.0, 360.0), weights=samples.speed[moving]
@@ -206,35 +251,100 @@ def _directions(samples: _Samples) -> np.ndarray:
         if smooth[peak] >= max(smooth[peak - 1], smooth[(peak + 1) % 360]):
             found.append(math.radians(peak + 0.5))
         left[np.arange(peak - 20, peak + 21) % 360] = 0.0
-    return np.array(found)
+    return found
 
 
 # --- A carriageway in one direction -----------------------------------------------------------------------
 
 
-def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> tuple[RoadLayout, np.ndarray] | None:
+def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> _Found | None:
     """The busiest carriageway in about a direction, and who comes to its pole; None where there is no stretch."""
-    along = everything.where(everything.off(direction) <= _ALONG_RAD).thinned()
-    if not len(along.xy):
-        return None
-    middle = along.xy.mean(axis=0)
-    u, v = _turned(along.xy - middle, direction)
-    place = middle + _unturned(*_busiest(u, v, along.speed), direction)
-    half_m = HALF_STRETCH_M
+    place, half_m = _busiest_place(everything, direction), HALF_STRETCH_M
     for look in range(3):  # the lanes where most drive, those where the pole stands, and again as far as it is straight
-        near = _near(everything, place, direction, 2.0 * HALF_STRETCH_M if follows_x else half_m)
-        if len(near.xy) and not follows_x:
-            direction = _sharpest(near, place, direction)
-        u, v = _turned(near.xy - place, direction)
-        lanes = _lanes(v, near)
+        half_m = 2.0 * HALF_STRETCH_M if follows_x else half_m
+        direction, lanes = _lanes_near(everything, place, direction, half_m, turns=not follows_x)
         if lanes is None:
             return None
+        oncoming = _oncoming(everything, place, direction, lanes, half_m)
+        second = _lanes_of(everything, oncoming, place, direction)
+        both = lanes.with_second(second) if second else None
+        lanes = both or lanes
         found = _station(everything, place, direction, lanes, stays=look > 0)
         if found is None:
             return None
         place = place + _unturned(found.station, 0.0, direction)
         half_m = found.half_m
-    return _layout(found, lanes, place, direction), found.vehicles
+    others = np.unique(everything.vehicle[oncoming if both else oncoming[:0]])
+    return _Found(_layout(found, lanes, place, direction, len(others)), found.vehicles, others)
+
+
+def _busiest_place(everything: _Samples, direction: float) -> np.ndarray:
+    """Where most drive in about a direction, (2,) [m]."""
+    along = everything.where(everything.off(direction) <= _ALONG_RAD).thinned()
+    if not len(along.xy):
+        return np.full(2, np.nan)
+    middle = along.xy.mean(axis=0)
+    u, v = _turned(along.xy - middle, direction)
+    return middle + _unturned(*_busiest(u, v, along.speed), direction)
+
+
+def _lanes_near(
+    everything: _Samples, place: np.ndarray, direction: float, half_m: float, *, turns: bool
+) -> tuple[float, Lanes | None]:
+    """The direction in which lanes about a place are sharpest, and these lanes, across from the place."""
+    near = _near(everything, place, direction, half_m)
+    if len(near.xy) and turns:
+        direction = _sharpest(near, place, direction)
+    v = _turned(near.xy - place, direction)[1]
+    return direction, lanes_across(v, near.vehicle, near.speed, near.lane)
+
+
+def _lanes_of(everything: _Samples, rows: np.ndarray, place: np.ndarray, direction: float) -> Lanes | None:
+    near = everything.where(rows).thinned()
+    return lanes_across(_turned(near.xy - place, direction)[1], near.vehicle, near.speed, near.lane)
+
+
+def _oncoming(
+    everything: _Samples, place: np.ndarray, direction: float, lanes: Lanes, half_m: float, side: str = SIDES[1]
+) -> np.ndarray:
+    """Rows of those that come the other way on the nearest carriageway on one side of some lanes, (r,) int."""
+    u, v = _turned(everything.xy - place, direction)
+    beyond = v - lanes.left_m if side == SIDES[1] else lanes.right_m - v
+    here = (np.abs(u) <= half_m) & (beyond > -_OVER_THE_LINE_M) & (beyond <= _OTHER_WAY_M)
+    rows = np.flatnonzero(here & (everything.off(direction + math.pi) <= _ALONG_RAD) & (everything.speed > 0.0))
+    rows = rows[np.argsort(beyond[rows], kind="stable")]
+    groups = np.split(rows, 1 + np.flatnonzero(np.diff(beyond[rows]) > ONE_CARRIAGEWAY_M))
+    many = (group for group in groups if len(np.unique(everything.vehicle[group])) >= FEWEST_ON_A_ROAD)
+    return next(many, rows[:0])
+
+
+def _traffic_side(samples: _Samples, follows_x: bool, kerb_lane: bool) -> tuple[str, str]:
+    """The side of the road on which vehicles drive, and what shows it; the right, and nothing, where nothing does.
+
+    Lane numbers that count from the kerb tell it, else the side on which the nearest oncoming vehicles are, each
+    direction of travel by its number of vehicles.
+    """
+    by_lanes = by_oncoming = 0
+    for direction in _directions(samples, follows_x):
+        place = _busiest_place(samples, direction)
+        direction, lanes = _lanes_near(samples, place, direction, HALF_STRETCH_M, turns=not follows_x)
+        if lanes is None:
+            continue
+        order = np.sign(np.diff(lanes.numbers))
+        if kerb_lane and len(order) and abs(order.sum()) == len(order):
+            by_lanes += int(order[0]) * len(order)
+        v, nearest = _turned(samples.xy - place, direction)[1], {}
+        for side in SIDES[:2]:
+            rows = _oncoming(samples, place, direction, lanes, HALF_STRETCH_M, side)
+            if len(rows):
+                edge = lanes.left_m if side == SIDES[1] else lanes.right_m
+                nearest[side] = float(np.abs(np.median(v[rows]) - edge)), len(np.unique(samples.vehicle[rows]))
+        if nearest:
+            beside = min(nearest, key=nearest.get)
+            by_oncoming += nearest[beside][1] * (1 if beside == SIDES[1] else -1)
+    votes = by_lanes or by_oncoming
+    shown_by = "the lanes' numbers" if by_lanes else "vehicles that come the other way" if by_oncoming else ""
+    return SIDES[0 if votes >= 0 else 1], shown_by or ("NGSIM's country" if follows_x else "")
 
 
 def _unturned(along: float, across: float, direction: float) -> np.ndarray:
@@ -289,91 +399,6 @@ def _sharpest(near: _Samples, place: np.ndarray, direction: float) -> float:
     return math.radians(round(math.degrees(_within_half_turn(direction)), 2))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Lanes:
-    centres: np.ndarray  # across, from the right [m]
-    numbers: tuple[int, ...]
-    width_m: float
-    right_m: float
-    count: int
-
-    @property
-    def left_m(self) -> float:
-        return self.right_m + self.count * self.width_m
-
-
-def _lanes(v: np.ndarray, near: _Samples) -> _Lanes | None:
-    """Lanes from where vehicles drive across the road, `v` (n,) [m]; None where they are too few."""
-    if len(np.unique(near.vehicle)) < _FEWEST_VEHICLES:
-        return None
-    peaks = density_peaks(v, near.speed)
-    recorded = _recorded_lanes(v, near)
-    centres, numbers = recorded if recorded and len(recorded[0]) >= len(_neighbours(peaks)) else (peaks, ())
-    kept = _neighbours(centres)
-    numbers = tuple(number for centre, number in sorted(zip(centres, numbers, strict=False)) if centre in kept)
-    centres = np.sort(kept)
-    if len(centres) == 1:
-        width, first = USUAL_LANE_M, centres[0]
-        count = 1
-    else:  # by least squares, as one width is all that a scene has
-        apart = np.diff(centres)
-        usual = float(np.median(apart[apart <= 1.5 * apart.min()]))
-        usual = usual if usual <= LANE_WIDTHS_M[1] else usual / 2.0  # with an unused lane between
-        place = np.concatenate([[0], np.cumsum(np.maximum(np.rint(apart / usual), 1))])
-        width, first = np.polyfit(place, centres, 1)
-        count = int(place[-1]) + 1
-    width = round(float(width), 2)
-    return _Lanes(centres, numbers, width, float(first) - 0.5 * width, count)
-
-
-def density_peaks(v: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Peaks of a kernel density estimate with a lane's depth of valley between them, the highest first [m]."""
-    step, sigma = 0.05, 0.4
-    low = v.min() - 3.0
-    counts = np.bincount(((v - low) / step).astype(int), weights=weight, minlength=int((v.max() + 3.0 - low) / step))
-    reach = np.arange(-40, 41) * step
-    density = np.convolve(counts, np.exp(-0.5 * (reach / sigma) ** 2), "same")
-    inner = density[1:-1]
-    tops = 1 + np.flatnonzero((inner > density[:-2]) & (inner >= density[2:]) & (inner >= _FEW * density.max()))
-    kept: list[int] = []
-    for top in tops[np.argsort(-density[tops], kind="stable")]:
-        between = (density[min(top, other) : max(top, other) + 1].min() for other in kept)
-        apart = all(abs(top - other) * step >= LANE_WIDTHS_M[0] for other in kept)
-        if apart and all(valley <= 0.8 * density[top] for valley in between):
-            kept.append(int(top))
-    return low + (np.array(kept) + 0.5) * step
-
-
-def _recorded_lanes(v: np.ndarray, near: _Samples) -> tuple[np.ndarray, tuple[int, ...]] | None:
-    """Medians of the lanes that the recording names, the busiest first [m], and their numbers; None if they are none.
-
-    Numbers that mean different lanes on different edges, as SUMO's may, spread over more than a lane.
-    """
-    numbers = np.unique(near.lane[near.lane != 0])
-    weights = np.array([near.speed[near.lane == number].sum() for number in numbers])
-    used = weights >= _FEW * weights.sum()
-    if not used.any():
-        return None
-    order = np.argsort(-weights[used], kind="stable")
-    numbers = numbers[used][order]
-    across = [v[near.lane == number] for number in numbers]
-    centres = np.array([np.median(one) for one in across])
-    spread = max(float(np.median(np.abs(one - centre))) for one, centre in zip(across, centres, strict=True))
-    apart = np.diff(np.sort(centres))
-    if spread > 0.25 * LANE_WIDTHS_M[1] or (apart < LANE_WIDTHS_M[0]).any():
-        return None
-    return centres, tuple(numbers.tolist())
-
-
-def _neighbours(centres: np.ndarray) -> np.ndarray:
-    """The lanes of one carriageway: the first, and those at most an unused lane from the next."""
-    kept, rest = [centres[0]], list(centres[1:])
-    while near := [one for one in rest if min(abs(one - other) for other in kept) <= 2.1 * USUAL_LANE_M]:
-        kept += near
-        rest = [one for one in rest if one not in near]
-    return np.array(kept)
-
-
 # --- Where a pole may stand beside it ---------------------------------------------------------------------
 
 
@@ -388,7 +413,7 @@ class _Station:
     notes: tuple[str, ...]
 
 
-def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _Lanes, stays: bool) -> _Station | None:
+def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: Lanes, stays: bool) -> _Station | None:
     """The densest stretch of a carriageway, away from its ends and from where others cross it; None where none is.
 
     Where it `stays` it is the nearest place that is free.
@@ -411,7 +436,7 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _
     if not len(used):
         return None
     extent = float(edges[used[0]]), float(edges[used[-1] + 1])
-    crossed = np.histogram(u[across], edges)[0] > np.maximum(_FEW * presence, 1)
+    crossed = np.histogram(u[across], edges)[0] > np.maximum(FEW * presence, 1)
     near_crossing = _windowed(crossed, 4) > 0
     middles = edges[:-1] + 0.5 * _BIN_M
     inside = (middles > extent[0]) & (middles < extent[1]) & ~near_crossing[: len(middles)]
@@ -440,7 +465,7 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: _
     stretch = max(extent[0], chosen - half) - chosen, min(extent[1], chosen + half) - chosen
     coming = along & (u >= chosen + stretch[0]) & (u <= chosen + _BIN_M)  # not those that join beyond a crossing
     vehicles = np.unique(everything.vehicle[coming])
-    if len(vehicles) < _FEWEST_VEHICLES:
+    if len(vehicles) < FEWEST_ON_A_ROAD:
         return None
     if len(vehicles) < _MANY_VEHICLES * max(lanes.count, 2):
         notes.append(
@@ -488,18 +513,25 @@ def _clear(everything: _Samples, u, v, direction: float, line: float, edges: np.
     return np.cumsum(blocked)[: len(edges) - 1] == 0
 
 
-def _layout(found: _Station, lanes: _Lanes, place: np.ndarray, direction: float) -> RoadLayout:
+def _layout(found: _Station, lanes: Lanes, place: np.ndarray, direction: float, oncoming: int) -> RoadLayout:
     shift = lanes.right_m - found.setback_m  # across, of the line y = 0
     origin = place + _unturned(0.0, shift, direction)
+    road = StraightRoad(
+        carriageways=1 if lanes.median_m is None else 2,
+        median_m=lanes.median_m,
+        setback_m=found.setback_m,
+        lanes=lanes.count,
+        lane_width_m=lanes.width_m,
+    )
     return RoadLayout(
         placing=Placing(tuple(np.round(origin, 2).tolist()), round(math.degrees(direction), 2)),
-        setback_m=found.setback_m,
-        lane_width_m=lanes.width_m,
-        lanes=lanes.count,
+        road=road,
         lane_y=lanes.centres - shift,
         lane_numbers=lanes.numbers,
         stretch_m=found.stretch,
         extent_m=found.extent,
         vehicles=len(found.vehicles),
+        oncoming=oncoming,
+        shown_by="",
         notes=found.notes,
     )

@@ -318,6 +318,12 @@ class Placing:
         across = y * math.cos(turn) - x * math.sin(turn)
         return np.stack([along, across], axis=1)
 
+    def in_file(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """A place of the road frame in the file's frame [m]."""
+        turn, (x, y) = math.radians(self.heading_deg), self.origin_m
+        cos, sin = math.cos(turn), math.sin(turn)
+        return x + x_m * cos - y_m * sin, y + x_m * sin + y_m * cos
+
     def headings(self, heading_rad: np.ndarray) -> np.ndarray:
         """Headings from the file's +x, (n,) [rad], as headings from the road's, within half a turn."""
         turned = heading_rad - math.radians(self.heading_deg)
