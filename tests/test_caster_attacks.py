@@ -34,6 +34,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose, rotation_matrix
 from blender_lidar.world.scenery import box, join
@@ -302,7 +303,7 @@ EVERYONE = np.ones(len(TRAFFIC), dtype=bool)
 
 
 def seen(caster, **changes):
-    return Observation(LATTICE, 60.0, 0.0, caster, "body", 0.05, **changes)
+    return Observation((Lidar(LATTICE, 60.0),), caster, "body", 0.05, **changes)
 
 
 def moved(vehicles, away):

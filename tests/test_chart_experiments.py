@@ -53,9 +53,9 @@ def test_vehicles_that_stand_are_seen_as_in_an_instant(site, frame, boxes_move, 
     if also == "a barrier":
         ((_, there),) = next(one for one in ablations(site, 1) if one.what == "median barrier").pairs
         site = there.changed(site)
-    imperfections = replace(site.observation.imperfections, dropout=0.1, range_noise_m=0.02)
+    imperfections = replace(site.observation.lidar.imperfections, dropout=0.1, range_noise_m=0.02)
     changes = {"imperfections": imperfections} if "noise" in also else {}
-    observation = replace(site.observation, max_range_m=50.0, **changes)
+    observation = site.observation.with_lidar(max_range_m=50.0, **changes)
     standing = MovingScorer(frame, observation, np.zeros((len(frame.vehicles), 2)), boxes_move=boxes_move)
     expected = FrameScorer(frame.vehicles, frame.counted, observation).see(singles(POSES))
     assert expected.points.sum() > 100
@@ -64,7 +64,7 @@ def test_vehicles_that_stand_are_seen_as_in_an_instant(site, frame, boxes_move, 
 
 def test_a_sector_sees_vehicles_where_they_are_at_its_time(site, frame):
     """Of a frame in which everything moves, a sector's returns are those of a frame that stands where all then are."""
-    observation = replace(site.observation, max_range_m=50.0)
+    observation = site.observation.with_lidar(max_range_m=50.0)
     velocity = velocity_at(frame.vehicles, 25.0)
     late_s, sector = sector_times(observation.lattice), sectors(observation.lattice)
     expected = []
@@ -92,7 +92,7 @@ def test_sectors_follow_the_columns_time_and_lie_about_the_middle_of_the_turn(si
 
 
 def test_boxes_left_at_mid_turn_hold_the_same_returns_elsewhere(site, frame):
-    observation = replace(site.observation, max_range_m=50.0)
+    observation = site.observation.with_lidar(max_range_m=50.0)
     velocity = velocity_at(frame.vehicles, 25.0)
     with_boxes, without = (
         MovingScorer(frame, observation, velocity, boxes_move=boxes).see(singles(POSES[:1]), keep_returns=True)
@@ -178,9 +178,9 @@ def test_what_the_scene_has_is_left_out_once_and_both_sides_draw_the_same(key, t
     assert len(ours) == 1
     for draw, (without, having) in enumerate(ours[0].pairs, start=1):
         left_out, there = (one.changed(noisy) for one in (without, having))
-        assert (left_out.scenario.sensor.unit_spread_deg, left_out.observation.imperfections.seed) == (0.1, draw)
-        assert getattr(left_out.observation.imperfections, key) == 0.0
-        assert getattr(there.observation.imperfections, key) == 0.2
-        assert there.observation.imperfections.seed == draw
+        assert (left_out.scenario.sensor.unit_spread_deg, left_out.observation.lidar.imperfections.seed) == (0.1, draw)
+        assert getattr(left_out.observation.lidar.imperfections, key) == 0.0
+        assert getattr(there.observation.lidar.imperfections, key) == 0.2
+        assert there.observation.lidar.imperfections.seed == draw
     spread = next(one for one in changes if one.what == "unit spread")
     assert [one.stage for _, one in spread.pairs] == [one.stage for _, one in ours[0].pairs]

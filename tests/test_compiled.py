@@ -151,7 +151,7 @@ def compiled_for(casters):
     lattice = beam_lattice(load_model("RS-16"), stride=20)
     for caster in casters:
         scenery = StandingScenery(barrier("concrete", 10.0, (-40.0, 40.0)), caster)
-        seen = Observation(lattice, 50.0, 0.4, caster, "box", 0.05, scenery=scenery)
+        seen = Observation((Lidar(lattice, 50.0, 0.4),), caster, "box", 0.05, scenery=scenery)
         scorer = FrameScorer(vehicles, np.ones(len(vehicles), dtype=bool), seen)
         scorer.see(singles([pose]))
         scorer.see(singles([pose]), keep_returns=True)

@@ -82,8 +82,8 @@ def test_moved_traffic_looks_as_it_does_to_a_lidar_that_is_moved_the_other_way(p
         mounting(there).pose,
         caster=seen.caster,
         detail=seen.detail,
-        min_range_m=seen.min_range_m,
-        max_range_m=seen.max_range_m,
+        min_range_m=seen.lidar.min_range_m,
+        max_range_m=seen.lidar.max_range_m,
     )
     expected = recorded.xyz - (chosen.station_m, 0.0, 0.0)
     expected[:, 0] *= sign

@@ -29,11 +29,12 @@ from blender_lidar.scoring.evaluation import Evaluator, Totals
 from blender_lidar.scoring.fidelity import Fidelity, coarse_observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from tests.sample_traffic import counted_frames
 from tests.waiting import WAIT_S, wait_for
 
-SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
+SEEN = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4),), "exact", "body", 0.05)
 SCORING = Scoring(0.005, "mean", -1.0, "corrected")
 MOUNTINGS = [
     Mounting(height_m=2.0),
@@ -75,7 +76,7 @@ def test_some_of_the_frames_score_as_they_do_among_all_in_the_order_asked_for(al
 
 
 def test_a_coarser_fidelity_scores_as_an_evaluator_of_its_own_observation_does():
-    whole = replace(SEEN, lattice=beam_lattice(load_model("RS-16"), stride=1))
+    whole = SEEN.with_lidar(lattice=beam_lattice(load_model("RS-16"), stride=1))
     fidelity = Fidelity("box", stride=40)
     with Evaluator(FRAMES, whole, SCORING) as evaluator:
         coarse = evaluator.totals(LAYOUTS, (2, 0), fidelity)

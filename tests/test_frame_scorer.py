@@ -5,6 +5,7 @@ The pipeline casts all beams in float64 and loops over points.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -24,6 +25,7 @@ from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.meshes import GLASS
@@ -41,9 +43,23 @@ GLASS_SHARE = st.sampled_from([0.0, 0.5, 1.0])
 
 
 def observation(
-    lattice=LATTICES["RS-16"], *, gate=50.0, near=0.4, detail="body", cell=0.05, reading="corrected", **more
+    lattice=LATTICES["RS-16"],
+    *,
+    gate=50.0,
+    near=0.4,
+    detail="body",
+    cell=0.05,
+    reading="corrected",
+    imperfections=PERFECT,
+    **more,
 ):
-    return Observation(lattice, gate, near, observation.caster, detail, cell, reading, **more)
+    lidar = Lidar(lattice, gate, near, imperfections)
+    return Observation((lidar,), observation.caster, detail, cell, reading, **more)
+
+
+def together(*observations):
+    """Several LiDARs beside the scenery of the first."""
+    return replace(observations[0], lidars=tuple(one.lidar for one in observations))
 
 
 @pytest.fixture(params=["exact", "raster", "embree", "bvh"], autouse=True)
@@ -61,7 +77,7 @@ def everyone(vehicles):
 
 def slow_pipeline(vehicles, counted, seen, pose):
     """Points and occupancies of the counted vehicles: all beams cast, every draw and point looked at by itself."""
-    lattice, effects, triangles = seen.lattice, seen.imperfections, vehicle_triangles(vehicles, seen.detail)
+    lattice, effects, triangles = seen.lattice, seen.lidar.imperfections, vehicle_triangles(vehicles, seen.detail)
     rays = pose.to_world(lattice.directions.reshape(-1, 3))
     hits = caster_class("exact")(triangles.corners).cast(pose.position, rays)
     draws = effects.measurement(lattice, vehicles.frame)
@@ -73,7 +89,7 @@ def slow_pipeline(vehicles, counted, seen, pose):
         glass = effects.glass_dropout if triangles.surface[hits.triangle[beam]] == GLASS else 0.0
         loss = 1.0 - (1.0 - effects.dropout) * (1.0 - glass)
         lost = loss == 1.0 or (len(draws.chance) and draws.chance[beam] < np.float32(loss))
-        if lost or not seen.min_range_m <= distance <= seen.max_range_m:
+        if lost or not seen.lidar.min_range_m <= distance <= seen.lidar.max_range_m:
             continue
         points[owner] += 1
         away = pose.position + distance * rays[beam] - vehicles.centre_m[owner]
@@ -328,7 +344,7 @@ def test_two_lidars_see_the_union_that_numpy_gets_from_concatenated_points(caste
     first = observation(LATTICES["RS-16"], gate=60.0, imperfections=EFFECTS[effects], scenery=standing)
     second = observation(LATTICES["a unit of RS-80"], gate=40.0, near=3.0, scenery=standing)
     counted = np.random.default_rng(1).random(len(TRAFFIC)) < 0.7
-    both = FrameScorer(TRAFFIC, counted, [first, second])
+    both = FrameScorer(TRAFFIC, counted, together(first, second))
     singly = [FrameScorer(TRAFFIC, counted, each) for each in (first, second)]
     layouts = [(pose, SECOND) for pose in POSES] + [(SECOND, pose) for pose in POSES]
     found = both.see(layouts)
@@ -338,13 +354,27 @@ def test_two_lidars_see_the_union_that_numpy_gets_from_concatenated_points(caste
         np.testing.assert_array_equal(found.points[row], np.bincount(rows, minlength=len(both)))
         np.testing.assert_array_equal(found.occupancy[row], occupancy(local, rows, both.vehicles.size_m))
     assert_same(found, both.see(layouts, keep_returns=True))
-    turned = FrameScorer(TRAFFIC, counted, [second, first]).see([layout[::-1] for layout in layouts])
+    turned = FrameScorer(TRAFFIC, counted, together(second, first)).see([layout[::-1] for layout in layouts])
     assert_same(turned, found)
 
 
 def test_two_equal_lidars_in_one_place_occupy_what_one_does():
     seen = observation(imperfections=ROUGH)
     one = FrameScorer(TRAFFIC, everyone(TRAFFIC), seen).see(singles(POSES))
-    two = FrameScorer(TRAFFIC, everyone(TRAFFIC), [seen, seen]).see([(pose, pose) for pose in POSES])
+    two = FrameScorer(TRAFFIC, everyone(TRAFFIC), together(seen, seen)).see([(pose, pose) for pose in POSES])
     np.testing.assert_array_equal(two.occupancy, one.occupancy)
     np.testing.assert_array_equal(two.points, 2 * one.points)
+
+
+def test_lidars_with_one_seed_and_other_names_draw_apart_and_of_their_own():
+    """The unnamed one of [sensor] draws as it did before LiDARs had names."""
+    rough = Imperfections(0.05, 0.2, seed=5)
+    lidars = [Lidar(LATTICES["RS-16"], 50.0, 0.4, rough, name) for name in ("", "north", "south")]
+    noise = [lidar.measurement(7).noise_m for lidar in lidars]
+    np.testing.assert_array_equal(noise[0], rough.measurement(LATTICES["RS-16"], 7, 0.4, 50.0).noise_m)
+    assert all((one != other).mean() > 0.99 for one, other in itertools.combinations(noise, 2))
+    alone = FrameScorer(TRAFFIC, everyone(TRAFFIC), replace(observation(), lidars=(lidars[1],)))
+    for neighbour in (lidars[0], lidars[2]):
+        both = FrameScorer(TRAFFIC, everyone(TRAFFIC), replace(observation(), lidars=(neighbour, lidars[1])))
+        far = Pose(height_m=900.0)  # which sees nothing
+        np.testing.assert_array_equal(both.see([(far, POSE)]).points, alone.see([(POSE,)]).points)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
 from tests.sample_traffic import counted_frames, dense_traffic, one_vehicle
@@ -209,13 +209,13 @@ def test_no_return_of_great_noise_lies_behind_the_sensor():
 
 
 def test_one_worker_and_two_give_the_same_bits():
-    seen = Observation(COARSE["RS-16"], 50.0, 0.4, "exact", "body", 0.05, imperfections=ROUGH)
+    seen = Observation((Lidar(COARSE["RS-16"], 50.0, 0.4, ROUGH),), "exact", "body", 0.05)
     found, frames, scoring = [], counted_frames(4), Scoring(0.005, "mean", -1.0, "corrected")
     for workers in (1, 2):
         with Evaluator(frames, seen, scoring, workers) as evaluator:
             found.append(evaluator.totals(LAYOUTS).objective)
     assert found[0].tobytes() == found[1].tobytes()
-    with Evaluator(frames, replace(seen, imperfections=PERFECT), scoring) as evaluator:
+    with Evaluator(frames, seen.with_lidar(imperfections=PERFECT), scoring) as evaluator:
         assert (evaluator.totals(LAYOUTS).objective != found[0]).any()
 
 

@@ -18,6 +18,7 @@ from blender_lidar.scoring.frame_scorer import FrameScorer
 from blender_lidar.scoring.scores import VehicleScores, mountings_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.scenery import barrier, box, join
@@ -41,7 +42,7 @@ def caster(request):
 
 def observation(caster, effects=PERFECT, scenery=False):
     standing = StandingScenery(STANDING, caster) if scenery else None
-    return Observation(LATTICE, 50.0, 0.4, caster, "body", 0.05, scenery=standing, imperfections=effects)
+    return Observation((Lidar(LATTICE, 50.0, 0.4, effects),), caster, "body", 0.05, scenery=standing)
 
 
 def assert_same(found, expected):

@@ -15,6 +15,7 @@ from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections, detection_range_m
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.meshes import GLASS, REFLECTIVITY, ROAD, STRUCTURE, SURFACES
@@ -74,7 +75,7 @@ def assert_equal(part, whole, kept):
 
 def seen(imperfections, detail="body", caster="exact", poses=MOUNTINGS):
     everyone = np.ones(len(TRAFFIC), dtype=bool)
-    observation = Observation(LATTICE, 60.0, 0.4, caster, detail, 0.05, imperfections=imperfections)
+    observation = Observation((Lidar(LATTICE, 60.0, 0.4, imperfections),), caster, detail, 0.05)
     return FrameScorer(TRAFFIC, everyone, observation).see(singles(poses))
 
 

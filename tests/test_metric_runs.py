@@ -27,6 +27,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from tests.report_samples import page_of
 from tests.sample_traffic import counted_frames
@@ -34,7 +35,7 @@ from tests.small_scene import cli, done, without_charts, write_scene
 
 pytestmark = pytest.mark.usefixtures("quick")
 
-SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
+SEEN = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4),), "exact", "body", 0.05)
 MOUNTINGS = [
     Mounting(height_m=2.0),
     Mounting(Mast((1.0, -0.5, 0.0)), 4.1, 0.33),

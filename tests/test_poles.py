@@ -21,6 +21,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.statistics import many_to_one_reach_90, resampled_weights, student_t
 from tests.refusals import refused
@@ -233,7 +234,7 @@ def test_what_only_breaks_ties_tells_no_poles_apart():
     """Every frame has one car, detectable from both places, and with more bits from the nearer one each time."""
     cars = [replace(one_vehicle("car", (0.5 * number, 8.0)), frame=number) for number in range(12)]
     frames = [CountedFrame(car, np.ones(1, dtype=bool)) for car in cars]
-    seen = Observation(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4, "exact", "body", 0.05)
+    seen = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4),), "exact", "body", 0.05)
     scoring = Scoring(1e-6, "mean", None, "corrected", "detectable")
     plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.zeros(8, dtype=int))
     site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))

@@ -22,6 +22,7 @@ from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.scoring.scores import VehicleScores
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from scene_metrics import (
     DISC_RADIUS_M,
@@ -42,7 +43,7 @@ from voxel_grid import covered_voxels
 
 WITH_PRIOR = NAMES[:4]
 LATTICE = beam_lattice(load_model("RS-16"), stride=4)
-SEEN = Observation(LATTICE, 30.0, 0.4, "exact", "box", 0.05)
+SEEN = Observation((Lidar(LATTICE, 30.0, 0.4),), "exact", "box", 0.05)
 
 
 def field_between(right, left, radius_m=30.0, x_m=0.0, y_m=0.0):

@@ -23,6 +23,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import read_scenery
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.toml_table import read_toml, to_toml
@@ -118,7 +119,7 @@ def test_a_scan_meets_what_everything_merged_and_cast_in_float64_meets(caster):
 @pytest.mark.parametrize("caster", HERE)
 def test_the_score_counts_what_a_scan_counts_behind_scenery(caster):
     scenery = StandingScenery(SCENERY, caster)
-    seen = Observation(LATTICE, REACH_M, 0.0, caster, "body", 0.05, scenery=scenery)
+    seen = Observation((Lidar(LATTICE, REACH_M),), caster, "body", 0.05, scenery=scenery)
     poses = [POSE, Pose(0.0, 0.0, 3.0)]
     scored = FrameScorer(TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), seen).see(singles(poses))
     for row, pose in enumerate(poses):

@@ -70,7 +70,7 @@ def test_ranges_are_those_of_a_tilted_world_about_a_plumb_lidar(site):
     with np.errstate(divide="ignore"):
         ground = np.where(closing > 0.0, MOUNT["height_m"] / closing, np.inf)
     expected = np.minimum(hits.distance, ground)
-    within = (expected >= site.observation.min_range_m) & (expected <= site.observation.max_range_m)
+    within = (expected >= site.observation.lidar.min_range_m) & (expected <= site.observation.lidar.max_range_m)
     assert (cloud.vehicle_id >= 0).sum() > 500
     np.testing.assert_allclose(cloud.range_m, expected[within], atol=1e-9, rtol=0.0)
     np.testing.assert_array_equal(cloud.vehicle_id >= 0, (hits.distance < ground)[within])

@@ -14,6 +14,7 @@ from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.traffic import read_table
 from tests.sample_traffic import dense_traffic
@@ -52,7 +53,7 @@ def test_columns_of_every_kind_come_back(tmp_path):
 
 def test_the_vehicles_of_a_run_are_a_table_of_boxes(tmp_path):
     lattice = beam_lattice(load_model("RS-16"), stride=20)
-    seen = Observation(lattice, 40.0, 0.4, "exact", "box", 0.05)
+    seen = Observation((Lidar(lattice, 40.0, 0.4),), "exact", "box", 0.05)
     vehicles = dense_traffic(vehicles=15, length_m=60.0, frame=30)
     frame = CountedFrame(vehicles, np.arange(15) % 3 > 0)
     evaluator = Evaluator([frame], seen, Scoring(0.005, "mean", -1.0, "corrected"))

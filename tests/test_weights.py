@@ -22,13 +22,14 @@ from blender_lidar.scene.settings import ObjectiveSettings, ZoneSettings
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.statistics import ratio_interval_90
 from blender_lidar.studies.driver import AS_IT_IS, Job, landscapes
 from tests.sample_traffic import counted_frames, joined, one_vehicle
 from tests.small_scene import without_charts, write_scene
 
-SEEN = Observation(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4, "exact", "body", 0.05)
+SEEN = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4),), "exact", "body", 0.05)
 SCORING = Scoring(0.005, "mean", -1.0, "corrected")
 LAYOUTS = [(Mounting(height_m=2.0),), (Mounting(height_m=4.1, tilt_x=0.33),)]
 FRAMES = counted_frames(3)

@@ -15,6 +15,7 @@ from ..scene.observation import Observation
 from ..scoring.frame_scorer import FrameShapes
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
+from ..sensors.lidar import Lidar
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
 from ..world.meshes import GLASS, REFLECTIVITY, ROAD
@@ -110,8 +111,8 @@ class FrameScan:
         seen = observation.at(vehicles.time_s)
         self._shapes, self._vehicles, self._seen, self._ground = shapes, vehicles, seen, ground
         self._pieces = cut_vehicles(vehicles, seen.detail) if seen.culled else None
-        self._reach_m = seen.reach_m
-        self._model = seen.imperfections.measurement(seen.lattice, vehicles.frame, seen.min_range_m, seen.max_range_m)
+        self._reach_m = seen.lidar.reach_m
+        self._model = seen.lidar.measurement(vehicles.frame)
 
     def turn(self, pose: Pose, also: Sequence[Stands] = ()) -> Turn:
         """Cast one revolution; `also` stands still beside the observation's scenery.
@@ -212,16 +213,8 @@ def scan(
     InputError
         When the sensor is not above the ground.
     """
-    seen = Observation(
-        lattice,
-        max_range_m,
-        min_range_m,
-        caster,
-        detail,
-        cell_m=np.nan,  # nothing is scored
-        scenery=scenery,
-        imperfections=imperfections,
-    )
+    lidar = Lidar(lattice, max_range_m, min_range_m, imperfections)
+    seen = Observation((lidar,), caster, detail, cell_m=np.nan, scenery=scenery)  # nothing is scored
     none = np.zeros(len(vehicles), dtype=bool)
     frame = FrameScan(FrameShapes(vehicles, none, detail, caster), vehicles, seen, ground=ground)
     return frame.cloud(pose, frame.turn(pose))

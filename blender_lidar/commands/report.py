@@ -55,7 +55,7 @@ def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
     if site.holdout:
         held_out = f"; {counted(len(site.holdout), 'held-out frame')} for the check"
     return [
-        ("Sensor", f"{site.model.name}{columns}, range gate {site.observation.max_range_m:g} m"),
+        ("Sensor", f"{site.model.name}{columns}, range gate {site.observation.lidar.max_range_m:g} m"),
         ("", _assumed_text(site)),
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),
@@ -73,7 +73,7 @@ def _all_lines(site: Site, searched: bool) -> list[tuple[str, str]]:
     lattice = observation.lattice
     sensor = f"{site.model.name}: {lattice.rings} rings x {lattice.columns} columns at {lattice.rotation_hz:g} Hz"
     return [
-        ("Sensor", f"{sensor}, range gate {observation.max_range_m:g} m"),
+        ("Sensor", f"{sensor}, range gate {observation.lidar.max_range_m:g} m"),
         ("", _assumed_text(site)),
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),

@@ -246,7 +246,7 @@ class _Stations:
         x, y = self._boxes[0][:, 0], self._boxes[0][:, 1]
         self._x, self._y, self._reach = x.copy(), y.copy(), self._boxes[1][:, :2].max(axis=1, initial=0.0)
         first, last = np.percentile(x, _COVERED) if len(x) else (0.0, 0.0)
-        reach, self._middle = max(region.radius_m, site.observation.max_range_m), region.centre_xy[0]
+        reach, self._middle = max(region.radius_m, site.observation.lidar.max_range_m), region.centre_xy[0]
         self._low, self._high = first + reach, last - reach
 
     @property
@@ -288,7 +288,7 @@ def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray
     vehicles = vehicles.select(plan.region.distance(vehicles) <= plan.reach_m)
     away = np.hypot(*(vehicles.centre_m[:, :2] - scan.mount.xy).T)
     inside = plan.region.holds(vehicles)
-    labelled = inside | (away <= plan.observation.max_range_m)
+    labelled = inside | (away <= plan.observation.lidar.max_range_m)
     if scan.split == VAL:
         labelled &= ~np.isin(vehicles.vehicle_id, plan.taught_ids)
     return vehicles, inside & labelled, labelled
@@ -302,9 +302,8 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
     scan = plan.scans[number]
     vehicles, counted, labelled = _traffic(plan, scan)
     seen = replace(
-        plan.observation,
+        plan.observation.with_lidar(imperfections=replace(plan.observation.lidar.imperfections, seed=scan.seed)),
         scenery=_scenery(plan, scan),
-        imperfections=replace(plan.observation.imperfections, seed=scan.seed),
     )
     none = np.zeros(len(vehicles), dtype=bool)
     shapes = FrameShapes(vehicles, none, seen.detail, seen.caster)
@@ -312,7 +311,7 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
     hangs = scan.hangs.pose
     turn = frame.turn(hangs)
     cloud = frame.cloud(hangs, turn)
-    visibility = visible_share(vehicles, seen.lattice, hangs, turn, seen.max_range_m)
+    visibility = visible_share(vehicles, seen.lattice, hangs, turn, seen.lidar.max_range_m)
     order = np.argsort(vehicles.vehicle_id)
     on_one = cloud.vehicle_id[cloud.vehicle_id >= 0]
     row = order[np.searchsorted(vehicles.vehicle_id, on_one, sorter=order)]

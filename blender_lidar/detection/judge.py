@@ -70,7 +70,7 @@ def detector_at(site: Site, mounting: Mounting, name: str) -> Detector:
     """
     seen = site.observation
     if name == ClassicalDetector.name:
-        return ClassicalDetector(seen.lattice, mounting.xy, seen.imperfections)
+        return ClassicalDetector(seen.lattice, mounting.xy, seen.lidar.imperfections)
     weights = SHIPPED if name == PillarsDetector.name else name
     found = PillarsDetector(seen.lattice.model.name, mounting.pose, *watched(site), weights)
     heading = np.concatenate([frame.vehicles.heading_rad[frame.counted] for frame in site.search])

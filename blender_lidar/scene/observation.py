@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..metrics.catalogue import PE_VGOP
 from ..metrics.metric import Field, FrameBoxes
 from ..sensors.beams import BeamLattice
-from ..sensors.imperfections import PERFECT, Imperfections
+from ..sensors.lidar import Lidar
 from ..traffic.vehicles import Vehicles
 from .region import polygon_holds
 from .settings import ObjectiveSettings
@@ -20,16 +20,12 @@ from .settings import ObjectiveSettings
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """How a mounting's beams see vehicles, before any score is made of it.
+    """How the beams of a layout see vehicles, before any score is made of it.
 
     Attributes
     ----------
-    lattice : BeamLattice
-        The sensor's beams.
-    max_range_m : float
-        Returns from farther away are lost [m].
-    min_range_m : float
-        Returns from nearer are lost [m].
+    lidars : tuple of Lidar
+        What hangs; one for each mounting of a layout, in their order.
     caster : str
         A name of `casting.CASTERS`.
     detail : str
@@ -40,27 +36,32 @@ class Observation:
         How Eq. 8 is read: see `metrics.vgop.occupancy`.
     scenery : StandingScenery or None
         What stands still and hides vehicles.
-    imperfections : Imperfections
-        Range noise and lost returns; none unless said.
     culled : bool
         Whether beams that can reach no vehicle are left out; it changes no result. `raster` always does without them.
     """
 
-    lattice: BeamLattice
-    max_range_m: float
-    min_range_m: float
+    lidars: tuple[Lidar, ...]
     caster: str
     detail: str
     cell_m: float
     reading: str = "corrected"
     scenery: StandingScenery | None = None
-    imperfections: Imperfections = PERFECT
     culled: bool = True
 
     @property
-    def reach_m(self) -> float:
-        """How far beams are followed [m]: beyond the range gate, as noise carries returns across it."""
-        return self.max_range_m + self.imperfections.most_noise_m
+    def lidar(self) -> Lidar:
+        """The LiDAR of a layout of one."""
+        (lidar,) = self.lidars
+        return lidar
+
+    @property
+    def lattice(self) -> BeamLattice:
+        """The beams of that one."""
+        return self.lidar.lattice
+
+    def with_lidar(self, **changes) -> Observation:
+        """The same with another LiDAR in place of the one."""
+        return replace(self, lidars=(replace(self.lidar, **changes),))
 
     def at(self, time_s: float) -> Observation:
         """The same at a moment [s], with those who walk along the roadsides where they are then."""

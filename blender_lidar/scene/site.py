@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..metrics.metric import Field
 from ..road.road_map import RoadMap
 from ..sensors.beams import BeamLattice, beam_lattice
+from ..sensors.lidar import Lidar
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
 from ..traffic.fleet import with_variety
@@ -381,16 +382,14 @@ def observation_of(
     scenario: Scenario, lattice: BeamLattice, caster: str, scenery: StandingScenery | None
 ) -> Observation:
     """How a scene's sensor sees vehicles."""
+    sensor = scenario.sensor
     return Observation(
-        lattice=lattice,
-        max_range_m=scenario.sensor.range_gate_m,
-        min_range_m=lattice.model.range_min_m,
+        (Lidar(lattice, sensor.range_gate_m, lattice.model.range_min_m, sensor.imperfections),),
         caster=caster,
         detail=scenario.world.detail,
         cell_m=scenario.objective.cell_m,
         reading=scenario.objective.reading,
         scenery=scenery,
-        imperfections=scenario.sensor.imperfections,
     )
 
 

@@ -85,12 +85,12 @@ class CompiledScorer:
         self,
         shapes: FrameShapes,
         grids: ViewGrids,
-        observations: Sequence[Observation],
+        observation: Observation,
         measurements: Sequence[MeasurementModel],
     ) -> None:
-        caster, vehicles, scenery = shapes.tree, shapes.counted, observations[0].scenery
+        caster, vehicles, scenery = shapes.tree, shapes.counted, observation.scenery
         self._caster, self._grids = caster, grids
-        self._pieces = shapes.pieces if observations[0].culled and caster.name != RASTER else None
+        self._pieces = shapes.pieces if observation.culled and caster.name != RASTER else None
         surface = shapes.surface[caster.rows]
         vehicle = np.ascontiguousarray(shapes.counted_row[caster.rows])
         targets = Targets(caster.planes, vehicle, surface == GLASS, REFLECTIVITY[surface])
@@ -101,9 +101,9 @@ class CompiledScorer:
         self._origins = -np.stack([caster.origin, np.zeros(3), occluder_origin])
         self.lidars = [
             FrameLidar(
-                seen.lattice, seen.lattice.components.reshape(3, -1), seen.reach_m, (targets, of, occluders, boxes)
+                lidar.lattice, lidar.lattice.components.reshape(3, -1), lidar.reach_m, (targets, of, occluders, boxes)
             )
-            for seen, of in zip(observations, measurements, strict=True)
+            for lidar, of in zip(observation.lidars, measurements, strict=True)
         ]
 
     def see(self, layouts: Sequence[Sequence[Pose]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -68,7 +68,7 @@ class Fidelity:
             lattice = beam_lattice(
                 lattice.model, lattice.rotation_hz, phase_rad=self.phase * lattice.step_rad, stride=self.stride
             )
-        return replace(observation, lattice=lattice, detail=self.detail)
+        return replace(observation.with_lidar(lattice=lattice), detail=self.detail)
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------

@@ -112,9 +112,8 @@ class FrameScorer:
         All vehicles of the frame; each can hide another.
     counted : ndarray of bool, (n,)
         Those whose occupancy is wanted.
-    observation : Observation or sequence of Observation
-        Sensor, range, caster and detail; one for each LiDAR of a layout, which differ in sensor, range and
-        imperfections. What these draw is kept: up to 8 bytes for each beam.
+    observation : Observation
+        The LiDARs of a layout, caster and detail. What their imperfections draw is kept: up to 8 bytes for each beam.
     shapes : FrameShapes, optional
         Of the same frame at the same detail behind the same caster, where they are made already.
 
@@ -133,24 +132,19 @@ class FrameScorer:
         self,
         vehicles: Vehicles,
         counted: np.ndarray,
-        observation: Observation | Sequence[Observation],
+        observation: Observation,
         shapes: FrameShapes | None = None,
     ) -> None:
-        observations = [observation] if isinstance(observation, Observation) else observation
-        self._observations = [each.at(vehicles.time_s) for each in observations]
-        seen = self._observations[0]
+        self._observation = seen = observation.at(vehicles.time_s)
         self.shapes = shapes or FrameShapes(vehicles, counted, seen.detail, seen.caster)
         self.vehicles = self.shapes.counted
-        self._measurements = [
-            each.imperfections.measurement(each.lattice, vehicles.frame, each.min_range_m, each.max_range_m)
-            for each in self._observations
-        ]
+        self._measurements = [lidar.measurement(vehicles.frame) for lidar in seen.lidars]
         self.grids = ViewGrids(self.vehicles.size_m, seen.cell_m, seen.reading)
         self.compiled = None
         if numba_works() and seen.caster != EXACT and len(self) and len(self.shapes.tree.rows):
             from .compiled_frames import CompiledScorer
 
-            self.compiled = CompiledScorer(self.shapes, self.grids, self._observations, self._measurements)
+            self.compiled = CompiledScorer(self.shapes, self.grids, seen, self._measurements)
 
     def __len__(self) -> int:
         return len(self.vehicles)
@@ -159,7 +153,7 @@ class FrameScorer:
     def see(self, layouts: Sequence[Sequence[Pose]], *, keep_returns: bool = False) -> Seen:
         """What each of s layouts sees of the n counted vehicles; the returns themselves only where they are kept.
 
-        A layout is a pose for each LiDAR, in the order of the observations.
+        A layout is a pose for each LiDAR, in their order.
         """
         if self.compiled is None or keep_returns:
             return self.seen_of(layouts, self._revolutions(layouts), keep_returns=keep_returns)
@@ -185,7 +179,7 @@ class FrameScorer:
 
     def returns_of(self, pose: Pose, hits: Revolution, lidar: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Returns of one LiDAR from counted vehicles, as `vehicle_points`, given what its beams met."""
-        scenery, measurement = self._observations[0].scenery, self._measurements[lidar]
+        scenery, measurement = self._observation.scenery, self._measurements[lidar]
         row = _take(self.shapes.counted_row, hits.triangle)
         surface = self._surface(hits) if measurement.asks_for_surface else ()
         distance = measurement.measured(hits.beam, hits.distance, *surface)
@@ -204,10 +198,10 @@ class FrameScorer:
 
     def _revolutions(self, layouts):
         """What the beams of each LiDAR of each layout meet, layout after layout."""
-        tree, pieces = self.shapes.tree, self.shapes.pieces if self._observations[0].culled else None
+        tree, pieces = self.shapes.tree, self.shapes.pieces if self._observation.culled else None
         turns = [
-            revolutions(tree, seen.lattice, [layout[lidar] for layout in layouts], seen.reach_m, pieces)
-            for lidar, seen in enumerate(self._observations)
+            revolutions(tree, lidar.lattice, [layout[number] for layout in layouts], lidar.reach_m, pieces)
+            for number, lidar in enumerate(self._observation.lidars)
         ]
         return zip(*turns, strict=True)
 

@@ -50,10 +50,10 @@ class VehicleScores:
     """
 
     def __init__(self, scoring: Scoring, observation: Observation, frames: Sequence[CountedFrame]) -> None:
-        boxes, near, far = tuple(frame.boxes for frame in frames), observation.min_range_m, observation.max_range_m
-        context = None
+        boxes, context = tuple(frame.boxes for frame in frames), None
         if scoring.field is not None:
-            context = SceneContext(boxes, observation.lattice.directions, near, far, scoring.field)
+            lidar = observation.lidar
+            context = SceneContext(boxes, lidar.lattice.directions, lidar.min_range_m, lidar.max_range_m, scoring.field)
         self._scoring, self._metric = scoring, metric_named(scoring.metric).learnt(context)
 
     def of(self, frame: CountedFrame, scorer: FrameScorer, layouts: Sequence[Sequence[Pose]]) -> Scored:

@@ -8,6 +8,7 @@ luck), the caster, the culling, the number of workers and the order in which any
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -75,16 +76,25 @@ class Imperfections:
         return _MOST_DEVIATIONS * self.range_noise_m
 
     def measurement(
-        self, lattice: BeamLattice, frame: int, min_range_m: float = 0.0, max_range_m: float = math.inf
+        self,
+        lattice: BeamLattice,
+        frame: int,
+        min_range_m: float = 0.0,
+        max_range_m: float = math.inf,
+        of_lidar: Sequence[int] = (),
     ) -> MeasurementModel:
-        """What the beams of one frame draw, and so measure of what they meet; the range gate is [m]."""
+        """What the beams of one frame draw, and so measure of what they meet; the range gate is [m].
+
+        `of_lidar` is added to the key of the draws: it tells LiDARs with one seed from one another.
+        """
         noise = chance = np.empty(0, dtype=np.float32)
         if self.range_noise_m:
-            deviations = self._generator(frame, _NOISE).standard_normal((lattice.rings, lattice.columns), np.float32)
+            rng = self._generator(frame, _NOISE, of_lidar)
+            deviations = rng.standard_normal((lattice.rings, lattice.columns), np.float32)
             np.clip(deviations, -_MOST_DEVIATIONS, _MOST_DEVIATIONS, out=deviations)
             noise = _by_slot(lattice, deviations * np.float32(self.range_noise_m))
         if self.dropout > 0.0 or 0.0 < self.glass_dropout < 1.0:
-            drawn = self._generator(frame, _CHANCE).random((lattice.rings, lattice.columns), np.float32)
+            drawn = self._generator(frame, _CHANCE, of_lidar).random((lattice.rings, lattice.columns), np.float32)
             chance = _by_slot(lattice, drawn)
         return MeasurementModel(
             float(min_range_m),
@@ -96,8 +106,8 @@ class Imperfections:
             math.inf if self.range_at_10_percent_m is None else float(self.range_at_10_percent_m),
         )
 
-    def _generator(self, frame: int, stream: int) -> np.random.Generator:
-        key = (int(frame) % _FRAME_NUMBERS, stream)
+    def _generator(self, frame: int, stream: int, of_lidar: Sequence[int]) -> np.random.Generator:
+        key = (int(frame) % _FRAME_NUMBERS, stream, *of_lidar)
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(self.seed), spawn_key=key)))
 
 

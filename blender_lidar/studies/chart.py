@@ -120,7 +120,7 @@ def chart_study(site: Site, effort: ChartEffort, tolerance: float, folder: Study
     known = {of_fidelity(one).stage: scored[one].select(kept) for one in map(Fidelity, DETAILS)}
     return {
         **study_head(site, CHART_SCHEMA, effort),
-        "range_gate_m": site.observation.max_range_m,
+        "range_gate_m": site.observation.lidar.max_range_m,
         "blocks": len(np.unique(reference.searched_block)),
         "vehicles": int(reference.searched.vehicles.sum()),
         "judged_on": judging,

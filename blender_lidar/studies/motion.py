@@ -57,8 +57,7 @@ class MovingScorer(FrameScorer):
 
     def _revolutions(self, layouts: Sequence[Sequence[Pose]]) -> Iterator[tuple[list[Revolution]]]:
         """What the beams of each mounting meet, sector by sector."""
-        (seen,) = self._observations
-        lattice, reach = seen.lattice, seen.reach_m
+        lattice, reach = self._observation.lattice, self._observation.lidar.reach_m
         for (pose,) in layouts:
             reachable, found = reachable_beams(lattice, self._pieces, pose, reach), []
             for number, scorer in enumerate(self._turned):

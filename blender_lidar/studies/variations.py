@@ -275,7 +275,7 @@ def with_sensor(site: Site, settings: Mapping[str, float | None]) -> Site:
     """The site with other keys of [sensor]."""
     sensor = replace(site.scenario.sensor, **settings)
     lattice = lattice_of(sensor)
-    observation = replace(site.observation, lattice=lattice, imperfections=sensor.imperfections)
+    observation = site.observation.with_lidar(lattice=lattice, imperfections=sensor.imperfections)
     return replace(site, model=lattice.model, observation=observation)
 
 
@@ -283,7 +283,7 @@ def _turned(site: Site, share: float) -> Site:
     """The site with its sensor's columns shifted by a share of their step."""
     old = site.observation.lattice
     lattice = beam_lattice(site.model, old.rotation_hz, phase_rad=share * old.step_rad)
-    return replace(site, observation=replace(site.observation, lattice=lattice))
+    return replace(site, observation=site.observation.with_lidar(lattice=lattice))
 
 
 # --- the model: how finely it is calculated, and what is in it --------------------------------------------------------
@@ -375,7 +375,7 @@ def without_offsets(site: Site) -> Site:
     """The site with a sensor all of whose rings look where their column does."""
     model = replace(site.model, azimuth_offset_rad=np.zeros(site.model.rings))
     lattice = beam_lattice(model, site.observation.lattice.rotation_hz)
-    return replace(site, model=model, observation=replace(site.observation, lattice=lattice))
+    return replace(site, model=model, observation=site.observation.with_lidar(lattice=lattice))
 
 
 def _imperfections(site: Site, own: Variation, draws: int) -> list[Ablation]:

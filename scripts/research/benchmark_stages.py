@@ -32,6 +32,7 @@ from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.sensors.beams import BeamLattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic import plan_frames
 from blender_lidar.traffic.vehicles import Vehicles
@@ -178,9 +179,9 @@ class FrameCase:
 
     def scorer(self, caster: str, lidars: int = 1, **changed) -> FrameScorer:
         """The frame, made ready for a caster and so many equal LiDARs; `changed` are attributes of `Observation`."""
-        seen = (self.lattice, self.gate_m, 0.0, caster, self.detail, self.cell_m)
-        observation = Observation(*seen, **{"imperfections": self.imperfections, **changed})
-        return FrameScorer(self.vehicles, self.counted, [observation] * lidars)
+        lidar = Lidar(self.lattice, self.gate_m, imperfections=changed.pop("imperfections", self.imperfections))
+        observation = Observation((lidar,) * lidars, caster, self.detail, self.cell_m, **changed)
+        return FrameScorer(self.vehicles, self.counted, observation)
 
 
 def cases_of(scenario: Scenario, frames: int) -> list[FrameCase]:

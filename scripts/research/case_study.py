@@ -214,7 +214,7 @@ def with_even_beams(site: Site) -> Site:
     """The site with its sensor's beams spread evenly."""
     model = evenly_spaced(site.model)
     lattice = beam_lattice(model, site.observation.lattice.rotation_hz)
-    return replace(site, model=model, observation=replace(site.observation, lattice=lattice))
+    return replace(site, model=model, observation=site.observation.with_lidar(lattice=lattice))
 
 
 def evenly_spaced(model: LidarModel) -> LidarModel:
@@ -237,7 +237,7 @@ def _turned(site: Site, share: float) -> Site:
     """The site with its sensor's columns shifted by a share of their step."""
     old = site.observation.lattice
     lattice = beam_lattice(site.model, old.rotation_hz, phase_rad=share * old.step_rad)
-    return replace(site, observation=replace(site.observation, lattice=lattice))
+    return replace(site, observation=site.observation.with_lidar(lattice=lattice))
 
 
 def _within(site: Site, radius_m: float) -> Site:

@@ -160,7 +160,7 @@ def site_windows(sensor: str, number: int, traffic: Sequence[str], scans: int) -
     plan = plan_dataset(site, MOUNTINGS, scans, seed=number + 1)
     for one in samples(plan):
         if one.scan.split == TRAIN:
-            yield window_of(one, site.observation.max_range_m, rng)
+            yield window_of(one, site.observation.lidar.max_range_m, rng)
 
 
 def window_of(sample: Sample, gate_m: float, rng: np.random.Generator) -> Window:
