@@ -14,8 +14,8 @@ from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
-from blender_lidar.scoring.frame_scorer import FrameScorer
-from blender_lidar.scoring.scores import VehicleScores, mountings_of
+from blender_lidar.scoring.frame_scorer import FrameScorer, singles
+from blender_lidar.scoring.scores import VehicleScores
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.lidar import Lidar
@@ -69,7 +69,7 @@ def test_a_look_has_the_cloud_of_a_scan_and_the_scores_of_a_scorer_wherever_it_i
         look = live.look(pose)
         how = {"scenery": seen.scenery, "imperfections": effects, "caster": caster}
         assert_same(look.cloud, scan(TRAFFIC, LATTICE, pose, min_range_m=0.4, max_range_m=50.0, **how))
-        expected = scores.of(FRAME, scorer, [pose], mountings_of([pose]))
+        expected = scores.of(FRAME, scorer, singles([pose]))
         assert_same(look.scored, expected)
         assert expected.seen.points.sum() > 50
 
@@ -79,7 +79,7 @@ def test_every_metric_scores_a_look_as_it_scores_a_frame(metric):
     scoring = replace(SCORING, metric=metric)
     seen = observation("exact", ROUGH)
     expected = VehicleScores(scoring, seen, [FRAME]).of(
-        FRAME, FrameScorer(TRAFFIC, FRAME.counted, seen), DRAG[:1], mountings_of(DRAG[:1])
+        FRAME, FrameScorer(TRAFFIC, FRAME.counted, seen), singles(DRAG[:1])
     )
     assert_same(LiveFrame(FRAME, seen, scoring).look(DRAG[0]).scored, expected)
 

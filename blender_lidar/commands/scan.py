@@ -141,7 +141,7 @@ def run_build(args: argparse.Namespace) -> int:
 
 def _detections(path: str | Path | None, mounting: Mounting) -> dict[int, DetectedBoxes]:
     """What a file says was found at a mounting, by frame; nothing without a file."""
-    return {} if path is None else read_detected(path, mounting.pose.as_table())
+    return {} if path is None else read_detected(path, mounting.pose)
 
 
 # --- Pictures ---------------------------------------------------------------------------------------------
