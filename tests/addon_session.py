@@ -587,6 +587,23 @@ def check_a_lidar_keeps_its_coordinates_when_the_slope_of_its_road_changes():
     road.grade_percent, road.cross_fall_percent = 0.0, 0.0
     assert (coordinates_of(lidar), coordinates_of(added)) == (POSE, upright)
     assert np.abs(pose_of(lidar).rotation - mounting(POSE).pose.rotation).max() < 1e-6
+    lidar.lidar.y_m, road.crown_percent = 5.0, 4.0  # over the lanes
+    assert coordinates_of(lidar) == POSE | {"y_m": 5.0}
+    above = properties.road_of(scene).surface.height(np.array([POSE["x_m"], 5.0]))
+    assert abs(pose_of(lidar).height_m - POSE["height_m"] - above) < 1e-5
+    assert above > 0.05
+
+
+def check_tilts_and_yaw_are_seen_from_where_the_mast_faces():
+    lidar = loaded()[1]
+    kept = properties.kept_of(lidar.lidar)
+    deployment = kept.tables["deployment"] | {"facing_deg": 180.0}
+    properties.keep_tables(lidar.lidar, kept.tables | {"deployment": deployment}, kept.folder, kept.fields)
+    lidar.lidar.tilt_y_deg, lidar.lidar.yaw_deg = 0.0, 0.0
+    assert coordinates_of(lidar) == POSE | {"tilt_y_deg": 0.0, "yaw_deg": 0.0}
+    bpy.context.view_layer.update()
+    tilt = math.radians(POSE["tilt_x_deg"])
+    np.testing.assert_allclose(axes(lidar)[1], [-math.cos(tilt), 0.0, -math.sin(tilt)], atol=1e-6)
 
 
 def prepared(scenario, hangs):
@@ -824,7 +841,7 @@ def registered():
     }
     on_types = {(kind, name) for kind in ("Scene", "Object") for name in dir(getattr(bpy.types, kind))}
     menus = {str(call) for call in bpy.types.VIEW3D_MT_add._dyn_ui_initialize()}
-    timers = {call.__name__ for call in (handlers.adopt_all, live._tick) if bpy.app.timers.is_registered(call)}
+    timers = {call.__name__ for call in (handlers.adopt_all, live.update) if bpy.app.timers.is_registered(call)}
     return names, handlers_, on_types, menus, timers, list(properties.ON_CHANGE), live._state.drawing
 
 

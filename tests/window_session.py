@@ -202,7 +202,7 @@ def steps():
     yield from until(lambda: live._state.drawing is not None)
     bpy.ops.preferences.addon_disable(module="blender_lidar")
     assert live._state.drawing is None
-    assert not any(map(bpy.app.timers.is_registered, (live._tick, handlers.adopt_all)))
+    assert not any(map(bpy.app.timers.is_registered, (live.update, handlers.adopt_all)))
     assert not any(
         hasattr(kind, name) for kind, name in ((bpy.types.Scene, "blender_lidar"), (bpy.types.Object, "lidar"))
     )

@@ -76,8 +76,11 @@ def update() -> None:
             shown = _state.shown.get(session.uid_of(lidar))
             if shown is None:
                 shown = _state.shown[session.uid_of(lidar)] = _begin(scene, layer, lidar)
-            problem = _problem_of(_update_one, scene, lidar, shown, objects)
-            if problem is not None and scene.blender_lidar.problem != problem:
+            try:
+                problem = "" if _update_one(scene, lidar, shown, objects) else scene.blender_lidar.problem
+            except BlenderLidarError as error:
+                problem = " ".join(str(error).split())
+            if scene.blender_lidar.problem != problem:  # what is set is drawn again
                 scene.blender_lidar.problem = problem
     for key in set(_state.shown) - live:
         _end(key, _state.shown.pop(key))
@@ -90,14 +93,6 @@ def _open_scenes() -> list[tuple[bpy.types.Scene, bpy.types.ViewLayer]]:
     windows = [] if bpy.app.background or manager is None else manager.windows
     found = {window.scene.name_full: (window.scene, window.view_layer) for window in windows}
     return list(found.values()) or [(bpy.context.scene, bpy.context.view_layer)]
-
-
-def _problem_of(work, *given) -> str | None:
-    """What is wrong, in a line; "" where nothing is, None where nothing was done."""
-    try:
-        return "" if work(*given) else None
-    except BlenderLidarError as error:
-        return " ".join(str(error).split())
 
 
 def _update_one(scene, lidar, shown, objects) -> bool:
@@ -273,14 +268,10 @@ def on_change(block: bpy.types.ID, table: str) -> None:
 
 def _soon() -> None:
     """Update once Blender has handled what it is at."""
-    if bpy.app.background or bpy.app.timers.is_registered(_tick):
+    if bpy.app.background or bpy.app.timers.is_registered(update):
         return
     if _state.shown or any(lidar.lidar.live for scene, _ in _open_scenes() for lidar in lidars(scene)):
-        bpy.app.timers.register(_tick, first_interval=_PAUSE_S)
-
-
-def _tick() -> None:
-    update()
+        bpy.app.timers.register(update, first_interval=_PAUSE_S)
 
 
 _HANDLERS = {
@@ -306,5 +297,5 @@ def unregister() -> None:
         if call in getattr(bpy.app.handlers, name):
             getattr(bpy.app.handlers, name).remove(call)
     on_load()
-    if bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.unregister(_tick)
+    if bpy.app.timers.is_registered(update):
+        bpy.app.timers.unregister(update)

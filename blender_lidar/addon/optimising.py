@@ -14,7 +14,6 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -298,22 +297,18 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
         bpy.ops.ed.undo_push(message="Optimise LiDAR")
         folder = found_of(lidar)["folder"]
         kept = f"in {folder}" if folder.startswith("//") else "until Blender ends, as this file is not saved"
-        self.report({"INFO"}, f"{found_text(found_of(lidar))}; its report is kept {kept}")
+        self.report({"INFO"}, f"{found_lines(lidar)[0]}; its report is kept {kept}")
         return {"FINISHED"}
 
 
-def found_text(found: Mapping[str, Any]) -> str:
-    """What an optimisation has found, in a few words."""
-    place = found["deployment"]
-    return f"{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°"
-
-
-def gain_lines(found: Mapping[str, Any]) -> list[str]:
-    """What a vehicle of the held-out traffic gains over the baseline."""
-    held = found["holdout"]
+def found_lines(lidar: bpy.types.Object) -> list[str]:
+    """What an optimisation has found, and what a vehicle of the held-out traffic gains over the baseline."""
+    found = found_of(lidar)
+    place, held = found["deployment"], found["holdout"]
+    lines = [f"{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°"]
     if held is None:
-        return ["Nothing was held out."]
-    lines = [f"Held out {held['gain_over_baseline']:+.3f} {found['metric_unit']}"]
+        return [*lines, "Nothing was held out."]
+    lines.append(f"Held out {held['gain_over_baseline']:+.3f} {found['metric_unit']}")
     return lines + ["90 %: {:+.3f} to {:+.3f}".format(*pair) for pair in [held["interval_90"]] if pair]
 
 
@@ -328,31 +323,25 @@ class _NeedsFound:
         return True
 
 
-class LIDAR_OT_apply(_NeedsFound, bpy.types.Operator):
+class _Hangs(_NeedsFound):
+    def execute(self, context):
+        """Hang it there, and scan."""
+        lidar = session.needed_lidar(context.scene)
+        hang(lidar, mounting_from(found_of(lidar)[self.to], properties.road_of(context.scene)).pose)
+        context.view_layer.update()
+        return operators.LIDAR_OT_scan.execute(self, context)
+
+
+class LIDAR_OT_apply(_Hangs, bpy.types.Operator):
     """Hang the LiDAR where the optimisation found it best, and scan from there"""
 
-    bl_idname, bl_label, bl_options = "lidar.apply", "Apply", {"REGISTER", "UNDO"}
-
-    def execute(self, context):
-        """Move it there."""
-        return _moved(self, context, "deployment")
+    bl_idname, bl_label, bl_options, to = "lidar.apply", "Apply", {"REGISTER", "UNDO"}, "deployment"
 
 
-class LIDAR_OT_revert(_NeedsFound, bpy.types.Operator):
+class LIDAR_OT_revert(_Hangs, bpy.types.Operator):
     """Hang the LiDAR where it was before it was optimised, and scan from there"""
 
-    bl_idname, bl_label, bl_options = "lidar.revert", "Revert", {"REGISTER", "UNDO"}
-
-    def execute(self, context):
-        """Move it back."""
-        return _moved(self, context, "before")
-
-
-def _moved(operator, context, to):
-    lidar = session.needed_lidar(context.scene)
-    hang(lidar, mounting_from(found_of(lidar)[to], properties.road_of(context.scene)).pose)
-    context.view_layer.update()
-    return operators.LIDAR_OT_scan.execute(operator, context)
+    bl_idname, bl_label, bl_options, to = "lidar.revert", "Revert", {"REGISTER", "UNDO"}, "before"
 
 
 class LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
@@ -414,9 +403,9 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
             return
         layout.operator("lidar.optimise", icon="VIEWZOOM")
         if group.found:
-            box, found = layout.box().column(align=True), found_of(lidar)
-            box.label(text=f"Found: {found_text(found)}")
-            for line in gain_lines(found):
+            box = layout.box().column(align=True)
+            box.label(text="Found:")
+            for line in found_lines(lidar):
                 box.label(text=line)
             row = layout.row(align=True)
             row.operator("lidar.apply", icon="CHECKMARK")

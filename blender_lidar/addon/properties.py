@@ -170,6 +170,9 @@ _MODEL = _chosen("model", "caster")
 SENSOR = _chosen("sensor", "rotation_hz", "range_gate_m", "dropout", "glass_dropout", "unit_spread_deg", "unit")
 SENSOR |= _chosen("sensor", "noise_seed", "range_noise_m", "range_at_10_percent_m")
 IMPERFECTIONS = tuple(key for key in SENSOR if key not in ("rotation_hz", "range_gate_m"))
+SIX = {key: MOUNTING_OR_LEAN[key] for key in COORDINATES}
+SEARCHABLE = SIX | {key: MOUNTING_OR_LEAN[key] for key in LEANS}
+"""The coordinates of which a LiDAR has a field and a row of bounds each."""
 TABLES = {
     "traffic": _TRAFFIC,
     "road": _ROAD,
@@ -177,12 +180,10 @@ TABLES = {
     "objective": _OBJECTIVE,
     "search": _SEARCH,
     "model": _MODEL,
+    "baseline": SIX,
 }
 """The settings that a scene has once, by table of the scene file."""
 _USUAL = {"x_m": (-10.0, 10.0), "y_m": (-5.0, 0.0), **SEARCHED}  # bounds of a row that is switched on
-SIX = {key: MOUNTING_OR_LEAN[key] for key in COORDINATES}
-SEARCHABLE = SIX | {key: MOUNTING_OR_LEAN[key] for key in LEANS}
-"""The coordinates of which a LiDAR has a field and a row of bounds each."""
 
 
 def _annotations(table: str, keys: Mapping[str, Setting]) -> dict[str, object]:
@@ -237,13 +238,7 @@ def changed(before: Kept, fields: dict[str, dict]) -> dict[tuple[str, str], tupl
     return found
 
 
-# --- The baseline, the region, and what a scene has besides -----------------------------------------------------------
-
-
-class LIDAR_PG_baseline(bpy.types.PropertyGroup):
-    """The mounting that gains are measured against."""
-
-    __annotations__ = _annotations("baseline", SIX)
+# --- The region, and what a scene has besides -------------------------------------------------------------------------
 
 
 class LIDAR_PG_region(bpy.types.PropertyGroup):
@@ -307,10 +302,7 @@ class LIDAR_PG_scene(bpy.types.PropertyGroup):
 
 for _table in TABLES:
     LIDAR_PG_scene.__annotations__[_table] = PointerProperty(type=GROUPS[_table])
-LIDAR_PG_scene.__annotations__ |= {
-    "baseline": PointerProperty(type=LIDAR_PG_baseline),
-    "region": PointerProperty(type=LIDAR_PG_region),
-}
+LIDAR_PG_scene.__annotations__["region"] = PointerProperty(type=LIDAR_PG_region)
 
 
 # --- A LiDAR ------------------------------------------------------------------------------------------------------
@@ -455,7 +447,7 @@ for _key, _declared in SEARCHABLE.items():
     }
 
 
-classes = (*GROUPS.values(), LIDAR_PG_baseline, LIDAR_PG_region, LIDAR_PG_scene, LIDAR_PG_lidar)
+classes = (*GROUPS.values(), LIDAR_PG_region, LIDAR_PG_scene, LIDAR_PG_lidar)
 
 
 def register() -> None:

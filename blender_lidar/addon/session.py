@@ -27,7 +27,6 @@ from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
 from ..scene.site import lattice_of, observation_of, read_recordings, scoring_of, standing_scenery
 from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, instants, joined_recordings
-from ..traffic.vehicles import unknown_frame
 from ..world.blender.objects import is_lidar, lidars, pose_of
 from ..world.blender.site import open_scenery
 from . import properties
@@ -80,7 +79,6 @@ def fields_of(scene: bpy.types.Scene) -> dict[str, dict[str, object]]:
     if group.metric in METRIC_NAMES:
         tables["objective"]["metric"] = group.metric
     tables["region"] = group.region.table()
-    tables["baseline"] = properties.values_of(group.baseline, properties.SIX)
     return tables
 
 
@@ -155,7 +153,6 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
         properties.fill(getattr(group, name), keys, found[name])
     group.source, metric = scenario.source, scenario.objective.metric
     group.metric = metric if metric in METRIC_NAMES else properties.OWN
-    properties.fill(group.baseline, properties.SIX, found["baseline"])
     region, own = scenario.region, dict(tables.get("region", {}))
     if region.centre_m is not None:
         group.region.with_gate = own.get("radius_m") == GATE
@@ -180,7 +177,7 @@ def without_field(scene: bpy.types.Scene, lidar: bpy.types.Object | None) -> lis
             table = {key: value for one in table for key, value in one.items()}
         fields = (*shown.get(name, ()), *(("metric",) if name == "objective" else ()))
         keys = [key for key, value in table.items() if key not in fields and value not in (None, [], {})]
-        if keys and name != "baseline":
+        if keys:
             lines.append(f"[{name}] {', '.join(keys)}")
     return lines
 
@@ -305,10 +302,7 @@ def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
     InputError
         For a frame that the recording does not have.
     """
-    recording, frame = recording_of(scene), scene.blender_lidar.frame
-    if frame not in recording.frames:
-        raise unknown_frame(frame, recording)
-    return recording.vehicles(frame)
+    return recording_of(scene).vehicles(scene.blender_lidar.frame)
 
 
 def nearest_frame(recording: Recording, frame: int) -> int:
