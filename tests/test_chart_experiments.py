@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from blender_lidar.casting.protocol import Revolution
+from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.model import load_model
-from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies.driver import Job, landscapes
 from blender_lidar.studies.motion import (
     SECTORS,
@@ -29,7 +29,8 @@ from blender_lidar.studies.variations import ablations, without_offsets
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import MAPPED, traffic_rows, write_scene, write_table
 
-POSES = (Pose(0.0, 0.0, 3.0, 0.25), Pose(1.0, -0.5, 4.4, 0.1, 0.05, 0.2))
+LAYOUTS = ((Mounting(height_m=3.0, tilt_x=0.25),), (Mounting(Mast((1.0, -0.5, 0.0)), 4.4, 0.1, 0.05, 0.2),))
+POSES = [mounting.pose for (mounting,) in LAYOUTS]
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +136,7 @@ def test_ablations_change_scores(site):
     """At 20 m from two lanes weak returns need not matter, and frames here are too far apart to tell a speed."""
     for change in ablations(site, 1):
         if change.pairs and change.what != "weak returns" and not change.value.startswith("recorded"):
-            both = [next(landscapes(site, [Job(one, POSES)])).objective for one in change.pairs[0]]
+            both = [next(landscapes(site, [Job(one, LAYOUTS)])).objective for one in change.pairs[0]]
             assert not np.allclose(*both, rtol=1e-9), change
 
 
@@ -164,7 +165,7 @@ def test_a_sensor_that_is_imperfect_at_random_is_drawn_several_times_and_no_othe
     for what in drawn:
         perfect, imperfect = zip(*changes[what].pairs, strict=True)
         assert len({one.stage for one in perfect}) == 1
-        scores = [next(landscapes(site, [Job(one, POSES)])).objective for one in imperfect]
+        scores = [next(landscapes(site, [Job(one, LAYOUTS)])).objective for one in imperfect]
         assert not np.allclose(scores[0], scores[1])
 
 

@@ -56,7 +56,7 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
     barriers = [along_road(road, barrier(item.kind, item.y_m, item.x_m)) for item in world.barriers]
     s = road.locate(np.array([centre])).s_m[0]
     beside = clutter(road, world.clutter, world.clutter_seed, s, reach_m, _may_hang(scenario, given))
-    if world.ground:
+    if world.ground and not road.surface.is_flat:
         barriers.append(road_surface(road, (s - reach_m, s + reach_m)))
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])
 
