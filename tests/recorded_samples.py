@@ -58,21 +58,3 @@ def scanned(vehicles: Vehicles, pose: Pose | None = None, sensor=SENSOR, detail:
 def in_kitti_frame(xyz: np.ndarray) -> np.ndarray:
     """Points (n, 3) of the road frame in the sensor's, x ahead."""
     return xyz[:, [1, 0, 2]] * [1.0, -1.0, 1.0] - [0.0, 0.0, HEIGHT_M]
-
-
-def write_kitti(folder: Path, name: str, points: np.ndarray, vehicles: Vehicles, labels=None) -> Path:
-    """One frame in KITTI's layout, its points in the order of rings and azimuths; gives the folder."""
-    lines = []
-    for row in range(len(vehicles)):
-        x, y, _ = vehicles.centre_m[row].tolist()
-        length, width, height = vehicles.size_m[row].tolist()
-        turn = -float(vehicles.heading_rad[row])  # about the camera's y axis, from its x axis: the road frame's
-        what = "Car" if labels is None else labels[row]
-        lines.append(f"{what} 0 0 0 0 0 1 1 {height!r} {width!r} {length!r} {x!r} {HEIGHT_M!r} {y!r} {turn!r}")
-    for part in ("velodyne", "label_2", "calib"):
-        (folder / part).mkdir(parents=True, exist_ok=True)
-    rows = np.column_stack([points, np.full(len(points), 0.3)]).astype("<f4")
-    (folder / "velodyne" / f"{name}.bin").write_bytes(rows.tobytes())
-    (folder / "calib" / f"{name}.txt").write_text(CALIBRATION, encoding="utf-8")
-    (folder / "label_2" / f"{name}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return folder

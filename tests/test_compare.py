@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,44 +20,44 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.studies.compare import Setup, aggregate, compare_frames, median_interval
-from blender_lidar.studies.recorded import KITTI_MARGIN_M, RecordedFrame, kitti_frame, kitti_names, tabled_frames
-from tests.recorded_samples import (
-    CASTER,
-    HEIGHT_M,
-    KITTI,
-    SENSOR,
-    in_kitti_frame,
-    needs_kitti,
-    scanned,
-    street,
-    write_kitti,
-)
+from blender_lidar.studies.compare import Setup, compare_frames, median_interval
+from blender_lidar.studies.recorded import LabelledBoxes, RecordedFrame, tabled_frames
+from blender_lidar.world.triangles import shape_names
+from tests.recorded_samples import CASTER, HEIGHT_M, SENSOR, scanned, street
 from tests.refusals import refused
 from tests.sample_traffic import joined
 
 LEVELS = ("box", "body", "detailed")
-PLAIN = Setup(details=("body",), caster=CASTER)
+PLAIN = Setup(details=("body",), caster=CASTER, pose=Pose(height_m=HEIGHT_M))
 
 
-def frames_of(folder):
-    return [kitti_frame(folder, name) for name in kitti_names(folder)]
+def frame_of(vehicles, cloud, which=None, label=None) -> RecordedFrame:
+    """A cloud and the labels of its vehicles, or of some of them."""
+    boxes = LabelledBoxes(
+        vehicles.vehicle_id,
+        vehicles.class_name if label is None else np.array(label),
+        shape_names(vehicles),
+        vehicles.centre_m,
+        vehicles.size_m,
+        vehicles.heading_rad,
+    )
+    return RecordedFrame(str(vehicles.frame), "here", cloud.xyz, boxes if which is None else boxes.select(which))
+
+
+def compared(frames, setup=PLAIN):
+    return compare_frames(frames, beam_lattice(load_model(SENSOR)), setup).table
 
 
 @pytest.fixture(scope="module")
-def bodies(tmp_path_factory):
-    """Three frames in KITTI's layout of streets whose cars are bodies."""
-    folder = tmp_path_factory.mktemp("bodies")
-    for seed in (1, 2, 3):
-        vehicles = street(seed)
-        write_kitti(folder, f"00000{seed}", in_kitti_frame(scanned(vehicles).xyz), vehicles)
-    return folder
+def bodies():
+    """Three frames of streets whose cars are bodies."""
+    return [frame_of(vehicles, scanned(vehicles)) for vehicles in map(street, (1, 2, 3))]
 
 
 @pytest.fixture(scope="module")
 def paired(bodies):
     """By level of detail the columns of every car."""
-    table = compare_frames(frames_of(bodies), replace(PLAIN, details=LEVELS)).table
+    table = compared(bodies, replace(PLAIN, details=LEVELS))
     return {detail: {key: of[table["detail"] == detail] for key, of in table.items()} for detail in LEVELS}
 
 
@@ -78,7 +79,7 @@ def test_with_the_true_shapes_every_ray_gives_the_same_point(paired):
 
 def test_the_columns_are_those_of_the_metric(bodies, paired):
     """One car by hand: the points in its box, as `metrics` scores them."""
-    frame, of = kitti_frame(bodies, "000001"), paired["body"]
+    frame, of = bodies[0], paired["body"]
     boxes = frame.boxes
     row = int(np.argmin(np.hypot(*boxes.centre_m[:, :2].T)))
     cos, sin = np.cos(boxes.heading_rad[row]), np.sin(boxes.heading_rad[row])
@@ -86,7 +87,7 @@ def test_the_columns_are_those_of_the_metric(bodies, paired):
     local = np.column_stack([cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0], away[:, 2]])
     half = 0.5 * boxes.size_m[row]
     mine = (np.abs(local) <= half + 0.05).all(axis=1) & (local[:, 2] >= 0.15 - half[2])
-    at = np.flatnonzero((of["frame"] == "000001") & (of["vehicle_id"] == boxes.number[row]))[0]
+    at = np.flatnonzero((of["frame"] == frame.name) & (of["vehicle_id"] == boxes.number[row]))[0]
     size, first = boxes.size_m[row : row + 1], np.zeros(int(mine.sum()), dtype=int)
     assert of["real_points"][at] == mine.sum() > 100
     assert of["real_entropy_bits"][at] == pytest.approx(pe_vgop(local[mine], first, size)[0])
@@ -96,33 +97,24 @@ def test_the_columns_are_those_of_the_metric(bodies, paired):
     assert of["hidden_share"][at] == 0.0
 
 
-def one_frame(folder, vehicles, labels=None):
-    """One frame in KITTI's layout over vehicles, read back."""
-    write_kitti(folder, "1", in_kitti_frame(scanned(vehicles).xyz), vehicles, labels)
-    return frames_of(folder)
-
-
-def test_losses_are_those_that_scans_know(tmp_path):
+def test_losses_are_those_that_scans_know():
     """A cloud that lost its weak returns is matched by a simulation that loses them, and not by another."""
     weak, vehicles = Imperfections(range_at_10_percent_m=20.0), street(1)
     perfect, lossy = scanned(vehicles), scanned(vehicles, imperfections=weak)
-    road, cars = perfect.vehicle_id < 0, lossy.vehicle_id >= 0  # of the far road nothing would be left
-    parts = [(cloud.ring[kept], cloud.azimuth_rad[kept]) for cloud, kept in ((perfect, road), (lossy, cars))]
-    order = np.lexsort(tuple(np.concatenate(column) for column in zip(*parts, strict=True))[::-1])
-    points = in_kitti_frame(np.concatenate([perfect.xyz[road], lossy.xyz[cars]])[order])
-    frames = frames_of(write_kitti(tmp_path, "1", points, vehicles))
+    parts = perfect.xyz[perfect.vehicle_id < 0], lossy.xyz[lossy.vehicle_id >= 0]  # of the far road nothing is left
+    frames = [frame_of(vehicles, SimpleNamespace(xyz=np.concatenate(parts)))]
     error = {
-        name: np.abs(compare_frames(frames, replace(PLAIN, losses=losses)).table["error_bits"])
+        name: np.abs(compared(frames, replace(PLAIN, losses=losses))["error_bits"])
         for name, losses in {"weak": weak, "none": Imperfections(), "any": Imperfections(dropout=0.3)}.items()
     }
     assert np.median(error["weak"]) < 0.005
     assert min(np.median(error["none"]), np.median(error["any"])) > 0.03
 
 
-def test_shares_that_are_lost_by_chance_are_lost(tmp_path):
-    frames = one_frame(tmp_path, street(4))
+def test_shares_that_are_lost_by_chance_are_lost():
+    frames = [frame_of(street(4), scanned(street(4)))]
     counts = {
-        losses: compare_frames(frames, replace(PLAIN, losses=losses)).table["simulated_points"].sum()
+        losses: compared(frames, replace(PLAIN, losses=losses))["simulated_points"].sum()
         for losses in (Imperfections(), Imperfections(dropout=0.3), Imperfections(glass_dropout=1.0))
     }
     whole, thinned, without_glass = counts.values()
@@ -130,16 +122,14 @@ def test_shares_that_are_lost_by_chance_are_lost(tmp_path):
     assert 0.5 * whole < without_glass < 0.95 * whole
 
 
-def test_what_an_unlabelled_thing_hid_counts_on_neither_side(tmp_path):
-    """A second car stands before half of the first, and is labelled in one of two otherwise equal folders."""
+def test_what_an_unlabelled_thing_hid_counts_on_neither_side():
+    """A second car stands before half of the first, and is labelled in one of two otherwise equal frames."""
     vehicles = street(5, cars=1)
     target = replace(vehicles, centre_m=np.array([[0.0, 25.0, 0.75]]), heading_rad=np.array([0.0]))
     before = replace(target, centre_m=np.array([[1.3, 15.0, 0.75]]), heading_rad=np.array([1.2]))
     both = replace(joined(target, before), vehicle_id=np.arange(2))
-    labelled, unlabelled = (
-        compare_frames(one_frame(tmp_path / second, both, ["Car", second]), PLAIN).table
-        for second in ("Car", "DontCare")
-    )
+    cloud = scanned(both)
+    labelled, unlabelled = (compared([frame_of(both, cloud, np.arange(count))]) for count in (2, 1))
     assert 0.1 < unlabelled["hidden_share"][0] < 0.9
     assert abs(unlabelled["error_bits"][0]) < 0.02  # the hidden rays are set aside
     assert abs(labelled["error_bits"][0]) < 0.05  # what is labelled hides in the simulation too
@@ -158,26 +148,16 @@ def test_intervals_cover_the_median_of_frames_that_differ():
     assert 165 <= held <= 195
 
 
-@needs_kitti
-def test_real_cars_are_nearer_to_shapes_that_lose_weak_returns_than_to_boxes():
-    frames = [kitti_frame(KITTI, name) for name in kitti_names(KITTI)[::6]]
-    setup = replace(PLAIN, margin_m=KITTI_MARGIN_M, classes=("Car",), between_m=(10.0, 50.0))
-    weak = Imperfections(range_at_10_percent_m=50.0)
-    shapes = compare_frames(frames, replace(setup, details=("body", "detailed"), losses=weak))
-    boxes = compare_frames(frames, replace(setup, details=("box",)))
-    assert shapes.sensor["rings"] == [64]
-    assert shapes.sensor["off_ring_m"] < 0.001
-    errors = [of["absolute_error_bits"]["median"] for one in (shapes, boxes) for of in aggregate(one.table)["variants"]]
-    assert max(errors[:2]) < 0.08 < errors[2]
-
-
 # --- A known sensor, in any mounting and any order of the points ------------------------------------------------------
 
 TILTED = Pose(x_m=3.0, y_m=-2.0, height_m=4.1, tilt_x=math.radians(9.0), tilt_y=math.radians(-2.0), yaw=0.4)
 
 
-def setup_of(sensor, pose=TILTED):
-    return replace(PLAIN, lattice=beam_lattice(load_model(sensor)), pose=pose)
+def in_table(clouds, boxes, sensor):
+    """The comparison of clouds beside a table, from a tilted sensor."""
+    return compare_frames(
+        tabled_frames(clouds, boxes, None), beam_lattice(load_model(sensor)), replace(PLAIN, pose=TILTED)
+    )
 
 
 def only(cloud, which):
@@ -185,22 +165,22 @@ def only(cloud, which):
     return SimpleNamespace(xyz=cloud.xyz[which])
 
 
-def recorded(cloud, vehicles, tmp_path):
+def recorded(cloud, vehicles, tmp_path, frame=5):
     """A cloud in any order, as NPZ, beside a table of boxes; the paths of both."""
     shuffled = np.random.default_rng(1).permutation(len(cloud.xyz))
-    np.savez(tmp_path / "cloud.npz", xyz=cloud.xyz[shuffled])
+    np.savez(tmp_path / f"cloud{frame}.npz", xyz=cloud.xyz[shuffled])
     columns = dict(zip(("x_m", "y_m", "z_m"), vehicles.centre_m.T, strict=True))
     columns |= dict(zip(("length_m", "width_m", "height_m"), vehicles.size_m.T, strict=True))
-    named = {"frame": np.full(len(vehicles), 5), "vehicle_id": vehicles.vehicle_id, "class": vehicles.class_name}
+    named = {"frame": np.full(len(vehicles), frame), "vehicle_id": vehicles.vehicle_id, "class": vehicles.class_name}
     write_columns(tmp_path / "boxes.csv", {**named, **columns, "heading_deg": np.degrees(vehicles.heading_rad)})
-    return str(tmp_path / "cloud.npz"), str(tmp_path / "boxes.csv")
+    return str(tmp_path / f"cloud{frame}.npz"), str(tmp_path / "boxes.csv")
 
 
 @pytest.mark.parametrize("sensor", ["RS-16", "RS-80"])
 def test_a_tilted_sensor_is_simulated_as_its_cloud_was(tmp_path, sensor):
     vehicles = street(2, cars=5)
     cloud, boxes = recorded(scanned(vehicles, TILTED, sensor), vehicles, tmp_path)
-    found = compare_frames(tabled_frames([cloud], boxes, None), setup_of(sensor))
+    found = in_table([cloud], boxes, sensor)
     table = found.table
     assert (found.sensor["share_on_rings"], len(table["frame"])) == (1.0, 5)
     assert table["real_points"].min() > 10
@@ -215,9 +195,9 @@ def test_rings_on_which_nothing_returned_are_simulated_too(tmp_path):
     vehicles = street(2, cars=5)
     cloud = scanned(vehicles, TILTED, "RS-16")
     path, boxes = recorded(cloud, vehicles, tmp_path)
-    seen = compare_frames(tabled_frames([path], boxes, None), setup_of("RS-16")).table["real_points"]
+    seen = in_table([path], boxes, "RS-16").table["real_points"]
     path, boxes = recorded(only(cloud, (cloud.vehicle_id < 0) & (cloud.ring < 8)), vehicles, tmp_path)
-    table = compare_frames(tabled_frames([path], boxes, None), setup_of("RS-16")).table
+    table = in_table([path], boxes, "RS-16").table
     assert table["real_points"].sum() == 0
     np.testing.assert_allclose(table["simulated_points"], seen, rtol=0.05, atol=3)
 
@@ -243,15 +223,27 @@ def run(*words):
     return main(["compare", *map(str, words)])
 
 
-def test_the_verb_leaves_a_table_aggregates_and_a_picture_that_agree(bodies, tmp_path, capsys):
+@pytest.fixture(scope="module")
+def clouds(tmp_path_factory):
+    """Options that name three clouds, their boxes and their sensor."""
+    folder, words, rows = tmp_path_factory.mktemp("clouds"), [], {}
+    for vehicles in map(street, (1, 2, 3)):
+        path, boxes = recorded(scanned(vehicles), vehicles, folder, vehicles.frame)
+        words += ["--points", path, "--frame", vehicles.frame]
+        rows[vehicles.frame] = Path(boxes).read_text(encoding="utf-8").splitlines()
+    (folder / "all.csv").write_text("\n".join([rows[1][0], *(line for of in rows.values() for line in of[1:])]) + "\n")
+    return [*words, "--boxes", folder / "all.csv", "--sensor", SENSOR, "--height", HEIGHT_M, "--caster", CASTER]
+
+
+def test_the_verb_leaves_a_table_aggregates_and_a_picture_that_agree(clouds, tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="charts need matplotlib")
     out = tmp_path / "out"
-    words = ("--kitti", bodies, "--label-margin", 0, 0, 0, "--caster", CASTER, "--details", "detailed,body")
+    words = (*clouds, "--details", "detailed,body")
     assert run(*words, "--out", out, "--json") == 0
     printed = capsys.readouterr()
     result = json.loads(printed.out)
     assert result == json.loads((out / "compare.json").read_text())
-    assert "57 rings, recovered from the order of the points" in printed.err
+    assert "HDL-64E-S3: 100 % of the points are on its rings" in printed.err
     assert "Intervals resample the 3 clouds" in printed.err
     assert (out / "compare.png").read_bytes().startswith(b"\x89PNG")
     with (out / "compare.csv").open(encoding="utf-8", newline="") as stream:
@@ -269,26 +261,20 @@ def test_the_verb_leaves_a_table_aggregates_and_a_picture_that_agree(bodies, tmp
     assert (tmp_path / "again" / "compare.csv").read_bytes() == (out / "compare.csv").read_bytes()
 
 
-def test_what_is_compared_may_be_named_by_class_and_distance(tmp_path, capsys):
+def test_what_is_compared_may_be_named_by_class_and_distance(bodies):
     vehicles = street(1)
-    one_frame(tmp_path, vehicles, ["Van" if row % 2 else "Car" for row in range(len(vehicles))])
-    counts = []
-    for number, words in enumerate((["--class", "car"], ["--class", "VAN"], [], ["--distance", 0, 25])):
-        words = ("--kitti", tmp_path, "--caster", CASTER, "--json", *words, "--out", tmp_path / f"out{number}")
-        assert run(*words) == 0
-        counts.append(json.loads(capsys.readouterr().out)["vehicles"])
-    near = np.hypot(*vehicles.centre_m[:, :2].T) < 25.0
-    assert counts == [4, 3, 7, near.sum()]
+    frame = frame_of(vehicles, scanned(vehicles), label=["van" if row % 2 else "Car" for row in range(len(vehicles))])
+    ways = ({"classes": ("car",)}, {"classes": ("VAN",)}, {}, {"between_m": (0.0, 25.0)})
+    counts = [len(compared([frame], replace(PLAIN, **way))["frame"]) for way in ways]
+    assert counts == [4, 3, 7, (np.hypot(*vehicles.centre_m[:, :2].T) < 25.0).sum()]
 
 
-def test_a_single_cloud_has_intervals_over_its_vehicles(bodies, tmp_path, capsys):
+def test_a_single_cloud_has_intervals_over_its_vehicles(tmp_path, capsys):
     vehicles = street(2, cars=5)
     cloud, boxes = recorded(scanned(vehicles), vehicles, tmp_path)
     words = ("--points", cloud, "--boxes", boxes, "--sensor", SENSOR, "--height", HEIGHT_M, "--caster", CASTER)
     assert run(*words, "--out", tmp_path / "out") == 0
-    printed = capsys.readouterr().out
-    assert "HDL-64E-S3: 100 % of the points are on its rings" in printed
-    assert "Intervals resample single vehicles" in printed
+    assert "Intervals resample single vehicles" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -300,27 +286,17 @@ def test_a_single_cloud_has_intervals_over_its_vehicles(bodies, tmp_path, capsys
         (("--losses", "dropout=much"), "--losses: 'dropout=much'; allowed: NAME=VALUE"),
         (("--label-margin", "0", "0", "2"), "--label-margin: is 2.0; allowed: 0 to 1"),
         (("--distance", "50", "10"), "--distance: 50 10; allowed: the nearer one first"),
-        (("--points", "cloud.npz"), "give either --points CLOUD with --boxes BOXES.csv, or --kitti DIR"),
     ],
 )
-def test_wrong_options_end_in_one_line(bodies, tmp_path, capsys, words, told):
-    given = ("compare", "--kitti", bodies, "--caster", CASTER, "--out", tmp_path / "out", *words)
-    assert told in refused(capsys, tmp_path, *given)
-
-
-def test_where_nothing_is_left_to_compare_it_says_why(bodies, tmp_path, capsys):
-    assert run("--kitti", bodies, "--distance", 100, 200, "--caster", CASTER, "--out", tmp_path / "out") == 2
-    assert "no labelled vehicle to compare at 100 to 200 m (21 nearer)" in capsys.readouterr().err
-    assert run("--kitti", bodies, "--class", "Lorry", "--caster", CASTER, "--out", tmp_path / "out") == 2
-    assert "no Lorry to compare; the labels are Car" in capsys.readouterr().err
+def test_wrong_options_end_in_one_line(clouds, tmp_path, capsys, words, told):
+    assert told in refused(capsys, tmp_path, "compare", *clouds, "--out", tmp_path / "out", *words)
     assert not (tmp_path / "out").exists()
 
 
-def test_points_out_of_order_need_a_sensor(bodies):
-    frame = kitti_frame(bodies, "000001")
-    points = frame.points[np.random.default_rng(1).permutation(len(frame.points))]
-    shuffled = RecordedFrame("1", "here", points, frame.boxes)
-    with pytest.raises(InputError, match=r"here: its .* points are not in ring order; .*--sensor"):
-        compare_frames([shuffled], PLAIN)
-    found = compare_frames([shuffled], replace(setup_of(SENSOR), pose=Pose(height_m=0.0)))
-    assert np.abs(found.table["error_bits"]).max() < 0.03
+def test_where_nothing_is_left_to_compare_it_says_why(bodies):
+    for way, told in (
+        ({"between_m": (100.0, 200.0)}, r"no labelled vehicle to compare at 100 to 200 m \(21 nearer\)"),
+        ({"classes": ("Lorry",)}, "no Lorry to compare; the labels are car"),
+    ):
+        with pytest.raises(InputError, match=told):
+            compared(bodies, replace(PLAIN, **way))

@@ -18,12 +18,10 @@ from blender_lidar.run.optimise import fresh_search
 from blender_lidar.run.replay import Replay
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.sensors.model import DATA_FOLDER, load_model
-from blender_lidar.studies.recorded import KITTI_PARTS, kitti_frame
 from blender_lidar.traffic import Recording, plan_frames, read_traffic
 from blender_lidar.traffic.sumo import read_types
 from tests import sumo_samples, traffic_samples
 from tests.fuzzing import fuzz
-from tests.recorded_samples import street, write_kitti
 from tests.small_scene import HEADER, MAPPED, SETTINGS, traffic_rows, write_scene
 
 
@@ -153,29 +151,6 @@ def a_sound_cloud(found) -> None:
 @pytest.mark.parametrize("name", _clouds())
 def test_damaged_clouds(tmp_path, name):
     assert fuzz(read_points, tmp_path / name, _clouds()[name], a_sound_cloud)
-
-
-# --- labelled sweeps --------------------------------------------------------------------------------------------------
-
-
-def _of_boxes(boxes):
-    assert np.isfinite(boxes.centre_m).all()
-    assert np.isfinite(boxes.size_m).all()
-    assert np.isfinite(boxes.heading_rad).all()
-    assert boxes.centre_m.shape == boxes.size_m.shape == (len(boxes), 3)
-
-
-@pytest.mark.parametrize("part", ["velodyne", "label_2", "calib"])
-def test_damaged_kitti(tmp_path, part):
-    write_kitti(tmp_path / "kitti", "000000", np.ones((200, 3)), street())
-    path = tmp_path / "kitti" / part / f"000000{KITTI_PARTS[part]}"
-    sample = path.read_bytes()[:4000]
-
-    def check(sweep):
-        _of_boxes(sweep.boxes)
-        assert np.isfinite(sweep.points).all()
-
-    assert fuzz(lambda _: kitti_frame(tmp_path / "kitti", "000000"), path, sample, check)
 
 
 # --- what runs have stored --------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from blender_lidar.statistics import ratio_interval_90, statistic_interval_90
 from blender_lidar.studies.candidates import Candidates
 from blender_lidar.studies.driver import Landscape
 from blender_lidar.studies.findings import (
-    ASKED_DEG,
     FAILS,
     FRAGILE,
     GRID,
@@ -30,8 +29,6 @@ from blender_lidar.studies.findings import (
     losses_to_best,
     lost,
     optimum_finding,
-    sample_size,
-    sample_size_finding,
     saturation_finding,
     search_finding,
     values_under,
@@ -167,7 +164,6 @@ def test_a_flat_landscape_chooses_nothing():
 # --- the sample -------------------------------------------------------------------------------------------------------
 
 TILTS = np.linspace(0.0, 25.0, 101)
-OF_ALL = np.r_[10.0, TILTS]  # the mounting in question comes first
 TOP, WIDTH, NOISE = 14.0, 8.0, 1.5
 
 
@@ -176,47 +172,6 @@ def hills(blocks, seed):
     tops = TOP + NOISE * np.random.default_rng(seed).normal(size=blocks)
     values = 1.0 - ((TILTS[:, None] - tops) / WIDTH) ** 2
     return np.concatenate([np.zeros((GRID, blocks)), values])
-
-
-def test_the_uncertainty_of_the_tilt_equals_that_of_independent_samples():
-    """The best tilt of parabolas is the mean of their tops, to the grid: its 90 % interval is known."""
-    blocks = 60
-    found = sample_size(hills(blocks, 3), np.ones(blocks), OF_ALL, 1)
-    tops = np.std(np.random.default_rng(3).normal(size=blocks)) * NOISE
-    for count, reach in zip(found.vehicles, found.reach_deg, strict=True):
-        assert reach == pytest.approx(1.645 * tops / np.sqrt(count), rel=0.25, abs=0.15)
-    assert found.vehicles[-1] == pytest.approx(blocks)
-    assert found.power == pytest.approx(0.5, abs=0.1)
-
-
-def test_what_is_needed_is_what_brings_the_interval_down_to_what_is_asked():
-    blocks = 10
-    objective = hills(blocks, 5)
-    found = sample_size(objective, np.ones(blocks), OF_ALL, 1)
-    expected = (1.645 * NOISE / ASKED_DEG) ** 2
-    assert found.needed == pytest.approx(expected, rel=1.0)
-    certain = sample_size(hills(200, 5), np.ones(200), OF_ALL, 1)
-    assert certain.reach_deg[-1] < ASKED_DEG
-    assert certain.needed <= certain.vehicles[-1]
-
-
-def test_blocks_without_vehicles_change_nothing():
-    objective = hills(20, 1)
-    padded = np.concatenate([objective, np.zeros((len(objective), 5))], axis=1)
-    expected = sample_size(objective, np.ones(20), OF_ALL, 1)
-    assert sample_size(padded, np.r_[np.ones(20), np.zeros(5)], OF_ALL, 1) == expected
-
-
-def test_a_tilt_is_no_more_certain_than_the_grid_that_it_is_told_from():
-    coarse = slice(None, None, 20)  # steps of 5 degrees, on which the optimum never strays
-    objective = hills(200, 5)
-    objective = np.concatenate([objective[:GRID], objective[GRID:][coarse]])
-    assert sample_size(objective, np.ones(200), np.r_[10.0, TILTS[coarse]], 1).reach_deg[-1] == 2.5
-
-
-def test_too_few_blocks_tell_nothing():
-    assert sample_size(hills(5, 1), np.ones(5), OF_ALL, 1) is None
-    assert sample_size_finding(None).verdict == UNDECIDED
 
 
 def test_the_optimum_of_resampled_blocks_lies_where_the_tops_lie():

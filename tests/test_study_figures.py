@@ -102,8 +102,6 @@ RESULT = {
     "sensor": "",
     "scene": "",
     "mounting": {"height_m": 4.0, "tilt_x_deg": 23.0},
-    "tolerance": {"tilt_deg": 1.0, "yaw_deg": 0.0},
-    "profiles": {},
 }
 
 
@@ -148,30 +146,3 @@ def test_without_an_interval_and_without_changes(tmp_path):
     assert stability.draw_changes(tmp_path / "one.png", {**RESULT, "findings": CHANGES[:1]})
     assert not stability.draw_changes(tmp_path / "none.png", {**RESULT, "findings": [OPTIMUM]})
     assert not (tmp_path / "none.png").exists()
-
-
-@pytest.mark.parametrize("needed", [4000.0, 300.0])
-def test_the_curve_ends_at_what_is_at_hand_and_goes_on_by_its_power_to_what_is_needed(drawn, tmp_path, needed):
-    found = {"vehicles": [100.0, 300.0, 1000.0], "reach_deg": [5.0, 3.0, 2.0], "power": 0.5, "needed": needed}
-    result = {**RESULT, "findings": [OPTIMUM | {"numbers": found}]}
-    assert stability.draw_sample_size(tmp_path / "size.png", result)
-    assert not stability.draw_sample_size(tmp_path / "none.png", {**RESULT, "findings": CHANGES})
-    (axes,) = drawn[0].axes
-    measured, ahead = axes.lines[:2]
-    assert measured.get_xdata()[-1] == ahead.get_xdata()[0] == 1000.0
-    np.testing.assert_allclose(ahead.get_ydata(), 2.0 * (np.asarray(ahead.get_xdata()) / 1000.0) ** -0.5)
-    marks = [line for line in axes.lines if list(line.get_xdata()) == [needed]]
-    assert len(marks) == (needed > 1000.0)
-
-
-def test_a_profile_has_its_tolerance_shaded_and_the_whole_gain_as_a_line(drawn, tmp_path):
-    offsets = np.linspace(-5.0, 5.0, 11)
-    kept = {"tilt_x_deg": 1.0 - np.abs(offsets) / 50.0, "yaw_deg": np.ones(11)}
-    profiles = {key: {"offset": offsets.tolist(), "kept": shares.tolist()} for key, shares in kept.items()}
-    assert stability.draw_profiles(tmp_path / "off.png", {**RESULT, "profiles": profiles})
-    assert not stability.draw_profiles(tmp_path / "none.png", RESULT)
-    tilt, yaw = drawn[0].axes
-    np.testing.assert_allclose(tilt.lines[0].get_ydata(), 100.0 - 2.0 * np.abs(offsets))
-    (shade,) = tilt.patches
-    assert (shade.get_x(), shade.get_width()) == (-1.0, 2.0)
-    assert not yaw.patches

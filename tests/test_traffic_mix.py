@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.road import StraightRoad
+from blender_lidar.road.straight import road_map
 from blender_lidar.studies.variations import CAR, SIZE_M, TRUCK, queued, turned_into
 from blender_lidar.traffic import overlapping_pairs
 from tests.sample_traffic import dense_traffic
@@ -41,8 +42,8 @@ def queue(vehicles, change=lambda gaps: gaps, **settings):
         vehicles,
         settings.pop("lengths_m", vehicles.size_m[:, 0]),
         change,
-        anchor_x_m=settings.pop("anchor_x_m", 0.0),
-        road=ROAD,
+        anchor_m=settings.pop("anchor_m", 0.0),
+        road=road_map(ROAD),
         copies_from=COPIES_FROM,
         **settings,
     )
@@ -55,7 +56,7 @@ def test_with_the_gaps_and_lengths_that_they_had_vehicles_stay_where_they_are():
 
 def test_a_jam_has_the_gaps_that_were_asked_for_in_the_same_order_about_the_anchor():
     traffic = straight(dense_traffic())
-    jam = queue(traffic, lambda gaps: np.clip(gaps, 1.0, 2.5), anchor_x_m=30.0)
+    jam = queue(traffic, lambda gaps: np.clip(gaps, 1.0, 2.5), anchor_m=30.0)
     assert gaps(jam).min() >= 1.0 - 1e-9
     assert gaps(jam).max() <= 2.5 + 1e-9
     for lane in np.unique(lanes(traffic)):

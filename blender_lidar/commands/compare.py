@@ -6,7 +6,6 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -20,14 +19,14 @@ from ..sensors.imperfections import Imperfections
 from ..sensors.model import load_model
 from ..sensors.pose import Pose
 from ..studies.compare import Setup, aggregate, compare_frames
-from ..studies.recorded import KITTI_MARGIN_M, RecordedFrame, kitti_frame, kitti_names, tabled_frames
+from ..studies.recorded import tabled_frames
 from ..toml_table import settings_of
 from ..world.shapes import DETAILS
 from .options import given_options, new_folder
 from .parsers import CompareOptions
 from .progress import Progress
 
-COMPARE_SCHEMA = 2
+COMPARE_SCHEMA = 3
 RESULT, TABLE, PICTURE = "compare.json", "compare.csv", "compare.png"
 _LOSSES = ("range_noise_m", "dropout", "glass_dropout", "range_at_10_percent_m")
 
@@ -39,16 +38,17 @@ def run(args: argparse.Namespace) -> int:
     check_folder(folder, "--out")
     check_unused(folder, "--out", "comparison")
     setup, losses = setup_of(asked), asked.losses or "none"
-    number, frames = frames_of(asked)
-    progress = Progress(number, "clouds")
+    lattice = beam_lattice(load_model(asked.sensor), asked.rotation_hz)
+    frames = tabled_frames(asked.points, asked.boxes, asked.frames)
+    progress = Progress(len(asked.points), "clouds")
     try:
-        found = compare_frames(frames, setup, lambda: progress.advance(1))
+        found = compare_frames(frames, lattice, setup, lambda: progress.advance(1))
     finally:
         progress.close()
     result = {
         "schema": COMPARE_SCHEMA,
-        "source": asked.kitti or [list(asked.points), asked.boxes],
-        "clouds": number,
+        "source": [list(asked.points), asked.boxes],
+        "clouds": len(asked.points),
         "classes": setup.classes and list(setup.classes),
         "sensor": asked.sensor,
         "pose": asdict(setup.pose),
@@ -79,18 +79,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def frames_of(asked: CompareOptions) -> tuple[int, Iterable[RecordedFrame]]:
-    """How many clouds there are, and the clouds, read one at a time."""
-    if (asked.kitti is None) == (asked.points is None):
-        raise InputError("compare: give either --points CLOUD with --boxes BOXES.csv, or --kitti DIR")
-    if asked.kitti is not None:
-        names = kitti_names(asked.kitti)
-        return len(names), (kitti_frame(asked.kitti, name) for name in names)
-    if asked.boxes is None:
-        raise InputError("compare: --points needs the labelled boxes, --boxes BOXES.csv")
-    return len(asked.points), tabled_frames(asked.points, asked.boxes, asked.frames)
-
-
 def setup_of(asked: CompareOptions) -> Setup:
     """How the clouds are to be simulated."""
     chosen = [name.strip() for name in asked.details.split(",")]
@@ -100,16 +88,13 @@ def setup_of(asked: CompareOptions) -> Setup:
     near, far = asked.distance_m or (0.0, math.inf)
     if not near < far:
         raise InputError(f"--distance: {near:g} {far:g}; allowed: the nearer one first")
-    usual = (0.0, 0.0, 0.0) if asked.kitti is None else KITTI_MARGIN_M
-    model = None if asked.sensor is None else load_model(asked.sensor)
     angles = (math.radians(angle) for angle in (asked.tilt_x_deg, asked.tilt_y_deg, asked.yaw_deg))
     return Setup(
         details=tuple(name for name in DETAILS if name in chosen),  # from the cheapest on
         caster=resolve(asked.caster, "--caster"),
-        lattice=None if model is None else beam_lattice(model, asked.rotation_hz),
         pose=Pose(asked.x_m, asked.y_m, asked.height_m, *angles),
         losses=losses_of(asked.losses),
-        margin_m=asked.label_margin_m or usual,
+        margin_m=asked.label_margin_m or (0.0, 0.0, 0.0),
         clearance_m=asked.clearance_m,
         classes=asked.classes,
         between_m=(near, far),

@@ -382,20 +382,18 @@ class CompareOptions:
 
     Attributes
     ----------
-    points : tuple of str or None
+    points : tuple of str
         A recorded cloud, .npz with xyz or .pcd; may be repeated.
-    boxes : str or None
+    boxes : str
         The labelled boxes, in the columns of vehicles.csv and the frame of the clouds.
     frames : tuple of int or None
         For each cloud the number of its frame, if the boxes are of several frames.
-    kitti : str or None
-        A folder in the layout of KITTI's object benchmark (velodyne, label_2, calib) in place of clouds and boxes.
     classes : tuple of str or None
         Label of the vehicles to compare, may be repeated; by default all that have a shape.
     distance_m : (float, float) or None
         Leave out vehicles nearer or farther than this.
-    sensor : str or None
-        Sensor model or beam table; by default rings are recovered from the order of the points, ring after ring.
+    sensor : str
+        Sensor model or beam table.
     rotation_hz : float or None
         Rotation rate of the sensor.
     x_m, y_m, height_m : float
@@ -407,7 +405,7 @@ class CompareOptions:
     losses : str or None
         Lost returns of the simulated sensor, by the keys of a scene's [sensor], such as dropout=0.05; by default none.
     label_margin_m : (float, float, float) or None
-        How much longer, wider and higher the labels are than their vehicles; by default 0, with --kitti 0.15 0.06 0.01.
+        How much longer, wider and higher the labels are than their vehicles; by default 0.
     clearance_m : float
         Recorded and simulated points up to this height above a box's floor are left out.
     caster : str
@@ -418,13 +416,12 @@ class CompareOptions:
         Print only the content of the result file, on stdout.
     """
 
-    points: tuple[str, ...] | None = setting(None, option="--points", metavar="CLOUD")
-    boxes: str | None = setting(None, option="--boxes", metavar="BOXES.csv")
+    points: tuple[str, ...] = setting(option="--points", metavar="CLOUD")
+    boxes: str = setting(option="--boxes", metavar="BOXES.csv")
+    sensor: str = setting(option="--sensor", metavar="NAME")
     frames: tuple[int, ...] | None = setting(None, option="--frame", metavar="K")
-    kitti: str | None = setting(None, option="--kitti", metavar="DIR")
     classes: tuple[str, ...] | None = setting(None, option="--class", metavar="NAME")
     distance_m: tuple[float, float] | None = setting(None, low=0.0, option="--distance", metavar=("NEAR", "FAR"))
-    sensor: str | None = setting(None, option="--sensor", metavar="NAME")
     rotation_hz: float | None = setting(None, above=0.0, option="--rotation")
     x_m: float = setting(0.0, option="--x", metavar="M")
     y_m: float = setting(0.0, option="--y", metavar="M")
@@ -455,10 +452,10 @@ def _compare(subparsers) -> None:
         "Compare recorded vehicles with simulated ones: the points that each labelled vehicle gave in a recorded "
         "cloud, beside those that the simulated sensor gives it at the same place.",
         "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --tilt-x 9",
-        "--kitti DIR --class Car --distance 10 50 --losses range_at_10_percent_m=50",
+        "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --distance 10 50 --losses dropout=0.05",
     )
     groups = {
-        "what is compared": ("points", "boxes", "frames", "kitti", "classes", "distance_m"),
+        "what is compared": ("points", "boxes", "frames", "classes", "distance_m"),
         "sensor": ("sensor", "rotation_hz", "x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"),
         "simulation": ("details", "losses", "label_margin_m", "clearance_m", "caster"),
         "output": ("out", "json"),

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..studies.chart import JUDGED, milliseconds
+from ..studies.chart import milliseconds
 from ..studies.driver import percent
-from ..studies.effects import ABOVE, BELOW, UNTOLD
 from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, legend_below, name_points, sheet
 from .study import Section, StudyReport
 from .summary import COORDINATE_NAMES
@@ -108,22 +107,15 @@ def _points(axes: Axes, rows: Sequence[Mapping], times: np.ndarray, places: np.n
 # --- the report: the fidelities, what the scene needs, and whether the recommendation holds ---------------------------
 
 _LADDER = ("fidelity", "one evaluation", "quartiles", "faster", "bias", "error", "of the gain", "tau", "regret", "")
-_ABLATIONS = ("modelled", "", "bias", "tau", "best moves by", "left out it costs", "choices apart")
-_ABLATIONS += ("beside the noise floor",)
+_ABLATIONS = ("modelled", "", "bias", "tau", "best moves by", "left out it costs", "beyond noise", "verdict")
 
 
 def _sections(result: Mapping) -> list[Section]:
     """What `chart_study` came to."""
-    held = [
-        f"{one['where']}: {one['verdict']}; regret {percent(one['regret'], one['regret_interval_90'])}, error "
-        f"{percent(one['error_share'])} of the gain"
-        for one in result["validated"]
-    ]
     return [
         Section("", (), _head(result)),
-        Section("The ladder", [_LADDER, *(_rung(row, result) for row in result["rungs"])], ()),
+        Section("The ladder", [_LADDER, *(_rung(row, result) for row in result["rungs"])], [_asked(result)]),
         Section("What the scene needs", [_ABLATIONS, *map(ablation_cells, result["ablations"])], [_floor(result)]),
-        Section("Does it hold", (), [*held, _asked(result)]),
     ]
 
 
@@ -194,20 +186,18 @@ def ablation_cells(row: Mapping) -> tuple[str, ...]:
     if row["bias"] is None:
         return (*what, row["note"], *[""] * 5)
     moved = ", ".join(f"{round(by, 2) + 0.0:+.2f} {COORDINATE_NAMES[key][1]}" for key, by in row["shift"].items())
-    shares = (percent(row[key], row[f"{key}_interval_90"]) for key in ("regret", "apart"))
-    beside = "no floor known"
-    if row["verdicts"] is not None:
-        said = {kind: [name for name in JUDGED if row["verdicts"][name] == kind] for kind in (ABOVE, UNTOLD)}
-        beside = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in said.items() if names) or BELOW
-    return (*what, _number(row["bias"], "+.4f"), _number(row["tau"], ".3f"), moved, *shares, beside)
+    costs, beyond = percent(row["regret"], row["regret_interval_90"]), row["beyond_noise"]
+    names = "not known" if beyond is None else ", ".join(name for name, so in beyond.items() if so) or "nothing"
+    return (*what, _number(row["bias"], "+.4f"), _number(row["tau"], ".3f"), moved, costs, names, row["verdict"])
 
 
 def _floor(result: Mapping) -> str:
-    """What the ablations are held against."""
+    """What the ablations are compared with."""
     return (
-        f"Ablations, on the {result['ablation_mountings']} best mountings by the reference; their noise floor, half of "
-        f"the blocks against the other: {_halves(result['ablation_floor'])}. An effect is above or below the floor "
-        "when its whole 90 % interval is, each for itself; else it cannot be told"
+        f"Ablations, on the {result['ablation_mountings']} best mountings by the reference; their noise, half of the "
+        f"blocks against the other: {_halves(result['ablation_floor'])}. A thing is needed where what is lost without "
+        f"it is surely more than {100 * result['tolerance']:g} % of the gain, and not needed where it is surely less, "
+        "by the 90 % interval"
     )
 
 

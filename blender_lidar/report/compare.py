@@ -29,14 +29,14 @@ _LOOKS = {
 def comparison_text(result: Mapping) -> str:
     """The findings for a terminal; `result` as `compare.json` has it."""
     left_out = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items() if count)
-    rows = [_HEAD]
+    on_rings, rows = 100.0 * result["beams"]["share_on_rings"], [_HEAD]
     for one in result["variants"]:
         rows.append((one["detail"], *_cells(one)))
         rows += [(f"  {_band(band)}", *_cells(band)) for band in one["by_distance"]]
     lines = [
         f"Vehicles   {result['vehicles']} in {result['frames']} of {result['clouds']} clouds"
         + (f"; left out: {left_out}" if left_out else ""),
-        f"Beams      {_beams(result)}",
+        f"Beams      {result['sensor']}: {on_rings:.0f} % of the points are on its rings (by chance 50 %)",
         f"Simulated  {result['caster']}; lost: {result['losses']}",
         "",
         "Points of all vehicles, PE-VGOP of the median vehicle, and by how much the simulated one differs from the",
@@ -46,15 +46,6 @@ def comparison_text(result: Mapping) -> str:
         _intervals(result),
     ]
     return "\n".join(lines)
-
-
-def _beams(result: Mapping) -> str:
-    beams = result["beams"]
-    if result["sensor"] is None:
-        rings = " or ".join(map(str, beams["rings"]))
-        return f"{rings} rings, recovered from the order of the points, which miss them by {beams['off_ring_m']:.4f} m"
-    share = 100.0 * beams["share_on_rings"]
-    return f"{result['sensor']}: {share:.0f} % of the points are on its rings (by chance 50 %)"
 
 
 def _cells(one: Mapping) -> tuple[str, ...]:

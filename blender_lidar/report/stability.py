@@ -1,4 +1,4 @@
-"""The report of `stability`: a section for each sort of thing that is varied, a line a finding, and pictures."""
+"""The report of `stability`: a section for each sort of thing that is varied, a line a finding, and a picture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..studies.findings import ASKED_DEG, MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, UNDECIDED, VERDICT_RULE, VERDICTS, worst
+from ..studies.findings import MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, UNDECIDED, VERDICT_RULE, VERDICTS, worst
 from ..studies.variations import SECTIONS
 from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
@@ -29,7 +29,7 @@ def _about(result: Mapping) -> str:
     return f"{result['sensor']} at {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg; {result['scene']}"
 
 
-# --- the pictures; each tells whether there is anything to draw -------------------------------------------------------
+# --- the picture ------------------------------------------------------------------------------------------------------
 
 # Told apart in grey by lightness, and without any colour by the marker.
 VERDICT_LOOKS = {
@@ -40,19 +40,13 @@ VERDICT_LOOKS = {
 _LEAST_PERCENT, _MOST_PERCENT = -30.0, 100.0  # a loss beyond is drawn at the rim
 _LINEAR_PERCENT = 1.0
 _ROW_MM, _HEADING_MM = 3.7, 40.0
-_LINE = {"color": OPTIMISED_LOOK["color"], "marker": "o"}
-_OFF_PLAN = {  # of a coordinate: its name on an axis, and which tolerance is its own
-    "height_m": ("Height [m]", "height_m"),
-    "tilt_x_deg": ("Tilt across [deg]", "tilt_deg"),
-    "tilt_y_deg": ("Tilt along [deg]", "tilt_deg"),
-    "yaw_deg": ("Yaw [deg]", "yaw_deg"),
-}
 
 
 def draw_changes(path: str | Path, result: Mapping) -> bool:
     """A row for each change: what the mounting loses, and where the optimum would be under each draw of it.
 
-    A loss beyond the rim is drawn on it; shaded is where other traffic puts the optimum of the scene as it is.
+    A loss beyond the rim is drawn on it; shaded is where other traffic puts the optimum of the scene as it is. False
+    where there is nothing to draw.
     """
     changes = [
         one for one in result["findings"] if one["verdict"] in VERDICT_LOOKS and "best_tilt_deg" in one["numbers"]
@@ -98,51 +92,6 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
         if interval is not None:
             moved.axvspan(*interval, color=FAINT, alpha=0.45, linewidth=0.0)
             handles.append(Line2D([], [], color=FAINT, linewidth=6.0, label="90 % of optima on other traffic"))
-        legend_below(figure, handles, columns=len(handles))
-    return True
-
-
-def draw_profiles(path: str | Path, result: Mapping) -> bool:
-    """Share of the gain that is kept with one coordinate at a time off its plan; shaded is what an installer keeps."""
-    if not result["profiles"]:
-        return False
-    with sheet(path, 66.0, "The mounting off its plan", _about(result)) as figure:
-        every = np.atleast_1d(figure.subplots(1, len(result["profiles"]), sharey=True))
-        for axes, (key, of) in zip(every, result["profiles"].items(), strict=True):
-            name, tolerance = _OFF_PLAN[key]
-            width = result["tolerance"][tolerance]
-            if width:
-                axes.axvspan(-width, width, color=FAINT, alpha=0.45, linewidth=0.0)
-            axes.plot(of["offset"], 100.0 * np.array(of["kept"]), markersize=3.0, linewidth=1.2, **_LINE)
-            axes.axhline(100.0, color=INK, linewidth=0.8, linestyle="--")
-            axes.set_xlabel(name)
-            axes.grid(visible=True)
-        figure.axes[0].set_ylabel("Gain kept [%]")
-    return True
-
-
-def draw_sample_size(path: str | Path, result: Mapping) -> bool:
-    """Half of the best tilt's 90 % interval over the number of vehicle observations, and how many are needed."""
-    found = _numbers_with(result, "reach_deg")
-    if not found:
-        return False
-    vehicles, reach, power, needed = (found[key] for key in ("vehicles", "reach_deg", "power", "needed"))
-    with sheet(path, 78.0, "How many vehicles make the best tilt certain", _about(result)) as figure:
-        axes = figure.subplots()
-        handles = axes.plot(vehicles, reach, markersize=4.0, label="samples of the traffic at hand", **_LINE)
-        ahead = np.geomspace(vehicles[-1], max(needed, vehicles[-1]) * 1.5, 50)
-        look = {"color": OPTIMISED_LOOK["color"], "linestyle": ":", "label": f"as its power {-power:.2f} from there on"}
-        handles += axes.plot(ahead, reach[-1] * (ahead / vehicles[-1]) ** -power, **look)
-        asked = {"color": INK, "linestyle": "--", "linewidth": 0.8, "label": f"{ASKED_DEG:g} deg"}
-        handles.append(axes.axhline(ASKED_DEG, **asked))
-        if needed > vehicles[-1]:
-            look = {**BASELINE_LOOK, "linestyle": "none", "label": "asked for"}
-            handles += axes.plot(needed, ASKED_DEG, clip_on=False, **look)
-        axes.set(xscale="log", xlabel="Vehicle observations", ylabel="Uncertainty of the best tilt [deg]")
-        axes.xaxis.set_major_formatter("{x:,.0f}")
-        axes.minorticks_off()
-        axes.set_ylim(bottom=0.0)
-        axes.grid(visible=True)
         legend_below(figure, handles, columns=len(handles))
     return True
 
@@ -217,7 +166,7 @@ STABILITY_REPORT = StudyReport(
     title="How stable is this answer?",
     result="stability.json",
     tables={"stability.csv": _rows},
-    pictures={"changes.png": draw_changes, "off_plan.png": draw_profiles, "sample_size.png": draw_sample_size},
+    pictures={"changes.png": draw_changes},
     sections=_sections,
     answer=_answer,
 )

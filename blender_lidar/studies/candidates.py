@@ -5,7 +5,6 @@ All that studies know of coordinates stands here.
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,14 +13,11 @@ import numpy as np
 
 from ..errors import InputError
 from ..optimise.search import generator
-from ..run.tolerance import installed
-from ..scene.mounting import ANGLES, Layout, Mounting, changed
+from ..scene.mounting import Layout, Mounting, changed
 from ..scene.scenario import Scenario
 
 SOBOL_BITS = 30
 BASELINE, FIRST = 0, 1  # rows of a landscape: the baseline, and where the candidates begin
-PROFILES = {"height_m": 0.5, "tilt_x_deg": 5.0, "tilt_y_deg": 5.0, "yaw_deg": 10.0}  # how far off each is drawn
-_STEPS = 10  # of a profile, to each side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,37 +77,22 @@ def sobol(seed: int, count: int, lower: np.ndarray, upper: np.ndarray) -> np.nda
     return np.clip(lower + (digits + 0.5) / (1 << SOBOL_BITS) * (upper - lower), lower, upper)
 
 
-def grid_candidates(
-    scenario: Scenario, mounting: Mounting, heights: int, tilts: int, *, widest_deg: float = math.inf
-) -> Candidates:
+def grid_candidates(scenario: Scenario, mounting: Mounting, heights: int, tilts: int) -> Candidates:
     """The mounting in question, and a grid over the searched ones of height and tilt through it.
 
-    The tilt is the lean where the scene is given by it; the other coordinates stay as they are in `mounting`. There are
-    so many heights and tilts, or more tilts where their steps would be wider than `widest_deg`.
+    The tilt is the lean where the scene is given by it; the other coordinates stay as they are in `mounting`.
     """
     (space,), place = scenario.deployment.spaces, mounting.as_table()
     names, bounds = space.axes, space.bounds
-    lowest, highest = bounds.get(names[1], (0.0, 0.0))
-    counts = {names[0]: heights, names[1]: max(tilts, math.ceil((highest - lowest) / widest_deg) + 1)}
     axes = [
-        np.linspace(*bounds[name], counts[name]).round(9) if name in bounds else [place[name]]  # 4.3, not 4.30...01
-        for name in names
+        np.linspace(*bounds[name], count).round(9) if name in bounds else [place[name]]  # 4.3, not 4.30...01
+        for name, count in zip(names, (heights, tilts), strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     points = np.concatenate([[[place[name] for name in names]], grid])
     road = scenario.road_map
     placed = (changed(mounting, road, **dict(zip(names, point, strict=True))) for point in grid.tolist())
     return Candidates(names, points, tuple((one,) for one in (scenario.baseline, mounting, *placed)))
-
-
-def off_plan(mounting: Mounting) -> dict[str, tuple[np.ndarray, list[Layout]]]:
-    """The mounting with one coordinate off at a time: offsets [m or degrees] and layouts, by the coordinate's name."""
-    found = {}
-    for key, reach in PROFILES.items():
-        offsets = np.linspace(-reach, reach, 2 * _STEPS + 1)
-        errors = np.outer(offsets, np.array(("height_m", *ANGLES)) == key)
-        found[key] = offsets, [(hung,) for hung in installed(mounting, errors)]
-    return found
 
 
 def check_searched(scenario: Scenario) -> None:

@@ -1,8 +1,7 @@
 """The chart of a scene: time against accuracy of cheaper models, and what each ingredient of the model changes.
 
-A ladder of fidelities is timed, scored on the same mountings and compared with its first, the reference; the cheapest
-that is near enough is validated on other blocks of traffic; ablations are scored on the best mountings. The result is
-one dictionary.
+A ladder of fidelities is timed, scored on the same mountings and compared with its first, the reference; ablations are
+scored on the best mountings. The result is one dictionary.
 """
 
 from __future__ import annotations
@@ -16,25 +15,15 @@ import numpy as np
 from ..scene.mounting import Layout, poses_of
 from ..scene.site import Site
 from ..scoring.fidelity import Fidelity, evenly_spread, with_fewer_frames
+from ..scoring.frame_scorer import FrameScorer
 from ..scoring.scores import VehicleScores
 from ..world.shapes import DETAILS
 from .candidates import BASELINE, FIRST, Candidates, sobol_candidates
 from .driver import HELD_OUT, Job, Landscape, StudyFolder, judging_split, split_of, study_head
-from .effects import (
-    BOUND_LEVEL,
-    SURE,
-    UNTOLD,
-    Noise,
-    Reference,
-    accuracy,
-    beside_floor,
-    choices,
-    effects,
-    pareto_front,
-)
+from .effects import BOUND_LEVEL, SURE, Noise, Reference, accuracy, effects, pareto_front, verdict
 from .variations import Ablation, ablations, of_fidelity, whole
 
-CHART_SCHEMA = 3  # of the stages and of the result
+CHART_SCHEMA = 4  # of the stages and of the result
 REFERENCE = Fidelity(DETAILS[-1])
 STRIDES = (1, 2, 4, 8)
 FRAME_SHARES = (1, 2, 4, 8)  # one of so many frames is looked at
@@ -104,17 +93,11 @@ def chart_study(site: Site, effort: ChartEffort, tolerance: float, folder: Study
     timed = _timed(folder, site, list(dict.fromkeys(map(whole, rungs))), every, effort)
     scored, judged = score_ladder(folder, site, every, effort, rungs)
     judged_block = split_of(site, judging)[1]
-    parts = (scored[REFERENCE], site.plan.search_block), (judged, judged_block)
-    reference = Reference(*parts[0], *parts[1], site.scenario.search.seed)
+    reference = Reference(scored[REFERENCE], site.plan.search_block, judged, judged_block, site.scenario.search.seed)
     gain, noise = reference.gain, reference.noise
     rows = rung_rows(rungs, reference, scored, timed, effort.phases)
     mark_within(rows, tolerance, noise, gain)
     best = recommended(rows)
-    validated = []
-    if judging == HELD_OUT:
-        swapped = Reference(*parts[1], *parts[0], site.scenario.search.seed + 1)
-        chosen = rungs[rows.index(best)]
-        validated.append(_on_other_blocks(folder, site, every, chosen, effort, tolerance, swapped))
     numbers = reference.best(effort.varied_mountings)
     few, kept = reference.select(numbers), [BASELINE, *(FIRST + number for number in numbers)]
     known = {of_fidelity(one).stage: scored[one].select(kept) for one in map(Fidelity, DETAILS)}
@@ -137,10 +120,11 @@ def chart_study(site: Site, effort: ChartEffort, tolerance: float, folder: Study
         "rungs": rows,
         "recommended": best["name"],
         "sentence": sentence(rows[0], best, tolerance, gain),
-        "validated": validated,
         "ablation_mountings": min(effort.varied_mountings, effort.mountings),
         "ablation_floor": few.noise and asdict(few.noise),
-        "ablations": ablation_rows(folder, site, every.select(numbers), few, ablations(site, effort.draws), known),
+        "ablations": ablation_rows(
+            folder, site, every.select(numbers), few, ablations(site, effort.draws), known, tolerance
+        ),
     }
 
 
@@ -216,15 +200,14 @@ def time_fidelities(
     and tree; `progress` is told how many frames have been timed since it was last called.
     """
     poses = list(map(poses_of, layouts))
-    changes = [of_fidelity(fidelity) for fidelity in fidelities]
-    sites = [change.changed(site) for change in changes]
+    sites = [of_fidelity(fidelity).changed(site) for fidelity in fidelities]
     scores = [VehicleScores(one.scoring, one.observation, site.search) for one in sites]
     evaluation, build = np.empty((len(sites), rounds, len(site.search))), np.empty((len(sites), len(site.search)))
     for column, frame in enumerate(site.search):
         scorers = []
-        for row, (change, one) in enumerate(zip(changes, sites, strict=True)):
+        for row, one in enumerate(sites):
             start = time.perf_counter()
-            scorers.append(change.scorer(one, frame))
+            scorers.append(FrameScorer(frame.vehicles, frame.counted, one.observation))
             build[row, column] = time.perf_counter() - start
         for turn in range(-1, rounds):
             some = [poses[(turn + number) % len(poses)] for number in range(TOGETHER)]
@@ -334,43 +317,7 @@ def milliseconds(value: float) -> str:
     return f"{value:.3g} ms" if value < 100.0 else f"{value:.0f} ms"
 
 
-# --- does the recommendation hold where it was not chosen? ------------------------------------------------------------
-
-
-def _on_other_blocks(
-    folder: StudyFolder,
-    site: Site,
-    every: Candidates,
-    chosen: Fidelity,
-    effort: ChartEffort,
-    tolerance: float,
-    swapped: Reference,
-) -> dict:
-    """What the recommended fidelity loses where the held-out blocks choose and the searched ones judge.
-
-    It looks at as large a share of the held-out frames as it does of the searched ones.
-    """
-    jobs = [Job(of_fidelity(phase, "other blocks"), every.layouts, HELD_OUT) for phase in phased(chosen, effort.phases)]
-    phases = folder.landscapes(site, jobs, "recommendation, other blocks")
-    found = accuracy(swapped, phases, looked_at(chosen, len(site.search), len(site.holdout)))
-    kept = {key: found[key] for key in ("regret", "regret_interval_90", "error_share", "tau")}
-    verdict = within_tolerance(found["regret"], found["regret_interval_90"], tolerance)
-    return {"where": "other blocks: the held-out ones choose, the searched ones judge", "verdict": verdict, **kept}
-
-
-def within_tolerance(share: float | None, interval: tuple[float, float] | None, tolerance: float) -> str:
-    """Whether a loss is within the tolerance: by its whole 90 % interval, or likely; or surely is not."""
-    if share is None or (share > tolerance and (interval is None or interval[0] <= tolerance)):
-        return UNTOLD
-    if share > tolerance:
-        return "fails"
-    return "holds" if interval is not None and interval[1] <= tolerance else "likely"
-
-
 # --- the ablations: a row for each ------------------------------------------------------------------------------------
-
-JUDGED = {"score": "bias", "ranking": "tau", "optimum": "apart"}  # what has a verdict, and which effect it is on
-_EFFECTS = ("bias", "tau", "regret", "apart")
 
 
 def ablation_rows(
@@ -380,6 +327,7 @@ def ablation_rows(
     reference: Reference,
     changes: Sequence[Ablation],
     known: Mapping[str, Landscape],
+    tolerance: float,
 ) -> list[dict]:
     """A row for every ablation; what either side would choose is judged where the scene has the thing.
 
@@ -394,6 +342,8 @@ def ablation_rows(
     changes : sequence of Ablation
     known : mapping of str to Landscape
         By a variation's stage, what has been scored already.
+    tolerance : float
+        Share of the gain that may be lost where a thing is left out.
     """
     sides = {one.stage: one for change in changes for pair in change.pairs for one in pair}
     jobs = [Job(one, every.layouts) for stage, one in sides.items() if stage not in known]
@@ -408,7 +358,7 @@ def ablation_rows(
     for change in changes:
         draws = [(scored[without.stage], scored[there.stage], judged[there.stage]) for without, there in change.pairs]
         refused = next((one for draw in draws for one in draw if isinstance(one, str)), None)
-        rows.append(ablation_row(change, refused, [] if refused else draws, every, reference))
+        rows.append(ablation_row(change, refused, [] if refused else draws, every, reference, tolerance))
     return rows
 
 
@@ -418,27 +368,17 @@ def ablation_row(
     draws: Sequence[tuple[Landscape, Landscape, Landscape]],
     every: Candidates,
     reference: Reference,
+    tolerance: float,
 ) -> dict:
     """One ablation as JSON holds it: all but its name is None where there is nothing to compare."""
     row = {"what": change.what, "value": change.value, "note": refused or change.note, "draws": len(change.pairs)}
-    row |= dict.fromkeys([*(name + ending for name in _EFFECTS for ending in ("", "_interval_90")), "shift"])
-    row |= dict.fromkeys(("floors", "verdicts"))
     if not draws:
-        return row
-    floor, found = reference.noise, effects(draws, reference)
-    for name in _EFFECTS:
-        row[name], row[f"{name}_interval_90"] = found[name] or (None, None)
-    shift = np.mean([_shift(*draw[:2], every, reference) for draw in draws], axis=0)
-    row["shift"] = dict(zip(every.variables, shift.tolist(), strict=True))
+        return row | dict.fromkeys(("bias", "tau", "regret", "regret_interval_90", "shift", "beyond_noise", "verdict"))
+    found, floor = effects(draws, reference), reference.noise
+    without, having = found.pop("chosen") @ every.points
+    shift = dict(zip(every.variables, (having - without).tolist(), strict=True))
+    row |= {**found, "shift": shift, "beyond_noise": None}
     if floor is not None:
-        row["floors"] = {"score": floor.bias, "ranking": floor.tau, "optimum": floor.apart}
-        limits = {"score": (-floor.bias, floor.bias), "ranking": (floor.tau, np.inf)}
-        limits["optimum"] = (-np.inf, np.nan if floor.apart is None else floor.apart)  # beside NaN nothing is told
-        row["verdicts"] = {name: beside_floor(found[effect], *limits[name]) for name, effect in JUDGED.items()}
-    return row
-
-
-def _shift(without: Landscape, having: Landscape, every: Candidates, reference: Reference) -> np.ndarray:
-    """Where the mounting that is chosen moves to when the thing comes in, (d,): mean over the halves."""
-    less, more = (every.points[one[0]] for one in choices(without, having, reference))
-    return (more - less).mean(axis=(0, 1))
+        low = found["tau"] is not None and found["tau"] < floor.tau
+        row["beyond_noise"] = {"score": abs(found["bias"]) > floor.bias, "ranking": low}
+    return row | {"verdict": verdict(found["regret_interval_90"], tolerance)}

@@ -25,8 +25,7 @@ from ..statistics import FEWEST_BLOCKS, RESAMPLES, interval_90, resampled_weight
 from ..world.meshes import GLASS, REFLECTIVITY
 from ..world.shapes import shape
 from ..world.triangles import Triangles, place
-from .recorded import LabelledBoxes, RecordedFrame
-from .rings import NO_POINT, Firings, Rays, Rings, recover_rings, table_rings
+from .recorded import NO_POINT, Firings, LabelledBoxes, Rays, RecordedFrame, Rings, table_rings
 
 CLEARANCE_M = 0.15
 """Hits less than this above a box's floor are left out, of both sides: in KITTI the road shows as a hump of returns
@@ -52,8 +51,6 @@ class Setup:
         Levels of detail of `world.shapes.DETAILS`.
     caster : str
         A name of `casting.CASTERS`.
-    lattice : BeamLattice or None
-        Beams of the sensor; None: its rings are recovered from the order of the points.
     pose : Pose
         Of the sensor in the frame of the clouds.
     losses : Imperfections
@@ -69,7 +66,6 @@ class Setup:
 
     details: tuple[str, ...]
     caster: str
-    lattice: BeamLattice | None = None
     pose: Pose = AT_THE_ORIGIN
     losses: Imperfections = PERFECT
     margin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -257,8 +253,8 @@ class Comparison:
         A row for each level of detail and vehicle, level after level: ``detail``, those of `PairedFrame.real_columns`
         and `PairedFrame.columns`, and ``error_bits``, simulated less real PE-VGOP.
     sensor : dict
-        What the clouds say of their sensor: ``rings``, how many, for each number of them; the median distance of the
-        points from their rings, ``off_ring_m``; and the ``share_on_rings`` of a beam table, None without one.
+        What the clouds say of their sensor: the median distance of the points from their rings, ``off_ring_m``, and
+        the share of the points that fits the beam table, ``share_on_rings``.
     left_out : dict of str to int
         Labelled vehicles that were not compared, by reason.
     """
@@ -269,13 +265,15 @@ class Comparison:
 
 
 def compare_frames(
-    frames: Iterable[RecordedFrame], setup: Setup, report: Callable[[], None] = lambda: None
+    frames: Iterable[RecordedFrame], lattice: BeamLattice, setup: Setup, report: Callable[[], None] = lambda: None
 ) -> Comparison:
     """Pair every chosen vehicle of recorded clouds with its simulation.
 
     Parameters
     ----------
     frames : iterable of RecordedFrame
+    lattice : BeamLattice
+        The sensor's beams.
     setup : Setup
     report : callable
         Called after each cloud.
@@ -283,18 +281,18 @@ def compare_frames(
     Raises
     ------
     InputError
-        Where the beam table does not fit a cloud, its rings cannot be recovered, or there is no vehicle to compare.
+        Where the beam table does not fit a cloud, or there is no vehicle to compare.
     """
     left_out: Counter[str] = Counter()
     labels: set[str] = set()
-    facts: list[tuple[int, float, float | None]] = []
+    facts: list[tuple[float, float]] = []
     tables: dict[str, list] = {detail: [] for detail in setup.details}
     for number, frame in enumerate(frames):
         rows = chosen(frame.boxes, setup, left_out)
         labels.update(frame.boxes.label.tolist())
         if len(rows):
-            rings, share = rings_of(frame, setup)
-            facts.append((len(rings), rings.spread_m, share))
+            rings, share = rings_of(frame, lattice, setup.pose)
+            facts.append((rings.spread_m, share))
             paired = PairedFrame(frame, rows, rings, setup, number)
             real = paired.real_columns()
             for detail, table in tables.items():
@@ -306,13 +304,8 @@ def compare_frames(
     parts = [one for of_detail in tables.values() for one in of_detail]
     table = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
     table["error_bits"] = table["simulated_entropy_bits"] - table["real_entropy_bits"]
-    rings, spread, shares = zip(*facts, strict=True)
-    sensor = {
-        "rings": sorted(set(rings)),
-        "off_ring_m": float(np.median(spread)),
-        "share_on_rings": None if setup.lattice is None else float(np.median(shares)),
-    }
-    return Comparison(table, sensor, dict(left_out))
+    spread, shares = np.median(facts, axis=0).tolist()
+    return Comparison(table, {"off_ring_m": spread, "share_on_rings": shares}, dict(left_out))
 
 
 def _nothing_to_compare(setup: Setup, left_out: Mapping[str, int], labels: set[str]) -> InputError:
@@ -324,16 +317,14 @@ def _nothing_to_compare(setup: Setup, left_out: Mapping[str, int], labels: set[s
     return InputError(f"no {what} to compare at {near:g} to {far:g} m ({why})")
 
 
-def rings_of(frame: RecordedFrame, setup: Setup) -> tuple[Rings, float | None]:
-    """The rings of a cloud, and the share of its points that fits the beam table, None where they are recovered."""
-    local = setup.pose.to_sensor(frame.points)
-    if setup.lattice is None:
-        return recover_rings(local, frame.where), None
-    rings, share = table_rings(local, setup.lattice)
+def rings_of(frame: RecordedFrame, lattice: BeamLattice, pose: Pose) -> tuple[Rings, float]:
+    """The rings of a cloud, and the share of its points that fits the beam table."""
+    local = pose.to_sensor(frame.points)
+    rings, share = table_rings(local, lattice)
     if share < LEAST_ON_RINGS:
         raise InputError(
             f"{frame.where}: {100.0 * share:.0f} % of its {len(local)} points are near the rings of "
-            f"{setup.lattice.model.name}, where chance gives 50 %; allowed: {100.0 * LEAST_ON_RINGS:.0f} % or more. "
+            f"{lattice.model.name}, where chance gives 50 %; allowed: {100.0 * LEAST_ON_RINGS:.0f} % or more. "
             "Another sensor, or another place or tilt of it in the frame of the cloud (--x to --yaw)"
         )
     return rings, share
@@ -343,7 +334,7 @@ def chosen(boxes: LabelledBoxes, setup: Setup, left_out: Counter) -> np.ndarray:
     """Rows of the vehicles to compare; the others of those classes are counted by the reason why not."""
     left, away = boxes.of_class(setup.classes), distance_m(boxes, setup.pose)
     near, far = setup.between_m
-    reasons = {"cut off by the picture": boxes.cut_off, "nearer": away < near, "farther": away >= far}
+    reasons = {"nearer": away < near, "farther": away >= far}
     for reason, why in reasons.items():
         left_out[reason] += int((left & why).sum())
         left &= ~why

@@ -194,11 +194,6 @@ def _read_json(path: Path, key: str | None = None, advice: str = "") -> dict:
 # --- what is changed, and what is scored ------------------------------------------------------------------------------
 
 
-def frame_scorer(site: Site, frame: CountedFrame) -> FrameScorer:
-    """The product's own way to see a frame."""
-    return FrameScorer(frame.vehicles, frame.counted, site.observation)
-
-
 def unchanged(site: Site) -> Site:
     """The site as it is."""
     return site
@@ -218,9 +213,7 @@ class Variation:
         Makes the changed site of a site; it can be pickled, and the number of frames stays.
     draw : int
         Which of several random draws of the same change it is, from 1; 0 where nothing is drawn.
-    scorer : callable
-        What sees a frame of the changed site; it can be pickled.
-    cast_anew : bool
+    recast : bool
         False where the returns stay as the site has them and only what is made of them changes: cells, view,
         threshold, penalty, metric.
     """
@@ -230,8 +223,7 @@ class Variation:
     value: str
     changed: Callable[[Site], Site] = unchanged
     draw: int = 0
-    scorer: Callable[[Site, CountedFrame], FrameScorer] = frame_scorer
-    cast_anew: bool = True
+    recast: bool = True
 
     @property
     def stage(self) -> str:
@@ -240,7 +232,7 @@ class Variation:
         return "_".join("".join(sign if sign.isalnum() or sign in "-." else " " for sign in words).split())
 
 
-AS_IT_IS = Variation("", "as the scene has it", "", cast_anew=False)
+AS_IT_IS = Variation("", "as the scene has it", "", recast=False)
 SEARCHED, HELD_OUT = "searched", "held out"
 
 
@@ -332,7 +324,7 @@ def landscapes(
     progress : callable
         Told how many frames of jobs have been scored since it was last called.
     """
-    alike = groupby(enumerate(jobs), lambda one: (one[1].split, one[0] if one[1].variation.cast_anew else -1))
+    alike = groupby(enumerate(jobs), lambda one: (one[1].split, one[0] if one[1].variation.recast else -1))
     casts = [tuple(job for _, job in some) for _, some in alike]
     frames = [len(split_of(site, cast[0].split)[0]) for cast in casts]
     tasks = [(number, frame) for number, count in enumerate(frames) for frame in range(count)]
@@ -380,11 +372,10 @@ class _FrameOfCast:
             return self._changed
         site = self._site if shared else self._changed[0][0]
         chosen = split_of(site, jobs[0].split)[0][frame]
-        scorer, found = jobs[0].variation.scorer(site, chosen), [dict[Layout, tuple[float, int]]() for _ in jobs]
-        every, wanted = (
-            list(dict.fromkeys(layout for job in jobs for layout in job.layouts)),
-            [set(job.layouts) for job in jobs],
-        )
+        scorer = FrameScorer(chosen.vehicles, chosen.counted, site.observation)
+        found = [dict[Layout, tuple[float, int]]() for _ in jobs]
+        every = list(dict.fromkeys(layout for job in jobs for layout in job.layouts))
+        wanted = [set(job.layouts) for job in jobs]
         at_a_time = 1 if shared else _MOUNTINGS_AT_A_TIME
         for first in range(0, len(every), at_a_time):
             layouts = every[first : first + at_a_time]

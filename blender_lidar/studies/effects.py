@@ -1,8 +1,7 @@
 """What a change does to score, ranking and choice of mountings: the statistics of all studies.
 
 Share of the gain that is lost, ranking (weighted Kendall's tau), cross-fitted calibration, regret of choices on
-resampled blocks of traffic, the noise ceiling of halved blocks, and jackknife intervals, which leave out one block of
-traffic after another, of those that choose and of those that judge, and have the spread between random draws in them.
+resampled blocks of traffic, and the noise ceiling of halved blocks.
 """
 
 from __future__ import annotations
@@ -18,14 +17,6 @@ from ..statistics import FEWEST_BLOCKS, interval_90, linear_interval_90, resampl
 from ..world.shapes import DETAILS
 from .candidates import BASELINE, FIRST
 from .driver import Landscape
-
-
-class Effect(NamedTuple):
-    """A number, and its 90 % interval; None for too few blocks."""
-
-    value: float
-    interval_90: tuple[float, float] | None
-
 
 # --- one score beside another: ranking, calibration, Pareto front -----------------------------------------------------
 
@@ -141,15 +132,17 @@ def chosen_shares(landscape: Landscape, weights: np.ndarray, frames: np.ndarray 
     return np.bincount(best, minlength=len(landscape.objective) - FIRST) / len(best)
 
 
-def regret(chosen: np.ndarray, by_reference: np.ndarray, judged: Landscape, block: np.ndarray) -> Lost | None:
+def regret(
+    chosen: Sequence[np.ndarray], by_reference: Sequence[np.ndarray], judged: Sequence[Landscape], block: np.ndarray
+) -> Lost | None:
     """What choices lose to those of the reference: [F(its) - F(theirs)] / [F(its) - F(baseline)] on frames that judge.
 
     Parameters
     ----------
-    chosen, by_reference : ndarray, (k,)
-        From `chosen_shares`; F of them is the mean over what they choose.
-    judged : Landscape
-        The reference on frames that chose nothing: the baseline and the k candidates.
+    chosen, by_reference : sequence of ndarray, (k,)
+        From `chosen_shares`, one for each random draw; F of them is the mean over what they choose.
+    judged : sequence of Landscape
+        The reference on frames that chose nothing, under each draw: the baseline and the k candidates.
     block : ndarray of int, (f,)
         Block of each of those frames; intervals are over its blocks.
 
@@ -158,9 +151,11 @@ def regret(chosen: np.ndarray, by_reference: np.ndarray, judged: Landscape, bloc
     Lost or None
         None where the reference's choices gain nothing there.
     """
-    objective, vehicles = judged.blocks(block)
-    lost = (by_reference - chosen) @ objective[FIRST:]
-    return share_lost(lost, by_reference @ objective[FIRST:] - objective[BASELINE], vehicles > 0)
+    objective, vehicles = zip(*(one.blocks(block) for one in judged), strict=True)
+    draws = list(zip(chosen, by_reference, objective, strict=True))
+    lost = np.array([(its - theirs) @ worth[FIRST:] for theirs, its, worth in draws])
+    gain = np.array([its @ worth[FIRST:] - worth[BASELINE] for _, its, worth in draws])
+    return share_lost(lost, gain, sum(vehicles) > 0)
 
 
 # --- the reference, the noise ceiling, and how near a fidelity comes to the reference ---------------------------------
@@ -199,7 +194,7 @@ class Reference:
     judged, judged_block
         The same on the frames that judge.
     seed : int
-        Of resamples and halves.
+        Of resamples and halvings.
     """
 
     searched: Landscape
@@ -217,12 +212,6 @@ class Reference:
     def chosen(self) -> np.ndarray:
         """How often each candidate is chosen, (k,)."""
         return chosen_shares(self.searched, self.weights)
-
-    @cached_property
-    def halves(self) -> np.ndarray:
-        """Halves of the filled blocks that choose, (s, 2, b) bool; with too few blocks all of them choose."""
-        blocks = int((self.searched.blocks(self.searched_block)[1] > 0).sum())
-        return halvings(blocks, self.seed) if blocks >= FEWEST_HALVED else np.ones((1, 2, blocks), dtype=bool)
 
     @cached_property
     def noise(self) -> Noise | None:
@@ -265,7 +254,7 @@ def accuracy(
     error = float(np.sqrt(np.mean(errors**2)))
     error = 0.0 if error <= _ROUNDING * float(np.abs(truth).max()) else error
     chosen = np.mean([chosen_shares(phase, reference.weights, frames) for phase in phases], axis=0)
-    lost = regret(chosen, reference.chosen, reference.judged, reference.judged_block)
+    lost = regret([chosen], [reference.chosen], [reference.judged], reference.judged_block)
     return {
         "bias": float(bias.mean()),
         "error": error,
@@ -308,7 +297,7 @@ def noise_ceiling(reference: Reference) -> Noise | None:
     objective, vehicles = objective[FIRST:, vehicles > 0], vehicles[vehicles > 0]
     if len(vehicles) < FEWEST_HALVED:
         return None
-    halves = reference.halves
+    halves = halvings(len(vehicles), reference.seed)
     scored = [[objective[:, half].sum(axis=1) / vehicles[half].sum() for half in pair] for pair in halves]
     bias, error, tau = np.array([agreement(*both) for both in scored]).T
     tau = np.nan_to_num(tau)  # where a half prefers no mounting, nothing is ranked alike
@@ -323,8 +312,8 @@ def noise_ceiling(reference: Reference) -> Noise | None:
 # --- effects of a thing that is modelled: score, ranking and choice without it and with it ----------------------------
 
 
-def effects(draws: Sequence[tuple[Landscape, Landscape, Landscape]], reference: Reference) -> dict[str, Effect | None]:
-    """All effects of a thing, means over its random draws, with jackknife intervals; None for what cannot be known.
+def effects(draws: Sequence[tuple[Landscape, Landscape, Landscape]], reference: Reference) -> dict[str, object]:
+    """What leaving a thing out of the model changes, means over its random draws.
 
     Parameters
     ----------
@@ -332,106 +321,34 @@ def effects(draws: Sequence[tuple[Landscape, Landscape, Landscape]], reference: 
         The baseline and the candidates without the thing and with it on the frames that choose, and with it on those
         that judge.
     reference : Reference
-        Whose blocks and halves these are.
+        Whose blocks these are.
 
     Returns
     -------
     dict
-        ``bias``: mean difference over the candidates, per vehicle, positive where the thing scores more. ``tau``:
-        `weighted_tau` of both. ``regret``: mean difference between what both choose from the same half of the blocks,
-        on the blocks that judge, as a share of the gain there, positive where something is lost without the thing, and
-        ``apart`` without its sign.
+        As JSON holds it. ``bias``: mean difference over the candidates, per vehicle, positive where the thing scores
+        more. ``tau``: `weighted_tau` of both. ``regret``: what is lost where mountings are chosen without the thing,
+        with ``regret_interval_90``. ``chosen``: shares (2, k) of the candidates that are chosen without it and with
+        it. None for what cannot be known.
     """
-    searched = np.array([_without_each_searched(*draw[:2], reference) for draw in draws])  # (d, 1 + b, 2)
-    of_choices, of_judges = (
-        np.array(part) for part in zip(*(_without_each_chosen(*draw, reference) for draw in draws), strict=True)
-    )
-    found = {name: _effect(name, searched[..., column]) for column, name in enumerate(("bias", "tau"))}
-    gained = np.isfinite(of_choices).all() and np.isfinite(of_judges).all()
-    for column, name in enumerate(("apart", "regret")):
-        found[name] = _effect(name, of_choices[..., column], of_judges[..., column]) if gained else None
-    return found
+    pairs = [[one.per_vehicle()[FIRST:] for one in draw[:2]] for draw in draws]
+    bias, _, tau = np.mean([agreement(*pair) for pair in pairs], axis=0).tolist()
+    chosen = np.array([[chosen_shares(one, reference.weights) for one in draw[:2]] for draw in draws])
+    lost = regret(*chosen.transpose(1, 0, 2), [judged for *_, judged in draws], reference.judged_block)
+    return {
+        "bias": -bias,
+        "tau": None if np.isnan(tau) else tau,
+        "regret": lost and lost.share,
+        "regret_interval_90": lost and lost.interval_90,
+        "chosen": chosen.mean(axis=0),
+    }
 
 
-def _filled(landscape: Landscape, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Objective (1 + k, b) and weight (b,) of the blocks with vehicles."""
-    objective, vehicles = landscape.blocks(block)
-    return objective[:, vehicles > 0], vehicles[vehicles > 0]
+NEEDED, NOT_NEEDED, UNTOLD = "needed", "not needed", "cannot be told"
 
 
-def _all_and_without_each(blocks: int) -> np.ndarray:
-    """All blocks, then all but one after another, (1 + b, b) bool."""
-    return np.concatenate([np.ones((1, blocks), dtype=bool), ~np.eye(blocks, dtype=bool)])
-
-
-def _without_each_searched(without: Landscape, having: Landscape, reference: Reference) -> np.ndarray:
-    """Bias and tau, of all blocks that choose and without each of them, (1 + b, 2)."""
-    (less, vehicles), (more, _) = (_filled(one, reference.searched_block) for one in (without, having))
-    kept = _all_and_without_each(len(vehicles)).astype(float)
-    weight = kept @ vehicles
-    weight[weight == 0.0] = 1.0  # none is left where the only block is left out
-    pairs = zip(*((kept @ of[FIRST:].T) / weight[:, None] for of in (less, more)), strict=True)
-    return np.array([(-bias, tau) for bias, _, tau in (agreement(*both) for both in pairs)])
-
-
-def _without_each_chosen(
-    without: Landscape, having: Landscape, judged: Landscape, reference: Reference
-) -> tuple[np.ndarray, np.ndarray]:
-    """Apart and regret: without each block that chooses, (1 + b, 2), and without each that judges, (1 + j, 2)."""
-    chosen = choices(without, having, reference)
-    worth, _ = _filled(judged, reference.judged_block)
-    of_choices = [_apart(*both, worth.sum(axis=1)) for both in zip(*chosen, strict=True)]
-    kept = _all_and_without_each(worth.shape[1]).astype(float)
-    return np.array(of_choices), np.array([_apart(chosen[0][0], chosen[1][0], worth @ one) for one in kept])
-
-
-def choices(without: Landscape, having: Landscape, reference: Reference) -> tuple[np.ndarray, np.ndarray]:
-    """What each half chooses without the thing and with it, (1 + b, s, 2) each: of all blocks, then without each."""
-    less, more = (_filled(one, reference.searched_block)[0][FIRST:] for one in (without, having))
-    there = reference.halves[None] & _all_and_without_each(less.shape[1])[:, None, None, :]
-    return chosen_by(there, less), chosen_by(there, more)
-
-
-def _apart(without: np.ndarray, having: np.ndarray, worth: np.ndarray) -> tuple[float, float]:
-    """How far choices are apart and what is lost, as shares of the gain; NaN where nothing is gained."""
-    lost = worth[FIRST + having] - worth[FIRST + without]
-    gain = worth[FIRST + having].mean() - worth[BASELINE]
-    return (np.abs(lost).mean() / gain, lost.mean() / gain) if gain > 0.0 else (np.nan, np.nan)
-
-
-def _effect(name: str, *left_out: np.ndarray) -> Effect | None:
-    """The mean over draws of what everything gives, from values (d, 1 + b) of everything and without each block.
-
-    There is an array for each sort of blocks, and the interval has their jackknife variances and the draws' in it.
-    """
-    least, most = (0.0 if name == "apart" else -np.inf), (1.0 if name == "tau" else np.inf)
-    of_draws = left_out[0][:, 0]
-    value, parts = float(of_draws.mean()), []
-    if not np.isfinite(value):
-        return None
-    for values in left_out:
-        means = values[:, 1:].mean(axis=0)
-        if len(means) < FEWEST_BLOCKS or not np.isfinite(means).all():
-            return Effect(value, None)
-        parts.append(((len(means) - 1) * float(np.var(means)), len(means) - 1))
-    if len(of_draws) > 1:
-        parts.append((float(np.var(of_draws, ddof=1)) / len(of_draws), len(of_draws) - 1))
-    variance = sum(part for part, _ in parts)
-    if variance <= 0.0:
-        return Effect(value, (value, value))
-    degrees = variance**2 / sum(part**2 / free for part, free in parts)  # Welch and Satterthwaite
-    reach = student_t(0.95, degrees) * float(np.sqrt(variance))
-    return Effect(value, (max(value - reach, least), min(value + reach, most)))
-
-
-ABOVE, BELOW, UNTOLD = "above", "below", "cannot be told"
-
-
-def beside_floor(effect: Effect | None, low: float = -np.inf, high: float = np.inf) -> str:
-    """Whether the whole 90 % interval of an effect lies above the noise floor, from `low` to `high`, or within it."""
-    if effect is None or effect.interval_90 is None:
+def verdict(interval_90: tuple[float, float] | None, tolerance: float) -> str:
+    """Whether a thing must be modelled: what is lost without it is surely more than the tolerance, or surely not."""
+    if interval_90 is None or interval_90[0] <= tolerance < interval_90[1]:
         return UNTOLD
-    start, end = effect.interval_90
-    if low <= start and end <= high:
-        return BELOW
-    return ABOVE if end < low or start > high else UNTOLD
+    return NEEDED if interval_90[0] > tolerance else NOT_NEEDED

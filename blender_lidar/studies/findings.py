@@ -115,83 +115,9 @@ def losses_to_best(values: np.ndarray) -> np.ndarray:
     return np.divide(best - values[FIRST], gain, out=np.full(len(gain), np.nan), where=gain > 0.0)
 
 
-# --- the sample of traffic: is the gain real, where does the optimum stray, how much more would be needed -------------
+# --- the sample of traffic: is the gain real, and where does the optimum stray? ---------------------------------------
 
-ASKED_DEG = 1.0  # steps of the tilts that it is told from must not be wider
 _RESAMPLES = 1000
-_SLOWEST, _FASTEST = 1.0 / 3.0, 0.5  # powers of the sample that an optimum's error can fall with: of jumps, of a hill
-_SIZES = 8
-
-
-@dataclass(frozen=True, slots=True)
-class SampleSize:
-    """How far the best tilt strays in samples of several sizes.
-
-    Attributes
-    ----------
-    vehicles : tuple of float
-        Vehicle observations of each size; the last is what is at hand.
-    reach_deg : tuple of float
-        Half of the 90 % interval of the best tilt [deg]; half a step of the grid where that is more.
-    power : float
-        The interval falls with this power of the observations: fitted, between 1/3 (Kim and Pollard 1990, where the
-        objective jumps) and 1/2 (where it is a smooth hill).
-    needed : float
-        Observations that make the best tilt certain to `ASKED_DEG`; beyond those at hand by that power.
-    """
-
-    vehicles: tuple[float, ...]
-    reach_deg: tuple[float, ...]
-    power: float
-    needed: float
-
-
-def sample_size(objective: np.ndarray, vehicles: np.ndarray, tilt_deg: np.ndarray, seed: int) -> SampleSize | None:
-    """See where the optimum goes in samples of fewer blocks of time.
-
-    Blocks are drawn without replacement, up to half of them: of an argmax, unlike a mean, the bootstrap tells too
-    little (Abrevaya and Huang 2005), as resamples share the accidents of the sample. A sample of m of b blocks strays
-    from the whole as an independent one of m / (1 - m / b) blocks strays from the truth, and counts as that many:
-    exactly so for a mean, about so for an argmax.
-
-    Parameters
-    ----------
-    objective : ndarray, (m, b)
-        Of each mounting in each block, as a `Landscape` has them.
-    vehicles : ndarray, (b,)
-        Of each block; those without any are left out.
-    tilt_deg : ndarray, (k,)
-        Tilt of each candidate [deg]: of the mounting in question, then of the grid.
-    seed : int
-
-    Returns
-    -------
-    SampleSize or None
-        None for too few blocks.
-    """
-    filled = vehicles > 0
-    objective, vehicles, blocks = objective[:, filled], vehicles[filled], int(filled.sum())
-    if blocks < 2 * FEWEST_BLOCKS:
-        return None
-    tilt_deg = tilt_deg[GRID - FIRST :]
-    rng, finest = np.random.default_rng(seed), 0.5 * float(np.diff(np.unique(tilt_deg)).max(initial=0.0))
-    sizes = np.unique(np.geomspace(FEWEST_BLOCKS, blocks // 2, _SIZES).round().astype(int))
-    counts, reach = sizes / (1.0 - sizes / blocks) * vehicles.mean(), np.empty(len(sizes))
-    for row, size in enumerate(sizes):
-        weights = samples_without_replacement(blocks, size, rng)
-        best = np.argmax(values_under(weights, objective, vehicles)[GRID:], axis=0)
-        low, high = interval_90(tilt_deg[best])
-        reach[row] = max(finest, 0.5 * (high - low))
-    power, strays = _FASTEST, reach > finest  # by more than the grid tells
-    if strays.sum() >= 2:
-        slope = np.polyfit(np.log(counts[strays]), np.log(reach[strays]), 1)[0]
-        power = float(np.clip(-slope, _SLOWEST, _FASTEST))  # kept to what theory allows
-    too_wide = np.flatnonzero(reach > ASKED_DEG)
-    if reach[-1] > ASKED_DEG:
-        needed = counts[-1] * (reach[-1] / ASKED_DEG) ** (1.0 / power)
-    else:  # from where on it stays narrow enough
-        needed = counts[too_wide[-1] + 1 if len(too_wide) else 0]
-    return SampleSize(tuple(counts.tolist()), tuple(reach.tolist()), power, float(needed))
 
 
 def samples_without_replacement(blocks: int, size: int, rng: np.random.Generator) -> np.ndarray:
@@ -202,7 +128,6 @@ def samples_without_replacement(blocks: int, size: int, rng: np.random.Generator
     return weights
 
 
-_MOST_FRAGILE_DEG = 5.0
 _SURE_SHARE = 0.5  # of the gain that the lower end of its interval must keep
 
 
@@ -233,7 +158,9 @@ def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric:
 def optimum_finding(landscape: Landscape, mountings: Candidates, block: np.ndarray, seed: int) -> Finding:
     """Where other traffic would put the optimum, and what the mounting leaves to it in 95 % of such traffic.
 
-    Halves of the blocks of time, drawn without replacement, stand for samples as large as the whole: see `sample_size`.
+    Halves of the blocks of time, drawn without replacement, stand for samples as large as the whole: a sample of m of b
+    blocks strays from the whole as an independent one of m / (1 - m / b) blocks strays from the truth, exactly so for a
+    mean, about so for an argmax, of which the bootstrap tells too little (Abrevaya and Huang 2005).
     """
     what = "optimum on other traffic of this kind"
     objective, vehicles = landscape.blocks(block)
@@ -251,20 +178,6 @@ def optimum_finding(landscape: Landscape, mountings: Candidates, block: np.ndarr
     text = f"height {lowest:.2f} to {highest:.2f} m, tilt {least:.1f} to {most:.1f} deg (90 %); {left}"
     numbers = {"height_interval_90_m": [lowest, highest], "tilt_interval_90_deg": [least, most], "loss_95": loss}
     return Finding(TRAFFIC, what, "", by_loss(loss), text, numbers)
-
-
-def sample_size_finding(found: SampleSize | None) -> Finding:
-    """How certain the tilt is, and how many vehicles would make it certain to a degree."""
-    what = f"best tilt to {ASKED_DEG:g} deg"
-    if found is None:
-        return Finding(TRAFFIC, what, "", UNDECIDED, "too few blocks of time")
-    reach, here = found.reach_deg[-1], found.vehicles[-1]
-    verdict = STABLE if reach <= ASKED_DEG else FRAGILE if reach <= _MOST_FRAGILE_DEG else FAILS
-    needed = f"{float(f'{found.needed:.1e}'):,.0f}"  # two digits: no more are known
-    more = f"as this falls with their power {-found.power:.2f}, it takes about {needed}"
-    text = f"+/-{reach:.1f} deg from {here:,.0f} vehicle observations, searched and held out; "
-    text += more if reach > ASKED_DEG else f"from about {needed} on"
-    return Finding(TRAFFIC, what, "", verdict, text, asdict(found))
 
 
 # --- one change: where the optimum would go, and what the mounting leaves to it on other traffic ----------------------

@@ -1,39 +1,26 @@
-"""Recorded, labelled point clouds: a folder in KITTI's layout, or clouds beside a table of bounding boxes.
-
-KITTI's object benchmark as it is unpacked, ``velodyne/ID.bin``, ``label_2/ID.txt`` and ``calib/ID.txt``: labels are in
-the rectified camera's frame (x right, y down, z ahead; the place is the middle of the box's floor) and are turned into
-the LiDAR's (x ahead, y left, z up) by the calibration, as the development kit has it: Geiger, Lenz and Urtasun, "Are we
-ready for autonomous driving? The KITTI vision benchmark suite", CVPR 2012.
-"""
+"""Recorded clouds: their points, labelled boxes, rings and rays, those without a return as well."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ..clouds.files import read_points
-from ..errors import InputError, MissingFileError, printable
-from ..traffic.fleet import kind_of
-from ..traffic.source import open_bytes
+from ..errors import InputError
+from ..metrics.vgop import to_vehicle_frame
+from ..sensors.beams import BeamLattice
+from ..sensors.pose import Pose
 from ..traffic.table import read_table
-from ..traffic.vehicles import VAN_LONGER_THAN_M
 from ..world.triangles import shape_names
 
-KITTI_PARTS = {"velodyne": ".bin", "label_2": ".txt", "calib": ".txt"}
-KITTI_MARGIN_M = (0.15, 0.06, 0.01)
-"""By how much KITTI's labels are longer, wider and higher than the cars in them [m], fitted to 59 of its cars."""
-_NO_BOX = "DontCare"  # a region of the picture, without a place in space
-_FIELDS = 15  # of a KITTI label: type, truncation, occlusion, alpha, picture box (4), size (3), place (3), turn
-_LARGEST = 1e4  # of any number of a label or a calibration
-# KITTI's labels and the class whose shape stands for each. What has no shape of its own only hides others and is a
-# plain box; people fill about half of theirs.
-_CLASS_OF = {"Car": "car", "Van": "van", "Truck": "truck", "Tram": "bus", "Bus": "bus"}
-_CLASS_OF |= {"Cyclist": "motorcycle", "Motorcycle": "motorcycle"}
-_PEOPLE = ("Pedestrian", "Person_sitting", "Person")
-_SHARE_OF_PEOPLE = np.array([0.6, 0.6, 1.0])
+NO_POINT = -1
+_TURN = 2.0 * math.pi
+
+# --- Points and boxes -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,17 +30,15 @@ class LabelledBoxes:
     Attributes
     ----------
     number : ndarray of int64, (n,)
-        Identifies each in its frame: its vehicle_id in a table, its line in a KITTI label file counted from 0.
+        Identifies each in its frame: its vehicle_id.
     label : ndarray of str, (n,)
-        What each is, in the words of the file: ``"Car"``, ``"truck"``.
+        What each is, in the words of the file.
     shape : ndarray of str, (n,)
         The shape of `world.shapes` that stands for each; empty for what only hides others, a plain box.
     centre_m, size_m : ndarray, (n, 3)
         Box centres; length, width and height [m, frame of the cloud].
     heading_rad : ndarray, (n,)
         Counter-clockwise from +x [rad].
-    cut_off : ndarray of bool, (n,)
-        Whether the label reaches out of the camera's picture, so that its box is a guess.
     """
 
     number: np.ndarray
@@ -62,7 +47,6 @@ class LabelledBoxes:
     centre_m: np.ndarray
     size_m: np.ndarray
     heading_rad: np.ndarray
-    cut_off: np.ndarray
 
     def __len__(self) -> int:
         return len(self.label)
@@ -85,11 +69,11 @@ class RecordedFrame:
     Attributes
     ----------
     name : str
-        Of the frame: of its file in KITTI's layout, its number in a table.
+        Of the frame, its number in the table.
     where : str
-        For messages: the file or the folder and the name.
+        For messages: the file.
     points : ndarray, (n, 3)
-        Returns in the frame of the boxes, z up, in the order of the file [m].
+        Returns in the frame of the boxes, z up [m].
     boxes : LabelledBoxes
     """
 
@@ -97,9 +81,6 @@ class RecordedFrame:
     where: str
     points: np.ndarray
     boxes: LabelledBoxes
-
-
-# --- Clouds beside a table --------------------------------------------------------------------------------------------
 
 
 def tabled_frames(clouds: Sequence[str], table: str, frames: Sequence[int] | None) -> Iterator[RecordedFrame]:
@@ -138,120 +119,174 @@ def tabled_frames(clouds: Sequence[str], table: str, frames: Sequence[int] | Non
             centre_m=vehicles.centre_m,
             size_m=vehicles.size_m,
             heading_rad=vehicles.heading_rad,
-            cut_off=np.zeros(len(vehicles), dtype=bool),
         )
         yield RecordedFrame(str(int(frame)), str(cloud), read_points(cloud)[0], boxes)
 
 
-# --- KITTI ------------------------------------------------------------------------------------------------------------
+# --- Rings ------------------------------------------------------------------------------------------------------------
 
 
-def kitti_names(folder: str | Path) -> list[str]:
-    """Names of the frames of a folder in KITTI's layout that have all their files, sorted.
+@dataclass(frozen=True, slots=True, eq=False)
+class Rings:
+    """The rings of one revolution; ring 0 is the lowest.
 
-    Raises
-    ------
-    MissingFileError, InputError
-        If the folder is not there, has not that layout, or no frame with all its files.
+    Attributes
+    ----------
+    ring : ndarray of int64, (n,)
+        Ring of each point.
+    elevation_rad : ndarray, (r,)
+        Angle of each ring above the horizontal, seen from its own laser [rad]; rising, but for rings of few returns.
+    height_m : ndarray, (r,)
+        Where the ring's rays cross the sensor's axis, above the origin [m].
+    lateral_m : ndarray, (r,)
+        How far its rays pass the axis by, to the left of their direction [m]; 0, as the height is, by a beam table.
+    step_rad : float
+        Mean azimuth from one firing to the next [rad].
+    spread_m : float
+        Median distance of the points from their rings' cones, upwards [m].
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise MissingFileError(f"--kitti: {folder}: there is no such folder")
-    stems = [{path.stem for path in (folder / part).glob(f"*{suffix}")} for part, suffix in KITTI_PARTS.items()]
-    whole = sorted(set.intersection(*stems))
-    if not whole:
-        files = " and ".join(f"{part}/NAME{suffix}" for part, suffix in KITTI_PARTS.items())
-        raise InputError(f"--kitti: {folder}: no frame with all its files; allowed: {files}")
-    return whole
+
+    ring: np.ndarray
+    elevation_rad: np.ndarray
+    height_m: np.ndarray
+    lateral_m: np.ndarray
+    step_rad: float
+    spread_m: float
+
+    def __len__(self) -> int:
+        return len(self.elevation_rad)
 
 
-def kitti_frame(folder: str | Path, name: str) -> RecordedFrame:
-    """One frame of a folder in KITTI's layout, in the LiDAR's frame; points that are not finite are left out.
+def table_rings(points: np.ndarray, lattice: BeamLattice) -> tuple[Rings, float]:
+    """The rings of a known sensor, and how well its beam table fits a cloud.
 
-    Raises
-    ------
-    InputError, MissingFileError
-        Naming the file, and the line where there is one.
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        Returns in the sensor's frame, in any order [m].
+    lattice : BeamLattice
+
+    Returns
+    -------
+    rings : Rings
+        Every ring of the table; each point belongs to the one with the nearest elevation.
+    share : float
+        Of the points, how many are within a quarter of the spacing of rings from a ring: about a half where the table
+        has nothing to do with the cloud, nearly all where sensor, pose and table are right.
     """
-    velodyne, label, calibration = (Path(folder) / part / f"{name}{suffix}" for part, suffix in KITTI_PARTS.items())
-    boxes, content = _kitti_boxes(label, _kitti_calibration(calibration)), _content(velodyne)
-    if len(content) % 16:
-        raise InputError(f"{velodyne}: {len(content)} bytes; allowed: 16 for each point, four numbers of float32")
-    with np.errstate(invalid="ignore"):
-        points = np.frombuffer(content, dtype="<f4").reshape(-1, 4)[:, :3].astype(float)
-    return RecordedFrame(name, f"{folder}: {name}", points[np.isfinite(points).all(axis=1)], boxes)
+    elevation, rho = lattice.elevation_rad, np.hypot(points[:, 0], points[:, 1])
+    seen = np.arctan2(points[:, 2], rho)
+    above = np.clip(np.searchsorted(elevation, seen), 1, len(elevation) - 1)
+    gap = elevation[above] - elevation[above - 1]
+    from_below = (seen - elevation[above - 1]) / gap
+    ring = above - (from_below < 0.5)
+    share = float((np.abs(seen - elevation[ring]) <= 0.25 * gap).mean()) if len(points) else 0.0
+    off = np.abs(points[:, 2] - rho * np.tan(elevation[ring]))
+    none = np.zeros(len(elevation))
+    spread_m = float(np.median(off)) if len(points) else math.nan
+    return Rings(ring, elevation, none, none, lattice.step_rad, spread_m), share
 
 
-def _kitti_calibration(path: Path) -> np.ndarray:
-    """From the LiDAR's frame into the rectified camera's: rotation and, in the last column, shift [m], (3, 4)."""
-    entries = {name.strip(): numbers.split() for name, _, numbers in (line.partition(":") for line in _lines(path))}
-    matrices = []
-    for name, columns in (("R0_rect", 3), ("Tr_velo_to_cam", 4)):
-        words = entries.get(name, [])
-        if len(words) != 3 * columns:
-            raise InputError(f"{path}: {name} has {len(words)} numbers; allowed: {3 * columns}")
-        matrices.append(np.reshape(_numbers(f"{path}: {name}", words), (3, columns)))
-    motion = matrices[0] @ matrices[1]
-    if np.abs(motion[:, :3] @ motion[:, :3].T - np.eye(3)).max() > 1e-3:
-        raise InputError(f"{path}: R0_rect times Tr_velo_to_cam is no rotation")
-    return motion
+# --- Rays -------------------------------------------------------------------------------------------------------------
 
 
-def _kitti_boxes(path: Path, to_camera: np.ndarray) -> LabelledBoxes:
-    """The boxes of a ``label_2`` file in the LiDAR's frame; `to_camera` as `_kitti_calibration` gives it."""
-    rows, labels, lines = [], [], []
-    for number, words in enumerate(map(str.split, _lines(path))):
-        if not words or words[0] == _NO_BOX:
-            continue
-        where = f"{path}:{number + 1}"
-        if len(words) not in (_FIELDS, _FIELDS + 1):  # detections carry a score at the end
-            raise InputError(f"{where}: {len(words)} fields; allowed: {_FIELDS}, as KITTI's labels have")
-        rows.append(_numbers(where, words[1:_FIELDS]))
-        if min(rows[-1][7:10]) <= 0.0:
-            raise InputError(f"{where}: a side of the box is {min(rows[-1][7:10]):g} m; allowed: more than 0")
-        labels.append(printable(words[0], 40))
-        lines.append(number)
-    table = np.array(rows, dtype=float).reshape(len(rows), _FIELDS - 1)
-    size = table[:, [9, 8, 7]]
-    in_camera = table[:, 10:13] - size[:, 2:] * [0.0, 0.5, 0.0]
-    turn = table[:, 13]  # about the camera's y axis, which points down; 0 looks along its x axis
-    rotation, shift = to_camera[:, :3], to_camera[:, 3]
-    ahead = np.column_stack([np.cos(turn), np.zeros_like(turn), -np.sin(turn)]) @ rotation  # the inverse, transposed
-    label = np.array(labels, dtype=str)
-    return LabelledBoxes(
-        number=np.array(lines, dtype=np.int64),
-        label=label,
-        shape=np.array(list(map(_shape_of, labels, size[:, 0].tolist())), dtype=str),
-        centre_m=(in_camera - shift) @ rotation,
-        size_m=np.where(np.isin(label, _PEOPLE)[:, None], size * _SHARE_OF_PEOPLE, size),
-        heading_rad=np.arctan2(ahead[:, 1], ahead[:, 0]),
-        cut_off=table[:, 0] > 0.0,
-    )
+class Rays(NamedTuple):
+    """Rays of one revolution.
+
+    Attributes
+    ----------
+    origin, direction : ndarray, (k, 3)
+        Where each starts [m, frame of the cloud], and its unit vector; through the point where it returned.
+    point : ndarray of int64, (k,)
+        Row of the cloud's point that it returned as; `NO_POINT` where it did not return.
+    range_m : ndarray, (k,)
+        How far away that point is along the ray [m]; inf where there is none.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    point: np.ndarray
+    range_m: np.ndarray
 
 
-def _shape_of(label: str, length_m: float) -> str:
-    """The shape for a KITTI label; a car longer than 4.9 m is a van, as in traffic."""
-    name = _CLASS_OF.get(label)
-    if name == "car" and length_m > VAN_LONGER_THAN_M:
-        name = "van"
-    return "" if name is None else kind_of(name, length_m)
+class Firings:
+    """What a sensor fired during one revolution: what returned, and the firings between that did not.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        The returns [m, frame of the cloud].
+    rings : Rings
+        Their rings, of the points in the sensor's frame, ``pose.to_sensor(points)``.
+    pose : Pose
+        Of the sensor in the frame of the cloud.
+    """
+
+    def __init__(self, points: np.ndarray, rings: Rings, pose: Pose) -> None:
+        self._points, self._rings, self._pose = points, rings, pose
+        local = pose.to_sensor(points)
+        rho = np.hypot(local[:, 0], local[:, 1])
+        parallax = np.arcsin(np.clip(rings.lateral_m[rings.ring] / np.maximum(rho, 1e-9), -1.0, 1.0))
+        azimuth = np.mod(np.arctan2(local[:, 1], local[:, 0]) - parallax, _TURN)
+        order = np.lexsort((azimuth, rings.ring))
+        ring, azimuth = rings.ring[order], azimuth[order]
+        first = np.searchsorted(ring, ring)  # of its ring
+        last = np.append(ring[1:] != ring[:-1], True)
+        gap = np.where(last, azimuth[first] + _TURN, np.roll(azimuth, -1)) - azimuth
+        # Firings without a return are spread evenly over the gap between two that returned.
+        lacking = np.maximum(np.round(gap / rings.step_rad).astype(int) - 1, 0)
+        number = np.arange(lacking.sum()) - np.repeat(np.cumsum(lacking) - lacking, lacking) + 1
+        between = np.mod(np.repeat(azimuth, lacking) + np.repeat(gap / (lacking + 1), lacking) * number, _TURN)
+        dark = np.setdiff1d(np.arange(len(rings)), ring)  # nothing returned on these
+        turn = np.arange(0.0, _TURN, rings.step_rad)
+        self._azimuth = np.concatenate([azimuth, between, np.tile(turn, len(dark))])
+        self._ring = np.concatenate([ring, np.repeat(ring, lacking), np.repeat(dark, len(turn))])
+        self._point = np.full(len(self._ring), NO_POINT)
+        self._point[: len(order)] = order
+
+    def towards(self, centre: np.ndarray, size: np.ndarray, heading: float) -> tuple[Rays, np.ndarray]:
+        """All rays that meet a box, and how far along each it enters the box.
+
+        They go ring by ring, first those that returned, each with the azimuth rising.
+
+        Parameters
+        ----------
+        centre, size : ndarray, (3,)
+            Box centre; length, width and height [m, frame of the cloud].
+        heading : float
+            Counter-clockwise from +x [rad].
+        """
+        x, y, _ = self._pose.to_sensor(centre)
+        away, reach = math.hypot(x, y), 0.5 * float(np.linalg.norm(size)) + np.abs(self._rings.lateral_m).max()
+        bearing, widest = math.atan2(y, x) % _TURN, math.asin(reach / away) if reach < away else math.pi
+        aside = np.mod(self._azimuth - bearing + math.pi, _TURN) - math.pi
+        near = np.flatnonzero(np.abs(aside) <= widest)
+        near = near[np.lexsort((aside[near], self._point[near] == NO_POINT, self._ring[near]))]
+        rays = self._rays(self._azimuth[near], self._point[near], self._ring[near])
+        entry, leave = crossing(rays, centre, size, heading)
+        meets = (leave >= entry) & (leave > 0.0)
+        return Rays(*(values[meets] for values in rays)), entry[meets]
+
+    def _rays(self, azimuth: np.ndarray, point: np.ndarray, ring: np.ndarray) -> Rays:
+        """Rays of rings at azimuths counter-clockwise from the sensor's +x, and the points they returned as."""
+        lateral, elevation = self._rings.lateral_m[ring], self._rings.elevation_rad[ring]
+        cos, sin, level = np.cos(azimuth), np.sin(azimuth), np.cos(elevation)
+        start = np.column_stack([-lateral * sin, lateral * cos, self._rings.height_m[ring]])
+        origin = self._pose.position + self._pose.to_world(start)
+        direction = self._pose.to_world(np.column_stack([cos * level, sin * level, np.sin(elevation)]))
+        returned = point != NO_POINT
+        way = self._points[point[returned]] - origin[returned]
+        distance = np.full(len(point), np.inf)
+        distance[returned] = np.linalg.norm(way, axis=1)
+        direction[returned] = way / distance[returned, None]
+        return Rays(origin, direction, point, distance)
 
 
-def _content(path: Path) -> bytes:
-    with open_bytes(path, unpack=False) as stream:
-        return stream.read()
-
-
-def _lines(path: Path) -> list[str]:
-    return _content(path).decode("utf-8", errors="replace").splitlines()
-
-
-def _numbers(where: str, words: Sequence[str]) -> list[float]:
-    """Finite numbers of bearable size."""
-    try:
-        numbers = [float(one) for one in words]
-    except ValueError as error:
-        raise InputError(f"{where}: {error}") from error
-    if not np.abs(numbers).max() <= _LARGEST:  # NaN is not either
-        raise InputError(f"{where}: a number is not finite or beyond {_LARGEST:g}")
-    return numbers
+def crossing(rays: Rays, centre: np.ndarray, size: np.ndarray, heading: float) -> tuple[np.ndarray, np.ndarray]:
+    """How far along each ray it enters and leaves a box, (k,) each [m]; it meets the box where it leaves it later."""
+    start = to_vehicle_frame(rays.origin, centre, heading)
+    way = to_vehicle_frame(rays.direction, np.zeros(3), heading)
+    with np.errstate(divide="ignore"):
+        inverse = 1.0 / np.where(way == 0.0, 1e-300, way)
+    near, far = (-0.5 * size - start) * inverse, (0.5 * size - start) * inverse
+    return np.minimum(near, far).max(axis=1), np.maximum(near, far).min(axis=1)

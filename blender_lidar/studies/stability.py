@@ -1,8 +1,8 @@
 """The study of a scene's stability: where its answer holds and where it breaks.
 
-Stage by stage the traffic, the sensor, the metric, the installation, the seeds of the search and the size of the sample
-are varied, and of each change it is asked what the mounting in question loses to the best one under that change. The
-result is one dictionary; `findings` turns numbers into verdicts.
+Stage by stage the traffic, the sensor, the metric, the installation and the seeds of the search are varied, and of each
+change it is asked what the mounting in question loses to the best one under that change. The result is one dictionary;
+`findings` turns numbers into verdicts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..scene.settings import Tolerance
 from ..scene.site import Site
 from ..scoring.evaluation import site_evaluator
 from ..scoring.fidelity import with_fewer_frames
-from .candidates import BASELINE, FIRST, Candidates, grid_candidates, off_plan
+from .candidates import BASELINE, FIRST, Candidates, grid_candidates
 from .driver import (
     AS_IT_IS,
     HELD_OUT,
@@ -36,7 +36,6 @@ from .driver import (
     study_head,
 )
 from .findings import (
-    ASKED_DEG,
     GRID,
     MOST_FRAGILE_LOSS,
     MOST_STABLE_LOSS,
@@ -47,14 +46,12 @@ from .findings import (
     gain_finding,
     installation_findings,
     optimum_finding,
-    sample_size,
-    sample_size_finding,
     saturation_finding,
     search_finding,
 )
 from .variations import SECTIONS, TRAFFIC, metric_variations, sensor_variations, traffic_variations
 
-STABILITY_SCHEMA = 2  # of the stages and of the result
+STABILITY_SCHEMA = 3  # of the stages and of the result
 USUAL = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=2.0, aim="mean")
 
 
@@ -132,8 +129,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
     reference = scene.mounting(answers[0]["mounting"]) if mounting is None else mounting
     tolerance = scene.objective.tolerance or USUAL
 
-    heights, tilts = effort.heights, effort.fine_tilts
-    fine = grid_candidates(scene, reference, heights, tilts, widest_deg=ASKED_DEG)
+    fine = grid_candidates(scene, reference, effort.heights, effort.fine_tilts)
     splits = tuple(dict.fromkeys((SEARCHED, judging)))
     as_it_is = folder.landscapes(site, [Job(AS_IT_IS, fine.layouts, split) for split in splits], "the scene as it is")
     held_out = as_it_is[1] if judging == HELD_OUT else None
@@ -141,11 +137,6 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
         gain_finding(held_out, site.plan.holdout_block, seed, metric_named(site.scoring.metric)),
         optimum_finding(as_it_is[0], fine, site.plan.search_block, seed),
     ]
-    if scene.deployment.spaces[0].axes[1] in scene.deployment.bounds:  # else there is no best tilt to be certain of
-        of_blocks = [one.blocks(split_of(site, split)[1]) for split, one in zip(splits, as_it_is, strict=True)]
-        for_each = sum(one.vehicles.sum() for one in as_it_is) / sum(one.weight.sum() for one in as_it_is)
-        every = (for_each * np.concatenate(parts, axis=-1) for parts in zip(*of_blocks, strict=True))
-        findings.append(sample_size_finding(sample_size(*every, fine.points[:, 1], seed)))
     if site.scoring.metric == PE_VGOP.name:  # other metrics have no such peak
         findings.append(saturation_finding(folder.stage("views", lambda: _views_beyond_the_peak(site, reference))))
 
@@ -175,12 +166,11 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
         "judged_frames": len(judges),
         "vehicles": int(as_it_is[0].vehicles.sum()),
         "mounting": reference.as_table(),
-        "baseline": dict(scene.baseline),
+        "baseline": scene.baseline.as_table(),
         "mounting_given": mounting is not None,
         "objective_per_vehicle": float(values[FIRST]),
         "baseline_per_vehicle": float(values[BASELINE]),
         "tolerance": asdict(tolerance),
-        "profiles": hung["profiles"],
         "seeds": answers,
         "findings": [asdict(finding) for finding in findings],
     }
@@ -247,25 +237,17 @@ def _best_of_grid(landscape: Landscape) -> int:
 def _installation(
     folder: StudyFolder, site: Site, judging: str, plan: Mounting, tolerance: Tolerance
 ) -> dict[str, object]:
-    """The mounting off its plan, on the frames that judge: its gain, what errors keep of it and what each costs.
-
-    ``profiles`` has the share of the gain that is kept with one coordinate off at a time, where anything is gained.
-    """
-    block, profiles = split_of(site, judging)[1], {}
+    """The mounting off its plan, on the frames that judge: its gain, what errors keep of it and what each costs."""
+    block = split_of(site, judging)[1]
     with (
-        folder.counting(2, "installed only nearly so") as shown,
+        folder.counting(1, "installed only nearly so") as shown,
         site_evaluator(site, site.search, site.holdout) as evaluator,
     ):
         judge = evaluator.held_out if judging == HELD_OUT else evaluator
         planned, baseline = judge.totals([(plan,), (site.scenario.baseline,)]).per_vehicle().tolist()
-        for key, (offsets, layouts) in off_plan(plan).items() if planned > baseline else ():
-            kept = (judge.totals(layouts).per_vehicle() - baseline) / (planned - baseline)
-            profiles[key] = {"offset": offsets.tolist(), "kept": kept.tolist()}
-        shown.advance(1)
         losses = losses_over_tolerance(judge, (plan,), tolerance, block)
         shown.advance(1)
-    kept, limits = losses.kept(baseline), losses.limit_losses
-    return {"profiles": profiles, "gain": planned - baseline, "kept": kept, "limits": limits}
+    return {"gain": planned - baseline, "kept": losses.kept(baseline), "limits": losses.limit_losses}
 
 
 def _views_beyond_the_peak(site: Site, mounting: Mounting) -> dict:

@@ -27,7 +27,6 @@ from ..traffic.vehicles import CLASSES, Vehicles
 from ..world.scenery import barrier, join
 from ..world.shapes import DETAILS
 from .driver import Variation
-from .motion import FREE_FLOW_M_S, moving
 
 TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH = "traffic", "mounting", "metric", "sensor", "search"
 SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
@@ -227,7 +226,7 @@ def metric_variations(site: Site) -> list[Variation]:
         if value != (-abs(scoring.loss) if key == "loss" else getattr(scoring, key))
     ]
     changes += [("other metric", name, partial(_with_metric, name=name)) for name in METRICS if name != scoring.metric]
-    return [Variation(METRIC, *change, cast_anew=False) for change in changes]
+    return [Variation(METRIC, *change, recast=False) for change in changes]
 
 
 def _with_cells(site: Site, cell_m: float) -> Site:
@@ -340,18 +339,14 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
     right, left = site.scenario.road_map.edges_t
     middle = right + (left - right) / len(site.scenario.road_map) * (len(site.scenario.road_map) // 2)
 
-    def added(what: str, value: str, **change) -> Ablation:
-        return Ablation(what, value, ((own, Variation(ABLATION, what, value, **change)),))
-
+    barrier_at = f"on the middle lane line, y {middle:g} m"
+    with_barrier = Variation(ABLATION, "median barrier", barrier_at, partial(_with_barrier, y_m=middle))
     return [
-        added("median barrier", f"on the middle lane line, y {middle:g} m", changed=partial(_with_barrier, y_m=middle)),
+        Ablation("median barrier", barrier_at, ((own, with_barrier),)),
         Ablation("body shape", "body, not box", ((box, body),)),
         Ablation("finer shape", "detailed, not body", ((body, detailed),)),
         _azimuth_offsets(site, own),
         *_imperfections(site, own, draws),
-        added("motion in a turn", "recorded speeds", scorer=moving),
-        added("motion in a turn", "recorded speeds, boxes of mid-turn", scorer=partial(moving, boxes_move=False)),
-        added("motion in a turn", f"all at {FREE_FLOW_M_S:g} m/s", scorer=partial(moving, fast=True)),
     ]
 
 

@@ -48,8 +48,8 @@ from blender_lidar.metrics.vgop import to_vehicle_frame
 from blender_lidar.names import DETAILS
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.statistics import FEWEST_BLOCKS, RESAMPLES, interval_90, resampled_weights, student_t_95
-from blender_lidar.studies.compare import PairedFrame, Setup, chosen, median_interval, resampled_medians, rings_of
-from blender_lidar.studies.recorded import KITTI_MARGIN_M, kitti_frame, kitti_names
+from blender_lidar.studies.compare import PairedFrame, Setup, chosen, median_interval, resampled_medians
+from kitti_sweeps import KITTI_MARGIN_M, kitti_frame, kitti_names, recover_rings
 from occupancy_prior import OccupiedFrames, VehiclePrior, box_visibility, reach_probability
 from search_judgement import holm
 from voxel_grid import VoxelGrid
@@ -140,10 +140,11 @@ def shapes(folder: Path, about: Mapping, label: str, glass_dropout: float) -> li
     names, tables = kitti_names(folder), {one: [] for one in variants}
     with counting(len(names), "frames") as advance:
         for number, name in enumerate(names):
-            frame = kitti_frame(folder, name)
+            frame, cut_off = kitti_frame(folder, name)
             rows = chosen(frame.boxes, setup, Counter())
+            rows = rows[~cut_off[rows]]
             if len(rows):
-                paired = PairedFrame(frame, rows, rings_of(frame, setup)[0], setup, number)
+                paired = PairedFrame(frame, rows, recover_rings(frame.points), setup, number)
                 real, seen = paired.real_columns(), {detail: paired.simulate(detail) for detail in DETAILS}
                 for detail, lost in variants:
                     found = paired.columns(*paired.returned(seen[detail], ways[lost]))
@@ -258,7 +259,7 @@ def cars_of(folder: Path, name: str, clearance_m: float) -> tuple[VehicleReturns
 
     Boxes of other classes take part, so that a point of a van that a car's box overlaps goes to the nearer one.
     """
-    frame = kitti_frame(folder, name)
+    frame, _ = kitti_frame(folder, name)
     row = points_in_boxes(frame.points, frame.boxes.centre_m, frame.boxes.size_m, frame.boxes.heading_rad, clearance_m)
     mine = frame.boxes.of_class(("Car",))
     number = np.full(len(mine) + 1, NO_BOX, dtype=np.int64)  # the last is for points in no box
