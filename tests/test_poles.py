@@ -301,3 +301,21 @@ def test_the_baseline_is_the_same_whatever_the_order_of_the_poles(tmp_path):
         for name, rows in (("a", ROWS.splitlines(keepends=True)), ("b", ROWS.splitlines(keepends=True)[::-1]))
     )
     assert one == other
+
+
+def test_a_pole_on_the_far_side_that_faces_the_road_is_searched_and_scored_from_there(tmp_path, capsys):
+    """Its table says which way it faces, so that one range of tilts looks down at the road from both sides."""
+    rows = "near,0,0,90\nfar,0,11,270\n"
+    scene = scene_with(tmp_path, rows, "name,x_m,y_m,facing_deg\n", CHANGES)
+    out, _ = done(capsys, "optimise", scene, "--out", tmp_path / "run", *WORDS)
+    for pole in json.loads(out)["poles"]:
+        mount = pole["deployment"]
+        words = [word for key in ("height_m", "tilt_x_deg") for word in (f"--{key.split('_')[0]}", repr(mount[key]))]
+        words[2] = "--tilt-x"
+        out, _ = done(
+            capsys, "evaluate", scene, "--pole", pole["name"], *words, "--out", tmp_path / pole["name"], *WORDS
+        )
+        again = json.loads(out)
+        assert again["deployment"]["facing_deg"] == (90.0 if pole["name"] == "near" else 270.0)
+        assert again["objective_per_vehicle"] == pytest.approx(pole["objective_per_vehicle"], rel=1e-9)
+        assert again["detectable_share"] > 0.5

@@ -190,6 +190,8 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> Mounting:
                 f"--height: is {height:g}; allowed on pole {pole.name}: {low:g} to {high:g} m above the road"
             )
         given |= {"x_m": pole.x_m, "y_m": pole.y_m}
+        if pole.facing_deg is not None:
+            given.setdefault("facing_deg", pole.facing_deg)
     return scenario.mounting(given)
 
 
