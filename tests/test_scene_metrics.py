@@ -153,7 +153,7 @@ def test_each_mounting_is_valued_once_for_all_frames_however_many_are_scored_tog
 
 def test_a_lidar_that_reaches_nothing_has_the_best_s_mig_and_m_sog_and_the_worst_of_all_others():
     for name in NAMES:
-        road, nothing = per_vehicle(name, [POSES[1], OUT_OF_REACH])
+        road, nothing = per_vehicle(name, [LAYOUTS[1], (OUT_OF_REACH,)])
         if name in ("s_mig", "m_sog"):
             assert nothing == 0.0 > road, name
         else:
