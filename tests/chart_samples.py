@@ -11,24 +11,25 @@ import numpy as np
 
 from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
-from blender_lidar.road import StraightRoad
+from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.run.folder import Outcome
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.traffic.boxes import DetectedBoxes
 from blender_lidar.traffic.vehicles import Vehicles
+from tests.small_scene import mounting
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 HEADINGS = {"title": "A title", "subtitle": "And a subtitle"}
 CAR = (4.5, 1.8, 1.5)
-ROAD = StraightRoad(lanes=5)
+ROAD = road_map(StraightRoad(lanes=5))
 
 
 def table(seed: int, number: int = 200) -> dict[str, np.ndarray]:
     """A vehicle table, of the columns that charts are made of."""
     rng = np.random.default_rng(seed)
-    x, y = rng.uniform(-50.0, 50.0, number), rng.uniform(*ROAD.carriageway_y, number)
+    x, y = rng.uniform(-50.0, 50.0, number), rng.uniform(*ROAD.edges_t, number)
     return {
         "x_m": x,
         "y_m": y,
@@ -107,8 +108,8 @@ def cloud(seed: int, number: int = 500) -> SimpleNamespace:
 
 def sights(seen: np.ndarray, *, number: int = 500) -> tuple[Sight, Sight]:
     return (
-        Sight("Baseline", mount(2.0), cloud(6, number), seen),
-        Sight("Optimised", mount(4.1), cloud(7, number), ~seen),
+        Sight("Baseline", mounting(mount(2.0)), cloud(6, number), seen),
+        Sight("Optimised", mounting(mount(4.1)), cloud(7, number), ~seen),
     )
 
 
@@ -124,8 +125,8 @@ def detections(number: int = 300) -> dict[str, object]:
         np.full(7, 0.8),
     )
     vehicle, ignored = np.array([0, 2, 4, 6, 8, -1, -1]), np.arange(7) == 5
-    of_mountings = {"Baseline": (mount(2.0), cloud(6, number)), "Given": (mount(4.0), cloud(7, number))}
-    found = [Found(name, *seen, boxes, vehicle, ignored) for name, seen in of_mountings.items()]
+    of_mountings = {"Baseline": (2.0, cloud(6, number)), "Given": (4.0, cloud(7, number))}
+    found = [Found(name, mounting(mount(z)), made, boxes, vehicle, ignored) for name, (z, made) in of_mountings.items()]
     return {"frame": frame, "found": found, **HEADINGS}
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+import tests.research  # noqa: F401
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.report import figure as canvas
 from blender_lidar.report.cloud_figures import Found, plot_clouds, plot_detections, plot_occupancy
@@ -23,7 +24,9 @@ from blender_lidar.report.run_figures import (
     plot_convergence,
     plot_score_map,
 )
+from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.scene.settings import ZoneSettings
+from scene_metrics import OPTIONS
 from tests.chart_samples import (
     CHARTS,
     ROAD,
@@ -44,7 +47,7 @@ from tests.chart_samples import (
     with_tables,
     words,
 )
-from tests.small_scene import done, write_scene
+from tests.small_scene import done, mounting, write_scene
 
 pytest.importorskip("matplotlib", reason="charts need matplotlib")
 
@@ -254,7 +257,7 @@ def test_a_share_is_drawn_in_per_cent_and_weighed(tmp_path, figures):
 
 
 def test_a_metric_of_the_scene_leaves_the_vehicles_their_entropy(tmp_path, figures):
-    plot_by_distance(tmp_path / "d.png", outcome(metric="m-sog"))
+    plot_by_distance(tmp_path / "d.png", outcome(metric=OPTIONS["m_sog"]))
     assert figures[0].axes[1].get_ylabel() == "Mean PE-VGOP\n[bits]"
 
 
@@ -280,7 +283,7 @@ def test_blind_zones_use_whole_lanes_and_one_scale_and_hold_every_vehicle(tmp_pa
     beside = table(1)
     beside["y_m"] = np.append(beside["y_m"][:-1], -4.0)
     run = with_tables(beside, deployment=mount(4.0, x_m=3.0, y_m=1.0))
-    plot_blind_zones(tmp_path / "b.png", run, replace(ROAD, lane_width_m=3.6))
+    plot_blind_zones(tmp_path / "b.png", run, road_map(StraightRoad(lanes=5, lane_width_m=3.6)))
     meshes = [mesh for axes in figures[0].axes[:2] for mesh in axes.findobj(QuadMesh)]
     for mesh in meshes:
         assert mesh.get_clim() == (0.0, 100.0)
@@ -351,7 +354,7 @@ def test_nothing_found_of_no_vehicles_is_drawn(tmp_path, figures):
     shown = detections()
     frame = replace(shown["frame"], vehicles=vehicles(1, 0), counted=np.zeros(0, dtype=bool))
     boxes = shown["found"][0].boxes.select(np.zeros(7, dtype=bool))
-    found = Found("Given", mount(3.0), cloud(1, 0), boxes, np.zeros(0, int), np.zeros(0, dtype=bool))
+    found = Found("Given", mounting(mount(3.0)), cloud(1, 0), boxes, np.zeros(0, int), np.zeros(0, dtype=bool))
     plot_detections(tmp_path / "d.png", frame, [found])
     assert "0 of 0 vehicles found, 0 false alarms" in words(figures[0])
 
