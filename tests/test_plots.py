@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-import tests.research  # noqa: F401
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.report import figure as canvas
 from blender_lidar.report.cloud_figures import Found, plot_clouds, plot_detections, plot_occupancy
@@ -26,7 +25,6 @@ from blender_lidar.report.run_figures import (
 )
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.scene.settings import ZoneSettings
-from scene_metrics import OPTIONS
 from tests.chart_samples import (
     CHARTS,
     ROAD,
@@ -254,11 +252,6 @@ def test_a_share_is_drawn_in_per_cent_and_weighed(tmp_path, figures):
     assert convergence.axes[0].lines[1].get_ydata()[-1] == pytest.approx(100.0 * rows[-1, -1] / 300.0)
     values = landscape.axes[0].collections[0].get_array()
     assert values.max() == pytest.approx(100.0 * score_map().per_vehicle.max())
-
-
-def test_a_metric_of_the_scene_leaves_the_vehicles_their_entropy(tmp_path, figures):
-    plot_by_distance(tmp_path / "d.png", outcome(metric=OPTIONS["m_sog"]))
-    assert figures[0].axes[1].get_ylabel() == "Mean PE-VGOP\n[bits]"
 
 
 def test_blind_zones_darken_where_vehicles_are_missed(tmp_path):
