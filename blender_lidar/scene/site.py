@@ -399,7 +399,8 @@ def scoring_of(scenario: Scenario) -> Scoring:
     region = region_of(scenario.region, road)
     middle, reach = road.locate(np.array([region.centre_xy])).s_m[0], region.radius_m
     edges, _ = road.lines((middle - reach, middle + reach))
-    field = Field(region.centre_xy, reach, np.concatenate([edges[0], edges[-1][::-1]]).tolist())
+    outline = np.concatenate([edges[0], edges[-1][::-1]]).tolist()
+    field = Field(region.centre_xy, reach, tuple(map(tuple, outline)))
     return Scoring(asked.threshold, asked.view, asked.loss, asked.reading, asked.metric, field)
 
 
