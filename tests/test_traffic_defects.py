@@ -131,24 +131,9 @@ def test_rows_far_off_the_map_are_dropped_and_counted(tmp_path):
     columns["Local_X"][700] = -1e6
     recording = read(tmp_path, columns)
     assert recording.report.off_map == 2
-    assert recording.report.interpolated == 2, "a single lost row is a short gap"
     columns["Local_Y"][:] = 1e7
     with pytest.raises(InputError, match="no vehicles left"):
         read(tmp_path, columns)
-
-
-@pytest.mark.parametrize(("lost", "filled"), [(1, 1), (4, 4), (5, 5), (6, 0), (20, 0)])
-def test_gaps_up_to_half_a_second_are_interpolated_and_longer_ones_split_the_track(tmp_path, lost, filled):
-    columns = samples.columns()
-    whole = read(tmp_path, columns)
-    gap = (columns["Vehicle_ID"] == 3) & (columns["Frame_ID"] >= 150) & (columns["Frame_ID"] < 150 + lost)
-    recording = read(tmp_path, samples.picked(columns, ~gap))
-    assert recording.report.interpolated == filled
-    assert recording.report.tracks_split == (0 if filled else 1)
-    assert len(recording) == len(whole) - lost + filled
-    assert recording.report.rows_used == len(whole) - lost
-    if filled:
-        np.testing.assert_allclose(recording.centre_m, whole.centre_m, atol=1e-3)
 
 
 def test_headings_are_held_while_a_vehicle_stands(tmp_path):

@@ -147,20 +147,19 @@ def test_too_many_rows(tmp_path, monkeypatch):
 
 
 def test_what_was_read_is_told_in_singular_and_plural():
-    one = RepairReport(rows_read=1, rows_used=1, duplicates=1, interpolated=1, overlaps=1, overlap_frames=1)
+    one = RepairReport(rows_read=1, rows_used=1, duplicates=1, headings_held=1, overlaps=1, overlap_frames=1)
     assert one.lines() == [
         "1 of 1 row used",
         "1 duplicate row dropped",
-        "1 box interpolated in gaps of at most 0.5 s",
+        "1 heading held (slower than 2 m/s, or no neighbour in time)",
         "1 pair of overlapping boxes in 1 frame looked at",
     ]
     assert one.lines(losses=True) == ["1 of 1 row used", "1 duplicate row dropped"]
-    assert RepairReport(rows_read=1, rows_used=1, interpolated=1).lines(losses=True) == []
-    many = RepairReport(rows_read=1200, rows_used=1, duplicates=2, interpolated=3, overlaps=1000, overlap_frames=2)
+    assert RepairReport(rows_read=1, rows_used=1, headings_held=1).lines(losses=True) == []
+    many = RepairReport(rows_read=1200, rows_used=1, duplicates=2, overlaps=1000, overlap_frames=2)
     assert many.lines() == [
         "1 of 1,200 rows used",
         "2 duplicate rows dropped",
-        "3 boxes interpolated in gaps of at most 0.5 s",
         "1,000 pairs of overlapping boxes in 2 frames looked at",
     ]
 

@@ -12,12 +12,10 @@ from blender_lidar.traffic.tracks import (
     WINDOW_S,
     class_index,
     drop_repeats,
-    fill_gaps,
     fitted_velocity,
     heights,
     held_heading,
     lane_changing,
-    segments,
 )
 from blender_lidar.traffic.vehicles import Recording, with_overlaps_reported
 
@@ -93,31 +91,6 @@ def test_repeats_keep_the_first_row_and_tell_duplicates_from_contradictions():
     rows, duplicates, repeated = drop_repeats(vehicle, frame, values)
     assert rows.tolist() == [2, 1, 0]
     assert (duplicates, repeated) == (1, 2)
-
-
-def track_rows(vehicle, frame):
-    vehicle, frame = np.array(vehicle), np.array(frame)
-    local = np.stack([2.0 * frame, -1.0 * frame], axis=1)
-    return {"vehicle_id": vehicle, "frame": frame, "local_m": local, "lane": np.arange(len(frame))}
-
-
-def test_several_gaps_are_filled_at_once_each_in_its_vehicle():
-    rows, added = fill_gaps(track_rows([1, 1, 1, 1, 2, 2, 2, 2], [1, 2, 4, 5, 9, 10, 11, 15]), 0.1)
-    assert rows["vehicle_id"].tolist() == [1] * 5 + [2] * 7
-    assert rows["frame"].tolist() == [1, 2, 3, 4, 5, 9, 10, 11, 12, 13, 14, 15]
-    assert np.flatnonzero(added).tolist() == [2, 8, 9, 10]
-    np.testing.assert_allclose(rows["local_m"], np.stack([2.0 * rows["frame"], -rows["frame"]], axis=1))
-    assert rows["lane"].tolist() == [0, 1, 1, 2, 3, 4, 5, 6, 6, 6, 6, 7], "the lane is the one before the gap"
-
-
-def test_segments_break_at_vehicles_and_long_gaps_and_count_those_others_were_seen_in():
-    vehicle = np.array([1] * 5 + [2] * 12)
-    frame = np.array([1, 2, 3, 11, 12, *range(1, 13)])
-    segment, split = segments(vehicle, frame, 0.1)
-    assert segment.tolist() == [0, 0, 0, 1, 1] + [2] * 12
-    assert split == 1
-    _, split = segments(np.ones(5, dtype=int), np.array([1, 2, 3, 11, 12]), 0.1)
-    assert split == 0, "nobody was seen in between: the recording pauses"
 
 
 def test_heights_by_class_and_length():

@@ -16,16 +16,15 @@ from ..files import number
 from ..road import StraightRoad
 from .source import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, read_rows
 from .tracks import (
+    WINDOW_S,
     class_index,
     drop_repeats,
-    fill_gaps,
     fitted_velocity,
     heights,
     held_heading,
     lane_changing,
     limited,
     repaired_sizes,
-    segments,
 )
 from .vehicles import Recording, RepairReport, with_overlaps_reported
 
@@ -121,13 +120,13 @@ def _boxes(
     report: RepairReport,
 ) -> Recording:
     """Rows of one period, sorted by (vehicle, frame) without repeats, as boxes in the road frame."""
-    rows, added = fill_gaps(rows, time_step_s)
     vehicle, frame, lane, v_class = (rows[name] for name in ("vehicle_id", "frame", "lane", "v_class"))
-    segment, split = segments(vehicle, frame, time_step_s)
     time_s = frame * time_step_s
     right_m, along_m = rows["local_m"].T  # Local_X, Local_Y: from the left edge, along travel
     front = road.of_ngsim(along_m, right_m)
-    motion, held = held_heading(vehicle, fitted_velocity(segment, time_s, front))
+    since_s = np.diff(time_s, prepend=time_s[0])
+    track = np.cumsum((np.diff(vehicle, prepend=vehicle[0]) != 0) | (since_s > WINDOW_S))  # short ones sum exactly
+    motion, held = held_heading(vehicle, fitted_velocity(track, time_s, front))
     heading = limited(motion, lane_changing(vehicle, time_s, lane)) if follows_road else motion
     size, resized = repaired_sizes(v_class, rows["size_m"])
     length = size[:, 0]
@@ -149,9 +148,7 @@ def _boxes(
         source=source,
         report=replace(
             report,
-            rows_used=int((~added).sum()),
-            interpolated=int(added.sum()),
-            tracks_split=split,
+            rows_used=len(frame),
             sizes_repaired=len(np.unique(vehicle[resized])),
             headings_held=int(held.sum()),
             headings_clamped=int((heading != motion).sum()),

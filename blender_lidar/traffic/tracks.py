@@ -1,4 +1,4 @@
-"""What NGSIM lacks or records badly: headings (Savitzky-Golay), repeats, gaps, vehicle sizes and heights."""
+"""What NGSIM lacks or records badly: headings (Savitzky-Golay), repeated rows, vehicle sizes and heights."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def fitted_velocity(segment: np.ndarray, time_s: np.ndarray, position_m: np.ndar
     Parameters
     ----------
     segment : ndarray, (n,) int
-        Unbroken stretch of track that each row belongs to, ascending; nothing is fitted across two.
+        Track that each row belongs to, ascending; nothing is fitted across two.
     time_s : ndarray, (n,)
         Ascending within a segment [s]; spacing may vary.
     position_m : ndarray, (n, 2)
@@ -152,10 +152,7 @@ def limited(heading_rad: np.ndarray, changing: np.ndarray) -> np.ndarray:
     return np.clip(heading_rad, -limit, limit)
 
 
-# --- Rows of one recording put in order: repeats dropped, short gaps filled, long ones found --------------
-
-LONGEST_FILLED_GAP_S = 0.5
-"""Longer gaps are left open: a car may have changed lanes in between."""
+# --- Rows of one recording put in order, without repeats ---------------------------------------------------
 
 
 def drop_repeats(vehicle_id: np.ndarray, frame: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, int, int]:
@@ -183,75 +180,6 @@ def drop_repeats(vehicle_id: np.ndarray, frame: np.ndarray, values: np.ndarray) 
     dropped = np.flatnonzero(again)
     exact = (values[order[dropped]] == values[order[first[dropped]]]).all(axis=1)
     return order[~again], int(exact.sum()), int((~exact).sum())
-
-
-def usual_step(vehicle_id: np.ndarray, frame: np.ndarray) -> int:
-    """The most frequent distance, in frame numbers, between neighbouring rows of a vehicle; 1 if none has two."""
-    steps = np.diff(frame)[np.diff(vehicle_id) == 0]
-    if not len(steps):
-        return 1
-    values, counts = np.unique(steps, return_counts=True)
-    return int(values[counts.argmax()])
-
-
-def fill_gaps(rows: Mapping[str, np.ndarray], time_step_s: float) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Interpolate gaps of at most `LONGEST_FILLED_GAP_S` linearly; lane, size and class are those before the gap.
-
-    Parameters
-    ----------
-    rows : mapping of str to ndarray, (n,) or (n, 2)
-        ``vehicle_id``, ``frame``, ``local_m`` and others; sorted by the first two, without repeats.
-    time_step_s : float
-        Time between consecutive frame numbers [s].
-
-    Returns
-    -------
-    rows : dict
-        With the new rows in their places.
-    added : ndarray, (n,) bool
-        Which ones are new.
-    """
-    step = usual_step(rows["vehicle_id"], rows["frame"])
-    jump = np.diff(rows["frame"])
-    lost_s = (jump - step) * time_step_s
-    short = (lost_s > 0) & (lost_s <= LONGEST_FILLED_GAP_S + 1e-9) & (jump % step == 0)
-    before = np.flatnonzero(short & (np.diff(rows["vehicle_id"]) == 0))
-    missing = jump[before] // step - 1
-    source = np.repeat(before, missing)
-    nth = np.arange(len(source)) - np.repeat(np.cumsum(missing) - missing, missing) + 1
-    weight = nth / np.repeat(missing + 1, missing)
-    added = np.insert(np.zeros(len(rows["frame"]), dtype=bool), source + 1, True)
-    filled = {name: np.insert(column, source + 1, column[source], axis=0) for name, column in rows.items()}
-    filled["frame"][added] += nth * step
-    filled["local_m"][added] += weight[:, None] * np.diff(rows["local_m"], axis=0)[source]
-    return filled, added
-
-
-def segments(vehicle_id: np.ndarray, frame: np.ndarray, time_step_s: float) -> tuple[np.ndarray, int]:
-    """Number the unbroken stretches of the tracks.
-
-    Parameters
-    ----------
-    vehicle_id, frame : ndarray, (n,)
-        Sorted by (vehicle_id, frame).
-    time_step_s : float
-        Time between consecutive frame numbers [s].
-
-    Returns
-    -------
-    segment : ndarray, (n,) int64
-        From 0, ascending; a new one starts with every vehicle and after every gap of more than
-        `LONGEST_FILLED_GAP_S`.
-    split : int
-        Gaps that the recording itself does not have: other vehicles were seen in the meantime.
-    """
-    other = np.diff(vehicle_id) != 0
-    lost_s = (np.diff(frame) - usual_step(vehicle_id, frame)) * time_step_s
-    gap = ~other & (lost_s > LONGEST_FILLED_GAP_S + 1e-9)
-    segment = np.concatenate([[0], np.cumsum(other | gap)])
-    frames = np.unique(frame)
-    skipped = np.diff(np.searchsorted(frames, frame))
-    return segment, int((gap & (skipped > 1)).sum())
 
 
 # --- Classes, sizes and heights of NGSIM vehicles, which are measured from video blobs and have no height -

@@ -35,10 +35,6 @@ class RepairReport:
         Rows dropped because they lie kilometres from the section, or have no place at all.
     left_out : int
         Rows of what is no vehicle on a road: persons, containers, trains.
-    interpolated : int
-        Boxes added in gaps of at most 0.5 s.
-    tracks_split : int
-        Longer gaps, over which no heading is smoothed.
     sizes_repaired : int
         Vehicles whose size was missing or absurd.
     headings_held, headings_clamped : int
@@ -61,8 +57,6 @@ class RepairReport:
     repeated: int = 0
     off_map: int = 0
     left_out: int = 0
-    interpolated: int = 0
-    tracks_split: int = 0
     sizes_repaired: int = 0
     headings_held: int = 0
     headings_clamped: int = 0
@@ -76,26 +70,22 @@ class RepairReport:
 
         With `losses` they are those of rows that were not used and of sizes that were made up, if there are any.
         """
-        lost = [
+        happened = [
             (self.duplicates, "duplicate row", "dropped"),
             (self.repeated, "row", "dropped: vehicle already in that frame"),
             (self.off_map, "row", "dropped: off the map"),
             (self.left_out, "row", "left out: no vehicle on a road"),
+            (self.sizes_repaired, "vehicle", "with a missing or absurd size repaired"),
         ]
-        changed = [
-            (self.interpolated, "box", "interpolated in gaps of at most 0.5 s"),
-            (self.tracks_split, "longer gap", "left open"),
-        ]
-        sizes = [(self.sizes_repaired, "vehicle", "with a missing or absurd size repaired")]
-        headings = [
-            (self.headings_held, "heading", "held (slower than 2 m/s, or no neighbour in time)"),
-            (self.headings_clamped, "heading", "limited"),
-        ]
+        if not losses:
+            happened += [
+                (self.headings_held, "heading", "held (slower than 2 m/s, or no neighbour in time)"),
+                (self.headings_clamped, "heading", "limited"),
+            ]
         chosen = [f"location {self.location}"] if len(self.locations) > 1 else []
         chosen += [f"period {self.period}"] if len(self.periods) > 1 else []
         of_what = f" ({', '.join(chosen)})" if chosen else ""
         used = f"{self.rows_used:,} of {counted(self.rows_read, 'row')} used{of_what}"
-        happened = [*lost, *sizes] if losses else [*lost, *changed, *sizes, *headings]
         lines = [f"{counted(count, noun)} {outcome}" for count, noun, outcome in happened if count]
         if losses:
             return [printable(line) for line in (used, *lines)] if lines or self.rows_used < self.rows_read else []
