@@ -130,15 +130,6 @@ def from_kitti(folder: Path, number: int) -> list[int]:
     return found
 
 
-def from_openpcdet(folder: Path, number: int) -> list[int]:
-    points = np.load(folder / "openpcdet" / "points" / f"{number:06d}.npy")
-    assert (points.dtype, points.shape[1]) == (np.float32, 4)
-    rows = [line.split() for line in (folder / "openpcdet" / "labels" / f"{number:06d}.txt").read_text().splitlines()]
-    assert {row[7] for row in rows} <= {"Car", "Van", "Truck", "Bus", "Motorcycle"}
-    boxes = [[float(word) for word in row[:7]] for row in rows]
-    return [counted(points[:, :3], box[:3], box[3:6], box[6]) for box in boxes]
-
-
 def rotated(quaternion, points: np.ndarray) -> np.ndarray:
     w, *vector = quaternion
     twice = 2.0 * np.cross(vector, points)
@@ -168,14 +159,14 @@ def from_nuscenes(folder: Path, number: int) -> list[int]:
     return found
 
 
-READERS = {"npz": from_npz, "kitti": from_kitti, "openpcdet": from_openpcdet, "nuscenes": from_nuscenes}
+READERS = {"npz": from_npz, "kitti": from_kitti, "nuscenes": from_nuscenes}
 
 
 @pytest.mark.parametrize("layout", DATASET_LAYOUTS)
 def test_an_independent_reader_counts_the_same_points_in_every_box(layout, made):
     total = 0
     for number in range(SCANS):
-        told = [int(row["points"]) for row in boxes_of(made, number, seen=layout in ("kitti", "openpcdet"))]
+        told = [int(row["points"]) for row in boxes_of(made, number, seen=layout == "kitti")]
         assert READERS[layout](made, number) == told
         total += sum(told)
     assert total > 1000
@@ -202,9 +193,7 @@ def test_nuscenes_own_devkit_counts_the_same(made):
 def test_no_frame_and_no_vehicle_is_in_both_splits(made):
     splits = {}
     for name in ("train", "val"):
-        lists = [(made / layout / "ImageSets" / f"{name}.txt").read_text().split() for layout in ("kitti", "openpcdet")]
-        assert lists[0] == lists[1]
-        splits[name] = set(map(int, lists[0]))
+        splits[name] = set(map(int, (made / "kitti" / "ImageSets" / f"{name}.txt").read_text().split()))
     scenes = json.loads((made / "nuscenes" / "v1.0-trainval" / "splits.json").read_text())
     assert {name: {int(one.rpartition("-")[2]) for one in scenes[f"site_{name}"]} for name in splits} == splits
     assert splits["train"] | splits["val"] == set(range(SCANS))
@@ -450,7 +439,7 @@ def test_detections_and_detectors_that_do_not_fit_are_refused(made, tables, tmp_
     assert "no such file" in told("--detector", "pillar")
     assert "000001.npz: there is no such file" in told(of=tables)
     edited(tables / "dataset.json", '"npz",', "")
-    assert "has no NPZ clouds but kitti, openpcdet, nuscenes; allowed" in told(of=tables)
+    assert "has no NPZ clouds but kitti, nuscenes; allowed" in told(of=tables)
     line = refused(capsys, tmp_path, "detect", made / "npz", "--detector", own, "--out", tmp_path / "judged")
     assert "a file is judged by detect SCENE --detector FILE" in line
 
@@ -463,7 +452,7 @@ def test_another_plan_in_the_folder_is_refused_with_what_differs(made, capsys):
     for more, what in {
         ("--mountings", 5): "--mountings = 4, not 5",
         ("--seed", 8): "[search] seed = 1, not 8",
-        ("--layout", "kitti"): "--layout = ['npz', 'kitti', 'openpcdet', 'nuscenes'], not ['kitti']",
+        ("--layout", "kitti"): "--layout = ['npz', 'kitti', 'nuscenes'], not ['kitti']",
         ("--as-recorded",): "--as-recorded = False, not True",
     }.items():
         asked = [*words(scene, made)]

@@ -23,7 +23,7 @@ def straight(vehicles):
 
 
 def lanes(vehicles):
-    return np.floor((vehicles.centre_m[:, 1] - ROAD.carriageway_y[0]) / ROAD.lane_width_m).astype(int)
+    return np.floor((vehicles.centre_m[:, 1] - ROAD.carriageways_y[0][0]) / ROAD.lane_width_m).astype(int)
 
 
 def gaps(vehicles):
@@ -84,7 +84,7 @@ def test_a_jam_is_continued_as_far_as_it_is_looked_at_with_copies_that_have_thei
 def test_a_ramp_beside_the_road_is_not_continued():
     traffic = straight(dense_traffic())
     centre = traffic.centre_m.copy()
-    centre[:5, 1] = ROAD.carriageway_y[0] - 2.0
+    centre[:5, 1] = ROAD.carriageways_y[0][0] - 2.0
     centre[:5, 0] = np.arange(5) * 20.0
     jam = queue(replace(traffic, centre_m=centre), lambda gaps: np.clip(gaps, 1.0, 2.5), filled_to_m=300.0)
     assert (lanes(jam) < 0).sum() == 5
@@ -93,7 +93,7 @@ def test_a_ramp_beside_the_road_is_not_continued():
 def test_vehicles_in_one_another_do_not_make_endless_copies():
     traffic = straight(dense_traffic(vehicles=12))
     centre = traffic.centre_m.copy()
-    centre[:, 0], centre[:, 1] = np.linspace(0.0, 0.5, 12), ROAD.carriageway_y[0] + 1.0
+    centre[:, 0], centre[:, 1] = np.linspace(0.0, 0.5, 12), ROAD.carriageways_y[0][0] + 1.0
     piled = replace(traffic, centre_m=centre)
     assert len(queue(piled, lambda gaps: np.clip(gaps, 1.0, 2.5), filled_to_m=500.0)) < 500
     assert len(queue(piled, filled_to_m=500.0)) == 12  # with negative gaps there is no length to continue by

@@ -247,7 +247,7 @@ def _dataset(subparsers) -> None:
         "and write clouds with boxes, point counts and visibility. Searched frames are for training, held-out ones for "
         "validation; no vehicle is labelled in both. The same command again goes on where it was stopped.",
         "i80 --mountings 20 --out i80_set",
-        "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout openpcdet --out i80_set",
+        "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout nuscenes --out i80_set",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--seeds", "--metric", "--reading", "--cluster"))
     group, settings = parser.add_argument_group("data set"), settings_of(DatasetOptions)

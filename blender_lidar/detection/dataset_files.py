@@ -1,4 +1,4 @@
-"""Data sets as files: NPZ, KITTI's layout, OpenPCDet's custom one and nuScenes' tables; written in parallel, resumed.
+"""Data sets as files: NPZ, KITTI's layout and nuScenes' tables; written in parallel, resumed.
 
 Each scan has its files, which are whole or not there, that of its boxes last, and a row in the lists and tables that
 are written at the end.
@@ -12,12 +12,12 @@ import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from io import BytesIO, StringIO
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 
-from ..clouds.files import OBJECT_TYPES, levelled, write_npz
+from ..clouds.files import levelled, write_npz
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..files import (
@@ -147,7 +147,7 @@ class DatasetFolder:
             elif layout != "npz":
                 make_folder(self.path / layout / "ImageSets", "--out")
                 for split in (TRAIN, VAL):
-                    # Loaders of both layouts fail at a scan without a label.
+                    # Loaders of KITTI's layout fail at a scan without a label.
                     listed = (scan for scan, boxes in zip(plan.scans, rows, strict=True) if _has_label(boxes))
                     names = "".join(f"{file_name(scan.number)}\n" for scan in listed if scan.split == split)
                     write_text(self.path / layout / "ImageSets" / f"{split}.txt", names)
@@ -308,27 +308,6 @@ def _write_kitti(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     write_text(training / "calib" / f"{name}.txt", _KITTI_CALIBRATION)
 
 
-def _write_openpcdet(folder: Path, made: Sample, plan: DatasetPlan) -> None:
-    """OpenPCDet's custom layout, docs/CUSTOM_DATASET_TUTORIAL.md there: x ahead, y to the left, boxes by centres."""
-    name, rows = file_name(made.scan.number), _seen_rows(made)
-    vehicles = made.vehicles.select(rows)
-    turn = made.pose.yaw + 0.5 * math.pi  # of the levelled frame's x in the road frame
-    lines = [
-        f"{x:.3f} {y:.3f} {z:.3f} {length:.3f} {width:.3f} {height:.3f} {heading:.4f} {OBJECT_TYPES[kind]}\n"
-        for kind, (x, y, z), (length, width, height), heading in zip(
-            vehicles.class_index,
-            levelled(vehicles.centre_m, made.pose),
-            vehicles.size_m,
-            [math.remainder(heading - turn, 2.0 * math.pi) for heading in vehicles.heading_rad.tolist()],
-            strict=True,
-        )
-    ]
-    packed = BytesIO()
-    np.save(packed, _level_points(made))
-    write_bytes(folder / "openpcdet" / "points" / f"{name}.npy", packed.getvalue())
-    write_text(folder / "openpcdet" / "labels" / f"{name}.txt", "".join(lines))
-
-
 # --- nuScenes: https://www.nuscenes.org/nuscenes, docs/schema_nuscenes.md of its devkit ------------------------------
 
 _VERSION, _SWEEPS = "v1.0-trainval", "samples/LIDAR_TOP"
@@ -457,7 +436,6 @@ def _white_png() -> bytes:
 DATASET_WRITERS: dict[str, tuple[tuple[str, ...], Callable[[Path, Sample, DatasetPlan], None]]] = {
     "npz": (("npz",), _write_npz),
     "kitti": (tuple(f"kitti/training/{part}" for part in ("velodyne", "label_2", "calib")), _write_kitti),
-    "openpcdet": (("openpcdet/points", "openpcdet/labels"), _write_openpcdet),
     "nuscenes": ((f"nuscenes/{_SWEEPS}", f"nuscenes/{_VERSION}", "nuscenes/maps"), _write_nuscenes),
 }
 """The folders of each layout's files, and what writes those of one scan."""
