@@ -19,6 +19,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.blender.objects import lidars
 from tests.six_scenes import SCENES
 from tests.small_scene import REGION, without_times, write_scene
+from tests.test_sides import scene as two_way
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +58,12 @@ def result_of(folder) -> dict:
     return {key: value for key, value in without_times(result).items() if key != "scene"}
 
 
-@pytest.mark.parametrize("made", SCENES.values(), ids=SCENES)
+def in_the_median(folder: Path) -> Path:
+    """Two carriageways, of left-hand traffic, and a mast between them that faces the one that comes the other way."""
+    return two_way(folder, turned=True, road={"drives_on": "left"}, deployment={"side": "median", "facing_deg": 270.0})
+
+
+@pytest.mark.parametrize("made", [*SCENES.values(), in_the_median], ids=[*SCENES, "in the median"])
 def test_optimise_and_scan_are_those_of_the_command_line(made, tmp_path):
     path = made(tmp_path)
     lidar = loaded(path)

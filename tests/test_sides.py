@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -13,7 +14,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from tests.scene_texts import refusal
-from tests.small_scene import HEADER, write_scene, write_table
+from tests.small_scene import HEADER, done, without_charts, write_scene, write_table
 
 TWO_WAY = {"setback_m": 2.0, "lanes": 2, "lane_width_m": 3.5, "carriageways": 2, "median_m": 5.0}
 EDGE = 2.0 + 4 * 3.5 + 5.0  # y of the left edge
@@ -41,18 +42,22 @@ def rows(turned=False, step=0.5):
     return table
 
 
-def site(folder, turned=False, **changes):
-    folder.mkdir()
+def scene(folder, turned=False, **changes):
+    folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / "traffic.csv", rows(turned), HEADER)
-    scene = {
+    tables = {
         "traffic": {"frames": 6, "holdout": 0.0, "accept": ["headings"]},
         "road": TWO_WAY,
         "region": {"centre_m": [0.0, 0.5 * WIDTH], "radius_m": 30.0},
         "sensor": {"range_gate_m": 40.0},
     }
     for table, own in changes.items():
-        scene[table] = {**scene.get(table, {}), **own}
-    return prepare(load_scenario(write_scene(folder, scene)))
+        tables[table] = {**tables.get(table, {}), **own}
+    return write_scene(folder, tables)
+
+
+def site(folder, turned=False, **changes):
+    return prepare(load_scenario(scene(folder, turned, **changes)))
 
 
 def points_of(site, mounting):
@@ -132,3 +137,25 @@ def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(
 )
 def test_sides_that_contradict_the_road_are_refused(text, words, tmp_path):
     assert words in refusal(tmp_path, '[traffic]\npath = "traffic.csv"\n' + text)
+
+
+@pytest.mark.parametrize(
+    ("deployment", "said", "sheet"),
+    [
+        ({"side": "left"}, "tilted 15.0° across it, facing -y", "faces -y, right of the direction of travel on the r"),
+        ({"side": "median"}, "tilted 15.0° across it, at x", "in the median, 2.50 m from the edge of the nearest lane"),
+        ({"side": "gantry", "height_m": [5.0, 8.0]}, "tilted 15.0° across it, at x", "over a lane, 0.00 m from its "),
+        ({"facing_deg": 45.0}, "15.0° to where the mast faces, facing 45° from +x", "45 deg counter-clockwise of it"),
+    ],
+)
+def test_words_of_a_mounting_are_true_on_every_side(deployment, said, sheet, tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    path, out = scene(tmp_path, deployment=deployment), tmp_path / "run"
+    told, _ = done(capsys, "evaluate", path, "--height", 6, "--tilt-x", 15, "--out", out)
+    assert said in " ".join(told.split())
+    assert sheet in " ".join((out / "installation.txt").read_text(encoding="utf-8").split())
+    direct = [word for key, value in deployment.items() if key == "facing_deg" for word in ("--facing", value)]
+    plain = scene(tmp_path, deployment={key: value for key, value in deployment.items() if key != "facing_deg"})
+    words = ("evaluate", plain, "--height", 6, "--tilt-x", 15, *direct, "--json", "--out", tmp_path / "other")
+    result = json.loads(done(capsys, *words)[0])
+    assert result["deployment"] == json.loads((out / "result.json").read_text(encoding="utf-8"))["deployment"]

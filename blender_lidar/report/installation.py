@@ -25,7 +25,8 @@ def installation_text(site: Site, result: Mapping) -> str:
     plumb = replace(mounting, mast=Mast(facing_rad=mounting.mast.facing_rad))
     right, ahead, up = plumb.pose.to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
     falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
-    standing = site.observation.scenery
+    road, standing = site.scenario.road, site.observation.scenery
+    travel = "the direction of travel" + (f" on the {road.drives_on} carriageway" if road.carriageways == 2 else "")
     modelled = standing is not None and len(standing.scenery.beside_road) > 0
     columns = f", {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
     lines = [
@@ -37,14 +38,14 @@ def installation_text(site: Site, result: Mapping) -> str:
         *_slopes(site),
         f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
         f"             {_beside(site, mounting)}",
-        f"Mast         faces {_bearing(plumb.mast.axes[1])}",
-        f"Lean         {_lean(up)}",
+        f"Mast         faces {_bearing(plumb.mast.axes[1], travel)}",
+        f"Lean         {_lean(up, travel)}",
         f"             (before yaw: {mount['tilt_x_deg']:.1f} deg where it faces, {mount['tilt_y_deg']:.1f} deg aside)",
         f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the zero azimuth of the",
         "             sensor faces as the mast does",
-        f"Cable        zero azimuth faces {_bearing(ahead)};",
+        f"Cable        zero azimuth faces {_bearing(ahead, travel)};",
         "             an outlet opposite it, as most spinning sensors have it (see the drawing), faces",
-        f"             {_bearing(-ahead)}",
+        f"             {_bearing(-ahead, travel)}",
         f"Planned for  vehicles {region_text(asdict(site.scenario.region))}, in the frame of the position above",
         "",
         "Check on site",
@@ -99,25 +100,27 @@ def _slopes(site):
 
 def _beside(site, mounting):
     """How far beside the lanes the pole stands, and on which side."""
-    away, side = site.scenario.road_map.clearance(mounting.xy)
-    if away < 0.0:
-        return f"over a lane, {-away:.2f} m from its {side} edge, seen in its direction of travel"
-    return f"{away:.2f} m from the edge of the nearest lane, to the {side} of its traffic"
+    road = site.scenario.road_map
+    away, side = road.clearance(mounting.xy)
+    if road.within(np.array([mounting.xy]))[0]:
+        return f"over a lane, {abs(away):.2f} m from its {side} edge, seen in its direction of travel"
+    where = "in the median, " if site.scenario.road.side_of(mounting.xy[1]) == "median" else ""
+    return f"{where}{away:.2f} m from the edge of the nearest lane, to the {side} of its traffic"
 
 
-def _lean(axis):
+def _lean(axis, travel):
     """How far and which way the sensor's upright axis (3,) leans: beams on that side look down."""
     angle = math.degrees(math.acos(min(axis[2], 1.0)))
     if angle < _UPRIGHT_DEG:
         return "none: the sensor stands upright"
-    return f"{angle:.1f} deg forward and down towards {_bearing(axis)}"
+    return f"{angle:.1f} deg forward and down towards {_bearing(axis, travel)}"
 
 
-def _bearing(axis):
-    """Where an axis (3,) points, seen from above, for people on the road."""
+def _bearing(axis, travel):
+    """Where an axis (3,) points, seen from above, for people on the road, whose x is the direction of `travel`."""
     bearing = math.degrees(math.atan2(axis[1], axis[0]))
-    names = {0: "ahead, in the direction of travel", 90: "+y, left of the direction of travel"}
-    names |= {180: "back, against the direction of travel", -90: "-y, right of the direction of travel"}
+    names = {0: f"ahead, in {travel}", 90: f"+y, left of {travel}"}
+    names |= {180: f"back, against {travel}", -90: f"-y, right of {travel}"}
     nearest = min(names, key=lambda name: abs(math.remainder(bearing - name, 360.0)))
     off = math.remainder(bearing - nearest, 360.0)
     turned = "" if abs(off) < 0.5 else f", {abs(off):.0f} deg {'counter-' if off > 0 else ''}clockwise of it"

@@ -135,7 +135,7 @@ def _line(look: Mapping) -> dict:
 
 
 _TILT_LABELS = {
-    "tilt_x_deg": "Tilt across the road, positive down towards +y [deg]",
+    "tilt_x_deg": "Tilt, positive down to where the mast faces [deg]",
     "lean_deg": "Lean, in the direction of the optimum [deg]",
 }
 

@@ -93,11 +93,17 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
         if mount["x_m"] or mount["y_m"]:
             parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
         return ", ".join(parts)
-    tilts = {"tilt_x_deg": "across it", "tilt_y_deg": "along it"}
+    facing, square = mount.get("facing_deg", 90.0), {90.0: "", -90.0: "facing -y"}
+    facing = square.get(round(math.remainder(facing, 360.0), 6), f"facing {facing:g}° from +x")
+    across = "across it", "along it"
+    if facing not in square.values():
+        across = "to where the mast faces", "aside"
+    tilts = dict(zip(TILTS, across, strict=False))
     leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= _LEVEL_DEG]
     parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
     if abs(mount["yaw_deg"]) >= _LEVEL_DEG:
         parts.append(f"turned {mount['yaw_deg']:.1f}°")
+    parts += [facing] if facing else []
     if mount["x_m"] or mount["y_m"]:
         parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
     return ", ".join(parts)

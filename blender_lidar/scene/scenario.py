@@ -245,7 +245,7 @@ def _stand(table: TomlTable, road: StraightRoad, found: dict[str, object], given
         side = road.drives_on
     y_m, facing = road.place(side or SIDES[0])
     if places is None:
-        found["y_m"] = y_m
+        found["y_m"] = round(y_m, 6)
     elif places == "y_m" and side is not None:
         ends = given["y_m"] if isinstance(given["y_m"], tuple) else (given["y_m"],)
         other = next((road.side_of(end) for end in ends if road.side_of(end) != side), side)
