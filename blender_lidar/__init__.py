@@ -52,8 +52,8 @@ def register() -> None:
         In a Blender that is not supported, in one line.
     """
     if sys.version_info < (3, 11):  # noqa: UP036 - official Blenders 3.4 to 4.0 have 3.10
-        told = f"LiDAR: needs Blender 4.2 or later; this one has Python {sys.version.split()[0]}, 3.11 is needed"
-        raise RuntimeError(told)
+        text = f"LiDAR: needs Blender 4.2 or later; this one has Python {sys.version.split()[0]}, 3.11 is needed"
+        raise RuntimeError(text)
     from . import addon
 
     addon.register()

@@ -117,8 +117,8 @@ def _absolute(path: object) -> object:
 class _Heard:
     """Listens to a run: keeps the best point so far, which is wanted if it is stopped, and passes progress on."""
 
-    def __init__(self, site: Site, told: Progress | None) -> None:
-        self._metric, self._told, self._points = metric_named(site.scoring.metric), told, 0
+    def __init__(self, site: Site, progress: Progress | None) -> None:
+        self._metric, self._progress, self._points = metric_named(site.scoring.metric), progress, 0
         self._best, self._of_last = -np.inf, site.scenario.objective.tolerance is not None  # whose search comes last
         self.best_x: np.ndarray | None = None
 
@@ -134,13 +134,13 @@ class _Heard:
             self.best_x, self._best = search.best_x, search.best_value
         elif isinstance(search, MultiFidelitySearch) and search.evaluations:
             self.best_x = search.best_screened_x
-        if self._told is not None:
-            self._told(search.evaluations, search.budget, self._metric.total(search.best_value) if known else "")
+        if self._progress is not None:
+            self._progress(search.evaluations, search.budget, self._metric.total(search.best_value) if known else "")
 
     def mapping(self, points: int) -> None:
         self._points += points
-        if self._told is not None:
-            self._told(self._points, POINTS[0] * POINTS[1], "map of heights and tilts")
+        if self._progress is not None:
+            self._progress(self._points, POINTS[0] * POINTS[1], "map of heights and tilts")
 
 
 class _HeardAndShown(_Heard):
@@ -267,7 +267,7 @@ def score_mountings(site: Site, table: Mapping | Iterable[Mapping], *, held_out:
         From `load_scene`.
     table : DataFrame, mapping of str to (s,) values, or iterable of mappings
         The mountings, by the names of their coordinates [m, degrees]; what has no column is the baseline's. A table
-        that this function returned is scored anew.
+        that this function returned is scored again.
     held_out : bool
         Whether the held-out frames are scored instead of the searched ones.
 
@@ -309,9 +309,10 @@ def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -
     for name in given:
         if name not in MOUNTING_OR_LEAN:
             raise unknown_name(name, MOUNTING_OR_LEAN, "coordinate", where)
-    told = {key: _plain(one) for key, one in given.items()}
-    told = {key: one for key, one in told.items() if one is not None or key not in LEANS}  # no lean has no direction
-    numbers = {key: checked(one, MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, one in told.items()}
+    values = {key: _plain(one) for key, one in given.items()}
+    # Without a lean there is no direction.
+    values = {key: one for key, one in values.items() if one is not None or key not in LEANS}
+    numbers = {key: checked(one, MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, one in values.items()}
     return site.scenario.mounting(numbers, where)
 
 

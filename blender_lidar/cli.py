@@ -34,21 +34,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 good, 1 failed, 2 wrong input (one line on stderr says what and where).
     """
     if argv is not None:
-        return _told(argv)
+        return _exit_code(argv)
     _open_streams()
     _keep_stdout()
     with stops_watched():
-        return _told(None)
+        return _exit_code(None)
 
 
-def _told(argv: Sequence[str] | None) -> int:
-    """The exit code of what the arguments ask for; what went wrong is told in one line."""
+def _exit_code(argv: Sequence[str] | None) -> int:
+    """Carry out what the arguments ask for and return the exit code; what goes wrong is one line."""
     with warnings.catch_warnings():  # which puts back what shows warnings
         warnings.showwarning = _one_line_warning
         try:
             with stops_recognised():
                 code = _carried_out(argv)
-            print(end="", flush=True)  # while a closed pipe or a full disk can still be told
+            print(end="", flush=True)  # while a closed pipe or a full disk can still be reported
             return code
         except BlenderLidarError as error:
             return _failed(str(error), error.exit_code)
@@ -61,8 +61,8 @@ def _told(argv: Sequence[str] | None) -> int:
             return _failed("out of memory; try fewer --frames or --workers 1", FAILED)
         except OSError as error:
             if error.filename is not None:
-                told = output_error(str(error.filename), error)
-                return _failed(str(told), told.exit_code)
+                failure = output_error(str(error.filename), error)
+                return _failed(str(failure), failure.exit_code)
             _drop_stdout()
             return _failed(f"output cannot be written: {error.strerror or error}", FAILED)
 
@@ -163,7 +163,7 @@ class _HelpFormatter(argparse.HelpFormatter):
 
 
 class _OneLineParser(argparse.ArgumentParser):
-    """An argument error is one line, like every other; options are written out, lest a new one changes a short one."""
+    """An argument error is one line, like every other; options cannot be abbreviated: a new one changes none."""
 
     def __init__(self, **settings) -> None:
         super().__init__(**settings, allow_abbrev=False, formatter_class=_HelpFormatter)

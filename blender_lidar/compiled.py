@@ -30,7 +30,7 @@ def numba_works() -> bool:
     """Whether Numba can be imported: it refuses where NumPy is newer than it knows, and libraries may be missing."""
     try:
         import numba  # noqa: F401
-    except Exception:  # whatever a broken library raises
+    except Exception:  # a broken library may raise anything
         return False
     return True
 
@@ -70,7 +70,7 @@ def _tell_once() -> None:
     if multiprocessing.parent_process() is None:
         text = (
             f"compiled code cannot be kept in {Path(__file__).parent} nor in the user's folder for caches, and is "
-            "compiled anew at every start, for half a minute; NUMBA_CACHE_DIR may name another folder"
+            "compiled again at every start, for half a minute; NUMBA_CACHE_DIR may name another folder"
         )
         warnings.warn(text, stacklevel=2)
 
@@ -96,5 +96,5 @@ def _drop_unreadable(kept) -> None:
     """Remove a stored index that names what has moved to another module: Numba would fail when it reads it."""
     try:
         kept._load_index()
-    except Exception:  # whatever unpickling raises
+    except Exception:  # unpickling may raise anything
         Path(kept._index_path).unlink(missing_ok=True)

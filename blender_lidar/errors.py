@@ -20,7 +20,7 @@ class BlenderLidarError(Exception):
     exit_code = 2
 
     def __str__(self) -> str:
-        """The text as one line of bearable length, whatever names and values of a file stand in it."""
+        """The text as one line of bearable length, even with long names and values of a file in it."""
         text = super().__str__()
         return text if text.isprintable() and len(text) <= _LONGEST_LINE else one_line(text)
 

@@ -113,8 +113,8 @@ def check_unused(folder: Path, option: str, by: str, ours: Callable[[Path], obje
         for path in sorted(folder.iterdir()):
             if not (path.name.startswith(".") or ours(path)):
                 what = "folder" if path.is_dir() else "file"
-                told = f"holds a {what} {path.name} that no {by} has written; give another folder"
-                raise InputError(f"{option}: {folder}: {told}")
+                text = f"holds a {what} {path.name} that no {by} has written; give another folder"
+                raise InputError(f"{option}: {folder}: {text}")
 
 
 def make_folder(path: Path, option: str) -> None:

@@ -1,6 +1,6 @@
 """Plug-ins: metrics and searches of one's own, named by an entry point or as ``FILE.py:NAME``.
 
-Such a name means the same in every process, so that workers find the plug-in too. Whatever its code raises is told in
+Such a name means the same in every process, so that workers find the plug-in too. What its code raises is reported in
 one line, with the line of the file.
 """
 
@@ -80,14 +80,14 @@ def plugin_file(name: str, group: str) -> Path:
     found = _IN_A_FILE.fullmatch(name)
     if found:
         return Path(found["path"])
-    with faults_told(f"entry point {name!r}"):
+    with faults_in_one_line(f"entry point {name!r}"):
         return Path(find_spec(_installed(group)[name].module).origin)
 
 
 def load_plugin(name: str, group: str, where: str = "") -> Any:
     """What a plug-in's name stands for; `where` says where the name came from.
 
-    A file is run anew in each process, and again when it has changed, with another ``__name__`` than ``"__main__"``.
+    A file is run in each process, and again when it has changed, with another ``__name__`` than ``"__main__"``.
 
     Raises
     ------
@@ -96,12 +96,12 @@ def load_plugin(name: str, group: str, where: str = "") -> Any:
     """
     prefix, found = f"{where}: " if where else "", _IN_A_FILE.fullmatch(name)
     if not found:
-        with faults_told(f"{prefix}entry point {name!r}"):
+        with faults_in_one_line(f"{prefix}entry point {name!r}"):
             return _installed(group)[name].load()
     path = found["path"]
     with reading(path, "a Python file"):
         source = read_file(path, _LARGEST)
-    with faults_told(f"{prefix}{path}", path):
+    with faults_in_one_line(f"{prefix}{path}", path):
         module = _module(path, source)
     if not hasattr(module, found["name"]):
         raise InputError(f"{prefix}{path}: defines no {found['name']!r}")
@@ -109,7 +109,7 @@ def load_plugin(name: str, group: str, where: str = "") -> Any:
 
 
 @contextmanager
-def faults_told(what: str, path: str | None = None) -> Iterator[None]:
+def faults_in_one_line(what: str, path: str | None = None) -> Iterator[None]:
     """Tell what the code of others raises in one line: `what` failed, the line of its file, and the error.
 
     Raises
@@ -130,8 +130,8 @@ def faults_told(what: str, path: str | None = None) -> Iterator[None]:
 
 
 def called(what: str, code: Callable, *given: object, **settings: object) -> Any:
-    """What a function of others returns; what it raises is told in one line."""
-    with faults_told(what, getattr(sys.modules.get(code.__module__), "__file__", None)):
+    """What a function of others returns; what it raises is reported in one line."""
+    with faults_in_one_line(what, getattr(sys.modules.get(code.__module__), "__file__", None)):
         return code(*given, **settings)
 
 

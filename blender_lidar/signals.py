@@ -1,4 +1,4 @@
-"""How a process is told to stop: Ctrl-C, SIGTERM of a batch system, SIGHUP of a terminal that closes.
+"""How a process is asked to stop: Ctrl-C, SIGTERM of a batch system, SIGHUP of a terminal that closes.
 
 Each becomes a KeyboardInterrupt, so that what is at work tidies up on its way out, and does so undisturbed.
 """
@@ -75,7 +75,7 @@ def _stops_handled(handler) -> Iterator[None]:
 
 @contextmanager
 def stops_deferred() -> Iterator[None]:
-    """Let a stop wait until the block ends, lest it leaves something half done."""
+    """Let a stop wait until the block ends, so that nothing is left half done."""
     held = []
     try:
         with _stops_handled(lambda number, frame: held.append(number)):

@@ -2,7 +2,7 @@
 
 A setting is a field of a dataclass, made by `setting`: its annotation is the type, its name ends with the unit, its
 `Setting` says default, limits and option, and what the docstring of the class says of it is its help. The same
-declaration serves the reading of a file, the defaults, the options of the command line, and whatever else shows
+declaration serves the reading of a file, the defaults, the options of the command line, and all else that shows
 settings.
 """
 
@@ -225,16 +225,16 @@ def read_toml(path: str | Path) -> dict:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits too
-        told = str(error).splitlines()[0]
-        raise InputError(f"{path}: is not TOML: {told}{_backslash_hint(content, told)}") from error
+        words = str(error).splitlines()[0]
+        raise InputError(f"{path}: is not TOML: {words}{_backslash_hint(content, words)}") from error
 
 
 _OF_PATHS = "in double quotes a backslash begins an escape: write paths in single quotes or with forward slashes"
 
 
-def _backslash_hint(content: bytes, told: str) -> str:
+def _backslash_hint(content: bytes, message: str) -> str:
     """What to do about a backslash in double quotes in the line that an error tells of, as in paths of Windows."""
-    line = re.search(r"at line (\d+)", told)
+    line = re.search(r"at line (\d+)", message)
     text = content.decode(errors="replace").splitlines()[int(line[1]) - 1 :][:1] if line else []
     return f"; {_OF_PATHS}" if text and re.search(r'"[^"]*\\', text[0]) else ""
 

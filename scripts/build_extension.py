@@ -105,10 +105,10 @@ def validated(made: Path) -> str:
     if not tools:
         return ""
     run = subprocess.run([sys.executable, tools[0], "validate", made], capture_output=True, text=True, check=False)
-    told = re.sub(r"\s+", " ", f"{run.stdout} {run.stderr}").strip()
+    text = re.sub(r"\s+", " ", f"{run.stdout} {run.stderr}").strip()
     if run.returncode:
-        raise SystemExit(f"{made}: Blender's tool refuses it: {told}")
-    return told
+        raise SystemExit(f"{made}: Blender's tool refuses it: {text}")
+    return text
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -120,8 +120,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--python", choices=("3.11", "3.13"), default="3.11", help="of the wheels")
     args = parser.parse_args(argv)
     made = build(args.out, args.fast, args.platform, args.python)
-    told = validated(made)
-    print(f"{made}: {made.stat().st_size / 1e6:.1f} MB; {told or 'not validated: bpy is not installed'}")
+    found = validated(made)
+    print(f"{made}: {made.stat().st_size / 1e6:.1f} MB; {found or 'not validated: bpy is not installed'}")
     return 0
 
 

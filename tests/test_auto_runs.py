@@ -138,7 +138,7 @@ def test_another_fidelity_is_another_run(finished, capsys):
     assert "[search] fidelity = 'auto', not 'full'" in err
 
 
-@pytest.mark.parametrize("key", ["fidelity", "told"])
+@pytest.mark.parametrize("key", ["fidelity", "values"])
 def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path, finished, key, capsys):
     site = prepare(load_scenario(finished[0]))
     folder = RunFolder(tmp_path / "run")

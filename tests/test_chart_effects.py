@@ -11,7 +11,7 @@ from blender_lidar.report.chart import ablation_cells
 from blender_lidar.studies.candidates import Candidates
 from blender_lidar.studies.chart import ablation_row
 from blender_lidar.studies.driver import Landscape
-from blender_lidar.studies.effects import NEEDED, NOT_NEEDED, UNTOLD, Reference, effects, regret, verdict
+from blender_lidar.studies.effects import NEEDED, NOT_NEEDED, UNDECIDED, Reference, effects, regret, verdict
 from blender_lidar.studies.variations import Ablation
 
 BLOCKS, MOUNTINGS = 12, 16
@@ -95,7 +95,13 @@ def test_the_interval_of_a_loss_covers_the_truth_about_as_often_as_it_says():
 
 @pytest.mark.parametrize(
     ("interval", "expected"),
-    [((0.011, 0.2), NEEDED), ((-0.3, 0.01), NOT_NEEDED), ((0.0, 0.011), UNTOLD), ((-0.5, 0.5), UNTOLD), (None, UNTOLD)],
+    [
+        ((0.011, 0.2), NEEDED),
+        ((-0.3, 0.01), NOT_NEEDED),
+        ((0.0, 0.011), UNDECIDED),
+        ((-0.5, 0.5), UNDECIDED),
+        (None, UNDECIDED),
+    ],
 )
 def test_a_thing_is_needed_or_not_by_the_whole_interval_of_what_is_lost(interval, expected):
     assert verdict(interval, 0.01) == expected

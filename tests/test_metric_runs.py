@@ -139,7 +139,7 @@ def test_a_share_is_told_in_per_cent_its_differences_in_points_its_sum_in_vehicl
     assert (share.amount(0.6325), share.in_unit("score"), share.unit) == ("63.2 %", "score [%]", "")
     assert share.difference(-0.0625, sign="+") == "-6.2 percentage points"
     assert share.total(117.0000012) == "117 vehicles"
-    assert share.told(np.array([0.5])).tolist() == [50.0]
+    assert share.shown(np.array([0.5])).tolist() == [50.0]
 
 
 # --- whole runs -------------------------------------------------------------------------------------------------------

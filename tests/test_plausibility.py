@@ -158,7 +158,7 @@ def test_what_cannot_be_true_of_a_table_stops_with_its_name_and_what_is_probably
 def test_vehicles_that_are_numbered_anew_in_each_frame_are_told(tmp_path):
     rng = np.random.default_rng(3)
     rows = table(x_m=lambda row: rng.uniform(-400.0, 400.0))
-    with pytest.raises(InputError, match=r"numbered anew in each frame.*--accept time-step"):
+    with pytest.raises(InputError, match=r"new numbers in each frame.*--accept time-step"):
         prepare(load_scenario(scene_of(tmp_path, rows)))
 
 

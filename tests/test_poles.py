@@ -140,7 +140,7 @@ def test_each_pole_is_searched_as_it_would_be_alone_and_judged_on_the_same_frame
             held["objective_per_vehicle"] - best["objective_per_vehicle"]
         )
         low, high = held["interval_90"]
-        assert held["told_apart"] == (low > 0.0 or high < 0.0)
+        assert held["differs"] == (low > 0.0 or high < 0.0)
     with (folder / "run" / "ranking.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["name"] for row in rows] == [pole["name"] for pole in result["poles"]]
@@ -154,13 +154,13 @@ def test_the_heights_that_are_said_to_be_searched_are_those_of_the_poles(tmp_pat
     assert "2 poles; on each: height 3 to 8 m, as each pole allows" in said
 
 
-def test_the_answer_names_its_pole_and_those_that_cannot_be_told_apart(tmp_path, capsys):
+def test_the_answer_names_its_pole_and_those_that_cannot_be_differs(tmp_path, capsys):
     rows = "left,0,0,,,,,\nright,0.001,0,,,,,\nfar mast,60,-40,0,2,6,,\n"
     code, out, err = cli(capsys, "optimise", scene_with(tmp_path, rows), "--workers", 1, "--out", tmp_path / "run")
     assert code == 0, err
     text = " ".join(out.split())
     assert "Hang the RS-16 on pole " in text
-    assert "cannot be told apart from pole" in text
+    assert "held-out traffic does not distinguish" in text
     assert "pole, best first" in text
     sheet = (tmp_path / "run" / "installation.txt").read_text()
     assert " m from the foot of pole " in sheet
@@ -248,7 +248,7 @@ def test_what_only_breaks_ties_tells_no_poles_apart():
     held = rows[1]["holdout"]
     assert (best, held["detectable_share"]) == (0, 1.0)
     assert held["interval_90"][1] < 0.0  # of bits alone
-    assert held["told_apart"] is False
+    assert held["differs"] is False
 
 
 def test_poles_without_a_name_are_not_asked_for(tmp_path, capsys):

@@ -93,7 +93,7 @@ def check_goes_on_to_the_same(scene: Path, out: Path, undisturbed: Path, *words:
 
 
 def stored_evaluations(folder: Path) -> int:
-    return sum(len(batch["told"]) for batch in json.loads((folder / "checkpoint.json").read_text())["batches"])
+    return sum(len(batch["values"]) for batch in json.loads((folder / "checkpoint.json").read_text())["batches"])
 
 
 # --- killed -----------------------------------------------------------------------------------------------------------
@@ -329,7 +329,7 @@ def change_checkpoint(folder: Path, change) -> None:
     [
         lambda batches: batches.__setitem__(1, None),
         lambda batches: batches[1].pop("x"),
-        lambda batches: batches[1].pop("told"),
+        lambda batches: batches[1].pop("values"),
         lambda batches: batches[1].update(told=[1.0]),
         lambda batches: batches[1].update(told=[[1.0]] * 4),
         lambda batches: batches[1].update(told=[float("nan")] * 4),
@@ -343,7 +343,7 @@ def test_a_batch_that_cannot_be_replayed_is_refused_by_its_number(stopped, finis
     assert line.startswith(f"blender-lidar: {stopped / 'checkpoint.json'}: batch 2 is damaged: ")
 
 
-@pytest.mark.parametrize("place", ["x", "told"])
+@pytest.mark.parametrize("place", ["x", "values"])
 def test_a_search_that_asks_for_anything_else_by_one_bit_is_not_gone_on_with(stopped, finished, capsys, place):
     """As it may with another processor's linear algebra: the last bit of a mounting, or another objective."""
 
@@ -351,7 +351,7 @@ def test_a_search_that_asks_for_anything_else_by_one_bit_is_not_gone_on_with(sto
         if place == "x":
             batches[1]["x"][2][0] = float(np.nextafter(batches[1]["x"][2][0], 9.0))
         else:
-            batches[0]["told"] = batches[0]["told"][::-1]
+            batches[0]["values"] = batches[0]["values"][::-1]
 
     change_checkpoint(stopped, change)
     line = refused(capsys, stopped, "optimise", finished[0], "--out", stopped, "--resume", begun=True)

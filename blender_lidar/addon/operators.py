@@ -47,7 +47,7 @@ from . import properties, session
 _LEAST_REACH_M = 120.0  # of the road that is shown
 
 
-def told(execute: Callable) -> Callable:
+def one_line_errors(execute: Callable) -> Callable:
     """Let an operator report wrong input in one line and change nothing: the work is checked before it is begun."""
 
     @wraps(execute)
@@ -110,7 +110,7 @@ class LIDAR_OT_load(bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "lidar.load", "Load", {"REGISTER", "UNDO"}
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Read it; a scene file fills the panel's fields."""
         scene = context.scene
@@ -128,7 +128,7 @@ class LIDAR_OT_load_example(bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "lidar.load_example", "Load Example", {"REGISTER", "UNDO"}
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Fill the panel with the shipped scene."""
         return _take_over(self, context, shipped_scenes()["i80"])
@@ -174,7 +174,7 @@ class LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
     bl_idname, bl_label, bl_options = "lidar.step_frame", "Step", {"REGISTER", "UNDO"}
     back: BoolProperty(default=False, options={"SKIP_SAVE"})
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Go there."""
         scene = context.scene
@@ -210,7 +210,7 @@ class LIDAR_OT_add(bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "lidar.add", "LiDAR", {"REGISTER", "UNDO"}
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Add it, selected."""
         scene = context.scene
@@ -298,7 +298,7 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "lidar.scan", "Scan", {"REGISTER", "UNDO"}
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Scan exactly, check the place, and show the cloud."""
         scene = context.scene
@@ -322,7 +322,7 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "lidar.set_baseline", "Set as Baseline", {"REGISTER", "UNDO"}
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Take the pose over."""
         mounting = properties.mounting_of(session.needed_lidar(context.scene))
@@ -347,7 +347,7 @@ class LIDAR_OT_export_cloud(NeedsTraffic, bpy.types.Operator, ExportHelper):
     bl_idname, bl_label = "lidar.export_cloud", "Export Cloud"
     filename_ext: EnumProperty(name="Format", items=[(name, name[1:].upper(), "") for name in CLOUD_SUFFIXES])
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Scan and write."""
         sensor, vehicles = _mounted(context.scene)
@@ -374,7 +374,7 @@ class LIDAR_OT_export_labelled(NeedsTraffic, FolderHelper, bpy.types.Operator):
 
     bl_idname, bl_label = "lidar.export_labelled", "Export Labelled Set"
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Scan and write; frames of earlier exports stay."""
         sensor, vehicles = _mounted(context.scene)
@@ -391,7 +391,7 @@ class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
 
     bl_idname, bl_label = "lidar.export_run", "Export Run Folder"
 
-    @told
+    @one_line_errors
     def execute(self, context):
         """Evaluate the mounting."""
         scene = context.scene

@@ -174,7 +174,7 @@ class Optimisation:
         self.is_alive()
 
     def stop(self) -> None:
-        """End it, whatever it is at, and remove what it has written."""
+        """Stop the search at any moment and remove what it has written."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -227,7 +227,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
 
     bl_idname, bl_label, bl_options = "lidar.optimise", "Optimise", {"REGISTER"}
 
-    @operators.told
+    @operators.one_line_errors
     def execute(self, context):
         """Search and wait for the end, as scripts do."""
         lidar = session.needed_lidar(context.scene)
@@ -242,7 +242,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
         """Search while the window stays free."""
         return self._begun(context)
 
-    @operators.told
+    @operators.one_line_errors
     def _begun(self, context):
         lidar = session.needed_lidar(context.scene)
         if job_of(lidar) is not None:

@@ -59,7 +59,7 @@ def _changed(table: str) -> Callable:
 
 @contextmanager
 def silently() -> Iterator[None]:
-    """While it lasts nobody is told of changed properties."""
+    """While it lasts changed properties call no update."""
     global _silent
     before, _silent = _silent, True
     try:
@@ -94,9 +94,9 @@ def made_from(key: str, declared: Setting, table: str, **more: object):
     """The Blender property of a setting; `more` replaces what is made of its declaration."""
     kind, unit = declared.kind, key.rpartition("_")[2]
     limits = limits_text(declared, kind) if kind in (int, float) else ""
-    told = f"{declared.help[:1].upper()}{declared.help[1:]}"
-    told += f" ({limits} {'' if unit not in (*_UNITS, 'hz') else unit})".replace(" )", ")") if limits else ""
-    settings: dict[str, object] = {"name": label_of(key), "description": told, "update": _changed(table)}
+    text = f"{declared.help[:1].upper()}{declared.help[1:]}"
+    text += f" ({limits} {'' if unit not in (*_UNITS, 'hz') else unit})".replace(" )", ")") if limits else ""
+    settings: dict[str, object] = {"name": label_of(key), "description": text, "update": _changed(table)}
     default = declared.default if declared.default not in (None, ...) else None
     if kind is bool:
         return BoolProperty(**settings | {"default": bool(default)} | more)
@@ -118,7 +118,7 @@ def made_from(key: str, declared: Setting, table: str, **more: object):
     if kind is float:
         return FloatProperty(**settings | bounds | look | {"default": scale * float(default or 0.0)} | more)
     # Of map coordinates single precision would keep metres.
-    return StringProperty(**settings | {"description": f"{told}: two numbers, such as 565432.1, 4184321.9"} | more)
+    return StringProperty(**settings | {"description": f"{text}: two numbers, such as 565432.1, 4184321.9"} | more)
 
 
 def exact(value: float, key: str = "") -> float:

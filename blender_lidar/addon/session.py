@@ -125,7 +125,7 @@ def _where(source: str, table: str, key: str) -> str:
 
 
 def sensor_of(lidar: bpy.types.Object) -> SensorSettings:
-    """The sensor of a LiDAR, whatever else the panel says.
+    """The sensor of a LiDAR alone, without the rest of the panel.
 
     Raises
     ------
@@ -251,7 +251,7 @@ def deployment_table(lidar: bpy.types.Object) -> dict[str, object]:
 
 
 def recordings_of(scene: bpy.types.Scene) -> list[Recording]:
-    """The recordings of a scene, read again where its settings have changed or the file was opened anew.
+    """The recordings of a scene, read again where its settings have changed or the file was opened again.
 
     Raises
     ------

@@ -117,7 +117,7 @@ def _angular_bounds(corners, origin, rotation):
     x = rotation[0, 0] * east + rotation[0, 1] * north + rotation[0, 2] * up
     y = rotation[1, 0] * east + rotation[1, 1] * north + rotation[1, 2] * up
     z = rotation[2, 0] * east + rotation[2, 1] * north + rotation[2, 2] * up
-    across, ahead, above = x.sum(axis=0), y.sum(axis=0), z.sum(axis=0)  # towards the middle, whatever the length
+    across, ahead, above = x.sum(axis=0), y.sum(axis=0), z.sum(axis=0)  # towards the middle, of any length
     # Every direction to a box is a sum of the directions to its corners with weights of 0 or more. Within a cone of the
     # half-angle r those weights add up to 1 at least and to 1 / cos r at most, and so bound the direction's height.
     distance = np.sqrt(x * x + y * y + z * z)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MISS = -1
 _UNIT_TOLERANCE = 1e-6
 _LEAST_HEIGHT = 1e-12  # of a triangle, relative to its size and coordinates: what is flatter is rounding, not area
-FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit whatever the range
+FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit at any range
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
@@ -213,9 +213,9 @@ class Caster(ABC):
         Corners of each triangle [m], counter-clockwise seen from outside. Triangles without area, as far as float64
         can tell, are never met. Any size and place: the scene is re-centred in float64 before anything becomes float32.
     closed : bool
-        Whether the triangles bound solids, so that a ray from outside meets no inside first. It changes no result, but
-        for what `tree` says of it: leaks are told by the insides that they lead to. Faster for rays from outside, slow
-        for others.
+        Whether the triangles bound solids, so that a ray from outside meets no inside first. It changes no hit, but
+        `tree` uses it to find leaks: a ray that meets an inside first has come through one. Faster for rays from
+        outside, slow for others.
 
     Attributes
     ----------

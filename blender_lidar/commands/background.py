@@ -1,7 +1,7 @@
 """An optimisation in a process of its own, for a window that goes on meanwhile: the command line's, with its progress.
 
 Its order is a pickle: the `scenario`, the `labels` by which errors call its settings, and what stands there besides, as
-`scenery`. It prints messages as lines of JSON, `tell`, which the window reads among whatever else is printed, `heard`.
+`scenery`. It prints messages as lines of JSON, `tell`, which the window finds, `heard`, among all that is printed.
 """
 
 from __future__ import annotations

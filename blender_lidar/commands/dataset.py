@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
 
         workers = workplace_of(scenario.model).processes
         result = folder.write(plan, layouts, identity, _about(site, plan, layouts), workers, progress)
-    print(json.dumps(result, indent=2) if args.json else _told(result, folder.path))
+    print(json.dumps(result, indent=2) if args.json else _summary(result, folder.path))
     return 0
 
 
@@ -77,7 +77,7 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
     }
 
 
-def _told(result: dict, folder: Path) -> str:
+def _summary(result: dict, folder: Path) -> str:
     lines = [*warnings_text(result)]
     for split, purpose in ((TRAIN, "to train on"), (VAL, "to validate by")):
         one = result[split]

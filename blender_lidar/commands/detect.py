@@ -84,7 +84,7 @@ def _print(args: argparse.Namespace, folder: Path, result: Mapping, judged: str)
         print(json.dumps(result, indent=2))
         return 0
     print("\n".join([*warnings_text(result), f"Detector   {args.detector}; {judged}\n"]))
-    print("\n\n".join([told(result), f"Results in {folder}", *map(as_sentence, result["notes"])]))
+    print("\n\n".join([detection_summary(result), f"Results in {folder}", *map(as_sentence, result["notes"])]))
     return 0
 
 
@@ -98,7 +98,7 @@ def check_detector(detector: str) -> None:
         raise MissingFileError(f"--detector: {detector}: there is no such file; allowed: {', '.join(DETECTORS)}, FILE")
 
 
-def told(result: Mapping) -> str:
+def detection_summary(result: Mapping) -> str:
     """What was found, as a sentence and a table."""
     sentence = textwrap.fill(detection_text(result), 120, break_on_hyphens=False)
     return f"{sentence}\n\n{table_text(detection_table(result))}"
@@ -194,8 +194,8 @@ def _run_clouds(args: argparse.Namespace, place: Path) -> int:
     """Detect in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them; returns the exit code."""
     check_detector(args.detector)
     if not is_ours(args.detector):
-        told = f"clouds are looked at by {' or '.join(DETECTORS)}; a file is judged by detect SCENE --detector FILE"
-        raise InputError(f"--detector: {args.detector}: {told}, or by detect DATASET --detector FILE")
+        text = f"clouds are looked at by {' or '.join(DETECTORS)}; a file is judged by detect SCENE --detector FILE"
+        raise InputError(f"--detector: {args.detector}: {text}, or by detect DATASET --detector FILE")
     _refuse_options(args, "a folder of clouds")
     folder = _folder(args, lambda: new_folder("detections"))
     with ExitStack() as stack:

@@ -59,7 +59,7 @@ def _check(name: str) -> str:
     rays = rays[rays[:, 1] > 0.25]
     try:
         found = caster_class(name)(corners[[[0, 1, 2], [0, 2, 3]]]).cast(pose.position, rays).distance
-    except Exception as error:  # whatever a broken library raises is what the user needs to see
+    except Exception as error:  # the user needs to see what a broken library raises
         return f"fails: {type(error).__name__}: {error}"
     error = np.abs(found - 10.0 / rays[:, 1])
     wrong, worst = int((error > _TOLERANCE_M).sum()), error.max()

@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         written.append(str(folder / PICTURE))
     except MissingExtraError as error:
         print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
-    print(_told(recording, layout, kind, written))
+    print(_summary(recording, layout, kind, written))
     _check_plausible(recording, layout, folder / SCENE)
     return 0
 
@@ -251,7 +251,7 @@ def _text(text: str) -> str:
 # --- What is said -----------------------------------------------------------------------------------------------------
 
 
-def _told(recording: Recording, layout: RoadLayout, kind: str, written: list[str]) -> str:
+def _summary(recording: Recording, layout: RoadLayout, kind: str, written: list[str]) -> str:
     (x, y), road = layout.pole_m, layout.road
     seconds = float(np.ptp(recording.frame_time_s))
     of_file = {"ngsim": f"Local_Y {x:.0f} m", "sumo": f"x {x:.1f}, y {y:.1f} m of the net"}
@@ -267,7 +267,7 @@ def _told(recording: Recording, layout: RoadLayout, kind: str, written: list[str
         ("Written", ", ".join(written)),
     ]
     scene = shlex.quote(written[0])
-    told = [f"{name:<10} {text}" for name, text in lines]
+    rows = [f"{name:<10} {text}" for name, text in lines]
     check = f"Look at {written[1]}, then:" if len(written) > 1 else "Next:"
     commands = [f"  blender-lidar evaluate {scene} --height 4 --tilt-x 15", f"  blender-lidar optimise {scene}"]
-    return "\n".join([*told, "", check, *commands])
+    return "\n".join([*rows, "", check, *commands])

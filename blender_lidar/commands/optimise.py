@@ -21,7 +21,7 @@ from .options import default_folder, mounting_from, scenario_from
 from .progress import RunProgress
 from .report import describe_site, files, outcome_text
 
-# --- Where a run's results go, and how they are told: what the verbs that leave a folder share ------------
+# --- Where a run's results go, and how they are printed: what the verbs that leave a folder share ------------
 
 
 def check_resume(args: argparse.Namespace) -> None:
@@ -38,7 +38,7 @@ def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
 
 
 def write_pages(site: Site, run: Outcome, note: Callable[[str], object]) -> list[str]:
-    """Of a run that has ended write the installation sheet, charts and the page; `note` is told of what is left out.
+    """Write installation sheet, charts and page of a run that has ended; `note` is called with what is left out.
 
     Returns the names of the charts.
     """
@@ -58,10 +58,10 @@ def report(args: argparse.Namespace, site: Site, folder: RunFolder) -> int:
     """Of a run that has ended write all that it leaves, and print what was found."""
     run, found = folder.read_outcome(), ""
     if args.detector is not None:
-        from .detect import judge_at, told
+        from .detect import detection_summary, judge_at
 
         mounting = site.scenario.mounting(run.result["deployment"])
-        found = "\n\n" + told(judge_at(site, mounting, args.detector, folder.path))
+        found = "\n\n" + detection_summary(judge_at(site, mounting, args.detector, folder.path))
     charts = write_pages(site, run, lambda text: print(f"blender-lidar: note: {text}", file=sys.stderr))
     say(args, outcome_text(run, files(folder, charts)) + found)
     if args.json:

@@ -42,8 +42,8 @@ def describe_site(site: Site, *, searched: bool = True, verbose: bool = False) -
     `searched` is False where a mounting is given.
     """
     lines = _all_lines(site, searched) if verbose else _few_lines(site, searched)
-    told = warnings_text({"warnings": site.recording.report.warnings_as_dicts()})
-    return "\n".join([*told, *(f"{name:<10} {text}" for name, text in lines if text)])
+    accepted = warnings_text({"warnings": site.recording.report.warnings_as_dicts()})
+    return "\n".join([*accepted, *(f"{name:<10} {text}" for name, text in lines if text)])
 
 
 def _few_lines(site: Site, searched: bool) -> list[tuple[str, str]]:

@@ -65,14 +65,14 @@ def run_scan(args: argparse.Namespace) -> int:
     one, numbers = args.sequence is None, _numbers(args)
     paths = _paths(args, numbers)
     sensor, _, frames = _asked(args, numbers)
-    told = f"({sensor.lattice.model.name}, {sensor.caster})"
+    text = f"({sensor.lattice.model.name}, {sensor.caster})"
     if one:
         cloud = sensor.scan(frames[0])
         write_cloud(paths[0], cloud, sensor.cloud_header(frames[0]))
         of_vehicle = cloud.vehicle_id[cloud.vehicle_id >= 0]
         print(
             f"{paths[0]}: {len(cloud)} points, {len(of_vehicle)} of them on {len(np.unique(of_vehicle))} of "
-            f"{len(frames[0])} vehicles {told}"
+            f"{len(frames[0])} vehicles {text}"
         )
         return 0
     make_folder(Path(args.out), "--out")
@@ -86,7 +86,7 @@ def run_scan(args: argparse.Namespace) -> int:
                 write_cloud(path, cloud, header)
             points += len(cloud)
             progress.advance(1)
-    print(f"{args.out}: {len(frames)} clouds with {points} points {told}")
+    print(f"{args.out}: {len(frames)} clouds with {points} points {text}")
     return 0
 
 
@@ -134,8 +134,8 @@ def run_build(args: argparse.Namespace) -> int:
     moving = f" driving through {len(frames)} frames" if animated else ""
     boxes = sum(len(detections.get(vehicles.frame, ())) for vehicles in frames)
     detected = "" if args.detections is None else f", {boxes} detections"
-    told = f"{len(frames[0])} vehicles{moving}, {points}{detected}"
-    print(f"{args.out}: {told} ({sensor.lattice.model.name}, {sensor.caster})")
+    text = f"{len(frames[0])} vehicles{moving}, {points}{detected}"
+    print(f"{args.out}: {text} ({sensor.lattice.model.name}, {sensor.caster})")
     return 0
 
 

@@ -122,7 +122,7 @@ def _portrait(model: LidarModel) -> str:
         columns = ", ".join(f"{one.columns()} at {_listed(one.rotation_hz)} Hz" for one in settings)
         usual = f"{model.columns()} at {usual}"
     dark_m = model.range_at_10_percent_m
-    told = {
+    values = {
         "also called": ", ".join(model.aliases),
         "rings": f"{model.rings}, {of['elevation_min_deg']:+.4g} to {of['elevation_max_deg']:+.4g} degrees",
         "columns a turn": f"{columns} ({usual})",
@@ -136,7 +136,7 @@ def _portrait(model: LidarModel) -> str:
     }
     lines = textwrap.wrap(f"{model.name}: {model.description}" if model.description else model.name, _WIDTH)
     lines.append("")
-    for name, text in told.items():
+    for name, text in values.items():
         if text:
             lines += textwrap.wrap(f"{name:<17}{text}", _WIDTH, subsequent_indent=" " * 17, break_on_hyphens=False)
     level = f"Level at {MOUNT_HEIGHT_M:g} m, from the side, heights stretched; below it how many rings meet the road"

@@ -47,8 +47,8 @@ def dbscan_class() -> type:
     try:
         from sklearn.cluster import DBSCAN
     except ImportError as error:
-        told = 'the classical detector needs scikit-learn: pip install "blender_lidar[detect]"'
-        raise MissingExtraError(told) from error
+        text = 'the classical detector needs scikit-learn: pip install "blender_lidar[detect]"'
+        raise MissingExtraError(text) from error
     return DBSCAN
 
 

@@ -83,7 +83,7 @@ class DatasetPlan:
     ----------
     scenario : Scenario
     observation : Observation
-        Sensor, range gate, caster and detail; what stands still, but for clutter, which each scan draws anew.
+        Sensor, range gate, caster and detail; what stands still, but for clutter, which each scan draws.
     region : Region
         Where vehicles count.
     reach_m : float
@@ -298,7 +298,7 @@ def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray
 
 
 def sample(plan: DatasetPlan, number: int) -> Sample:
-    """The sample of a number: the same whatever was made before, and in which process."""
+    """The sample of a number: the same in every order and process."""
     scan = plan.scans[number]
     vehicles, counted, labelled = _traffic(plan, scan)
     seen = replace(
@@ -329,7 +329,7 @@ def samples(plan: DatasetPlan, numbers: Iterable[int] | None = None, workers: in
 
 
 def _scenery(plan: DatasetPlan, scan: PlannedScan) -> StandingScenery | None:
-    """What stands still about a scan: clutter is drawn anew for each, lest a detector learn where it stands."""
+    """What stands still about a scan: each draws its clutter, so that a detector does not learn where it stands."""
     scenery, world = plan.observation.scenery, plan.scenario.world
     if not world.clutter:
         return scenery
@@ -349,7 +349,7 @@ def visible_share(vehicles: Vehicles, lattice: BeamLattice, pose: Pose, turn: Tu
     """How much of each vehicle nothing hides, (v,), 0 to 1.
 
     Of the beams that would enter its box within `max_range_m`, the share that meets nothing before; 0 without such a
-    beam. It is told from the revolution that was cast anyway: a beam that passes through a corner of the box above the
+    beam. It is found from the revolution that was cast anyway: a beam that passes through a corner of the box above the
     bonnet is one that sees it.
     """
     first = np.full(len(turn.directions), np.inf)

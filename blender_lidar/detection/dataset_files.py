@@ -116,7 +116,7 @@ class DatasetFolder:
         workers : int
             Processes.
         progress : callable
-            Given the number of scans, and of those that were there, what is told of each that is written.
+            Given the number of scans, and of those that were there, what is recorded of each that is written.
 
         Raises
         ------
@@ -255,8 +255,8 @@ def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     vehicles, scan, seen = made.vehicles, made.scan, plan.observation
     drawn = replace(plan.scenario, sensor=replace(plan.scenario.sensor, noise_seed=scan.seed))
     sensor = MountedSensor(drawn, scan.mount, seen.lattice, seen.caster, None)
-    told = {key: value for key, value in asdict(scan).items() if key not in ("frame", "mount")}
-    told["hangs"] = {key: scan.hangs.as_table()[key] for key in MOUNTED}
+    about = {key: value for key, value in asdict(scan).items() if key not in ("frame", "mount")}
+    about["hangs"] = {key: scan.hangs.as_table()[key] for key in MOUNTED}
     boxes = {
         "vehicle_id": vehicles.vehicle_id,
         "class": vehicles.class_name,
@@ -267,7 +267,7 @@ def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     }
     more = {f"box_{name}": values for name, values in boxes.items()}
     path = folder / "npz" / f"{file_name(scan.number)}.npz"
-    write_npz(path, made.cloud, {**sensor.cloud_header(vehicles), "versions": plan.versions, "scan": told}, more)
+    write_npz(path, made.cloud, {**sensor.cloud_header(vehicles), "versions": plan.versions, "scan": about}, more)
 
 
 _KITTI_TYPES = ("Car", "Van", "Truck", "Truck", "Cyclist")  # by class: KITTI has no bus, and no motorcycle

@@ -269,8 +269,8 @@ def _row_of(entry: Mapping, where: str) -> tuple[float, ...] | None:
         (x, y, z), (width, length, height) = (map(float, entry[key]) for key in ("translation", "size"))
         w, i, j, k = map(float, entry["rotation"])
     except (LookupError, TypeError, ValueError, OverflowError):
-        told = "translation (3), size (3), rotation (4), detection_name and detection_score"
-        raise InputError(f"{where}: is no detection; needed: {told}") from None
+        text = "translation (3), size (3), rotation (4), detection_name and detection_score"
+        raise InputError(f"{where}: is no detection; needed: {text}") from None
     kind = _kind(name, where)
     if kind is None:
         return None

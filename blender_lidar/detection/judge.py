@@ -310,7 +310,7 @@ def farthest_m(judged: JudgedDetector) -> float:
 
 
 def measured_groups(judged: JudgedDetector, farthest: float) -> dict[str, object]:
-    """All that is told of one mounting: of all vehicles, by distance up to the `farthest` [m], and by kind."""
+    """All results of one mounting: of all vehicles, by distance up to the `farthest` [m], and by kind."""
     return {
         "with_return": judged.with_return,
         "without_boxes": sum(not len(boxes) for boxes in judged.boxes),

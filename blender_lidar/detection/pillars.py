@@ -202,14 +202,14 @@ class PillarsDetector:
         self._weights, self._trained = load_weights(SHIPPED if weights is None else weights)
         self._sensor, self._pose, self._lidar = sensor, pose, pose.position
         self._area = Area.around(np.asarray(low) - self._lidar[:2], np.asarray(high) - self._lidar[:2])
-        self._told: list[str] = []
+        self._notes: list[str] = []
 
     def check_headings(self, heading_rad: np.ndarray) -> None:
         """Note where vehicles, by their headings (n,) [rad], do not drive along x as those of the training did."""
         astray = float((np.abs(np.sin(heading_rad)) > math.sin(_ALONG_RAD)).mean()) if len(heading_rad) else 0.0
         if astray > _MOST_ASTRAY:
             off = f"{100.0 * astray:.0f} % of the vehicles stand more than {math.degrees(_ALONG_RAD):.0f} degrees off x"
-            self._told.append(f"{self.name}: {off}; in its training all drove along it, and others are found less well")
+            self._notes.append(f"{self.name}: {off}; its training had none of these, and it finds them less well")
 
     def detect(self, cloud: PointCloud) -> tuple[DetectedBoxes, tuple[float, float]]:
         """The vehicles of one frame; and for `notes` how uneven its ground is [m], and its `density`.
@@ -236,14 +236,14 @@ class PillarsDetector:
 
     def notes(self, seen: Sequence[tuple[float, float]] = ()) -> Sequence[str]:
         """Where the sensor, its mounting or the clouds that were `seen` are unlike the training's, as sentences."""
-        trained, told = self._trained, [*self._told]
+        trained, words = self._trained, [*self._notes]
         if self._sensor not in trained["sensors"]:
-            told.append(f"{self.name} was trained on {', '.join(trained['sensors'])}, not on {self._sensor}")
+            words.append(f"{self.name} was trained on {', '.join(trained['sensors'])}, not on {self._sensor}")
         lean = math.degrees(math.acos(min(1.0, float(self._pose.rotation[2, 2]))))
         mounting = {"height_m": (self._pose.height_m, "hangs {} m high"), "lean_deg": (lean, "leans by {} degrees")}
         residual, points = np.array(seen).reshape(-1, 2).T
         if len(residual) and np.isnan(residual).mean() > 0.5:
-            told.append(f"{self.name}: most clouds have too little ground for a plane; heights are counted from z = 0")
+            words.append(f"{self.name}: most clouds have too little ground for a plane; heights are counted from z = 0")
         elif len(residual):
             mounting["residual_m"] = (float(np.nanmedian(residual)), "sees ground that is {} m uneven in the median")
         if len(points):
@@ -252,8 +252,8 @@ class PillarsDetector:
             low, high = trained[key]
             if not low - _SLACK * (high - low) <= value <= high + _SLACK * (high - low):
                 is_so = text.format(f"{value:.3g}")
-                told.append(f"{self.name}: the LiDAR {is_so}, but from {low:.3g} to {high:.3g} in its training")
-        return told
+                words.append(f"{self.name}: the LiDAR {is_so}, but from {low:.3g} to {high:.3g} in its training")
+        return words
 
 
 _ALONG_RAD, _MOST_ASTRAY = math.radians(15.0), 0.05  # share of the vehicles

@@ -18,7 +18,7 @@ from ..statistics import of_blocks, statistic_interval_90
 from ..traffic.boxes import DetectedBoxes, bev_iou, kind_of
 from ..traffic.vehicles import Vehicles
 
-CONFIDENCES = (0.1, 0.3)  # at which recall and precision are told, as the paper's Table III has them
+CONFIDENCES = (0.1, 0.3)  # at which recall and precision are given, as the paper's Table III has them
 MISSED = -1.0  # in place of the confidence of a vehicle's detection
 
 
@@ -231,12 +231,12 @@ _MOST_UNDEFINED = 0.05  # share of resamples in which nothing is to be divided b
 def measured(by: Sequence[Matches]) -> dict[str, object]:
     """All `MEASURES` for a result file, of the matches by each of `CRITERIA`; None where one is undefined."""
     values = {name: float(measure(by, None)[0]) for name, measure in MEASURES.items()}
-    told = {name: None if np.isnan(value) else value for name, value in values.items()}
+    known = {name: None if np.isnan(value) else value for name, value in values.items()}
     false_alarms = {
         f"false_alarms_{at:g}": int((~by[0].hit & (by[0].confidence >= at)).sum()) / max(by[0].frames, 1)
         for at in CONFIDENCES
     }
-    return {"vehicles": len(by[0].found), **told, **false_alarms}
+    return {"vehicles": len(by[0].found), **known, **false_alarms}
 
 
 def by_distance(by: Sequence[Matches], farthest_m: float) -> dict[str, dict[str, object]]:
@@ -263,16 +263,16 @@ def paired_intervals(
     seed : int
         For the resampling.
     """
-    told = _with_intervals((one, other), block, seed, recording)
-    return {name: {"difference": value, "interval_90": ends} for name, (value, ends) in told.items()}
+    found = _with_intervals((one, other), block, seed, recording)
+    return {name: {"difference": value, "interval_90": ends} for name, (value, ends) in found.items()}
 
 
 def intervals(
     by: Sequence[Matches], block: np.ndarray, seed: int, recording: np.ndarray | None = None
 ) -> dict[str, list[float] | None]:
     """The 90 % interval over blocks of time of each of `MEASURES`, as for `paired_intervals`, within 0 and 1."""
-    told = _with_intervals((by,), block, seed, recording)
-    return {name: None if ends is None else np.clip(ends, 0.0, 1.0).tolist() for name, (_, ends) in told.items()}
+    found = _with_intervals((by,), block, seed, recording)
+    return {name: None if ends is None else np.clip(ends, 0.0, 1.0).tolist() for name, (_, ends) in found.items()}
 
 
 def _with_intervals(

@@ -102,13 +102,13 @@ class StoredClouds:
     def of(cls, path: Path) -> StoredClouds:
         header = read_cloud(path)[1]
         where = f"{path}: its header"
-        told = _declared(header, _OF_HEADERS, where)
-        name, rate = told["sensor"], told["rotation_hz"]
+        found = _declared(header, _OF_HEADERS, where)
+        name, rate = found["sensor"], found["rotation_hz"]
         if name not in model_names():
             raise InputError(f"{path}: its sensor {name!r} is of a table of its own; detect at its scene")
-        columns = round(360.0 / told["azimuth_step_deg"])
+        columns = round(360.0 / found["azimuth_step_deg"])
         imperfect = header.get("imperfections", {})
-        settings = {"name": name, "rotation_hz": rate, "range_gate_m": told["range_m"][1], **imperfect}
+        settings = {"name": name, "rotation_hz": rate, "range_gate_m": found["range_m"][1], **imperfect}
         try:
             if columns != load_model(name).columns(rate):
                 settings["columns"] = columns
@@ -272,9 +272,9 @@ def read_dataset(folder: Path) -> StoredDataset:
     if not path.exists():
         raise InputError(f"{folder}: is an unfinished data set; give the command that began it again")
     about = read_json(path, "the dataset.json of a data set")
-    told = _declared(about, _ABOUT, str(path))
-    road = road_map(told["road"])
-    region = region_of_alarms(region_of(told["region"], road))
+    found = _declared(about, _ABOUT, str(path))
+    road = road_map(found["road"])
+    region = region_of_alarms(region_of(found["region"], road))
     scans = _read_columns(folder / SCANS, _OF_SCANS, "split")
     count = len(scans["scan"])
     if not count or (scans["scan"] != np.arange(count)).any():
@@ -320,19 +320,19 @@ def judge_on_dataset(stored: StoredDataset, name: str, workers: int, progress: P
         return [match(boxes, frames, stored.region, lidars, criterion, kind) for criterion in CRITERIA]
 
     if not stored.validates:
-        told = "no scan of the data set validates: all judge, though a detector may have been trained on them"
-        notes = [told, *notes]
+        text = "no scan of the data set validates: all judge, though a detector may have been trained on them"
+        notes = [text, *notes]
     return judged_boxes(boxes, matched, float(returns.mean()) if len(returns) else None, notes)
 
 
 def check_clouds(stored: StoredDataset, name: str) -> None:
     """Refuse a detector of ours that cannot look at the clouds of a data set."""
     if name == ClassicalDetector.name:
-        told = "learns the empty scene from clouds of one mounting, and those of a data set have many"
-        raise InputError(f"--detector: {name} {told}; judge it by detect SCENE --detector {name}")
+        text = "learns the empty scene from clouds of one mounting, and those of a data set have many"
+        raise InputError(f"--detector: {name} {text}; judge it by detect SCENE --detector {name}")
     if is_ours(name) and "npz" not in stored.about["layouts"]:
-        told = f"has no NPZ clouds but {', '.join(stored.about['layouts'])}"
-        raise InputError(f"{stored.folder}: {told}; allowed: a data set of --layout npz, or --detector FILE")
+        text = f"has no NPZ clouds but {', '.join(stored.about['layouts'])}"
+        raise InputError(f"{stored.folder}: {text}; allowed: a data set of --layout npz, or --detector FILE")
 
 
 def _look_at_scan(stored: StoredDataset, detectors: Mapping[int, PillarsDetector], number: int):

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from ..plugins import METRICS_OF_OTHERS, called, faults_told, is_plugin, load_plugin, plugin_names
+from ..plugins import METRICS_OF_OTHERS, called, faults_in_one_line, is_plugin, load_plugin, plugin_names
 from . import vehicle_metrics as vehicle
 from .metric import (
     NEEDS_DETECTABLE,
@@ -112,7 +112,7 @@ def _learnt(what: str, learn: Callable[[SceneContext], Score], context: SceneCon
 def _scored(what: str, score: Score, returns: VehicleReturns) -> np.ndarray:
     """The values of a plug-in, checked."""
     values = called(what, score, returns)
-    with faults_told(what):
+    with faults_in_one_line(what):
         values = np.asarray(values)
     if values.dtype.kind not in "fiub":
         raise InputError(f"{what}: gave {values.dtype} values; allowed: numbers")

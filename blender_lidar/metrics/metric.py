@@ -239,7 +239,7 @@ class Metric:
     decimals : int
         Digits after the point that matter in a vehicle's value.
     of_share : bool
-        Whether its mean is the share of vehicles of which something is true: told in per cent, its differences in
+        Whether its mean is the share of vehicles of which something is true: shown in per cent, its differences in
         percentage points, its sum as a number of vehicles. `decimals` are then those of the per cent.
     """
 
@@ -288,7 +288,7 @@ class Metric:
 
     @property
     def told_unit(self) -> str:
-        """Unit of values as they are told: that of its values, or per cent."""
+        """Unit of shown values: that of its values, or per cent."""
         return "%" if self.of_share else self.unit
 
     @property
@@ -296,13 +296,13 @@ class Metric:
         """What stands behind a mean: nothing behind a share."""
         return "" if self.of_share else " per vehicle"
 
-    def told(self, value):
-        """A value, or an array of some, as it is told: itself, or in per cent."""
+    def shown(self, value):
+        """A value, or an array of values, as it is shown: itself, or in per cent."""
         return 100.0 * value if self.of_share else value
 
     def number(self, value: float, more: int = 0, sign: str = "-") -> str:
         """A value, or a mean or sum of some, as text with `more` digits than a vehicle's has; `sign` as in a format."""
-        return f"{self.told(value):{sign}.{max(self.decimals + more, 0)}f}"
+        return f"{self.shown(value):{sign}.{max(self.decimals + more, 0)}f}"
 
     def amount(self, value: float, more: int = 0, sign: str = "-") -> str:
         """The same with the unit behind it."""

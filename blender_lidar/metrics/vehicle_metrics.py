@@ -1,6 +1,6 @@
 """Metrics of single vehicles: PE-VGOP, view coverage, point counts and densities, voxel entropy, AP entropy, distance.
 
-Each takes `VehicleReturns` of n vehicles and gives (n,) values; `catalogue` says how each is named and told.
+Each takes `VehicleReturns` of n vehicles and gives (n,) values; `catalogue` has the name, unit and description of each.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ HALF_SHARE = 0.5
 
 
 def view_coverage(returns: VehicleReturns) -> np.ndarray:
-    """C of each vehicle, (n,), from 0 to 1; higher is better. Its cells are its own, whatever PE-VGOP's."""
+    """C of each vehicle, (n,), from 0 to 1; higher is better. Its cells do not depend on PE-VGOP's."""
     return coverage(occupancy(returns.points, returns.vehicle, returns.size_m, CELL_M))
 
 

@@ -25,7 +25,7 @@ VIEW_NAMES = ("top", "side", "front")
 VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, front in the vehicle frame
 
 _MOST_CELLS = 20_000  # along a side: a millimetre of a long truck; a view of more does not fit into memory
-_WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, whatever the rounding of 4.5 / 0.05
+_WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, though 4.5 / 0.05 is rounded
 _CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
 _WORDS_TO_SUM = 255  # of eight bytes, each 0 or 1: the sum of so many overflows no byte
 

@@ -82,7 +82,7 @@ class AdaptiveSwarm:
         self._oldest = 0  # of the memory
         self._replaced = np.empty((0, variables))
         self._idle = 0
-        self._told = False  # until then `candidates` are the first positions
+        self._has_values = False  # until then `candidates` are the first positions
 
     @property
     def order(self) -> np.ndarray:
@@ -121,11 +121,11 @@ class AdaptiveSwarm:
         self._position[moved], self._velocity[moved] = self.candidates[moved], self._next_velocity[moved]
         self.best[kept], self.value[kept] = self.candidates[kept], values[kept]
         self._idle = 0 if values.max() > reached else self._idle + 1
-        self._told = True
+        self._has_values = True
 
     def move(self) -> None:
         """Draw the next `candidates`; the first are where the particles start."""
-        if not self._told:
+        if not self._has_values:
             return
         particles, variables = self.best.shape
         guide = self.best[self.order[self._rng.integers(self._greedy, size=particles)]]

@@ -3,12 +3,12 @@
 With weighted recombination, cumulative step-size adaptation, rank-one and rank-mu updates and negative weights for the
 worse half. Positions are shares of the box, 0 to 1 in every variable; only the order of values counts.
 
-Mountings are often best on a bound. A sample beyond one is evaluated on it, and told as it was drawn: as if the
-objective went on unchanged outside. The mean may leave the box by two standard deviations of the Gaussian it moves
-from, so that where a bound is best nearly all samples come to lie on it, and that variable no longer says anything
-about step size and shape; in a corner samples become one point, and the climb ends for want of a better one. Drawn
-again until they are inside, samples keep off the bounds; told as they were evaluated, they have a climb along a bound
-end too early.
+Mountings are often best on a bound. A sample beyond one is evaluated on it, and its value counts where it was drawn: as
+if the objective went on unchanged outside. The mean may leave the box by two standard deviations of the Gaussian it
+moves from, so that where a bound is best nearly all samples come to lie on it, and that variable no longer says
+anything about step size and shape; in a corner samples become one point, and the climb ends for want of a better one.
+Drawn again until they are inside, samples keep off the bounds; if values count where they were evaluated, they have a
+climb along a bound end too early.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ class CovarianceAdaptation:
     candidates : ndarray, (samples, d)
         What to evaluate next, in the box.
     samples, generation : int
-        Candidates to a generation, and generations told so far.
+        Candidates to a generation, and generations that have their values.
     reached : float
-        The best value told; ``-inf`` before the first.
+        The best value so far; ``-inf`` before the first.
     idle : int
         Generations without a better best.
     """

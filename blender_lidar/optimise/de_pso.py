@@ -4,7 +4,7 @@ What the paper leaves open, and how it is read here:
 
 - The first iteration evaluates the initial positions (a Latin hypercube, at rest), since no best is known before;
   T iterations of N particles are T N evaluations, 2,000 with the paper's settings.
-- r1, r2 and r3 are scalars, drawn anew for every particle and iteration, as Algorithm 1 writes them.
+- r1, r2 and r3 are scalars, drawn for every particle and iteration, as Algorithm 1 writes them.
 - A particle that Eq. 15 puts on a bound keeps its velocity.
 - Lines 13 and 16 compare a value with a position, which has no meaning; both readings compare values with values.
 

@@ -24,7 +24,7 @@ from .adaptive_swarm import AdaptiveSwarm
 from .cma_es import NARROW, CovarianceAdaptation
 from .search import Search, check_whole, generator, in_box, wrapped
 
-# --- Where else a landscape may have a maximum, told from points that were evaluated ----------------------
+# --- Where else a landscape may have a maximum, guessed from evaluated points -----------------------------
 # A point whose nearest better one is far tops a basin, as far as anybody knows; on a slope the nearest better one is
 # near (after nearest-better clustering: Preuss, Niching the CMA-ES via nearest-better clustering, GECCO 2010). Points
 # are shares of the box, 0 to 1 in every variable; distances are root mean squares over the variables. Only the order

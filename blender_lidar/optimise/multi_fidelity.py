@@ -223,8 +223,8 @@ class MultiFidelitySearch:
                 parts = zip(begun, rows, ends, strict=True)
                 whole = [np.concatenate([part[better], end], axis=1) for part, better, end in parts]
             record.add(self._in_box(np.concatenate(tried)), np.concatenate(whole))
-            for climb, *told in zip(going, begun, rows, whole, strict=True):
-                climb.tell(_ranks(*told))
+            for climb, *scores in zip(going, begun, rows, whole, strict=True):
+                climb.tell(_ranks(*scores))
 
     def _asked_of(self, tried: list[np.ndarray], rung: Rung, frames: slice) -> Iterator[Asked]:
         """Ask for the candidates of several climbs at once; returns the objective of each climb's, (s, frames)."""

@@ -101,7 +101,7 @@ def wrapped(step: np.ndarray, periodic: np.ndarray, period: np.ndarray | float =
 
 
 def generator(seed: int) -> np.random.Generator:
-    """A random generator whose kind is fixed, whatever NumPy may prefer: the same seed, the same draws."""
+    """A random generator whose kind is fixed, also when NumPy changes its default: the same seed, the same draws."""
     return np.random.Generator(np.random.PCG64(check_whole(seed, 0, "seed")))
 
 
@@ -152,9 +152,9 @@ class Search(ABC):
         while not search.done:
             search.tell(objective(search.ask()))
 
-    A search is deterministic: made anew and told the same, it asks for the same to the last bit. So a record of what
-    it asked for and was told is all that is needed to go on with it, here or in another process. A subclass says which
-    candidates are next, and may learn from their values.
+    A search is deterministic: a new one that is given the same values asks for the same to the last bit. So a record of
+    what it asked for and of its values is all that is needed to go on with it, here or in another process. A subclass
+    says which candidates are next, and may learn from their values.
 
     Attributes
     ----------

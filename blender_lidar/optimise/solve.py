@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..names import ITERATIONS, PARTICLES, SEARCHES
-from ..plugins import SEARCHES_OF_OTHERS, called, faults_told, is_plugin, load_plugin, plugin_names
+from ..plugins import SEARCHES_OF_OTHERS, called, faults_in_one_line, is_plugin, load_plugin, plugin_names
 from .baselines import GridSearch, RandomSearch, grid_points
 from .de_pso import DePso, DePsoSettings
 from .hardened import Hardened, HardenedSettings
@@ -76,7 +76,8 @@ class OwnSearch(Search):
     is a class, or a function that makes the object, called as ``Climb(lower, upper, seed=seed, budget=budget)`` with
     bounds (d,). Then by turns ``ask()`` gives the candidates to evaluate next, (s, d) within the bounds, and
     ``tell(values)`` takes their values, (s,): the higher the better, ``-inf`` for an infeasible one. The last batch is
-    cut to what the budget leaves. Made anew and told the same it has to ask for the same, so that a run can go on.
+    cut to what the budget leaves. A new one that is given the same values has to ask for the same, so that a run can go
+    on.
 
     Raises
     ------
@@ -97,7 +98,7 @@ class OwnSearch(Search):
     def _candidates(self) -> np.ndarray:
         if self._asked is None:
             asked = called(self._what, self._own.ask)
-            with faults_told(f"{self._what}: ask()"):
+            with faults_in_one_line(f"{self._what}: ask()"):
                 asked = np.array(asked)
             form = f"(s, {self.lower.size}), s at least 1, finite numbers"
             if asked.ndim != 2 or asked.shape[1] != self.lower.size or not len(asked) or asked.dtype.kind not in "fiu":
@@ -154,7 +155,7 @@ def make_search(
     evaluations : int
         The budget, never exceeded: DE-PSO makes as many whole iterations as fit, a grid is as fine as fits.
     periodic : sequence of bool, (d,), optional
-        Which variables are circles, their bounds one and the same place. A plug-in is not told: to it they are ends.
+        Which variables are circles, their bounds one and the same place. A plug-in does not know: to it they are ends.
     **settings
         The method's own: fields of `HardenedSettings` or `DePsoSettings` but for the budget; grid and random have none.
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # --- the picture: error over time, every fidelity named, with the Pareto front ----------------------------------------
 
-# By level of detail, told apart in grey by lightness and without colour by the marker.
+# By level of detail, which differ in lightness where print is grey, and in the marker without colour.
 _LOOKS = {
     "box": {"marker": "s", "color": "#8fb4da"},
     "body": {"marker": "o", "color": "#3d77b8"},

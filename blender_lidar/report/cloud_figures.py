@@ -103,7 +103,7 @@ def plot_clouds(
 ) -> None:
     """Draw one frame's cloud under the baseline and under the other mounting, to scale.
 
-    The boxes of the `vehicles` and the LiDARs set what part of the road is drawn. Orientations are told as leans where
+    The boxes of the `vehicles` and the LiDARs set what part of the road is drawn. Orientations are given as leans where
     the run is about them, `leaning`.
 
     Raises
@@ -122,8 +122,8 @@ def plot_clouds(
                 dots, entries = _draw_panel(axes, sight, corners)
             points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
             seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
-            place_told = mounting_text(sight.mounting.as_table(), leans=leaning)
-            stretches[0].set_title(f"{sight.name}: {place_told}\n{seen}, {points:,} points on vehicles")
+            where = mounting_text(sight.mounting.as_table(), leans=leaning)
+            stretches[0].set_title(f"{sight.name}: {where}\n{seen}, {points:,} points on vehicles")
         bar = place(figure, 0.25 * WIDTH_MM, bottom + 7.0, 0.5 * WIDTH_MM, 2.5)
         label = "Height above the road of points on vehicles [m]"
         figure.colorbar(dots, cax=bar, orientation="horizontal", label=label)
@@ -274,8 +274,8 @@ def plot_detections(
                 entries = _draw_found(axes, frame, one)
             hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
             alarms = len(one.boxes) - int(hits) - int(np.count_nonzero(one.ignored))
-            told = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
-            stretches[0].set_title(f"{one.name}: {mounting_text(one.mounting.as_table())}\n{told}")
+            text = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
+            stretches[0].set_title(f"{one.name}: {mounting_text(one.mounting.as_table())}\n{text}")
         legend_below(figure, entries, columns=4)
 
 
@@ -402,8 +402,8 @@ def plot_occupancy(
                 axes.text(0.0, floor + up + 1.0 / scale, caption, va="bottom", fontsize=SMALL_PT)
             bar = floor - _GAP_MM / scale
             axes.plot([0.0, 1.0], [bar, bar], "|-", color="black", linewidth=1.0, markersize=6.0, clip_on=False)
-            told = f"1 m; a cell is {cell_m:g} m by {cell_m:g} m"
-            axes.text(1.0 + 2.0 / scale, bar, told, va="center", fontsize=SMALL_PT)
+            text = f"1 m; a cell is {cell_m:g} m by {cell_m:g} m"
+            axes.text(1.0 + 2.0 / scale, bar, text, va="center", fontsize=SMALL_PT)
             axes.set_title(f"{heading}\nPE-VGOP {total:z.3f} bits")
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _HEAD = ("", "vehicles", "points", "simulated", "PE-VGOP", "error (90 % interval)", "bias")
 _FEWEST = 5  # vehicles of a band that is drawn
 _HEIGHT_MM = 95.0
-# Told apart in grey by lightness, and without any colour by the marker.
+# They differ in lightness where print is grey, and in the marker without any colour.
 _LOOKS = {
     "box": {"color": "#cf7f1b", "marker": "s", "markerfacecolor": "white"},
     "body": {"color": "#5b8fc7", "marker": "^"},

@@ -26,7 +26,7 @@ SMALL_PT = 7.0
 _PAD_MM = 2.0
 MM_PER_INCH = 25.4
 
-# Told apart in grey by lightness, and without any colour by dash and marker.
+# They differ in lightness where print is grey, and in dash and marker without any colour.
 BASELINE_LOOK = {
     "color": "#cf7f1b",
     "linestyle": "--",

@@ -287,11 +287,11 @@ def _notes(run: Outcome):
 def _where(run: Outcome):
     """Scores by distance and by lane, before and after, with their charts."""
     after = mounting_name(run.result)
-    told = f"Objective per vehicle and detectable share, before (baseline) and after ({after}); vehicles in all frames."
+    text = f"Objective per vehicle and detectable share, before (baseline) and after ({after}); vehicles in all frames."
     tables = [table_markup(table, class_="groups") for table in group_tables(run)]
     drawn = any(run.folder.file(name).exists() for name in CHARTS)
     charts = chart_figures(run, "by_distance.png", "blind_zones.png") if drawn else [element("p", _NO_CHARTS)]
-    return _section("Where vehicles are seen", element("p", told), *tables, *charts)
+    return _section("Where vehicles are seen", element("p", text), *tables, *charts)
 
 
 def _detection(run: Outcome):

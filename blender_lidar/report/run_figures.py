@@ -115,11 +115,11 @@ def plot_convergence(path: str | Path, run: Outcome, history: np.ndarray) -> Non
         )
         known = np.isfinite(value)
         look = {"color": FAINT, "markersize": 2.5, "label": "one candidate"}
-        dots = axes.plot(evaluation[known], metric.told(value[known]), ".", **look)
+        dots = axes.plot(evaluation[known], metric.shown(value[known]), ".", **look)
         look, label = _line(OPTIMISED_LOOK), f"best so far (at the end {metric.amount(best[-1])})"
-        line = axes.step(evaluation, metric.told(best), where="post", label=label, **look)
+        line = axes.step(evaluation, metric.shown(best), where="post", label=label, **look)
         label = f"baseline mounting ({metric.amount(baseline)})"
-        level = axes.axhline(metric.told(baseline), label=label, **_line(BASELINE_LOOK))
+        level = axes.axhline(metric.shown(baseline), label=label, **_line(BASELINE_LOOK))
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.grid(visible=True)
@@ -151,7 +151,7 @@ def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
     marks = [("optimum", result, "*", 13.0), ("baseline", result["baseline"], "s", 7.0)]
     if sharp is not None:
         marks[:1] = [("sharp", sharp, "*", 13.0), ("robust", result, "D", 7.0)]
-    grid, values = (score_map.tilt_deg, score_map.height_m), metric.told(score_map.per_vehicle)
+    grid, values = (score_map.tilt_deg, score_map.height_m), metric.shown(score_map.per_vehicle)
     what = "lean" if score_map.tilt == "lean_deg" else "tilt"
     with sheet(path, 115.0, f"Objective over height and {what}", _about(result)) as figure:
         axes = figure.add_subplot(xlabel=_TILT_LABELS[score_map.tilt], ylabel="Mounting height above the road [m]")
@@ -335,8 +335,8 @@ def _outline_zone(axes, zone):
     x, y = np.array([*zone.polygon_m, zone.polygon_m[0]]).T
     (line,) = axes.plot(x, y, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="zone x weight", zorder=3)
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
-    told = {"ha": "center", "va": "center", "fontsize": 7.0, "bbox": box, "clip_on": True}
-    axes.text(x[:-1].mean(), y[:-1].mean(), f"{zone.name} x {zone.weight:g}", **told)
+    look = {"ha": "center", "va": "center", "fontsize": 7.0, "bbox": box, "clip_on": True}
+    axes.text(x[:-1].mean(), y[:-1].mean(), f"{zone.name} x {zone.weight:g}", **look)
     return line
 
 

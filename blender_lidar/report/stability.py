@@ -31,7 +31,7 @@ def _about(result: Mapping) -> str:
 
 # --- the picture ------------------------------------------------------------------------------------------------------
 
-# Told apart in grey by lightness, and without any colour by the marker.
+# They differ in lightness where print is grey, and in the marker without any colour.
 VERDICT_LOOKS = {
     "stable": {"color": OPTIMISED_LOOK["color"], "marker": "o"},
     "fragile": {"color": "#5b8fc7", "marker": "^"},

@@ -84,8 +84,8 @@ class StudyReport:
         parts = []
         first = Section("", (), [*warnings_text(result), *self.answer(result)])
         for heading, table, lines in (first, *self.sections(result)):
-            told = (textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
-            parts.append("\n".join([*filter(None, [heading]), *text_table(table), *told]))
+            texts = (textwrap.fill(line, WIDTH, subsequent_indent="  ") for line in lines)
+            parts.append("\n".join([*filter(None, [heading]), *text_table(table), *texts]))
         return "\n\n".join(parts)
 
     def markdown(self, result: Mapping, pictures: Sequence[str]) -> str:

@@ -82,7 +82,7 @@ def direction_text(mount: Mapping[str, float]) -> str:
 def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
     """A mounting in words that a sentence can hold, without the coordinates that are nought.
 
-    `leans` says whether its orientation is told as a lean, which a mounting of result.json has besides its tilts.
+    `leans` says whether its orientation is given as a lean, which a mounting of result.json has besides its tilts.
     """
     if leans:
         parts = [f"{mount['height_m']:.2f} m above the road", "level"]
@@ -123,18 +123,18 @@ def frames_word(result: Mapping) -> str:
 
 
 def warnings_text(result: Mapping) -> list[str]:
-    """What cannot be true of the traffic and was accepted, each as a sentence: the first lines of all that is told."""
+    """What cannot be true of the traffic and was accepted, each as a sentence: the first lines of every output."""
     return [f"Warning, accepted ({one['name']}): {one['text']}." for one in result.get("warnings", ())]
 
 
 def conditions(result: Mapping) -> list[str]:
     """What the scores hold under besides the mounting: an imperfect sensor, scenery."""
     imperfect = imperfections_text(result["imperfections"])
-    told = {
+    values = {
         "simulated with an imperfect sensor": imperfect,
         "simulated with scenery": scenery_text(result["scenery"]),
     }
-    return [f"{what}: {text}" for what, text in told.items() if text]
+    return [f"{what}: {text}" for what, text in values.items() if text]
 
 
 def region_text(region: Mapping) -> str:
@@ -159,7 +159,7 @@ def imperfections_text(imperfections: Mapping[str, float | None]) -> str:
     """
     noise, dropout = imperfections["range_noise_m"], imperfections["dropout"]
     glass = imperfections["glass_dropout"]
-    told = {
+    values = {
         "range noise {range_noise_m:g} m": noise,
         f"drop-out {100 * dropout:g} %": dropout,
         f"drop-out on glass {100 * glass:g} %": glass,
@@ -167,7 +167,7 @@ def imperfections_text(imperfections: Mapping[str, float | None]) -> str:
         "a 10 % target seen to {range_at_10_percent_m:g} m": imperfections["range_at_10_percent_m"] is not None,
         "unit {unit} of units that differ by {unit_spread_deg:g} deg": imperfections["unit_spread_deg"],
     }
-    return ", ".join(text.format(**imperfections) for text, there in told.items() if there)
+    return ", ".join(text.format(**imperfections) for text, there in values.items() if there)
 
 
 def scenery_text(counts: Mapping[str, int] | None) -> str:
@@ -198,9 +198,9 @@ def weights_text(result: Mapping) -> str:
     identity = result["identity"]
     classes = identity.get("[objective] class_weights") or {}
     zones = identity.get("[objective] zones") or []
-    told = [f"{name} {weight:g}" for name, weight in classes.items()]
-    told += [f"in {zone['name']} x {zone['weight']:g}" for zone in zones]
-    return ", ".join(told)
+    lines = [f"{name} {weight:g}" for name, weight in classes.items()]
+    lines += [f"in {zone['name']} x {zone['weight']:g}" for zone in zones]
+    return ", ".join(lines)
 
 
 def definitions(result: Mapping) -> dict[str, str]:
@@ -223,7 +223,7 @@ def definitions(result: Mapping) -> dict[str, str]:
     return words
 
 
-# --- How a number, a gain, an interval are told -----------------------------------------------------------------------
+# --- How a number, a gain, an interval are written -------------------------------------------------------------
 
 
 def counted(number: int, what: str) -> str:
@@ -291,17 +291,17 @@ def _orientation(result):
 
 
 def poles_text(result: Mapping) -> str:
-    """Which poles cannot be told apart from the best; empty without candidate poles or held-out frames."""
+    """Which poles may be as good as the best; empty without candidate poles or held-out frames."""
     poles = result.get("poles") or []
     if len(poles) < 2 or poles[0]["holdout"] is None:
         return ""
-    best, alike = poles[0]["name"], [pole["name"] for pole in poles[1:] if pole["holdout"]["told_apart"] is False]
-    if poles[1]["holdout"]["told_apart"] is None:
-        return "there are too few blocks of held-out time to tell poles apart"
+    best, alike = poles[0]["name"], [pole["name"] for pole in poles[1:] if pole["holdout"]["differs"] is False]
+    if poles[1]["holdout"]["differs"] is None:
+        return "there are too few blocks of held-out time to distinguish poles"
     if not alike:
-        return f"pole {best} is told apart from all others on held-out traffic"
+        return f"pole {best} differs from all others on held-out traffic"
     which = f"{len(alike)} of the {len(poles) - 1} others" if len(alike) > _MOST_NAMED else " and ".join(alike)
-    return f"on held-out traffic {which} cannot be told apart from pole {best}, the best on the searched frames"
+    return f"held-out traffic does not distinguish {which} from pole {best}, the best on the searched frames"
 
 
 def worst_text(result: Mapping) -> str:
@@ -386,7 +386,7 @@ def cautions(result: Mapping) -> list[str]:
         low, high = bounds
         if unit == "deg" and high - low == 360.0:  # a full circle has no bound
             continue
-        if key in LEAN[1:]:  # told from -180 to 180 degrees, wherever it was searched
+        if key in LEAN[1:]:  # given from -180 to 180 degrees, wherever it was searched
             place = low + (place - low) % 360.0
         slack = _ON_A_BOUND * (high - low)
         upright = key == "lean_deg" and low == 0.0 and place < high - slack  # beyond which nothing lies
@@ -435,7 +435,7 @@ def seeds_text(result: Mapping) -> str:
     for key in spread["searched"]:
         name, unit = COORDINATE_NAMES[key]
         found = [one["deployment"][key] for one in spread["seeds"] if one["deployment"][key] is not None]
-        if found and key in LEAN[1:]:  # on the circle, told about the first
+        if found and key in LEAN[1:]:  # on the circle, near the first
             found = [found[0] + math.remainder(angle - found[0], 360.0) for angle in found]
         if len(found) == len(spread["seeds"]):  # without a lean there is no direction
             places.append(f"{name} {min(found):.{_DIGITS[unit]}f} to {max(found):.{_DIGITS[unit]}f} {unit}")
@@ -493,10 +493,10 @@ def _against_sharp(result):
     beside = (result["tolerance"]["robust"]["optimised"]["holdout"] or {}).get("over_sharp", {})
     parts = []
     for name, difference in beside.items():
-        told = metric.difference(difference["objective_per_vehicle"], sign="+")
+        text = metric.difference(difference["objective_per_vehicle"], sign="+")
         if difference["interval_90"]:
-            told += f" (90 %: {span(metric, difference['interval_90'], 0, '+')})"
-        parts.append(f"{'as planned' if name == 'as_planned' else 'over the tolerance'} {told}")
+            text += f" (90 %: {span(metric, difference['interval_90'], 0, '+')})"
+        parts.append(f"{'as planned' if name == 'as_planned' else 'over the tolerance'} {text}")
     start = "beside the sharp mounting the robust one has, per vehicle on held-out frames, "
     return start + " and ".join(parts) if parts else ""
 

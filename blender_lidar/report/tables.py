@@ -157,7 +157,7 @@ def poles_table(result: Mapping) -> TextTable | None:
         scores = pole["holdout"] or pole
         cells = [f"{pole['height_on_pole_m']:.2f}", metric.number(scores["objective_per_vehicle"], 1), percent(scores)]
         if held:
-            ends, apart = scores["interval_90"], scores["told_apart"]
+            ends, apart = scores["interval_90"], scores["differs"]
             cells += [metric.number(scores["difference_to_best"], 1, "+") if pole["rank"] > 1 else ""]
             cells += ["" if ends is None else span(metric, ends, 1, "+"), {None: "", True: "yes", False: "no"}[apart]]
         cells += [
@@ -167,7 +167,7 @@ def poles_table(result: Mapping) -> TextTable | None:
         rows.append((pole["name"], *cells))
     judged_on = "held-out frames" if held else f"{frames_word(result)} frames"
     head = ["pole, best first", "height on it [m]", metric.in_unit("objective per vehicle"), "detectable"]
-    head += ["difference", "90 %, all together", "told apart"] * held + ["cost", "existing"]
+    head += ["difference", "90 %, all together", "differs"] * held + ["cost", "existing"]
     return TextTable(f"Candidate poles, on {judged_on}", [[(text, 1) for text in head]], [("", rows)])
 
 

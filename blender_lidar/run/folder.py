@@ -129,7 +129,7 @@ class RunFolder:
         write_text(self.file(SCENE), f"{_SCENE_MARK}{__version__} used it.\n{text}")
 
     def write_checkpoint(self, identity: Mapping, batches: Sequence[Mapping]) -> None:
-        """Store what the searches have asked for and were told so far, batch by batch."""
+        """Store what the searches have asked for, and the values that they were given, batch by batch."""
         write_text(self.file(CHECKPOINT), json.dumps({"identity": identity, "batches": batches}))
 
     def read_checkpoint(self, identity: Mapping) -> list:

@@ -60,7 +60,7 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     folder : RunFolder
         Where the results go; locked by the caller.
     listener : Listener
-        Is told of progress.
+        Called as the run goes on.
     resume : bool
         Go on from what the folder holds. The result is the same as that of a run that was never stopped.
 
@@ -160,7 +160,7 @@ def _on_map(space: SearchSpace, score_map: ScoreMap, x: Sequence[float]) -> list
 def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -> dict | None:
     """The result of the search that has ended in a folder that a run goes on in; None where there is more to search.
 
-    `note` is told where nothing is stored there to go on with.
+    `note` is called where nothing is stored there to go on with.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Resume by replay: what searches asked for and were told is all that is needed to go on with them.
+"""Resume by replay: what searches asked for, and the values that they were given, suffice to go on with them.
 
-Searches are deterministic and none reads a clock. So a search that is made anew and told what is on record comes to
+Searches are deterministic and none reads a clock. So a new search that is given the values on record comes to
 where it was, as long as it asks for the same, which is checked to the last bit: other code is refused before, by the
 run's identity, but the linear algebra of another processor may round otherwise.
 """
@@ -22,7 +22,7 @@ _STORE_EVERY_S = 2.0
 
 
 class Listener(Protocol):
-    """Told how a run comes along; every method may do nothing."""
+    """Called as a run goes on; every method may do nothing."""
 
     def searching(self, search: Search | MultiFidelitySearch) -> None:
         """After each batch of evaluations, and once before the first; where there is a tolerance, of both searches."""
@@ -69,10 +69,10 @@ class Replay:
         stored_at = -np.inf
         while not search.done:
             asked, started = search.ask(), time.perf_counter()
-            told = score(asked)
+            found = score(asked)
             seconds = time.perf_counter() - started
-            _tell(search, told, seconds)
-            self._batches.append({**_as_stored(asked), "told": told.tolist(), "seconds": seconds})
+            _tell(search, found, seconds)
+            self._batches.append({**_as_stored(asked), "values": found.tolist(), "seconds": seconds})
             if time.monotonic() - stored_at >= _STORE_EVERY_S or search.done:
                 self._folder.write_checkpoint(self._identity, self._batches)
                 stored_at = time.monotonic()
@@ -85,7 +85,7 @@ class Replay:
             asked = _as_stored(search.ask())
             alike = asked == {key: batch[key] for key in asked}
             if alike:
-                _tell(search, np.array(batch["told"], dtype=float), float(batch["seconds"]))
+                _tell(search, np.array(batch["values"], dtype=float), float(batch["seconds"]))
         except (LookupError, TypeError, ValueError) as error:
             path = self._folder.file(CHECKPOINT)
             raise InputError(f"{path}: batch {number} is damaged: {type(error).__name__}: {error}") from None
@@ -103,8 +103,8 @@ def _as_stored(asked: np.ndarray | Asked) -> dict[str, object]:
     return {"x": asked.tolist()}
 
 
-def _tell(search: Search | MultiFidelitySearch, told: np.ndarray, seconds: float) -> None:
+def _tell(search: Search | MultiFidelitySearch, values: np.ndarray, seconds: float) -> None:
     if isinstance(search, MultiFidelitySearch):
-        search.tell(told, seconds)
+        search.tell(values, seconds)
     else:
-        search.tell(told)
+        search.tell(values)

@@ -169,9 +169,9 @@ def rank_places(
     rows : list of dict, k
         Of each pole its table's values, ``deployment``, ``height_on_pole_m`` above its foot, scores on the searched
         frames and in ``holdout``, there with ``difference_to_best``, its ``interval_90``, which hold for all poles
-        together (see `many_to_one_reach_90`), and whether that leaves nought out, ``told_apart``, by more than what
+        together (see `many_to_one_reach_90`), and whether that leaves nought out, ``differs``, by more than what
         breaks ties. ``holdout`` is None
-        where nothing was held out, the interval and ``told_apart`` where there are too few blocks, and for the best.
+        where nothing was held out, the interval and ``differs`` where there are too few blocks, and for the best.
     best : int
         Which of the poles is the first row.
     """
@@ -206,7 +206,7 @@ def rank_places(
                 "detectable_share": float(shares[number]),
                 "difference_to_best": less,
                 "interval_90": None if off is None else [less - float(off), less + float(off)],
-                "told_apart": None if off is None else bool(abs(less) > off + ties),
+                "differs": None if off is None else bool(abs(less) > off + ties),
             }
         rows.append(row)
     return rows, int(order[0])
@@ -305,7 +305,7 @@ def map_scores(
     block : ndarray of int, (f,)
         Block of time of each of the evaluator's frames.
     progress : callable
-        Told how many grid points have been scored since it was last called.
+        Called with the number of grid points that have been scored since the last call.
     grid : (int, int)
         Number of heights and of tilts.
     recording : ndarray of int, (f,), optional
@@ -356,7 +356,7 @@ def best_intervals_90(
     block_weight : ndarray, (b,)
         Vehicles of each block, or the sum of their weights.
     answer : ndarray, (d,)
-        About which a coordinate that is a full circle is told, `periodic` (d,).
+        About which a coordinate that is a full circle is given, `periodic` (d,).
     seed : int
         For the resampling of blocks.
     stratum : ndarray, (b,), optional

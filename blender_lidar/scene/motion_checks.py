@@ -105,7 +105,7 @@ def within_half_a_turn(angle):
 
 
 def time_step(tracks: Tracks) -> str | None:
-    """Speeds that no traffic has: a wrong time step or unit, or vehicles that are numbered anew in each frame."""
+    """Speeds that no traffic has: a wrong time step or unit, or new vehicle numbers in each frame."""
     ways = tracks.ways
     if len(ways.seconds) < usual.FEWEST:
         return None
@@ -116,7 +116,7 @@ def time_step(tracks: Tracks) -> str | None:
     return (
         f"moving vehicles drive {median:.3g} m/s (usual: 2 to 40) with frames {tracks.step_s:.3g} s apart; probably "
         "time_s is not in seconds, [traffic] time_step_s is another, places are not in metres, or "
-        + ("a jam crawls" if crawls else "vehicles are numbered anew in each frame")
+        + ("a jam crawls" if crawls else "vehicles have new numbers in each frame")
     )
 
 
@@ -256,7 +256,7 @@ def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
         return
     if len(np.unique(of_row[steps.row])) <= usual.SOME * vehicles:
         yield (
-            "next to no vehicle is in more than one frame: frames that are unrelated, or vehicles numbered anew in "
+            "next to no vehicle is in more than one frame: frames that are unrelated, or new vehicle numbers in "
             "each, which then judge what they have chosen"
         )
         return

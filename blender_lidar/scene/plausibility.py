@@ -57,7 +57,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
     seen = _Seen(recording, scenario)
     for name, check in _CHECKS.items():
         if name in ("tracks", "overlaps") and seen.warnings:
-            continue  # they come of what is told already
+            continue  # they follow from a warning that is there already
         text = check(seen)
         if text and name not in (scenario.traffic.accept or ()):
             raise InputError(f"{recording.source}: {text}; to go on all the same: --accept {name}")

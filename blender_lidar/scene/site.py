@@ -351,7 +351,7 @@ def _same_notes(recordings: Sequence[Recording], names: Sequence[str]) -> Iterat
                 )
 
 
-_FEW_OUT_OF_RANGE = 0.05  # share that is not told
+_FEW_OUT_OF_RANGE = 0.05  # a smaller share is not reported
 
 
 def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Sequence[CountedFrame]) -> str | None:

@@ -166,7 +166,7 @@ class ClusterWorkers:
                 warnings.simplefilter("ignore")  # `_check_alike` says which versions differ
                 how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
                 return self._distributed.Client(self.address, **how)
-        except Exception as error:  # whatever else may listen there
+        except Exception as error:  # something else may listen there
             raise WorkerError(
                 f"{self.address}: no dask scheduler answers there within {_ANSWER_S:g} s; start one with "
                 "`dask scheduler`, or leave --cluster out"

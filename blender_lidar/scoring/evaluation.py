@@ -1,7 +1,8 @@
 """Many mountings over many frames, spread over processes, of one machine or several.
 
 A frame's result does not depend on which process computed it nor on what else was asked: casters decide hits in
-float64, whatever they look for them in. So the number of workers changes the time that a run takes and nothing else.
+float64, though they may search in another type. So the number of workers changes the time that a run takes and nothing
+else.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ class Totals(NamedTuple):
         return self.objective.sum(axis=1) / self.weight.sum()
 
     def detectable_share(self) -> np.ndarray:
-        """Share of counted vehicles at or above the threshold over all frames, whatever they weigh, (s,)."""
+        """Share of counted vehicles at or above the threshold over all frames, without their weights, (s,)."""
         return self.detectable.sum(axis=1) / self.vehicles.sum()
 
 

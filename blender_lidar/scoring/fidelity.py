@@ -102,7 +102,7 @@ _FINALISTS = 4
 _SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 14  # samples for each variable, of two at least
 _COARSE_BEAMS = 4000  # in a turn of the first rung: an eighth of an RS-16's, a thirty-second of an RS-80's
 _MOST_STRIDE = 32
-_FEWEST_COLUMNS = 40  # of a turn, whatever the stride
+_FEWEST_COLUMNS = 40  # of a turn, for any stride
 _LARGEST_CELL_M = 0.4  # to which strides let cells grow
 
 

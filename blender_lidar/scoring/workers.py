@@ -35,7 +35,7 @@ from ..signals import stops_deferred
 
 _AT_HAND = 2  # calls that each of the others is given at a time: what it makes, and the next
 _FEWEST_CALLS = 4  # for each process: one that starts late, or is slower, finds or leaves enough for the others
-_LEAST_WORK = 64  # casts of a frame: less is not divided, whatever _FEWEST_CALLS, but for a small call behind it
+_LEAST_WORK = 64  # casts of a frame: less is not divided, also in favour of _FEWEST_CALLS, but for a small last call
 _STOP_ON_ITS_WAY_S = 0.5
 _FUNCTION = "function.pickle"  # a file of the folder that the others read when they start
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -89,7 +89,7 @@ class Workers:
     def await_ready(self) -> None:
         """Until all others have started, which they do in the background; raises `WorkerError` if one never will."""
         if self._starting is not None:
-            with _failures_told():
+            with _failures_in_one_line():
                 self._starting.result()
             self._starting = None
             self._folder.cleanup()
@@ -118,7 +118,7 @@ class Workers:
         first, end = 0, len(calls)  # of those that nobody has taken
         done: dict[int, Any] = {}  # by this process
         given: dict[int, Future] = {}
-        with _failures_told():
+        with _failures_in_one_line():
             for number in range(len(calls)):
                 while not (number in done or (number in given and given[number].done())):
                     if first < end and self._others_are_ready():
@@ -160,7 +160,7 @@ class Workers:
     def _start(self) -> None:
         others, before = self.count - 1, set(multiprocessing.active_children())
         try:
-            with _failures_told(), stops_deferred(), _as_children_take_it_over(self._needs_main):
+            with _failures_in_one_line(), stops_deferred(), _as_children_take_it_over(self._needs_main):
                 context = multiprocessing.get_context("spawn")
                 start = (_start_worker, (Path(self._folder.name), context.Barrier(others)))
                 self._executor = ProcessPoolExecutor(others, context, *start)
@@ -176,7 +176,7 @@ class Workers:
 def _tapered(items: int, processes: int, least: int, most: int) -> list[int]:
     """Sizes of calls for so many processes, that each take half of what is left to them, within `least` and `most`.
 
-    One item of each is left to the end, whatever `least` says: the last call is the small one.
+    One item of each is left to the end, even if `least` is more: the last call is the small one.
     """
     sizes: list[int] = []
     while items:
@@ -188,7 +188,7 @@ def _tapered(items: int, processes: int, least: int, most: int) -> list[int]:
 
 
 @contextmanager
-def _failures_told() -> Iterator[None]:
+def _failures_in_one_line() -> Iterator[None]:
     try:
         yield
     except BrokenProcessPool as error:

@@ -1,7 +1,7 @@
 """Measurement effects of a LiDAR: range noise, drop-out, glass and weak returns, the same for the same seed.
 
 Every beam of a revolution draws its own numbers, which belong to the seed, the frame, the ring and the firing column
-alone. So they are the same whatever the mounting (common random numbers: two mountings differ by what they see, not by
+alone. So they are the same for every mounting (common random numbers: two mountings differ by what they see, not by
 luck), the caster, the culling, the number of workers and the order in which anything is asked.
 """
 

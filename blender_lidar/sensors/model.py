@@ -195,10 +195,10 @@ def unit_of(model: LidarModel, spread_deg: float, unit: int) -> LidarModel:
     Elevations of real units differ from nominal by about 0.03 degree: those of four RS-LiDAR-16 by 0.031 (standard
     deviation), of three RS-LiDAR-32 by 0.015 to 0.029 (their calibrations, in ros_rslidar and other drivers).
 
-    Where beams of this unit lie in another order than the model's, its rings are numbered anew from its lowest beam up,
-    as the maker's driver does from a unit's calibration (rs_driver, ``ChanAngles::genUserChan``). Refusing such units
-    would leave out what must be common: errors of 0.03 degree swap neighbours of the RS-80's ladder of 0.1 degree in
-    three units out of ten, and in six out of ten of the RS-Ruby-128.
+    Where beams of this unit lie in another order than the model's, its rings are numbered again from its lowest beam
+    up, as the maker's driver does from a unit's calibration (rs_driver, ``ChanAngles::genUserChan``). Refusing such
+    units would leave out what must be common: errors of 0.03 degree swap neighbours of the RS-80's ladder of 0.1 degree
+    in three units out of ten, and in six out of ten of the RS-Ruby-128.
 
     Parameters
     ----------

@@ -197,7 +197,7 @@ def time_fidelities(
 
     On each frame they take turns, each round with other mountings, so that a moment in which the machine is busy with
     something else falls on all. The first round, in which caches fill, is not counted. To build is to make triangles
-    and tree; `progress` is told how many frames have been timed since it was last called.
+    and tree; `progress` is called with the number of frames timed since the last call.
     """
     poses = list(map(poses_of, layouts))
     sites = [of_fidelity(fidelity).changed(site) for fidelity in fidelities]

@@ -171,8 +171,8 @@ class StudyFolder:
                 closing(landscapes(site, missing, shown.advance)) as found,  # a stop ends its processes
             ):
                 for job, one in zip(missing, found, strict=True):
-                    told = one if isinstance(one, str) else [each.tolist() for each in astuple(one)]
-                    self.store(job.stage, told)
+                    kept = one if isinstance(one, str) else [each.tolist() for each in astuple(one)]
+                    self.store(job.stage, kept)
         every = (self.stored(job.stage) for job in jobs)
         return [one if isinstance(one, str) else Landscape(*map(np.array, one)) for one in every]
 
@@ -322,7 +322,7 @@ def landscapes(
     site : Site
     jobs : sequence of Job
     progress : callable
-        Told how many frames of jobs have been scored since it was last called.
+        Called with the number of frames of jobs that have been scored since the last call.
     """
     alike = groupby(enumerate(jobs), lambda one: (one[1].split, one[0] if one[1].variation.recast else -1))
     casts = [tuple(job for _, job in some) for _, some in alike]

@@ -344,11 +344,11 @@ def effects(draws: Sequence[tuple[Landscape, Landscape, Landscape]], reference: 
     }
 
 
-NEEDED, NOT_NEEDED, UNTOLD = "needed", "not needed", "cannot be told"
+NEEDED, NOT_NEEDED, UNDECIDED = "needed", "not needed", "undecided"
 
 
 def verdict(interval_90: tuple[float, float] | None, tolerance: float) -> str:
     """Whether a thing must be modelled: what is lost without it is surely more than the tolerance, or surely not."""
     if interval_90 is None or interval_90[0] <= tolerance < interval_90[1]:
-        return UNTOLD
+        return UNDECIDED
     return NEEDED if interval_90[0] > tolerance else NOT_NEEDED

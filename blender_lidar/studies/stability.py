@@ -68,7 +68,7 @@ class StabilityEffort:
     heights, tilts : int
         Points of the grid of mountings on which each variation's optimum is looked for.
     fine_tilts : int
-        Tilts of the grid for the scene as it is, whose optimum is sampled anew.
+        Tilts of the grid for the scene as it is, whose optimum is resampled.
     seeds : int
         Seeds of the search.
     budget : float
@@ -219,13 +219,13 @@ def _draws(
         judged = folder.landscapes(site, jobs, "variations judged")
     else:
         judged = [found.select(of) for (_, found), of in zip(known, rows, strict=True)]
-    told = {
+    values = {
         one: seen if isinstance(seen, str) else ChangeDraw(of[-1] - FIRST, chooses(found), seen)
         for (one, found), of, seen in zip(known, rows, judged, strict=True)
     }
     draws: dict[tuple[str, str, str], list[ChangeDraw | str]] = {}
     for one, found in zip(variations, searched, strict=True):
-        draws.setdefault((one.section, one.what, one.value), []).append(told.get(one, found))
+        draws.setdefault((one.section, one.what, one.value), []).append(values.get(one, found))
     return draws
 
 

@@ -88,7 +88,7 @@ def _with_traffic(
 ) -> Site:
     """The site with every frame's traffic changed, as the recording has it before anything is cut off.
 
-    What is changed queues up anew with other `gaps`, if any; see `queued`. In held-out frames nothing counts that
+    What is changed queues up again with other `gaps`, if any; see `queued`. In held-out frames nothing counts that
     counts in a searched frame, as recorded or changed, nor copies of it: a queue that closes up brings vehicles into
     the region that were not there yet.
     """
@@ -135,7 +135,7 @@ def queued(
     filled_to_m: float = 0.0,
     copies_from: int = 0,
 ) -> Vehicles:
-    """Vehicles lined up anew, lane by lane, about the one that is nearest to station `anchor_m`, which stays.
+    """Vehicles lined up again, lane by lane, about the one that is nearest to station `anchor_m`, which stays.
 
     Parameters
     ----------

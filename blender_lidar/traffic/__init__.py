@@ -45,7 +45,7 @@ _READERS = dict(zip(TRAFFIC_FORMATS[1:], (read_ngsim, read_sumo, read_table), st
 def read_traffic(
     path: str | Path, *, format: str = "auto", road: StraightRoad | None = None, **settings: object
 ) -> Recording:
-    """Read a recording, whatever its format.
+    """Read a recording of any format.
 
     Parameters
     ----------

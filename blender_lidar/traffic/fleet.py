@@ -87,8 +87,8 @@ def with_variety(recording: Recording, variety: float, seed: int, number: int = 
 
     Heights are drawn where all vehicles of a kind have the same one, as in recordings without heights and in SUMO's
     with one type a class; who has a height of its own keeps it, and has a body that may be as high. Kinds are of
-    vehicles, by their most frequent class and their median length, whatever was measured in a frame. Boxes stay where
-    they stand: their floor is kept.
+    vehicles, by their most frequent class and their median length, not by what was measured in a frame. Boxes stay
+    where they stand: their floor is kept.
 
     Parameters
     ----------

@@ -290,10 +290,10 @@ def _blocks(chosen: _Frames, part: _Frames, block_s: float) -> np.ndarray:
 def _skipped(recording: Recording, whole: np.ndarray, candidates: _Frames) -> list[str]:
     time_s = _Frames.of(recording, whole).time_s
     ends = {"first": candidates.time_s[0] - time_s[0], "last": time_s[-1] - candidates.time_s[-1]}
-    told = [f"the {end} {seconds:{'.0f' if seconds >= 1.0 else '.3g'}} s" for end, seconds in ends.items() if seconds]
-    if not told:
+    lines = [f"the {end} {seconds:{'.0f' if seconds >= 1.0 else '.3g'}} s" for end, seconds in ends.items() if seconds]
+    if not lines:
         return []
-    return [f"{' and '.join(told)} are skipped: less than half the median traffic"]
+    return [f"{' and '.join(lines)} are skipped: less than half the median traffic"]
 
 
 _LONG_PAUSE = 0.5  # share of a recording

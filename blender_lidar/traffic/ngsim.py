@@ -88,8 +88,8 @@ def read_ngsim(
     in_period = of_row == chosen
     on_map = (np.abs(rows["local_m"]) <= _OFF_MAP_M).all(axis=1)
     rows = _taken(rows, in_period & on_map)
-    told_apart = np.column_stack([rows[name] for name in ("time_ms", "local_m", "size_m", "v_class", "lane")])
-    kept, duplicates, repeated = drop_repeats(rows["vehicle_id"], rows["frame"], told_apart)
+    content = np.column_stack([rows[name] for name in ("time_ms", "local_m", "size_m", "v_class", "lane")])
+    kept, duplicates, repeated = drop_repeats(rows["vehicle_id"], rows["frame"], content)
     if not len(kept):
         raise InputError(f"{path}: no vehicles left; every row is more than {_OFF_MAP_M:.0f} m off the section")
     report = replace(
@@ -225,8 +225,8 @@ def sniff_layout(path: str | Path) -> TableLayout:
         trailing = [""] if fields[-1] == "" else []  # a delimiter at the line's end
         columns = _WITHOUT_HEADER.get(len(fields) - len(trailing))
         if columns is None:
-            told = "NGSIM rows have 18 or 24, the portal's 25; other traffic needs a first line with its columns' names"
-            raise InputError(f"{path}:{line}: {len(fields)} fields; {told}")
+            allowed = "NGSIM rows have 18 or 24, the portal's 25; other traffic needs a first line of column names"
+            raise InputError(f"{path}:{line}: {len(fields)} fields; {allowed}")
         return TableLayout((*columns, *trailing), delimiter, line)
     if delimiter is None and "\t" in text:
         delimiter = "\t"  # under a header, cells may be empty: every tab counts

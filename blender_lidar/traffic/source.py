@@ -283,8 +283,8 @@ class Rows:
         for row in np.flatnonzero(~good | np.isnan(found) if given.dtype == object else ~good):
             text = str(given[row]).strip()
             if not good[row] or text not in EMPTY:
-                told = "nothing" if text in EMPTY else f"{found[row]:.15g}" if np.isfinite(found[row]) else quoted(text)
-                raise InputError(f"{self.where(row)}: {name} is {told}; allowed: {column.allowed}")
+                seen = "nothing" if text in EMPTY else f"{found[row]:.15g}" if np.isfinite(found[row]) else quoted(text)
+                raise InputError(f"{self.where(row)}: {name} is {seen}; allowed: {column.allowed}")
         return found
 
 
@@ -322,12 +322,12 @@ def vehicle_ids(rows: Rows, name: str, index: dict[str, int]) -> np.ndarray:
     found = codes(rows, name, index)
     for text in (*EMPTY, *(text for text in index if "\ufffd" in text or text.strip().lower() in ("", "nan"))):
         if text in index and (row := np.flatnonzero(found == index[text])).size:
-            told = (
+            words = (
                 "is in another encoding than the file's beginning; save it as UTF-8"
                 if "\ufffd" in text
                 else "is missing"
             )
-            raise InputError(f"{rows.where(row[0])}: {name} {told}")
+            raise InputError(f"{rows.where(row[0])}: {name} {words}")
     return found
 
 
@@ -372,8 +372,8 @@ def _has_decimal_commas(path: str | Path, beginning: str, delimiter: str | None)
     found = beginning.split('"')[1::2] if delimiter == "," else _WITH_COMMA.findall(beginning)
     found = [text for text in found if re.search(r"[0-9],[0-9]", text) and not re.search(r"[^0-9,+-]", text)]
     if found and delimiter != ";" and all(map(_EITHER.fullmatch, found)):
-        told = "may have a decimal comma or divide thousands; write decimal points"
-        raise InputError(f"{path}: {found[0]!r} and its like {told}")
+        words = "may have a decimal comma or divide thousands; write decimal points"
+        raise InputError(f"{path}: {found[0]!r} and its like {words}")
     return bool(found) and delimiter != ","
 
 

@@ -77,8 +77,8 @@ def read_sumo(
     rows, names, report = _collected(path)
     types, assumed = _types(names["type"], defined, f"{path}: vehicle_types {vehicle_types}")
     frame, step_s, notes = frames_of(rows["time"])
-    told_apart = np.column_stack([rows[name] for name in ("x", "y", "angle", "type", "lane")])
-    kept, duplicates, repeated = drop_repeats(rows["id"], frame, told_apart)
+    content = np.column_stack([rows[name] for name in ("x", "y", "angle", "type", "lane")])
+    kept, duplicates, repeated = drop_repeats(rows["id"], frame, content)
     on_road = np.array([kind.class_name is not None for kind in types])[rows["type"][kept]]
     strangers = Counter(names["type"][code] for code in rows["type"][kept[~on_road]])
     if not on_road.any():
@@ -418,8 +418,8 @@ def read_types(path: str | Path) -> dict[str, VehicleType]:
         if element == "vType":
             name = attributes.get("id", "")
             if not name or name in types:
-                told = f"{_short(name)!r} is there twice" if name else "without an id"
-                raise InputError(f"{path}:{line}: vType {told}")
+                text = f"{_short(name)!r} is there twice" if name else "without an id"
+                raise InputError(f"{path}:{line}: vType {text}")
             types[name] = _read_type(attributes, line, f"{path}:")
     if not types:
         raise InputError(f"{path}: no <vType>; a route or additional file that defines the vehicles is needed")
@@ -473,7 +473,7 @@ def _types(
 
 _COARSEST_ROUNDING_MS = 10  # SUMO writes two digits by default
 _ROUNDING_WITHIN = 0.4  # of a step, so that neighbouring instants stay apart
-_FEWEST_STEPS = 4  # from which on a rhythm can be told from chance
+_FEWEST_STEPS = 4  # fewer may show a rhythm by chance
 
 
 def frames_of(time_ms: np.ndarray) -> tuple[np.ndarray, float, list[str]]:

@@ -50,7 +50,7 @@ def overrides_of(args: argparse.Namespace) -> dict:
 
 @contextmanager
 def counting(total: int, what: str) -> Iterator[Callable[..., None]]:
-    """Shows progress on stderr: what it gives is told steps, and perhaps a note, as they are done."""
+    """Shows progress on stderr: what it gives is called with steps, and perhaps a note, as they are done."""
     progress = Progress(total, what)
     try:
         yield progress.advance
@@ -59,7 +59,7 @@ def counting(total: int, what: str) -> Iterator[Callable[..., None]]:
 
 
 def run_script(name: str, work: Callable[[], object]) -> int:
-    """Do the work; the exit code. What cannot be used and Ctrl-C are told in one line."""
+    """Do the work; the exit code. Bad input and Ctrl-C are one line."""
     try:
         with stops_recognised():
             work()

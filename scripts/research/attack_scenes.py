@@ -39,7 +39,7 @@ class Attack:
     triangles : ndarray, (m, 3, 3)
         Their corners [m].
     closed : bool
-        What the caster is told of them: see `casting.protocol.Caster`.
+        What the caster knows of them: see `casting.protocol.Caster`.
     origins : ndarray, (3,) or (n, 3)
         Where the rays start [m].
     directions : ndarray, (n, 3)
@@ -147,7 +147,7 @@ def aimed(
     closed: tuple[bool, ...] = (True, False),
     mounts: Iterable[np.ndarray] = MOUNTS_M,
 ) -> Iterator[Attack]:
-    """Rays from each mount at some of the targets (k, 3) [m], once for each thing that casters are told."""
+    """Rays from each mount at some of the targets (k, 3) [m], once for each thing that casters know."""
     for origin in mounts:
         rays = unit(some(rng, targets, 250 if quick else 2500) - origin)
         for bounds_solids in closed:

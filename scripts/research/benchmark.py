@@ -117,7 +117,7 @@ def _frames(args, scenario, casters: Sequence[str], parts: set[str], found: Foun
 
 def _time(what: str, columns, rounds: int, into: dict, *, warm: bool = True) -> None:
     with counting(rounds, what) as advance:
-        in_rounds(columns, rounds, into, warm=warm, told=lambda: advance(1))
+        in_rounds(columns, rounds, into, warm=warm, on_done=lambda: advance(1))
 
 
 if __name__ == "__main__":

@@ -153,9 +153,9 @@ def _draw_times(axes, times: Sequence[Timing]) -> None:
         axes.plot([low, high], [row, row], color=look["color"], linewidth=2.4, solid_capstyle="butt")
         face = "white" if timing.group == RIVALS else look["color"]
         axes.plot(median, row, look["marker"], color=look["color"], markersize=4.5, markerfacecolor=face)
-        told = f"{median:,.3g}" if median < 1000.0 else f"{median:,.0f}"
+        text = f"{median:,.3g}" if median < 1000.0 else f"{median:,.0f}"
         place = {"xytext": (6.0, 0.0), "textcoords": "offset points", "va": "center"}
-        axes.annotate(told, (high, row), fontsize=SMALL_PT, color=INK, **place)
+        axes.annotate(text, (high, row), fontsize=SMALL_PT, color=INK, **place)
     ends = [timing.quartiles for timing in times]
     axes.set_xscale("log")
     axes.set_xlim(600.0 * min(end.low for end in ends), 4000.0 * max(end.high for end in ends))

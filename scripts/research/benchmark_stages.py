@@ -95,7 +95,7 @@ def in_rounds(
     into: dict[str, Timing],
     *,
     warm: bool = True,
-    told: Callable[[], None] = lambda: None,
+    on_done: Callable[[], None] = lambda: None,
     clock: Callable[[], float] = time.perf_counter,
 ) -> None:
     """Time every entry of every column once in each round, one entry after another.
@@ -111,7 +111,7 @@ def in_rounds(
     warm : bool
         Whether each is done once just before it is timed: a search scores one frame for a whole swarm in a row, so that
         caches are warm.
-    told, clock : callable
+    on_done, clock : callable
         The former is called after each round; the latter gives seconds from any zero.
     """
     first = columns[0] if columns else ()
@@ -126,7 +126,7 @@ def in_rounds(
                 seconds[row, turn, at] = (clock() - start) * entry.scale
         for entry, times in zip(first, seconds, strict=True):
             into[entry.name] = Timing(entry.name, entry.group, entry.note, times[: turn + 1])
-        told()
+        on_done()
 
 
 # --- a frame ----------------------------------------------------------------------------------------------------------

@@ -194,8 +194,8 @@ def variants(scenario: Scenario) -> list[Variant]:
             Variant("azimuth phase", f"{share:.2f} of a step", change=lambda site, by=share: _turned(site, by))
         )
     if sensor.name in OTHER_TABLES:
-        name, told = OTHER_TABLES[sensor.name], "case study, beam table"
-        given = {("sensor", "name"): (name, told), ("sensor", "range_gate_m"): (sensor.range_gate_m, told)}
+        name, words = OTHER_TABLES[sensor.name], "case study, beam table"
+        given = {("sensor", "name"): (name, words), ("sensor", "range_gate_m"): (sensor.range_gate_m, words)}
         found.append(Variant("beam table", name, given))
     if sensor.name == "RS-80":
         found.append(Variant("beam table", "evenly spaced", change=with_even_beams))

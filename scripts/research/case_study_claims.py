@@ -194,7 +194,7 @@ def _far_band(result):
 
 
 def _near_loss(result):
-    """The detectable share decides, as it is nearest to the paper's recall; the entropy is told."""
+    """The detectable share decides, as it is nearest to the paper's recall; the entropy is given."""
     text = "RS-80: the baseline is better at 0 to 20 m (Fig. 9)"
     share, bits = (_fig9_row(result, "RS-80", NEAR, measure) for measure in ("detectable", "entropy_bits"))
     if share is None:
@@ -213,11 +213,11 @@ def _spacing(result):
     share, bits = (of_band(result["spacing"], NEAR, measure) for measure in ("detectable", "entropy_bits"))
     if share is None:
         return Claim(text, "no vehicle there", UNDECIDED)
-    told = [with_interval(bits[name]) for name in ("spacing_at_baseline", "spacing_at_optimum", "change")]
+    lines = [with_interval(bits[name]) for name in ("spacing_at_baseline", "spacing_at_optimum", "change")]
     ours = (
         f"uneven less even beams at 0 to 20 m: detectable share {points(share['spacing_at_baseline'])} points at the "
         f"baseline, {points(share['spacing_at_optimum'])} at the optimum, change of all {points(share['change'])} "
-        f"(entropy {told[0]}, {told[1]} and {told[2]} bits)"
+        f"(entropy {lines[0]}, {lines[1]} and {lines[2]} bits)"
     )
     return Claim(text, ours, _cause_of_loss(share))
 

@@ -159,13 +159,13 @@ def verdict(counts: Sequence[AttackCount]) -> str:
 
 def line(counts: Sequence[AttackCount]) -> str:
     """What came of one attack in words, from a count of each caster."""
-    told = []
+    lines = []
     for count in counts:
         kinds = ("silent_misses", "false_hits", "wrong_distances")
         differ = [f"{getattr(count, kind):,} {kind.replace('_', ' ')}" for kind in kinds if getattr(count, kind)]
         differ += [f"{count.knife_edges:,} on a knife edge"] if count.knife_edges else []
-        told.append(f"{count.caster} {', '.join(differ) or 'the same'}")
-    return f"{counts[0].rays:,} rays, {counts[0].hits:,} hit; {'; '.join(told)}"
+        lines.append(f"{count.caster} {', '.join(differ) or 'the same'}")
+    return f"{counts[0].rays:,} rays, {counts[0].hits:,} hit; {'; '.join(lines)}"
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -180,8 +180,8 @@ def _of_set(name, cars, about):
             np.median(np.abs(of[f"simulated_p_{view}"] - of[f"real_p_{view}"])) for view in ("top", "side", "front")
         ]
         bias = " ".join(f"{np.median(values):+.3f}" if len(values) else "-" for values in (error, error[far]))
-        told = _told(median_interval(np.abs(error), drawn.of_car))
-        lines.append(f"  {detail:8s}  {lost:8s}  {told:25s}  {bias:22s}  {' '.join(f'{one:.3f}' for one in views)}")
+        text = _with_ends(median_interval(np.abs(error), drawn.of_car))
+        lines.append(f"  {detail:8s}  {lost:8s}  {text:25s}  {bias:22s}  {' '.join(f'{one:.3f}' for one in views)}")
     pairs = [(("body", "none"), ("body", "weak")), *(((one, "weak"), ("body", "weak")) for one in ("box", "detailed"))]
     for first, second in pairs:
         both = np.abs([errors[first], errors[second]])
@@ -189,11 +189,11 @@ def _of_set(name, cars, about):
         apart = {"median": np.subtract(*np.median(both, axis=1)), "interval_90": None}
         if resampled is not None:
             apart["interval_90"] = interval_90(resampled[0] - resampled[1])
-        lines.append(f"  {', '.join(first)} errs by {_told(apart, '+')} more than {', '.join(second)}")
+        lines.append(f"  {', '.join(first)} errs by {_with_ends(apart, '+')} more than {', '.join(second)}")
     return lines
 
 
-def _told(found, sign=""):
+def _with_ends(found, sign=""):
     ends = found["interval_90"]
     return f"{found['median']:{sign}.3f}" + (f" ({ends[0]:{sign}.3f} to {ends[1]:{sign}.3f})" if ends else "")
 
@@ -358,8 +358,8 @@ def _agreement(cars, name, of_set, mine, resampling):
         f"  {'':28s}{'Spearman':23s}{'given distance, occlusion':27s}{'Pearson':23s}10 m bins, Pearson",
     ]
     for metric, of in values.items():
-        told = (of_correlation(of[key], number).text() for key in ("spearman", "partial", "pearson", "bins"))
-        one, two, three, four = told
+        parts = (of_correlation(of[key], number).text() for key in ("spearman", "partial", "pearson", "bins"))
+        one, two, three, four = parts
         lines.append(f"  {metric:28s}{one:23s}{two:27s}{three:23s}{four} ({of['groups']})")
     for rival, statistic in product((VIEW_COVERAGE.name, PE_VGOP.name), ("spearman", "pearson")):
         apart = {
@@ -391,13 +391,13 @@ def _without_ground(cars, other, name, mine, resampling):
 def _around_a_performance(cars, name, mine):
     performance = cars.table[f"{name}_performance"]
     near = mine & (performance >= 0.65) & (performance <= 0.75)
-    told = (
+    lines = (
         f"{metric.name} {np.std(of) / abs(np.mean(of)):.1f}"
         for metric in cars.metrics
         for of in [cars.table[metric.name][near]]
         if np.mean(of) != 0.0
     )
-    return f"  coefficient of variation of the {near.sum()} cars at 0.65 to 0.75: {', '.join(told)}"
+    return f"  coefficient of variation of the {near.sum()} cars at 0.65 to 0.75: {', '.join(lines)}"
 
 
 def _by_distance(cars, names, of_set, member):
@@ -406,18 +406,18 @@ def _by_distance(cars, names, of_set, member):
     quantities = {f"{name}_performance": cars.table[f"{name}_in_range"] for name in names}
     quantities |= {one.name: np.ones(len(member), dtype=bool) for one in cars.metrics if one.name != "distance"}
     for quantity, known in quantities.items():
-        told = []
+        parts = []
         for low, high in BEARINGS.values():
             mine = member & known & (cars.table["bearing_deg"] >= low) & (cars.table["bearing_deg"] < high)
             resampling = cars.resampling(mine)
             if resampling is None:
-                told.append("-")
+                parts.append("-")
                 continue
             drawn, weights, fold = resampling
             x, y = cars.table["distance_m"][mine], cars.table[quantity][mine]
             line, logarithm = (cross_validated_r2(of, y, fold, weights) for of in (x, np.log(np.maximum(x, 0.1))))
-            told.append(of_difference(line, logarithm, drawn.number).text(2, "+"))
-        lines.append(f"  {quantity:28s}" + "".join(f"{one:25s}" for one in told).rstrip())
+            parts.append(of_difference(line, logarithm, drawn.number).text(2, "+"))
+        lines.append(f"  {quantity:28s}" + "".join(f"{one:25s}" for one in parts).rstrip())
     return lines
 
 

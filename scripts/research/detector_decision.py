@@ -13,7 +13,7 @@ detector that chooses on few frames chooses worse, which makes every loss smalle
 
 Declared before it was run. Primary: PE-VGOP, free heights, hard world, the mean over the sensors: at most 1 point of
 recall and 1 of AP, by the upper 95 % bound. Secondary: view coverage, by the same rule with Bonferroni's correction for
-two. All else is told with its interval and proves nothing by itself; height came in later, as a control.
+two. All else is given with its interval and proves nothing by itself; height came in later, as a control.
 """
 
 from __future__ import annotations
@@ -255,7 +255,7 @@ def made(part: Part, path: Path, workers: int) -> Made:
     InputError
         Where the file is of another part.
     """
-    told = part.described()
+    described = part.described()
     if not path.exists():
         work = FrameWork(part)
         count = len(work.site.search)
@@ -265,7 +265,7 @@ def made(part: Part, path: Path, workers: int) -> Made:
                 frames.append(one)
                 advance(1)
         arrays = {
-            "part": json.dumps(told),
+            "part": json.dumps(described),
             "scores": np.sum([scores for scores, _ in frames], axis=0),
             "time_s": np.array([frame.vehicles.time_s for frame in work.site.search]),
             "block_s": work.site.plan.block_s,
@@ -279,7 +279,7 @@ def made(part: Part, path: Path, workers: int) -> Made:
             np.savez_compressed(temporary, **arrays)
     with np.load(path, allow_pickle=False) as file:
         held = {name: file[name] for name in file.files}
-    if json.loads(str(held["part"])) != told:
+    if json.loads(str(held["part"])) != described:
         raise InputError(f"{path}: is of other code, traffic, weights or mountings; allowed: an --out of its own")
     matches = [[[None] * len(CRITERIA) for _ in part.weights] for _ in part.mounts]
     for place in _places(part):
@@ -377,13 +377,13 @@ def _study(args) -> None:
     if _digest(args.choose) == _digest(args.judge):
         raise InputError(f"--judge: {args.judge}: is the traffic that chooses; allowed: other traffic")
     make_folder(args.out, "--out")
-    told = {"choose": args.choose, "judge": args.judge, "weights": list(args.weights), "caster": resolve("auto")}
-    told |= {f"{name}_frames": getattr(args, f"{name}_frames") for name in ("choose", "judge")}
+    values = {"choose": args.choose, "judge": args.judge, "weights": list(args.weights), "caster": resolve("auto")}
+    values |= {f"{name}_frames": getattr(args, f"{name}_frames") for name in ("choose", "judge")}
     for world, heights in itertools.product(args.worlds, args.heights):
         found = {sensor: choices(args, world, sensor, heights) for sensor in args.sensors}
         rows = list(rows_of(found, world, heights))
         verdict = list(verdicts(rows)) if _is_declared(args, world, heights) else []
-        result = {**told, "versions": versions(told["caster"]), "verdicts": verdict, "rows": rows}
+        result = {**values, "versions": versions(values["caster"]), "verdicts": verdict, "rows": rows}
         write_text(args.out / f"decision_{world}_{heights}.json", json.dumps(result, indent=1) + "\n")
         print(_table(rows, world, heights), *verdict, sep="\n", flush=True)
 

@@ -202,9 +202,9 @@ def _draw_distances(path: Path, results: Mapping[str, dict], detector: str) -> N
         for axes, (sensor, result) in zip(panels, results.items(), strict=True):
             for name, look in (("baseline", BASELINE_LOOK), ("given", OPTIMISED_LOOK)):
                 bands = result["mountings"][name]["by_distance"].items()
-                told = [(band, one["recall_0.3"]) for band, one in bands if one["vehicles"] >= 20]
-                middle = [0.5 * sum(map(float, band.removesuffix(" m").split("-"))) for band, _ in told]
-                axes.plot(middle, [100.0 * share for _, share in told], **look)
+                lines = [(band, one["recall_0.3"]) for band, one in bands if one["vehicles"] >= 20]
+                middle = [0.5 * sum(map(float, band.removesuffix(" m").split("-"))) for band, _ in lines]
+                axes.plot(middle, [100.0 * share for _, share in lines], **look)
             height, tilt = CHOSEN[sensor]
             axes.set_title(f"{sensor}: 2 m, 0° and {height:g} m, {tilt:g}°")
             axes.set_xlabel("Distance [m]")

@@ -3,7 +3,7 @@
     python scripts/research/metric_choices.py [SCENE.toml] [--sensor RS-16] [--metrics pe-vgop,points]
 
 Every metric scores the same mountings on the same searched frames. Beside the best of them stand the share of vehicles
-that is detectable there (Eq. 11, whatever the metric) and Spearman's correlation of the metric's map with PE-VGOP's.
+that is detectable there (Eq. 11, for every metric) and Spearman's correlation of the metric's map with PE-VGOP's.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def print_choices(args):
         share = 100.0 * scores.detectable_share[best]
         flat = np.ptp(scores.per_vehicle) <= 1e-12 * np.abs(scores.per_vehicle).max()  # the same wherever it hangs
         alike = np.nan if flat else spearmanr(scores.per_vehicle, ours.per_vehicle, axis=None).statistic
-        told = (f"{scores.height_m[best[0]]:.2f}", f"{scores.tilt_deg[best[1]]:.1f}", f"{share:.1f}")
-        chosen = "{:>12}{:>12}{:>16}".format(*(("-",) * 3 if flat else told))
+        parts = (f"{scores.height_m[best[0]]:.2f}", f"{scores.tilt_deg[best[1]]:.1f}", f"{share:.1f}")
+        chosen = "{:>12}{:>12}{:>16}".format(*(("-",) * 3 if flat else parts))
         print(f"{short_name(name):<25}{chosen}{alike:>14.2f}", flush=True)
 
 

@@ -14,7 +14,7 @@ from blender_lidar.metrics.view_grids import cell_counts
 from voxel_grid import MOST_VOXELS, VoxelGrid, traverse
 
 # --- How uncertain the voxels are that beams cross: S-MIG and M-SOG, which learn from traffic where vehicles drive -
-# Both ask no more of a beam than that it crosses a voxel: it goes on through whatever stands there. Neither sees
+# Both ask no more of a beam than that it crosses a voxel: it goes on through what stands there. Neither sees
 # occlusion, nor how densely a voxel is sampled, and both end with the region and the range that they are given.
 
 
@@ -216,7 +216,7 @@ def reach_probability(
     Along a beam through voxels with the probabilities p_1, p_2, ... of being occupied, independent of each other, it
     gets to the k-th with the probability prod_{j<k} (1 - p_j). Of several beams that cross a voxel **the best counts**:
     beams of one sensor to one voxel pass through much the same voxels before it, and so are free or hidden together. To
-    take them for independent would make any voxel certain that enough beams cross, whatever stands before it.
+    take them for independent would make any voxel certain that enough beams cross, even behind other things.
 
     Neighbouring voxels are occupied together, by one vehicle. That they count as independent makes a beam lose its
     strength within the first vehicle's depth as it would over several: the far side of dense traffic comes out darker

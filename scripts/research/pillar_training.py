@@ -36,7 +36,7 @@ WARM_UP, HIGHEST_RATE, LAST_RATE = 200, 2e-3, 1e-5  # steps, and Adam's step siz
 
 @partial(jax.custom_vjp, nondiff_argnums=(2,))
 def segment_maxima(values, cell, cells):
-    """Largest of the values of each cell, 0 where none is larger; whatever lies in no cell has the number `cells`."""
+    """Largest of the values of each cell, 0 where none is larger; what lies in no cell has the number `cells`."""
     return jnp.maximum(jax.ops.segment_max(values, cell, cells, indices_are_sorted=True), 0.0)
 
 
@@ -134,11 +134,11 @@ def targets_of(boxes: np.ndarray, area: Area) -> Targets:
         heat[(*at, kind)] = np.maximum(heat[(*at, kind)], spread)
         closer = (spread >= _NEAR) & (spread > weight[at])
         cells = np.nonzero(closer)
-        told = np.empty((len(cells[0]), 8), np.float32)
-        told[:, 0], told[:, 1] = -(dx + 0.0 * dy)[cells], -(dy + 0.0 * dx)[cells]
-        told[:, 2:6] = z, *np.log([length, width, height])
-        told[:, 6:] = math.sin(2.0 * heading), math.cos(2.0 * heading)
-        box[low[0] + cells[0], low[1] + cells[1]] = told
+        values = np.empty((len(cells[0]), 8), np.float32)
+        values[:, 0], values[:, 1] = -(dx + 0.0 * dy)[cells], -(dy + 0.0 * dx)[cells]
+        values[:, 2:6] = z, *np.log([length, width, height])
+        values[:, 6:] = math.sin(2.0 * heading), math.cos(2.0 * heading)
+        box[low[0] + cells[0], low[1] + cells[1]] = values
         weight[low[0] + cells[0], low[1] + cells[1]] = spread[cells]
     counts[heat.max(axis=-1) > 0.3] = 1.0
     return Targets(heat, counts, box, weight)
@@ -175,7 +175,9 @@ def batch_of(items: Sequence[tuple[Pillars, Targets]], most_points: int):
         cell[at : at + len(pillars.cell)] = pillars.cell + row * count
         at += len(pillars.cell)
     cells = np.concatenate([pillars.cells for pillars, _ in items])
-    return (points, cell, cells), Targets(*(np.stack(one) for one in zip(*(told for _, told in items), strict=True)))
+    return (points, cell, cells), Targets(
+        *(np.stack(one) for one in zip(*(target for _, target in items), strict=True))
+    )
 
 
 # --- Loss and training ------------------------------------------------------------------------------------------------

@@ -189,7 +189,7 @@ def _optimum(found: Landscape, resampled) -> dict:
 
 
 def _wide(found: Landscape, site: Site) -> dict:
-    """The optimum beyond the paper's bounds, and the best at each height, whatever its tilt."""
+    """The optimum beyond the paper's bounds, and the best tilt at each height."""
     least, most = site.scenario.deployment.bounds["tilt_x_deg"]
     inside = found.map.per_vehicle[:, (found.map.tilt_deg >= least) & (found.map.tilt_deg <= most)]
     return {

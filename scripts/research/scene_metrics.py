@@ -10,7 +10,7 @@ Those with a prior learn it from the very frames that they then score, searched 
 Each frame has its own share of the value: the surprisal of what is and is not occupied in it, or the number of its
 voxels that can be expected to be seen. The mean of the shares is the published value under that prior (see
 `OccupiedFrames.surprisal`), and their scatter is what intervals over blocks of time need, which take the prior as it
-is. For entropies that is as good as learning anew from each resample, since to first order entropy changes with the
+is. For entropies that is as good as learning again from each resample, since to first order entropy changes with the
 frames as mean surprisal does; for expected visibility, where the prior also hides voxels, it makes the intervals too
 narrow. Ground returns are the same in every frame.
 
@@ -254,15 +254,15 @@ def _holds(field: Field, points):
     return within & polygon_holds(field.polygon_m, points)
 
 
-def _of_scene(prepare: Callable, **told) -> Callable:
-    """Decorator: a metric from the values that `SceneScore` takes; `told` goes to `blender_lidar.metric`."""
+def _of_scene(prepare: Callable, **described) -> Callable:
+    """Decorator: a metric from the values that `SceneScore` takes; `described` goes to `blender_lidar.metric`."""
 
     def decorated(values: Callable) -> Metric:
         @wraps(values)
         def learn(scene: SceneContext) -> SceneScore:
             return SceneScore(scene, prepare, values)
 
-        return bl.metric(learn, needs=["view"], learns=True, **told)
+        return bl.metric(learn, needs=["view"], learns=True, **described)
 
     return decorated
 

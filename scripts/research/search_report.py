@@ -76,8 +76,8 @@ def _compared(compared: Sequence[Mapping]) -> str:
     for row in compared:
         ranks = [f"{row['lower']} / {row['higher']}", _p(row["wilcoxon_holm"])]
         rows.append([row["part"], row["rival"], _points(row["difference"]), _p(row["mcnemar_holm"]), *ranks])
-    told = "The same problem and seed for both; p-values after Holm."
-    return f"## Pair by pair\n\n{told}\n\n{table([*head, 'Wilcoxon'], rows)}"
+    text = "The same problem and seed for both; p-values after Holm."
+    return f"## Pair by pair\n\n{text}\n\n{table([*head, 'Wilcoxon'], rows)}"
 
 
 def _p(value: float) -> str:
@@ -93,7 +93,7 @@ def _groups(groups: Sequence[Mapping]) -> str:
     )
 
 
-# Ours is the heavy one; the others are told apart by colour, lightness and dash.
+# Ours is the heavy one; the others differ in colour, lightness and dash.
 _OTHERS = (
     ("#cf7f1b", "--"),
     ("#e3b778", (0, (1.2, 1.2))),

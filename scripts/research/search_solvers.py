@@ -20,7 +20,7 @@ from search_problems import Problem
 
 
 class BudgetSpent(Exception):
-    """The last evaluation has been made: whatever a solver wanted next is not evaluated."""
+    """The last evaluation has been made: what a solver asks for next is not evaluated."""
 
 
 class Counted:
@@ -87,7 +87,7 @@ def ours(name: str, reading: str = "corrected") -> Solver:
 
 
 def scipy_de(population: int, init: str = "latinhypercube", strategy: str = "best1bin") -> Solver:
-    """SciPy's differential evolution, `population` times the number of variables, started anew when converged."""
+    """SciPy's differential evolution, `population` times the number of variables, restarted when converged."""
 
     def solve(objective: Counted, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -123,7 +123,7 @@ def scipy_direct(objective: Counted, seed: int) -> None:
 
 
 def cma_es(objective: Counted, seed: int) -> None:
-    """CMA-ES of the `cmaes` package, started anew with twice the population when it stops (IPOP)."""
+    """CMA-ES of the `cmaes` package, restarted with twice the population when it stops (IPOP)."""
     import cmaes
 
     rng, d = np.random.default_rng(seed), objective.lower.size

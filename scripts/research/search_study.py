@@ -165,7 +165,7 @@ def judging(
 
 
 def carry_out(folder: StudyFolder, tasks: Iterable[Task], workers: int, done: Callable[[int], None]) -> None:
-    """Run every task whose stage the folder, which is locked, does not hold; `done` is told of each, held or not."""
+    """Run every task whose stage the folder, which is locked, does not hold; `done` is called for each, held or not."""
     tasks = list(tasks)
     waiting = [task for task in tasks if not folder.holds(task.name)]
     if len(waiting) < len(tasks):

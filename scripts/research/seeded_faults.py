@@ -45,8 +45,8 @@ def outcome(tree: Path, tests: list[str]) -> str:
         done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
     except subprocess.TimeoutExpired:
         return "too slow"
-    told = [f": {line}" for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return {0: "passed", 1: "failed"}.get(done.returncode, f"broken, exit code {done.returncode}") + "".join(told)
+    lines = [f": {line}" for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    return {0: "passed", 1: "failed"}.get(done.returncode, f"broken, exit code {done.returncode}") + "".join(lines)
 
 
 def with_fault(tree: Path, fault: dict) -> str:

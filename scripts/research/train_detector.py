@@ -110,10 +110,10 @@ def _train(args) -> None:
 
 def _check_work(folder: Path, made_of: Mapping) -> None:
     """Refuse a folder whose clouds are of other traffic or worlds."""
-    path, told = folder / "made_of.json", json.dumps(made_of, indent=1)
-    if path.exists() and path.read_text(encoding="utf-8") != told:
+    path, text = folder / "made_of.json", json.dumps(made_of, indent=1)
+    if path.exists() and path.read_text(encoding="utf-8") != text:
         raise InputError(f"--work: {folder}: its clouds are of other traffic or worlds; allowed: a folder of its own")
-    write_text(path, told)
+    write_text(path, text)
 
 
 # --- Clouds -----------------------------------------------------------------------------------------------------------
@@ -172,14 +172,14 @@ def window_of(sample: Sample, gate_m: float, rng: np.random.Generator) -> Window
     first = PILLAR_M * np.rint(rng.uniform(low, high) / PILLAR_M)
     from_lidar = sample.cloud.xyz - foot
     inside = ((from_lidar[:, :2] >= first) & (from_lidar[:, :2] < first + size)).all(axis=1)
-    vehicles, told = sample.vehicles, sample.labelled
+    vehicles, labelled = sample.vehicles, sample.labelled
     boxes = np.column_stack(
         [
             vehicles.centre_m - foot,
             vehicles.size_m,
             vehicles.heading_rad,
             kind_of(vehicles.class_index),
-            np.where(told, sample.points, 0),
+            np.where(labelled, sample.points, 0),
         ]
     )
     lean = np.degrees(np.arccos(min(1.0, pose.rotation[2, 2])))

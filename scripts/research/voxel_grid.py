@@ -12,7 +12,7 @@ from blender_lidar.errors import InputError
 # --- A region cut into cubic voxels, and which of them vehicles' boxes fill -------------------------------
 
 MOST_VOXELS = 1 << 27
-_WHOLE_VOXEL_TOLERANCE = 1e-9  # a region of 4.4 m is 11 voxels of 0.4 m, whatever the rounding of 4.4 / 0.4
+_WHOLE_VOXEL_TOLERANCE = 1e-9  # a region of 4.4 m is 11 voxels of 0.4 m, though 4.4 / 0.4 is rounded
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ def role(thing: bpy.types.ID) -> str | None:
 
 
 def made_once(blocks: Iterable[bpy.types.ID], key: str, make: Callable[[], bpy.types.ID]) -> bpy.types.ID:
-    """The data-block that we made and marked with `key` before, whatever it is called by now, or else a new one.
+    """The data-block that we made and marked with `key` before, also when renamed, or else a new one.
 
     A file of the user's may hold blocks of the same names.
     """
@@ -81,7 +81,7 @@ def clear(from_collection: bpy.types.Collection) -> None:
     bpy.data.batch_remove([item for item in data if item.users == 0])
 
 
-# --- Mesh data-blocks from arrays, in a few calls whatever their size -------------------------------------
+# --- Mesh data-blocks from arrays, in a few calls for any size -------------------------------------
 
 
 def new_mesh(
@@ -133,7 +133,7 @@ def add_attribute(mesh: bpy.types.Mesh, name: str, values: np.ndarray) -> None:
 
 # --- Materials, plain ones by name ---------------------------------------------------------------------------
 
-# Linear RGB. Classes are told apart by lightness too.
+# Linear RGB. Classes differ in lightness too.
 CLASS_COLOURS = {
     "car": (0.10, 0.23, 0.48),
     "van": (0.16, 0.42, 0.40),
@@ -252,7 +252,7 @@ def _strips(name, road, strips, material, above_m=0.0):
 
 
 def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
-    """Barriers, buildings and whatever else stands still, an object each; they take the place of earlier ones."""
+    """Barriers, buildings and other standing things, an object each; they take the place of earlier ones."""
     into = collection(scene, "Scenery", STANDING)
     clear(into)
     if scenery is None:

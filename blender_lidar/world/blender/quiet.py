@@ -36,5 +36,5 @@ def quiet() -> Iterator[None]:
 def first_error(error: RuntimeError) -> str:
     """What an operator of Blender reports, in one line: the first that names an error."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-    told = next((line for line in lines if "Error" in line), lines[0])
-    return told.removeprefix("Error: ").rstrip(":")
+    text = next((line for line in lines if "Error" in line), lines[0])
+    return text.removeprefix("Error: ").rstrip(":")

@@ -79,10 +79,10 @@ def visible_triangles(
     scene : Scene
         In its current frame; its unit scale is applied.
     skip : callable, optional
-        Told each object; those for which it is true are left out too.
+        Called with each object; those for which it is true are left out too.
     keep : callable, optional
-        Told the eight corners (8, 3) [m] of each object's and instance's bounding box, in the scene's frame; where it
-        is false that one is left out. A forest may have far more triangles than stand within reach.
+        Called with the eight corners (8, 3) [m] of each object's and instance's bounding box, in the scene's frame;
+        where it is false that one is left out. A forest may have far more triangles than stand within reach.
     layer : ViewLayer, optional
         As it shows the scene; the first if left out.
 
