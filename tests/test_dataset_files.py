@@ -366,7 +366,10 @@ def test_without_a_validating_scan_all_judge_and_it_is_said(tmp_path, capsys):
     done(capsys, "dataset", scene, "--mountings", 1, "--scans", 2, "--out", tmp_path / "set")
     said, _ = done(capsys, "detect", tmp_path / "set", "--out", tmp_path / "judged")
     assert "; 2 scans (2 frames), " in said
-    assert "No scan of the data set validates: all judge, though a detector may have been trained on them." in said
+    assert (
+        "The data set has no validation scans: all scans are used, though the detector may have been trained on them."
+        in said
+    )
     result = json.loads((tmp_path / "judged" / "detection.json").read_text())
     assert not result["held_out"]
     assert result["mountings"]["given"]["interval_90"]["recall_0.3"] is None  # of too few blocks
@@ -498,7 +501,7 @@ def test_what_cannot_be_had_is_noted(tmp_path, capsys):
     scene = write_scene(tmp_path, {"traffic": {"holdout": 0.0}, "sensor": {"range_gate_m": 60.0}})
     said, _ = done(capsys, "dataset", scene, "--mountings", 1, "--scans", 2, "--out", tmp_path / "set", "--json")
     notes = json.loads(said)["notes"]
-    assert "no frame is held out, so that no scan validates" in notes
+    assert "no frame is held out, so there are no validation scans" in notes
     assert any("is not moved along it" in note for note in notes)
 
 

@@ -130,7 +130,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         f'format = "{kind}"',
         *([] if kind == "ngsim" else _placing_lines(layout)),
         "# frames = 30    # searched, spread over the first part of the recording",
-        "# holdout = 0.4  # share of the recording, at its end, that judges",
+        "# holdout = 0.4  # share of the recording, at its end, that is held out as a check",
         "",
         *_road_lines(layout, kind),
         "",

@@ -181,7 +181,7 @@ def plan_dataset(
     frames = tuple(map(site.recording.vehicles, (*site.plan.search.tolist(), *site.plan.holdout.tolist())))
     scans = len(frames) * mountings if scans is None else scans
     mounts = tuple(_mount(site.scenario, seed, number) for number in range(mountings))
-    notes, moved = [] if len(site.plan.holdout) else ["no frame is held out, so that no scan validates"], False
+    notes, moved = [] if len(site.plan.holdout) else ["no frame is held out, so there are no validation scans"], False
     if not as_recorded:
         moved = _is_straight(frames)
         if not moved:

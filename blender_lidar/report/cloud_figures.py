@@ -347,7 +347,7 @@ def draw_occupancy(path: str | Path, site: Site, run: Outcome) -> None:
         [f"{name}: {mounting_text(mount)}" for name, mount in sides(run.result)],
         f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
         f"{run.result['sensor']}, {table['distance_m'][row]:.0f} m away; "
-        "three quarters of the vehicles that both mountings see gain less PE-VGOP",
+        "this vehicle gains more PE-VGOP than three quarters of the others",
     )
 
 

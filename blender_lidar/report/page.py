@@ -256,13 +256,13 @@ def _scores(run: Outcome):
     words = definitions(result)
     if result.get("tolerance") is not None:
         words["gain kept"] = (
-            "what an error of installation leaves of the gain over the baseline, each error uniform within what is "
-            "stated. A sharp mounting is the best where there is none, a robust one the best over all of them."
+            "the part of the gain over the baseline that is left with installation errors, each uniform within its "
+            "half-width. The sharp mounting is the best without errors, the robust one the best over all errors."
         )
     if result["holdout"]:
         words |= {
-            "held-out frames": "frames later in the recording that show none of the others' vehicles: what chose a "
-            "mounting never judges it.",
+            "held-out frames": "frames later in the recording, with other vehicles than the searched frames: the search did "
+            "not use them, so they are an independent check.",
             "90 % interval": f"from resampling blocks of {result['block_s']:g} s, because frames close in time "
             "show the same vehicles.",
         }

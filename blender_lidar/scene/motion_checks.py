@@ -305,8 +305,8 @@ def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
         (
             again,
             usual.SOME,
-            f"{100 * again:.0f} % of the vehicles come again from behind: if a vehicle_id is used again for others, "
-            "the later ones are left out of the check on held-out traffic",
+            f"{100 * again:.0f} % of the vehicles come again from behind: if ids are reused, the later "
+            "vehicles are left out of the check on held-out traffic",
         ),
     ):
         if measured > limit:

@@ -164,6 +164,6 @@ def check_weights(
         )
     if any(frame.counted.any() for frame in held_out) and not any(frame.counted_weight.any() for frame in held_out):
         raise InputError(
-            f"{where} class_weights, zones: leave no vehicle of the held-out frames a weight above 0, so that nothing "
-            "judges the answer; give more of them a weight, or more frames, or [traffic] holdout = 0"
+            f"{where} class_weights, zones: leave no vehicle of the held-out frames a weight above 0, so that there "
+            "is no check of the answer; give more of them a weight, or more frames, or [traffic] holdout = 0"
         )

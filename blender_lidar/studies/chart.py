@@ -261,11 +261,11 @@ def _seconds(fidelity: Fidelity, timed: Times) -> np.ndarray:
     return each[:, looked_at(fidelity, each.shape[1])].sum(axis=1)
 
 
-# --- which are near enough: asked in an order that their losses have no say in, so that luck passes none --------------
+# --- which are near enough: asked in an order that does not depend on their losses, so that luck passes none ----------
 # Of fifty fidelities, each asked by itself at 95 %, the fastest that passes may well owe its place to luck. So each
 # level of detail is a sequence of its own, from the fidelity that casts the most beams to the one that casts the
 # fewest, which ends at the first that cannot be shown to be near enough: in a fixed sequence every test may take the
-# whole level (Maurer, Hothorn and Lehmacher 1995). Times, which a busy machine may turn round, have no say in it
+# whole level (Maurer, Hothorn and Lehmacher 1995). Times, which a busy machine may turn round, do not count
 # either. The levels of detail share the 5 % evenly (Bonferroni). With 95 % or more, then, none of those that pass loses
 # more than the tolerance, given what was chosen on the searched frames: the bounds tell of other frames that judge, not
 # of others that choose, which the exchange of blocks asks for once.

@@ -34,7 +34,7 @@ MOST_STABLE_LOSS, MOST_FRAGILE_LOSS = 0.05, 0.20  # shares of the gain over the 
 VERDICT_RULE = (
     f"stable: the mounting loses at most {100 * MOST_STABLE_LOSS:g} % of the gain that it could have; fragile: at most "
     f"{100 * MOST_FRAGILE_LOSS:g} %; fails: more, and surely more than {100 * MOST_STABLE_LOSS:g} %; undecided: "
-    f"nothing to gain, or too little traffic to tell {100 * MOST_STABLE_LOSS:g} from {100 * MOST_FRAGILE_LOSS:g} %"
+    "either every mounting is equally good, or there is too little traffic"
 )
 
 
@@ -132,7 +132,7 @@ _SURE_SHARE = 0.5  # of the gain that the lower end of its interval must keep
 
 
 def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric: Metric) -> Finding:
-    """Whether the mounting gains on traffic that had no say in its choice: on held-out frames, None without any.
+    """Whether the mounting gains on held-out frames; None without any.
 
     `block` (f,) labels them; `seed` is that of resampled blocks.
     """
@@ -234,7 +234,7 @@ def change_finding(
     baseline, mounting, best = np.array(of_blocks).transpose(1, 0, 2)
     found = share_lost(best - mounting, best - baseline, sum(vehicles) > 0)
     if found is None:
-        text = "what is best on the searched frames gains nothing on those that judge"
+        text = "the mounting that it prefers is no better than the baseline on held-out frames"
         return Finding(*change, UNDECIDED, text, numbers)
     interval = None if block is None else found.interval_90
     text = f"{lost(found.share, interval)}; best at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
