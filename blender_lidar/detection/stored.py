@@ -320,7 +320,7 @@ def judge_on_dataset(stored: StoredDataset, name: str, workers: int, progress: P
         return [match(boxes, frames, stored.region, lidars, criterion, kind) for criterion in CRITERIA]
 
     if not stored.validates:
-        text = "the data set has no validation scans: all scans are used, though the detector may have been trained on them"
+        text = "the data set has no validation scans: all are used, though the detector may have been trained on them"
         notes = [text, *notes]
     return judged_boxes(boxes, matched, float(returns.mean()) if len(returns) else None, notes)
 
