@@ -197,7 +197,7 @@ def add_lidar(scene: bpy.types.Scene, pose: Pose) -> bpy.types.Object:
 
 
 def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
-    """Let a LiDAR alone be selected and active, so that G moves it, where the view layer has it."""
+    """Select a LiDAR alone and make it active, so that G moves it."""
     if lidar.name in context.view_layer.objects:
         for item in context.selected_objects:
             item.select_set(False)
@@ -248,7 +248,7 @@ class LIDAR_OT_choose(bpy.types.Operator):
 
 
 def adopt(scene: bpy.types.Scene) -> None:
-    """Take over LiDARs that were built without the add-on, and dress those that were duplicated bare."""
+    """Take over LiDARs that were built without the add-on, and complete those that were duplicated alone."""
     remove_orphans(scene)
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
@@ -294,7 +294,7 @@ def _checked(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario,
 
 
 class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
-    """Cast one revolution from the LiDAR: its cloud, and what the vehicles are worth under it"""
+    """Cast one revolution from the LiDAR, show its cloud, and score the vehicles"""
 
     bl_idname, bl_label, bl_options = "lidar.scan", "Scan", {"REGISTER", "UNDO"}
 
@@ -370,7 +370,7 @@ class FolderHelper:
 
 
 class LIDAR_OT_export_labelled(NeedsTraffic, FolderHelper, bpy.types.Operator):
-    """Write the cloud of the frame that is shown, and its boxes as labels, as SUSTechPOINTS has them"""
+    """Write the cloud of the frame that is shown, and its boxes as labels of SUSTechPOINTS"""
 
     bl_idname, bl_label = "lidar.export_labelled", "Export Labelled Set"
 
@@ -387,7 +387,7 @@ class LIDAR_OT_export_labelled(NeedsTraffic, FolderHelper, bpy.types.Operator):
 
 
 class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
-    """Score the mounting on all searched and held-out frames, as the command line's evaluate, into an empty folder"""
+    """Score the mounting on all searched and held-out frames, as evaluate does, and write the results into an empty folder"""
 
     bl_idname, bl_label = "lidar.export_run", "Export Run Folder"
 

@@ -248,14 +248,14 @@ class LIDAR_PG_region(bpy.types.PropertyGroup):
         name="Middle",
         size=2,
         unit="LENGTH",
-        description="Middle of the circle in which vehicles count, x and y",
+        description="Centre of the circle in which vehicles count, x and y",
         update=_changed("region"),
     )
     with_gate: BoolProperty(
         name="As far as the Gate",
         default=True,
         update=_changed("region"),
-        description="The circle's radius is the range gate of the sensor; else a radius of its own",
+        description="Use the sensor's range gate as the radius of the circle",
     )
     radius_m: FloatProperty(
         name="Radius",
@@ -405,20 +405,20 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
     datasheet: BoolProperty(
         name="As the Data Sheet Says",
         update=_changed("sensor"),
-        description="Range noise, and the range of a target of 10 % reflectivity, are the model's own",
+        description="Take the range noise and the range of a 10 % target from the model's data sheet",
     )
     live: BoolProperty(
-        name="Live", update=_changed("live"), description="Cast and score again whenever the LiDAR is moved"
+        name="Live", update=_changed("live"), description="Scan and score again whenever the LiDAR is moved"
     )
     colour_by: EnumProperty(
         name="Colour by",
         update=_changed("look"),
         default="range",
         items=[(key, key.capitalize(), "") for key in ("range", "ring", "vehicle", "intensity", "entropy")],
-        description="What colours the points",
+        description="Quantity that colours the points",
     )
     poles: StringProperty(
-        name="Poles", description="Table of candidate places that are searched in place of X and Y", **_PATH
+        name="Poles", description="CSV of candidate places that are searched, in place of X and Y", **_PATH
     )
     scanned_frame: IntProperty(default=-1, options={"HIDDEN"})
     scanned_at: FloatVectorProperty(size=6, options={"HIDDEN"})
@@ -440,7 +440,7 @@ for _key, _declared in SEARCHABLE.items():
     _scale = math.radians(1.0) if _key.endswith("_deg") else 1.0
     LIDAR_PG_lidar.__annotations__ |= {
         f"{_key}_on": BoolProperty(
-            name=label_of(_key), default=_key in SEARCHED, description=f"Search this: {_declared.help}"
+            name=label_of(_key), default=_key in SEARCHED, description=f"Search this coordinate: {_declared.help}"
         ),
         f"{_key}_low": made_from(_key, _declared, "deployment", name="Low", default=_scale * _low, update=None),
         f"{_key}_high": made_from(_key, _declared, "deployment", name="High", default=_scale * _high, update=None),

@@ -261,8 +261,8 @@ def _scores(run: Outcome):
         )
     if result["holdout"]:
         words |= {
-            "held-out frames": "later frames, with other vehicles than the searched ones: the search did not use them, so they "
-            "are an independent check.",
+            "held-out frames": "later frames with other vehicles than the searched ones: the search did not use "
+            "them, so they are an independent check.",
             "90 % interval": f"from resampling blocks of {result['block_s']:g} s, because frames close in time "
             "show the same vehicles.",
         }
