@@ -387,7 +387,7 @@ class LIDAR_OT_export_labelled(NeedsTraffic, FolderHelper, bpy.types.Operator):
 
 
 class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
-    """Score the mounting on all searched and held-out frames, as evaluate does, and write the results into an empty folder"""
+    """Score the mounting on all searched and held-out frames, as evaluate does, into an empty folder"""
 
     bl_idname, bl_label = "lidar.export_run", "Export Run Folder"
 
