@@ -100,12 +100,6 @@ def test_walkers_are_as_many_about_any_place_and_move_on_where_two_look(x_m):
     assert len(both[0]) > 5
 
 
-def test_walkers_are_about_every_pole_of_several():
-    places = [((x, 0.0), (x, 0.0)) for x in (0.0, 2600.0)]
-    x = middles(Walkers(ROAD, 1.0, 1, places).at(60.0))[:, 0]
-    assert (np.histogram(x, np.arange(-500.0, 3101.0, 600.0))[0] > 5).all()
-
-
 @pytest.fixture(scope="module")
 def sites():
     def site(strength):

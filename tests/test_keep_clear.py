@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from blender_lidar.errors import InputError
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import check_mount_is_clear, footprints_meet
-from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.sample_traffic import one_vehicle
 from tests.small_scene import REGION, mounting, write_scene
 
 LENGTHS = st.floats(0.2, 8.0)
@@ -55,15 +55,6 @@ def test_overlap_is_what_dense_sampling_of_the_footprint_finds(centre, size, hea
         assert meets
     if meets:
         assert sampled_overlap(vehicle, low - spacing, high + spacing)
-
-
-def test_each_vehicle_is_judged_by_itself():
-    vehicles = dense_traffic(vehicles=30, length_m=100.0)
-    for row in range(30):
-        point = vehicles.centre_m[row, :2]
-        assert np.flatnonzero(boxes_meet_rectangle(vehicles, point, point)).tolist() == [row]
-    assert boxes_meet_rectangle(vehicles, *rectangle([-60, 0], [60, 30])).all()
-    assert boxes_meet_rectangle(dense_traffic(vehicles=0), *rectangle([-60, 0], [60, 30])).shape == (0,)
 
 
 @pytest.fixture

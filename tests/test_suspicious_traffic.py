@@ -166,9 +166,9 @@ STOPS = {  # by name: the rows, the scene, and what the line says
     "one heading on a bend": (bend(heading_deg=0.0), {}, "one for all where the road bends.*--accept headings"),
     "front bumpers": (jam(0.5), {}, "not the boxes' centres .but bumpers.*--accept overlaps"),
     "rear bumpers": (jam(-0.5), {}, "not the boxes' centres .but bumpers.*--accept overlaps"),
-    "trucks ten times too small": (of_class("truck", 0.1), {}, "median truck is 1.1 .*slipped decimal.*--accept sizes"),
-    "cars ten times too small": (of_class("car", 0.1), {}, "median car is 0.44 .*slipped decimal.*--accept sizes"),
-    "vans of a third": (of_class("van", 0.3048), {}, "median van is 1.58 .*multiplied by 0.3048.*--accept sizes"),
+    "trucks ten times too small": (of_class("truck", 0.1), {}, "median truck is 1.1 .*another unit.*--accept sizes"),
+    "cars ten times too small": (of_class("car", 0.1), {}, "median car is 0.44 .*another unit.*--accept sizes"),
+    "vans of a third": (of_class("van", 0.3048), {}, "median van is 1.58 .*another unit.*--accept sizes"),
     "trucks of no unit": (
         of_class("truck", 0.15),
         {},

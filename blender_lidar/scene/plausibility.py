@@ -86,8 +86,8 @@ def _sizes(seen: _Seen) -> str | None:
         fitting = _fits(size, index)
         if len(size) < usual.FEWEST or fitting.mean() >= usual.HALF:
             continue
-        units = [unit for unit, factor in usual.FACTORS.items() if _fits(size * factor, index).mean() > usual.MOST]
-        probably = " or ".join(units) or "another unit, swapped columns or another class"
+        units = [unit for unit, factor in usual.UNITS.items() if _fits(size * factor, index).mean() > usual.MOST]
+        probably = f"{units[0]} for metres" if units else "another unit, swapped columns or another class"
         if seen.recording.report.periods:  # whose sizes have been repaired, to the least where they were metres
             probably = "v_Length and v_Width in metres, where NGSIM's columns are all in feet, or swapped"
         return (
@@ -106,16 +106,16 @@ def _heights_alike(sample: Recording) -> str | None:
     """Trucks and buses as large as cars, or long and no higher: one size or height for all, for want of any."""
     large = np.isin(sample.class_index, [CLASSES.index("truck"), CLASSES.index("bus")])
     cars = sample.size_m[sample.class_index == CLASSES.index("car")]
-    for some in (sample.size_m[large], sample.size_m[large & (sample.size_m[:, 0] > usual.LONG_M)]):
-        if min(len(cars), len(some)) < usual.FEWEST:
-            continue
-        car, other = np.median(cars, axis=0), np.median(some, axis=0)
-        alike = (np.abs(other - car) <= usual.ALIKE_M).all()
-        if alike or (some[:, 0].min() > usual.LONG_M and other[2] <= car[2] + usual.HIGHER_M):
-            return (
-                f"a median truck or bus is {_by(other)} m, as high as a median car, {_by(car)} m (usual: 3 to 4 m and "
-                "1.5); probably one size or height for all: give height_m by class"
-            )
+    other = sample.size_m[large]
+    if min(len(cars), len(other)) < usual.FEWEST:
+        return None
+    car, other = np.median(cars, axis=0), np.median(other, axis=0)
+    alike = (np.abs(other - car) <= usual.ALIKE_M).all()
+    if alike or (other[0] > usual.LONG_M and other[2] <= car[2] + usual.HIGHER_M):
+        return (
+            f"a median truck or bus is {_by(other)} m, as high as a median car, {_by(car)} m (usual: 3 to 4 m and "
+            "1.5); probably one size or height for all: give height_m by class"
+        )
     return None
 
 

@@ -24,13 +24,7 @@ SIZES_M = {
     "bus": ((5.0, 60.0), (1.5, 3.1), (1.8, 5.0)),
     "motorcycle": ((0.8, 4.0), (0.25, 2.0), (0.6, 2.6)),
 }
-UNITS = {"feet": FOOT_M, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254, "decimetres": 0.1}
-FACTORS = {  # what sizes may be for what they should be, and what makes them right
-    **{f"{unit} for metres": factor for unit, factor in UNITS.items()},
-    "half lengths for metres": 2.0,
-    "metres multiplied by 0.3048": 1.0 / FOOT_M,
-    "a slipped decimal point, ten times too small": 10.0,
-}
+UNITS = {"feet": FOOT_M, "centimetres": 0.01, "millimetres": 0.001}  # what sizes may be in for metres
 LONG_M, HIGHER_M = 7.0, 0.2  # trucks and buses this long are higher than cars by more than this
 ALIKE_M = 0.05  # sizes that differ by less are one number
 OFF_MIDDLE_M = 0.5  # of a box above its half height: more than kerbs, lorries' axles and survey errors
