@@ -46,7 +46,7 @@ def scene(folder, turned=False, **changes):
     folder.mkdir(parents=True, exist_ok=True)
     write_table(folder / "traffic.csv", rows(turned), HEADER)
     tables = {
-        "traffic": {"frames": 6, "holdout": 0.0, "accept": ["headings"]},
+        "traffic": {"frames": 6, "holdout": 0.0},
         "road": TWO_WAY,
         "region": {"centre_m": [0.0, 0.5 * WIDTH], "radius_m": 30.0},
         "sensor": {"range_gate_m": 40.0},

@@ -344,7 +344,7 @@ def _traffic_side(samples: _Samples, follows_x: bool, kerb_lane: bool) -> tuple[
             by_oncoming += nearest[beside][1] * (1 if beside == SIDES[1] else -1)
     votes = by_lanes or by_oncoming
     shown_by = "the lanes' numbers" if by_lanes else "vehicles that come the other way" if by_oncoming else ""
-    return SIDES[0 if votes >= 0 else 1], shown_by or ("NGSIM's country" if follows_x else "")
+    return SIDES[0 if votes >= 0 else 1], shown_by or ("as where NGSIM was recorded" if follows_x else "")
 
 
 def _unturned(along: float, across: float, direction: float) -> np.ndarray:
