@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..detection.dataset import TRAIN, VAL, DatasetPlan, plan_dataset
 from ..detection.dataset_files import DatasetFolder
+from ..detection.judge import watched
 from ..errors import InputError
 from ..names import DATASET_LAYOUTS
 from ..report.summary import as_sentence, warnings_text
@@ -66,6 +67,7 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
         "region": asdict(scenario.region),
         "road": asdict(scenario.road),
         "range_gate_m": site.observation.lidar.max_range_m,
+        "watched_m": [corner.tolist() for corner in watched(site)],
         "caster": site.observation.caster,
         "layouts": list(layouts),
         "seed": plan.seed,

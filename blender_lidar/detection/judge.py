@@ -95,6 +95,12 @@ def watched(site: Site) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
+def within(boxes: DetectedBoxes, low: np.ndarray, high: np.ndarray) -> DetectedBoxes:
+    """The boxes whose middles lie in the rectangle between two corners, (2,) each [m]."""
+    xy = boxes.centre_m[:, :2]
+    return boxes.select(((xy >= low) & (xy <= high)).all(axis=1))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedDetector:
     """What a detector made of the judging frames at one mounting.
@@ -224,7 +230,7 @@ def judge_detector(
         detector.learn(of_each(partial(range_image, detector, clouds), vehicles, workers, advance))
     found, seen, returned = zip(*of_each(partial(_look, detector, clouds), frames, workers, advance), strict=True)
     low, high = watched(site)
-    boxes = [one.select(((one.centre_m[:, :2] >= low) & (one.centre_m[:, :2] <= high)).all(axis=1)) for one in found]
+    boxes = [within(one, low, high) for one in found]
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
     with_return = sum(returned) / vehicles if vehicles else None
     notes = [*detector.notes(seen), *([] if site.scenario.world.ground else [_NO_GROUND])]

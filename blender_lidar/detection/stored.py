@@ -43,6 +43,7 @@ from .judge import (
     of_each,
     range_image,
     region_of_alarms,
+    within,
 )
 from .pillars import SHIPPED, PillarsDetector
 from .scores import CRITERIA, Matches, intervals, match
@@ -189,7 +190,7 @@ _ABOUT = {
     "road": Setting(kind=StraightRoad),
     "layouts": Setting(kind=tuple[str, ...]),
     "seed": Setting(kind=int),
-    "range_gate_m": Setting(above=0.0),
+    "watched_m": Setting(kind=tuple[tuple[float, float], ...]),
     "warnings": Setting(kind=list),
 }
 _OF_SCANS = {
@@ -214,6 +215,8 @@ class StoredDataset:
         The content of dataset.json.
     region : Region
         Where a box that meets nothing is a false alarm.
+    watched : (ndarray, ndarray), (2,) each
+        Where detectors of ours look, as for `judge.watched` [m].
     scans : mapping of str to ndarray, (n,)
         Columns of scans.csv.
     poses : sequence of Pose, n
@@ -225,6 +228,7 @@ class StoredDataset:
     folder: Path
     about: Mapping[str, object]
     region: Region
+    watched: tuple[np.ndarray, np.ndarray]
     scans: Mapping[str, np.ndarray]
     poses: Sequence[Pose]
     judging: np.ndarray
@@ -282,7 +286,10 @@ def read_dataset(folder: Path) -> StoredDataset:
     tables = ({key: scans[key].tolist()[row] for key in MOUNTED} for row in range(count))
     poses = [mounting_from(coordinates_of(table, str(folder), MOUNTED), road).pose for table in tables]
     validating = np.flatnonzero(scans["split"] == VAL)
-    return StoredDataset(folder, about, region, scans, poses, validating if len(validating) else np.arange(count))
+    watched = tuple(map(np.array, told["watched_m"]))
+    return StoredDataset(
+        folder, about, region, watched, scans, poses, validating if len(validating) else np.arange(count)
+    )
 
 
 def _read_columns(path: Path, columns: Mapping[str, Column], text: str) -> dict[str, np.ndarray]:
@@ -345,28 +352,18 @@ def _detected(
     stored: StoredDataset, name: str, workers: int, advance: Callable[[int], object]
 ) -> tuple[list[DetectedBoxes], list[str]]:
     """What PointPillars finds in the judging scans, each from its mounting, and its notes."""
-    numbers, (low, high), reach = stored.judging.tolist(), _corners(stored.region), stored.about["range_gate_m"]
-    mounting, detectors = stored.scans["mounting"].astype(int).tolist(), {}
-    for number in numbers:
-        pose = stored.poses[number]
-        at = pose.position[:2]
-        corners = np.maximum(low, at - reach), np.minimum(high, at + reach)
-        detectors[mounting[number]] = _pillars(name, stored.about["sensor"], pose, *corners)
+    numbers, mounting = stored.judging.tolist(), stored.scans["mounting"].astype(int).tolist()
+    detectors = {
+        mounting[number]: _pillars(name, stored.about["sensor"], stored.poses[number], *stored.watched)
+        for number in numbers
+    }
     found = of_each(partial(_look_at_scan, stored, detectors), numbers, workers, advance)
     seen = {
         each: [one for number, (_, one) in zip(numbers, found, strict=True) if mounting[number] == each]
         for each in detectors
     }
     notes = [detector.notes(seen[each]) for each, detector in detectors.items()]
-    return [boxes for boxes, _ in found], _gathered(notes)
-
-
-def _corners(region: Region) -> tuple[np.ndarray, np.ndarray]:
-    """Opposite corners of the rectangle about a region [m]."""
-    circle = np.add.outer((-region.radius_m, region.radius_m), region.centre_xy)
-    outlines = [corner for s_m, _ in region.stretches for outline in region.road.area(s_m=s_m) for corner in outline]
-    corners = np.array(region.polygon or outlines or circle, dtype=float)
-    return corners.min(axis=0), corners.max(axis=0)
+    return [within(boxes, *stored.watched) for boxes, _ in found], _gathered(notes)
 
 
 def _gathered(notes: Sequence[Sequence[str]]) -> list[str]:
