@@ -50,7 +50,9 @@ _KINDS = {  # of columns; the others hold floats
     **dict.fromkeys(("frame", "vehicle_id", "points", "detectable", "lane"), np.int64),
 }
 _DECIMALS = {
-    **dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "distance_m", "heading_deg"), 3),
+    # Boxes so exactly that `score` counts their cells as the run did: a millimetre may be a whole row of cells.
+    **dict.fromkeys(("x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "heading_deg"), 6),
+    "distance_m": 3,
     **dict.fromkeys(("p_top", "p_side", "p_front", "entropy_bits"), 6),
 }
 
