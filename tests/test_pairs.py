@@ -1,255 +1,375 @@
-"""Features in pairs: six scenes that users have, each through every verb, and what one verb leaves through the next."""
+"""Features in pairs: six scenes through every verb; what two verbs say of the same thing is the same.
+
+What the add-on makes of these scenes is in `tests.test_blender_addon`.
+"""
 
 from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import blender_lidar as bl
 from blender_lidar.casting import is_available
+from blender_lidar.cli import main
+from blender_lidar.commands.progress import RunProgress
+from blender_lidar.run.folder import RunFolder
+from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.toml_table import to_toml
-from tests.small_scene import HEADER, SETTINGS, cli, traffic_rows, without_charts, write_scene, write_table
-from tests.sumo_samples import row as sumo_row
-from tests.sumo_samples import xml as sumo_xml
+from blender_lidar.studies.chart import ChartEffort
+from blender_lidar.studies.stability import StabilityEffort
+from tests.six_scenes import SCENES
+from tests.small_scene import CASTER, cli, without_charts, without_times
 
-UTM = (691_000.25, 5_334_000.75)  # an easting and a northing, whose float32 steps by half a metre
-TILT = {"tilt_x_deg": [0.0, 25.0]}
-ONE = ("--workers", 1)
-WORKS_LONG = ("--frames", 3, *ONE)
+pytestmark = pytest.mark.usefixtures("quick")
 
-
-def circle(folder: Path) -> Path:
-    return write_scene(folder, {"region": {"centre_m": [0.0, 5.0], "radius_m": 18.0}, "deployment": TILT})
+PERFECT = ("--dropout", 0, "--range-noise", 0, "--clutter", 0)  # nothing that each verb draws for itself
+TINY_CHART = ChartEffort(None, 4, 4, 1, phases=1, rounds=1, quick=True)
+TINY_STABILITY = StabilityEffort(None, 2, heights=2, tilts=2, fine_tilts=2, seeds=1, budget=0.5, draws=1, quick=True)
+Rows = list[dict[str, str]]
 
 
-def stretches_of_init(folder: Path) -> Path:
-    """What `init` writes for a recording."""
-    folder.mkdir(parents=True)
-    rows = traffic_rows(frames=80, vehicles=60)
-    path = write_table(folder / "own.csv", rows, HEADER)
-    assert cli_quietly("init", folder / "proposed", "--from", "table", path) == 0
-    return folder / "proposed" / "scene.toml"
+def table(path: Path) -> Rows:
+    with path.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
 
 
-def utm_from_sumo(folder: Path) -> Path:
-    """Floating car data in UTM on a road that runs to the north-east, with an outline as region."""
-    folder.mkdir(parents=True)
-    turn, rows = np.radians(30.0), []
-    along, left = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
-    for _frame, number, kind, x, y, *_sizes, _heading, time_s in traffic_rows():
-        place = np.array(UTM) + x * along + (y - 2.0 - 1.75) * left
-        front = place + 0.5 * (4.4 if kind == "car" else 5.2 if kind == "van" else 11.0) * along  # SUMO's places
-        sizes = {"id": f"v{number}", "x": f"{front[0]:.3f}", "y": f"{front[1]:.3f}", "angle": 60.0, "speed": 10.0}
-        rows.append(sumo_row(time_s, **sizes, type={"car": "car", "van": "delivery", "truck": "truck"}[kind]))
-    (folder / "run.fcd.xml").write_text(sumo_xml(rows), encoding="utf-8")
-    foot = np.array(UTM) - 3.75 * left
-    traffic = {"path": "run.fcd.xml", "format": "sumo", "origin_m": foot.round(3).tolist(), "heading_deg": 30.0}
-    outline = [[-15.0, 2.0], [15.0, 2.0], [15.0, 9.0], [-15.0, 9.0]]
-    return write_scene(folder, {"traffic": traffic, "region": {"polygon_m": outline}, "deployment": TILT})
-
-
-def sloping(folder: Path) -> Path:
-    road = {"grade_percent": 5.0, "cross_fall_percent": 2.0, "crown_percent": 2.5}
-    return write_scene(folder, {"road": road, "world": {"variety": 1.0}, "deployment": TILT})
-
-
-def two_recordings_with_poles(folder: Path) -> Path:
-    folder.mkdir(parents=True)
-    for name, seed in (("morning", 1), ("evening", 2)):
-        write_table(folder / f"{name}.csv", traffic_rows(seed=seed), HEADER)
-    (folder / "poles.csv").write_text("name,x_m,y_m,foot_z_m\nlamp,0,0,0.5\nmast,-6,-1,\n", encoding="utf-8")
-    tables = {name: dict(table) for name, table in SETTINGS.items() if name != "traffic"}
-    tables["traffic"] = [
-        {"name": name, "path": f"{name}.csv", "weight": weight, "frames": 3, "block_s": 10.0}
-        for name, weight in (("morning", 1.0), ("evening", 2.0))
-    ]
-    tables["region"] = {"centre_m": [0.0, 5.0], "radius_m": 18.0}
-    tables["deployment"] = {"poles": "poles.csv", "height_m": [2.0, 4.5], "tilt_x_deg": 15.0}
-    path = folder / "scene.toml"
-    path.write_text(to_toml(tables), encoding="utf-8")
-    return path
-
-
-def weighted_and_tolerant(folder: Path) -> Path:
-    near = {"name": "near lane", "polygon_m": [[-40.0, 2.0], [40.0, 2.0], [40.0, 5.5], [-40.0, 5.5]], "weight": 3.0}
-    objective = {"zones": [near], "class_weights": {"truck": 2.0}, "tolerance": {"tilt_deg": 1.0, "height_m": 0.05}}
-    return write_scene(folder, {"objective": objective, "deployment": TILT})
-
-
-SCENES = {
-    "circle": circle,
-    "stretches of init": stretches_of_init,
-    "UTM from SUMO": utm_from_sumo,
-    "slope and crown": sloping,
-    "two recordings with poles": two_recordings_with_poles,
-    "weights, zones and tolerance": weighted_and_tolerant,
-}
-
-
-def cli_quietly(*words: object) -> int:
-    from blender_lidar.cli import main
-
-    return main([str(word) for word in words])
-
-
-class Ran:
-    """A scene, and the folder of its search."""
+class Searched:
+    """A scene, and the folder that `optimise` left of it."""
 
     def __init__(self, scene: Path, folder: Path) -> None:
-        self.scene, self.folder = scene, folder
+        self.scene, self.folder, self.settings = scene, folder, load_scenario(scene)
         self.result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-
-    @property
-    def frames(self) -> tuple[object, ...]:
-        """The options that keep it small."""
-        several = len(load_scenario(self.scene).recordings) > 1
-        return () if several else WORKS_LONG[:2]
+        self.rows = table(folder / "vehicles.csv")
 
     @property
     def mounting(self) -> tuple[object, ...]:
-        """Its answer as options."""
-        words = [("--height", "height_m"), ("--tilt-x", "tilt_x_deg"), ("--tilt-y", "tilt_y_deg"), ("--yaw", "yaw_deg")]
-        pole = self.result["pole"]
-        place = [("--x", "x_m"), ("--y", "y_m")] if pole is None else []
-        given = [word for option, key in (*place, *words) for word in (option, repr(self.result["deployment"][key]))]
-        return (*given, *(() if pole is None else ("--pole", pole["name"])))
+        """The answer as options."""
+        return self.hung(
+            self.result["deployment"], None if self.result["pole"] is None else self.result["pole"]["name"]
+        )
 
-    def vehicles(self) -> list[dict[str, str]]:
-        with (self.folder / "vehicles.csv").open(encoding="utf-8", newline="") as stream:
-            return list(csv.DictReader(stream))
+    def hung(self, coordinates: Mapping[str, float], pole: str | None = None) -> tuple[object, ...]:
+        """A mounting as options."""
+        keys = [*(("x_m", "y_m") if pole is None else ()), "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"]
+        given = [f"--{key.rpartition('_')[0].replace('_', '-')}={coordinates[key]!r}" for key in keys]
+        return (*given, *(() if pole is None else ("--pole", pole)))
+
+    def of(self, split: str, frame: str | None = None) -> Rows:
+        """Rows of the counted vehicles of the searched or the held-out frames, or of one."""
+        return [row for row in self.rows if row["split"] == split and frame in (None, row["frame"])]
+
+    @property
+    def frames(self) -> list[str]:
+        return list(dict.fromkeys(row["frame"] for row in self.rows))
 
 
-@pytest.fixture(scope="module", params=SCENES, ids=lambda name: name.replace(" ", "-").replace(",", ""))
-def ran(request, tmp_path_factory) -> Ran:
-    """The scene, and its search."""
+@pytest.fixture(scope="module", params=SCENES)
+def ran(request, tmp_path_factory) -> Searched:
     folder = tmp_path_factory.mktemp("pairs") / "site"
     scene = SCENES[request.param](folder)
-    options = ("--particles", 4, "--iterations", 3, *ONE, "--out", folder / "run")
-    frames = () if request.param == "two recordings with poles" else WORKS_LONG[:2]
     with pytest.MonkeyPatch.context() as patch:
         without_charts(patch)
-        assert cli_quietly("optimise", scene, *frames, *options) == 0
-    return Ran(scene, folder / "run")
+        assert main(["optimise", str(scene), "--out", str(folder / "run")]) == 0
+    return Searched(scene, folder / "run")
 
 
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch):
-    without_charts(monkeypatch)
-
-
-def verb(capsys, *words: object) -> tuple[dict, str]:
-    """What a verb that succeeds prints with --json, and what it says."""
+def verb(capsys, *words: object) -> dict:
+    """What a verb that succeeds prints with --json."""
     code, out, err = cli(capsys, *words, "--json")
     assert code == 0, err
-    return json.loads(out), err
+    return json.loads(out)
 
 
-def test_the_answer_lies_within_its_bounds_and_every_file_is_written(ran):
+def scores(result: Mapping) -> dict:
+    """What was found of a mounting, and of its baseline: all numbers that two runs must share."""
+    keys = ("objective", "objective_per_vehicle", "detectable_share", "holdout", "recordings", "vehicles", "frames")
+    return {key: result[key] for key in (*keys, "baseline") if key in result}
+
+
+def numbers(rows: Rows, *keys: str) -> list[tuple[float, ...]]:
+    return [tuple(float(row[key]) for key in keys) for row in rows]
+
+
+# --- One mounting, said by many ---------------------------------------------------------------------------------------
+
+
+def test_the_objective_is_the_weighted_sum_over_the_table_of_vehicles(ran):
+    objective, searched = ran.settings.objective, ran.of("search")
+    assert len(searched) == ran.result["vehicles"]
+    assert len(ran.of("holdout")) == ran.result["holdout"]["vehicles"]
     for key, (low, high) in ran.result["bounds"].items():
-        assert low - 1e-9 <= ran.result["deployment"][key] <= high + 1e-9
-    for name in (
-        "vehicles.csv",
-        "vehicles_baseline.csv",
-        "history.csv",
-        "report.html",
-        "installation.txt",
-        "scene.toml",
-    ):
-        assert (ran.folder / name).stat().st_size > 0, name
-    counted = [row for row in ran.vehicles() if row["split"] == "search"]
-    assert len(counted) == ran.result["vehicles"]
+        assert low <= ran.result["deployment"][key] <= high
+    for rows, found in ((searched, ran.result), (ran.of("holdout"), ran.result["holdout"])):
+        weight = np.array([float(row.get("weight", 1.0)) for row in rows])
+        value = np.array([float(row["entropy_bits"]) if row["detectable"] == "1" else objective.loss for row in rows])
+        seen = np.array([row["detectable"] == "1" for row in rows])
+        assert found["objective_per_vehicle"] == pytest.approx(weight @ value / weight.sum(), abs=1e-6)
+        assert found["detectable_share"] == pytest.approx(weight @ seen / weight.sum(), abs=1e-12)
+        if rows is searched:
+            assert found["objective"] == pytest.approx(weight @ value, abs=1e-5)
 
 
-def test_evaluate_finds_the_score_of_the_search(ran, tmp_path, capsys):
-    found, _ = verb(capsys, "evaluate", ran.scene, *ran.frames, *ONE, *ran.mounting, "--out", tmp_path / "run")
-    for key in ("objective", "objective_per_vehicle", "detectable_share", "vehicles", "holdout", "baseline"):
-        assert found[key] == pytest.approx(ran.result[key], rel=1e-9, nan_ok=True) if key != "holdout" else True, key
-    for key in ("objective_per_vehicle", "detectable_share"):
-        if ran.result["holdout"]:
-            assert found["holdout"][key] == pytest.approx(ran.result["holdout"][key], abs=1e-9)
+def test_evaluate_scores_the_answer_as_the_search_did(ran, tmp_path, capsys):
+    found = verb(capsys, "evaluate", ran.scene, *ran.mounting, "--out", tmp_path / "run")
+    assert scores(found) == scores(ran.result)
+    for name in ("vehicles.csv", "vehicles_baseline.csv"):
+        assert (tmp_path / "run" / name).read_bytes() == (ran.folder / name).read_bytes()
 
 
-def test_the_scene_that_a_run_leaves_is_the_scene_that_it_ran(ran, tmp_path, capsys):
+def test_the_scene_that_a_run_leaves_is_the_one_that_it_ran(ran, tmp_path, capsys):
     left = ran.folder / "scene.toml"
-    assert (
-        load_scenario(left).with_whole_paths()
-        == load_scenario(
-            ran.scene,
-            {("search", "particles"): (4, "x"), ("search", "iterations"): (3, "x"), ("model", "workers"): (1, "x")}
-            | ({("traffic", "frames"): (3, "x")} if ran.frames else {}),
-        ).with_whole_paths()
-    )
-    found, _ = verb(capsys, "evaluate", left, *ran.mounting, "--out", tmp_path / "run")
-    assert found["objective"] == pytest.approx(ran.result["objective"], rel=1e-9)
+    assert load_scenario(left).with_whole_paths() == ran.settings.with_whole_paths()
+    again = verb(capsys, "optimise", left, "--out", tmp_path / "run")
+    assert without_times(again) == without_times(ran.result)
 
 
-def test_a_run_that_has_ended_is_not_run_again(ran, capsys):
-    options = ("--particles", 4, "--iterations", 3, *ONE, "--out", ran.folder, "--resume")
-    found, _ = verb(capsys, "optimise", ran.scene, *ran.frames, *options)
-    assert found == ran.result
+def test_python_finds_what_the_command_line_finds(ran, tmp_path):
+    site = bl.load_scene(ran.scene)
+    best = bl.best_mounting(site, tmp_path / "run")
+    left = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
+    assert without_times(left) == without_times(ran.result)
+    planned = {key: best.mounting[key] for key in COORDINATES}
+    for held_out, found in ((False, ran.result), (True, ran.result["holdout"])):
+        score = bl.score_mounting(site, held_out=held_out, **planned)
+        assert score.objective_per_vehicle == pytest.approx(found["objective_per_vehicle"], rel=1e-12)
+        assert score.detectable_share == found["detectable_share"]
 
 
-def test_two_workers_find_what_one_finds(ran, tmp_path, capsys):
-    words = (*ran.frames, *ran.mounting, "--workers", 2, "--out", tmp_path / "run")
-    found, _ = verb(capsys, "evaluate", ran.scene, *words)
-    assert found["objective"] == pytest.approx(ran.result["objective"], rel=1e-9)
+def test_a_run_that_was_stopped_goes_on_to_the_same_and_one_that_has_ended_is_not_run_again(
+    ran, tmp_path, capsys, monkeypatch
+):
+    heard, searching = [], RunProgress.searching
+
+    def stopped(self, search):
+        heard.append(search.evaluations)
+        searching(self, search)
+        if len(heard) == 2:
+            raise KeyboardInterrupt
+
+    words = ("optimise", ran.scene, "--out", tmp_path / "run")
+    with monkeypatch.context() as patch:
+        patch.setattr(RunProgress, "searching", stopped)
+        code, _, err = cli(capsys, *words)
+    assert (code, "--resume" in err) == (1, True)
+    for _ in range(2):
+        assert without_times(verb(capsys, *words, "--resume")) == without_times(ran.result)
+    for name in ("history.csv", "vehicles.csv", "vehicles_baseline.csv", "scene.toml"):
+        assert (tmp_path / "run" / name).read_bytes() == (ran.folder / name).read_bytes(), name
 
 
-def test_python_finds_the_score_of_the_command_line(ran):
-    site = bl.load_scene(str(ran.folder / "scene.toml"))
-    table = {key: value for key, value in ran.result["deployment"].items() if value is not None}
-    score = bl.score_mounting(site, **table)
-    assert score.objective == pytest.approx(ran.result["objective"], rel=1e-9)
+def test_two_processes_find_what_one_finds(ran, tmp_path, capsys):
+    found = verb(capsys, "evaluate", ran.scene, *ran.mounting, "--workers", 2, "--out", tmp_path / "run")
+    assert scores(found) == scores(ran.result)
 
 
-def test_a_cloud_of_a_frame_has_the_points_that_the_run_counted(ran, tmp_path, capsys):
-    rows = [row for row in ran.vehicles() if row["split"] == "search"]
-    frame = rows[0]["frame"]
-    rows = [row for row in rows if row["frame"] == frame]
+# --- Clouds -----------------------------------------------------------------------------------------------------------
+
+
+def test_clouds_have_the_points_and_the_bits_that_the_run_counted(ran, tmp_path, capsys):
+    objective, clouds = ran.settings.objective, tmp_path / "clouds"
+    words = ("--frame-ids", ",".join(ran.frames), *ran.mounting, "--out", clouds)
+    assert cli(capsys, "scan", ran.scene, *words)[0] == 0
+    site, place = bl.load_scene(ran.scene), {key: ran.result["deployment"][key] for key in COORDINATES}
+    keys = ("p_top", "p_side", "p_front", "entropy_bits")
+    for frame in ran.frames:
+        expected = [row for row in ran.rows if row["frame"] == frame]
+        points = [(int(row["vehicle_id"]), int(row["points"]), row["detectable"] == "1") for row in expected]
+        cloud, boxes = clouds / f"{int(frame):06d}.npz", ("--boxes", ran.folder / "vehicles.csv", "--frame", frame)
+        judged = ("--threshold", objective.threshold, "--view", objective.view)
+        found = verb(capsys, "score", "--points", cloud, *boxes, *judged)["vehicles"]
+        assert [(one["vehicle_id"], one["points"], one["detectable"]) for one in found] == points
+        np.testing.assert_allclose(numbers(found, *keys), numbers(expected, *keys), rtol=0.0, atol=1e-6)
+        scan = bl.scan_frame(site, int(frame), **place)
+        exact = bl.score_cloud(scan)
+        counted = np.isin(exact["vehicle_id"], [one[0] for one in points])
+        assert np.asarray(exact["points"])[counted].tolist() == [one[1] for one in points]
+        for key in keys:
+            values = np.asarray(exact[key])[counted]
+            np.testing.assert_allclose(values, np.ravel(numbers(expected, key)), rtol=0.0, atol=1e-6, err_msg=key)
+        with np.load(cloud, allow_pickle=False) as stored:
+            np.testing.assert_array_equal(stored["vehicle_id"], scan.cloud.vehicle_id)
+            np.testing.assert_allclose(stored["xyz"], scan.cloud.xyz, rtol=0.0, atol=1e-4)
+
+
+def test_a_perfect_cloud_beside_its_own_simulation_differs_by_nothing(ran, tmp_path, capsys):
+    frame = min(ran.rows, key=lambda row: float(row["distance_m"]))["frame"]
+    within = ran.settings.sensor.range_gate_m - 6.0  # whole vehicles, as `compare` has no gate
     cloud = tmp_path / "cloud.npz"
-    code, _, err = cli(capsys, "scan", ran.scene, "--frame", frame, *ran.mounting, "--out", cloud)
+    code, _, err = cli(capsys, "scan", ran.scene, "--frame", frame, *ran.mounting, *PERFECT, "--out", cloud)
     assert code == 0, err
     with np.load(cloud, allow_pickle=False) as stored:
-        ids = stored["vehicle_id"]
-    assert [int((ids == int(row["vehicle_id"])).sum()) for row in rows] == [int(row["points"]) for row in rows]
-    boxes = tmp_path / "boxes.csv"
-    with boxes.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
-    code, out, err = cli(capsys, "score", "--points", cloud, "--boxes", boxes, "--json")
-    assert code == 0, err
-    mean = np.mean([float(row["entropy_bits"]) for row in rows])
-    assert json.loads(out)["pe_vgop_mean"] == pytest.approx(mean, abs=1e-6) if "pe_vgop_mean" in out else True
-
-
-def test_a_detector_is_judged_on_the_vehicles_that_count(ran, tmp_path, capsys):
-    found, _ = verb(capsys, "detect", ran.scene, *ran.frames, *ONE, *ran.mounting, "--out", tmp_path / "found")
-    held_out = [row for row in ran.vehicles() if row["split"] == "holdout"]
-    assert json.dumps(found).count("recall") > 0
-    assert len(held_out) > 0
-
-
-def test_a_data_set_of_the_scene_is_one_that_a_detector_is_judged_on(ran, tmp_path, capsys):
-    folder = tmp_path / "set"
-    verb(capsys, "dataset", ran.scene, *ran.frames, *ONE, "--mountings", 2, "--scans", 4, "--out", folder)
-    found, _ = verb(capsys, "detect", folder, *ONE, "--out", tmp_path / "found")
-    assert json.dumps(found).count("recall") > 0
+        pose = json.loads(str(stored["header"]))["pose"]
+    sensor = ("--sensor", ran.settings.sensor.name, "--rotation", ran.settings.sensor.rotation_hz, *ran.hung(pose))
+    boxes = ("--boxes", ran.folder / "vehicles.csv", "--frame", frame, "--distance", 0, within)
+    words = ("--points", cloud, *boxes, *sensor, "--caster", CASTER, "--out", tmp_path / "beside")
+    found = verb(capsys, "compare", *words)
+    (body,) = found["variants"]
+    points = body["points"]
+    near = [row for row in ran.rows if row["frame"] == frame and float(row["distance_m"]) <= within]
+    assert body["vehicles"] == len(near)
+    assert points["both"] == points["real"] > 0
+    standing = ran.settings.world.boxes or ran.settings.world.barriers  # which `compare` does not know
+    assert points["simulated"] >= points["real"] if standing else points["simulated"] == points["real"]
+    assert body["range_error_m"] == pytest.approx(0.0, abs=1e-5)
+    assert standing or body["absolute_error_bits"]["median"] == pytest.approx(0.0, abs=2e-3)
 
 
 @pytest.mark.skipif(not is_available("bvh"), reason="needs bpy")
-def test_the_blend_file_holds_the_vehicles_of_its_frame(ran, tmp_path, capsys):
+def test_the_blend_file_shows_the_cloud_and_the_vehicles_of_its_frame(ran, tmp_path, capsys):
     import bpy
 
-    frame = ran.vehicles()[0]["frame"]
-    out = tmp_path / "scene.blend"
-    code, _, err = cli(capsys, "build", ran.scene, "--frame", frame, *ran.mounting, "--out", out)
+    from blender_lidar.world.blender.objects import CLOUD, VEHICLE, role
+
+    frame = ran.frames[0]
+    words = (ran.scene, "--frame", frame, *ran.mounting, "--out")
+    for one, name in (("scan", "cloud.npz"), ("build", "scene.blend")):
+        code, _, err = cli(capsys, one, *words, tmp_path / name)
+        assert code == 0, err
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    shown = {item["vehicle_id"]: item for item in bpy.data.objects if role(item) == VEHICLE}
+    for row in (row for row in ran.rows if row["frame"] == frame):
+        place = shown[row["vehicle_id"]].matrix_world.translation
+        assert tuple(place)[:2] == pytest.approx((float(row["x_m"]), float(row["y_m"])), abs=2e-3)
+    (item,) = (item for item in bpy.data.objects if role(item) == CLOUD)
+    xyz = np.empty(3 * len(item.data.vertices), np.float32)
+    item.data.vertices.foreach_get("co", xyz)
+    placed = np.array(item.matrix_world)
+    with np.load(tmp_path / "cloud.npz", allow_pickle=False) as stored:
+        found = xyz.reshape(-1, 3) @ placed[:3, :3].T + placed[:3, 3]
+        np.testing.assert_allclose(found, stored["xyz"], rtol=0.0, atol=1e-3)
+
+
+# --- Detectors --------------------------------------------------------------------------------------------------------
+
+
+def measured(result: Mapping) -> dict[str, float]:
+    """What a detector reached at the mounting in question, over all vehicles."""
+    given = result["mountings"]["given"]
+    return {key: value for key, value in given.items() if not isinstance(value, dict)}
+
+
+def test_a_data_set_and_a_detector_have_the_vehicles_and_the_judgement_of_their_scene(ran, tmp_path, capsys):
+    """One mounting of a data set: its scans that validate are the held-out frames, seen from there."""
+    folder = tmp_path / "set"
+    planned = (*PERFECT, *(() if ran.settings.objective.tolerance is None else ("--tolerance", "none")))
+    made = verb(capsys, "dataset", ran.scene, *planned, "--mountings", 1, "--as-recorded", "--out", folder)
+    judging = [row for row in table(folder / "scans.csv") if row["split"] == "val"]
+    poles = {(pole.x_m, pole.y_m): pole.name for pole in ran.settings.deployment.poles}
+    place = {key: float(judging[0][key]) for key in COORDINATES}
+    words = (ran.scene, *ran.hung(place, poles.get((place["x_m"], place["y_m"]))), *planned)
+    of_set = verb(capsys, "detect", folder, "--out", tmp_path / "of_set")
+    of_scene = verb(capsys, "detect", *words, "--out", tmp_path / "of_scene")
+    assert made["val"]["scans"] == of_set["scans"] == of_scene["frames"] == ran.result["holdout"]["frames"]
+    assert sorted(int(row["frame"]) for row in judging) == sorted(of_scene["frame_ids"])
+    assert measured(of_set) == pytest.approx(measured(of_scene), nan_ok=True)
+
+    verb(capsys, "evaluate", *words, "--out", tmp_path / "run")
+    held_out = [row for row in table(tmp_path / "run" / "vehicles.csv") if row["split"] == "holdout"]
+    found = of_scene["mountings"]["given"]
+    assert found["vehicles"] == of_scene["mountings"]["baseline"]["vehicles"] == len(held_out)
+    assert found["with_return"] == sum(int(row["points"]) > 0 for row in held_out) / len(held_out)
+    points = {(row["frame"], row["vehicle_id"]): row["points"] for row in held_out}
+    for scan in judging:
+        number = f"{int(scan['scan']):06d}"
+        boxes = folder / "boxes" / f"{number}.csv"
+        scored = verb(capsys, "score", "--points", folder / "npz" / f"{number}.npz", "--boxes", boxes)["vehicles"]
+        rows = table(boxes)
+        assert [(one["vehicle_id"], one["points"]) for one in scored] == [
+            (int(row["vehicle_id"]), int(row["points"])) for row in rows
+        ]
+        counted = {(scan["frame"], row["vehicle_id"]): row["points"] for row in rows if row["counted"] == "1"}
+        assert counted == {key: value for key, value in points.items() if key[0] == scan["frame"]}
+
+
+def test_detections_are_judged_from_their_files_as_they_were_found(ran, tmp_path, capsys):
+    words = ("detect", ran.scene, *ran.mounting, "--detector")
+    expected = measured(verb(capsys, *words, "pillars", "--out", tmp_path / "found"))
+    assert expected["recall_0.1"] > 0.0
+    for name in ("detections.csv", "label_2"):
+        again = verb(capsys, *words, tmp_path / "found" / name, "--out", tmp_path / name)
+        assert measured(again) == expected | {"with_return": None}
+
+
+# --- Studies, and proposals -------------------------------------------------------------------------------------------
+
+
+def test_studies_start_from_the_scores_of_evaluate_or_say_what_they_are_about(ran, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("blender_lidar.commands.studies.QUICK_CHART", TINY_CHART)
+    monkeypatch.setattr("blender_lidar.commands.studies.QUICK_STABILITY", TINY_STABILITY)
+    words = {"chart": ("--quick",), "stability": ("--quick", *ran.mounting)}
+    if len(ran.settings.recordings) > 1:
+        for name, more in words.items():
+            code, _, err = cli(capsys, name, ran.scene, *more, "--out", tmp_path / name)
+            assert (code, err.count("\n")) == (2, 1)
+            assert "a study is about one: [traffic]" in err
+        return
+    stability = verb(capsys, "stability", ran.scene, *words["stability"], "--out", tmp_path / "stability")
+    assert stability["vehicles"] == ran.result["vehicles"]
+    assert stability["objective_per_vehicle"] == pytest.approx(ran.result["objective_per_vehicle"], rel=1e-9)
+    assert stability["mounting"] == pytest.approx(ran.result["deployment"])
+    baseline = ran.result["baseline"]
+    assert stability["baseline_per_vehicle"] == pytest.approx(baseline["objective_per_vehicle"], rel=1e-9)
+    assert stability["baseline"] == pytest.approx(baseline["deployment"])
+    chart = verb(capsys, "chart", ran.scene, *words["chart"], "--out", tmp_path / "chart")
+    detailed = verb(capsys, "evaluate", ran.scene, *ran.mounting, "--detail", "detailed", "--out", tmp_path / "run")
+    assert chart["vehicles"] == detailed["vehicles"]
+    of_baseline = detailed["baseline"]["objective_per_vehicle"]
+    assert chart["baseline_per_vehicle"] == pytest.approx(of_baseline, rel=1e-9)
+
+
+def centres(path: Path) -> dict[int, np.ndarray]:
+    """Box centres (n, 2) of each frame of a recording of these scenes, in its own metres."""
+    found: dict[int, list] = {}
+    if path.suffix == ".csv":
+        for row in table(path):
+            found.setdefault(int(row["frame"]), []).append((float(row["x_m"]), float(row["y_m"])))
+    else:
+        for number, step in enumerate(ElementTree.parse(path).getroot().iter("timestep")):
+            for one in step.iter("vehicle"):
+                angle, length = np.radians(float(one.get("angle"))), {"car": 4.4, "lorry": 11.0}[one.get("type")]
+                back = 0.5 * length * np.array([np.sin(angle), np.cos(angle)])  # of its front
+                found.setdefault(number, []).append(np.array([float(one.get("x")), float(one.get("y"))]) - back)
+    return {frame: np.array(rows) for frame, rows in found.items()}
+
+
+def test_a_proposed_scene_counts_the_vehicles_of_its_stretch(ran, tmp_path, capsys):
+    traffic = ran.settings.recordings[0]
+    types = () if traffic.vehicle_types is None else ("--vehicle-types", traffic.vehicle_types)
+    code, _, err = cli(capsys, "init", tmp_path / "own", "--from", "auto", traffic.path, *types)
     assert code == 0, err
-    bpy.ops.wm.open_mainfile(filepath=str(out))
-    vehicles = [one for one in bpy.data.objects if "vehicle_id" in one]
-    assert len(vehicles) >= len([row for row in ran.vehicles() if row["frame"] == frame])
+    proposed = load_scenario(tmp_path / "own" / "scene.toml")
+    words = ("--height", 4, "--tilt-x", 15, "--workers", 1, "--caster", CASTER)
+    result = verb(capsys, "evaluate", tmp_path / "own" / "scene.toml", *words, "--out", tmp_path / "run")
+    own, turn = proposed.recordings[0], np.radians(proposed.recordings[0].heading_deg)
+    ((low, high),) = (one.x_m for one in proposed.region.stretches)
+    right, left = proposed.road_map.edges_t
+    counted, rows = 0, table(tmp_path / "run" / "vehicles.csv")
+    for frame, xy in centres(Path(traffic.path)).items():
+        if str(frame) not in {row["frame"] for row in rows}:
+            continue
+        x, y = ((xy - own.origin_m) @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])).T
+        inside = (low <= x) & (x <= high) & (right <= y) & (y <= left)
+        found = sorted(numbers([row for row in rows if row["frame"] == str(frame)], "x_m", "y_m"))
+        np.testing.assert_allclose(found, sorted(zip(x[inside], y[inside], strict=True)), atol=6e-4)
+        counted += int(inside.sum())
+    assert counted == result["vehicles"] + result["holdout"]["vehicles"] > 0
+
+
+def test_a_rendered_frame_is_the_fullest_of_the_run(tmp_path, capsys, monkeypatch):
+    """One scene, because pictures take long: poles, and two recordings."""
+    pytest.importorskip("bpy")
+    scene = SCENES["two_recordings_with_poles"](tmp_path)
+    verb(capsys, "evaluate", scene, "--pole", "south", "--height", 3.5, "--out", tmp_path / "run")
+    monkeypatch.setattr("blender_lidar.world.blender.scene.SIZE", (32, 18))
+    code, out, err = cli(capsys, "render", tmp_path / "run", "--samples", 1)
+    assert code == 0, err
+    frames = [row["frame"] for row in table(tmp_path / "run" / "vehicles.csv") if row["split"] == "search"]
+    fullest = max(dict.fromkeys(frames), key=frames.count)
+    assert out.startswith(f"frame {fullest}: ")
+    assert RunFolder(tmp_path / "run").read_outcome().result["pole"]["name"] == "south"
