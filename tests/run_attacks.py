@@ -5,11 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -70,13 +68,6 @@ class Attacked:
         """Send a signal to it, or to all of its processes."""
         with suppress(ProcessLookupError):
             (os.killpg if group else os.kill)(self.process.pid, number)
-
-    def begun(self) -> bool:
-        """Whether it hears when it is told to stop: before, Python itself answers, in its own way; or has ended."""
-        if self.process.poll() is not None:
-            return True
-        caught = re.search(r"^SigCgt:\s*(\w+)$", Path(f"/proc/{self.process.pid}/status").read_text(), re.MULTILINE)
-        return bool(int(caught[1], 16) >> (signal.SIGTERM - 1) & 1)
 
     def code(self) -> int:
         """How it has ended."""
@@ -150,44 +141,3 @@ def check_stopped(attacked: Attacked) -> None:
         return  # before the command line had begun
     assert (attacked.process.returncode, len(stops)) == (1, 1), attacked.stderr[-1500:]
     assert not list(attacked.temporary.iterdir())
-
-
-# --- many hits --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Hit:
-    """One attack on a run."""
-
-    signals: tuple[int, ...]
-    workers: int
-    group: bool
-    apart_s: float = 0.0
-
-
-def strike(hit: Hit, after_s: float, scene: Path, undisturbed: Path, folder: Path) -> None:
-    """Hit a run after so many seconds, check what it has left, and go on with it."""
-    out = folder / "run"
-    attacked = Attacked(folder, ["optimise", scene, "--out", out, "--workers", hit.workers])
-    try:
-        wait_for(attacked.begun, "for it to begin")
-        time.sleep(after_s)
-        for number in hit.signals:
-            attacked.send(number, group=hit.group)
-            time.sleep(hit.apart_s)
-        code = attacked.code()
-        check_nobody_is_left(attacked)
-        if out.exists():
-            check_whole(out)
-        if signal.SIGKILL not in hit.signals and code != 0:
-            check_stopped(attacked)
-            assert not list(out.rglob(".*"))
-        assert not list(attacked.temporary.iterdir())
-    finally:
-        attacked.end()
-    again = Attacked(folder / "again", ["optimise", scene, "--out", out, "--resume", "--workers", 1])
-    try:
-        assert again.code() == 0, again.stderr[-1500:]
-        check_same(out, undisturbed)
-    finally:
-        again.end()

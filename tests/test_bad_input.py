@@ -12,7 +12,6 @@ import pytest
 from tests.refusals import BAD_CELLS, changed, files, refused
 from tests.scene_texts import MINIMAL
 from tests.small_scene import HEADER, done, traffic_rows, write_scene, write_table
-from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -34,7 +33,6 @@ def verb(request):
 NO_SCENES = {
     b"": "[traffic] path: is missing",
     bytes(range(128, 256)): "is text in another encoding; allowed: UTF-8",
-    bytes(range(256)): "is no text; allowed: a TOML file",
     '[traffic]\npath = "a.csv"\n'.encode("utf-16"): "is text in UTF-16; allowed: UTF-8",
     b"[traffic\n": "is not TOML",
 }
@@ -52,26 +50,25 @@ BAD_SCENES = NO_SCENES | {f"{MINIMAL}{line}\n".encode(): told for line, told in 
 
 
 @pytest.mark.parametrize(("content", "told"), BAD_SCENES.items(), ids=list(BAD_SCENES.values()))
-def test_a_scene_file_that_cannot_be_used(tmp_path, capsys, verb, content, told):
+def test_a_scene_file_that_cannot_be_used(tmp_path, capsys, content, told):
     write_scene(tmp_path).write_bytes(content)
-    line = refused(capsys, tmp_path, *words_for(verb, tmp_path / "scene.toml", tmp_path))
+    line = refused(capsys, tmp_path, *words_for("evaluate", tmp_path / "scene.toml", tmp_path))
     assert f"scene.toml: {told}" in line
 
 
 def test_a_scene_that_is_not_there_or_is_a_folder(tmp_path, capsys, verb):
     assert "none.toml: there is no such file" in refused(capsys, tmp_path, *words_for(verb, "none.toml", tmp_path))
     assert "is a folder" in refused(capsys, tmp_path, *words_for(verb, tmp_path, tmp_path))
-    assert "cannot be read" in refused(capsys, tmp_path, *words_for(verb, "x" * 300, tmp_path))
 
 
 # --- the traffic ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("case", BAD_CELLS)
-def test_a_cell_that_cannot_be_used_is_named_by_line_and_column(tmp_path, capsys, verb, case):
+def test_a_cell_that_cannot_be_used_is_named_by_line_and_column(tmp_path, capsys, case):
     column, value = BAD_CELLS[case]
     write_table(tmp_path / "traffic.csv", changed(column, value))
-    line = refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
+    line = refused(capsys, tmp_path, *words_for("scan", write_scene(tmp_path), tmp_path))
     assert "traffic.csv:5: " in line  # the header is line 1
     assert column in line
 
@@ -87,26 +84,23 @@ def test_a_missing_column_is_named(tmp_path, capsys, column):
 
 BAD_FILES = {
     "empty": b"",
-    "blank": b"\n\n\n",
     "header alone": ",".join(HEADER).encode() + b"\n",
     "binary": bytes(range(256)) * 40,
-    "zip": b"PK\x03\x04" + bytes(100),
     "damaged gzip": b"\x1f\x8b" + bytes(40),
     "prose": b"These are not the vehicles you are looking for.\n" * 9,
 }
 
 
 @pytest.mark.parametrize("case", BAD_FILES)
-def test_a_traffic_file_that_is_none(tmp_path, capsys, verb, case):
+def test_a_traffic_file_that_is_none(tmp_path, capsys, case):
     (tmp_path / "traffic.csv").write_bytes(BAD_FILES[case])
-    assert "traffic.csv" in refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path))
+    assert "traffic.csv" in refused(capsys, tmp_path, *words_for("scan", write_scene(tmp_path), tmp_path))
 
 
 def test_a_traffic_file_that_is_not_there_or_is_a_folder(tmp_path, capsys, verb):
     words = words_for(verb, write_scene(tmp_path), tmp_path)
     assert "none.csv: there is no such file" in refused(capsys, tmp_path, *words, "--traffic", "none.csv")
     assert f"{tmp_path}: is a folder" in refused(capsys, tmp_path, *words, "--traffic", tmp_path)
-    assert "x" * 300 in refused(capsys, tmp_path, *words, "--traffic", "x" * 300)
 
 
 @pytest.mark.parametrize("verb", RUN_VERBS)
@@ -147,11 +141,7 @@ BAD_OPTIONS = {
         ("--frames many", "--frames: is 'many'; allowed: a whole number"),
         ("--frame-ids 999", "no frame 999"),
         ("--frame-ids 9,x", "--frame-ids: 'x'; allowed: frame numbers such as 100,150 or 100:160:5"),
-        ("--frame-ids 1:2:3:4", "--frame-ids: '1:2:3:4'; allowed:"),
         ("--frame-ids 9:1", "--frame-ids: '9:1'; allowed: a range"),
-        ("--frame-ids 1:9:0", "--frame-ids: '1:9:0'; allowed: a range"),
-        ("--frame-ids 0:99999999", "--frame-ids: '0:99999999'; allowed: a range"),
-        ("--frame-ids 99999999999999999999", "--frame-ids: is 99999999999999999999; allowed:"),
         ("--frame-ids 9 --frames 3", "--frame-ids: lists the frames that --frames spreads evenly"),
         ("--metric voxel-entrop-0.1", "--metric: unknown metric 'voxel-entrop-0.1'; did you mean 'voxel-entropy-0.1'?"),
         ("--reading literal", "argument --reading: invalid choice"),
@@ -171,7 +161,6 @@ BAD_OPTIONS = {
         ("--tilt-x 91", "--tilt-x: is 91.0; allowed: -90 to 90"),
         ("--tilt-y inf", "--tilt-y: is inf; allowed: a number"),
         ("--yaw 361", "--yaw: is 361.0; allowed: -360 to 360"),
-        ("--x 1e9", "--x: is 1000000000.0; allowed: -100000 to 100000"),
         ("--y 3", "--x, --y: the mount at x 0 m, y 3 m stands on the carriageway"),
     ],
 }
@@ -196,42 +185,6 @@ def test_a_scene_that_leaves_nothing_to_search(tmp_path, capsys):
     assert "[deployment] fixes every coordinate; give at least one a pair [low, high], or use evaluate" in line
 
 
-def test_without_an_out_no_runs_folder_is_left_either(tmp_path, capsys):
-    path = write_scene(tmp_path, {"road": {"lanes": 0}})
-    refused(capsys, tmp_path, "optimise", path)
-    refused(capsys, tmp_path, "evaluate", path)
-    (tmp_path / "traffic.csv").write_text("frame\n1\n")
-    refused(capsys, tmp_path, "optimise", write_scene(tmp_path))
-    assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.parametrize("words", [["--frame=--"], ["--frame", "30", "--height=--"], ["--frame", "30", "--sensor=--"]])
-def test_two_dashes_as_the_value_of_an_option(tmp_path, capsys, words):
-    line = refused(capsys, tmp_path, "scan", write_scene(tmp_path), "--out", tmp_path / "cloud.npz", *words)
-    assert "expected one argument" in line
-
-
-def test_what_a_terminal_would_obey_is_shown_as_text(tmp_path, capsys):
-    for words in (["--sensor", "\x1b[31m"], ["--detail", "\x1b[2J\n"], ["--period", "\x07"]):
-        line = refused(capsys, tmp_path, *words_for("scan", write_scene(tmp_path), tmp_path), *words)
-        assert line.isprintable()
-
-
-def test_a_scene_whose_name_is_no_text_is_run_to_its_end(tmp_path):
-    scene = write_scene(tmp_path)
-    odd = scene.with_name("a\udcffb.toml")
-    try:
-        scene.rename(odd)
-    except (OSError, UnicodeError):
-        pytest.skip("the system has no such names")
-    words = [sys.executable, "-m", "blender_lidar", "evaluate", odd, "--height", "3", "--out", tmp_path / "r\udcffn"]
-    here = {**os.environ, "PYTHONPATH": str(Path(__file__).parent.parent)}
-    done = subprocess.run(words, capture_output=True, env=here, timeout=WAIT_S, check=False)
-    assert done.returncode == 0, done.stderr
-    assert b"Traceback" not in done.stderr
-    assert (tmp_path / "r\udcffn" / "report.html").exists()
-
-
 @pytest.mark.parametrize(
     "words", ["", "optimize", "optimise", "scan", "scan s.toml --out c.npz", "scan s.toml --frame x", "optimise --x"]
 )
@@ -245,7 +198,6 @@ def test_incomplete_commands(tmp_path, capsys, words):
 def test_a_frame_that_the_recording_does_not_have(tmp_path, capsys):
     words = words_for("scan", write_scene(tmp_path), tmp_path)
     assert "--frame: " in refused(capsys, tmp_path, *words, "--frame", 99)
-    assert "no frame 99999999999999999999" in refused(capsys, tmp_path, *words, "--frame", 10**20 - 1)
     assert "invalid int value: '1.5'" in refused(capsys, tmp_path, *words, "--frame", 1.5)
 
 
@@ -257,10 +209,8 @@ def test_a_cloud_of_an_unknown_format(tmp_path, capsys):
 
 # --- where nothing can be written -------------------------------------------------------------------------------------
 
-NOWHERE = ["file/run", "file", "/proc/none/run", "x" * 300]
 
-
-@pytest.mark.parametrize("out", NOWHERE)
+@pytest.mark.parametrize("out", ["file/run", "file"])
 @pytest.mark.parametrize("verb", RUN_VERBS)
 def test_a_run_folder_that_cannot_be_made(tmp_path, capsys, verb, out):
     (tmp_path / "file").write_text("here")
@@ -275,7 +225,7 @@ def test_a_run_folder_that_is_there_but_cannot_be_written(tmp_path, capsys, verb
     assert f"--out: {tmp_path / 'run'}: cannot be written: " in line
 
 
-@pytest.mark.parametrize("name", ["thesis.docx", "photos/site.jpg", "convergence.png", "study.json", "lidar.pcd"])
+@pytest.mark.parametrize("name", ["photos/site.jpg", "convergence.png", "study.json"])
 @pytest.mark.parametrize(
     "words", ["optimise", "optimise --resume", "evaluate", "stability", "chart", "scan --frame-ids 20,30"]
 )
@@ -305,7 +255,7 @@ def test_sweeps_of_kittis_own_are_not_scanned_over_but_clouds_of_an_earlier_scan
         done(capsys, *scan, "--format", one)
 
 
-@pytest.mark.parametrize("out", ["file/cloud.npz", "none/cloud.pcd", "folder.npz", "/proc/none.npz"])
+@pytest.mark.parametrize("out", ["file/cloud.npz", "none/cloud.pcd", "folder.npz"])
 def test_a_cloud_that_cannot_be_written(tmp_path, capsys, out):
     (tmp_path / "file").write_text("here")
     (tmp_path / "folder.npz").mkdir()

@@ -1,13 +1,12 @@
-"""Runs that are killed, stopped, starved of space or robbed of their files end in one line and lose nothing.
+"""Runs that are stopped, starved of space or robbed of their files end in one line and lose nothing.
 
-A handful of hits at any moment, and each failure that hundreds of such hits once found.
+Runs that are killed are in `tests.test_resume`.
 """
 
 from __future__ import annotations
 
 import errno
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -26,14 +25,11 @@ from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
 from tests.refusals import refused
 from tests.run_attacks import (
-    WITHOUT_CHARTS,
     Attacked,
-    Hit,
     check_nobody_is_left,
     check_same,
     check_stopped,
     check_whole,
-    strike,
 )
 from tests.small_scene import cli, done, without_charts, write_scene
 from tests.waiting import wait_for
@@ -89,21 +85,6 @@ def small_disk(folder: Path, kilobytes: int):
         subprocess.run(["umount", folder], check=True)
 
 
-# --- hit at any moment ------------------------------------------------------------------------------------------------
-
-HITS = [
-    Hit((signal.SIGKILL,), workers=2, group=False),
-    Hit((signal.SIGTERM,), workers=2, group=True),
-]
-
-
-@pytest.mark.parametrize("hit", HITS, ids=lambda hit: "_".join(signal.Signals(n).name for n in hit.signals))
-def test_a_run_hit_at_a_random_moment_leaves_nothing_half_done_and_goes_on_to_the_same(tmp_path, finished, hit):
-    scene, undisturbed = finished
-    moment = random.Random(HITS.index(hit)).uniform(0.0, 1.5 * hit.workers)
-    strike(hit, moment, scene, undisturbed, tmp_path)
-
-
 # --- stopped ----------------------------------------------------------------------------------------------------------
 
 
@@ -142,18 +123,6 @@ def test_a_second_stop_cut_tidying_up_short_and_only_a_late_one_does(tidying_s, 
         "signal.raise_signal(signal.SIGINT)  # while Python ends"
     )
     assert (done.returncode, done.stdout, done.stderr) == (code, printed, "")
-
-
-def test_what_is_deferred_comes_when_the_block_ends_and_once():
-    done = python(
-        "with stop_signals.stops_watched():\n"
-        "    try:\n"
-        "        with stop_signals.stops_deferred():\n"
-        "            signal.raise_signal(signal.SIGTERM); signal.raise_signal(signal.SIGINT); print('whole')\n"
-        "        print('never')\n"
-        "    except KeyboardInterrupt: print('stopped')"
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "whole\nstopped\n", "")
 
 
 def test_a_stop_within_compiled_code_is_told_as_a_stop():
@@ -221,15 +190,6 @@ def test_a_stop_while_charts_are_drawn_says_how_to_go_on(attack, tmp_path, scene
 # --- killed -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_run_killed_while_its_workers_start_leaves_nothing_in_the_temporary_folder(attack, tmp_path, scene):
-    run = attack("optimise", scene, "--out", tmp_path / "run", "--workers", 3, *ENDLESS)
-    wait_for(lambda: len(run.survivors()) == 4)  # itself, what counts semaphores, and two other workers
-    run.send(signal.SIGKILL)
-    run.code()
-    check_nobody_is_left(run)
-    assert not list(run.temporary.iterdir())
-
-
 def test_what_a_killed_writer_leaves_is_what_is_swept_away(tmp_path):
     """Its name is recognised whatever the file is: a chart, a cloud, a render."""
     for name in ("chart.png", "cloud.pcd", "none"):
@@ -293,13 +253,6 @@ def test_a_run_whose_messages_cannot_be_written_is_not_lost(attack, tmp_path, fi
     check_same(tmp_path / "run", undisturbed)
 
 
-def test_with_stderr_closed_no_message_stands_among_the_json(attack, tmp_path, scene):
-    command = ["sh", "-c", 'exec "$@" 2>&-', "sh", sys.executable, "-c", WITHOUT_CHARTS]
-    words = ["evaluate", scene, "--out", tmp_path / "run", "--json"]
-    done = subprocess.run([*command, *map(str, words)], capture_output=True, text=True, check=True)
-    assert done.stdout == (tmp_path / "run" / "result.json").read_text()
-
-
 # --- files that vanish or change --------------------------------------------------------------------------------------
 
 
@@ -318,11 +271,6 @@ def test_render_refuses_other_traffic_than_the_runs(tmp_path, scene, capsys, mon
     table.write_text(table.read_text().replace("1.5", "1.6"))
     line = refused(capsys, tmp_path, "render", tmp_path / "run")
     assert line == f"blender-lidar: {table}: is not as it was when the run read it"
-
-
-def test_a_vanished_table_is_not_called_damaged(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"vehicles\.csv: there is no such file"):
-        RunFolder(tmp_path).read_vehicles("vehicles.csv")
 
 
 # --- the folder -------------------------------------------------------------------------------------------------------

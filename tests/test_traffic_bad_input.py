@@ -47,12 +47,10 @@ def test_an_empty_file(tmp_path, content):
     ("content", "text"),
     [
         (bytes(range(256)) * 40, "not a text file"),
-        (b"\0" * 1000, "FILE:1: no traffic that is known: it begins with '\\x00"),
         ("1 2 3\n".encode("utf-16"), "FILE:1: 3 fields; NGSIM rows have 18 or 24"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(100), "FILE: a workbook of a spreadsheet"),
         (b"PK\x03\x04\x14\0\x06\0[Content_Types].xml", "FILE: a workbook of a spreadsheet; save the sheet as CSV"),
         (b"PK\x03\x04" + bytes(100), "zip archive"),
-        (b"x" * 200_000, "FILE:1: no traffic that is known: it begins with 'xxx"),
         (b"# nothing else\n", "no rows"),
         (
             b"hello world\n",
@@ -95,15 +93,12 @@ def test_a_header_alone(tmp_path, columns):
 BAD_VALUES = [
     (5, "abc", "Local_X is 'abc'; allowed: feet"),
     (6, "NaN", "Local_Y is 'NaN'; allowed: feet"),
-    (6, "1.2.3", "Local_Y is '1.2.3'; allowed: feet"),
     (1, "1.5", "Vehicle_ID is 1.5; allowed: a whole number of at least 0"),
     (1, "-1", "Vehicle_ID is -1; allowed: a whole number of at least 0"),
     (2, "x", "Frame_ID is 'x'; allowed: a whole number"),
     (4, "-inf", "Global_Time is '-inf'; allowed: milliseconds"),
     (9, "-14.5", "v_Length is -14.5; allowed: feet, at least 0"),
-    (10, "-0.1", "v_Width is -0.1; allowed: feet, at least 0"),
     (11, "4", "v_Class is 4; allowed: 1 (motorcycle), 2 (auto) or 3 (truck)"),
-    (14, "99999", "Lane_ID is 99999; allowed: a whole number"),
 ]
 
 
@@ -113,9 +108,8 @@ def test_a_bad_value_in_native_text(tmp_path, columns, field, value, text):
     assert refused(path) == f"FILE:33: {text}"
 
 
-@pytest.mark.parametrize("line", [2, 30, 60])
-@pytest.mark.parametrize("chunk", [7, 400_000])
-@pytest.mark.parametrize(("fields", "kept"), [(17, slice(17)), (5, slice(5)), (19, slice(None))])
+@pytest.mark.parametrize(("line", "chunk"), [(2, 400_000), (30, 7), (60, 7)])
+@pytest.mark.parametrize(("fields", "kept"), [(17, slice(17)), (19, slice(None))])
 def test_a_wrong_number_of_fields(tmp_path, columns, monkeypatch, line, chunk, fields, kept):
     monkeypatch.setattr(source, "_CHUNK_ROWS", chunk)
     path = tmp_path / "recording.txt"
