@@ -27,7 +27,9 @@ from tests import sumo_samples, traffic_samples
 from tests.small_scene import HEADER, MAPPED, traffic_rows, write_scene
 
 EXAMPLES = 20
-TOKENS = [one.encode() for one in ("", "0", "-1", "0.5", "nan", "1,234", "NULL", " ", "\r\n", "\t", "\0", '"', ",", ";")]
+TOKENS = [
+    one.encode() for one in ("", "0", "-1", "0.5", "nan", "1,234", "NULL", " ", "\r\n", "\t", "\0", '"', ",", ";")
+]
 TOKENS += [b"#", b"[", b"<", b"{", b"car", "\u00e9".encode(), b"\xff"]
 _DELIMITERS = b' ,;\t\n"=<>/[]{}:'
 
@@ -181,13 +183,15 @@ class StopsAfter:
 
 def test_damaged_checkpoints(tmp_path):
     scenario, folder = load_scenario(write_scene(tmp_path, MAPPED)), RunFolder(tmp_path)
+    (space,) = scenario.deployment.spaces
     score = partial(np.sum, axis=1)
     with pytest.raises(Stopped):
-        Replay(folder, {"seed": 1}, resume=False).carry_out(fresh_search(scenario), score, StopsAfter(8))
+        Replay(folder, {"seed": 1}, resume=False).carry_out(fresh_search(scenario, space), score, StopsAfter(8))
 
     def resumed(_):
+        search = fresh_search(scenario, space)
         with suppress(Stopped):
-            Replay(folder, {"seed": 1}, resume=True).carry_out(search := fresh_search(scenario), score, StopsAfter(8))
+            Replay(folder, {"seed": 1}, resume=True).carry_out(search, score, StopsAfter(8))
         return search
 
     def check(search):
