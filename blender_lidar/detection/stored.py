@@ -286,7 +286,7 @@ def read_dataset(folder: Path) -> StoredDataset:
     tables = ({key: scans[key].tolist()[row] for key in MOUNTED} for row in range(count))
     poses = [mounting_from(coordinates_of(table, str(folder), MOUNTED), road).pose for table in tables]
     validating = np.flatnonzero(scans["split"] == VAL)
-    watched = tuple(map(np.array, told["watched_m"]))
+    watched = tuple(map(np.array, found["watched_m"]))
     return StoredDataset(
         folder, about, region, watched, scans, poses, validating if len(validating) else np.arange(count)
     )
