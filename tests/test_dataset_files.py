@@ -27,7 +27,7 @@ from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
 from tests.nuscenes_devkit_check import MARGIN_M
 from tests.refusals import refused
-from tests.small_scene import HEADER, cli, done, traffic_rows, write_scene, write_table
+from tests.small_scene import cli, done, traffic_rows, write_scene, write_table
 from tests.waiting import WAIT_S
 
 LAYOUTS = [word for layout in DATASET_LAYOUTS for word in ("--layout", layout)]
@@ -399,28 +399,13 @@ def test_a_damaged_data_set_is_refused_in_a_line(made, tables, tmp_path, capsys)
         return refused(capsys, tmp_path, *asked)
 
     whole = (tables / "dataset.json").read_text()
-    no_region = {key: value for key, value in json.loads(whole).items() if key != "region"}
-    for content, what in {
-        whole[:500]: ": is damaged",
-        "[]": ": is damaged",
-        json.dumps(no_region): " region: is missing",
-    }.items():
-        (tables / "dataset.json").write_text(content)
-        assert f"dataset.json{what}" in told()
+    (tables / "dataset.json").write_text(whole[:500])
+    assert "dataset.json: is damaged" in told()
     (tables / "dataset.json").rename(tables / "unfinished.json")
     assert "is an unfinished data set; give the command that began it again" in told()
     (tables / "dataset.json").write_text(whole)
-    edited(tables / "scans.csv", "\n3,", "\n4,")
-    assert "its scans are not numbered from 0 on" in told()
-    edited(tables / "scans.csv", ",block,", ",blocks,")
-    assert "scans.csv:1: no column block" in told()
-    shutil.copy(made / "scans.csv", tables / "scans.csv")
     number = next(int(row["scan"]) for row in scans_of(made) if row["split"] == "val")
-    table = tables / "boxes" / f"{number:06d}.csv"
-    text = table.read_text()
-    table.write_text(text.replace(text.splitlines()[1].split(",")[2], "lorry"))
-    assert f"{number:06d}.csv: unknown class 'lorry'" in told()
-    table.unlink()
+    (tables / "boxes" / f"{number:06d}.csv").unlink()
     assert f"{number:06d}.csv: there is no such file" in told()
 
 
@@ -503,46 +488,3 @@ def test_what_cannot_be_had_is_noted(tmp_path, capsys):
     notes = json.loads(said)["notes"]
     assert "no frame is held out, so there are no validation scans" in notes
     assert any("is not moved along it" in note for note in notes)
-
-
-# --- Features in pairs: a data set of every kind of scene is judged ---------------------------------------------------
-
-_SQUARE = [[-12.0, 1.0], [12.0, 1.0], [12.0, 9.5], [-12.0, 9.5]]
-SCENES = {
-    "circle": {},
-    "stretches": {"region": {"stretches": [{"x_m": [-12.0, 12.0]}]}},
-    "stretches of lanes": {"region": {"stretches": [{"x_m": [-12.0, 0.0], "lanes": [1]}, {"x_m": [2.0, 9.0]}]}},
-    "polygon": {"region": {"polygon_m": _SQUARE, "keep_out": [[[0.0, 0.0], [4.0, 0.0], [4.0, 20.0]]]}},
-    "poles": {"deployment": {"poles": "poles.csv"}, "region": {"centre_m": [0.0, 0.0], "radius_m": 12.0}},
-    "slope and crown": {"road": {"grade_percent": 4.0, "cross_fall_percent": -3.0, "crown_percent": 2.0}},
-    "weights, zones and tolerance": {
-        "objective": {
-            "class_weights": {"truck": 2.0},
-            "zones": [{"name": "near", "polygon_m": _SQUARE, "weight": 3.0}],
-            "tolerance": {"tilt_deg": 1.0, "height_m": 0.05},
-        }
-    },
-}
-
-
-@pytest.mark.parametrize("kind", [*SCENES, "two recordings, of negative frames too"])
-def test_a_data_set_of_every_kind_of_scene_is_judged(kind, tmp_path, capsys):
-    rows = [[*row, row[1] % 2 + 1] for row in traffic_rows(vehicles=150)]
-    write_table(tmp_path / "traffic.csv", rows, (*HEADER, "lane"))
-    (tmp_path / "poles.csv").write_text("name,x_m,y_m\nA,-3,0\nB,3,-0.5\n")
-    scene = write_scene(tmp_path, SCENES.get(kind, {}))
-    if kind not in SCENES:
-        earlier = [[row[0] - 100, *row[1:]] for row in rows]
-        write_table(tmp_path / "earlier.csv", earlier, (*HEADER, "lane"))
-        text = scene.read_text().replace("[traffic]", "[[traffic]]")
-        scene.write_text(text + '\n[[traffic]]\npath = "earlier.csv"\nname = "earlier"\n')
-    done(capsys, "dataset", scene, "--mountings", 2, "--scans", 16, "--out", tmp_path / "set")
-    said, _ = done(capsys, "detect", tmp_path / "set", "--workers", 1, "--out", tmp_path / "judged", "--json")
-    result = json.loads(said)
-    region, given = result["region"], result["mountings"]["given"]
-    assert region == json.loads((tmp_path / "set" / "dataset.json").read_text())["region"]
-    judging = [row for row in scans_of(tmp_path / "set") if row["split"] == "val"]
-    assert result["scans"] == len(judging) > 2
-    assert given["vehicles"] == sum(int(row["counted"]) for row in judging) > 10
-    assert given["recall_0.1"] > 0.5
-    assert given["precision_0.3"] > 0.4

@@ -161,28 +161,16 @@ def sensor_at(site: Site, mounting: Mounting) -> MountedSensor:
     return MountedSensor(site.scenario, mounting, seen.lattice, seen.caster, seen.scenery)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CloudsAt:
-    """What a detector is given of frames at a mounting: called with the vehicles of one.
-
-    Attributes
-    ----------
-    sensor : MountedSensor
-        Where it hangs.
-    planned : Pose
-        Where the detector believes it to hang.
-    """
-
-    sensor: MountedSensor
-    planned: Pose
-
-    def __call__(self, vehicles: Vehicles) -> PointCloud:
-        return believed(self.sensor.scan(vehicles), self.sensor.mounting.pose, self.planned)
+Clouds = Callable[[Vehicles], PointCloud]
 
 
-def clouds_at(site: Site, mounting: Mounting) -> CloudsAt:
-    """The clouds of a mounting, which hangs off its plan where the scene has a tolerance."""
-    return CloudsAt(sensor_at(site, hung_off(site, mounting)), mounting.pose)
+def clouds_at(site: Site, mounting: Mounting) -> Clouds:
+    """What a detector is given of a frame's vehicles at a mounting, which hangs off its plan by the tolerance."""
+    return partial(_planned_scan, sensor_at(site, hung_off(site, mounting)), mounting.pose)
+
+
+def _planned_scan(sensor: MountedSensor, planned: Pose, vehicles: Vehicles) -> PointCloud:
+    return believed(sensor.scan(vehicles), sensor.mounting.pose, planned)
 
 
 def of_each(
@@ -202,7 +190,9 @@ def range_image(detector: ClassicalDetector, clouds: Callable[[Any], PointCloud]
     return detector.range_image(clouds(item))
 
 
-def _look(detector: Detector, clouds: CloudsAt, frame: CountedFrame) -> tuple[DetectedBoxes, Any, int]:
+def _look(
+    detector: Detector, clouds: Callable[[Vehicles], PointCloud], frame: CountedFrame
+) -> tuple[DetectedBoxes, Any, int]:
     """A frame's detections, what the notes need, and how many counted vehicles have a return."""
     cloud = clouds(frame.vehicles)
     returned = np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id)
@@ -234,26 +224,23 @@ def judge_detector(
     vehicles = sum(int(frame.counted.sum()) for frame in frames)
     with_return = sum(returned) / vehicles if vehicles else None
     notes = [*detector.notes(seen), *([] if site.scenario.world.ground else [_NO_GROUND])]
-    return judged_boxes(boxes, partial(matches_of, site, mounting, boxes), with_return, notes)
+    return judged_boxes(boxes, frames, region_of_alarms(site.region), mounting.xy, with_return, notes)
 
 
 def judged_boxes(
     boxes: Sequence[DetectedBoxes],
-    matched: Callable[[int | None], Sequence[Matches]],
+    frames: Sequence[CountedFrame],
+    region: Region,
+    lidar_xy: tuple[float, float] | np.ndarray,
     with_return: float | None,
     notes: Sequence[str] = (),
 ) -> JudgedDetector:
-    """Detections of frames, judged; `matched` gives their matches by each of `CRITERIA`, of one kind or, None, all."""
-    return JudgedDetector(boxes, matched(None), [matched(kind) for kind in range(len(KINDS))], with_return, notes)
-
-
-def matches_of(
-    site: Site, mounting: Mounting, boxes: Sequence[DetectedBoxes], kind: int | None = None
-) -> list[Matches]:
-    """Detections of the judging frames, matched by each of `CRITERIA`; of all kinds or of one."""
-    frames, _, _ = judging_frames(site)
-    region = region_of_alarms(site.region)
-    return [match(boxes, frames, region, mounting.xy, criterion, kind) for criterion in CRITERIA]
+    """Detections of frames, matched by each of `CRITERIA`, all and of each of `KINDS`; `lidar_xy` as for `match`."""
+    of_all, *of_kinds = (
+        [match(boxes, frames, region, lidar_xy, criterion, kind) for criterion in CRITERIA]
+        for kind in (None, *range(len(KINDS)))
+    )
+    return JudgedDetector(boxes, of_all, of_kinds, with_return, notes)
 
 
 def region_of_alarms(region: Region) -> Region:
@@ -270,9 +257,9 @@ def judged_from_file(site: Site, mounting: Mounting, path: str) -> JudgedDetecto
         If it cannot be read, or lacks judging frames; a CSV file has no rows of frames without boxes, but must have
         some.
     """
-    numbers = [frame.vehicles.frame for frame in judging_frames(site)[0]]
-    boxes = boxes_from_file(path, mounting.pose, numbers, "judging frames")
-    return judged_boxes(boxes, partial(matches_of, site, mounting, boxes), None)
+    frames = judging_frames(site)[0]
+    boxes = boxes_from_file(path, mounting.pose, [frame.vehicles.frame for frame in frames], "judging frames")
+    return judged_boxes(boxes, frames, region_of_alarms(site.region), mounting.xy, None)
 
 
 def boxes_from_file(path: str | Path, poses: Poses, numbers: Sequence[int], what: str) -> list[DetectedBoxes]:

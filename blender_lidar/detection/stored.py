@@ -14,7 +14,7 @@ import numpy as np
 
 from ..clouds.files import read_cloud
 from ..clouds.scan import PointCloud
-from ..errors import InputError, unknown_name
+from ..errors import InputError
 from ..road.straight import StraightRoad, road_map
 from ..scene.mounting import COORDINATES, MOUNTED, mounting_from
 from ..scene.observation import CountedFrame
@@ -46,7 +46,7 @@ from .judge import (
     within,
 )
 from .pillars import SHIPPED, PillarsDetector
-from .scores import CRITERIA, Matches, intervals, match
+from .scores import CRITERIA, intervals
 
 Progress = Callable[[int], Callable[[int], object]]  # given how many clouds there are, what is called for those done
 
@@ -242,15 +242,11 @@ class StoredDataset:
         """The vehicles of a scan, and the returns from each, (v,)."""
         path = self.folder / BOXES / f"{file_name(number)}.csv"
         table = _read_columns(path, _OF_BOXES, "class")
-        known = {name: row for row, name in enumerate(CLASSES)}
-        for name in table["class"]:
-            if name not in known:
-                raise unknown_name(name, CLASSES, "class", str(path))
         vehicles = Vehicles(
             frame=int(self.scans["frame"][number]),
             time_s=0.0,
             vehicle_id=table["vehicle_id"].astype(np.int64),
-            class_index=np.array([known[name] for name in table["class"]], dtype=np.int8),
+            class_index=np.array([CLASSES.index(name) for name in table["class"].tolist()], dtype=np.int8),
             centre_m=np.column_stack([table[name] for name in ("x_m", "y_m", "z_m")]),
             size_m=np.column_stack([table[name] for name in ("length_m", "width_m", "height_m")]),
             heading_rad=np.radians(table["heading_deg"]),
@@ -281,8 +277,6 @@ def read_dataset(folder: Path) -> StoredDataset:
     region = region_of_alarms(region_of(found["region"], road))
     scans = _read_columns(folder / SCANS, _OF_SCANS, "split")
     count = len(scans["scan"])
-    if not count or (scans["scan"] != np.arange(count)).any():
-        raise InputError(f"{folder / SCANS}: is damaged: its scans are not numbered from 0 on; make the data set again")
     tables = ({key: scans[key].tolist()[row] for key in MOUNTED} for row in range(count))
     poses = [mounting_from(coordinates_of(table, str(folder), MOUNTED), road).pose for table in tables]
     validating = np.flatnonzero(scans["split"] == VAL)
@@ -323,13 +317,11 @@ def judge_on_dataset(stored: StoredDataset, name: str, workers: int, progress: P
         boxes = boxes_from_file(name, stored.poses, numbers, what)
     lidars = np.array([stored.poses[number].position[:2] for number in numbers])
 
-    def matched(kind: int | None) -> list[Matches]:
-        return [match(boxes, frames, stored.region, lidars, criterion, kind) for criterion in CRITERIA]
-
     if not stored.validates:
         text = "the data set has no validation scans: all are used, though the detector may have been trained on them"
         notes = [text, *notes]
-    return judged_boxes(boxes, matched, float(returns.mean()) if len(returns) else None, notes)
+    with_return = float(returns.mean()) if len(returns) else None
+    return judged_boxes(boxes, frames, stored.region, lidars, with_return, notes)
 
 
 def check_clouds(stored: StoredDataset, name: str) -> None:
