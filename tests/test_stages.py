@@ -65,7 +65,7 @@ def test_resuming_where_nothing_is_stored_starts_from_the_beginning(tmp_path):
 def test_files_that_no_study_has_written_are_not_written_over(tmp_path, name):
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match=f"holds a file {name} that no study has written"):
-        StudyFolder(tmp_path, SETTINGS, ["report.md"]).check(resume=True)
+        StudyFolder(tmp_path, SETTINGS).check(resume=True)
     assert (tmp_path / name).read_text() == "mine"
 
 
@@ -75,17 +75,15 @@ def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
         StudyFolder(tmp_path / "run" / "deeper", SETTINGS).check()
 
 
-@pytest.mark.parametrize("text", ["{", "[1]"])
-def test_a_damaged_identity_is_refused_by_name(tmp_path, text):
-    (tmp_path / IDENTITY).write_text(text)
+def test_a_damaged_identity_is_refused_by_name(tmp_path):
+    (tmp_path / IDENTITY).write_text("{")
     with pytest.raises(InputError, match=IDENTITY):
         StudyFolder(tmp_path, SETTINGS).check(resume=True)
 
 
-@pytest.mark.parametrize("text", ["{", "{}", "[]", "null", '{"valu": {}}'])
-def test_a_damaged_stage_is_refused_by_name(tmp_path, text):
+def test_a_damaged_stage_is_refused_by_name(tmp_path):
     with StudyFolder(tmp_path, SETTINGS).locked() as folder:
-        (tmp_path / STAGES / "one.json").write_text(text)
+        (tmp_path / STAGES / "one.json").write_text("{")
         with pytest.raises(InputError, match=r"one\.json: is damaged: .*; remove it"):
             folder.stage("one", lambda: 1)
 
@@ -123,15 +121,13 @@ def test_two_runs_cannot_work_in_one_folder(tmp_path):
 
 
 def test_what_a_killed_study_had_not_finished_writing_is_swept_away_and_no_file_of_anybody_else(tmp_path):
-    """A study removed every hidden file that matches `.*-????????.*`, also among its results."""
-    kept = [".notes-12345678.txt", "clouds/.mine-abcdefgh.pcd", ".photo.png.1.part"]
-    left = [f"{STAGES}/.blender_lidar-1-abcdefgh.json", "clouds/.blender_lidar-21-abcd_fgh.pcd"]
+    """A study removed every hidden file that matches `.*-????????.*`."""
+    kept, left = [".notes-12345678.txt", ".photo.png.1.part"], [f"{STAGES}/.blender_lidar-1-abcdefgh.json"]
     with StudyFolder(tmp_path, SETTINGS).locked():
         pass
-    (tmp_path / "clouds").mkdir()
     for name in [*kept, *left]:
         (tmp_path / name).write_text("{")
-    with StudyFolder(tmp_path, SETTINGS, ["clouds"]).locked(resume=True):
+    with StudyFolder(tmp_path, SETTINGS).locked(resume=True):
         assert all((tmp_path / name).exists() for name in kept)
         assert not any((tmp_path / name).exists() for name in left)
 

@@ -88,7 +88,7 @@ def _carry_out(
 
     Without --out the folder is named after the scene and the verb.
     """
-    folder = StudyFolder(args.out or default_folder(site.scenario, verb), identity, report.files, Progress)
+    folder = StudyFolder(args.out or default_folder(site.scenario, verb), identity, Progress)
     with folder.locked(resume=args.resume):
         say(args, describe_site(site, verbose=args.verbose) + "\n")
         try:

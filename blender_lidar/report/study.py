@@ -54,11 +54,6 @@ class StudyReport:
     sections: Callable[[Mapping], Sequence[Section]]
     answer: Callable[[Mapping], Sequence[str]]
 
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Names of all files that a study may leave."""
-        return PAGE, self.result, *self.tables, *self.pictures
-
     def write(self, folder: StudyFolder, result: Mapping) -> list[str]:
         """Write tables, pictures, the report and, last of all, the whole result; returns the names of the files.
 

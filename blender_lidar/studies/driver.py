@@ -8,7 +8,7 @@ as it is known, so that a study that was killed goes on where it stopped.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
 from itertools import groupby
@@ -63,7 +63,6 @@ def study_head(site: Site, schema: int, effort) -> dict[str, object]:
 
 IDENTITY = "study.json"
 STAGES = "stages"
-_VALUE = "value"  # of a stored stage
 
 
 class StudyFolder:
@@ -75,14 +74,12 @@ class StudyFolder:
         Where it is, or will be.
     identity : mapping
         What must be the same for two runs to come to the same: settings, content of files, versions. As JSON holds it.
-    results : iterable of str
-        Names of the files that the study will write, besides its stages.
     counter : callable, optional
         Makes what shows progress from a total and what is counted: it has `advance` and `close`.
     """
 
-    def __init__(self, path: str | Path, identity: Mapping, results: Iterable[str] = (), counter=None) -> None:
-        self.path, self._results, self._counter = Path(path), tuple(results), counter
+    def __init__(self, path: str | Path, identity: Mapping, counter=None) -> None:
+        self.path, self._counter = Path(path), counter
         self._identity = json.loads(json.dumps(identity))
 
     def file(self, name: str) -> Path:
@@ -101,9 +98,7 @@ class StudyFolder:
         """
         check_folder(self.path, "--out")
         if not self.file(IDENTITY).exists():
-            stages = self.file(STAGES)  # which `locked` makes first, empty
-            empty = stages.is_dir() and not any(stages.iterdir())
-            check_unused(self.path, "--out", "study", lambda path: empty and path == stages)
+            check_unused(self.path, "--out", "study")
             return
         stored = _read_json(self.file(IDENTITY))
         if not resume:
@@ -125,12 +120,11 @@ class StudyFolder:
         self.check(resume=resume)
         with folder_lock(self.path):
             self.check(resume=resume)  # again: another run may have come between the first check and the lock
-            make_folder(self.file(STAGES), "--out")
             if not self.file(IDENTITY).exists():
+                make_folder(self.path, "--out")
                 write_text(self.file(IDENTITY), json.dumps(self._identity, indent=2) + "\n")
-            for folder in (self.file(STAGES), *map(self.file, self._results)):
-                if folder.is_dir():
-                    sweep(folder)
+            make_folder(self.file(STAGES), "--out")
+            sweep(self.file(STAGES))
             yield self
 
     def holds(self, name: str) -> bool:
@@ -145,7 +139,7 @@ class StudyFolder:
 
     def store(self, name: str, value: object) -> None:
         """Store a stage, whole or not at all."""
-        write_text(self._stage(name), json.dumps({_VALUE: value}) + "\n")
+        write_text(self._stage(name), json.dumps(value) + "\n")
 
     def stored(self, name: str) -> object:
         """A stage from its file: the same to the last digit whether it was stored just now or by an earlier run.
@@ -155,7 +149,7 @@ class StudyFolder:
         InputError
             When the stored file is not as a run has left it.
         """
-        return _read_json(self._stage(name), _VALUE, "; remove it to have it made again")[_VALUE]
+        return _read_json(self._stage(name), "; remove it to have it made again")
 
     def counting(self, total: int, what: str):
         """A context in which steps are counted up to a total, by `advance`."""
@@ -180,15 +174,12 @@ class StudyFolder:
         return self.file(STAGES) / f"{name}.json"
 
 
-def _read_json(path: Path, key: str | None = None, advice: str = "") -> dict:
-    """The table in a file, with that key if one is given; one that is damaged is refused with some advice."""
+def _read_json(path: Path, advice: str = "") -> object:
+    """The content of a file; one that is damaged is refused with some advice."""
     try:
-        content = json.loads(read_text(path))
-        if not isinstance(content, dict) or (key is not None and key not in content):
-            raise ValueError("it is no file of a study")
+        return json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: is damaged: {error}{advice}") from error
-    return content
 
 
 # --- what is changed, and what is scored ------------------------------------------------------------------------------

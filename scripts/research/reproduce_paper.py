@@ -82,7 +82,7 @@ def study(args) -> None:
 
 def opened(case: CaseStudy, out, resume: bool):
     """The study's folder, locked."""
-    return StudyFolder(out, case.identity(), (RESULT, REPORT)).locked(resume=resume)
+    return StudyFolder(out, case.identity()).locked(resume=resume)
 
 
 def write_results(folder: StudyFolder, result: dict) -> list[str]:

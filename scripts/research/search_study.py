@@ -78,7 +78,7 @@ def _study(args):
     seeds, budget = (2, 200) if args.quick else (args.seeds, 2000)
     judged = judging(PARTS, seeds, budget, SCENE, args.traffic)
     wanted = [task for task in judged if task.part in (args.part or PARTS)]
-    folder = StudyFolder(args.out, study_identity(SCENE, seeds, budget, args.traffic), (PAGE, NUMBERS, *PICTURES))
+    folder = StudyFolder(args.out, study_identity(SCENE, seeds, budget, args.traffic))
     with folder.locked(resume=args.resume):
         if not args.report:
             with counting(len(wanted), "judging") as advance:
